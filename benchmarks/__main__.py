@@ -12,21 +12,21 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class Benchmark:
-    """One program that measures."""
+    """One benchmark program."""
 
     module: str
-    """Has either `add_to(parsers)` or `main(arguments)`."""
+    """Module with either `add_to(parsers)` or `main(arguments)`."""
     package: str
-    """Whose errors and exit codes it ends with: `rig`, `sim` or `learning`."""
+    """Package whose error handling and exit codes apply: `rig`, `sim` or `learning`."""
     help: str
 
 
 BENCHMARKS = {
     # Recording
     "recording": Benchmark(
-        "benchmarks.recording.command", "rig", "what recording costs, beside other stores"
+        "benchmarks.recording.command", "rig", "cost of recording, compared with other stores"
     ),
-    "faults": Benchmark("benchmarks.faults.command", "rig", "break a mock bench in every way"),
+    "faults": Benchmark("benchmarks.faults.command", "rig", "inject every fault into a mock bench"),
     "endurance": Benchmark("benchmarks.endurance.command", "rig", "half an hour on the mock bench"),
     # The simulator
     "hard-cases": Benchmark(
@@ -40,21 +40,21 @@ BENCHMARKS = {
     ),
     "speed": Benchmark("benchmarks.sim.speed.command", "sim", "the paper's 162 presses timed"),
     "frames": Benchmark(
-        "benchmarks.sim.speed.frames", "sim", "frames a second, one press or many at once"
+        "benchmarks.sim.speed.frames", "sim", "frames per second, one press or many at once"
     ),
     "effects": Benchmark(
-        "benchmarks.sim.effects.command", "sim", "what an effect costs, on and off"
+        "benchmarks.sim.effects.command", "sim", "cost of each effect, on and off"
     ),
     "needed": Benchmark(
-        "benchmarks.sim.needed", "sim", "effects that do not matter, left out of random scenes"
+        "benchmarks.sim.needed", "sim", "insignificant effects, left out of random scenes"
     ),
     "layer": Benchmark("benchmarks.sim.tiers.layer", "sim", "the `layer` tier, error and time"),
-    "mpm": Benchmark("benchmarks.sim.tiers.mpm", "sim", "the `mpm` tier beside `fem`"),
+    "mpm": Benchmark("benchmarks.sim.tiers.mpm", "sim", "the `mpm` tier compared with `fem`"),
     "independent": Benchmark(
-        "benchmarks.sim.independent.command", "sim", "forces beside other programs of mechanics"
+        "benchmarks.sim.independent.command", "sim", "forces compared with other mechanics programs"
     ),
     "tolerance": Benchmark(
-        "benchmarks.sim.tolerance_kept", "sim", "whether tolerances are kept on random scenes"
+        "benchmarks.sim.tolerance_kept", "sim", "are tolerances met on random scenes"
     ),
     "render-check": Benchmark(
         "benchmarks.sim.render.check", "sim", "marker images against ray casting"
@@ -64,9 +64,7 @@ BENCHMARKS = {
         "benchmarks.sim.render.picture", "sim", "draw markers before and after"
     ),
     "blender": Benchmark("benchmarks.sim.render.blender", "sim", "the same images by Blender"),
-    "sensor-fit": Benchmark(
-        "benchmarks.sim.sensors.fit", "sim", "find the fitted numbers of the sensors"
-    ),
+    "sensor-fit": Benchmark("benchmarks.sim.sensors.fit", "sim", "fit the sensors' parameters"),
     "sensor-speed": Benchmark(
         "benchmarks.sim.sensors.timing", "sim", "time a frame of each sensor"
     ),
@@ -74,7 +72,7 @@ BENCHMARKS = {
         "benchmarks.sim.sensors.picture", "sim", "draw one press on every sensor"
     ),
     "live-forces": Benchmark(
-        "benchmarks.sim.sensors.accuracy", "sim", "live forces beside `layer` and `fem`"
+        "benchmarks.sim.sensors.accuracy", "sim", "live forces compared with `layer` and `fem`"
     ),
     "live-session": Benchmark(
         "benchmarks.sim.sensors.stream_accuracy", "sim", "a session solved again"
@@ -103,7 +101,7 @@ BENCHMARKS = {
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one benchmark; the exit code."""
+    """Run one benchmark and return its exit code."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     if not arguments or arguments[0] in ("-h", "--help"):
         print(_listing())
@@ -123,7 +121,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(package: str, parser: argparse.ArgumentParser, arguments: list[str]) -> int:
-    """Run a verb as its package would: its errors, its exit codes."""
+    """Run a subcommand with the error handling and exit codes of its package."""
     front: Any = import_module(f"{package}.__main__")
     return int(front.run(parser, arguments))
 

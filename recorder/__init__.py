@@ -1,6 +1,6 @@
-"""What is on disk: recording, reading, aligning, checking and exporting sessions; archives.
+"""Dataset store: record, read, align, check and export sessions; read marker archives.
 
-`docs/data-format.md` is the contract; this package is its one implementation.
+The format is specified in `docs/data-format.md`; this package is its only implementation.
 """
 
 from recorder.archive import MarkerArchive

@@ -1,6 +1,6 @@
-"""python -m recorder info|check|recover|repack|export|import|sheet SESSION.
+"""Command line for sessions: python -m recorder info|check|recover|repack|export|import|sheet.
 
-`info` and `check` take marker archives as well.
+`info` and `check` also accept marker archives.
 """
 
 from __future__ import annotations
@@ -30,15 +30,16 @@ _QUIET = 2.0  # shorter work shows no progress [s]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; return 0 when done, 1 when a check found something, 2 on wrong input.
+    """Run one command and return its exit code.
 
-    130 after an interruption: whatever was being made is not there, or as it was before.
+    0: done; 1: a check found problems; 2: invalid input; 130: interrupted. An interrupted command
+    leaves its output either absent or unchanged.
     """
     return run(parser(), sys.argv[1:] if arguments is None else arguments)
 
 
 def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
-    """Run the command that `argv` names; errors are printed, the exit code says which they are."""
+    """Run the command that `argv` names; print errors and return the matching exit code."""
     options = parser.parse_args(argv)
     try:
         return int(options.run(options))
@@ -116,14 +117,14 @@ def _import(options: argparse.Namespace) -> int:
 
 
 class _Progress:
-    """One line, rewritten, for work that takes longer than a moment."""
+    """One-line progress display for work longer than `_QUIET`."""
 
     def __init__(self, what: str = "images") -> None:
         self._what = what
         self._start = self._shown = time.monotonic()
 
     def __call__(self, done: int, total: int) -> None:
-        """Show how far it is, and how long it will take."""
+        """Show the progress and the time left."""
         now = time.monotonic()
         last = done == total and self._shown > self._start
         if now - self._start < _QUIET or (now - self._shown < 0.5 and not last):
@@ -158,7 +159,7 @@ def _directory(text: str) -> Path:
 
 
 def parser() -> argparse.ArgumentParser:
-    """The parser of every command and its options."""
+    """Return the parser of all commands and their options."""
     made = argparse.ArgumentParser(
         prog="python -m recorder", description="Look after recorded sessions and marker archives."
     )
@@ -167,7 +168,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def add_to(commands: Verbs) -> None:
-    """The commands and their options."""
+    """Add the commands and their options."""
 
     def command(
         name: str, run: object, text: str, *, remote: bool = False
@@ -183,12 +184,11 @@ def add_to(commands: Verbs) -> None:
     command(
         "check",
         _check,
-        "Look for everything that can be wrong with a session or a marker archive; exit 1 if "
-        "anything is.",
+        "Check a session or a marker archive for every known problem; exit 1 if any is found.",
         remote=True,
     )
     command("recover", _recover, "Close a session whose recording was killed.")
-    pack = command("repack", _repack, "Copy a session with its images stored in another way.")
+    pack = command("repack", _repack, "Copy a session, storing its images in another encoding.")
     pack.add_argument("destination", type=Path, help="the copy; must not exist")
     pack.add_argument(
         "--profile",
@@ -211,12 +211,12 @@ def add_to(commands: Verbs) -> None:
         "(docs/data-format.md: max_age [s])",
     )
     add_options(command("import", _import, "Wrap a recording made elsewhere into a session."))
-    viewer = command("view", _view, "Look at a session in Rerun, the researcher's viewer.")
-    viewer.add_argument("--save", type=Path, help="write this .rrd file, open no viewer")
+    viewer = command("view", _view, "View a session in Rerun.")
+    viewer.add_argument("--save", type=Path, help="write this .rrd file and open no viewer")
     viewer.add_argument(
-        "--start", type=float, default=0.0, help="begin so long after the first sample [s]"
+        "--start", type=float, default=0.0, help="start this long after the first sample [s]"
     )
-    viewer.add_argument("--seconds", type=float, help="show so much [s] (default: to the end)")
+    viewer.add_argument("--seconds", type=float, help="length to show [s] (default: to the end)")
     picture = command("sheet", _sheet, "Draw a session on one page.", remote=True)
     picture.add_argument("--output", type=Path, help="the PNG (default: SESSION with .png)")
     picture.add_argument(

@@ -1,8 +1,8 @@
-"""The one error this package raises on purpose."""
+"""The only error that this package raises deliberately."""
 
 
 class SessionError(RuntimeError):
-    """A session or an archive on disk, or a row offered to one, is not what the format says.
+    """Raised for a session, an archive or a row to be written that violates the format.
 
-    The message names the place, what was found there and what was expected.
+    The message names the location, the value found and the value expected.
     """

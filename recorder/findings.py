@@ -1,42 +1,42 @@
-"""What a check reports."""
+"""Findings reported by a check."""
 
 from dataclasses import dataclass
 
-# Everything that a check can find, by code.
+# All finding codes of a session check.
 CODES = {
     "unfinished": "the session was not closed",
-    "metadata": "a zarr.json that is missing or not as the format has it",
-    "wrong-dtype": "an array of another type, shape or unit than its stream prescribes",
-    "missing-units": "an array that does not say its units",
-    "unequal-lengths": "columns of one stream or table of different length",
-    "missing-chunk": "data that an array declares and that is not there",
-    "bad-crc": "bytes that are not those that were written",
-    "bad-image": "an image that is no whole JPEG",
+    "metadata": "a zarr.json that is missing or does not match the format",
+    "wrong-dtype": "an array whose type, shape or unit differs from its stream's specification",
+    "missing-units": "an array without units",
+    "unequal-lengths": "columns of one stream or table of different lengths",
+    "missing-chunk": "a chunk that an array declares but that does not exist",
+    "bad-crc": "bytes that differ from those written",
+    "bad-image": "an image that is not a complete JPEG",
     "torn-tail": "a shard that was never sealed",
-    "journal-left": "rows, or room for them, that were never stored as chunks",
+    "journal-left": "rows, or space reserved for them, never stored as chunks",
     "time-order": "times that repeat or run backward",
     "clock-step": "a step between the host's clock and the device's",
-    "gap": "a longer time without samples",
-    "dropped": "sequence numbers that are missing",
-    "frozen": "the same image or value over and over",
+    "gap": "an unusually long time without samples",
+    "dropped": "missing sequence numbers",
+    "frozen": "the same image or value repeated",
     "truncated": "a stream that ends before the recording does",
-    "nan": "values that are no numbers",
-    "segment-outside": "a phase that its streams do not cover, or that points nowhere",
-    "frames-length": "a frames view that does not fit the segments",
+    "nan": "values that are not numbers",
+    "segment-outside": "a phase that its streams do not cover, or that has an invalid reference",
+    "frames-length": "a frames view that does not match the segments",
 }
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that is wrong, and where."""
+    """One problem and its location."""
 
     code: str
-    """One of `CODES`; of an archive, one of `archive.check.CODES`."""
+    """One of `CODES`; for an archive, one of `archive.check.CODES`."""
     where: str
     """Path inside the session."""
     message: str
-    """What was found and what was expected, with the place and time of the first occurrence."""
+    """Value found and value expected, with the place and time of the first occurrence."""
 
     def __str__(self) -> str:
-        """Return the line that is printed."""
+        """Return the printed line."""
         return f"{self.code:15s} {self.where}: {self.message}"

@@ -1,11 +1,11 @@
-r"""One number for all that a stream holds but its times: equal exactly when the bytes are.
+r"""Describe sessions, and compute stream digests that are equal exactly if the data bytes are.
 
-The digest of a stream is the SHA-256 of, for each of its columns in the order of attrs `columns`
-apart from the time column: the line `<name> <dtype> <shape of a row>\n`, then the rows in order.
-A row of numbers goes in as its little-endian bytes; an image that is stored as JPEG as the number
-of its bytes (int64, little-endian) and the bytes; an image stored as pixels as its pixels.
+The digest of a stream is the SHA-256 of its columns in the order of attrs `columns`, without the
+time column. Each column contributes the line `<name> <dtype> <shape of a row>\n`, then its rows in
+order. A row of numbers contributes its little-endian bytes; an image stored as JPEG the number of
+its bytes (int64, little-endian) and the bytes; an image stored as pixels its pixels.
 
-`streams/camera/device_t` is left out: it is a time of the host's clock, as `t_ns` is, or nothing.
+`streams/camera/device_t` is excluded: it is a time of the host's clock, like `t_ns`, or absent.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ def stream_digest(stream: Stream, progress: Progress | None = None) -> str:
 
     Args:
         stream: The stream; all of it is read.
-        progress: Called with the images read and their number.
+        progress: Called with the number of images read and the total.
 
     Raises:
-        SessionError: A chunk is missing or damaged.
+        SessionError: A chunk is missing or corrupt.
     """
     digest = hashlib.sha256()
     for layout in stream.layout.columns:
@@ -70,23 +70,23 @@ def digests(session: Session, progress: Progress | None = None) -> dict[str, str
     """Return the digest of every stream of a session, by name.
 
     Raises:
-        SessionError: A chunk is missing or damaged.
+        SessionError: A chunk is missing or corrupt.
     """
     return {name: stream_digest(stream, progress) for name, stream in session.streams.items()}
 
 
-# A session, or an archive, in a page of text.
+# Text summary of a session or an archive.
 
 _TOLD = ("sensor", "indenter", "operator", "mock", "started_utc", "profile", "reason")
 
 
 def describe(path: str | os.PathLike[str]) -> str:
-    """Return what a session holds: origin, streams with their rates, frames and phases.
+    """Return a summary of a session: origin, streams with their rates, frames and phases.
 
-    Of a marker archive: a line a sensor.
+    For a marker archive, the summary has one line per sensor.
 
     Raises:
-        SessionError: Neither a session nor an archive, or a damaged column.
+        SessionError: Neither a session nor an archive, or a corrupt column.
     """
     files, place = locate(path)
     if says_it_is(place, files, ARCHIVE):

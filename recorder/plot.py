@@ -1,4 +1,4 @@
-"""Line plots and taxel pictures with Pillow alone."""
+"""Line plots and taxel pictures, using only Pillow."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,23 +17,23 @@ GRID: Color = (228, 231, 236)
 PAPER: Color = (255, 255, 255)
 PANEL: Color = (247, 248, 250)
 
-_SMOOTH = 3  # drawn this much larger and reduced, since Pillow's lines are not anti-aliased
+_SMOOTH = 3  # supersampling factor, since Pillow does not anti-alias lines
 
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """One line of a plot."""
+    """One curve of a plot."""
 
     name: str
-    """What the legend says; empty: it is left out there."""
+    """Name in the legend; left out of it if empty."""
     values: Floats
     """Values (n,); NaN leaves a gap."""
     color: Color
-    """Its colour."""
+    """Colour of the curve."""
 
 
 def font(size: int) -> Font:
-    """Return the lettering of everything we draw, in pixels."""
+    """Return the font used in all pictures; `size` in pixels."""
     return ImageFont.load_default(size)
 
 
@@ -52,9 +52,9 @@ def line_plot(
         size: Width and height [px].
         x: Abscissa (n,), ascending.
         curves: Lines, each with n values.
-        title: What is plotted, with its unit.
-        marks: Places on x that get a numbered line.
-        x_label: Name of the abscissa; without one its numbers are left out too.
+        title: Quantity plotted, with its unit.
+        marks: Positions on x that get a numbered line.
+        x_label: Name of the abscissa; if empty, its numbers are left out too.
     """
     width, height = size
     left, right, top, bottom = 64, 16, 34, 40 if x_label else 12
@@ -104,12 +104,12 @@ def line_plot(
 
 
 def taxel_picture(size: tuple[int, int], change: Floats, full_scale: float) -> Image.Image:
-    """Return a 4x4 taxel pad as discs: moved by shear, larger and warmer under pressure.
+    """Return a 4x4 taxel pad as discs: shifted by shear, larger and warmer under pressure.
 
     Args:
         size: Width and height [px].
         change: Counts x y z relative to rest (16, 3).
-        full_scale: Counts of the largest displacement and size.
+        full_scale: Counts that give the largest displacement and size.
     """
     width, height = size[0] * _SMOOTH, size[1] * _SMOOTH
     picture = Image.new("RGB", (width, height), (30, 34, 42))
@@ -147,7 +147,7 @@ def _limits(curves: Sequence[Curve]) -> tuple[float, float]:
 
 
 def _ticks(low: float, high: float, about: int) -> list[float]:
-    """Return round numbers inside the limits, `about` as many."""
+    """Return about `about` round numbers inside the limits."""
     raw = (high - low) / about or 1.0
     power = 10.0 ** np.floor(np.log10(raw))
     step = float(min(power * np.array([1, 2, 5, 10]), key=lambda s: abs(s - raw)))
@@ -156,7 +156,7 @@ def _ticks(low: float, high: float, about: int) -> list[float]:
 
 
 def _parts(x: Floats, y: Floats, pixels: int) -> list[list[tuple[float, float]]]:
-    """Return the unbroken parts of a line, as extremes per pixel where it is denser than that."""
+    """Return the unbroken parts of a line, reduced to extremes per pixel where it is denser."""
     parts: list[list[tuple[float, float]]] = []
     known = np.isfinite(y)
     breaks = np.flatnonzero(np.diff(np.concatenate([[0], known.astype(np.int8), [0]])))

@@ -1,4 +1,4 @@
-"""Worker processes on the cores of one machine: how they start, end and are missed."""
+"""Worker processes on one machine: start, stop, and detection of lost workers."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ Answer = TypeVar("Answer")
 
 
 class WorkerLost(RuntimeError):
-    """A worker process ended without an answer; nothing is known of the work that it was at."""
+    """A worker process ended without a result; the state of its current call is unknown."""
 
 
 class Workers:
-    """Some processes that do calls for this one: a context manager.
+    """Context manager for a pool of worker processes.
 
-    They are started anew, as neither threads of torch nor Warp nor a GPU survive a fork, when there
-    is work for them, and end with this process, however it ends. They never see Ctrl-C: an error or
-    Ctrl-C that leaves the block stops them at once. `patient` ones see it themselves, and end the
-    calls that they are at before the block is left.
+    Processes are spawned when there is work, not forked, because torch's threads, Warp and GPU
+    contexts do not survive a fork. They end with this process, however it ends. Workers never see
+    Ctrl-C: an error or Ctrl-C that leaves the block stops them at once. `patient` workers do see
+    Ctrl-C, and finish their current calls before the block is left.
     """
 
     def __init__(
@@ -39,24 +39,24 @@ class Workers:
         patient: bool = False,
         fewer: str = "fewer processes",
     ) -> None:
-        """Prepare processes; none is started yet.
+        """Prepare the pool; no process is started yet.
 
         Args:
-            processes: How many at most.
-            begin: Called by each before its first call.
-            arguments: Of `begin`.
-            patient: Whether calls that are begun are always ended.
-            fewer: What is allowed where one was killed for lack of memory.
+            processes: Largest number of processes.
+            begin: Called by each worker before its first call.
+            arguments: Arguments of `begin`.
+            patient: If true, calls that have begun always run to their end.
+            fewer: Suggested remedy if a worker was killed for lack of memory.
         """
         self._context, self._patient, self._fewer = _Spawning(), patient, fewer
         self._executor = ProcessPoolExecutor(processes, self._context, _begin, (begin, arguments))
         self.done = "0 calls"
-        """How much is done, such as `3 of 9 scenes`: told when a process is lost."""
+        """Progress such as `3 of 9 scenes`, printed when a process is lost."""
 
     def submit(
         self, call: Callable[Given, Answer], *args: Given.args, **kwargs: Given.kwargs
     ) -> Future[Answer]:
-        """Have a call done by the next process that is free."""
+        """Schedule a call on the next free process."""
         with contextlib.nullcontext() if self._patient else _interrupts_kept_off():
             return self._executor.submit(call, *args, **kwargs)
 
@@ -78,7 +78,7 @@ class Workers:
         self._executor.shutdown(wait=True, cancel_futures=True)
 
     def _lost(self) -> str:
-        """What became of the workers, as far as their exit codes tell; the others were stopped."""
+        """Return the reason for the loss as far as exit codes show; other workers were stopped."""
         codes = [worker.exitcode or 0 for worker in self._context.started]
         for code in codes:
             if code < 0 and code != -signal.SIGTERM:
@@ -89,19 +89,19 @@ class Workers:
                 )
         return (
             f"a worker process ended with exit code {max(codes)}, {self.done} done; a script that "
-            'asks for processes has to do so under if __name__ == "__main__":'
+            'starts processes must do so under if __name__ == "__main__":'
         )
 
 
 class _Spawning(SpawnContext):
-    """Starts processes anew, and knows those that it has started."""
+    """Spawn context that records the processes it has started."""
 
     def __init__(self) -> None:
         super().__init__()
         self.started: list[SpawnProcess] = []
 
     def Process(self, *args: Any, **kwargs: Any) -> SpawnProcess:  # type: ignore[override] # noqa: N802
-        """A process that can be stopped later."""
+        """Return a process that can be stopped later."""
         process = SpawnProcess(*args, **kwargs)
         self.started.append(process)
         return process
@@ -109,9 +109,9 @@ class _Spawning(SpawnContext):
 
 @contextlib.contextmanager
 def _interrupts_kept_off() -> Iterator[None]:
-    """Processes and threads begun inside never see Ctrl-C: who began them stops them.
+    """Keep Ctrl-C from processes and threads started inside; their creator must stop them.
 
-    They inherit what is blocked here; a Ctrl-C that comes meanwhile arrives at the end.
+    They inherit the signal mask set here; a Ctrl-C in the meantime is delivered at the end.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
@@ -121,14 +121,14 @@ def _interrupts_kept_off() -> Iterator[None]:
 
 
 def _begin(begin: Callable[..., object] | None, arguments: tuple[Any, ...]) -> None:
-    """Make a worker end with its parent, then begin."""
+    """Make a worker end with its parent, then call `begin`."""
     threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
     if begin is not None:
         begin(*arguments)
 
 
 def _end_with_parent() -> None:
-    """Wait for the parent to die: nobody is left then to stop this process."""
+    """Wait for the parent to die, then exit: nothing else would stop this process."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

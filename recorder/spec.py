@@ -1,6 +1,6 @@
-"""What a stream holds: columns, units and codes. The data contract as data.
+"""Columns, units and codes of the streams: the data contract as data.
 
-A stream is a set of columns that grow together, one row per sample; its last column is the time.
+A stream is a set of columns of equal length, one row per sample; its last column is the time.
 """
 
 import math
@@ -17,9 +17,9 @@ FORMAT_VERSION = 1
 
 # Phases of one target, by code.
 PHASES = ("normal_inc", "shear_inc", "shear_dec", "normal_dec")
-# How a phase ended, by code.
+# Ways in which a phase ended, by code.
 OUTCOMES = ("complete", "force_limited", "interrupted", "stopped")
-# What a session's `status` may say.
+# Allowed values of a session's `status`.
 STATUSES = ("recording", "complete", "stopped", "recovered")
 
 _DTYPES = ("uint8", "int8", "int16", "int32", "int64", "float32", "float64")
@@ -28,28 +28,28 @@ _WRENCH_UNITS = "N, N m"
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One array of a stream: what a row of it is."""
+    """One array of a stream."""
 
     name: str
     """Name of the array in the stream's group."""
     dtype: str
     """Zarr data type, e.g. `float64`."""
     shape: tuple[int, ...] = ()
-    """Shape of one row; three dimensions make it an image, one chunk a row."""
+    """Shape of one row; a row with three dimensions is an image and one chunk."""
     units: str = ""
     """Units as stored; `1` for a pure number, `counts` for raw device values."""
     dims: tuple[str, ...] = ()
     """Dimension names of one row."""
     description: str = ""
-    """One sentence for whoever finds the array without us."""
+    """One sentence for readers who have only the array."""
     codec: str = "zstd"
-    """`zstd`, or `jpeg` for an image that arrives as JPEG and stays so."""
+    """`zstd`, or `jpeg` for an image that arrives and is stored as JPEG."""
 
     def __post_init__(self) -> None:
-        """Refuse what the format cannot hold.
+        """Reject columns that the format cannot hold.
 
         Raises:
-            SessionError: Unknown dtype or codec, or a row shape that does not fit them.
+            SessionError: Unknown dtype or codec, or a row shape that does not match them.
         """
         if self.dtype not in _DTYPES:
             known = ", ".join(_DTYPES)
@@ -67,7 +67,7 @@ class Column:
 
     @property
     def is_image(self) -> bool:
-        """Whether a row is an image, stored as one chunk."""
+        """True if a row is an image, stored as one chunk."""
         return len(self.shape) == 3
 
     @property
@@ -78,19 +78,19 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class StreamSpec:
-    """One stream, as it is declared before anything is recorded."""
+    """One stream, declared before recording."""
 
     name: str
-    """Name of its group."""
+    """Name of the stream's group."""
     columns: tuple[Column, ...]
     """Columns in storage order; the last is the time of the row [ns]."""
     rate_hz: float
-    """Nominal rate; sets how many rows make one chunk."""
+    """Nominal rate; sets the number of rows per chunk."""
     attrs: dict[str, Any] = field(default_factory=dict)
-    """What else is known of it: bias, exposure [s], latency [s], device_clock, serial numbers."""
+    """Further properties: bias, exposure [s], latency [s], device_clock, serial numbers."""
 
     def __post_init__(self) -> None:
-        """Refuse a stream that the format cannot hold.
+        """Reject a stream that the format cannot hold.
 
         Raises:
             SessionError: No integer time column at the end, a repeated name or two image columns.
@@ -107,7 +107,7 @@ class StreamSpec:
 
     @property
     def block(self) -> int:
-        """Rows of one chunk of a small column: the power of two nearest to 1.3 s, 64 to 4096."""
+        """Rows per chunk of a small column: the power of two nearest to 1.3 s, from 64 to 4096."""
         return int(2 ** min(max(round(math.log2(1.28 * self.rate_hz)), 6), 12))
 
 
@@ -148,7 +148,7 @@ def camera_spec(
 
 
 def force_spec(rate_hz: float, **attrs: Any) -> StreamSpec:
-    """Return the stream of a force/torque sensor: as measured minus `attrs["bias"]` (6,)."""
+    """Return the stream of a force/torque sensor: measured values minus `attrs["bias"]` (6,)."""
     value = Column(
         "value",
         "float64",

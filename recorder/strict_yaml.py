@@ -1,6 +1,6 @@
-"""YAML files without surprises: each key once, plain words as YAML 1.2 reads them, `extends`.
+"""Strict YAML: unique keys, plain scalars as in YAML 1.2, and inheritance by `extends`.
 
-1e-4 is a number, and `no` and `on` are words: only true and false are neither.
+1e-4 is a number; `no` and `on` are strings. The only booleans are true and false.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ _EXPONENT = (
 
 
 class YamlError(ValueError):
-    """What is wrong with a file: where, what was found, what is allowed."""
+    """Error in a file: its place, the value found and the values allowed."""
 
 
 class _StrictLoader(yaml.SafeLoader):
-    """Refuses a key that is written twice: the second would win without a word."""
+    """Loader that rejects a repeated key; PyYAML would silently keep the second."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[Any] = set()
@@ -47,7 +47,7 @@ _StrictLoader.add_implicit_resolver(*_EXPONENT)
 
 
 class _StrictDumper(yaml.SafeDumper):
-    """Writes what `_StrictLoader` reads as it was: a commit such as 2902e78 is quoted."""
+    """Dumper whose output `_StrictLoader` reads unchanged: a commit such as 2902e78 is quoted."""
 
 
 _StrictDumper.add_implicit_resolver(*_EXPONENT)
@@ -59,10 +59,10 @@ def yaml_text(content: Mapping[str, Any]) -> str:
 
 
 def parse(text: str, name: str) -> Any:
-    """Return what a text of YAML says; `name` is where it stands, for errors.
+    """Return the content of a YAML text; `name` is its origin, for error messages.
 
     Raises:
-        YamlError: Not YAML, or a key that is written twice.
+        YamlError: Not YAML, or a repeated key.
     """
     try:
         loader = _StrictLoader(text)
@@ -78,13 +78,13 @@ def parse(text: str, name: str) -> Any:
 def read_mapping(
     path: Path, above: tuple[Path, ...] = (), *, library: Path | None = None
 ) -> dict[str, Any]:
-    """Return the mapping in a YAML file, merged over the file that its `extends` names.
+    """Return the mapping in a YAML file, merged over the file named by its `extends`.
 
     Args:
-        path: The file; the name that it extends is relative to it.
-        above: Files that led here.
-        library: Folder that is looked into as well where `extends` says `NAME` or `../NAME` and
-            there is no such file.
+        path: The file; the name in `extends` is relative to it.
+        above: Files that led here through `extends`.
+        library: Folder that is searched as well if `extends` is `NAME` or `../NAME` and that file
+            does not exist.
 
     Raises:
         YamlError: No such file, not YAML, not a mapping, or files that extend each other.
@@ -113,9 +113,9 @@ def read_mapping(
 
 
 def merged(below: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """Return one mapping over another, key by key; whatever else replaces.
+    """Return one mapping over another, merged key by key; other values are replaced.
 
-    So does a mapping of another `kind`, since its keys would not fit.
+    A mapping of a different `kind` is replaced too, since its keys would not fit.
     """
     result = dict(below)
     for key, value in over.items():
@@ -128,13 +128,13 @@ def merged(below: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def said(value: Any) -> str:
-    """Return how errors call a value: its type and itself."""
+    """Return a value's type and repr for error messages."""
     return f"{type(value).__name__} {value!r}"
 
 
-# Names in the order that people count in.
+# Natural sort order.
 
 
 def natural_key(name: str) -> list[tuple[int, int, str]]:
-    """Return what sorts image_2 before image_10."""
+    """Return the key that sorts image_2 before image_10."""
     return [(0, int(p), "") if p.isdecimal() else (1, 0, p) for p in re.split(r"(\d+)", name)]

@@ -1,1 +1,1 @@
-"""The command `tactile`: a table of what it does, and the folder of a lab."""
+"""The command `tactile`: a table of commands, and `tactile init`."""

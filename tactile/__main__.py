@@ -1,4 +1,4 @@
-"""Command line of the project: `tactile COMMAND`; `tactile.commands` is the table of them."""
+"""Command line of the project, `tactile COMMAND`; the commands are listed in `commands.py`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ HELP = ("-h", "--help")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command; the exit code."""
+    """Run one command and return the exit code."""
     words = list(sys.argv[1:] if argv is None else argv)
     if not words:
         print(overview(), file=sys.stderr)
@@ -39,19 +39,19 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def overview() -> str:
-    """Every command, by group."""
+    """Return the help of all commands, by group."""
     width = max(map(len, COMMANDS))
-    lines = ["usage: tactile COMMAND [options]; tactile COMMAND --help has them"]
+    lines = ["usage: tactile COMMAND [options]; see tactile COMMAND --help"]
     for title, commands in GROUPS.items():
         lines += ["", title, *_rows(commands, width)]
     return "\n".join(lines)
 
 
 def family(first: str) -> str:
-    """The commands that begin with a word."""
+    """Return the help of the commands that begin with a word."""
     commands = [COMMANDS[words] for words in _seconds(first)]
     width = max(len(command.words) for command in commands)
-    usage = f"usage: tactile {first} COMMAND [options]; tactile {first} COMMAND --help has them"
+    usage = f"usage: tactile {first} COMMAND [options]; see tactile {first} COMMAND --help"
     return "\n".join([usage, "", f"{FAMILIES[first]}:", *_rows(commands, width)])
 
 
@@ -68,23 +68,23 @@ def _seconds(first: str) -> list[str]:
 
 
 def _unknown(words: str, known: Sequence[str]) -> int:
-    """Say that there is no such command, and which come near; the exit code."""
+    """Print that the command is unknown, with similar ones; return the exit code."""
     from difflib import get_close_matches
 
     last = words.split()[-1]
-    # `check` alone was meant as `session check`, `train-force` as `train force`.
+    # A last word alone means the full command: `check` is `session check`; also `train-force`.
     same = [each for each in COMMANDS if last in (each.split()[-1], each.replace(" ", "-"))]
     near = same or get_close_matches(words, [*COMMANDS, *known])
     hint = f"did you mean {', '.join(near)}? " if near else ""
     print(
-        f"wrong input: {words!r}: no such command; {hint}tactile --help lists them all",
+        f"wrong input: {words!r}: no such command; {hint}tactile --help lists all commands",
         file=sys.stderr,
     )
     return EXIT_WRONG_INPUT
 
 
 def _run(command: Command, rest: Sequence[str]) -> int:
-    """Run a command as its package would, under the name of `tactile`."""
+    """Run a command through its package, with `tactile` as the program name."""
     import argparse
     from importlib import import_module
 

@@ -1,4 +1,4 @@
-"""`tactile init`: the folder of a lab, with a place for everything."""
+"""`tactile init`: create the folder structure of a lab."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ if TYPE_CHECKING:
 
 EXIT_WRONG_INPUT = 2
 FOLDERS = ("benches/lab", "calibrations", "campaigns", "sessions")
-# Names of what is in the way that are told.
+# Number of existing entries that an error lists.
 SHOWN = 5
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and its options."""
+    """Add the command and its options."""
     parser = verbs.add_parser(
         "init",
-        help="lay out the folder of a lab",
-        description="Makes DIR with benches/lab, calibrations, campaigns (with an example), "
-        "sessions and a README. Commands that are run there find and put their files in them.",
+        help="create the folder of a lab",
+        description="Creates DIR with benches/lab, calibrations, campaigns (with an example), "
+        "sessions and a README. Commands run in DIR read and write their files there.",
     )
     parser.add_argument("folder", type=Path, metavar="DIR", help="new, or empty")
     parser.set_defaults(run=_run)
 
 
 def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
-    """Run the verb that `argv` names; the exit code."""
+    """Run the command that `argv` names and return the exit code."""
     options = parser.parse_args(argv)
     try:
         return int(options.run(options))
@@ -54,13 +54,13 @@ def _run(options: argparse.Namespace) -> int:
         )
         return EXIT_WRONG_INPUT
     lay_out(folder)
-    print(f"{folder}: laid out, README.md says what is where; next:")
+    print(f"{folder}: created; README.md describes the folders; next:")
     print(f"  cd {folder} && tactile collect --sensor tacpalm --targets 2")
     return 0
 
 
 def lay_out(folder: Path) -> None:
-    """Make the folders of a lab and put the example files into them."""
+    """Create the folders of a lab and copy the example files into them."""
     for name in FOLDERS:
         (folder / name).mkdir(parents=True, exist_ok=True)
     day = resources.files("rig.bench") / "campaigns" / "day.yaml"

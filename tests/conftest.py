@@ -1,4 +1,4 @@
-"""Fixtures, and the rule that a test leaves no thread and no process behind."""
+"""Fixtures, and a check that no test leaves a thread or process behind."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-# Two workers run the tests; libraries that each take both cores for themselves make them ten times
-# slower. Before anything of them is imported.
+# Two workers run the tests; libraries that each use both cores slow them down ten times. Must be
+# set before any of them is imported.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-# Hundreds of processes are started here: where the environment keeps Python from writing bytecode,
-# each would compile our modules anew, and pytest the asserts of every file.
+# The tests start hundreds of processes: if the environment disables bytecode files, each would
+# recompile our modules, and pytest would rewrite the asserts of every file.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
-# A shell starts background jobs with SIGINT ignored, and Python then leaves it so; the tests of
-# Ctrl-C must not depend on how they were started.
+# A shell starts background jobs with SIGINT ignored, and Python keeps it so; the tests of Ctrl-C
+# must not depend on how they were started.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Deadlines would measure the machine, not the code.
@@ -31,7 +31,7 @@ settings.load_profile("house")
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """With `-m serial`, leave out files in which nothing is: to import them takes long."""
+    """With `-m serial`, skip files without such tests, since importing them is slow."""
     if config.option.markexpr != "serial" or collection_path.suffix != ".py":
         return None
     return True if b"serial" not in collection_path.read_bytes() else None
@@ -64,7 +64,7 @@ def nothing_left_behind() -> Iterator[None]:
     threads, children = set(threading.enumerate()), _children()
     yield
     # zarr keeps one event loop thread and its pool for the life of the process, multiprocessing
-    # one resource tracker; neither is ours.
+    # one resource tracker; both are exempt.
     ours = [
         thread
         for thread in set(threading.enumerate()) - threads

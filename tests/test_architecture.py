@@ -1,4 +1,4 @@
-"""The house is built as its plan says: who may import whom, and who may touch the clock."""
+"""Architecture rules: allowed imports between packages, and access to the clock."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ALLOWED = {
     "rig": {"trajectories", "recorder"},
     "sim": {"trajectories", "recorder"},
     "learning": {"trajectories", "recorder"},
-    "tactile": set(),  # it names modules in a table, and imports the chosen one
+    "tactile": set(),  # it lists modules in a table, and imports the selected one
 }
 # Vendor libraries and the only modules that may import them.
 VENDORS = {
@@ -57,7 +57,7 @@ VENDORS = {
     "trimesh": {"sim/indenters"},
     "distributed": {"sim/dataset"},
 }
-# What a module may import inside of its functions alone.
+# Imports that a module may make only inside its functions.
 LAZY = {"rig/mock/world/simulated.py": {"sim"}, "rig/monitor/predictor.py": {"learning"}}
 MODULES = sorted(
     path for package in PACKAGES for path in (ROOT / package).rglob("*.py") if path.is_file()

@@ -1,4 +1,4 @@
-"""What the documentation names is there: files, links, modules, make targets."""
+"""Names in the documentation exist: files, links, modules, make targets."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 PACKAGES = "trajectories|recorder|rig|sim|learning|benchmarks"
-# Texts that tell what was: the names of that time stay in them.
+# Historical texts: they keep the names of their time.
 HISTORY = ("CHANGELOG.md", "docs/decisions/", "docs/reference/moved-modules.md")
 _PATH = re.compile(
     rf"(?<![\w./-])((?:{PACKAGES}|tests|docs|examples)/[\w./-]*\w\.(?:py|md|csv|sh))\b"
@@ -49,7 +49,7 @@ def test_links_lead_somewhere(page: Path) -> None:
         link for link in links
         if not re.match(r"[a-z]+:", link) and not (page.parent / link).exists()
     ]  # fmt: skip
-    # Fragments that a program puts into a page of docs/results are linked from there.
+    # Fragments that a program inserts into a page of docs/results are linked from there.
     if page.is_relative_to(ROOT / "benchmarks"):
         dead = [link for link in dead if not (ROOT / "docs" / "results" / link).exists()]
     assert not dead
@@ -84,7 +84,7 @@ def test_make_targets_that_are_named_are_there() -> None:
 
 
 def _is_there(dotted: str) -> bool:
-    """Whether a dotted name is a module, or a name within one."""
+    """Return True if a dotted name is a module, or a name within one."""
     words = dotted.split(".")
     for count in range(len(words), 0, -1):
         place = ROOT.joinpath(*words[:count])

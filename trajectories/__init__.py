@@ -1,6 +1,6 @@
-"""What the arm does, as pure data: frozen specs that yield moves. No hardware, no clock, no files.
+"""Arm trajectories as pure data: frozen specs that yield moves. No hardware, clock or files.
 
-A spec is stored as JSON with the session it made; the moves are derived from it again when needed.
+A spec is stored as JSON in the session recorded with it; its moves are derived again when needed.
 """
 
 from trajectories.force_depth import ForceDepth

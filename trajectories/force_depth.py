@@ -1,4 +1,4 @@
-"""The force-depth press: straight down and up again, a few times, for material compensation."""
+"""The force-depth trajectory: repeated straight presses, for material compensation."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class ForceDepth:
     """Loading and unloading at the centre, `repeats` times; each repeat is one target.
 
     The paper presses the prism 3 times to 1.2 mm (homogeneous), 1.0 mm (GelSight, uSkin) or 4.5 mm
-    (TacPalm) and keeps loading and unloading apart, since they differ by hysteresis.
+    (TacPalm), and treats loading and unloading separately, since they differ by hysteresis.
 
     Raises:
         ValueError: A length that is not positive, or less than one repeat.
@@ -25,12 +25,12 @@ class ForceDepth:
     depth_max: float = field(metadata={"unit": "mm"})
     """Deepest indentation [m]."""
     repeats: int = 3
-    """How often it is pressed."""
+    """Number of presses."""
     clearance: float = field(default=0.3e-3, metadata={"unit": "mm"})
-    """Height of p0 above the untouched surface [m]."""
+    """Height of p0 above the undeformed surface [m]."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be walked."""
+        """Reject invalid values."""
         check_positive(self, ("depth_max", "clearance"))
         if self.repeats < 1:
             raise ValueError(f"repeats: {self.repeats!r}; allowed: 1 or more")
@@ -41,11 +41,11 @@ class ForceDepth:
         return self.KIND
 
     def __len__(self) -> int:
-        """Number of targets."""
+        """Return the number of targets."""
         return self.repeats
 
     def targets(self) -> Iterator[Target]:
-        """The same press `repeats` times."""
+        """Yield the same press `repeats` times."""
         origin = (0.0, 0.0, self.clearance)
         bottom = (0.0, 0.0, -self.depth_max)
         for index in range(self.repeats):
@@ -60,7 +60,7 @@ class ForceDepth:
             )
 
     def moves(self, target: Target) -> tuple[Move, ...]:
-        """Loading and unloading."""
+        """Return the loading and the unloading move."""
         return (
             Move(target.index, PHASES.index("normal_inc"), target.origin, target.bottom),
             Move(target.index, PHASES.index("normal_dec"), target.bottom, target.origin),

@@ -1,4 +1,4 @@
-"""Walk a plan without hardware: does it stay in the box, how deep, how hard, how long."""
+"""Dry run of a plan without hardware: workspace box, depth, force and duration."""
 
 from __future__ import annotations
 
@@ -10,27 +10,27 @@ from trajectories.profile import distance, move_duration
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a sensor and a bench allow, in the contact frame."""
+    """Limits of a sensor and a bench, in the contact frame."""
 
     box_x: tuple[float, float]
     """Allowed x of the tip [m]."""
     box_y: tuple[float, float]
     """Allowed y of the tip [m]."""
     depth_max: float
-    """Deepest indentation the sensor stands [m]."""
+    """Deepest indentation that the sensor withstands [m]."""
     height_max: float
     """Highest z of the tip [m]."""
     force_rating: float
     """Rated normal force of the weaker of sensor and F/T gauge [N]."""
     stiffness: float
-    """Normal stiffness expected of the sensor under the indenter [N/m], to foretell the force."""
+    """Expected normal stiffness of the sensor under the indenter [N/m], to predict the force."""
     duration_max: float
     """Longest session [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rehearsal:
-    """What a plan would do, found by walking it."""
+    """Result of a dry run of a plan."""
 
     targets: int
     """Number of targets."""
@@ -47,21 +47,21 @@ class Rehearsal:
     force: float
     """Expected largest normal force, stiffness x depth [N]."""
     duration: float
-    """Moving time, recorded and between targets [s]; pauses come on top."""
+    """Moving time, recorded and between targets [s]; pauses are not included."""
     recorded: float
-    """The recorded part of it [s]."""
+    """Recorded part of the duration [s]."""
     broken: tuple[str, ...]
-    """Each limit that would be broken, in words; empty when the plan may run."""
+    """Description of each limit that would be exceeded; empty if the plan may run."""
 
 
 def rehearse(plan: Plan, limits: Limits, *, speed: float, acceleration: float) -> Rehearsal:
-    """Walk `plan` and hold every point against `limits`.
+    """Dry-run `plan` and compare every point with `limits`.
 
     Args:
-        plan: What to walk.
-        limits: What is allowed.
+        plan: Plan to check.
+        limits: Limits to check against.
         speed: Speed of the recorded moves [m/s].
-        acceleration: Their acceleration [m/s^2].
+        acceleration: Acceleration of the recorded moves [m/s^2].
     """
     places: list[Point] = []
     recorded = between = 0.0

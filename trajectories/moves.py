@@ -1,6 +1,6 @@
-"""The vocabulary of a plan: points, targets, moves.
+"""Points, targets and moves: the elements of a plan.
 
-Frame: the contact frame. Its origin lies on the untouched surface of the sensor at its centre, z
+Frame: the contact frame. Its origin is on the undeformed surface of the sensor at its centre; z
 points out of the sensor, so an indentation is a negative z.
 """
 
@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-# Names of the phases; their index is the code that is stored.
+# Names of the phases; the index is the stored code.
 PHASES = ("normal_inc", "shear_inc", "shear_dec", "normal_dec")
 
 # A position of the indenter's tip in the contact frame [m].
@@ -19,10 +19,10 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """One press: where, how deep, and in which direction it is sheared."""
+    """One press: position, depth and shear direction."""
 
     index: int
-    """Its place in the plan, from 0."""
+    """Index in the plan, from 0."""
     point: int
     """Number of the contact point, from 1 as in the paper."""
     depth: float
@@ -30,7 +30,7 @@ class Target:
     direction: int
     """Shear direction, 0 along +x and counter-clockwise; -1 for a press without shear."""
     origin: Point
-    """p0, clear of the surface [m]."""
+    """p0, above the surface [m]."""
     bottom: Point
     """p1, straight below p0 at full depth [m]."""
     sheared: Point
@@ -46,33 +46,33 @@ class Move:
     phase: int
     """Index into PHASES."""
     start: Point
-    """Where it begins [m]."""
+    """Start point [m]."""
     end: Point
-    """Where it ends [m]."""
+    """End point [m]."""
 
 
 class Plan(Protocol):
-    """A frozen spec: sized and iterable by target, and each target by its moves."""
+    """Interface of a frozen spec, which yields its targets and the moves of each target."""
 
     @property
     def kind(self) -> str:
-        """The word that names this spec in a bench file and in a session."""
+        """Name of the spec's type in bench files and sessions."""
 
     def __len__(self) -> int:
-        """Number of targets."""
+        """Return the number of targets."""
 
     def targets(self) -> Iterator[Target]:
-        """All targets in the order they are pressed."""
+        """Yield all targets in the order in which they are pressed."""
 
     def moves(self, target: Target) -> tuple[Move, ...]:
-        """The recorded moves of one target, each beginning where the one before it ended."""
+        """Return the recorded moves of one target, each starting at the end of the previous one."""
 
 
 def check_positive(spec: object, names: Sequence[str]) -> None:
-    """Refuse a spec with a field that is not a finite number above zero.
+    """Reject a spec with a field that is not a finite number above zero.
 
     Raises:
-        ValueError: Names the field, what was found and what is allowed.
+        ValueError: States the field, the value found and the values allowed.
     """
     for name in names:
         value = getattr(spec, name)

@@ -18,12 +18,12 @@ from trajectories.moves import Move, Point, Target, check_positive
 class PressShear:
     """Press-shear targets on a five-point pattern.
 
-    The counts are those of the paper: five points, four depths and twelve directions (30 deg) make
-    240 targets, eight directions (45 deg) make 160, one point alone makes 48.
+    The counts are those of the paper: five points, four depths and twelve directions (30 deg) give
+    240 targets, eight directions (45 deg) give 160, one point alone gives 48.
 
     Raises:
-        ValueError: A length that is not positive, a depth that is no whole number of steps, an
-            angle that does not divide the circle, or a point that is not on the pattern.
+        ValueError: A length that is not positive, a depth that is not a whole number of steps, an
+            angle that does not divide the circle, or a point that is not in the pattern.
     """
 
     KIND: ClassVar[str] = "press_shear"
@@ -31,7 +31,7 @@ class PressShear:
     step_x: float = field(metadata={"unit": "mm"})
     """Distance of the outer points from the centre along x [m]."""
     step_y: float = field(metadata={"unit": "mm"})
-    """The same along y [m]."""
+    """Distance of the outer points from the centre along y [m]."""
     depth_step: float = field(metadata={"unit": "mm"})
     """Distance between depths, and the first depth [m]."""
     depth_max: float = field(metadata={"unit": "mm"})
@@ -41,14 +41,14 @@ class PressShear:
     shear: float = field(metadata={"unit": "mm"})
     """Length of the sideways move [m]."""
     clearance: float = field(default=0.3e-3, metadata={"unit": "mm"})
-    """Height of p0 above the untouched surface [m]."""
+    """Height of p0 above the undeformed surface [m]."""
     points: tuple[int, ...] = (1, 2, 3, 4, 5)
-    """Which points are pressed: 1 is the centre, 2 to 5 are the outer ones, counter-clockwise."""
+    """Points to press: 1 is the centre, 2 to 5 are the outer ones, counter-clockwise."""
     layout: Literal["corners", "cross"] = "corners"
-    """Outer points at (+-step_x, +-step_y), or on the axes. The paper shows it in a figure only."""
+    """Outer points at (+-step_x, +-step_y), or on the axes. The paper shows it only in a figure."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be walked."""
+        """Reject invalid values."""
         lengths = ("step_x", "step_y", "depth_step", "depth_max", "angle_step", "shear")
         check_positive(self, (*lengths, "clearance"))
         steps = self.depth_max / self.depth_step
@@ -84,11 +84,11 @@ class PressShear:
         return round(2 * math.pi / self.angle_step)
 
     def __len__(self) -> int:
-        """Number of targets."""
+        """Return the number of targets."""
         return len(self.points) * self.depth_count * self.direction_count
 
     def position(self, point: int) -> tuple[float, float]:
-        """Where contact point `point` (1 to 5) lies [m]."""
+        """Return the position of contact point `point` (1 to 5) [m]."""
         if point == 1:
             return (0.0, 0.0)
         signs = {
@@ -99,7 +99,7 @@ class PressShear:
         return (sign_x * self.step_x, sign_y * self.step_y)
 
     def targets(self) -> Iterator[Target]:
-        """Point by point, from shallow to deep, direction by direction."""
+        """Yield the targets point by point, from shallow to deep, direction by direction."""
         index = 0
         for point in self.points:
             x, y = self.position(point)
@@ -124,7 +124,7 @@ class PressShear:
                     index += 1
 
     def moves(self, target: Target) -> tuple[Move, ...]:
-        """The four phases of one target."""
+        """Return the four phases of one target."""
         corners = (target.origin, target.bottom, target.sheared, target.bottom, target.origin)
         return tuple(
             Move(target=target.index, phase=phase, start=corners[phase], end=corners[phase + 1])

@@ -1,4 +1,4 @@
-"""How long a straight move takes: the trapezoidal speed profile of a robot controller."""
+"""Duration of straight moves with the trapezoidal speed profile of a robot controller."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from trajectories.moves import Point
 
 
 def distance(start: Point, end: Point) -> float:
-    """Straight distance between two points [m]."""
+    """Return the straight distance between two points [m]."""
     return math.dist(start, end)
 
 
 def move_duration(length: float, speed: float, acceleration: float) -> float:
-    """Time of a move from rest to rest [s].
+    """Return the duration of a move from rest to rest [s].
 
-    Speed rises at `acceleration`, stays at `speed`, falls at `acceleration`; a move shorter than
+    Speed rises at `acceleration`, stays at `speed` and falls at `acceleration`; a move shorter than
     speed^2 / acceleration never reaches `speed`.
 
     Args:

@@ -1,4 +1,4 @@
-"""Plans to and from JSON: what a session keeps of its plan."""
+"""Conversion of plans to and from JSON, as stored in sessions."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from trajectories.press_shear import PressShear
 from trajectories.taps import Taps
 from trajectories.touch import Touch
 
-# Every spec there is, by the word that names it.
+# All specs, by kind.
 KINDS: dict[str, type[Any]] = {spec.KIND: spec for spec in (PressShear, ForceDepth, Touch, Taps)}
 
 
 def plan_to_json(plan: Plan) -> dict[str, Any]:
-    """The spec as plain JSON values, SI units, with its `kind`."""
+    """Return the spec as plain JSON values in SI units, with its `kind`."""
     if not dataclasses.is_dataclass(plan) or isinstance(plan, type):
         raise TypeError(f"plan: {plan!r}; allowed: {sorted(KINDS)}")
     return {"kind": plan.kind, **dataclasses.asdict(plan)}
 
 
 def plan_from_json(stored: dict[str, Any]) -> Plan:
-    """The spec that `plan_to_json` wrote.
+    """Return the spec that `plan_to_json` wrote.
 
     Raises:
-        ValueError: An unknown kind or field, or a value the spec refuses.
+        ValueError: An unknown kind or field, or a value that the spec rejects.
     """
     fields = dict(stored)
     kind = fields.pop("kind", None)

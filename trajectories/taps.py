@@ -1,7 +1,7 @@
-"""Light taps at irregular intervals: what a camera's lag is measured from.
+"""Light taps at irregular intervals, for measuring the latency of a camera.
 
-A regular rhythm would look the same one period later; these differ in height and depth, so that no
-two intervals are alike.
+A regular rhythm would look the same one period later; these taps differ in height and depth, so
+that no two intervals are equal.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from trajectories.moves import PHASES, Move, Target, check_positive
 
 @dataclass(frozen=True, slots=True)
 class Taps:
-    """`count` taps at the centre; the same seed makes the same taps.
+    """`count` taps at the centre; the same seed gives the same taps.
 
     Raises:
         ValueError: A length that is not positive, heights that do not ascend, or no tap.
@@ -25,18 +25,18 @@ class Taps:
     KIND: ClassVar[str] = "taps"
 
     depth_max: float = field(metadata={"unit": "mm"})
-    """Deepest tap [m]; the lightest goes to 0.7 of it."""
+    """Deepest tap [m]; the lightest reaches 0.7 of it."""
     count: int = 12
-    """How many."""
+    """Number of taps."""
     height_min: float = field(default=0.3e-3, metadata={"unit": "mm"})
     """Least height above the surface between taps [m]."""
     height_max: float = field(default=2.0e-3, metadata={"unit": "mm"})
-    """Largest [m]."""
+    """Largest height above the surface between taps [m]."""
     seed: int = 0
-    """Of heights and depths."""
+    """Seed of heights and depths."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be walked."""
+        """Reject invalid values."""
         check_positive(self, ("depth_max", "height_min", "height_max"))
         if self.height_max <= self.height_min:
             raise ValueError(f"height_max: {self.height_max!r}; allowed: above height_min")
@@ -49,7 +49,7 @@ class Taps:
         return self.KIND
 
     def __len__(self) -> int:
-        """Number of taps."""
+        """Return the number of taps."""
         return self.count
 
     def _drawn(self) -> tuple[list[float], list[float]]:
@@ -58,7 +58,7 @@ class Taps:
         return heights, [self.depth_max * rng.uniform(0.7, 1.0) for _ in range(self.count)]
 
     def targets(self) -> Iterator[Target]:
-        """One target a tap, each from its own height."""
+        """Yield one target per tap, each from its own height."""
         heights, depths = self._drawn()
         for index, depth in enumerate(depths):
             bottom = (0.0, 0.0, -depth)
@@ -73,7 +73,7 @@ class Taps:
             )
 
     def moves(self, target: Target) -> tuple[Move, ...]:
-        """Down, and up to where the next one begins."""
+        """Return the move down, and the move up to the start of the next tap."""
         rise = (0.0, 0.0, self._drawn()[0][target.index + 1])
         return (
             Move(target.index, PHASES.index("normal_inc"), target.origin, target.bottom),

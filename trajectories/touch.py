@@ -1,4 +1,4 @@
-"""Slow approaches until the surface is felt: what finding its height is measured from."""
+"""Slow approaches until contact, for measuring the height of the surface."""
 
 from __future__ import annotations
 
@@ -11,29 +11,29 @@ from trajectories.moves import PHASES, Move, Target, check_positive
 
 @dataclass(frozen=True, slots=True)
 class Touch:
-    """Straight down at each point, `repeats` times, meant to be ended by the guard's soft limit.
+    """Straight moves down at each point, `repeats` times, to be ended by the guard's soft limit.
 
     Raises:
-        ValueError: A length that is not positive, no repeat, or a point that is not on the pattern.
+        ValueError: A length that is not positive, no repeat, or a point that is not in the pattern.
     """
 
     KIND: ClassVar[str] = "touch"
 
     travel: float = field(metadata={"unit": "mm"})
-    """How far below the supposed surface it goes when it feels nothing [m]."""
+    """Depth below the assumed surface at which an approach without contact ends [m]."""
     clearance: float = field(default=1e-3, metadata={"unit": "mm"})
-    """Height above the supposed surface where each approach begins [m]."""
+    """Height above the assumed surface at which each approach begins [m]."""
     repeats: int = 3
-    """Approaches at each point."""
+    """Number of approaches per point."""
     points: tuple[int, ...] = (1,)
-    """1 is the centre, 2 to 5 are the corners, counter-clockwise."""
+    """Points to approach: 1 is the centre, 2 to 5 are the corners, counter-clockwise."""
     step_x: float = field(default=2e-3, metadata={"unit": "mm"})
     """Distance of the corners from the centre along x [m]."""
     step_y: float = field(default=2e-3, metadata={"unit": "mm"})
-    """The same along y [m]."""
+    """Distance of the corners from the centre along y [m]."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be walked."""
+        """Reject invalid values."""
         check_positive(self, ("travel", "clearance", "step_x", "step_y"))
         if self.repeats < 1:
             raise ValueError(f"repeats: {self.repeats!r}; allowed: 1 or more")
@@ -46,16 +46,16 @@ class Touch:
         return self.KIND
 
     def __len__(self) -> int:
-        """Number of approaches."""
+        """Return the number of approaches."""
         return len(self.points) * self.repeats
 
     def position(self, point: int) -> tuple[float, float]:
-        """Where point `point` (1 to 5) lies [m]."""
+        """Return the position of point `point` (1 to 5) [m]."""
         sign_x, sign_y = ((0, 0), (1, 1), (-1, 1), (-1, -1), (1, -1))[point - 1]
         return (sign_x * self.step_x, sign_y * self.step_y)
 
     def targets(self) -> Iterator[Target]:
-        """Point by point, each `repeats` times."""
+        """Yield the targets point by point, each `repeats` times."""
         for index in range(len(self)):
             point = self.points[index // self.repeats]
             x, y = self.position(point)
@@ -71,7 +71,7 @@ class Touch:
             )
 
     def moves(self, target: Target) -> tuple[Move, ...]:
-        """Down, and up again when nothing was felt."""
+        """Return the move down, and the move up in case there was no contact."""
         return (
             Move(target.index, PHASES.index("normal_inc"), target.origin, target.bottom),
             Move(target.index, PHASES.index("normal_dec"), target.bottom, target.origin),

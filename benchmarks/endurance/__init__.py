@@ -1,1 +1,1 @@
-"""A long collection on the mock bench, watched from outside: is memory flat, is all there?"""
+"""Long collection on the mock bench, with its memory and dropped samples measured."""

@@ -1,4 +1,4 @@
-"""`python -m benchmarks endurance`: a long mock collection, its memory and what was lost."""
+"""`python -m benchmarks endurance`: memory and losses of a long mock collection."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and its options."""
+    """Add the subcommand and its options."""
     parser = verbs.add_parser(
         "endurance",
         parents=[bench_options()],
-        help="a long mock collection: is memory flat, is nothing dropped",
+        help="memory and dropped samples of a long mock collection",
     )
     parser.add_argument(
-        "--minutes", type=float, default=30.0, help="least length of the plan [min] (%(default)s)"
+        "--minutes", type=float, default=30.0, help="minimum length of the plan [min] (%(default)s)"
     )
     parser.add_argument(
         "--out",
@@ -31,15 +31,15 @@ def add_to(verbs: Verbs) -> None:
         default=Path("docs/results/endurance.md"),
         help="page to write (%(default)s)",
     )
-    parser.add_argument("--session", type=Path, help="keep the session here (default: thrown away)")
+    parser.add_argument("--session", type=Path, help="keep the session here (default: deleted)")
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run, write the page; the collection's exit code.
+    """Run, write the page and return the collection's exit code.
 
     Raises:
-        ConfigError: No mock bench, or more minutes than a plan can have.
+        ConfigError: Not a mock bench, or `--minutes` exceeds the longest plan.
     """
     from benchmarks.endurance.long_run import long_bench, run_long
     from benchmarks.endurance.report import page

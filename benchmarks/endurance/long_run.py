@@ -1,4 +1,4 @@
-"""Runs one long collection as a technician would and watches its processes."""
+"""Run one long collection as a technician would and watch its processes."""
 
 from __future__ import annotations
 
@@ -18,35 +18,35 @@ from rig.core.clock import SECOND_NS, SystemClock
 from rig.core.errors import ConfigError
 from trajectories import PressShear, rehearse
 
+# Interval between observations [s].
 _EVERY = 5.0
-# Between two looks [s].
 _MOST_DIRECTIONS = 360
 
 
 @dataclass(frozen=True, slots=True)
 class LongRun:
-    """What a long collection did."""
+    """Result of a long collection."""
 
     session: Path
     exit_code: int
     seconds: float
     """Wall time [s]."""
     targets: int
-    """Targets of its plan."""
+    """Number of targets in the plan."""
     tracks: tuple[Track, ...]
-    """Its processes."""
+    """Processes observed."""
     output: str
-    """What it printed."""
+    """Output of the collection."""
 
 
 def long_bench(bench_file: Path, seconds: float, folder: Path) -> tuple[Path, int]:
-    """A bench like `bench_file` whose plan takes `seconds` or more: more shear directions.
+    """Write a bench like `bench_file` with more shear directions, to take at least `seconds`.
 
     Returns:
-        The file, in `folder`, and the targets of its plan.
+        The file, in `folder`, and the number of targets in its plan.
 
     Raises:
-        ConfigError: No mock bench, no press-shear plan, or longer than directions can make it.
+        ConfigError: Not a mock bench, no press-shear plan, or `seconds` exceeds the longest plan.
     """
     bench, _ = load_bench(bench_file)
     plan = bench.trajectory
@@ -76,13 +76,13 @@ def long_bench(bench_file: Path, seconds: float, folder: Path) -> tuple[Path, in
 def run_long(
     bench_file: Path, session: Path, targets: int, progress: Callable[[float], None]
 ) -> LongRun:
-    """Collect the plan of `bench_file` into `session`, looking at its processes all the while.
+    """Collect the plan of `bench_file` into `session` while observing its processes.
 
     Args:
-        bench_file: What `long_bench` wrote.
+        bench_file: Bench written by `long_bench`.
         session: Session to write.
         targets: Targets of the plan.
-        progress: Called now and then with the seconds since the start.
+        progress: Called regularly with the seconds since the start.
     """
     clock = SystemClock()
     start_ns = clock.now_ns()
@@ -106,7 +106,7 @@ def run_long(
                 _look_at_all(process.pid, session, tracks, seconds)
                 progress(seconds)
         except BaseException:
-            # Ctrl-C reached the collection too: it retracts and closes its session.
+            # Ctrl-C also reached the collection, which retracts and closes its session.
             process.wait()
             raise
     kept = tuple(track for track in tracks.values() if track.role != "resource tracker")
@@ -126,6 +126,6 @@ def _look_at_all(root: int, session: Path, tracks: dict[int, Track], seconds: fl
             tracks[pid] = Track("collect" if pid == root else "?")
         track = tracks[pid]
         if track.role in ("?", "arm"):
-            # A stream is known by the files it writes, which it opens some seconds after its start.
+            # A stream is identified by its files, which it opens some seconds after its start.
             track.role = role_of(pid, command, session)
         look(pid, track, seconds)

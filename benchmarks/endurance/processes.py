@@ -1,4 +1,4 @@
-"""What the processes of a collection hold of the machine, read from /proc."""
+"""Memory, files and CPU time of a collection's processes, read from /proc."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ class Track:
     """One process over time."""
 
     role: str
-    """What it is there for."""
+    """Role of the process."""
     seconds: list[float] = field(default_factory=list)
-    """When it was looked at, since the start [s]."""
+    """Times of observation since the start [s]."""
     memory: list[float] = field(default_factory=list)
-    """Memory of its own then: anonymous pages, no files it has mapped [bytes]."""
+    """Anonymous memory at those times, without mapped files [bytes]."""
     files: list[int] = field(default_factory=list)
-    """Open file descriptors then."""
+    """Numbers of open file descriptors at those times."""
     cpu: float = 0.0
     """User and system time so far [s]."""
 
 
 def role_of(pid: int, command: str, session: Path) -> str:
-    """What a process below the collecting one is there for.
+    """Return the role of a child process of the collection.
 
     Args:
-        pid: The process.
+        pid: Process id.
         command: Its command line.
-        session: What the collection writes.
+        session: Session that the collection writes.
     """
     emulator = re.search(r"-m rig\.(?:devices|mock)\.(\w+)\.(\w+)", command)
     if emulator:
@@ -45,7 +45,7 @@ def role_of(pid: int, command: str, session: Path) -> str:
 
 
 def look(pid: int, track: Track, seconds: float) -> None:
-    """Add what process `pid` holds at `seconds` to `track`; one that has gone adds nothing."""
+    """Add the resource use of process `pid` at `seconds` to `track`, if it still runs."""
     status = _text(PROC / str(pid) / "status")
     anonymous = re.search(r"RssAnon:\s+(\d+) kB", status)
     stat = _text(PROC / str(pid) / "stat")

@@ -1,4 +1,4 @@
-"""What the long run showed, as figures and as a page."""
+"""Report of the long run, as numbers and as a page."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from benchmarks.endurance.long_run import LongRun
 from benchmarks.endurance.processes import Track
 from recorder import Session, check
 
+# Buffers, caches and the first shards fill during this time [s].
 _WARM_UP = 120.0
-# Buffers, caches and the first shards fill up to here [s].
 _MIB = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
 class Growth:
-    """How the memory of one process went, after the warm-up."""
+    """Change of one process's memory after the warm-up."""
 
     role: str
     first: float
@@ -27,11 +27,11 @@ class Growth:
     last: float
     """Median of the last minute [bytes]."""
     slope: float
-    """Straight line through all of it [bytes per hour]."""
+    """Slope of a straight-line fit [bytes per hour]."""
     spread: float
     """Standard deviation around that line [bytes]."""
     files: tuple[int, int]
-    """Open files at the first and the last look."""
+    """Number of open files at the first and the last observation."""
     cpu_share: float
     """CPU time over wall time."""
 
@@ -39,13 +39,13 @@ class Growth:
 def growth_of(
     track: Track, seconds: float, warm_up: float = _WARM_UP, until: float = np.inf
 ) -> Growth | None:
-    """Growth of one process; None for one that was not there long enough to say.
+    """Return the growth of one process, or None if it was observed too briefly.
 
     Args:
         track: The process.
         seconds: Length of the whole run [s].
-        warm_up: What came before is left out [s].
-        until: And what came later, as the closing of the session [s].
+        warm_up: Start of the range that is evaluated [s].
+        until: End of that range, for example when the session begins to close [s].
     """
     times = np.array(track.seconds)
     late = (times >= warm_up) & (times <= until)
@@ -66,10 +66,10 @@ def growth_of(
 
 
 def page(run: LongRun) -> str:
-    """The page, Markdown."""
+    """Return the page as Markdown."""
     session = Session(run.session)
     findings = check(run.session)
-    # Afterwards the session is closed and its frames are built, which takes memory of its own.
+    # After recording, the session is closed and its frames are built, which needs memory.
     end = min(track.seconds[-1] for track in run.tracks if track.role.endswith("stream"))
     growths = [
         found
@@ -101,8 +101,8 @@ def page(run: LongRun) -> str:
         f"`recorder check`: {'nothing found' if not findings else ''}",
         *(f"- {finding}" for finding in findings),
         "",
-        f"Memory each process has of its own, from {_WARM_UP / 60:.0f} minutes after the start to "
-        f"the end of recording. All together grow by {total / _MIB:+.2f} MiB an hour.",
+        f"Private memory of each process, from {_WARM_UP / 60:.0f} minutes after the start to "
+        f"the end of recording. The total grows by {total / _MIB:+.2f} MiB an hour.",
         "",
         "| process | first minute | last minute | slope | around it | open files | CPU |",
         "|---|---|---|---|---|---|---|",

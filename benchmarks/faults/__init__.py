@@ -1,4 +1,4 @@
-"""Faults put into mock collections one by one, and what the rig did.
+"""Faults injected into mock collections one by one, and the reaction of the rig.
 
 Run with `python -m benchmarks faults`.
 """

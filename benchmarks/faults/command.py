@@ -1,4 +1,4 @@
-"""Put every fault into a mock collection and write what the rig did.
+"""Inject every fault into a mock collection and report the reaction of the rig.
 
 `python -m benchmarks faults`.
 """
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and its options."""
+    """Add the subcommand and its options."""
     parser = verbs.add_parser(
         "faults",
-        help="disturb mock collections in every way; write what was lost",
-        description="Puts faults into short mock collections, one after the other, and judges "
-        "each by the session it leaves. Exit 1 when any row loses samples, hangs or leaves the "
+        help="inject faults into mock collections; report losses",
+        description="Injects faults into short mock collections, one after the other, and checks "
+        "the session of each. Exit code 1 if any row loses samples, hangs or leaves the "
         "arm moving. About half an hour; with --quick, and fewer kills, about ten minutes.",
     )
     parser.add_argument(
@@ -39,7 +39,9 @@ def add_to(verbs: Verbs) -> None:
     parser.add_argument(
         "--quick", action="store_true", help="each row once, 10 kills in place of 100"
     )
-    parser.add_argument("--seed", type=int, default=0, help="of the kills (%(default)s)")
+    parser.add_argument(
+        "--seed", type=int, default=0, help="random seed of the kills (%(default)s)"
+    )
     parser.add_argument("--benches", type=Path, default=BENCHES, help="folder of benches")
     parser.add_argument(
         "--out", type=Path, help="page to write (default: docs/results/reliability.md)"
@@ -51,10 +53,10 @@ def add_to(verbs: Verbs) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the rows, write the page; 0, or 1 when a row is not as it should be.
+    """Run the rows, write the page and return 0, or 1 if any row failed.
 
     Raises:
-        ConfigError: No such row, or no such folder of benches.
+        ConfigError: Unknown row, or missing folder of benches.
     """
     from benchmarks.faults.rows import SENSORS
     from benchmarks.faults.run import Campaign, names
@@ -70,7 +72,7 @@ def run(options: argparse.Namespace) -> int:
         path = options.benches / f"{sensor}.yaml"
         if not load_bench(path)[0].mock:
             raise ConfigError(
-                f"{path}: mock: found false; allowed: true: no arm is broken on purpose"
+                f"{path}: mock: found false; allowed: true: faults go into mock arms only"
             )
     kills = options.kills if options.kills is not None else 10 if options.quick else 100
     if kills < 0:

@@ -1,4 +1,4 @@
-"""A disk that fills up in the middle of a recording: a small tmpfs, which only root can mount."""
+"""Disk that fills up during a recording: a small tmpfs, which only root can mount."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from benchmarks.faults.trial import Hangs, Trial
 from rig.core.clock import SECOND_NS, SystemClock
 from rig.core.errors import EXIT_DEVICE_LOST
 
-# Of the table of faults, as far as it is like the others.
+# Row of the fault table, in the fields that it shares with the others.
 ROW = Row("disk", "full", (EXIT_DEVICE_LOST,), None, targets=20, needs_recover=True)
 
 _SIZE_MB = 12
+# With less free space than this, the next record does not fit [bytes].
 _FULL = 1 << 16
-# Less than this is free: the next record does not fit [bytes].
 _FILLING = 60.0
 
 
 class CannotMount(Exception):
-    """No tmpfs can be had, with the reason."""
+    """Raised if no tmpfs can be mounted, with the reason."""
 
 
 def fill_disk(folder: Path, benches: Path) -> Judgement:
-    """Record onto a tmpfs until it is full, and judge what is left once there is room again.
+    """Record onto a tmpfs until it is full, then judge the session once there is space again.
 
     Args:
-        folder: Empty; the disk is mounted here.
+        folder: Empty folder, in which the disk is mounted.
         benches: Folder of the bench files.
 
     Raises:
-        CannotMount: Not root, or no tmpfs.
+        CannotMount: Not root, or tmpfs is not available.
     """
     disk = folder / "disk"
     disk.mkdir()
@@ -50,11 +50,11 @@ def fill_disk(folder: Path, benches: Path) -> Judgement:
             code = trial.wait()
         except Hangs as error:
             if trial.process.poll() is None:
-                words = ("did not come to its end", *str(error).splitlines()[-3:])
+                words = ("did not end", *str(error).splitlines()[-3:])
                 return Judgement(None, trial.last_line, None, None, 0, 0, "not known", words)
             code = trial.wait()
         trial.seen()
-        # What a technician does: make room, then recover.
+        # A technician would make space, then recover.
         roomy = folder / "s.zarr"
         shutil.copytree(trial.session, roomy)
         trial.session = roomy
@@ -81,7 +81,7 @@ def _tmpfs(folder: Path) -> Iterator[None]:
 
 
 def _unmount(folder: Path) -> None:
-    """Unmount, waiting a little for files that are still open."""
+    """Unmount, waiting up to 2 s for files that are still open."""
     clock = SystemClock()
     for _ in range(20):
         if subprocess.run(["umount", str(folder)], capture_output=True, check=False).returncode:

@@ -1,7 +1,7 @@
-"""What became of a trial, told by the session and the emulators, not by the rig.
+"""Judge a trial by its session and the emulators, not by the rig's own statements.
 
-Nothing here asks the collector: rows are counted in the session that is left, numbers are those
-the devices gave, and the arm's place is what its emulator said.
+The collector is not consulted: rows are counted in the stored session, sequence numbers are those
+of the devices, and the position of the arm is the one reported by its emulator.
 """
 
 from __future__ import annotations
@@ -16,27 +16,27 @@ from benchmarks.faults.observer import ArmState, Seen, age
 from recorder import Session, SessionError, check
 from rig.devices.camera.jpeg import frame_stamp
 
+# The arm's emulator ends with the bench; its last answer counts if it is no older than this [s].
 _RECENT = 3.0
-# The arm's emulator ends with the bench; its last answer before that counts if no older [s].
-# Findings that say what the fault did, not that something is broken.
+# Findings that describe the effect of the fault, not a defect.
 _EXCUSED = ("gap", "clock-step", "dropped", "frozen", "truncated")
 
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """What a session holds."""
+    """Content of a session."""
 
     status: str
     rows: Mapping[str, int]
-    """Readable rows by stream."""
+    """Number of readable rows by stream."""
     missing: Mapping[str, int]
-    """Samples the device numbered that are not there, between those that are, by stream."""
+    """Number of gaps in the device's numbering, by stream."""
     disorder: Mapping[str, int]
-    """Rows whose number does not come after the one before, by stream."""
+    """Number of rows whose number does not exceed the one before, by stream."""
     findings: tuple[str, ...]
     """Codes that `recorder check` reports."""
     refused: Mapping[str, Mapping[str, int]]
-    """What came and was left out, as the session states it, by stream."""
+    """Number of rejected samples recorded in the session, by stream and reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,25 +44,25 @@ class Judgement:
     """One row of the page."""
 
     code: int | None
-    """Exit code; None: it did not end."""
+    """Exit code, or None if the collection did not end."""
     what: str
-    """What the rig said, in its own words."""
+    """Last message of the rig."""
     noticed: float | None
-    """From the fault to the word that it stops [s]."""
+    """Time from the fault to the message that the rig stops [s]."""
     left: Left | None
-    """None when there is no session that can be read."""
+    """Content of the session, or None if it cannot be read."""
     shown: int
-    """Samples seen while recording that were compared."""
+    """Number of samples seen while recording, which were looked for in the session."""
     lost: int
-    """Those of them that are not in the session, and stored rows that are not there."""
+    """Number of those that are missing from the session, plus missing stored rows."""
     arm: str
-    """Where the arm was at the end, in words."""
+    """State of the arm at the end, in words."""
     wrong: tuple[str, ...] = field(default=())
-    """What must not be; empty: as it should be."""
+    """Failures; empty if the row passed."""
 
 
 def left_in(path: Path) -> Left:
-    """What is in a session.
+    """Return the content of a session.
 
     Raises:
         SessionError: It cannot be read.
@@ -89,7 +89,7 @@ def left_in(path: Path) -> Left:
 
 
 def _steps(session: Session, name: str, run: int) -> np.ndarray:
-    """By how much the device's own number grows from row to row of one run."""
+    """Return the increments of the device's own number from row to row of one run."""
     stream = session.streams[name]
     rows = session.rows_of_run(name, run)
     if name == "pose":
@@ -104,7 +104,7 @@ def _steps(session: Session, name: str, run: int) -> np.ndarray:
 
 
 def losses(path: Path, seen: Seen) -> tuple[int, int]:
-    """Samples compared, and how many of them the session does not have.
+    """Return the number of samples compared and the number missing from the session.
 
     Raises:
         SessionError: It cannot be read.
@@ -115,7 +115,7 @@ def losses(path: Path, seen: Seen) -> tuple[int, int]:
         shown = seen.shown.get(name, set())
         times = np.asarray(session.streams[name].t_ns)
         rows = times[session.rows_of_run(name, max(len(session.runs) - 1, 0))]
-        # Shown before this run's first row: not recorded yet.
+        # Samples shown before this run's first row were not yet recorded.
         wanted = np.array(sorted(t for t in shown if len(rows) and t >= rows[0]), np.int64)
         compared += len(wanted)
         lost += int((~np.isin(wanted, times)).sum())
@@ -124,7 +124,7 @@ def losses(path: Path, seen: Seen) -> tuple[int, int]:
 
 
 def complaints(path: Path, left: Left, findings_allowed: Iterable[str] = ()) -> list[str]:
-    """What no session may have: disorder, broken storage."""
+    """Return defects that no session may have: disorder, corrupt storage."""
     wrong = [
         f"{name}: {count} rows twice or out of order"
         for name, count in left.disorder.items()
@@ -140,12 +140,12 @@ def complaints(path: Path, left: Left, findings_allowed: Iterable[str] = ()) -> 
 
 
 def arm_in_words(states: list[ArmState], ended_ns: int, gone: bool) -> tuple[str, bool]:
-    """Where the arm was at the end, and whether that is known to be standing.
+    """Return the state of the arm at the end, and True if it is known to have stopped.
 
     Args:
-        states: What its emulator said.
-        ended_ns: When the collection had ended [ns].
-        gone: Whether the controller itself was killed.
+        states: States reported by the arm's emulator.
+        ended_ns: Time at which the collection ended [ns].
+        gone: True if the controller itself was killed.
     """
     if gone:
         return "controller gone", True
@@ -158,7 +158,7 @@ def arm_in_words(states: list[ArmState], ended_ns: int, gone: bool) -> tuple[str
 
 
 def readable(path: Path) -> bool:
-    """Whether there is a session at all."""
+    """Return True if the session can be opened."""
     try:
         Session(path)
     except (SessionError, OSError):

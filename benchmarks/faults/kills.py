@@ -1,7 +1,7 @@
-"""SIGKILL of random processes at random moments, recovery after each, a whole session in the end.
+"""Kill random processes at random times, recover after each kill, and complete the session.
 
-Sessions are killed over and over and gone on with: each chain is one session that is killed,
-recovered and resumed several times and then brought to its end.
+Each chain is one session that is killed, recovered and resumed several times and then run to
+completion.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from rig.core.clock import SECOND_NS, SystemClock
 
 _SENSOR = "tacpalm"
 _STREAMS = ("force", "pose", "camera")
-# Who is killed, with equal chances.
+# Processes to kill, with equal probability.
 VICTIMS = (
     "everything",
     "the collecting process",
@@ -35,29 +35,29 @@ VICTIMS = (
 )
 _BENCH_GOES_TOO = VICTIMS[:2]
 _TARGETS = 6
+# Maximum time from the start of recording to the kill [s].
 _LONGEST = 3.0
-# From the begin of recording to the kill [s].
+# A collection that lost a process has to retract, seal and end within this time [s].
 _ENDING = 30.0
-# A collection that lost a process has to retract, seal and end within this [s].
 _WHOLE = 240.0
 
 
 @dataclass(slots=True)
 class Kills:
-    """What came of them."""
+    """Results of the kills."""
 
     victims: Counter[str] = field(default_factory=Counter)
-    """Who was killed how often."""
+    """Number of kills by victim."""
     compared: int = 0
-    """Samples seen while recording that were looked for."""
+    """Number of samples seen while recording that were looked for."""
     lost: int = 0
-    """Those that were not there."""
+    """Number of those that were missing."""
     resumed: int = 0
-    """Runs that went on with a killed session."""
+    """Number of runs that resumed a killed session."""
     completed: int = 0
-    """Sessions that came to their end afterwards."""
+    """Number of sessions that were completed afterwards."""
     wrong: list[str] = field(default_factory=list)
-    """What must not be."""
+    """Failures."""
 
 
 Report = Callable[[str], None]
@@ -73,16 +73,16 @@ def kill_often(
     report: Report,
     targets: int = _TARGETS,
 ) -> Kills:
-    """Kill `kills` times, over `sessions` sessions, and bring each of them to its end.
+    """Kill `kills` times, over `sessions` sessions, and complete each session.
 
     Args:
-        folder: Empty; sessions are made here.
+        folder: Empty folder for the sessions.
         benches: Folder of the bench files.
-        kills: How many.
-        sessions: Over how many sessions.
-        seed: Of victims and moments.
-        report: Told a line after each kill and each session.
-        targets: Of each session.
+        kills: Number of kills.
+        sessions: Number of sessions.
+        seed: Random seed of victims and times.
+        report: Called with a line after each kill and each session.
+        targets: Number of targets of each session.
     """
     rng = random.Random(seed)
     found = Kills()
@@ -98,7 +98,7 @@ def kill_often(
 
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """Where one session is recorded, and how much of it."""
+    """Folder, benches and number of targets of one session."""
 
     folder: Path
     benches: Path
@@ -110,7 +110,7 @@ def _chain(place: _Place, kills: int, rng: random.Random, found: Kills, report: 
     session = place.folder / "s.zarr"
     for _ in range(kills):
         if session.exists() and Session(session).status == "complete":
-            # It came to its end between two kills: the rest go to another session.
+            # It completed between two kills, so the remaining kills go to another session.
             session.rename(place.folder / f"done-{found.completed}.zarr")
             found.completed += 1
         begun = session.exists()
@@ -127,9 +127,9 @@ def _chain(place: _Place, kills: int, rng: random.Random, found: Kills, report: 
 
 
 def _killed(trial: Trial, rng: random.Random, found: Kills) -> str:
-    """Kill somebody, see what is left, recover it."""
+    """Kill one victim, check the session and recover it."""
     trial.until_recording()
-    # Only of sealed rows is anything known that later runs could have damaged.
+    # Damage by later runs can be detected in sealed rows only.
     before = _times(trial.session)
     clock = SystemClock()
     wait = rng.uniform(0.0, _LONGEST)
@@ -161,7 +161,7 @@ def _killed(trial: Trial, rng: random.Random, found: Kills) -> str:
     found.compared += compared
     found.lost += lost
     if lost:
-        found.wrong.append(f"{where}: {lost} accepted samples are not there")
+        found.wrong.append(f"{where}: {lost} accepted samples are missing")
     found.wrong += [
         f"{where}: {what}" for what in complaints(trial.session, left_in(trial.session))
     ]
@@ -169,7 +169,7 @@ def _killed(trial: Trial, rng: random.Random, found: Kills) -> str:
 
 
 def _pids(trial: Trial, victim: str) -> tuple[int, ...]:
-    """Who that is.
+    """Return the process ids of a victim.
 
     Raises:
         LookupError: It does not run.
@@ -191,12 +191,12 @@ def _pids(trial: Trial, victim: str) -> tuple[int, ...]:
 
 
 def _times(path: Path) -> dict[str, np.ndarray]:
-    """t_ns of every row that can be read, by stream."""
+    """Return t_ns of every readable row, by stream."""
     return {name: np.array(stream.t_ns) for name, stream in Session(path).streams.items()}
 
 
 def _brought_to_its_end(session: Path, bench: Path, found: Kills) -> str:
-    """Resume a session until its plan is done."""
+    """Resume a session until its plan is complete."""
     if Session(session).status != "complete":
         before = _times(session)
         with Trial(session, "--bench", str(bench), "--resume", str(session)) as trial:
@@ -211,7 +211,7 @@ def _brought_to_its_end(session: Path, bench: Path, found: Kills) -> str:
         after = _times(session)
         for name, times in before.items():
             if not np.array_equal(after[name][: len(times)], times):
-                found.wrong.append(f"resume: {name}: rows recorded before are not the same")
+                found.wrong.append(f"resume: {name}: rows recorded before changed")
     left = left_in(session)
     found.wrong += [f"resumed session: {what}" for what in complaints(session, left)]
     if left.status == "complete":

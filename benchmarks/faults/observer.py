@@ -1,8 +1,8 @@
-"""What a running collection shows of itself, written down by somebody else.
+"""Independent record of the state that a running collection publishes.
 
-The newest sample of a stream is shown in shared memory after it was appended: once recording has
-begun, every sample seen here was accepted, and must be readable afterwards. Where the arm is, its
-emulator says through its fault port, whatever the rig believes.
+The newest sample of a stream appears in shared memory after it was appended: once recording has
+begun, every sample seen here was accepted and must be readable afterwards. The position of the arm
+is read from its emulator's fault port, independently of the rig.
 """
 
 from __future__ import annotations
@@ -26,47 +26,47 @@ from rig.devices.arm import emulator_faults
 
 _PERIOD = 0.02
 _ARM_EVERY = 3
-# Below it the arm stands [m/s].
+# The arm counts as stopped below this speed [m/s].
 _STILL = 1e-3
-# Above it the tip is clear of the surface, by half of a retract [m].
+# The tip is clear of the surface above this height, half of a retract [m].
 _CLEAR = 0.01
 
 
 @dataclass(frozen=True, slots=True)
 class ArmState:
-    """What the arm's emulator said of itself, once."""
+    """State reported by the arm's emulator at one time."""
 
     t_ns: int
     height: float
-    """Of the tip above the surface [m]."""
+    """Height of the tip above the surface [m]."""
     speed: float
-    """Of the tip [m/s]."""
+    """Speed of the tip [m/s]."""
 
     @property
     def still(self) -> bool:
-        """Whether it stands."""
+        """True if the arm has stopped."""
         return self.speed < _STILL
 
     @property
     def clear(self) -> bool:
-        """Whether the tip is well above the surface."""
+        """True if the tip is well above the surface."""
         return self.height > _CLEAR
 
 
 @dataclass(slots=True)
 class Seen:
-    """What was seen of one run."""
+    """Observations of one run."""
 
     shown: dict[str, set[int]] = field(default_factory=dict)
-    """t_ns of samples shown by each stream while it was recording [ns]."""
+    """t_ns of samples that each stream published while it was recording [ns]."""
     rows: dict[str, int] = field(default_factory=dict)
-    """Most rows each stream said it had stored in this run."""
+    """Highest number of stored rows that each stream reported in this run."""
     arm: list[ArmState] = field(default_factory=list)
-    """In order of time."""
+    """States of the arm in order of time."""
 
 
 class Observer:
-    """Looks at a collection about 50 times a second, in a thread of its own, until closed.
+    """Observer that polls a collection about 50 times a second on its own thread until closed.
 
     Args:
         folder: The run folder, where records are shared.
@@ -85,11 +85,11 @@ class Observer:
         self._thread.start()
 
     def rows(self, name: str) -> int:
-        """Rows that the stream says it has stored in this run."""
+        """Return the number of rows that the stream reports as stored in this run."""
         return self.seen.rows.get(name, 0)
 
     def close(self) -> Seen:
-        """Look once more, stop, and give what was seen; safe twice."""
+        """Observe a last time, stop, and return the observations. May be called twice."""
         if not self._stopping.is_set():
             self._stopping.set()
             self._thread.join()
@@ -119,7 +119,7 @@ class Observer:
     def _open_records(self) -> Iterator[tuple[str, tuple[LatestRecord, LatestRecord]]]:
         for name, kind in KINDS.items():
             if name not in self._records:
-                # A file that is not there yet, or only half made, is looked at again next time.
+                # A file that is missing or incomplete is tried again at the next poll.
                 with contextlib.suppress(OSError, ValueError):
                     latest = LatestRecord.attach(self._folder / f"{name}.latest", kind.latest)
                     path = self._folder / f"{name}.counters"
@@ -131,7 +131,7 @@ class Observer:
         try:
             state = emulator_faults.inject(self._host, "state")
         except (OSError, ValueError):
-            # The controller is gone: what was last heard of it stands, with its time.
+            # The controller is gone, so the last state heard stays, with its time.
             return
         self.seen.arm.append(_arm_state(state, self._frame, self._clock.now_ns()))
 
@@ -147,5 +147,5 @@ def _contact_frame(folder: Path) -> np.ndarray:
 
 
 def age(state: ArmState, now_ns: int) -> float:
-    """How long ago it was [s]."""
+    """Return the age of a state [s]."""
     return (now_ns - state.t_ns) / SECOND_NS

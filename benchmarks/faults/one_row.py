@@ -1,4 +1,4 @@
-"""Runs one row of the table: a short collection, the fault, the judgement."""
+"""Run one row of the table: a short collection, the fault, the judgement."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from rig.core import emulation
 from rig.core.clock import SECOND_NS, SystemClock
 from rig.devices.hid.shim import build
 
+# Maximum time to wait for a temporary fault to end, so that all its effects are counted [s].
 _CLEARING = 5.0
-# A fault with an end is waited for, so that all it did can be counted [s].
 
 
 def run_row(row: Row, folder: Path, benches: Path) -> Judgement:
-    """One collection with one fault.
+    """Run one collection with one fault.
 
     Args:
-        row: Which.
-        folder: Empty; the session is made here.
+        row: The fault.
+        folder: Empty folder for the session.
         benches: Folder of the bench files.
 
     Raises:
-        ConfigError: The row needs a compiler, and there is none.
+        ConfigError: The row needs a compiler, and none is installed.
     """
     bench = quick_bench(folder, row.sensor, benches, limits=row.limits, more=row.more)
     session = folder / "s.zarr"
@@ -43,7 +43,7 @@ def run_row(row: Row, folder: Path, benches: Path) -> Judgement:
 
 
 def _with_fault(row: Row, trial: Trial) -> int:
-    """Put the fault in; how many messages it touched, where that is known by the end of it."""
+    """Inject the fault and return the number of messages it touched, or 0 if not counted."""
     if row.act is None:
         trial.until_recording()
         return 0
@@ -61,13 +61,13 @@ def _with_fault(row: Row, trial: Trial) -> int:
 
 
 def judge(row: Row, trial: Trial, code: int, touched: int = 0) -> Judgement:
-    """What became of a trial that has ended.
+    """Judge a trial that has ended.
 
     Args:
-        row: What was done to it.
+        row: The fault that was injected.
         trial: Ended.
         code: Its exit code.
-        touched: Messages the fault touched, where the row says that all must be counted.
+        touched: Number of messages the fault touched, if the row requires all to be counted.
     """
     seen = trial.seen()
     wrong = []
@@ -77,24 +77,24 @@ def judge(row: Row, trial: Trial, code: int, touched: int = 0) -> Judgement:
     if not standing:
         wrong.append(f"the arm: {arm}")
     elif "clear" not in arm and "NOT RETRACTED" not in trial.text:
-        wrong.append("the arm is not clear, and nobody is told")
+        wrong.append("the arm is not clear, and this is not reported")
     if not readable(trial.session):
         wrong.append("no session can be read")
         return Judgement(code, trial.last_line, None, None, 0, 0, arm, tuple(wrong))
-    # First as it was left: nothing may depend on a recovery that nobody may run.
+    # Check before recovery: the samples must be readable even if nobody runs it.
     shown, lost = losses(trial.session, seen)
     if row.needs_recover:
         recover(trial.session)
         lost += losses(trial.session, seen)[1]
     left = left_in(trial.session)
     if lost:
-        wrong.append(f"{lost} accepted samples are not there")
+        wrong.append(f"{lost} accepted samples are missing")
     judged = replace(left, disorder={}) if row.disorder else left
     wrong += complaints(trial.session, judged)
     if row.counts is not None:
         stream, reason = row.counts
         counted = left.refused.get(stream, {}).get(reason, 0)
-        # Several clients share the arm's line: its share of what was touched is not known.
+        # Several clients share the arm's line, so its share of the touched messages is unknown.
         if counted == 0 or (row.device != "arm" and counted != touched):
             wrong.append(f"{stream}: {counted} counted as {reason}, {touched} injected")
     word = trial.last_line.replace(str(trial.session), trial.session.name)
@@ -103,5 +103,5 @@ def judge(row: Row, trial: Trial, code: int, touched: int = 0) -> Judgement:
 
 def _unfinished(trial: Trial, why: str) -> Judgement:
     last = why.strip().splitlines()
-    words = (f"did not come to its end: {last[0] if last else why}", *last[-3:])
+    words = (f"did not end: {last[0] if last else why}", *last[-3:])
     return Judgement(None, trial.last_line, None, None, 0, 0, "not known", words)

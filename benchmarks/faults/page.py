@@ -1,4 +1,4 @@
-"""docs/results/reliability.md, from the results."""
+"""Write docs/results/reliability.md from the results."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from rig.acquire.streams import SILENT, SLOW, SLOW_FRACTION
 from rig.bench.bench import BenchLimits, load_bench
 from rig.devices.arm.settings import ArmConfig
 
+# Maximum length of a reason; the rest is advice to the technician [characters].
 _LONGEST = 150
-# Characters of a reason; what follows is advice to the technician.
 
 _HEAD = (
     "fault",
@@ -36,46 +36,46 @@ _HEAD = (
 
 _INTRO = """# Reliability
 
-What the rig does when something breaks, found by breaking it. Every row below is a short
-collection on a mock bench, run as a technician runs it (`python -m rig collect`), with a fault
-put into the wire of one device, or a process killed, while the arm presses. The real drivers
-run; the faults are the emulators' (`rig/core/fault_injection.py`).
+Reaction of the rig to faults, tested by injecting them. Every row below is a short collection on
+a mock bench, run as a technician runs it (`python -m rig collect`). A fault is injected into the
+connection of one device, or a process is killed, while the arm presses. The drivers are the real
+ones; the emulators inject the faults (`rig/core/fault_injection.py`).
 
-Repeat it with `make faults` (`--quick`: 10 kills in place of 100; `--only ROW`, `--list`). The
-command fails when any row loses an accepted sample, hangs, leaves the arm moving, stores a
-sample twice or out of order, leaves a session that `recorder check` finds broken, or ends with
-another exit code than the one that is right.
+Repeat it with `make faults` (`--quick`: 10 kills instead of 100; `--only ROW`, `--list`). The
+command fails if any row loses an accepted sample, hangs, leaves the arm moving, stores a sample
+twice or out of order, leaves a session that `recorder check` finds corrupt, or ends with the wrong
+exit code.
 
-The judgement does not ask the rig. A sample counts as accepted once the stream showed it in
-shared memory, which it does after appending it; an observer notes those about 50 times a second
-and looks for each in the session that is left. Missing samples are counted by the devices' own
-numbers (the controller's clock for poses, the emulator's stamp in each JPEG). Where the arm is,
-and whether it stands, its emulator says through a port of its own.
+The result does not depend on statements of the rig. A sample counts as accepted once the stream
+published it in shared memory, which happens after appending it. An observer notes those samples
+about 50 times a second and looks for each in the stored session. Missing samples are counted by
+the devices' own numbers (the controller's clock for poses, the emulator's stamp in each JPEG).
+The emulator of the arm reports its position and speed through a separate port.
 """
 
 _READING = """
 Reading the tables: *noticed* is the time from the fault to the end of the phase it ended.
 *Exit* is 0 done, 3 device lost, 4 safety stop, 130 interrupted. *Readable* counts rows in the
-session; *lost* is accepted samples that are not there, of those looked for. *Missing* is what
-the device sent, by its own numbers, that never reached the rig: the gaps are in the session,
-and counted there. *Left out* is what came and was refused. *Check* is what `recorder check`
-says of the session as the fault left it. Times are those of the mock bench (its limits are
-looser than a lab's, see below).
+session. *Lost* is the number of accepted samples missing from it, of those looked for. *Missing*
+counts samples that the device sent, by its own numbers, and that never reached the rig: the gaps
+are in the session, and counted there. *Left out* counts samples that arrived and were rejected.
+*Check* lists the findings of `recorder check` in the session as the fault left it. Times are
+those of the mock bench (its limits are looser than a lab's, see below).
 """
 
 
 def page(results: Results, benches: Path) -> str:
-    """The page, in Markdown.
+    """Return the page as Markdown.
 
     Args:
-        results: Of all rows.
+        results: Results of all rows.
         benches: Folder of the bench files, for the mock bench's limits.
     """
     wrong = results.wrong
     verdict = (
-        "Every row was as it should be."
+        "Every row passed."
         if not wrong
-        else "**Not as it should be:**\n\n" + "\n".join(f"- {_plain(what)}" for what in wrong)
+        else "**Failures:**\n\n" + "\n".join(f"- {_plain(what)}" for what in wrong)
     )
     parts = [_INTRO, f"\n{verdict}\n\n{_measured(results)}\n", _READING]
     devices = dict.fromkeys(row.device for row, _ in results.rows)
@@ -103,7 +103,7 @@ def _table(rows: Iterable[tuple[Row, Judgement]]) -> str:
     for row, judged in rows:
         lines.append(f"| {' | '.join(_cells(row, judged))} |")
         if row.disorder:
-            notes.append(f"\n{row.fault}: {row.disorder} send them so. {_disordered(judged)}\n")
+            notes.append(f"\n{row.fault}: {row.disorder} do this. {_disordered(judged)}\n")
     return "\n".join(lines) + "\n" + "".join(notes)
 
 
@@ -124,19 +124,19 @@ def _cells(row: Row, judged: Judgement) -> tuple[str, ...]:
 
 
 def _reason(row: Row, line: str) -> str:
-    """The reason in the last line that was printed, without the advice after it."""
+    """Return the reason from the last printed line, without the advice that follows."""
     if line.startswith("complete"):
-        return row.did or ("went on, counted it" if row.counts else "went on")
+        return row.did or ("continued, counted it" if row.counts else "continued")
     found = re.match(r"stopped \((.*)\): \d+ of \d+ targets", line)
     if found is None:
         return line
     first = found[1].split("; ")[0]
     text = first if len(first) <= _LONGEST else f"{first[:_LONGEST]}..."
-    return text + ("; said so: not retracted" if "NOT RETRACTED" in found[1] else "")
+    return text + ("; reported: not retracted" if "NOT RETRACTED" in found[1] else "")
 
 
 def _plain(text: str) -> str:
-    """`text` for a table: no address and no time of this one run."""
+    """Return `text` for a table cell, without addresses and times of this run."""
     text = re.sub(r"127(\.\d+){3}", "bench", text)
     text = re.sub(r"'?/\S*/s\.zarr/?([^\s']*)'?", r"\1", text)
     text = re.sub(r"/\S*/tactile-rig-\w+/", "", text)
@@ -161,25 +161,25 @@ def _left_out(left: Left) -> str:
 
 def _disordered(judged: Judgement) -> str:
     count = sum(judged.left.disorder.values()) if judged.left is not None else 0
-    return f"Stored as they came: {count} frames, told by the emulator's stamp in the JPEG alone."
+    return f"Stored in order of arrival: {count} frames, known only from the emulator's JPEG stamp."
 
 
 def _kills(kills: Kills) -> str:
-    found = ": as it should be" if not kills.wrong else f"; {len(kills.wrong)} times it was not so"
+    found = ": all passed" if not kills.wrong else f"; {len(kills.wrong)} failures"
     victims = "\n".join(f"| {victim} | {kills.victims[victim]} |" for victim in VICTIMS)
     return f"""
 ## {kills.victims.total()} kills
 
-SIGKILL to a random process at a random moment within the first 3 s of recording, over and over
-in the same sessions: killed, recovered (`recorder recover`), resumed, killed again, and in the
-end brought to `complete`.
+SIGKILL to a random process at a random time within the first 3 s of recording, repeatedly in
+the same sessions: killed, recovered (`recorder recover`), resumed, killed again, and finally run to
+`complete`.
 
 | killed | times |
 |---|---|
 {victims}
 
 {kills.compared} accepted samples were looked for after the recoveries: **{kills.lost} lost**.
-Killed sessions were gone on with {kills.resumed} times; {kills.completed} sessions came to
+Killed sessions were resumed {kills.resumed} times; {kills.completed} sessions reached
 `complete`. The rows of earlier runs are compared after each recovery and each resume, and no
 process may outlive its collection{found}.
 """
@@ -192,7 +192,7 @@ def _limits(benches: Path) -> str:
     rows = [
         ("no force sample for", float(str(lab["stale_force"])), mock.limits.stale_force),
         ("no pose for", float(str(lab["stale_pose"])), mock.limits.stale_pose),
-        ("no word to the controller's watchdog for", watchdog, 1 / mock.arm.watchdog_hz),
+        ("no message to the controller's watchdog for", watchdog, 1 / mock.arm.watchdog_hz),
         ("no camera frame or scan for", SILENT, SILENT),
         (f"below {SLOW_FRACTION:.0%} of the expected rate for", SLOW, SLOW),
     ]
@@ -208,6 +208,7 @@ def _limits(benches: Path) -> str:
 {lines}
 
 All emulators of a mock bench share the machine's cores with the rig, and a busy or virtual machine
-may hold any of them up for 100 ms; so its limits are looser. The lab's are tested to the nanosecond
-on a clock that is no machine's (`tests/rig/test_guard.py`, `tests/benchmarks/test_reliability.py`).
+may delay any of them by 100 ms, so the mock bench has looser limits. The lab's limits are tested to
+the nanosecond on a simulated clock (`tests/rig/test_guard.py`,
+`tests/benchmarks/test_reliability.py`).
 """

@@ -1,4 +1,4 @@
-"""The processes of a running collection, found in /proc to be killed one by one or all together."""
+"""Processes of a running collection, found in /proc so that they can be killed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _POLL_NS = SECOND_NS // 100
 
 
 def family(main: int) -> dict[int, str]:
-    """Command lines of process `main` and all that descend from it, by pid."""
+    """Return the command lines of process `main` and all its descendants, by pid."""
     parents: dict[int, int] = {}
     commands: dict[int, str] = {}
     for entry in Path("/proc").iterdir():
@@ -35,10 +35,10 @@ def family(main: int) -> dict[int, str]:
 
 
 def stream_process(pids: Iterable[int], session: Path, name: str) -> int:
-    """The one of `pids` that writes stream `name` of `session`.
+    """Return the one of `pids` that writes stream `name` of `session`.
 
     Raises:
-        LookupError: None does.
+        LookupError: None of them writes it.
     """
     folder = f"{session / 'streams' / name}/"
     for pid in pids:
@@ -51,14 +51,14 @@ def stream_process(pids: Iterable[int], session: Path, name: str) -> int:
 
 
 def kill(pids: Iterable[int]) -> None:
-    """SIGKILL to each; who is gone already is let be."""
+    """Send SIGKILL to each process, ignoring those that have ended."""
     for pid in pids:
         with contextlib.suppress(ProcessLookupError):
             os.kill(pid, signal.SIGKILL)
 
 
 def wait_gone(pids: Iterable[int], seconds: float) -> list[int]:
-    """Wait until they have ended; those that still run after `seconds` [s]."""
+    """Wait until the processes have ended; return those that still run after `seconds` [s]."""
     clock = SystemClock()
     deadline_ns = clock.now_ns() + round(seconds * SECOND_NS)
     left = [pid for pid in pids if _runs(pid)]
@@ -73,5 +73,5 @@ def _runs(pid: int) -> bool:
         status = Path(f"/proc/{pid}/stat").read_text()
     except OSError:
         return False
-    # A zombie has ended; its parent has only not asked yet.
+    # A zombie has ended, but its parent has not yet collected its exit status.
     return status.rsplit(")", 1)[1].split()[0] != "Z"

@@ -8,17 +8,17 @@ from pathlib import Path
 def quick_bench(
     folder: Path, sensor: str, benches: Path, *, limits: str = "{}", more: str = ""
 ) -> Path:
-    """A mock bench that wastes no time: short preflight, fast travel where nothing is near.
+    """Write a mock bench with a short preflight and fast travel through free space.
 
     Args:
-        folder: Where to write it.
-        sensor: The bench it extends.
+        folder: Folder to write it to.
+        sensor: Sensor whose bench it extends.
         benches: Folder of the bench files.
         limits: YAML mapping merged over its limits.
-        more: YAML to add; BENCHES in it stands for the folder of the bench files.
+        more: YAML to add, in which BENCHES is replaced by the folder of the bench files.
 
     Returns:
-        Its path.
+        Path of the bench file.
     """
     path = folder / "bench.yaml"
     path.write_text(

@@ -1,4 +1,4 @@
-"""The table of faults: one row each, by name, with what the rig shall do."""
+"""Table of faults: one named row each, with the expected reaction of the rig."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from rig.core.errors import EXIT_DEVICE_LOST, EXIT_DONE, EXIT_INTERRUPTED, EXIT_
 
 _STOPS = (EXIT_DEVICE_LOST,)
 _GOES_ON = (EXIT_DONE,)
+# Duration of a fault that must not end the session: it ends before the session does [s].
 _SHORT = 1.0
-# How long a fault lasts that shall not end the session: over before the session is [s].
 
+# Number of targets of a session that must last until a slow line is detected as too slow.
 _LONG = 4
-# Targets of a session that must not be over before a slow line is found too slow.
 
-# The mock bench on which each device is disturbed.
+# Mock bench on which the faults of each device are injected.
 SENSOR_OF = {"arm": "tacpalm", "force": "tacpalm", "camera": "tacpalm", "taxels": "uskin"}
-# The benches that must be there.
+# Benches that must exist.
 SENSORS = tuple(sorted(set(SENSOR_OF.values())))
 
-# Limits that a press of the mock bench exceeds: the hard one at once, without the soft one.
+# Limits that a press of the mock bench exceeds: the hard limit at once, without the soft one.
 OVERLOAD = {
     "force_rating_n": [12.0, 12.0, 0.3],
     "soft_fraction": 0.8,
@@ -38,38 +38,38 @@ class Row:
     """One fault."""
 
     device: str
-    """What it happens to."""
+    """Device with the fault."""
     fault: str
-    """What happens."""
+    """The fault."""
     codes: tuple[int, ...]
-    """Exit codes that are right."""
+    """Expected exit codes."""
     act: Callable[[Trial], None] | None
-    """Puts the fault into a collection that presses; None: it is in from the start."""
+    """Injects the fault into a pressing collection; None: it is present from the start."""
     sensor: str = "tacpalm"
-    """Bench it happens on."""
+    """Bench of the trial."""
     limits: str = "{}"
-    """YAML of limits that differ from the bench's."""
+    """Limits that differ from the bench's, as YAML."""
     more: str = ""
-    """YAML to add to the bench; BENCHES stands for the folder of the bench files."""
+    """YAML to add to the bench, in which BENCHES is replaced by the folder of the bench files."""
     before: Callable[[Trial], None] | None = None
-    """What a person does once it records, without which nothing is pressed."""
+    """Operator's action after recording starts, without which nothing is pressed."""
     pedal: bool = False
-    """Whether the bench has a foot pedal, for which the hidraw shim is preloaded."""
+    """True if the bench has a foot pedal, for which the hidraw shim is preloaded."""
     targets: int = 2
     counts: tuple[str, str] | None = None
-    """Stream, and reason for which it must have left out all that was injected."""
+    """Stream, and the reason with which it must have rejected all injected samples."""
     did: str = ""
-    """What the rig does where it goes on, in words, when it is more than counting."""
+    """Reaction of a rig that continues, in words, if it does more than count."""
     disorder: str = ""
-    """Why rows may be stored in disorder; empty: they must not."""
+    """Reason why rows may be stored out of order; empty: they must not."""
     needs_recover: bool = False
-    """Whether the session needs `recorder recover` afterwards, as after any SIGKILL of ours."""
+    """True if the session needs `recorder recover` afterwards, as after any SIGKILL of ours."""
     controller_gone: bool = False
-    """Whether nobody is left to ask where the arm is."""
+    """True if no process remains that could report the state of the arm."""
 
     @property
     def name(self) -> str:
-        """What --only takes."""
+        """Name of the row for --only."""
         return f"{self.device} {self.fault}".replace(" ", "-")
 
 
@@ -117,7 +117,7 @@ def _matrix() -> list[Row]:
                     act(device),
                     sensor=sensor,
                     targets=_LONG if fault == "slow" else 2,
-                    # Of the arm's line several clients have each a part: none is counted alone.
+                    # Several clients share the arm's line, so no client's part is counted alone.
                     counts=None
                     if reason is None or unnumbered
                     else (_STREAM_OF.get(device, device), reason),
@@ -126,7 +126,7 @@ def _matrix() -> list[Row]:
                 )
             )
         if device != "arm":
-            # A single bad package of TCP means that its framing is lost: an arm's row is above.
+            # A single bad packet breaks the framing of TCP; the arm's row is above.
             act3 = _line("garbage", messages=3)(device)
             rows.append(
                 Row(
@@ -157,13 +157,13 @@ _HALTED = "halted: the foot pedal was released"
 
 
 def _other_force() -> list[Row]:
-    """The faults of F/T sensors on other wires, as far as they can have them."""
+    """Return the faults that apply to F/T sensors on other connections."""
     possible = ("killed", "unplugged", "frozen 3 s", "slow", "garbage")
     return [
         Row(
             device,
             fault,
-            # Garbage of a converter is a voltage: what the guard thinks of it may come first.
+            # Garbage from a converter is a voltage, so the guard may react to it first.
             (*codes, EXIT_SAFETY_STOP) if fault == "garbage" else codes,
             act(device),
             more=more,
@@ -186,7 +186,7 @@ def _let_go_and_press_again(trial: Trial) -> None:
     trial.tell("pedal", "press")
 
 
-# Every row that is one collection; kills by the hundred and the full disk are beside it.
+# All rows that are one collection; the kills and the full disk are run separately.
 ROWS: tuple[Row, ...] = (
     *_matrix(),
     *_other_force(),

@@ -1,4 +1,4 @@
-"""All rows one after the other, with progress, and the page at the end."""
+"""Run all rows one after the other, report progress, and write the page."""
 
 from __future__ import annotations
 
@@ -17,44 +17,44 @@ from rig.core.clock import SECOND_NS, SystemClock
 from rig.core.errors import ConfigError
 
 KILLS = "kills"
+# Duration of each on two cores, used only to estimate the remaining time [s].
 _ROW_SECONDS, _KILL_SECONDS, _RESUME_SECONDS = 11.0, 8.0, 25.0
-# What each takes on two cores; only the time left is guessed from it [s].
 _KILLS_A_SESSION = 10
 
 
 def names() -> list[str]:
-    """What --only takes, in the order of running."""
+    """Return the values that --only accepts, in the order of running."""
     return [*(row.name for row in ROWS), disk.ROW.name, KILLS]
 
 
 @dataclass(slots=True)
 class Results:
-    """What came of all rows."""
+    """Results of all rows."""
 
     rows: list[tuple[Row, Judgement]] = field(default_factory=list)
-    """Those that were run, in order."""
+    """Rows that were run, in order."""
     skipped: list[tuple[str, str]] = field(default_factory=list)
-    """Name and reason of those that could not be."""
+    """Name and reason of each skipped row."""
     kills: Kills | None = None
     seconds: float = 0.0
-    """How long all of it took [s]."""
+    """Total duration [s]."""
 
     @property
     def wrong(self) -> list[str]:
-        """Everything that is not as it should be."""
+        """All failures."""
         found = [f"{row.name}: {what}" for row, judged in self.rows for what in judged.wrong]
         return found + (self.kills.wrong if self.kills is not None else [])
 
 
 class Campaign:
-    """Runs rows.
+    """Runner of the rows.
 
     Args:
         benches: Folder of the bench files.
         only: Names of the rows to run.
-        kills: How many kill -9s.
-        seed: Of the kills.
-        keep: Folder for what is left of bad rows; None: thrown away.
+        kills: Number of kill -9s.
+        seed: Random seed of the kills.
+        keep: Folder for the files of failed rows; None: deleted.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class Campaign:
         self.results = Results()
 
     def run(self, out: Path | None) -> bool:
-        """Run them and write the page to `out`, if given; whether all is as it should be."""
+        """Run the rows and write the page to `out`, if given; return True if all passed."""
         from benchmarks.faults.page import page
 
         for row in self._rows:
@@ -97,14 +97,14 @@ class Campaign:
         self.results.seconds = (self._clock.now_ns() - self._start_ns) / SECOND_NS
         wrong = self.results.wrong
         for what in wrong:
-            print(f"NOT AS IT SHOULD BE: {what}")
+            print(f"FAILED: {what}")
         if out is not None:
             out.parent.mkdir(parents=True, exist_ok=True)
             beside = out.with_name(f"{out.name}.part")
             beside.write_text(page(self.results, self._benches))
             beside.replace(out)
             print(f"{out}: written")
-        print(f"{'all as it should be' if not wrong else f'{len(wrong)} things are wrong'}")
+        print(f"{'all passed' if not wrong else f'{len(wrong)} failures'}")
         return not wrong
 
     def _note(self, row: Row, judged: Judgement, folder: Path) -> None:

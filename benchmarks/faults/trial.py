@@ -1,4 +1,4 @@
-"""One collection on a mock bench, run as a technician runs it, to put a fault into."""
+"""One collection on a mock bench, run as a technician runs it, for fault injection."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from recorder import OUTCOMES, Session
 from rig.core import emulation
 from rig.core.clock import SECOND_NS, SystemClock
 
-# The module each device's emulator runs as.
+# Module of each device's emulator.
 EMULATORS = {
     "arm": "rig.devices.arm.emulator",
     "force": "rig.devices.force.netft_emulator",
@@ -32,44 +32,44 @@ EMULATORS = {
     "pedal": "rig.devices.hid.emulator",
     "world": "rig.mock.world.host",
 }
+# Devices whose fault port is that of another device.
 _LINES = {"NI-DAQ": "force", "RS-232": "force"}
-# Whose fault port stands for the device.
 
-_STARTING = 60.0
 # Interpreters start one after the other on a small machine [s].
+_STARTING = 60.0
 _POLL_NS = SECOND_NS // 50
 
 
 class Hangs(Exception):
-    """A collection that came to no end, or did not come so far, with what it had printed."""
+    """Raised if a collection does not end or reach a stage, with its output."""
 
 
 class Trial:
-    """A running collection, as a context manager: nothing of it is left afterwards.
+    """Context manager of a running collection, which ends all its processes on exit.
 
     Args:
-        session: Where it records.
-        *arguments: Of `python -m rig collect`.
-        preload: Library to preload, for devices that need a node of the kernel's.
+        session: Session to write.
+        *arguments: Arguments of `python -m rig collect`.
+        preload: Library to preload, for devices that need a device node of the kernel.
     """
 
     def __init__(self, session: Path, *arguments: str, preload: Path | None = None) -> None:
         self.session = session
         self.lines: list[tuple[int, str]] = []
-        """Everything it printed, with the time it came [ns]."""
+        """Lines of output, with the time of each [ns]."""
         self.injected_ns: int | None = None
-        """When the fault was put in [ns]."""
+        """Time of the fault [ns]."""
         self.ended_ns = 0
-        """When the process had ended [ns]."""
+        """Time at which the process had ended [ns]."""
         self._clock = SystemClock()
         self._observer: Observer | None = None
         self._known: dict[int, str] = {}
         self.host = ""
-        """Address of its mock bench, once it runs."""
+        """Address of the mock bench, once it runs."""
         self.folder: Path | None = None
-        """Its run folder, once the bench runs."""
+        """Run folder, once the bench runs."""
         where = [] if "--resume" in arguments else ["--out", str(session)]
-        # What was measured of a bench has no part in how it is broken.
+        # Faults do not depend on measured calibrations of the bench.
         where += ["--calibrations", str(session.parent / "none-measured")]
         self.process = subprocess.Popen(
             [sys.executable, "-u", "-m", "rig", "collect", *where, *arguments],
@@ -101,19 +101,19 @@ class Trial:
 
     @property
     def text(self) -> str:
-        """Everything it printed."""
+        """Complete output."""
         return "\n".join(line for _, line in self.lines)
 
     @property
     def last_line(self) -> str:
-        """The last line it printed."""
+        """Last line of output."""
         return self.lines[-1][1] if self.lines else ""
 
     def until(self, condition: Callable[[], bool], what: str, timeout: float = _STARTING) -> None:
         """Wait for `condition`, with the collection still running.
 
         Raises:
-            Hangs: It ended, or `timeout` [s] passed.
+            Hangs: The collection ended, or `timeout` [s] passed.
         """
         deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
         while not condition():
@@ -121,14 +121,14 @@ class Trial:
             if ended or self._clock.now_ns() > deadline_ns:
                 if ended:
                     self._reader.join(2.0)
-                raise Hangs(f"{what}: it did not come so far:\n{self.text}")
+                raise Hangs(f"{what}: not reached:\n{self.text}")
             self._clock.sleep_until(self._clock.now_ns() + _POLL_NS)
 
     def until_recording(self) -> None:
-        """Wait until every stream of this run has stored something, and watch it from then on.
+        """Wait until every stream of this run has stored a row, and observe it from then on.
 
         Raises:
-            Hangs: It did not come so far.
+            Hangs: It was not reached.
         """
         self.until(self._find_bench, "the mock bench")
         if self.folder is None:
@@ -137,13 +137,13 @@ class Trial:
         self.until(lambda: min(observer.rows(name) for name in ("force", "pose")) > 0, "recording")
 
     def until_pressing(self, before: Callable[[Trial], None] | None = None) -> None:
-        """Wait until the first phase of this session is over and the next one under way.
+        """Wait until the first phase of this session has ended and the next one has begun.
 
         Args:
-            before: What a person does once it records, without which nothing is pressed.
+            before: Operator's action after recording starts, without which nothing is pressed.
 
         Raises:
-            Hangs: It did not come so far.
+            Hangs: It was not reached.
         """
         self.until_recording()
         if before is not None:
@@ -151,7 +151,7 @@ class Trial:
         self.until(lambda: self._segment_bytes() > 0, "the first phase")
 
     def rows(self, name: str) -> int:
-        """Rows that the stream says it has stored in this run; 0 before `until_recording`."""
+        """Return the rows that the stream reports as stored; 0 before `until_recording`."""
         return 0 if self._observer is None else self._observer.rows(name)
 
     def _segment_bytes(self) -> int:
@@ -165,16 +165,16 @@ class Trial:
         return False
 
     def processes(self) -> dict[int, str]:
-        """Command lines of its processes, the main one among them, by pid."""
+        """Return the command lines of its processes by pid, including the main one."""
         found = family(self.process.pid)
         self._known |= found
         return found
 
     def emulator(self, device: str) -> int:
-        """The pid of a device's emulator.
+        """Return the pid of a device's emulator.
 
         Raises:
-            LookupError: It does not run.
+            LookupError: It is not running.
         """
         for pid, command in self.processes().items():
             if f"-m {EMULATORS[device]} " in command:
@@ -182,26 +182,26 @@ class Trial:
         raise LookupError(f"no emulator of the {device} runs")
 
     def stream(self, name: str) -> int:
-        """The pid of the process that writes a stream.
+        """Return the pid of the process that writes a stream.
 
         Raises:
-            LookupError: It does not run, or does not record.
+            LookupError: It is not running, or is not recording.
         """
         return stream_process(self.processes(), self.session, name)
 
     def kill(self, *pids: int) -> None:
-        """SIGKILL as the fault of this trial."""
+        """Send SIGKILL as the fault of this trial."""
         self.processes()
         self.injected_ns = self._clock.now_ns()
         kill(pids)
 
     def signal(self, number: signal.Signals) -> None:
-        """A signal to the main process as the fault of this trial."""
+        """Send a signal to the main process as the fault of this trial."""
         self.injected_ns = self._clock.now_ns()
         os.kill(self.process.pid, number)
 
     def inject(self, device: str, fault: str, **values: Any) -> dict[str, Any]:
-        """A fault through the device's fault port; how the device is.
+        """Inject a fault through the device's fault port and return the device's state.
 
         Raises:
             OSError, ValueError: See `rig.core.emulation.inject`.
@@ -210,7 +210,7 @@ class Trial:
         return self.tell(device, fault, **values)
 
     def tell(self, device: str, what: str, **values: Any) -> dict[str, Any]:
-        """Through the device's fault port, what is no fault; how the device is.
+        """Send a command that is no fault through the device's fault port and return its state.
 
         Raises:
             OSError, ValueError: See `rig.core.emulation.inject`.
@@ -222,14 +222,14 @@ class Trial:
         """Wait until it has printed `words`, after the first `after`.
 
         Raises:
-            Hangs: It did not.
+            Hangs: It did not print them in time.
         """
         self.until(
             lambda: words in self.text[self.text.find(after) :] and after in self.text, words
         )
 
     def wait(self, timeout: float = 60.0) -> int:
-        """Wait for its end; the exit code.
+        """Wait for the end and return the exit code.
 
         Raises:
             Hangs: It did not end within `timeout` [s].
@@ -243,13 +243,13 @@ class Trial:
         return code
 
     def seen(self) -> Seen:
-        """What was observed; ends the observation."""
+        """End the observation and return it."""
         return Seen() if self._observer is None else self._observer.close()
 
     def noticed(self) -> float | None:
-        """Time from the fault to the end of the phase it ended, as the session has it [s].
+        """Return the time from the fault to the end of the phase it ended, by the session [s].
 
-        Where it ended no phase, to the line that says why it stops; None without either.
+        If it ended no phase, use the line that gives the reason for stopping; None without either.
         """
         if self.injected_ns is None:
             return None
@@ -261,12 +261,12 @@ class Trial:
         return (min(after) - self.injected_ns) / SECOND_NS if after else None
 
     def kill_all(self) -> None:
-        """SIGKILL to every process, main last, and wait for their end."""
+        """Send SIGKILL to every process, the main one last, and wait until they end."""
         self.processes()
         pids = sorted(self.left(), key=lambda pid: pid == self.process.pid)
         kill(pids)
         wait_gone((pid for pid in pids if pid != self.process.pid), 10.0)
 
     def left(self) -> list[int]:
-        """Processes it ever had, as far as they were seen, that still run."""
+        """Return the processes, of all that were ever observed, that still run."""
         return [pid for pid, command in self._known.items() if family(pid).get(pid) == command]

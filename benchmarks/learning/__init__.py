@@ -1,1 +1,1 @@
-"""The paper's tables, and what models cost in time and memory."""
+"""The paper's tables, and the time and memory that models need."""

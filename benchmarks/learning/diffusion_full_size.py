@@ -1,10 +1,10 @@
-"""The networks at their full size, with random weights: memory, speed, and a loss that falls.
+"""Memory, speed and decreasing loss of the full-size networks with random weights.
 
     python -m benchmarks diffusion-full-size full-size.json
 
-Everything is as in training on published weights but their values: SD-2.1-base's UNet and
-autoencoder (SD-Turbo is those), CLIP ViT-B/32 and VGG16. Networks of random weights learn
-nothing of use; that their loss falls on a few images says that gradients pass through all parts.
+Everything except the values of the weights is as in training on published weights: SD-2.1-base's
+UNet and autoencoder (the same as SD-Turbo's), CLIP ViT-B/32 and VGG16. Networks with random weights
+learn nothing useful; a loss that falls on a few images shows that gradients pass through all parts.
 """
 
 from __future__ import annotations
@@ -45,15 +45,15 @@ from recorder.store.durable import replace_file
 if TYPE_CHECKING:
     from accelerate import Accelerator
 
-# Steps of training of each batch size.
+# Training steps for each batch size.
 STEPS = 50
-# Learning rate: high, as there is nothing in the weights to lose.
+# Learning rate: high, because random weights have no learned content to lose.
 RATE = 1e-3
-# Pairs that are learned again and again.
+# Pairs that are trained on repeatedly.
 SAME = 4
-# Steps that are not timed.
+# Warm-up steps that are not timed.
 WARM = 5
-# Frames whose translation is timed.
+# Number of frames whose translation is timed.
 TRANSLATED = 64
 
 # Stable Diffusion 2.1's UNet (865.9 M parameters).
@@ -82,7 +82,7 @@ VAE = {
     "sample_size": 768,
     "scaling_factor": 0.18215,
 }
-# CLIP ViT-B/32's image half.
+# Image encoder of CLIP ViT-B/32.
 CLIP = {
     "hidden_size": 768,
     "intermediate_size": 3072,
@@ -96,20 +96,20 @@ CLIP = {
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """What one batch size needed, with all losses."""
+    """Measurements for one batch size, with all losses."""
 
     batch: int
-    """Pairs in a step."""
+    """Pairs per step."""
     training_images_per_s: float
-    """Pairs learned from in a second."""
+    """Pairs trained on per second."""
     inference_images_per_s: float
-    """Frames translated in a second, from mask to mask, in batches of this size."""
+    """Frames translated per second, from mask to mask, in batches of this size."""
     memory_gib: float | None
-    """Most memory of the device during training; None on a CPU."""
+    """Peak memory of the device during training; None on a CPU."""
     learning: int
-    """Parameters that learn, without the discriminator's."""
+    """Number of trainable parameters, without the discriminator's."""
     whole: int
-    """Parameters in all, without those of what judges."""
+    """Total number of parameters, without those of the networks that compute losses."""
 
 
 def random_pretrained(
@@ -141,19 +141,19 @@ def check(
     side: int = SIDE,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> dict[str, Any]:
-    """Return what training and translation at full size needed; written to a file as JSON.
+    """Measure training and translation at full size, and write the result to a file as JSON.
 
     Args:
-        batches: Pairs in a step, one measurement each.
-        out: The file; what is there so far is written after each measurement.
-        steps: Of each training.
-        overrides: Settings over the preset `ours` and over what this check sets itself.
-        networks: Makes the networks on a device; None: the full-size ones.
-        side: Of the images that are trained on [px].
-        progress: Called with the steps done and their number.
+        batches: Batch sizes, one measurement each.
+        out: The file; it is updated after each measurement.
+        steps: Number of steps of each training.
+        overrides: Settings that override the preset `ours` and those of this check.
+        networks: Creates the networks on a device; None: the full-size ones.
+        side: Side of the training images [px].
+        progress: Called with the number of steps done and the total.
 
     Raises:
-        LearningError: A batch or number of steps that is none.
+        LearningError: Invalid batch size or number of steps.
     """
     if not batches or min(batches) < 1 or steps <= WARM:
         raise LearningError(
@@ -164,7 +164,7 @@ def check(
         f"checkpoint_every={steps}",
         "log_every=10",
         f"optimiser.rate={{kind: constant, rate: {RATE}}}",
-        # The posterior of a random encoder is all noise.
+        # The posterior of a random encoder is pure noise.
         "sample_latents=false",
     ]
     settings = read_settings(TranslatorSettings, TRANSLATOR_PRESETS, "ours", [*own, *overrides])
@@ -197,7 +197,7 @@ def check(
 
 
 def table(found: dict[str, Any]) -> str:
-    """Return what was measured as a table."""
+    """Return the measurements as a table."""
     lines = [found["device"], "batch   training  inference   memory"]
     lines.append("        images/s   images/s      GiB")
     for row in found["measured"]:
@@ -207,7 +207,7 @@ def table(found: dict[str, Any]) -> str:
             f"{row['inference_images_per_s']:>10.1f} {memory:>8}"
         )
     said = ", ".join(f"{step}: {square:.3f}" for step, square in found["square"].items())
-    return "\n".join([*lines, f"mean square on {SAME} pairs, alone, by step: {said}"])
+    return "\n".join([*lines, f"mean square on {SAME} pairs, as the only loss, by step: {said}"])
 
 
 def _full_size(device: torch.device) -> Pretrained:
@@ -215,7 +215,7 @@ def _full_size(device: torch.device) -> Pretrained:
 
 
 def overfitted_pairs(count: int, side: int, device: torch.device) -> ImagePairs:
-    """Return pairs of random patterns that move alike: images of a side [px] on a device."""
+    """Return pairs of random patterns with equal motion, as images of a given side [px]."""
     chance = generator(0, "full-size-check")
     patterns = sample_patterns(2 * count, chance, device)
     field = random_fields(count, chance, device)
@@ -232,8 +232,8 @@ def _measured(
     side: int,
     progress: Callable[[int, int], None],
 ) -> Measured:
-    """Train with all losses, then translate, and tell what it took."""
-    # An accelerator keeps what it has prepared: each training has its own.
+    """Train with all losses, then translate, and return the measurements."""
+    # An accelerator keeps references to its models, so each training has its own.
     runs_on = launched(settings.launch)
     device = runs_on.device
     on_gpu = device.type == "cuda"
@@ -269,7 +269,7 @@ def _falling(
     side: int,
     progress: Callable[[int, int], None],
 ) -> dict[str, float]:
-    """Return the mean square of steps of a training that follows it alone, by their number."""
+    """Return the mean square by step, for a training with this loss alone."""
     runs_on = launched(settings.launch)
     with (
         TemporaryDirectory() as folder,
@@ -285,7 +285,7 @@ def _falling(
 def _translated_per_s(
     network: MarkerToMarker, settings: TranslatorSettings, runs_on: Accelerator
 ) -> float:
-    """Return frames a second from masks to masks, with fused adapters, as `translate` has them."""
+    """Return frames per second from masks to masks, with fused adapters as in `translate`."""
     fuse(network.unet)
     fuse(network.vae)
     lower = runs_on.device.type == "cuda" and settings.launch.mixed_precision != "no"
@@ -307,25 +307,29 @@ def _translated_per_s(
 
 
 def _now(device: torch.device) -> float:
-    """Return the time [s] at which the device has done what it was told."""
+    """Return the time [s] at which the device has finished its queued work."""
     if device.type == "cuda":
         torch.cuda.synchronize(device)
     return time.perf_counter()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure, write, print; the exit code."""
+    """Measure, write and print the results, and return the exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks diffusion-full-size",
-        description="Measures memory, speed and a falling loss of the full-size networks with "
-        "random weights; needs no archive and no weights, but a GPU.",
+        description="Measures memory, speed and decreasing loss of the full-size networks with "
+        "random weights; needs a GPU, but no archive and no weights.",
     )
     parser.add_argument("out", type=Path, metavar="JSON", help="file to write")
     parser.add_argument(
         "--batches", default="4,8,16", metavar="N,...", help="batch sizes (%(default)s)"
     )
     parser.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", help="over the preset `ours`"
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="override the preset `ours`",
     )
     options = parser.parse_args(arguments)
     try:

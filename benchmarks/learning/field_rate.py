@@ -1,9 +1,9 @@
-"""How fast the field translator is, with untrained weights.
+"""Speed of the field translator with untrained weights.
 
     python -m benchmarks field-speed --device cuda --batch 128
 
-Frames a second of the networks alone (256 x 256 in memory), of translating (masks of 480 x 640 in
-and out), and of training both stages; and the memory of a GPU that training takes.
+Frames per second of the networks alone (256 x 256 in memory), of translation (masks of 480 x 640
+in and out), and of training both stages; and the GPU memory used by training.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ _PITCH_PX, _RADIUS_PX = 64, 14
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Measure and print."""
-    parser = argparse.ArgumentParser(description="Frames a second of the field translator.")
-    parser.add_argument("--preset", default="ours", help="of the networks (%(default)s)")
+    """Measure and print the speed."""
+    parser = argparse.ArgumentParser(description="Frames per second of the field translator.")
+    parser.add_argument("--preset", default="ours", help="preset of the networks (%(default)s)")
     parser.add_argument("--device", default="cpu", help="cpu or cuda (%(default)s)")
-    parser.add_argument("--batch", type=int, default=64, help="frames at once (%(default)s)")
-    parser.add_argument("--steps", type=int, default=30, help="of each stage (%(default)s)")
+    parser.add_argument("--batch", type=int, default=64, help="batch size (%(default)s)")
+    parser.add_argument("--steps", type=int, default=30, help="steps of each stage (%(default)s)")
     options = parser.parse_args(argv)
     sets = [
         f"launch.device={options.device}",
@@ -67,7 +67,7 @@ def main(argv: list[str] | None = None) -> None:
 
     train_field(frames, settings, accelerator=accelerator(settings.launch), progress=note)
     for stage, first in (("field", 0), ("map", options.steps)):
-        # The first steps choose kernels.
+        # Kernels are selected during the first steps.
         early, last = first + max(1, options.steps // 3), first + options.steps
         rate = (last - early) * options.batch / (began[last] - began[early])
         print(f"training, {stage} stage: {rate:,.0f} frames/s")
@@ -76,7 +76,7 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def _frames(count: int, device: torch.device) -> Frames:
-    """Return frames of two equal sensors that show nothing but their reference."""
+    """Return undeformed frames of two equal sensors."""
     mask = _reference(device)
     every = torch.arange(count, device=device)
     return Frames(
@@ -98,7 +98,7 @@ def _reference(device: torch.device) -> torch.Tensor:
 
 
 def _rate(work: Callable[[], Any], count: int, device: torch.device) -> float:
-    """Return frames a second."""
+    """Return frames per second."""
     work()
     _wait(device)
     began, done = time.perf_counter(), 0

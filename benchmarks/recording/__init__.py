@@ -1,4 +1,4 @@
-"""What recording costs on this machine, beside what others' stores cost.
+"""Cost of recording on this machine, compared with other stores.
 
 Written to `docs/results/recording.md`.
 """

@@ -1,4 +1,4 @@
-"""Part 6: what each way to align costs in time, and its error against the truth."""
+"""Part 6: time of each alignment method, and its error compared with the ground truth."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ WINDOW = 16
 FORCE = ("held", "nearest", "linear", "mean_exposure")
 POSE = ("held", "nearest", "slerp")
 IMAGE = ("held", "nearest")
-# Camera latencies that nobody calibrated [s].
+# Camera latencies that are left uncalibrated [s].
 UNCORRECTED = (0.008, 0.055)
 _REPEATS = 200
 _WINDOWS_SECONDS = 1.0
@@ -49,7 +49,7 @@ class Error:
 
     @classmethod
     def of(cls, values: Floats) -> Error:
-        """Of magnitudes (n,); NaN of none."""
+        """Return the error of magnitudes (n,), or NaN if there are none."""
         if not len(values):
             return cls(float("nan"), float("nan"))
         return cls(float(np.sqrt(np.mean(values**2))), float(values.max()))
@@ -57,37 +57,37 @@ class Error:
 
 @dataclass(frozen=True, slots=True)
 class Method:
-    """One way to align one stream."""
+    """One method of aligning one stream."""
 
     stream: str
     method: str
     rows: int
-    """Valid rows it was found from."""
+    """Number of valid rows it was computed from."""
     errors: dict[str, Error]
-    """By unit: N, mm, deg or px."""
+    """Errors by unit: N, mm, deg or px."""
     per_window: float
     """Time for a window of 16 rows of this stream alone, images not decoded [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Latency:
-    """What a camera's latency costs the labels."""
+    """Effect of a camera's latency on the labels."""
 
     uncorrected: float
-    """Latency that the session does not know of [s]; 0 for a calibrated camera."""
+    """Latency that the session does not know [s]; 0 for a calibrated camera."""
     force: Error
-    """Best force method [N]."""
+    """Error of the best force method [N]."""
     position: Error
-    """Best pose method [mm]."""
+    """Position error of the best pose method [mm]."""
     angle: Error
-    """Best pose method [deg]."""
+    """Angle error of the best pose method [deg]."""
     marker: Error
-    """Marker that moves most, between believed and true capture [px]."""
+    """Shift of the fastest marker between assumed and true capture [px]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Alignment:
-    """Everything of part 6."""
+    """All results of part 6."""
 
     methods: tuple[Method, ...]
     latencies: tuple[Latency, ...]
@@ -96,28 +96,28 @@ class Alignment:
     windows_align: float
     """The same without images [s]."""
     mock: tuple[Method, ...] = ()
-    """Of a session collected on the mock bench against its World's truth."""
+    """Results on a session from the mock bench, compared with its World's ground truth."""
     mock_missing: str = ""
-    """Why there is none."""
+    """Reason for a missing mock session."""
 
 
 def estimate(scale: Scale) -> float:
-    """How long `alignment` should take [s]."""
+    """Return the expected duration of `alignment` [s]."""
     return 0.25 * scale.alignment + 4.0 + _WINDOWS_SECONDS + _mock_seconds(scale)
 
 
 def alignment(
     scale: Scale, place: Path, progress: Progress, collect: Callable[[int, Path], tuple[Path, Path]]
 ) -> Alignment:
-    """Errors and times of all methods.
+    """Measure errors and times of all methods.
 
     Args:
-        scale: How long.
+        scale: Durations of the measurements.
         place: Folder for sessions.
-        progress: Progress.
-        collect: Collects so many targets on the mock bench into a folder; session and truth.
+        progress: Progress display.
+        collect: Collects a number of targets on the mock bench; returns session and ground truth.
     """
-    progress.step("alignment: a motion of known truth", 0.2 * scale.alignment + 2.0)
+    progress.step("alignment: a motion with known ground truth", 0.2 * scale.alignment + 2.0)
     motion = Motion(scale.alignment)
     recorded = record_motion(motion, scale.alignment, place / "motion.zarr")
     session = Session(recorded.path)
@@ -128,7 +128,7 @@ def alignment(
     )
     with_images, without = _time_windows(session, recorded)
     mock: tuple[Method, ...] = ()
-    missing = "left out of quick runs"
+    missing = "skipped in quick runs"
     if scale.targets:
         from benchmarks.recording.mock_session import compare_mock
 
@@ -138,7 +138,7 @@ def alignment(
 
 
 def measure_methods(session: Session, motion: Motion, recorded: Recorded) -> tuple[Method, ...]:
-    """Every method of every stream."""
+    """Measure every method of every stream."""
     sources, when = session.sources(0), ticks(recorded)
     found = []
     for method in FORCE:
@@ -161,11 +161,11 @@ def measure_methods(session: Session, motion: Motion, recorded: Recorded) -> tup
 def measure_latency(
     session: Session, motion: Motion, recorded: Recorded, uncorrected: float
 ) -> Latency:
-    """Errors of the best methods when the session knows nothing of `uncorrected` seconds."""
+    """Measure the best methods when the session ignores `uncorrected` seconds of latency."""
     sources = session.sources(0)
     camera = sources.camera
     if camera is not None and uncorrected:
-        # The session would subtract LATENCY; nobody told it, and the camera may be later still.
+        # The session subtracts LATENCY; it does not know the extra delay of the camera.
         extra = round(uncorrected * 1e9)
         sources = replace(sources, camera=replace(camera, times=camera.times + extra))
     window = align_window(ticks(recorded), sources)
@@ -182,7 +182,7 @@ def measure_latency(
 
 
 def force_error(window: Window, motion: Motion, recorded: Recorded) -> dict[str, Floats]:
-    """Distance (n,) from the mean true force over the true exposure [N]."""
+    """Return the distance (n,) from the mean true force over the true exposure [N]."""
     true, rows = _true_capture(window, recorded)
     if window.wrench is None or window.wrench_valid is None:
         return {"N": np.zeros(0)}
@@ -194,7 +194,7 @@ def force_error(window: Window, motion: Motion, recorded: Recorded) -> dict[str,
 def pose_errors(
     window: Window, poses: Floats | None, motion: Motion, recorded: Recorded
 ) -> dict[str, Floats]:
-    """Distance [mm] and angle [deg] (n,) from the true pose at the true capture."""
+    """Return distance [mm] and angle [deg] (n,) from the true pose at the true capture."""
     true, rows = _true_capture(window, recorded)
     if poses is None or window.pose_valid is None:
         return {"mm": np.zeros(0), "deg": np.zeros(0)}
@@ -205,14 +205,14 @@ def pose_errors(
 
 
 def image_error(window: Window, motion: Motion, recorded: Recorded) -> dict[str, Floats]:
-    """How far the marker that moves most went between the image's capture and the tick [px]."""
+    """Return the motion of the fastest marker between the image's capture and the tick [px]."""
     true, rows = _true_capture(window, recorded)
     tick = (window.t_ns[rows] - recorded.origin_ns) / SECOND_NS
     return {"px": _marker_motion(motion, tick, true)}
 
 
 def _true_capture(window: Window, recorded: Recorded) -> tuple[Floats, NDArray[np.intp]]:
-    """True capture [s] of the rows that have an image, and those rows."""
+    """Return the true capture [s] of the rows that have an image, and those rows."""
     rows = np.flatnonzero(window.signal_row >= 0)
     return recorded.captured[window.signal_row[rows]], rows
 
@@ -223,7 +223,7 @@ def _marker_motion(motion: Motion, first: Floats, second: Floats) -> Floats:
 
 
 def _read_with_frame(when: Times, sources: Sources, motion: Motion, recorded: Recorded) -> Method:
-    """The force as a loop has it that reads it once, whenever a frame has arrived."""
+    """Measure a loop that reads the force once, whenever a frame has arrived."""
     name, force = "read with the frame", sources.force
     window = align_window(when, sources)
     if force is None or force.values is None or window.wrench is None:
@@ -239,7 +239,7 @@ def _read_with_frame(when: Times, sources: Sources, motion: Motion, recorded: Re
 
 
 def _componentwise(when: Times, sources: Sources, motion: Motion, recorded: Recorded) -> Method:
-    """The pose as six numbers interpolated each by itself: what not to do."""
+    """Measure the naive method that interpolates the pose's six numbers separately."""
     pose = sources.pose
     window = align_window(when, sources)
     if pose is None or pose.values is None:
@@ -276,7 +276,7 @@ def _method(
 
 
 def _timed(sources: Sources, once: Callable[[Times], object]) -> float:
-    """Median time of `once` over windows at random places [s]."""
+    """Return the median time of `once` over windows at random places [s]."""
     span = sources.span or (0, 0)
     clock, rng = SystemClock(), np.random.default_rng(0)
     took = []
@@ -289,7 +289,7 @@ def _timed(sources: Sources, once: Callable[[Times], object]) -> float:
 
 
 def _time_windows(session: Session, recorded: Recorded) -> tuple[float, float]:
-    """Mean time of `Session.window` with images, and of its alignment alone [s]."""
+    """Return the mean time of `Session.window` with images, and of its alignment alone [s]."""
     clock, rng, when = SystemClock(), np.random.default_rng(0), ticks(recorded)
     sources = session.sources(0)
     aligned = _timed(sources, lambda some: align_window(some, sources))

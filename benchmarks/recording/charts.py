@@ -1,4 +1,4 @@
-"""The page's two charts: stores as bars, alignment as error against time. Pillow alone."""
+"""The page's two charts, drawn with Pillow: stores as bars, alignment error against time."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Bar:
 
     name: str
     values: tuple[float, ...]
-    """One per panel; NaN leaves it out."""
+    """One value per panel; NaN draws no bar."""
     ours: bool
 
 
@@ -38,12 +38,12 @@ class Point:
 
 
 def bars(rows: Sequence[Bar], panels: Sequence[str], *, width: int = 1180) -> Image.Image:
-    """Horizontal bars on a logarithmic scale from 1, a panel per value of each row.
+    """Draw horizontal bars on a logarithmic scale from 1, with one panel per value of a row.
 
     Args:
         rows: Rows from the top.
         panels: Title of each panel, with its unit.
-        width: Of the picture [px].
+        width: Width of the picture [px].
     """
     top, across = 52, (width - _LABEL - 20) // len(panels)
     height = top + len(rows) * (_BAR + _GAP) + 14
@@ -83,11 +83,11 @@ def scatter(
     y_label: str,
     size: tuple[int, int] = (580, 380),
 ) -> Image.Image:
-    """Named points over two logarithmic axes.
+    """Draw named points over two logarithmic axes.
 
     Args:
-        points: Points; those not above zero are left out.
-        title: What is plotted.
+        points: Points; those not above zero are skipped.
+        title: Title of the chart.
         x_label: Abscissa with its unit.
         y_label: Ordinate with its unit.
         size: Width and height [px].
@@ -130,7 +130,7 @@ def scatter(
 
 
 def beside(pictures: Sequence[Image.Image]) -> Image.Image:
-    """Pictures of equal height next to each other."""
+    """Join pictures of equal height side by side."""
     width = sum(picture.width for picture in pictures)
     joined = Image.new("RGB", (width, max(picture.height for picture in pictures)), PAPER)
     left = 0
@@ -141,7 +141,7 @@ def beside(pictures: Sequence[Image.Image]) -> Image.Image:
 
 
 def _free_place(width: float, x: float, y: float, inside: Box, taken: Sequence[Box]) -> Box:
-    """Box of a name beside, above or below its point that covers nothing, the first that fits."""
+    """Return the first box next to, above or below a point in which its name overlaps nothing."""
     for down in (0.0, -20.0, 20.0, -36.0, 36.0, -52.0, 52.0):
         for left in (x + 11, x - 11 - width, x - width / 2 if down else x + 11):
             top = y - _LINE / 2 + down
@@ -158,7 +158,7 @@ def _overlap(a: Box, b: Box) -> bool:
 
 
 def _decades(values: Sequence[float]) -> tuple[float, float]:
-    """Limits as powers of ten that hold all values and at least one whole decade."""
+    """Return limits as powers of ten that include all values and span at least one decade."""
     logs = np.log10(np.array(values)) if values else np.zeros(1)
     low, high = float(np.floor(logs.min())), float(np.ceil(logs.max()))
     return low, max(high, low + 1.0)

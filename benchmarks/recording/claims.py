@@ -1,4 +1,4 @@
-"""What was set out to be reached, and whether this run reached it."""
+"""Goals of recording, and their verdict for this run."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from benchmarks.recording.feed import Fed
 from benchmarks.recording.load import Cameras
 from benchmarks.recording.store_race import StoreRow
 
-# Longest append of a frame, p99 [s].
+# Maximum time to append a frame, p99 [s].
 APPEND_P99 = 5e-3
-# CPU of two lossless cameras and every other stream, of one core.
+# Maximum CPU share of two lossless cameras and all other streams, of one core.
 CORE = 0.60
-# Images per second in random windows, lossless, two processes.
+# Minimum number of images per second in random windows, lossless, two processes.
 WINDOW_IMAGES = 2500.0
-# Frames lost to a kill -9.
+# Maximum number of frames lost to a kill -9.
 LOST = 1
 _KINDS = {
     "ours-jpeg": "camera's JPEG",
@@ -27,7 +27,7 @@ _KINDS = {
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """One line of the verdict."""
+    """One row of the verdict."""
 
     text: str
     measured: str
@@ -35,7 +35,7 @@ class Claim:
 
 
 def of_stores(rows: Sequence[StoreRow]) -> list[Claim]:
-    """Kills and window reads of our own rows."""
+    """Check kills and window reads of our own stores."""
     ours = {row.key: row for row in rows if row.key.startswith("ours")}
     claims = []
     kills = [kill for row in ours.values() for kill in row.kills]
@@ -63,7 +63,7 @@ def of_stores(rows: Sequence[StoreRow]) -> list[Claim]:
 
 
 def of_full_load(fed: Sequence[Fed]) -> list[Claim]:
-    """Drops, append and CPU of everything at once."""
+    """Check drops, append times and CPU share of all streams at once."""
     dropped = sum(one.dropped for one in fed)
     failed = [one.failure for one in fed if one.failure]
     p99 = max(one.append.p99 for one in fed)
@@ -88,7 +88,7 @@ def of_full_load(fed: Sequence[Fed]) -> list[Claim]:
 
 
 def of_cameras(found: Sequence[Cameras]) -> list[Claim]:
-    """Whether the two cameras of the full load fit with room to spare."""
+    """Check that the two cameras of the full load can be recorded with margin."""
     return [
         Claim(
             "two lossless 640x480 cameras at 60 Hz without a drop",
@@ -101,7 +101,7 @@ def of_cameras(found: Sequence[Cameras]) -> list[Claim]:
 
 
 def of_alignment(found: Alignment) -> list[Claim]:
-    """Whether the default methods are the most accurate ones."""
+    """Check that the default methods are the most accurate ones."""
     claims = []
     for stream, default, unit in (("force", "mean_exposure", "N"), ("pose", "slerp", "deg")):
         errors = {
@@ -116,7 +116,7 @@ def of_alignment(found: Alignment) -> list[Claim]:
             Claim(
                 f"the default for {stream} (`{default}`) is as accurate as any",
                 f"{errors[default]:.3g} {unit} rms; best: {best}, {errors[best]:.3g} {unit}",
-                # Methods that differ by less than a twentieth are equally good.
+                # Methods that differ by less than 5 % count as equally good.
                 errors[default] <= 1.05 * errors[best],
             )
         )

@@ -1,4 +1,4 @@
-"""`python -m benchmarks recording`: what recording costs on this machine, as a page."""
+"""`python -m benchmarks recording`: measure the cost of recording and write a page."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ _PARTS = ("stores", "share", "lateness", "cameras", "full", "alignment")
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and its options."""
+    """Add the subcommand and its options."""
     parser = verbs.add_parser(
         "recording",
-        help="measure what recording costs and write docs/results/recording.md (about 12 minutes)",
+        help="measure the cost of recording and write docs/results/recording.md (about 12 minutes)",
         description="Measures frames/s, MB/s, CPU share [% of a core], lateness [ms] and the error "
-        "of alignment [N, mm, deg, px]. Needs about 16 GB of disk for a while. Others' stores come "
-        "with the extra `bench`; LeRobot runs in the Python that LEROBOT_PYTHON names.",
+        "of alignment [N, mm, deg, px]. Needs about 16 GB of disk temporarily. Other stores need "
+        "the extra `bench`; LeRobot runs in the Python that LEROBOT_PYTHON names.",
     )
-    parser.add_argument("--quick", action="store_true", help="a minute or two; figures mean little")
+    parser.add_argument("--quick", action="store_true", help="a minute or two; numbers mean little")
     parser.add_argument(
         "--only",
         action="append",
@@ -41,17 +41,17 @@ def add_to(verbs: Verbs) -> None:
         "--scratch",
         type=Path,
         default=Path("sessions"),
-        help="folder on the disk to measure; what is written there is removed again",
+        help="folder on the disk to measure; all files written there are removed",
     )
     parser.add_argument("--benches", type=Path, default=BENCHES, help="folder of benches")
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure and write; the exit code.
+    """Measure and write the page; return the exit code.
 
     Raises:
-        ConfigError: No room on the disk, or no bench to collect on.
+        ConfigError: Too little disk space, or no bench to collect on.
     """
     from benchmarks.recording import run as cost
     from benchmarks.recording.measure import FULL, QUICK
@@ -67,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
     results = cost.measure(scale, options.scratch, bench, only, quick=options.quick)
     for claim in verdict(results):
         print(f"{'reached' if claim.met else 'MISSED ':<8} {claim.text}: {claim.measured}")
-    # A part of the page must not take the place of the whole; nor a quick run that of a full one.
+    # A partial page must not replace the complete one, nor a quick run a full one.
     if options.out is None and (options.only or options.quick):
         print(render(results))
         return EXIT_DONE

@@ -1,11 +1,11 @@
-"""Streams recorded from memory at their real rates, each in a process of its own as in the rig.
+"""Streams recorded from memory at their real rates, each in its own process as in the rig.
 
-A thread stands for the driver's receiver: at every tick of the stream it puts a sample into the
-rig's own `Inbox`. The main thread takes from it and appends with the `StreamWriter`, as
-`rig.acquire.stream_process` does. Dropped is a sample that met a full inbox and, of a camera, a
-tick that had passed before the receiver came to wait for it: the camera would have overwritten its
-buffer.
-What a socket delivers (force, pose, taxels) waits in the kernel for a late receiver: it is late.
+A thread takes the place of the driver's receiver: at every tick of the stream it puts a sample into
+the rig's own `Inbox`. The main thread takes samples from it and appends them with the
+`StreamWriter`, as `rig.acquire.stream_process` does. A sample counts as dropped if the inbox is
+full and, for a camera, if its tick had passed before the receiver waited for it, because the camera
+would have overwritten its buffer. Data from a socket (force, pose, taxels) wait in the kernel for
+a late receiver, so they count as late.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ from rig.core.errors import ConfigError
 from rig.core.realtime import be_punctual
 
 _READ_TIMEOUT = 0.05
+# Time between the last process being ready and the first tick [s].
 _LEAD = 0.3
-# Between the last process being ready and the first tick [s].
 _READY_TIMEOUT = 120.0
+# Share of the run after which memory is first measured.
 _SETTLE = 0.2
-# The part of the run after which memory is first looked at.
-# Samples that the drivers' inboxes hold.
+# Capacity of the drivers' inboxes [samples].
 CAPACITY = {"camera": 120, "force": 60_000, "pose": 60_000, "taxels": 10_000}
 
 
@@ -57,16 +57,16 @@ class Feed:
     """`camera`, `force`, `pose` or `taxels`."""
     rate_hz: float
     codec: str = "zstd"
-    """Of a camera: `jpeg` or `zstd`."""
+    """Codec of a camera: `jpeg` or `zstd`."""
 
     @property
     def title(self) -> str:
-        """What the page calls it."""
+        """Title of the stream on the page."""
         how = {"jpeg": ", JPEG", "zstd": ", lossless"}[self.codec] if self.kind == "camera" else ""
         return f"{self.kind}{how}, {self.rate_hz:g} Hz"
 
     def spec(self) -> StreamSpec:
-        """How it is stored."""
+        """Return the storage layout of the stream."""
         if self.kind == "camera":
             return camera_spec(self.rate_hz, height=HEIGHT, width=WIDTH, codec=self.codec)
         return {"force": force_spec, "pose": pose_spec, "taxels": taxels_spec}[self.kind](
@@ -76,35 +76,35 @@ class Feed:
 
 @dataclass(frozen=True, slots=True)
 class Fed:
-    """What recording one stream took."""
+    """Measurements of recording one stream."""
 
     feed: Feed
     rows: int
-    """Rows stored."""
+    """Number of rows stored."""
     dropped: int
-    """Frames the receiver missed and samples that met a full inbox."""
+    """Number of frames that the receiver missed and of samples that met a full inbox."""
     late: int
-    """Rows whose append began after the next sample was due: queued, not lost."""
+    """Number of rows whose append began after the next sample was due: queued, not lost."""
     share: float
-    """CPU time by wall time: 1 is a whole core."""
+    """CPU time over wall time: 1 is a whole core."""
     append: Spread
     """Duration of one append [s]."""
     nbytes: int
     """Size on disk."""
     rss_start: int
-    """Memory when a fifth of the run was over [bytes]."""
+    """Memory after a fifth of the run [bytes]."""
     rss_end: int
-    """Memory at its end [bytes]."""
+    """Memory at the end of the run [bytes]."""
     punctual: bool
-    """Whether SCHED_FIFO was granted."""
+    """True if SCHED_FIFO was granted."""
     failure: str = ""
-    """Why it ended early, if it did."""
+    """Reason for an early end, if any."""
 
 
 def record(feeds: Sequence[Feed], seconds: float, place: Path) -> tuple[Fed, ...]:
     """Record all feeds at the same time for `seconds`, in sessions below `place`.
 
-    What was recorded is removed again.
+    The recordings are removed afterwards.
 
     Raises:
         ConfigError: A process did not start.
@@ -151,7 +151,7 @@ def _answer(feed: Feed, pipe: Connection, timeout: float) -> Any:
 
 
 def _run(feed: Feed, path: Path, pipe: Connection) -> None:
-    """Body of the process."""
+    """Run the process of one stream."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     granted = be_punctual()
     sample = samples(feed)
@@ -163,7 +163,7 @@ def _run(feed: Feed, path: Path, pipe: Connection) -> None:
             start_ns, seconds = pipe.recv()
             pipe.send(_feed(feed, sample, writer, start_ns, seconds, path, granted["sched_fifo"]))
         except (EOFError, BrokenPipeError):
-            return  # whoever measures is gone
+            return  # the measuring process is gone
         finally:
             writer.close()
 
@@ -228,7 +228,7 @@ def _feed(
 def _receive(
     pacer: Pacer, inbox: Inbox, sample: Callable[[int], dict[str, Any]], ticks: int, buffered: bool
 ) -> None:
-    """Put a sample a tick until `ticks` have passed; those of missed ticks too when buffered."""
+    """Put one sample per tick until `ticks` have passed; if buffered, missed ticks' samples too."""
     number = waited = 0
     while waited + pacer.missed < ticks:
         pacer.wait()
@@ -240,7 +240,7 @@ def _receive(
 
 
 def samples(feed: Feed) -> Callable[[int], dict[str, Any]]:
-    """What gives the columns of sample `number`, but its time, from memory."""
+    """Return a function that gives the columns of sample `number`, except its time."""
     rng = np.random.default_rng(0)
     nan = float("nan")
     if feed.kind == "camera":

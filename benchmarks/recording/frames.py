@@ -1,9 +1,9 @@
-"""Synthetic camera frames that know their own number, as pixels and as a camera's JPEG.
+"""Synthetic camera frames that contain their own number, as pixels and as a camera's JPEG.
 
-A gel of soft shades with dark markers and noise of sigma 2 grey levels: about what a lossless codec
-meets in a tactile camera. Written into the first sixteen bytes of the pixels, or into a comment of
-the JPEG, the number survives every lossless store, so that what a killed writer leaves behind can
-be told from zeros and from wrong frames.
+The image is a gel with soft shading, dark markers and noise of sigma 2 grey levels, which is about
+as compressible as the image of a tactile camera. The number is written into the first sixteen bytes
+of the pixels, or into a comment of the JPEG, and survives every lossless store. It distinguishes
+the frames that a killed writer leaves from zeros and from wrong frames.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ HEIGHT, WIDTH = 480, 640
 NOISE = 2.0
 # JPEG quality, 4:2:2 as UVC cameras send it.
 QUALITY = 90
+# Number of different noise fields, after which frames repeat.
 _DIFFERENT = 8
-# Different noise fields; a frame repeats after so many.
+# Bytes of a number; the same number of bytes holds its complement.
 _NUMBER = 8
-# Bytes of a number; as many again hold its complement.
 
 
 class GelFrames:
-    """The frames, made before anything is measured.
+    """Frames, generated before the measurement begins.
 
     Args:
-        decoded: Pixels that have been through the camera's JPEG, as a driver that decodes gives
-            them, in place of raw ones.
-        seed: Of the noise.
+        decoded: Use pixels of a decoded camera JPEG, as from a driver that decodes, instead of raw
+            pixels.
+        seed: Random seed of the noise.
     """
 
     def __init__(self, *, decoded: bool = False, seed: int = 0) -> None:
@@ -57,7 +57,7 @@ class GelFrames:
         ]
 
     def pixels(self, number: int) -> Image:
-        """Frame `number` (480, 640, 3) RGB; the array is used again eight frames later."""
+        """Return frame `number` (480, 640, 3) RGB; the array is reused eight frames later."""
         image = self._pixels[number % _DIFFERENT]
         code = number.to_bytes(_NUMBER, "little")
         head = code + bytes(255 - byte for byte in code)
@@ -65,12 +65,12 @@ class GelFrames:
         return image
 
     def jpeg(self, number: int) -> bytes:
-        """Frame `number` as the camera's JPEG."""
+        """Return frame `number` as the camera's JPEG."""
         return stamped(self._jpegs[number % _DIFFERENT], number, 0)
 
 
 def number_in_pixels(image: Image) -> int | None:
-    """The number of a frame, or None when these are not its pixels."""
+    """Return the number of a frame, or None if the image is not a complete frame."""
     head = image.reshape(-1)[: 2 * _NUMBER].tobytes()
     code, complement = head[:_NUMBER], head[_NUMBER:]
     if any(a + b != 255 for a, b in zip(code, complement, strict=True)):
@@ -79,7 +79,7 @@ def number_in_pixels(image: Image) -> int | None:
 
 
 def number_in_jpeg(jpeg: bytes) -> int | None:
-    """The number of a frame, or None when it is not one."""
+    """Return the number of a frame, or None if it is not a frame."""
     stamp = frame_stamp(jpeg)
     return None if stamp is None else stamp[0]
 

@@ -1,4 +1,4 @@
-"""Part 3: how late a loop of the rig wakes, idle and loaded, with and without being punctual."""
+"""Part 3: wake-up latency of a loop of the rig, idle and loaded, with and without real time."""
 
 from __future__ import annotations
 
@@ -31,23 +31,23 @@ class Lateness:
     load: str
     """One of `LOADS`."""
     asked: bool
-    """Whether it asked to be punctual."""
+    """True if real-time scheduling was requested."""
     granted: tuple[str, ...]
-    """What the system granted."""
+    """Privileges that the system granted."""
     ticks: int
     missed: int
-    """Ticks that had passed before the loop came to wait for them."""
+    """Number of ticks that had passed before the loop waited for them."""
     late: Spread
     """Wake-up minus deadline [s]."""
 
 
 def estimate(scale: Scale) -> float:
-    """How long `lateness` should take [s]."""
+    """Return the expected duration of `lateness` [s]."""
     return len(LOADS) * 2 * len(RATES_HZ) * (scale.lateness + _START)
 
 
 def lateness(scale: Scale, progress: Progress) -> tuple[Lateness, ...]:
-    """Every rate under every load, as it is and punctual."""
+    """Measure every rate under every load, with and without real-time scheduling."""
     found = []
     for load in LOADS:
         with busy_processes(2 if load == LOADS[1] else 0):
@@ -61,7 +61,7 @@ def lateness(scale: Scale, progress: Progress) -> tuple[Lateness, ...]:
 
 @contextlib.contextmanager
 def busy_processes(count: int) -> Iterator[None]:
-    """Keep `count` processes busy that ask for nothing."""
+    """Keep `count` normal-priority processes busy."""
     context = multiprocessing.get_context("spawn")
     started = [context.Process(target=_spin, daemon=True) for _ in range(count)]
     try:
@@ -77,7 +77,7 @@ def busy_processes(count: int) -> Iterator[None]:
 
 
 def loop(rate_hz: float, seconds: float) -> tuple[int, list[int]]:
-    """Ticks missed, and how late each wake-up came [ns], of a paced loop that does nothing else."""
+    """Return the missed ticks, and the delay of each wake-up [ns], of an otherwise empty loop."""
     clock = SystemClock()
     pacer = Pacer(clock, rate_hz)
     late: list[int] = []
@@ -126,7 +126,7 @@ def _run(rate_hz: float, encoding: bool, asked: bool, seconds: float, pipe: Conn
 
 
 def _encode(ended: threading.Event) -> None:
-    """Compress a frame sixty times a second, as a recorder without processes would."""
+    """Compress sixty frames per second, as a recorder without separate processes would."""
     from benchmarks.recording.frames import GelFrames
     from recorder.store import images
 

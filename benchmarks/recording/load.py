@@ -1,4 +1,4 @@
-"""Parts 2, 4 and 5: CPU share of each stream, cameras that fit, and everything at once."""
+"""Parts 2, 4 and 5: CPU share of each stream, maximum number of cameras, and all streams."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from benchmarks.recording.measure import Scale
 from benchmarks.recording.progress import Progress
 from rig.core.errors import ConfigError
 
+# Time to start and close one process [s].
 _START = 1.5
-# Starting one process and closing it [s].
-# Measured one at a time.
+# Streams measured one at a time.
 SINGLE = (
     Feed("camera", 60.0, "jpeg"),
     Feed("camera", 60.0, "zstd"),
@@ -22,7 +22,7 @@ SINGLE = (
     Feed("pose", 500.0),
     Feed("taxels", 60.0),
 )
-# Measured at the same time.
+# Streams measured at the same time.
 TOGETHER = (
     Feed("camera", 60.0, "zstd"),
     Feed("camera", 60.0, "zstd"),
@@ -31,46 +31,46 @@ TOGETHER = (
     Feed("taxels", 60.0),
 )
 CODECS = ("zstd", "jpeg")
+# Approximate number of trials: doubling up to the first drop, then bisecting.
 _TRIALS = 7
-# Doubling up to the first drop and halving the rest takes about so many.
+# Required free disk space, relative to the data to be written.
 _FREE = 1.5
-# Room on the disk for this much more than will be written.
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """So many cameras at once."""
+    """Result of recording a number of cameras at once."""
 
     cameras: int
     dropped: int
-    """Frames lost, all cameras together."""
+    """Number of frames lost, over all cameras."""
     late: int
-    """Appends that began after the next frame was due."""
+    """Number of appends that began after the next frame was due."""
     share: float
-    """CPU of all of them: 1 is a whole core."""
+    """CPU share of all cameras: 1 is a whole core."""
     append_p99: float
-    """The worst camera's [s]."""
+    """The worst camera's p99 append time [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Cameras:
-    """How many cameras fit."""
+    """Maximum number of cameras."""
 
     codec: str
     held: int
-    """Largest number that lost nothing."""
+    """Largest number that lost no frame."""
     most: int
-    """Largest number that was allowed to be tried."""
+    """Largest number that may be tried."""
     trials: tuple[Trial, ...]
 
 
 def estimate_share(scale: Scale) -> float:
-    """How long `share` should take [s]."""
+    """Return the expected duration of `share` [s]."""
     return len(SINGLE) * (scale.share + _START)
 
 
 def share(scale: Scale, place: Path, progress: Progress) -> tuple[Fed, ...]:
-    """Each stream by itself at its real rate."""
+    """Record each stream separately at its real rate."""
     found: list[Fed] = []
     for number, feed in enumerate(SINGLE):
         progress.step(f"CPU share: {feed.title}", scale.share + _START)
@@ -79,12 +79,12 @@ def share(scale: Scale, place: Path, progress: Progress) -> tuple[Fed, ...]:
 
 
 def estimate_cameras(scale: Scale) -> float:
-    """How long `cameras` should take [s]."""
+    """Return the expected duration of `cameras` [s]."""
     return len(CODECS) * _trials(scale) * (scale.cameras + 4 * _START)
 
 
 def cameras(scale: Scale, place: Path, progress: Progress) -> tuple[Cameras, ...]:
-    """More and more 640x480 cameras at 60 Hz until a frame is lost, lossless and as JPEG."""
+    """Record more and more 640x480 cameras at 60 Hz until a frame is lost, lossless and as JPEG."""
     found = []
     for codec in CODECS:
         trials: list[Trial] = []
@@ -108,7 +108,7 @@ def cameras(scale: Scale, place: Path, progress: Progress) -> tuple[Cameras, ...
 
 
 def trial_of(fed: tuple[Fed, ...]) -> Trial:
-    """What cameras that were recorded together make."""
+    """Return the combined result of cameras that were recorded together."""
     return Trial(
         cameras=len(fed),
         dropped=sum(one.dropped for one in fed) + sum(bool(one.failure) for one in fed),
@@ -119,9 +119,9 @@ def trial_of(fed: tuple[Fed, ...]) -> Trial:
 
 
 def largest(holds: Callable[[int], bool], most: int) -> int:
-    """Largest count from 1 to `most` that holds: doubled up to the first failure, then halved.
+    """Return the largest count from 1 to `most` that holds, by doubling and then bisecting.
 
-    0 when not even one does. Taken for granted is that fewer hold where more do.
+    Returns 0 if not even one holds. Assumes that if a count holds, all smaller counts hold.
     """
     good, bad, count = 0, most + 1, 1
     while count <= most:
@@ -142,15 +142,15 @@ def largest(holds: Callable[[int], bool], most: int) -> int:
 
 
 def estimate_full(scale: Scale) -> float:
-    """How long `full_load` should take [s]."""
+    """Return the expected duration of `full_load` [s]."""
     return scale.full_load + len(TOGETHER) * _START
 
 
 def full_load(scale: Scale, place: Path, progress: Progress) -> tuple[Fed, ...]:
-    """Two lossless cameras and every other stream at the same time.
+    """Record two lossless cameras and every other stream at the same time.
 
     Raises:
-        ConfigError: Too little room on the disk.
+        ConfigError: Too little disk space.
     """
     progress.step("everything at once", estimate_full(scale))
     _require_room(place, scale.full_load * 2 * 60 * 0.8e6)

@@ -1,4 +1,4 @@
-"""Small measures that every part shares: spreads, sizes, CPU time, and how large a run is."""
+"""Measures shared by all parts: spreads, sizes, CPU time, and the scale of a run."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ import numpy as np
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """How long each thing is measured."""
+    """Durations and sizes of the measurements."""
 
     write: float
-    """Longest writing of one store [s]."""
+    """Maximum duration of writing one store [s]."""
     write_bytes: int
-    """Most pixels or JPEG bytes written to one store."""
+    """Maximum number of pixel or JPEG bytes written to one store."""
     read: float
-    """Reading of one store [s]."""
+    """Duration of reading one store [s]."""
     kills: int
-    """Kills per store."""
+    """Number of kills per store."""
     share: float
-    """Recording of one stream by itself [s]."""
+    """Duration of recording one stream by itself [s]."""
     lateness: float
-    """Waking at one rate [s]."""
+    """Duration of measuring wake-ups at one rate [s]."""
     cameras: float
-    """One trial of a number of cameras [s]."""
+    """Duration of one trial of a number of cameras [s]."""
     cameras_most: int
     """Largest number of cameras tried."""
     full_load: float
-    """All streams together [s]."""
+    """Duration of recording all streams together [s]."""
     alignment: float
     """Length of the simulated motion [s]."""
     targets: int
-    """Targets of the collection on the mock bench; 0 leaves it out."""
+    """Number of targets to collect on the mock bench; 0 skips it."""
 
 
 FULL = Scale(
@@ -52,7 +52,7 @@ FULL = Scale(
     alignment=30.0,
     targets=2,
 )
-# Shows that everything works; its figures mean little.
+# Shows that everything works; its numbers mean little.
 QUICK = Scale(
     write=0.3,
     write_bytes=20_000_000,
@@ -70,7 +70,7 @@ QUICK = Scale(
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """How a duration spreads over its occurrences [s]."""
+    """Distribution of a duration [s]."""
 
     p50: float
     p99: float
@@ -78,7 +78,7 @@ class Spread:
 
     @classmethod
     def of(cls, nanoseconds: Sequence[int]) -> Spread:
-        """The spread of durations (n,) [ns]; NaN of none."""
+        """Return the spread of durations (n,) [ns], or NaN if there are none."""
         if not len(nanoseconds):
             return cls(float("nan"), float("nan"), float("nan"))
         values = np.asarray(nanoseconds, np.float64) * 1e-9
@@ -87,26 +87,26 @@ class Spread:
 
 
 def cpu_seconds() -> float:
-    """CPU time of this process and of those it waited for, user and system together [s]."""
+    """Return the CPU time of this process and its finished children, user and system [s]."""
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return float(sum(usage.ru_utime + usage.ru_stime for usage in used))
 
 
 def resident_bytes() -> int:
-    """Memory of this process that lies in RAM."""
+    """Return the resident memory of this process [bytes]."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE")
 
 
 def tree_bytes(path: Path) -> int:
-    """Size of a file, or of all files below a folder."""
+    """Return the size of a file, or of all files below a folder [bytes]."""
     if path.is_file():
         return path.stat().st_size
     return sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
 
 
 def sync_tree(path: Path) -> None:
-    """Make a file, or all below a folder, survive a power cut."""
+    """Flush a file, or all files below a folder, to disk."""
     for entry in (path, *path.rglob("*")) if path.is_dir() else (path,):
         fd = os.open(entry, os.O_RDONLY)
         try:
@@ -116,7 +116,7 @@ def sync_tree(path: Path) -> None:
 
 
 def warm(path: Path) -> None:
-    """Read a file, or all below a folder, so that it lies in the page cache."""
+    """Read a file, or all files below a folder, into the page cache."""
     for file in path.rglob("*") if path.is_dir() else (path,):
         if file.is_file():
             with file.open("rb") as content:

@@ -1,4 +1,4 @@
-"""One session collected on the mock bench, held against its World's truth."""
+"""One session collected on the mock bench, compared with its World's ground truth."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ _TIMEOUT = 180.0
 
 
 def collect(bench: Path, targets: int, folder: Path) -> tuple[Path, Path]:
-    """Run `python -m rig collect`; the session and the truth it wrote.
+    """Run `python -m rig collect`; return the session and the ground truth it wrote.
 
     Raises:
-        RuntimeError: It did not end well; its last words.
+        RuntimeError: It failed; the message is its last line of output.
     """
     session, truth = folder / "mock.zarr", folder / "mock.truth"
     command = [sys.executable, "-m", "rig", "collect", "--bench", str(bench)]
@@ -41,7 +41,7 @@ def collect(bench: Path, targets: int, folder: Path) -> tuple[Path, Path]:
 def compare_mock(
     collected: Callable[[int, Path], tuple[Path, Path]], targets: int, place: Path
 ) -> tuple[tuple[Method, ...], str]:
-    """Force errors of a short collection; or none, and why."""
+    """Return the force errors of a short collection, or none and the reason."""
     try:
         session_path, truth_path = collected(targets, place)
     except RuntimeError as error:
@@ -50,9 +50,9 @@ def compare_mock(
 
 
 def errors_of(session: Session, truth: Truth) -> tuple[Method, ...]:
-    """Force error of each method at the moment the picture's state was true [N].
+    """Return the force error of each method at the time of the state shown in the picture [N].
 
-    The emulated camera exposes for no time at all and writes that moment into each JPEG.
+    The emulated camera has zero exposure time and writes the time of that state into each JPEG.
     """
     sources, frames = session.sources(0), session.frames
     ticks = np.asarray(frames["t_ns"])[np.asarray(frames["valid"], bool)]

@@ -1,8 +1,8 @@
-"""A motion whose truth is known at every moment, and a session of what instruments saw of it.
+"""A motion with known ground truth, and a session as instruments would have recorded it.
 
-Presses at 1.5 Hz up to 10 N with shear and a tilting tool, felt by the `AnalyticWorld`: the test
-case of a label that has to fit its image. Arrival times are those of real instruments: late by a
-little, and never by the same.
+Presses at 1.5 Hz up to 10 N with shear and a tilting tool, applied to the `AnalyticWorld`: the test
+case for labels that have to match their image. Arrival times are those of real instruments, with
+a small, varying delay.
 """
 
 from __future__ import annotations
@@ -29,29 +29,29 @@ Times = NDArray[np.int64]
 PRESS_HZ, PEAK = 1.5, 10.0
 _SHEAR, _SHEAR_HZ = 0.5e-3, 0.7
 _TILT, _TILT_HZ = np.radians(5.0), 0.9
+# Rotation of a tool that points down: half a turn, where rotation vectors jump.
 _DOWN = np.array([np.pi, 0.0, 0.0])
-# A tool that points down: half a turn, where rotation vectors jump.
+# Time step of the World [s]; between two steps the ground truth is linear.
 _STEP = 0.5e-3
-# Of the World [s]; between two steps the truth is linear.
 # Rates of the streams and of the synchronised view.
 FRAME_HZ, FORCE_HZ, POSE_HZ, VIEW_HZ = 60.0, 1000.0, 500.0, 40.0
-# Of the camera [s]; it captures at its end.
+# Exposure time of the camera [s]; it captures at its end.
 EXPOSURE = 0.010
 # Mean time from capture to arrival of the camera [s]: 8 ms and the mean of its jitter.
 LATENCY = 0.009
-_CAMERA_JITTER, _FORCE_JITTER, _POSE_JITTER = 0.5e-3, 0.1e-3, 0.15e-3
 # Scale of a gamma distribution of shape 2 [s].
+_CAMERA_JITTER, _FORCE_JITTER, _POSE_JITTER = 0.5e-3, 0.1e-3, 0.15e-3
 # Standard deviation of each force axis [N].
 FORCE_NOISE = 0.1
+# Standard deviation of each axis of the measured pose [m], [rad].
 _POSE_NOISE, _TURN_NOISE = 2e-6, 2e-5
-# Of the measured pose, each axis [m], [rad].
+# Streams begin before and end after the ticks by this time [s].
 _LEAD = 0.5
-# Streams begin before and end after the ticks [s].
 _ORIGIN_NS = 1_000 * SECOND_NS
 
 
 def world_spec() -> AnalyticSpec:
-    """A GelSight-like sensor under a flat punch, with friction and hysteresis."""
+    """Return a GelSight-like sensor under a flat punch, with friction and hysteresis."""
     return AnalyticSpec(
         layer=Layer(modulus=150e3, poisson=0.48, thickness=4e-3),
         indenter=Punch(radius=3e-3),
@@ -62,10 +62,10 @@ def world_spec() -> AnalyticSpec:
 
 
 class Motion:
-    """The truth.
+    """Ground truth of the motion.
 
     Args:
-        seconds: Its length [s].
+        seconds: Length [s].
     """
 
     def __init__(self, seconds: float) -> None:
@@ -91,30 +91,30 @@ class Motion:
         return markers
 
     def position(self, t: Floats) -> Floats:
-        """Tip (n, 3) at times (n,) [s] in the contact frame [m]."""
+        """Return the tip (n, 3) at times (n,) [s] in the contact frame [m]."""
         press = 0.5 * (1.0 - np.cos(2 * np.pi * PRESS_HZ * t))
         sideways = _SHEAR * np.sin(2 * np.pi * _SHEAR_HZ * t)
         return np.stack([sideways, np.zeros_like(t), -self._depth * press], axis=-1)
 
     def pose(self, t: Floats) -> Floats:
-        """Pose (n, 6) at times (n,) [s], contact frame [m, rad]: straight down half of the time."""
+        """Return the pose (n, 6) at times (n,) [s], in the contact frame: tilted half the time."""
         tilt = np.zeros((len(t), 3))
         tilt[:, 0] = _TILT * np.maximum(np.sin(2 * np.pi * _TILT_HZ * t), 0.0)
         return np.concatenate([self.position(t), turn(tilt, _DOWN)], axis=-1)
 
     def wrench(self, t: Floats) -> Floats:
-        """Wrench (n, 6) at times (n,) [N, N m]."""
+        """Return the wrench (n, 6) at times (n,) [N, N m]."""
         return _interpolated(t, self._t, self._wrench)
 
     def mean_wrench(self, start: Floats, stop: Floats) -> Floats:
-        """Mean wrench (n, 6) between two times [N, N m]: what an exposure has seen."""
-        # The integral of a piecewise linear force, linear between the steps: 0.5 ms is fine enough.
+        """Return the mean wrench (n, 6) between two times [N, N m], as for an exposure."""
+        # The force is piecewise linear; 0.5 ms is fine enough for a linear integral.
         rise = _interpolated(stop, self._t, self._summed)
         rise = rise - _interpolated(start, self._t, self._summed)
         return np.asarray(rise / (stop - start)[:, None])
 
     def pixels(self, t: Floats) -> Floats:
-        """Marker centres (n, m, 2) at times (n,) [px], of the World's nearest step."""
+        """Return marker centres (n, m, 2) at times (n,) [px], from the World's nearest step."""
         rows = np.clip(np.round(t / _STEP).astype(np.int64), 0, len(self._t) - 1)
         return np.stack(
             [self._camera.pixels(surface_of(self._spec, self._states[row])) for row in rows]
@@ -123,12 +123,12 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """What was recorded of a motion, and what only the simulation knows."""
+    """Recording of a motion, with ground truth that only the simulation knows."""
 
     path: Path
-    """The session."""
+    """Path of the session."""
     captured: Floats
-    """When each frame was truly captured (n,) [s], the end of its exposure."""
+    """True capture time of each frame (n,) [s], the end of its exposure."""
     origin_ns: int
     """Time 0 of the motion on the session's clock [ns]."""
     seconds: float
@@ -178,7 +178,7 @@ def record_motion(motion: Motion, seconds: float, path: Path, *, seed: int = 0) 
 
 
 def ticks(recorded: Recorded) -> Times:
-    """Ticks of the synchronised view (n,) [ns], well inside the motion."""
+    """Return ticks of the synchronised view (n,) [ns], well inside the motion."""
     t = np.arange(_LEAD, recorded.seconds - _LEAD, 1 / VIEW_HZ)
     return np.round(t * 1e9).astype(np.int64) + recorded.origin_ns
 

@@ -1,4 +1,4 @@
-"""The page: what was measured, as Markdown. Nothing is measured here, nothing is written."""
+"""Format the measurements as a Markdown page."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from benchmarks.recording.store_race import StoreRow
 
 @dataclass(frozen=True, slots=True)
 class Results:
-    """Everything a run measured; None for a part that was left out."""
+    """Measurements of a run; None for a part that was skipped."""
 
     machine: str
-    """What `machine()` says."""
+    """Text of `machine()`."""
     quick: bool
     stores: tuple[StoreRow, ...] | None = None
     share: tuple[Fed, ...] | None = None
@@ -37,13 +37,13 @@ class Results:
 
 
 def machine(cores: int) -> str:
-    """What the figures belong to: cores and versions, no names of places."""
+    """Return the number of cores and the versions that the numbers belong to."""
     found = ", ".join(f"{name} {_version(name)}" for name in ("zarr", "numpy", "numcodecs"))
     return f"{cores} cores, Python {platform.python_version()}, {found}"
 
 
 def render(results: Results) -> str:
-    """The page as Markdown."""
+    """Return the page as Markdown."""
     parts = [_head(results)]
     if results.stores is not None:
         parts.append(stores(results.stores))
@@ -61,7 +61,7 @@ def render(results: Results) -> str:
 
 
 def verdict(results: Results) -> list[claims.Claim]:
-    """What was set out to be reached, as far as this run measured it."""
+    """Return the verdict on the goals that this run measured."""
     found: list[claims.Claim] = []
     if results.full is not None:
         found += claims.of_full_load(results.full)
@@ -79,12 +79,12 @@ def _head(results: Results) -> str:
     lines = [
         "# What recording costs",
         "",
-        "Made by `make bench-recorder`; run it again on another machine and the page is that "
-        f"machine's. {results.machine}. The run took {results.seconds / 60:.1f} min.",
+        "Made by `make bench-recorder`; run it on another machine to get that machine's numbers. "
+        f"{results.machine}. The run took {results.seconds / 60:.1f} min.",
         "",
     ]
     if results.quick:
-        lines += ["**A quick run: it shows that everything works; its figures mean little.**", ""]
+        lines += ["**A quick run: it shows that everything works; its numbers mean little.**", ""]
     if found:
         lines.append(
             table(
@@ -100,9 +100,9 @@ def _share(fed: Sequence[Fed]) -> str:
         [
             "## CPU of one stream at its real rate",
             "",
-            "Each by itself, from memory, in a process made punctual as the rig's are "
+            "Each by itself, from memory, in a process with the real-time settings of the rig "
             f"(SCHED_FIFO {'granted' if all(one.punctual for one in fed) else '**refused**'}); "
-            "a thread stands for the driver's receiver.",
+            "a thread takes the place of the driver's receiver.",
             "",
             _fed_table(fed),
         ]
@@ -160,10 +160,12 @@ def _lateness(found: Sequence[Lateness]) -> str:
             "## How late a loop wakes",
             "",
             "The rig's `Pacer` against absolute deadlines, in a process that does nothing else; as "
-            f"it is, and after `be_punctual` ({said}). Loaded by two busy processes beside it, or "
-            "by a thread of its own that compresses a frame 60 times a second, which is why "
-            "streams have processes of their own.",
-            "" if not refused else "\n**SCHED_FIFO was refused: the tail is the system's.**\n",
+            f"it is, and after `be_punctual` ({said}). Loaded by two busy processes, or "
+            "by another thread that compresses a frame 60 times a second, which is why "
+            "each stream has its own process.",
+            ""
+            if not refused
+            else "\n**SCHED_FIFO was refused: the tail is the operating system's.**\n",
             table(
                 (
                     "load",
@@ -184,10 +186,10 @@ def _cameras(found: Sequence[Cameras]) -> str:
     lines = [
         "## How many cameras fit",
         "",
-        "640x480 at 60 Hz, each in a process of its own with the rig's inbox of 120 frames. A "
-        "frame is dropped when it met a full inbox, or when its tick had passed before the "
-        "receiver came to wait for it (the camera would have overwritten its buffer). A frame "
-        "whose append began after the next was due is late: it waited in the inbox.",
+        "640x480 at 60 Hz, each in its own process with the rig's inbox of 120 frames. A frame is "
+        "dropped if the inbox was full, or if its tick had passed before the receiver waited for "
+        "it (the camera would have overwritten its buffer). A frame whose append began after the "
+        "next was due is late: it waited in the inbox.",
         "",
     ]
     for one in found:

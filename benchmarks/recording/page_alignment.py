@@ -1,4 +1,4 @@
-"""The page's section on alignment: error against time, and what latency costs."""
+"""Section of the page on alignment: error against time, and the effect of latency."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from benchmarks.recording.alignment import Alignment, Method
 from benchmarks.recording.markdown import table
 from benchmarks.recording.motion import EXPOSURE, FORCE_NOISE, LATENCY, PEAK, PRESS_HZ
 
-# File of the chart, in images/ beside the page.
+# File of the chart, in images/ next to the page.
 ALIGNMENT_CHART = "recording-alignment.png"
 
 
 def alignment(found: Alignment) -> str:
-    """The section as Markdown."""
+    """Return the section as Markdown."""
     lines = [
         "## What alignment accuracy costs",
         "",
-        f"A motion whose truth is known: {PRESS_HZ:g} presses a second up to {PEAK:g} N with "
-        "shear, the tool straight down half of the time and tilting up to 5 deg in between, felt "
-        "by the mock bench's World. Camera 60 Hz with an exposure of "
+        f"A motion with known ground truth: {PRESS_HZ:g} presses a second up to {PEAK:g} N with "
+        "shear, the tool straight down half the time and tilting up to 5 deg in between, applied "
+        "to the mock bench's World. Camera 60 Hz with an exposure of "
         f"{1e3 * EXPOSURE:g} ms and a calibrated latency of {1e3 * LATENCY:g} ms, force 1 kHz with "
         f"noise of {FORCE_NOISE:g} N, pose 500 Hz, arrival times with jitter; rows at 40 Hz.",
         "",
-        "Force is held against the mean true force over the frame's exposure, pose against the "
-        "true pose at its end, an image against the tick it stands for (the marker that moves "
-        "most). Time is that of a window of 16 rows of this stream alone.",
+        "Force is compared with the mean true force over the frame's exposure, pose with the "
+        "true pose at its end, and an image with its tick (the marker that moves most). "
+        "Time is that of a window of 16 rows of this stream alone.",
         "",
         f"![Error against time]({'images/' + ALIGNMENT_CHART})",
         "",
@@ -35,11 +35,11 @@ def alignment(found: Alignment) -> str:
         ),
         "`read with the frame` is a loop that reads the force once, when the frame has arrived. "
         "`component-wise linear` interpolates the rotation vector as three numbers, which fails "
-        "for a tool that points down: half a turn is where it changes sign.",
+        "for a tool that points down, because the vector changes sign at half a turn.",
         "",
         f"A whole `Session.window(t, 16)` takes {1e3 * found.windows:.1f} ms with its images "
         f"decoded from JPEG ({16 / found.windows:,.0f} images/s) and "
-        f"{1e6 * found.windows_align:.0f} us without: the choice of method is free beside "
+        f"{1e6 * found.windows_align:.0f} us without: the cost of the method is negligible next to "
         "decoding.",
         "",
         "### What an uncorrected camera latency costs",
@@ -67,8 +67,8 @@ def alignment(found: Alignment) -> str:
     if found.mock:
         lines += [
             "On a session collected on the mock bench (tacpalm, real client libraries, emulated "
-            "devices), against its World's truth at the moment each picture shows; the emulated "
-            "camera exposes for no time and its latency is not calibrated:",
+            "devices), compared with its World's ground truth at the time each picture shows; the "
+            "emulated camera has zero exposure time and its latency is not calibrated:",
             "",
             table(
                 ("stream", "method", "error rms", "max"),

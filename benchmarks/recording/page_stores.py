@@ -1,4 +1,4 @@
-"""The page's section on stores: speed, size, and what a kill -9 leaves."""
+"""Section of the page on stores: speed, size, and recovery after a kill -9."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from benchmarks.recording.store_race import Kill, StoreRow
 from recorder import camera_spec
 from recorder.store.layout import CHUNKS_PER_SHARD
 
-# File of the chart, in images/ beside the page.
+# File of the chart, in images/ next to the page.
 STORES_CHART = "recording-stores.png"
-# LeRobot 0.4.4 on two cores in another run, for a page made without it.
+# LeRobot 0.4.4 on two cores in another run, for a page made without LeRobot.
 QUOTED = {
     "lerobot-image": "17 frames/s, 450 KB and 101 ms CPU a frame, 144 images/s in windows",
     "lerobot-video": "26 frames/s, 4.3 KB and 44 ms CPU a frame, 208 images/s in windows, lossy",
@@ -19,14 +19,14 @@ QUOTED = {
 
 
 def stores(rows: Sequence[StoreRow]) -> str:
-    """The section as Markdown."""
+    """Return the section as Markdown."""
     lines = [
         "## Stores side by side",
         "",
-        "One after the other, each in a process of its own: 640x480x3 frames (a gel with noise of "
+        "One after the other, each in its own process: 640x480x3 frames (a gel with noise of "
         "sigma 2 grey levels, or the camera's JPEG of it, quality 90) appended as fast as the "
-        "store takes them, closed and flushed to the disk within the time. Ratios are to our own "
-        "row of the same kind of frame. Windows are 16 consecutive images at random places, "
+        "store accepts them, closed and flushed to the disk within the time. Ratios are relative "
+        "to our row with the same kind of frame. Windows are 16 consecutive images at random, "
         "decoded to RGB, files in the page cache.",
         "",
         f"![Frames per second, written and read]({'images/' + STORES_CHART})",
@@ -59,13 +59,13 @@ def stores(rows: Sequence[StoreRow]) -> str:
     if notes or quoted:
         lines += ["Not measured here:", "", *notes, *quoted, ""]
     lines += [
-        "Append is the call alone: LeRobot and MCAP hand the frame to threads or buffers and pay "
-        "later, which frames/s and CPU include.",
+        "Append is the duration of the call alone: LeRobot and MCAP pass the frame to threads or "
+        "buffers and do the work later, which frames/s and CPU include.",
         "",
         "### After a kill -9",
         "",
-        "The writer is killed while it appends; accepted is a frame whose append had returned. "
-        "Every frame carries its number, so zeros and torn frames are not taken for data.",
+        "The writer is killed while it appends; a frame is accepted once its append has returned. "
+        "Every frame carries its number, so zeros and torn frames are not mistaken for data.",
         "",
         table(
             (
@@ -78,9 +78,9 @@ def stores(rows: Sequence[StoreRow]) -> str:
             ),
             [_kill_row(row.title, row.kills) for row in rows if row.kills],
         ),
-        "A reader of ours sees what is sealed and never a frame that is not there; at 60 Hz, "
-        f"{camera_spec(60.0).block * CHUNKS_PER_SHARD:,} rows at a time, or all of them at the "
-        "close. `recover` (or the next run) brings back the rest.",
+        "Our reader sees sealed frames only, never a missing one; at 60 Hz, frames are sealed "
+        f"{camera_spec(60.0).block * CHUNKS_PER_SHARD:,} rows at a time, or all of them on "
+        "closing. `recover` (or the next run) restores the rest.",
         "",
     ]
     return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""One line that says what is being measured and how long the rest will take."""
+"""Progress line with the current measurement and the estimated remaining time."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from rig.core.clock import SECOND_NS, Clock
 
 
 class Progress:
-    """Steps done of all that were announced.
+    """Progress over all announced steps.
 
     Args:
         clock: Clock.
-        total: What all steps are expected to take together [s].
-        out: Where to; the line is rewritten on a terminal, else every step gets its own.
+        total: Expected duration of all steps together [s].
+        out: Output stream; the line is rewritten on a terminal, else every step gets its own line.
     """
 
     def __init__(self, clock: Clock, total: float, out: TextIO | None = None) -> None:
@@ -28,14 +28,14 @@ class Progress:
 
     @property
     def left(self) -> float:
-        """Expected time until the end [s]: what was announced, at the pace seen so far."""
+        """Expected time until the end [s], from the announced durations and the pace so far."""
         rest = max(self._total - self._done, 0.0)
         elapsed = (self._clock.now_ns() - self._start_ns) / SECOND_NS
         pace = elapsed / self._done if self._done > 0 else 1.0
         return rest * pace
 
     def step(self, title: str, seconds: float) -> None:
-        """Begin a step that should take `seconds`; the one before is done."""
+        """Begin a step that should take `seconds`; the previous step is done."""
         self._done += self._current
         self._current = seconds
         text = f"{title:<58}{minutes(self.left):>6} left"
@@ -46,7 +46,7 @@ class Progress:
         self._out.flush()
 
     def finish(self) -> None:
-        """End the line."""
+        """End the progress line."""
         if self._out.isatty():
             self._out.write("\n")
             self._out.flush()

@@ -1,4 +1,4 @@
-"""Measures the parts that were asked for and writes the page with its charts."""
+"""Measure the requested parts and write the page with its charts."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ class Part:
     """One part of the run."""
 
     name: str
-    """What `--only` calls it, and the field of `Results`."""
+    """Name for `--only`, and the field of `Results`."""
     estimate: Callable[[Scale], float]
-    """How long it should take [s]."""
+    """Returns the expected duration [s]."""
     measure: Callable[[Scale, Path, Progress], Any]
-    """Measures it in a folder."""
+    """Measures the part in a folder."""
 
 
 def parts(bench: Path) -> tuple[Part, ...]:
-    """All parts, in the order of the page.
+    """Return all parts, in the order of the page.
 
     Args:
-        bench: Bench file of the collection that part `alignment` makes.
+        bench: Bench file for the collection in part `alignment`.
     """
     collect = partial(mock_session.collect, bench)
     return (
@@ -65,10 +65,10 @@ PARTS = tuple(part.name for part in parts(Path()))
 def measure(
     scale: Scale, scratch: Path, bench: Path, only: Sequence[str] = PARTS, *, quick: bool = False
 ) -> Results:
-    """Run the parts that were asked for, in a folder of their own below `scratch`.
+    """Run the requested parts in a temporary folder below `scratch`.
 
     Raises:
-        ConfigError: No room, no folder, or a measuring process that does not start.
+        ConfigError: Too little disk space, no folder, or a measuring process that does not start.
     """
     chosen = [part for part in parts(bench) if part.name in only]
     clock = SystemClock()
@@ -92,7 +92,7 @@ def measure(
 
 
 def write_page(results: Results, path: Path) -> list[Path]:
-    """Write the page to `path` and its charts to `images/` beside it; all that was written."""
+    """Write the page to `path` and its charts to `images/` next to it; return all files written."""
     written = [path]
     images = path.parent / "images"
     images.mkdir(parents=True, exist_ok=True)
@@ -107,7 +107,7 @@ def write_page(results: Results, path: Path) -> list[Path]:
 
 
 def stores_chart(rows: Sequence[StoreRow]) -> Any:
-    """Frames per second written and read, a bar each."""
+    """Plot frames per second written and read, one bar each."""
     bars = []
     for row in rows:
         written = float("nan") if row.write is None else row.write.frames / row.write.seconds
@@ -119,7 +119,7 @@ def stores_chart(rows: Sequence[StoreRow]) -> Any:
 
 
 def alignment_chart(found: Alignment) -> Any:
-    """Error against time per window: force in N, and pose in degrees."""
+    """Plot error against time per window: force in N, and orientation in degrees."""
     pictures = []
     for stream, unit, title in (
         ("force", "N", "Force label"),

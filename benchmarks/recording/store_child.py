@@ -1,7 +1,7 @@
-"""The process that writes or reads one store: `python -m benchmarks.recording.store_child JOB`.
+"""Process that writes or reads one store: `python -m benchmarks.recording.store_child JOB`.
 
-A process of its own, so that CPU time, memory and a kill are that store's alone, and so that it may
-run in another interpreter. The job comes as JSON, the answer goes as one line of JSON to stdout.
+A separate process, so that CPU time, memory and a kill concern only that store, and so that it may
+run in another interpreter. The job is passed as JSON; the answer is one line of JSON on stdout.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from benchmarks.recording.frames import HEIGHT, WIDTH, GelFrames
 from benchmarks.recording.measure import cpu_seconds, sync_tree, tree_bytes, warm
 from rig.core.clock import SECOND_NS, SystemClock
 
-# Images of a window.
+# Number of images in a window.
 WINDOW = 16
-# Frames that are written however long they take.
+# Minimum number of frames to write, regardless of the time.
 FEWEST = 20
-# What the line with the answer begins with.
+# Prefix of the line with the answer.
 RESULT = "RESULT "
 
 
 def write(entry: stores.Entry, path: Path, *, seconds: float, most_bytes: int) -> dict[str, Any]:
-    """Append frames for `seconds` or until `most_bytes`, close durably; what it took."""
+    """Append frames for `seconds` or until `most_bytes`, close durably; return the cost."""
     clock, frames = SystemClock(), GelFrames(decoded=entry.takes == "decoded")
     make = frames.jpeg if entry.takes == "jpeg" else frames.pixels
     nbytes = len(frames.jpeg(0)) if entry.takes == "jpeg" else HEIGHT * WIDTH * 3
@@ -68,7 +68,7 @@ def read(entry: stores.Entry, path: Path, *, seconds: float, seed: int) -> dict[
 
 
 def append_until_killed(entry: stores.Entry, path: Path, *, accepted: str) -> dict[str, Any]:
-    """Append as fast as it goes, and after each accepted frame write how many into `accepted`."""
+    """Append as fast as possible; after each accepted frame write the count into `accepted`."""
     frames = GelFrames()
     make = frames.jpeg if entry.takes == "jpeg" else frames.pixels
     fd = os.open(accepted, os.O_WRONLY | os.O_CREAT)
@@ -80,13 +80,13 @@ def append_until_killed(entry: stores.Entry, path: Path, *, accepted: str) -> di
 
 
 def inspect(entry: stores.Entry, path: Path) -> dict[str, Any]:
-    """What can be read of a store whose writer was killed, before and after its repair."""
+    """Return the readable frames of a store whose writer was killed, before and after repair."""
     store = entry.make()
     answer: dict[str, Any] = {"left": None, "error": "", "repaired": None}
     try:
         answer["left"] = store.left(path)
     except Exception as error:
-        # Whatever its reader raises is the finding: it does not open.
+        # Any exception of its reader is the finding: the store does not open.
         answer["error"] = f"{type(error).__name__}: {error}"[:200]
     answer["repaired"] = store.repaired(path)
     return answer
@@ -96,7 +96,7 @@ _ACTIONS = {"write": write, "read": read, "kill": append_until_killed, "inspect"
 
 
 def main(argv: list[str]) -> int:
-    """Do the job; 0, or 1 with the reason when the store's library is missing or fails."""
+    """Run the job; return 0, or 1 with the reason if the store's library is missing or fails."""
     job = json.loads(argv[1])
     entry = stores.entry(job["store"])
     try:

@@ -1,4 +1,4 @@
-"""Part 1: our recorder and others' stores, written, read and killed one after the other."""
+"""Part 1: our recorder and other stores, written, read and killed one after the other."""
 
 from __future__ import annotations
 
@@ -22,79 +22,79 @@ from benchmarks.recording.store_child import RESULT
 from benchmarks.recording.stores import STORES, Entry
 from rig.core.clock import SECOND_NS, SystemClock
 
-# Environment variable: a Python that has LeRobot and torch.
+# Environment variable with the path of a Python that has LeRobot and torch.
 INTERPRETER = "LEROBOT_PYTHON"
+# Time to start an interpreter and import [s].
 _START = 1.5
-# Starting an interpreter and importing [s].
 _TIMEOUT = 180.0
+# Frames accepted before the kill: past one of our sealed shards, into the next.
 _KILL_AFTER = (70, 150)
-# Frames accepted before the kill: past a sealed shard of ours, into the next.
 _KILL_TIMEOUT = 60.0
 _POLL = 0.001
 
 
 @dataclass(frozen=True, slots=True)
 class Write:
-    """What writing took."""
+    """Cost of writing."""
 
     frames: int
     seconds: float
     """Creating, appending and closing durably [s]."""
     cpu: float
-    """CPU time of it [s]."""
+    """CPU time used [s]."""
     append: Spread
     """Duration of one append [s]."""
     nbytes: int
     """Size of the store."""
     frame_bytes: int
-    """Size of a frame as it was handed over."""
+    """Size of a frame as passed to the store."""
 
 
 @dataclass(frozen=True, slots=True)
 class Kill:
-    """What a kill -9 left."""
+    """Content of a store after a kill -9."""
 
     accepted: int
-    """Frames whose append had returned."""
+    """Number of frames whose append had returned."""
     left: int | None
-    """Right frames the ordinary reader finds; None when it does not open."""
+    """Number of correct frames that the ordinary reader finds; None if it does not open."""
     wrong: int
-    """Frames it finds that nobody wrote: zeros, torn."""
+    """Number of frames found that nobody wrote: zeros, torn."""
     repaired: int | None
-    """Right frames after the store's own repair; None without one."""
+    """Number of correct frames after the store's own repair; None without one."""
 
 
 @dataclass(frozen=True, slots=True)
 class StoreRow:
-    """One store."""
+    """Results for one store."""
 
     key: str
     title: str
     missing: str = ""
-    """Why it was not measured."""
+    """Reason why it was not measured."""
     write: Write | None = None
     read: float = 0.0
     """Images per second in random windows of 16, one process."""
     read_two: float = 0.0
     """The same, two processes together."""
     read_failure: str = ""
-    """Why it could not be read."""
+    """Reason why it could not be read."""
     kills: tuple[Kill, ...] = ()
 
 
 class ChildFailed(RuntimeError):
-    """A measuring process did not answer; its last words."""
+    """Raised if a measuring process did not answer, with its last output."""
 
 
 def estimate(scale: Scale, entries: Sequence[Entry] = STORES) -> float:
-    """How long `race` should take [s]."""
+    """Return the expected duration of `race` [s]."""
     return len(entries) * _row_seconds(scale)
 
 
 def race(
     scale: Scale, place: Path, progress: Progress, entries: Sequence[Entry] = STORES
 ) -> tuple[StoreRow, ...]:
-    """Measure every store in a folder of its own below `place`, which is removed again."""
+    """Measure every store in a separate folder below `place`, which is removed afterwards."""
     rows = []
     for entry in entries:
         progress.step(f"stores: {entry.title.replace('*', '')}", _row_seconds(scale))
@@ -108,7 +108,7 @@ def race(
 
 
 def measure(entry: Entry, scale: Scale, folder: Path) -> StoreRow:
-    """One store: written, read by one process and by two, killed."""
+    """Measure one store: written, read by one process and by two, killed."""
     python = interpreter(entry)
     if python is None:
         return StoreRow(entry.key, entry.title, f"{INTERPRETER} is not set")
@@ -143,15 +143,15 @@ def measure(entry: Entry, scale: Scale, folder: Path) -> StoreRow:
 
 
 def interpreter(entry: Entry) -> str | None:
-    """The Python that measures a store; None when it needs another and none is named."""
+    """Return the Python that measures a store; None if it needs another that is not set."""
     return os.environ.get(INTERPRETER) or None if entry.foreign else sys.executable
 
 
 def kill(python: str, entry: Entry, folder: Path, seed: int) -> Kill:
-    """Kill a writer with SIGKILL at a random moment and count what is left.
+    """Kill a writer with SIGKILL at a random time and count the remaining frames.
 
     Raises:
-        ChildFailed: It ended by itself, or what it left could not be looked at.
+        ChildFailed: It ended by itself, or the result could not be inspected.
     """
     clock, rng = SystemClock(), np.random.default_rng(seed)
     path, count = folder / f"killed-{seed}", folder / f"accepted-{seed}"
@@ -182,7 +182,7 @@ def kill(python: str, entry: Entry, folder: Path, seed: int) -> Kill:
 def ask(
     python: str, entry: Entry, action: str, path: Path, options: dict[str, Any]
 ) -> dict[str, Any]:
-    """Let a measuring process do something and return its answer.
+    """Run an action in a measuring process and return its answer.
 
     Raises:
         ChildFailed: It did not answer.
@@ -191,7 +191,7 @@ def ask(
 
 
 def _right(numbers: list[int | None], accepted: int) -> list[int]:
-    """Frames that stand where they were written and whose append had returned."""
+    """Return the frames that are in their place and whose append had returned."""
     return [n for place, n in enumerate(numbers) if n == place and place < accepted]
 
 
@@ -221,7 +221,7 @@ def _start(
     python: str, entry: Entry, action: str, path: Path, options: dict[str, Any]
 ) -> subprocess.Popen[str]:
     job = {"store": entry.key, "action": action, "path": str(path), "options": options}
-    # Another interpreter has LeRobot but not us: it finds this package by path.
+    # The other interpreter has LeRobot but not this project, which it finds by path.
     source = str(Path(rig.__file__).parent.parent)
     environment = {**os.environ, "PYTHONPATH": source, "HF_HUB_OFFLINE": "1"}
     return subprocess.Popen(
@@ -249,7 +249,7 @@ def _answer(child: subprocess.Popen[str]) -> dict[str, Any]:
 
 def _last_words(stderr: str) -> str:
     lines = [line for line in stderr.splitlines() if line.strip()]
-    return lines[-1][:160] if lines else "it said nothing"
+    return lines[-1][:160] if lines else "no output"
 
 
 def _row_seconds(scale: Scale) -> float:

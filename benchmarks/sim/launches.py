@@ -1,4 +1,4 @@
-"""Many scenes on a device: side by side where that is faster."""
+"""Solve many scenes on a device, in parallel where that is faster."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ Outcome = TypeVar("Outcome")
 def in_launches(
     solve: Callable[[Sequence[Scene], str], list[Outcome]], scenes: Sequence[Scene], device: str
 ) -> list[Outcome]:
-    """What `solve` gives for `scenes`: all in one launch on a GPU, one by one on a CPU.
+    """Return the results of `solve` for `scenes`: one launch on a GPU, one by one on a CPU.
 
-    A CPU computes one thing after the other in any case; a launch of many only makes the quick
-    ones wait for the slow ones.
+    A CPU computes sequentially in any case, so a launch of many scenes only makes the fast ones
+    wait for the slow ones.
     """
     if device != "cpu":
         return solve(scenes, device)

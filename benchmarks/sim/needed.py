@@ -1,8 +1,8 @@
-"""Checks the stated error of leaving effects out, on random scenes.
+"""Check the stated error of leaving effects out, on random scenes.
 
-`python -m benchmarks needed` plans each scene, solves it with all effects and without those left
-out on the same default mesh, and compares. Times are honest from the second run on: the first one
-compiles kernels.
+`python -m benchmarks needed` plans each scene, solves it with all effects and without the neglected
+ones on the same default mesh, and compares. Times are valid from the second run on, because the
+first one compiles kernels.
 """
 
 from __future__ import annotations
@@ -36,17 +36,17 @@ from sim.tiers import simulate_many
 if TYPE_CHECKING:
     from sim.cli.options import Verbs
 
-# Steps of a motion at most, and elements of a probe's mesh, so that a scene takes seconds.
+# Maximum steps of a motion and elements of a probe's mesh, for scenes that take seconds.
 STEPS_MAX, COARSE_MAX = 15, 700
-# Elements of the meshes that plans are held against, unless told otherwise.
+# Default for the maximum number of elements in the meshes that check the plans.
 ELEMENTS_MAX = 6000
-# Added to a scene's number, for a stream of its own that draws its effects.
+# Offset of a scene's number, to draw its effects from a separate random stream.
 EFFECTS_STREAM = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """What came of one scene."""
+    """Result for one scene."""
 
     name: str
     found: EffectsPlan
@@ -55,23 +55,25 @@ class Row:
     full: float
     """Time of the scene with all effects [s]."""
     less: float
-    """The same without those left out [s]."""
+    """Time without the neglected effects [s]."""
 
     @property
     def value(self) -> float:
-        """The true error in the unit of the tolerance."""
+        """True error in the unit of the tolerance."""
         assert self.true is not None
         assert self.found.tolerance is not None
         return self.true[self.found.tolerance.kind]
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and its options."""
+    """Add the subcommand and its options."""
     parser = verbs.add_parser(
-        "needed", help="leave out the effects that do not matter in random scenes, and check"
+        "needed", help="neglect insignificant effects in random scenes, and check the error"
     )
-    parser.add_argument("--scenes", type=int, default=60, metavar="N", help="(%(default)s)")
-    parser.add_argument("--seed", type=int, default=1, help="of the scenes (%(default)s)")
+    parser.add_argument(
+        "--scenes", type=int, default=60, metavar="N", help="number of scenes (%(default)s)"
+    )
+    parser.add_argument("--seed", type=int, default=1, help="random seed (%(default)s)")
     parser.add_argument(
         "--tolerance", default="2 %", help='"2 %%", "0.05 N" or "0.5 px" (%(default)s)'
     )
@@ -80,25 +82,25 @@ def add_to(verbs: Verbs) -> None:
         type=int,
         default=ELEMENTS_MAX,
         metavar="N",
-        help="most elements of the meshes that plans are held against (%(default)s)",
+        help="maximum number of elements of the meshes that check the plans (%(default)s)",
     )
     parser.add_argument(
         "--device",
         default="cpu",
-        help="cpu, each scene by itself; cuda:0 and the like, all scenes side by side, whose times "
-        "are the mean (%(default)s)",
+        help="cpu, one scene at a time; cuda:0 and the like, all scenes in parallel, with mean "
+        "times (%(default)s)",
     )
     parser.add_argument(
-        "--processes", type=int, default=1, help="side by side on a CPU (%(default)s)"
+        "--processes", type=int, default=1, help="parallel processes on a CPU (%(default)s)"
     )
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Plan, solve and compare; 1 where an error is larger than its tolerance.
+    """Plan, solve and compare; return 1 if an error exceeds its tolerance.
 
     Raises:
-        SceneError: What is no tolerance, or a device that is not there.
+        SceneError: Invalid tolerance, or unknown device.
     """
     from sim.device import ready_device
 
@@ -131,7 +133,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def scenes_of(seed: int, count: int, folder: Path) -> list[tuple[str, Scene]]:
-    """Sensible scenes of `drawn`, with two effects or more drawn anew, weak ones among them."""
+    """Return sensible scenes of `drawn`, with two or more effects drawn again, some weak."""
     found: list[tuple[str, Scene]] = []
     index = 0
     while len(found) < count:
@@ -145,7 +147,7 @@ def scenes_of(seed: int, count: int, folder: Path) -> list[tuple[str, Scene]]:
 
 
 def _effects(dice: Dice) -> Effects:
-    """Two to four effects, each as often weak as strong."""
+    """Return two to four effects, each weak as often as strong."""
     while True:
         branches = dice.whole(1, 2)
         effects = Effects(
@@ -166,7 +168,7 @@ def _effects(dice: Dice) -> Effects:
 
 
 def _steps(scene: Scene) -> int:
-    """Steps of the motion, none of them refused."""
+    """Return the number of steps of the motion, without rejected ones."""
     path = path_of(scene, Numerics())
     total = 0
     for segment in range(1, len(scene.motion)):
@@ -176,7 +178,7 @@ def _steps(scene: Scene) -> int:
 
 
 def _elements(scene: Scene) -> int:
-    """Elements of a probe's mesh, as the look before it is solved asks for."""
+    """Return the number of elements of a probe's mesh, as planned before it is solved."""
     sizes = [stage.sizes for stage in stages_of(scene)]
     numerics = Numerics(fineness=FINENESS)
     return sum(len(one.elements) for one in meshes_of([scene] * len(sizes), numerics, sizes))
@@ -185,7 +187,7 @@ def _elements(scene: Scene) -> int:
 def compared(
     scenes: Sequence[tuple[str, Scene]], tolerance: str, numerics: Numerics, device: str
 ) -> list[Row]:
-    """Plans of scenes, held against both solutions where anything is left out."""
+    """Return the plans of scenes, compared with both solutions if any effect is neglected."""
     plain = [scene for _name, scene in scenes]
     plans = plan_many(plain, tolerance=tolerance, device=device)
     lesser = [i for i, one in enumerate(plans) if one.left_out]
@@ -207,33 +209,33 @@ def compared(
 def _solved(
     scenes: Sequence[Scene], numerics: Numerics, device: str
 ) -> tuple[list[Outcome], float]:
-    """Outcomes, and the time that each took in the mean [s]."""
+    """Return the outcomes and their mean time [s]."""
     began = time.perf_counter()
     outcomes = simulate_many(scenes, numerics=numerics, device=device)
     return outcomes, (time.perf_counter() - began) / max(len(scenes), 1)
 
 
 def line(row: Row) -> str:
-    """A scene in a line: what is on, what was left out, the errors, the time."""
+    """Return a scene's effects, neglected effects, errors and time as a line."""
     found = row.found
     assert found.tolerance is not None
     text = f"{row.name}: {' '.join(found.scene.effects.key)}; left out: "
     if not found.left_out:
         return f"{text}nothing; probes {found.seconds:.1f} s"
     joint = found.joint
-    text += f"{' '.join(found.left_out)} ({found.joint_by}); said "
+    text += f"{' '.join(found.left_out)} ({found.joint_by}); stated "
     text += with_unit("share", joint.value("share"))
     text += f" {with_unit('marker', joint.marker)}"
     if row.true is None:
         return f"{text}; no solution on the default mesh"
-    kept = "" if row.value <= joint.value(found.tolerance.kind) else " MORE THAN SAID"
+    kept = "" if row.value <= joint.value(found.tolerance.kind) else " MORE THAN STATED"
     true = f"{with_unit('share', row.true['share'])} {with_unit('marker', row.true['marker'])}"
     saved = f"{row.full:.1f} - {row.less:.1f} = {row.full - row.less:.1f} s saved"
     return f"{text}, true {true}{kept}; {saved}, probes {found.seconds:.1f} s"
 
 
 def summary(rows: Sequence[Row]) -> list[str]:
-    """Counts of scenes within the tolerance and the stated error; time saved and spent."""
+    """Return counts of scenes within the tolerance and the stated error, and times."""
     some = [row for row in rows if row.found.left_out and row.true is not None]
     within = sum(row.value <= _limit(row) for row in some)
     kept = sum(row.value <= row.found.joint.value(_kind(row)) for row in some)
@@ -243,7 +245,7 @@ def summary(rows: Sequence[Row]) -> list[str]:
     return [
         f"{len(rows)} scenes, effects left out in {len(some) + lost}, {lost} of them without a "
         "solution",
-        f"{within} of {len(some)} within the tolerance, {kept} within what was said",
+        f"{within} of {len(some)} within the tolerance, {kept} within the stated error",
         f"{saved:.1f} s of {full:.1f} s saved where effects were left out, {spent:.1f} s spent on "
         "all probes",
     ]

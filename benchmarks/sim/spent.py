@@ -1,4 +1,4 @@
-"""What a computation took: wall time, CPU time, and the most memory it held."""
+"""Cost of a computation: wall time, CPU time, and peak memory."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import TypeVar
 
 Value = TypeVar("Value")
 
-# Time between two looks at a GPU's memory [s].
+# Interval between checks of a GPU's memory [s].
 LOOK_EVERY = 2e-3
 _STATUS, _CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 
@@ -27,12 +27,12 @@ class Spent:
     cpu: float
     """CPU time of all threads [s]."""
     memory: int
-    """Most memory held [bytes]: of the process, Python and libraries included, on a CPU; of the
-    arrays on a GPU."""
+    """Peak memory [bytes]: on a CPU of the process, including Python and libraries; on a GPU of the
+    arrays."""
 
 
 def spent_by(work: Callable[[], Value], device: str) -> tuple[Value, Spent]:
-    """What `work` returns, and what it took on `device`."""
+    """Return the result of `work`, and its cost on `device`."""
     if device != "cpu":
         return _on_gpu(work, device)
     _forget_peak()
@@ -43,9 +43,9 @@ def spent_by(work: Callable[[], Value], device: str) -> tuple[Value, Spent]:
 
 
 def peak_memory() -> int:
-    """The most memory this process has held [bytes], since `_forget_peak` where that is known.
+    """Return the peak memory of this process [bytes], since `_forget_peak` where supported.
 
-    Not `ru_maxrss` on Linux: a child's starts at what its parent held when it was started.
+    Not `ru_maxrss` on Linux, because a child's starts at the value of its parent.
     """
     if _STATUS.exists():
         for line in _STATUS.read_text().splitlines():
@@ -56,7 +56,7 @@ def peak_memory() -> int:
 
 
 def _forget_peak() -> None:
-    """Begin anew with the most memory held; left as it is where the system does not allow it."""
+    """Reset the peak memory, if the system allows it."""
     if _CLEAR.exists():
         try:
             _CLEAR.write_text("5")
@@ -65,7 +65,7 @@ def _forget_peak() -> None:
 
 
 def _on_gpu(work: Callable[[], Value], device: str) -> tuple[Value, Spent]:
-    """As `spent_by`; the pool's own high-water mark cannot be set back, so it is watched."""
+    """Measure like `spent_by`; the pool's high-water mark cannot be reset, so it is polled."""
     import warp as wp
 
     wp.synchronize_device(device)

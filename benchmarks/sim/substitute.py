@@ -1,4 +1,4 @@
-"""Parts of the solver in another build, for as long as a context lasts."""
+"""Temporary replacement of parts of the solver by another build."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 
 @contextmanager
 def in_place_of(owner: Any, name: str, value: Any) -> Iterator[None]:
-    """While it is open, the attribute `name` of a module is `value`."""
+    """Replace the attribute `name` of a module by `value` inside the context."""
     own = getattr(owner, name)
     setattr(owner, name, value)
     try:
@@ -22,18 +22,18 @@ def in_place_of(owner: Any, name: str, value: Any) -> Iterator[None]:
 
 
 def rebuilt(module: ModuleType, suffix: str, change: Callable[[str], str]) -> ModuleType:
-    """A module built from the changed source of another, which stays as it is.
+    """Return a module built from the changed source of another, which is not modified.
 
     Args:
-        module: Whose source is changed.
-        suffix: What tells the name of the new module from that of the other.
-        change: Gives the new source.
+        module: Module whose source is changed.
+        suffix: Suffix of the new module's name.
+        change: Maps the source to the new source.
     """
     source = change(inspect.getsource(module))
     made = ModuleType(f"{module.__name__}_{suffix}")
     file = f"{made.__name__}.py"
-    # Warp reads a kernel's source through `inspect`, which looks here before it looks for a file.
+    # Warp reads a kernel's source through `inspect`, which checks this cache before files.
     linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)
-    # Annotations must stay values: no inheriting of this file's __future__ imports.
+    # Annotations must stay values, so do not inherit this file's __future__ imports.
     exec(compile(source, file, "exec", dont_inherit=True), made.__dict__)
     return made

@@ -1,8 +1,8 @@
-"""Whether tolerances are kept on scenes drawn by chance: `python -m benchmarks tolerance`.
+"""Tolerances on randomly drawn scenes: `python -m benchmarks tolerance`.
 
 The reference is extrapolated (Richardson 1911, order 2) from the answer's mesh, or one as fine, and
-one `FINER` times finer. It uses the same solver, so it measures the error of meshes alone; other
-errors are for `hard-cases --random` and `independent` to find.
+one `FINER` times finer. It uses the same solver, so it measures discretisation error only; other
+errors are covered by `hard-cases --random` and `independent`.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ from sim.tolerance import elements_ratio
 if TYPE_CHECKING:
     from sim.cli.options import Verbs
 
-# Sides of the answer's elements over those of the truth's.
+# Element size of the answer over that of the reference.
 FINER = 1.6
-# Fineness of the coarser mesh of a truth at least.
+# Minimum fineness of the coarser mesh of a reference.
 COARSEST = 0.75
-# Elements of a truth at most.
+# Maximum number of elements of a reference.
 TRUTH_ELEMENTS_MAX = 600_000
-# Which of the drawn scenes: those that a bench does.
+# Family of the drawn scenes to use: typical uses.
 FAMILY = "sensible"
 
 Kind = Literal["kept", "missed", "refused", "diverged", "timeout", "no truth"]
@@ -50,18 +50,18 @@ Kind = Literal["kept", "missed", "refused", "diverged", "timeout", "no truth"]
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """What came of one scene."""
+    """Result for one scene."""
 
     name: str
     """Seed and number of the scene."""
     what: str
     kind: Kind
     error_percent: float = math.nan
-    """Largest difference from the truth over frames, as a tolerance counts it."""
+    """Largest difference from the reference over frames, as defined for the tolerance."""
     own_percent: float = math.nan
-    """What the result says of it."""
+    """Error estimate of the result."""
     truth_percent: float = math.nan
-    """Half of the step that extrapolation of the truth went."""
+    """Half of the extrapolation step of the reference."""
     tier: str = ""
     seconds: float = math.nan
     truth_seconds: float = math.nan
@@ -69,7 +69,7 @@ class Row:
 
 
 def scenes(count: int, seed: int) -> list[Drawn]:
-    """The first `count` sensible scenes of a seed that press at all."""
+    """Return the first `count` sensible scenes of a seed with contact."""
     found: list[Drawn] = []
     index = 0
     while len(found) < count:
@@ -83,7 +83,7 @@ def scenes(count: int, seed: int) -> list[Drawn]:
 
 
 def judged(one: Drawn, tolerance: str, device: str, seconds: float) -> Row:
-    """Solve a scene within a tolerance, and once more finely, and compare."""
+    """Solve a scene within a tolerance and again on finer meshes, and compare."""
     assert one.scene is not None
     row = partial(Row, one.name, one.what)
     began = time.perf_counter()
@@ -113,7 +113,7 @@ def judged(one: Drawn, tolerance: str, device: str, seconds: float) -> Row:
 
 
 def _truth(scene: Scene, result: Result, device: str) -> tuple[np.ndarray, np.ndarray]:
-    """The force (F, 3) [N] of meshes of no size, and how unsure it is (F,) [N]."""
+    """Return the extrapolated force (F, 3) [N], and its uncertainty (F,) [N]."""
     fineness = result.record["mesh"].get("fineness", COARSEST)
     finest, middle = (
         simulate_one(
@@ -128,22 +128,22 @@ def _truth(scene: Scene, result: Result, device: str) -> tuple[np.ndarray, np.nd
 
 
 def summary(rows: Sequence[Row], tolerance: str) -> str:
-    """How many were kept, missed and refused."""
+    """Return the numbers of tolerances kept, missed and rejected as a line."""
     counts = {kind: sum(row.kind == kind for row in rows) for kind in Kind.__args__}  # type: ignore[attr-defined]
     given = counts["kept"] + counts["missed"]
     none = counts["refused"] + counts["diverged"] + counts["timeout"]
     share = 100 * counts["kept"] / max(given, 1)
     median = float(np.median([row.seconds for row in rows]))
     return (
-        f"{len(rows)} scenes within {tolerance}: kept {counts['kept']} of {given} whose truth is "
-        f"known ({share:.1f} %), no answer {none} ({100 * none / len(rows):.1f} %: "
+        f"{len(rows)} scenes within {tolerance}: kept {counts['kept']} of {given} with a known "
+        f"reference ({share:.1f} %), no answer {none} ({100 * none / len(rows):.1f} %: "
         f"{counts['refused']} refused, {counts['diverged']} diverged, {counts['timeout']} out of "
         f"time), no truth {counts['no truth']}; median {median:.2g} s"
     )
 
 
 def line(row: Row) -> str:
-    """A row of the table."""
+    """Return a row of the table."""
     text = f"{row.kind:8} {row.name:<8} {row.what:<60} {row.seconds:6.1f} s {row.tier:5}"
     if row.said:
         return f"{text}  {row.said[:200]}"
@@ -154,30 +154,32 @@ def line(row: Row) -> str:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and its options."""
+    """Add the subcommand and its options."""
     parser = verbs.add_parser(
         "tolerance",
-        help="whether tolerances are kept on random scenes",
-        description="Draws scenes, solves each within a tolerance and once more on finer meshes, "
-        "and tells how often the tolerance was kept. Exit 1 where fewer than 95 % were.",
+        help="are tolerances met on random scenes",
+        description="Draws scenes, solves each within a tolerance and again on finer meshes, and "
+        "reports how often the tolerance was met. Exit code 1 if this is below 95 %.",
     )
-    parser.add_argument("--scenes", type=int, default=200, help="how many (%(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="others with each seed (%(default)s)")
-    parser.add_argument("--tolerance", default="3 %", help="of the force (3 %%)")
+    parser.add_argument("--scenes", type=int, default=200, help="number of scenes (%(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="random seed (%(default)s)")
+    parser.add_argument("--tolerance", default="3 %", help="force tolerance (3 %%)")
     parser.add_argument("--device", default="cpu", help="cpu, or cuda:0 and the like (%(default)s)")
-    parser.add_argument("--processes", type=int, default=1, help="side by side (%(default)s)")
     parser.add_argument(
-        "--seconds", type=float, default=300.0, help="an answer may take (%(default)g)"
+        "--processes", type=int, default=1, help="number of parallel processes (%(default)s)"
     )
-    parser.add_argument("--csv", type=Path, metavar="FILE", help="write the rows there too")
+    parser.add_argument(
+        "--seconds", type=float, default=300.0, help="time limit of a solve (%(default)g)"
+    )
+    parser.add_argument("--csv", type=Path, metavar="FILE", help="also write the rows to this file")
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace, say: Callable[[str], None] = print) -> int:
-    """Judge the scenes; 0, or 1 where fewer than 95 % of the answers keep the tolerance.
+    """Judge the scenes; return 0, or 1 if fewer than 95 % of the answers meet the tolerance.
 
     Raises:
-        SceneError: An option out of range, or what is no tolerance of the force in per cent.
+        SceneError: An option out of range, or a tolerance that is not in per cent of the force.
     """
     from sim.device import ready_device
 

@@ -1,6 +1,6 @@
-"""Marker archives: binary images, references and labels of many sensors, which training reads.
+"""Marker archives: binary images, references and labels of many sensors, for training.
 
-`docs/data-format.md` is the contract; this package is its one implementation.
+The format is specified in `docs/data-format.md`; this package is its only implementation.
 """
 
 from recorder.archive.array import Rows

@@ -1,7 +1,7 @@
-"""One array of a marker archive on disk: rows in chunks, chunks in shards, one shard a file.
+"""One array of a marker archive on disk: rows in chunks, chunks in shards, one file per shard.
 
-A shard is written whole, in one go, under a name of its writer's own, and renamed when the disk
-has it. All codecs are core Zarr v3: `sharding_indexed` over `bytes`, `zstd` and `crc32c`.
+A shard is written in one go under a name unique to its writer, made durable and then renamed.
+All codecs are core Zarr v3: `sharding_indexed` over `bytes`, `zstd` and `crc32c`.
 """
 
 from __future__ import annotations
@@ -33,27 +33,27 @@ ZSTD_LEVEL = 3
 
 @dataclass(frozen=True, slots=True)
 class ArraySpec:
-    """What an array is, wherever it lies."""
+    """Specification of an array, independent of its path."""
 
     dtype: str
     """Zarr data type, e.g. `float64`."""
     shape: tuple[int, ...]
-    """Rows, then the shape of one."""
+    """Number of rows, then the shape of one."""
     dims: tuple[str, ...]
     """Dimension names, the first being `row`."""
     units: str
     """Units as stored; `1` for a pure number."""
     description: str
-    """One sentence for whoever finds the array without us."""
+    """One sentence for readers who have only the array."""
     chunk_rows: int
-    """Rows that are compressed together."""
+    """Rows per chunk, compressed together."""
     shard_rows: int
-    """Rows of one file, a multiple of `chunk_rows`."""
+    """Rows per file, a multiple of `chunk_rows`."""
     attrs: Mapping[str, Any] = field(default_factory=dict)
-    """What else is stored with it."""
+    """Further attributes stored with it."""
 
     def document(self) -> dict[str, Any]:
-        """Return the array's metadata as Zarr v3 has it."""
+        """Return the array's Zarr v3 metadata."""
         inner = [self.chunk_rows, *self.shape[1:]]
         outer = [self.shard_rows, *self.shape[1:]]
         little = {"name": "bytes", "configuration": {"endian": "little"}}
@@ -70,7 +70,7 @@ class ArraySpec:
             "shape": list(self.shape),
             "data_type": self.dtype,
             "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": outer}},
-            # With dots all shards lie in one directory: one name to make durable, not a path.
+            # With dots all shards are in one directory: one name to make durable, not a path.
             "chunk_key_encoding": {"name": "default", "configuration": {"separator": "."}},
             "fill_value": _fill_value(self.dtype),
             "codecs": [{"name": "sharding_indexed", "configuration": sharding}],
@@ -86,14 +86,14 @@ class ArraySpec:
 
 @dataclass(frozen=True, slots=True)
 class ArrayLayout:
-    """An array at its place."""
+    """An array at a path."""
 
     path: Path
     """Directory of the array."""
     spec: ArraySpec
-    """What it is."""
+    """Specification of the array."""
     files: Files = field(default=LOCAL, repr=False, compare=False)
-    """What the directory is in."""
+    """File access for the directory."""
 
     @property
     def dtype(self) -> np.dtype[Any]:
@@ -107,7 +107,7 @@ class ArrayLayout:
 
     @property
     def slots(self) -> int:
-        """Chunks that a shard has room for."""
+        """Chunks per full shard."""
         return self.spec.shard_rows // self.spec.chunk_rows
 
     @property
@@ -117,7 +117,7 @@ class ArrayLayout:
 
     @property
     def chunks(self) -> int:
-        """Number of chunks that hold rows."""
+        """Number of chunks that contain rows."""
         return math.ceil(self.rows / self.spec.chunk_rows)
 
     @property
@@ -130,12 +130,12 @@ class ArrayLayout:
         return self.path / f"c.{number}{'.0' * (len(self.spec.shape) - 1)}"
 
     def rows_of_shard(self, number: int) -> slice:
-        """Return the rows that a shard holds."""
+        """Return the rows in a shard."""
         first = number * self.spec.shard_rows
         return slice(first, min(first + self.spec.shard_rows, self.rows))
 
     def create(self) -> None:
-        """Write the metadata, replacing what is there."""
+        """Write the metadata, replacing any existing."""
         self.path.mkdir(exist_ok=True)
         write_json(self.path / "zarr.json", self.spec.document())
 
@@ -143,7 +143,7 @@ class ArrayLayout:
         """Write all rows of a shard; equal rows give equal bytes.
 
         Raises:
-            SessionError: Not the rows of that shard, or of another type.
+            SessionError: Not the rows of that shard, or of a different type.
         """
         rows = self.rows_of_shard(number)
         due = (rows.stop - rows.start, *self.spec.shape[1:])
@@ -166,7 +166,7 @@ class ArrayLayout:
         """Return the rows of a chunk (chunk_rows, ...), padding of the last one included.
 
         Raises:
-            SessionError: The chunk is damaged.
+            SessionError: The chunk is corrupt.
         """
         body, crc = data[:-CRC_BYTES], data[-CRC_BYTES:]
         if int(google_crc32c.value(body)) != int.from_bytes(crc, "little"):
@@ -188,7 +188,7 @@ class ArrayLayout:
 
     @classmethod
     def load(cls, path: Path, files: Files = LOCAL) -> Self:
-        """Return the layout that an array's metadata describes.
+        """Return the layout described by an array's metadata.
 
         Raises:
             SessionError: Not an array of this kind.
@@ -221,29 +221,29 @@ class ArrayLayout:
 
 
 def own_temporary(path: Path) -> Path:
-    """Return a name beside a file that no other writer of the same file uses."""
+    """Return a name in the same directory that no other writer of the file uses."""
     return path.with_name(f"{path.name}.{os.getpid()}-{secrets.token_hex(4)}{TEMPORARY}")
 
 
 def _fill_value(dtype: str) -> Any:
-    # What is missing should look missing, as far as the type allows.
+    # Use NaN as the fill value if the type allows it, so that missing data is recognisable.
     if dtype == "bool":
         return False
     return "NaN" if dtype.startswith("float") else 0
 
 
-# Reads rows of an archive's array straight from its shards, wherever they lie.
+# Reading rows of an archive's array directly from its shards, local or remote.
 #
-# A chunk that is declared but not there is an error here; a Zarr reader would see fill values.
+# A chunk that is declared but missing is an error here; a plain Zarr reader returns fill values.
 
 Rows = Sequence[int] | NDArray[np.integer[Any]] | slice
 
 
 class ArrayReader:
-    """The rows of one array. Holds no file open, so that it may be forked, pickled and copied."""
+    """Reader of one array. Holds no file open, so that it can be forked, pickled and copied."""
 
     def __init__(self, layout: ArrayLayout) -> None:
-        """Look at shards when they are needed."""
+        """Prepare reading; shards are opened only when needed."""
         self.layout = layout
         self._indices: dict[int, Index] = {}
 
@@ -255,15 +255,15 @@ class ArrayReader:
         """Return all rows (n, ...).
 
         Raises:
-            SessionError: A chunk is missing or damaged.
+            SessionError: A chunk is missing or corrupt.
         """
         return self.read(slice(None))
 
     def read(self, rows: Rows) -> Array:
-        """Return some rows (n, ...) in the order asked for; a chunk is decoded once.
+        """Return some rows (n, ...) in the requested order; each chunk is decoded once.
 
         Raises:
-            SessionError: No such row, or a chunk that is missing or damaged.
+            SessionError: No such row, or a chunk that is missing or corrupt.
         """
         numbers = self._numbers(rows)
         out = np.empty((len(numbers), *self.layout.spec.shape[1:]), self.layout.dtype)
@@ -283,7 +283,7 @@ class ArrayReader:
         """Return encoded chunks of one shard.
 
         Raises:
-            SessionError: The shard or a chunk is missing or cut short.
+            SessionError: The shard or a chunk is missing or truncated.
         """
         files, path = self.layout.files, self.layout.shard(shard)
         if shard not in self._indices:

@@ -1,4 +1,4 @@
-"""Looks for everything that can be wrong with an archive. Reads all of it, changes nothing."""
+"""Check an archive for every known problem: reads all of it and changes nothing."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from recorder.findings import Finding
 from recorder.markers import PACKED, MarkerCheck, MarkerFlag, unpack
 from recorder.store.files import Files
 
-# The marker-count check of a sensor: which of its frames lost or gained markers, and why.
+# Marker-count check of a sensor: frames that lost or gained markers, with the reason.
 
 _ROWS = 256  # frames in memory at once
 
 
 def marker_flags(sensor: ArchivedSensor) -> list[MarkerFlag]:
-    """Return the frames whose markers are not those of their reference, in order of rows.
+    """Return the frames whose markers differ from those of their reference, in order of rows.
 
-    Rows that are not valid are left out. How markers are counted is attribute `marker_check` of
-    the sensor; null asks for no check.
+    Rows that are not valid are ignored. Attribute `marker_check` of the sensor sets how markers are
+    counted; null disables the check.
 
     Raises:
-        SessionError: A reference that has no markers or is not there, or a chunk that is missing
-            or damaged.
+        SessionError: A reference that is missing or has no markers, or a chunk that is missing or
+            corrupt.
     """
     options = sensor.attrs.get("marker_check")
     if options is None:
@@ -65,39 +65,39 @@ def _of_reference(sensor: ArchivedSensor, number: int, check: MarkerCheck) -> It
 
 
 def _field(sensor: ArchivedSensor, batch: NDArray[np.int64], frame: int) -> NDArray[np.float16]:
-    """Return the displacement of a frame of a batch of rows."""
+    """Return the displacement of one frame of a batch of rows."""
     return sensor.displacement([int(batch[frame])]).squeeze(axis=0)
 
 
 Kind = tuple[str, tuple[int, ...], str]
 
-# Everything that a check of an archive can find, by code.
+# All finding codes of an archive check.
 CODES = {
-    "unfinished": "units are missing, or the tables are",
-    "metadata": "a zarr.json that is missing or not as the format has it",
-    "wrong-dtype": "a column of another type, shape or unit than prescribed",
-    "unequal-lengths": "a column that is not as long as there are frames",
-    "missing-chunk": "data that an array declares and that is not there",
-    "bad-crc": "bytes that are not those that were written",
-    "nan": "values that are no numbers, where there must be some",
-    "bad-code": "codes without a name, and rows that point nowhere",
-    "marker-count": "frames whose markers are not those of their reference",
-    "left-behind": "files that only an archive being written has",
+    "unfinished": "units or tables are missing",
+    "metadata": "a zarr.json that is missing or does not match the format",
+    "wrong-dtype": "a column whose type, shape or unit differs from the specification",
+    "unequal-lengths": "a column whose length differs from the number of frames",
+    "missing-chunk": "a chunk that an array declares but that does not exist",
+    "bad-crc": "bytes that differ from those written",
+    "nan": "values that are not numbers where numbers are required",
+    "bad-code": "codes without a name, and invalid row references",
+    "marker-count": "frames whose markers differ from those of their reference",
+    "left-behind": "files that exist only while an archive is being written",
 }
 
-_NAMED = 3  # rows that a finding tells the reason of
-_LISTED = 20  # rows that a finding lists
+_NAMED = 3  # number of rows for which a finding gives the reason
+_LISTED = 20  # number of rows that a finding lists
 
 
 def check_archive(files: Files, path: Path) -> Iterator[Finding]:
-    """Yield what is wrong with an archive; nothing for a sound one.
+    """Yield the problems of an archive; none for a valid one.
 
     Args:
-        files: What it is in.
+        files: File access for the archive.
         path: Its directory.
 
     Raises:
-        SessionError: Not an archive at all.
+        SessionError: Not an archive.
     """
     attrs = read_archive_attrs(path, files)
     if attrs["status"] != COMPLETE:
@@ -129,7 +129,7 @@ def _progress(files: Files, path: Path, names: list[str]) -> str:
         return "status is not 'complete': it was copied while it was being written"
     done = sum(len(Ledger(path / name).done()) for name in names)
     units = sum(ArrayLayout.load(path / name / "markers").shards for name in names)
-    return f"{done} of {units} units are there; start what made it again: it goes on where it was"
+    return f"{done} of {units} units are written; run the command that made it again to continue"
 
 
 def _check_structure(sensor: ArchivedSensor) -> Iterator[Finding]:
@@ -146,7 +146,7 @@ def _check_structure(sensor: ArchivedSensor) -> Iterator[Finding]:
 
 
 def _check_shared(sensor: ArchivedSensor) -> Iterator[Finding]:
-    """Find fields of another sensor that are not as many as the frames."""
+    """Yield a finding if the fields shared from another sensor differ in number from the frames."""
     if sensor.keeps_displacement or sensor.fields is None:
         return
     if len(sensor.fields) != len(sensor):
@@ -156,7 +156,7 @@ def _check_shared(sensor: ArchivedSensor) -> Iterator[Finding]:
 
 
 def _prescribed(sensor: ArchivedSensor, name: str, found: Kind) -> Kind:
-    """Return type, shape of a row and units that an array must have."""
+    """Return the type, row shape and units that an array must have."""
     if name in ("markers", "references"):
         return ("uint8", (PACKED,), "1")
     if name == "displacement":
@@ -175,7 +175,7 @@ def _layouts(sensor: ArchivedSensor) -> dict[str, ArrayLayout]:
 
 
 def _check_chunks(sensor: ArchivedSensor) -> Iterator[Finding]:
-    """Decode every chunk: each carries a checksum."""
+    """Decode every chunk, which verifies its checksum."""
     for name, layout in _layouts(sensor).items():
         reader = ArrayReader(layout)
         missing: list[str] = []

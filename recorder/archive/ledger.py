@@ -1,7 +1,8 @@
-"""Which units of a sensor are done, and their rows of the table until all are.
+"""Record of the finished units of a sensor, with their table rows until all units are finished.
 
-One file a unit, `<sensor>/markers/ledger/<unit>.npz`, written after the unit's data: a unit without
-its entry does not count. The directory of an array is the one place where no Zarr reader lists it.
+There is one file per unit, `<sensor>/markers/ledger/<unit>.npz`, written after the unit's data: a
+unit without an entry does not count. It is inside an array's directory because Zarr readers do not
+list that.
 """
 
 from __future__ import annotations
@@ -27,43 +28,43 @@ _SUFFIX = ".npz"
 
 @dataclass(frozen=True, slots=True)
 class UnitEntry:
-    """The rows of one unit."""
+    """Rows of one unit."""
 
     columns: Mapping[str, Array]
-    """Columns of the table; `source` points into `lines`."""
+    """Columns of the table; `source` indexes `lines`."""
     lines: tuple[str, ...]
-    """Lines of provenance of the unit."""
+    """Provenance lines of the unit."""
 
 
 class Ledger:
-    """The ledger of one sensor."""
+    """Ledger of one sensor."""
 
     def __init__(self, sensor: Path) -> None:
-        """Show the ledger of the sensor's group."""
+        """Set the path of the ledger in the sensor's group; nothing is read."""
         self.path = sensor / "markers" / "ledger"
 
     def create(self) -> None:
-        """Make room for entries."""
+        """Create the empty ledger."""
         self.path.mkdir()
 
     def done(self) -> set[int]:
-        """Return the numbers of the units that are there; none once the archive is complete."""
+        """Return the numbers of the finished units; none once the archive is complete."""
         if not self.path.is_dir():
             return set()
         stems = {entry.stem for entry in self.path.iterdir() if entry.suffix == _SUFFIX}
         return {int(stem) for stem in stems if stem.isdecimal()}
 
     def has(self, unit: int) -> bool:
-        """Whether a unit is there."""
+        """Return True if a unit is finished."""
         return self._entry(unit).exists()
 
     def enter(self, unit: int, columns: Mapping[str, Array], lines: Sequence[str]) -> None:
-        """Say that a unit is there, for good.
+        """Record a unit as finished, durably.
 
         Args:
-            unit: Its number.
+            unit: Number of the unit.
             columns: Its rows of the table, without `source`.
-            lines: A line of provenance for each row.
+            lines: One provenance line per row.
 
         Raises:
             FileNotFoundError: The ledger was removed, because the archive is complete.
@@ -82,8 +83,8 @@ class Ledger:
         """Return the rows of a unit.
 
         Raises:
-            SessionError: The entry is damaged.
-            FileNotFoundError: There is none.
+            SessionError: The entry is corrupt.
+            FileNotFoundError: There is no entry.
         """
         path = self._entry(unit)
         try:
@@ -97,7 +98,7 @@ class Ledger:
         return UnitEntry(columns, tuple(lines))
 
     def remove(self) -> None:
-        """Drop all entries: the table holds them now. Safe twice."""
+        """Remove all entries, once the table contains them. May be called twice."""
         shutil.rmtree(self.path, ignore_errors=True)
 
     def _entry(self, unit: int) -> Path:

@@ -1,9 +1,9 @@
 """Location pairs: frames of two sensors that were pressed at the same place, in the same phase.
 
-Of each press, four frames are paired: the last of each of its four phases (the supplement). The
+Four frames of each press are paired: the last of each of its four phases (the supplement). The
 authors' code takes the press's first frame, before contact, instead of the last of `normal_dec`:
-preset `authors_code`. Frames without a phase, as presses without shear have them, are paired by
-their last one alike.
+preset `authors_code`. Frames without a phase, as in presses without shear, are also paired by
+their last one.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from recorder.spec import PHASES
 Array = np.ndarray[Any, Any]
 Table = Mapping[str, Array]
 
-# Which four frames of a press are paired.
+# Choices of the four paired frames of a press.
 PRESETS = ("supplement", "authors_code")
 
 _UNLOADED = PHASES.index("normal_dec")
-_FIRST = len(PHASES)  # stands for the first frame where a phase's code would
+_FIRST = len(PHASES)  # code of the first frame, used in place of a phase code
 _CODES = len(PHASES) + 2  # the phases, no phase, and the first frame
 
 
 @dataclass(frozen=True, slots=True)
 class LocationPairs:
-    """Rows that belong together, ascending by location and then by phase."""
+    """Paired rows, ascending by location and then by phase."""
 
     source: NDArray[np.int64]
     """Rows of the source sensor (n,)."""
@@ -46,7 +46,7 @@ class LocationPairs:
 def location_pairs(source: Table, target: Table, preset: str = "supplement") -> LocationPairs:
     """Return the location pairs of two sensors' tables.
 
-    A location or a phase that only one of them has is left out, as are rows that are not valid.
+    Locations or phases that only one of them has, and rows that are not valid, are left out.
 
     Args:
         source: Table of one sensor: columns `location`, `target`, `indenter`, `phase`, `frame`,
@@ -55,7 +55,7 @@ def location_pairs(source: Table, target: Table, preset: str = "supplement") -> 
         preset: One of `PRESETS`.
 
     Raises:
-        SessionError: An unknown preset, or a location that several presses of one sensor share.
+        SessionError: An unknown preset, or a location shared by several presses of one sensor.
     """
     if preset not in PRESETS:
         raise SessionError(f"preset: found {preset!r}; known: {', '.join(PRESETS)}")
@@ -68,7 +68,7 @@ def location_pairs(source: Table, target: Table, preset: str = "supplement") -> 
 
 
 def _chosen(table: Table, preset: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return keys of location and phase, ascending and different, and the row of each."""
+    """Return unique keys of location and phase, ascending, and the row of each."""
     rows = np.flatnonzero((table["location"] >= 0) & table["valid"])
     location = table["location"][rows].astype(np.int64)
     phase, frame = table["phase"][rows].astype(np.int64), table["frame"][rows]
@@ -82,7 +82,7 @@ def _chosen(table: Table, preset: str) -> tuple[NDArray[np.int64], NDArray[np.in
         begun, first = _first_frames(table, np.unique(location[phase >= 0]))
         keys = np.concatenate([keys[pressed], begun * _CODES + _FIRST])
         chosen = np.concatenate([chosen[pressed], first])
-    # No phase has code -1: it sorts before the phases of its location all the same.
+    # Code -1 means no phase; it also sorts before the phases of its location.
     order = np.argsort(keys)
     return keys[order], chosen[order].astype(np.int64)
 
@@ -90,7 +90,7 @@ def _chosen(table: Table, preset: str) -> tuple[NDArray[np.int64], NDArray[np.in
 def _first_frames(
     table: Table, locations: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return locations, and the row of the first frame at each."""
+    """Return locations and the row of the first frame at each."""
     rows = np.flatnonzero(np.isin(table["location"], locations) & table["valid"])
     order = np.lexsort((table["frame"][rows], table["location"][rows]))
     found, first = np.unique(table["location"][rows][order], return_index=True)
@@ -98,7 +98,7 @@ def _first_frames(
 
 
 def _ends(location: NDArray[np.int64], phase: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return where runs of equal location and phase end (n,)."""
+    """Return a mask (n,) of the ends of runs of equal location and phase."""
     ends = np.ones(len(location), np.bool_)
     ends[:-1] = (np.diff(location) != 0) | (np.diff(phase) != 0)
     return ends

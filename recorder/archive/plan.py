@@ -1,4 +1,4 @@
-"""What an archive will hold, known before any of it is made: the same plan finds it again."""
+"""Plan of an archive, fixed before any data is written; the same plan resumes the archive."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ _SENSOR_KEYS = ("mm_per_px", "marker_check", "displacement_of")
 
 @dataclass(frozen=True, slots=True)
 class MarkerCount:
-    """How the markers of a sensor are to be counted when the archive is checked."""
+    """Settings for counting the markers of a sensor in a check."""
 
     smallest_px: int = SMALLEST_PX
-    """Patches of fewer pixels are not counted."""
+    """Smallest patch that is counted [px]."""
     tolerance: int = 0
-    """So many markers may be missing or new beside what the image's border explains."""
+    """Number of missing or extra markers allowed beyond those that the image border explains."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,37 +45,37 @@ class SensorPlan:
     """One sensor of an archive."""
 
     name: str
-    """Name of its group."""
+    """Name of the sensor's group."""
     rows: int
     """Number of frames."""
     chunk_rows: int
-    """Frames that are compressed together: those of one press, if they are few."""
+    """Frames per chunk, compressed together: those of one press, if they are few."""
     unit_rows: int
-    """Frames that are written at once, a multiple of `chunk_rows`; the last unit may be shorter."""
+    """Frames per unit, a multiple of `chunk_rows`; the last unit may be shorter."""
     references: NDArray[np.uint8]
-    """Packed masks of the untouched sensor (K, 38400)."""
+    """Packed masks of the sensor without contact (K, 38400)."""
     mm_per_px: float
-    """Size of a pixel on the untouched surface [mm]."""
+    """Size of a pixel on the undeformed surface [mm]."""
     lattice: Lattice | None = None
-    """Where the displacement field is kept; None keeps none."""
+    """Lattice of the stored displacement field; None stores none."""
     displacement_of: str | None = None
-    """Name of the sensor whose fields are this one's too, row by row: another pattern on the same
-    surface, seen by the same camera."""
+    """Name of the sensor whose fields also apply to this one, row by row: a different pattern on
+    the same surface, seen by the same camera."""
     marker_count: MarkerCount | None = field(default_factory=MarkerCount)
-    """How markers are counted; None where frames may well have another number of patches."""
+    """Settings for counting markers; None if the number of patches may vary between frames."""
     attrs: Mapping[str, Any] = field(default_factory=dict)
-    """What else is known of it: pattern, camera, what it was made from. Anything JSON holds."""
+    """Further JSON-compatible attributes, such as pattern, camera and origin."""
 
     def __post_init__(self) -> None:
-        """Refuse what the format cannot hold.
+        """Reject plans that the format cannot hold.
 
         Raises:
-            SessionError: Naming the field, what was found and what is allowed.
+            SessionError: States the field, the value found and the values allowed.
         """
         if not _NAME.fullmatch(self.name):
             raise SessionError(
                 f"sensor: found name {self.name!r}; allowed: letters, digits, dot, dash and "
-                "underscore, not first a sign"
+                "underscore, starting with a letter or digit"
             )
         for name in ("rows", "chunk_rows", "unit_rows"):
             if getattr(self, name) < 1:
@@ -104,8 +104,8 @@ class SensorPlan:
             )
         if self.lattice is not None and self.displacement_of is not None:
             raise SessionError(
-                f"{self.name}.displacement_of: found {self.displacement_of!r} beside a lattice; "
-                "allowed: one of them"
+                f"{self.name}.displacement_of: found {self.displacement_of!r} together with a "
+                "lattice; allowed: one of them"
             )
         _refuse_own(self.name, self.attrs, _SENSOR_KEYS)
 
@@ -137,7 +137,7 @@ class SensorPlan:
         return arrays
 
     def create(self, path: Path) -> None:
-        """Write the group of the sensor, without a single frame."""
+        """Write the group of the sensor, without any frames."""
         path.mkdir()
         own = {
             "mm_per_px": float(self.mm_per_px),
@@ -162,21 +162,21 @@ class SensorPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArchivePlan:
-    """A whole archive. Without times or chance, so that two runs of one plan are one."""
+    """Plan of a whole archive. Has no times or random values, so that two runs of it are equal."""
 
     sensors: tuple[SensorPlan, ...]
-    """Its sensors, with different names."""
+    """Sensors, with different names."""
     indenters: tuple[str, ...]
     """Names of the indenters, by code; the same codes in all sensors."""
     attrs: Mapping[str, Any] = field(default_factory=dict)
-    """What else is known of it. Anything JSON holds."""
+    """Further JSON-compatible attributes."""
 
     def __post_init__(self) -> None:
-        """Refuse what the format cannot hold.
+        """Reject plans that the format cannot hold.
 
         Raises:
-            SessionError: No sensors or indenters, names that repeat, or a sensor that shares the
-                fields of one that has none, or not as many.
+            SessionError: No sensors or indenters, repeated names, or a sensor that shares the
+                fields of one that has none or a different number.
         """
         for what, names in (
             ("sensors", [sensor.name for sensor in self.sensors]),
@@ -195,12 +195,12 @@ class ArchivePlan:
 
 
 def begin(path: Path, plan: ArchivePlan) -> None:
-    """Create the archive of a plan, or make sure that the one at `path` is of the same plan.
+    """Create the archive of a plan, or check that the existing one at `path` has the same plan.
 
-    A new archive appears whole, status `writing`, or not at all. One process at a time begins it.
+    A new archive is created atomically, with status `writing`, by one process at a time.
 
     Raises:
-        SessionError: Something else lies there, or the plan holds what JSON cannot.
+        SessionError: `path` is something else, or the plan has values that JSON cannot hold.
     """
     building = path.with_name(path.name + _CREATING)
     shutil.rmtree(building, ignore_errors=True)
@@ -214,7 +214,7 @@ def begin(path: Path, plan: ArchivePlan) -> None:
             building.rename(path)
             sync_directory(path.parent)
     finally:
-        # There is nothing under this name once it was renamed.
+        # This name no longer exists after the rename.
         shutil.rmtree(building, ignore_errors=True)
 
 

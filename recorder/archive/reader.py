@@ -1,4 +1,4 @@
-"""Opens an archive to read. Changes nothing, and never invents a value."""
+"""Read-only access to an archive. Changes nothing and never fills in values."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class ArchivedSensor:
     """One sensor of an archive: its frames, their references and their table."""
 
     def __init__(self, path: Path, files: Files = LOCAL) -> None:
-        """Open a sensor; `MarkerArchive` does it for you.
+        """Open a sensor; use `MarkerArchive` instead.
 
         Raises:
             SessionError: Not a sensor of an archive.
@@ -42,7 +42,7 @@ class ArchivedSensor:
         self.table: Mapping[str, np.ndarray[Any, Any]] = Table(
             path / "table", tuple(COLUMNS), self._column
         )
-        """Columns (n, ...) by name, read when they are first asked for."""
+        """Columns (n, ...) by name, read on first access."""
 
     def __len__(self) -> int:
         """Return the number of frames."""
@@ -50,14 +50,14 @@ class ArchivedSensor:
 
     @property
     def mm_per_px(self) -> float:
-        """Size of a pixel on the untouched surface [mm]."""
+        """Size of a pixel on the undeformed surface [mm]."""
         return float(self.attrs["mm_per_px"])
 
     def packed(self, rows: Rows) -> NDArray[np.uint8]:
         """Return packed masks (n, 38400).
 
         Raises:
-            SessionError: No such row, or a chunk that is missing or damaged.
+            SessionError: No such row, or a chunk that is missing or corrupt.
         """
         return self.markers.read(rows)
 
@@ -65,20 +65,20 @@ class ArchivedSensor:
         """Return masks (n, 480, 640), True on a marker.
 
         Raises:
-            SessionError: No such row, or a chunk that is missing or damaged.
+            SessionError: No such row, or a chunk that is missing or corrupt.
         """
         return unpack(self.packed(rows))
 
     @cached_property
     def references(self) -> NDArray[np.uint8]:
-        """Packed masks of the untouched sensor (K, 38400); `table["reference"]` says which."""
+        """Packed contact-free masks (K, 38400); `table["reference"]` holds their indices."""
         return self._references.all()
 
     def reference(self, row: int) -> NDArray[np.bool_]:
-        """Return the mask (480, 640) of the untouched sensor that a frame is to be compared with.
+        """Return the mask (480, 640) of the sensor without contact that a frame is compared with.
 
         Raises:
-            SessionError: No such row, or a chunk that is missing or damaged.
+            SessionError: No such row, or a chunk that is missing or corrupt.
         """
         if not 0 <= row < len(self):
             raise SessionError(f"{self.name}: no row {row}, the sensor has {len(self)}")
@@ -86,15 +86,15 @@ class ArchivedSensor:
 
     @cached_property
     def keeps_displacement(self) -> bool:
-        """Whether displacement fields are kept in this sensor's own group."""
+        """True if displacement fields are stored in this sensor's own group."""
         return self.path / "displacement" in self.files.groups(self.path)
 
     @cached_property
     def fields(self) -> ArrayReader | None:
-        """The displacement fields, its own or those that it shares; None without.
+        """Displacement fields, its own or shared ones; None if there are none.
 
         Raises:
-            SessionError: Those that it shares are not there.
+            SessionError: The shared fields are missing.
         """
         owner = self.attrs.get("displacement_of")
         if owner is None and not self.keeps_displacement:
@@ -104,10 +104,10 @@ class ArchivedSensor:
 
     @property
     def lattice(self) -> Lattice:
-        """Where the displacement fields are kept.
+        """Lattice of the displacement fields.
 
         Raises:
-            SessionError: None are, or they do not say where.
+            SessionError: There are no fields, or their lattice is not stored.
         """
         layout = self._required_fields().layout
         try:
@@ -120,16 +120,16 @@ class ArchivedSensor:
         """Return displacement fields (n, *lattice.shape) [px], NaN where there is no material.
 
         Raises:
-            SessionError: None are kept, no such row, or a chunk that is missing or damaged.
+            SessionError: No fields stored, no such row, or a chunk that is missing or corrupt.
         """
         return self._required_fields().read(rows)
 
     @cached_property
     def sources(self) -> list[str]:
-        """Lines of provenance; `table["source"]` says which is a frame's.
+        """Provenance lines, indexed by `table["source"]`.
 
         Raises:
-            SessionError: A chunk is missing or damaged, or the archive is still being written.
+            SessionError: A chunk is missing or corrupt, or the archive is still being written.
         """
         text = self._whole("sources")
         return [line.tobytes().rstrip(b"\0").decode() for line in text]
@@ -145,7 +145,7 @@ class ArchivedSensor:
     def _whole(self, name: str) -> np.ndarray[Any, Any]:
         if read_archive_attrs(self.path.parent, self.files)["status"] != COMPLETE:
             raise SessionError(
-                f"{self.name}/{name}: is made when all units are there; the archive is still "
+                f"{self.name}/{name}: exists only once all units are written; the archive is still "
                 "being written"
             )
         return ArrayReader(ArrayLayout.load(self.path / name, self.files)).all()
@@ -154,7 +154,7 @@ class ArchivedSensor:
 class MarkerArchive(Mapping[str, ArchivedSensor]):
     """One archive, read-only: its sensors by name.
 
-    One that is still being written opens with the units that are there; `warning` says so.
+    An archive that is still being written shows the units written so far, and has a `warning`.
     """
 
     def __init__(
@@ -167,10 +167,10 @@ class MarkerArchive(Mapping[str, ArchivedSensor]):
 
         Args:
             path: A directory, or a URL that fsspec knows, such as `s3://bucket/x.markers.zarr`.
-            storage_options: What fsspec needs to open the URL, e.g. `{"anon": True}`.
+            storage_options: Options that fsspec needs to open the URL, e.g. `{"anon": True}`.
 
         Raises:
-            SessionError: Not an archive, of a newer format, or out of reach.
+            SessionError: Not an archive, a newer format, or unreachable.
         """
         self.files, self.path = locate(path, storage_options)
         self.attrs = read_archive_attrs(self.path, self.files)
@@ -180,7 +180,7 @@ class MarkerArchive(Mapping[str, ArchivedSensor]):
 
     @property
     def name(self) -> str:
-        """Where it is, as a person would write it: the path or the URL."""
+        """Location of the archive as a path or URL."""
         return self.files.name(self.path)
 
     @property
@@ -195,11 +195,11 @@ class MarkerArchive(Mapping[str, ArchivedSensor]):
 
     @property
     def warning(self) -> str | None:
-        """What a reader should know before trusting the archive, or None."""
+        """Warning to show before the archive is used, or None."""
         if self.status != COMPLETE:
             return (
                 f"{self.name}: still being written, or killed while it was; frames may be missing "
-                "and there are no tables (start what made it again: it goes on where it was)"
+                "and there are no tables (run the command that made it again to continue)"
             )
         return None
 
@@ -226,7 +226,7 @@ def read_archive_attrs(path: Path, files: Files = LOCAL) -> dict[str, Any]:
     """Return the attributes of an archive.
 
     Raises:
-        SessionError: Not an archive, of a newer format, or without what every archive says.
+        SessionError: Not an archive, a newer format, or a required attribute is missing.
     """
     attrs = read_attrs(path, files, what="archive", format_=FORMAT, version=FORMAT_VERSION)
     for key, kind in (("status", str), ("sensors", list), ("indenters", list)):
@@ -241,27 +241,27 @@ def read_archive_attrs(path: Path, files: Files = LOCAL) -> dict[str, Any]:
 
 
 def require_plain_name(name: object) -> str:
-    """Return the name of a sensor, which must not lead out of the archive.
+    """Return the name of a sensor after checking that it does not lead out of the archive.
 
     Raises:
-        SessionError: It does.
+        SessionError: The name is not plain.
     """
     if not isinstance(name, str) or Path(name).name != name:
         raise SessionError(f"found sensor {name!r}, expected a plain name")
     return name
 
 
-# An archive in a page of text.
+# Text summary of an archive.
 
 _TITLES = ("frames", "shapes", "refs", "markers", "MB", "mm/px", "depth mm", "Fx N", "Fy N", "Fz N")
 _WIDTHS = (8, 6, 5, 7, 9, 7, 12, 13, 13, 14)
 
 
 def describe_archive(path: str | os.PathLike[str]) -> str:
-    """Return what an archive holds: a line a sensor.
+    """Return a summary of an archive, with one line per sensor.
 
     Raises:
-        SessionError: Not an archive, or a damaged table.
+        SessionError: Not an archive, or a corrupt table.
     """
     archive = MarkerArchive(path)
     lines = [f"{archive.name}  status {archive.status}, {len(archive)} sensor(s)"]

@@ -1,4 +1,4 @@
-"""The table of a sensor: what is known of each frame. Columns, and what may stand in them."""
+"""The table of a sensor: metadata of each frame, with its columns and their allowed values."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from recorder.archive.array import Array, ArrayLayout, ArraySpec
 from recorder.errors import SessionError
 from recorder.spec import PHASES
 
-# The column that the writer fills: it points into the lines of provenance.
+# The column that the writer fills: it indexes the provenance lines.
 SOURCE = "source"
 # Code of a frame that belongs to no phase.
 NO_PHASE = -1
@@ -24,25 +24,25 @@ _CHUNK_ROWS = 4096
 
 @dataclass(frozen=True, slots=True)
 class TableColumn:
-    """One column."""
+    """One column of a table."""
 
     dtype: str
     """Zarr data type."""
     units: str
     """Units as stored."""
     description: str
-    """One sentence for whoever finds the array without us."""
+    """One sentence for readers who have only the array."""
     shape: tuple[int, ...] = ()
     """Shape of one value."""
     dims: tuple[str, ...] = ()
     """Dimension names of one value."""
     least: int | None = None
-    """Smallest value allowed, of an integer column."""
+    """Smallest allowed value of an integer column."""
     may_be_nan: bool = False
-    """Whether NaN is allowed, in all of a row's values or none."""
+    """True if NaN is allowed, in all of a row's values or none."""
 
 
-# Columns of a table in their order.
+# Columns of a table, in order.
 COLUMNS: Mapping[str, TableColumn] = {
     "indenter": TableColumn("int16", "1", "code of the indenter, see attrs names", least=0),
     "seen": TableColumn("bool", "1", "whether models may be trained on the indenter"),
@@ -79,21 +79,21 @@ COLUMNS: Mapping[str, TableColumn] = {
     SOURCE: TableColumn("int32", "1", "row of sources", least=0),
 }
 
-# The columns that whoever writes an archive supplies.
+# Columns that the caller of the writer supplies.
 GIVEN = tuple(name for name in COLUMNS if name != SOURCE)
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """How many of each there are for codes to point at."""
+    """Numbers of entries that codes may refer to."""
 
     indenters: int
     references: int
     sources: int | None = None
-    """None while lines of provenance are still being gathered."""
+    """None while provenance lines are still being collected."""
 
     def of(self, name: str) -> int | None:
-        """Return the first value that a column may not have; None where any may stand."""
+        """Return the exclusive upper limit of a column's values; None if there is none."""
         ends = {"indenter": self.indenters, "reference": self.references, SOURCE: self.sources}
         return ends.get(name, len(PHASES) if name == "phase" else None)
 
@@ -101,17 +101,17 @@ class Limits:
 def checked_columns(
     table: Mapping[str, Any], rows: int, limits: Limits, where: str
 ) -> dict[str, Array]:
-    """Return what was given as arrays of the types of a table.
+    """Return the given columns as arrays of the table's types.
 
     Args:
-        table: The columns of `GIVEN`, one value a row.
-        rows: How many rows there must be.
-        limits: What codes may point at.
-        where: Begins the message of an error.
+        table: The columns of `GIVEN`, one value per row.
+        rows: Required number of rows.
+        limits: Upper limits of the codes.
+        where: Prefix of error messages.
 
     Raises:
-        SessionError: A column is missing, unknown, of another shape or type, or holds a value that
-            may not stand there.
+        SessionError: A column is missing, unknown, of a different shape or type, or has a value
+            that is not allowed.
     """
     if set(table) != set(GIVEN):
         raise SessionError(
@@ -128,7 +128,7 @@ def checked_columns(
 
 
 def misplaced(name: str, values: Array, limits: Limits) -> NDArray[np.bool_]:
-    """Return in which rows (n,) of a column something stands that may not."""
+    """Return a mask (n,) of the rows of a column whose values are not allowed."""
     column, wrong = COLUMNS[name], np.zeros(len(values), np.bool_)
     if values.dtype.kind == "f":
         values = values.reshape(len(values), -1)
@@ -145,7 +145,7 @@ def misplaced(name: str, values: Array, limits: Limits) -> NDArray[np.bool_]:
 
 
 def allowed(name: str, limits: Limits) -> str:
-    """Return what may stand in a column, in words."""
+    """Return the allowed values of a column as text."""
     column, end = COLUMNS[name], limits.of(name)
     if column.dtype.startswith("float"):
         return "finite values" + ", or NaN in all of a row" * column.may_be_nan
@@ -153,12 +153,12 @@ def allowed(name: str, limits: Limits) -> str:
 
 
 def column_spec(name: str, rows: int, names: Sequence[str] = ()) -> ArraySpec:
-    """Return the array that a column is stored as: one shard, one file.
+    """Return the specification of a column's array: one shard, one file.
 
     Args:
         name: One of `COLUMNS`.
         rows: Length of the table.
-        names: What the codes mean, in their order.
+        names: Names of the codes, in order.
     """
     column = COLUMNS[name]
     return ArraySpec(
@@ -174,7 +174,7 @@ def column_spec(name: str, rows: int, names: Sequence[str] = ()) -> ArraySpec:
 
 
 def write_whole(path: Path, spec: ArraySpec, values: Array) -> None:
-    """Write an array of one shard, replacing what is there."""
+    """Write an array of one shard, replacing any existing."""
     layout = ArrayLayout(path, spec)
     layout.create()
     layout.write_shard(0, values)
@@ -197,5 +197,5 @@ def _typed(values: Any, column: TableColumn, rows: int, where: str) -> Array:
 
 
 def _same_kind(found: np.dtype[Any], due: np.dtype[Any]) -> bool:
-    """Whether every value survives the conversion, up to floating-point rounding and range."""
+    """Return True if every value survives the conversion, up to rounding and range."""
     return found.kind in {"b": "b", "i": "iu", "f": "iuf"}[due.kind]

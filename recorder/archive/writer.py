@@ -1,9 +1,9 @@
-"""Writes an archive unit by unit: in any order, by many processes, twice, killed at any moment.
+"""Write an archive unit by unit: in any order, in parallel, repeatedly, and safe against crashes.
 
-A unit is a run of rows with a shard of its own in every large array. Its data are written whole
-and made durable; then an entry of the ledger says that it is there and keeps its rows of the
-table. When all units are there, the table is put together from the ledger, the status becomes
-`complete`, and the ledger goes. Every one of these steps gives the same bytes when it is repeated.
+A unit is a run of rows with its own shard in every large array. Its data is written and made
+durable; then a ledger entry marks it as finished and stores its rows of the table. When all units
+are finished, the table is assembled from the ledger, the status becomes `complete`, and the ledger
+is removed. Each of these steps gives the same bytes when repeated.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ _SOURCE_CHUNK = 256
 
 
 class ArchiveWriter:
-    """An archive that is being written. Holds nothing but its path: open it in every process."""
+    """Writer of an archive. Holds only its path, so that every process can open its own."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         """Open an archive that `begin` created.
 
         Raises:
-            SessionError: Not an archive, or of a newer format.
+            SessionError: Not an archive, or a newer format.
         """
         self.path = Path(path)
         attrs = self._attrs()
@@ -54,31 +54,31 @@ class ArchiveWriter:
 
     @classmethod
     def begin(cls, path: str | os.PathLike[str], plan: ArchivePlan) -> Self:
-        """Create the archive of a plan, or go on with the one that the same plan began.
+        """Create the archive of a plan, or continue the one that the same plan began.
 
         Raises:
-            SessionError: Something else lies there, or the plan holds what JSON cannot.
+            SessionError: `path` is something else, or the plan has values that JSON cannot hold.
         """
         begin(Path(path), plan)
         return cls(path)
 
     @property
     def complete(self) -> bool:
-        """Whether nothing is left to do."""
+        """True if nothing remains to be done."""
         return bool(self._attrs()["status"] == COMPLETE)
 
     def missing(self) -> dict[str, list[int]]:
-        """Return the units of each sensor that are still to be written; empty when complete."""
+        """Return the units of each sensor that remain to be written; empty if complete."""
         if self.complete:
             return {}
         missing = {name: sensor.missing() for name, sensor in self.sensors.items()}
         return {name: units for name, units in missing.items() if units}
 
     def finish(self) -> None:
-        """Put the tables together and close the archive. Safe to repeat, by one process at a time.
+        """Assemble the tables and close the archive. May be repeated, by one process at a time.
 
         Raises:
-            SessionError: Units are missing, or an entry of the ledger is damaged.
+            SessionError: Units are missing, or a ledger entry is corrupt.
         """
         missing = self.missing()
         if missing:
@@ -101,10 +101,10 @@ class ArchiveWriter:
 
 
 class SensorWriter:
-    """One sensor of an archive that is being written; `ArchiveWriter.sensors` makes it."""
+    """Writer of one sensor of an archive; obtained from `ArchiveWriter.sensors`."""
 
     def __init__(self, archive: ArchiveWriter, name: str, indenters: int) -> None:
-        """Read what the plan said of the sensor."""
+        """Read the plan of the sensor from its metadata."""
         self.path = archive.path / name
         self.ledger = Ledger(self.path)
         self._archive = archive
@@ -138,7 +138,7 @@ class SensorWriter:
         return self._markers.rows_of_shard(unit)
 
     def missing(self) -> list[int]:
-        """Return the units that are still to be written, ascending."""
+        """Return the units that remain to be written, ascending."""
         if self._archive.complete:
             return []
         done = self.ledger.done()
@@ -153,17 +153,17 @@ class SensorWriter:
         source: Sequence[str],
         displacement: NDArray[np.float16] | None = None,
     ) -> None:
-        """Write a unit whole. One that is there already stays as it is.
+        """Write one whole unit. A unit that is already finished is not changed.
 
         Args:
-            unit: Its number.
+            unit: Number of the unit.
             packed: Packed masks of its n rows (n, 38400).
             table: The columns of `table.GIVEN`, n values each.
-            source: A line of provenance for each row; rows of one press share theirs.
-            displacement: Fields (n, *lattice.shape) [px], where the plan has a lattice.
+            source: One provenance line per row; rows of one press share theirs.
+            displacement: Fields (n, *lattice.shape) [px], if the plan has a lattice.
 
         Raises:
-            SessionError: Not what the plan said, or a value that may not stand there.
+            SessionError: Data that does not match the plan, or a value that is not allowed.
         """
         rows = self.rows_of(unit)
         count = rows.stop - rows.start
@@ -185,16 +185,16 @@ class SensorWriter:
                 self._layouts[name].write_shard(unit, values)
             self.ledger.enter(unit, columns, source)
         except FileNotFoundError:
-            # Somebody else wrote this unit and finished the archive meanwhile.
+            # Another process wrote this unit and finished the archive in the meantime.
             if not self._archive.complete:
                 raise
 
     def write_table(self, indenters: Sequence[str]) -> None:
-        """Put the table together from the ledger, which must hold every unit.
+        """Assemble the table from the ledger, which must contain every unit.
 
         Raises:
-            SessionError: An entry is damaged.
-            FileNotFoundError: An entry is not there.
+            SessionError: An entry is corrupt.
+            FileNotFoundError: An entry is missing.
         """
         entries = [self.ledger.read(unit) for unit in range(self.units)]
         lines: dict[str, int] = {}

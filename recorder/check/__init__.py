@@ -1,1 +1,1 @@
-"""Looks for everything that can be wrong with a session or an archive."""
+"""Checks of sessions and archives for every known problem."""

@@ -1,4 +1,4 @@
-"""Looks for everything that can be wrong with a session or an archive. Changes nothing."""
+"""Check a session or a marker archive for every known problem, read-only."""
 
 import os
 from collections.abc import Iterator
@@ -16,9 +16,9 @@ from recorder.store.layout import StreamLayout, read_session_attrs, says_it_is
 
 
 def check(path: str | os.PathLike[str]) -> list[Finding]:
-    """Return what is wrong with a session or a marker archive; an empty list for a sound one.
+    """Return the problems of a session or a marker archive; an empty list if it is valid.
 
-    What cannot be read is reported once, and not judged for its content.
+    Unreadable data is reported once and its content is not checked.
 
     Raises:
         SessionError: Neither a session nor an archive.

@@ -1,4 +1,4 @@
-"""Checks of what the samples say: do time, sequence and values make sense?"""
+"""Checks of the recorded content: times, sequence numbers and values."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -14,16 +14,16 @@ from recorder.spec import OUTCOMES, PHASES
 
 Array = np.ndarray[Any, Any]
 
-# A pause is a gap when it exceeds both this many periods and this long [s].
+# A pause is a gap if it exceeds both this many periods and this duration [s].
 GAP_PERIODS, GAP_LEAST = 3.0, 0.05
-# Equal samples are frozen when they last longer than this [s], and are at least so many.
+# Equal samples are frozen if they last longer than this [s] and number at least this many.
 FROZEN, FROZEN_SAMPLES = 1.0, 5
 # A stream may end this long before the last phase [s].
 END_MARGIN = 1.0
 # A phase may begin this long before a stream does [s].
 START_MARGIN = 0.1
 
-_STEP_SAMPLES = 16  # on either side; enough that a late packet or two do not look like a step
+_STEP_SAMPLES = 16  # on either side; enough that one or two late packets do not look like a step
 _NAN_IS_FINE = {"device_t"}
 _FREEZING = ("camera", "force", "taxels")
 
@@ -31,7 +31,7 @@ _FREEZING = ("camera", "force", "taxels")
 def check_stream(
     session: Session, stream: Stream, contents: NDArray[np.uint32] | None
 ) -> Iterator[Finding]:
-    """Find what is wrong in time, sequence and values of a stream, run by run.
+    """Yield problems in the times, sequence numbers and values of a stream, run by run.
 
     Args:
         session: The session, for its runs.
@@ -61,15 +61,15 @@ def check_stream(
 
 
 def is_compressed(session: Session) -> bool:
-    """Return whether times are those of a replay at another speed than the recorded one.
+    """Return True if times come from a replay at a speed other than the recorded one.
 
-    They still say the order; pauses and steps against the device's clock they do not.
+    Such times still give the order, but not pauses or steps against the device's clock.
     """
     return bool(session.attrs.get("replay_of", {}).get("speed", 1.0) != 1.0)
 
 
 def check_segments(session: Session) -> Iterator[Finding]:
-    """Find phases that point nowhere or that streams do not cover, and streams that end early."""
+    """Yield phases with invalid references or no stream coverage, and streams that end early."""
     segments = session.segments
     starts, ends = segments["start_ns"], segments["end_ns"]
     limits = {
@@ -94,7 +94,7 @@ def check_segments(session: Session) -> Iterator[Finding]:
 
 
 def check_frames(session: Session) -> Iterator[Finding]:
-    """Find a frames view that does not have one row per tick of the segments."""
+    """Yield a finding if the frames view does not have one row per tick of the segments."""
     segments = session.segments
     if "t_ns" not in session.frames:
         yield Finding("frames-length", "frames", "missing")
@@ -115,7 +115,7 @@ def check_frames(session: Session) -> Iterator[Finding]:
 
 
 def _period(t_ns: NDArray[np.int64], rate_hz: float) -> float:
-    """Return the period to judge gaps by [s]: the measured one, if it is slower than declared."""
+    """Return the period for judging gaps [s]: the measured one if longer than the declared."""
     measured = float(np.median(np.diff(t_ns))) * NS if len(t_ns) > 1 else 0.0
     return max(1.0 / rate_hz, measured)
 
@@ -167,9 +167,9 @@ def _check_times(
 def _clock_steps(
     t_ns: NDArray[np.int64], columns: Mapping[str, Array], limit: float
 ) -> NDArray[np.intp]:
-    """Return the rows after which the offset between host and device has changed for good."""
+    """Return the rows after which the offset between host and device has changed permanently."""
     device_t = columns.get("device_t")
-    # Without a device clock a step cannot be told from a device that paused: that is a gap.
+    # Without a device clock, a step cannot be distinguished from a device that paused: a gap.
     if device_t is None or not np.isfinite(device_t).all():
         return np.zeros(0, np.intp)
     offset = (t_ns - t_ns[0]) * NS - (device_t - device_t[0])
@@ -182,7 +182,7 @@ def _clock_steps(
 
 
 def _level(offset: NDArray[np.float64], at: int, direction: int) -> float:
-    """Return the median of the samples from one on, forward or backward."""
+    """Return the median of the samples from row `at` on, forward or backward."""
     if direction > 0:
         return float(np.median(offset[at : at + _STEP_SAMPLES]))
     return float(np.median(offset[max(at - _STEP_SAMPLES + 1, 0) : at + 1]))

@@ -1,4 +1,4 @@
-"""Checks of what lies on the disk: are all bytes there, and are they those that were written?"""
+"""Checks of the files on disk: completeness and checksums."""
 
 import math
 from collections.abc import Iterator
@@ -28,7 +28,7 @@ from recorder.store.shard import MISSING, read_index
 
 
 def check_arrays(files: Files, session: Path) -> Iterator[Finding]:
-    """Find arrays without units, in the whole session."""
+    """Yield arrays without units in the whole session."""
     documents = (path for path in files.listed(session) if path.name == "zarr.json")
     for path in sorted(documents):
         where = str(path.parent.relative_to(session))
@@ -43,7 +43,7 @@ def check_arrays(files: Files, session: Path) -> Iterator[Finding]:
 
 
 def check_table(files: Files, session: Path, name: str) -> Iterator[Finding]:
-    """Find missing and damaged chunks, and unequal lengths, in a group written whole."""
+    """Yield missing and corrupt chunks, and unequal lengths, in a group written in one go."""
     lengths = {}
     there = set(files.listed(session / name))
     for group in files.groups(session / name):
@@ -66,7 +66,7 @@ def check_table(files: Files, session: Path, name: str) -> Iterator[Finding]:
 
 
 def check_stream_files(files: Files, session: Path, group: Path) -> Iterator[Finding]:
-    """Find what a stream's metadata and stray files say, without reading its data."""
+    """Yield problems in a stream's metadata and leftover files, without reading its data."""
     where = str(group.relative_to(session))
     try:
         layout = StreamLayout.load(group, files)
@@ -86,7 +86,7 @@ def check_stream_files(files: Files, session: Path, group: Path) -> Iterator[Fin
 
 
 def check_chunks(session: Path, layout: Layout) -> tuple[list[Finding], NDArray[np.uint32]]:
-    """Verify every record of a column, and return the CRC-32C of every chunk (n,) beside."""
+    """Verify every record of a column; return the findings and each chunk's CRC-32C (n,)."""
     where = str(layout.path.relative_to(session))
     chunks = math.ceil(layout.rows() / layout.rows_per_chunk)
     contents = np.zeros(chunks, np.uint32)
@@ -139,7 +139,7 @@ def _is_record(head: bytes, payload: bytes, number: int) -> bool:
 
 
 def _is_jpeg(payload: bytes) -> bool:
-    # Cameras pad their frames to what the bus likes, so the end marker need not be the end.
+    # Cameras pad their frames to suit the bus, so the end marker need not come last.
     return payload.startswith(b"\xff\xd8") and b"\xff\xd9" in payload[-1024:]
 
 
@@ -152,7 +152,7 @@ def _unlike_spec(layout: StreamLayout, where: str) -> Iterator[Finding]:
         name = f"{where}/{expected.name}"
         column = found.get(expected.name)
         if column is None:
-            yield Finding("wrong-dtype", name, "found no such column")
+            yield Finding("wrong-dtype", name, "column not found")
         elif (column.dtype, column.shape) != (expected.dtype, expected.shape):
             yield Finding(
                 "wrong-dtype",
@@ -166,7 +166,7 @@ def _unlike_spec(layout: StreamLayout, where: str) -> Iterator[Finding]:
 
 
 def _spec_of(layout: StreamLayout) -> StreamSpec | None:
-    """Return what the format prescribes for a stream of this name; None if it does not."""
+    """Return the format's specification for a stream of this name; None if there is none."""
     if layout.name == "camera" and layout.image is not None:
         height, width = layout.image.column.shape[:2]
         return camera_spec(60, height=height, width=width, codec=layout.image.column.codec)

@@ -1,7 +1,7 @@
-"""Recordings made elsewhere in, sessions for other programs out: one file a format.
+"""Import of other recordings and export of sessions: one file per format.
 
-Every format's library is imported only when it is asked for; docs/exporting.md says what each
-format keeps.
+The library of a format is imported only when the format is used; docs/exporting.md describes the
+content of each format.
 """
 
 from recorder.convert.export import FORMATS, Options, building, export, file_name

@@ -1,4 +1,4 @@
-"""The one call behind `python -m recorder export`."""
+"""Implementation of `python -m recorder export`."""
 
 from __future__ import annotations
 
@@ -16,41 +16,41 @@ from recorder.errors import SessionError
 from recorder.session.reader import Session
 from recorder.store.durable import sync_directory
 
-# What the person who exports may choose, and how a format reports how far it is.
+# Options of an export, and its progress callback.
 
-# Called with the rows done and those to do.
+# Called with the number of rows done and the total.
 Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """Choices; a format ignores those that do not concern it."""
+    """Options of an export; a format ignores those that do not apply to it."""
 
     decode: bool = False
-    """hdf5: store images as pixels instead of the camera's own JPEG bytes."""
+    """hdf5: store images as pixels instead of the camera's JPEG bytes."""
     valid_only: bool = False
-    """lerobot, genforce: leave out rows that lack a sample near enough."""
+    """lerobot, genforce: leave out rows that have no sample near enough."""
 
 
 def ignored(done: int, total: int) -> None:
-    """Report to nobody."""
+    """Ignore progress."""
 
 
-# Where an export goes: built beside, renamed when whole; and names that cannot leave it.
+# Output of an export: built under a temporary name, renamed when complete; safe file names.
 
-# Suffix of an export that is being built and means nothing yet.
+# Suffix of an export that is being built and not yet valid.
 CREATING = ".creating"
 _LONGEST = 80
 
 
 @contextmanager
 def building(destination: str | os.PathLike[str]) -> Iterator[Path]:
-    """Give the path to build at; on leaving, give it its name, or remove it after an error.
+    """Yield the path to build at; on exit, rename it to its destination, or remove it on error.
 
-    An interruption counts as an error: there is a whole export, or none.
+    An interruption counts as an error, so the export is either complete or absent.
 
     Raises:
-        SessionError: Something is at the destination, or its folder does not exist.
+        SessionError: The destination exists, or its folder does not.
     """
     final = Path(destination)
     if final.exists() or final.is_symlink():
@@ -71,7 +71,7 @@ def building(destination: str | os.PathLike[str]) -> Iterator[Path]:
 def file_name(text: object) -> str:
     """Return a text as a file name: one component, letters, digits, dot, dash and underscore.
 
-    `../x` becomes `_x`, an empty text `unnamed`: no name leads out of the folder it is put in.
+    `../x` becomes `_x`, an empty text `unnamed`: no name leads out of its folder.
     """
     plain = re.sub(r"[^A-Za-z0-9._-]+", "_", str(text)).lstrip(".")
     return plain[:_LONGEST] or "unnamed"
@@ -84,7 +84,7 @@ def _remove(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-# What can be written, and what it is.
+# Export formats with their descriptions.
 FORMATS: Mapping[str, str] = {
     "lerobot": "LeRobot dataset v3.0, one episode per target (a folder)",
     "mcap": "MCAP with Foxglove's schemas, every sample at its own time (a file)",
@@ -103,19 +103,19 @@ def export(
 ) -> None:
     """Write a finished session in another format. The source is only read.
 
-    The destination appears whole or not at all. Rows are streamed: memory does not grow with the
-    length of the session, but for the frames view (up to 0.6 kB a row) and the times.
+    The destination is created atomically. Rows are streamed: memory does not grow with the length
+    of the session, except for the frames view (up to 0.6 kB per row) and the times.
 
     Args:
-        source: A session, its path, or the URL of one.
-        destination: File or folder to make; nothing may be there yet.
+        source: A session, its path, or its URL.
+        destination: File or folder to create; must not exist.
         to: One of `FORMATS`.
-        options: Choices of the format.
-        progress: Called with the rows done and those to do.
+        options: Options of the format.
+        progress: Called with the number of rows done and the total.
 
     Raises:
-        SessionError: An unknown format, an unfinished or damaged source, an existing destination,
-            a missing library, or a session that the format cannot hold.
+        SessionError: An unknown format, an unfinished or corrupt source, an existing destination,
+            a missing library, or a session that the format cannot represent.
         OSError: The disk is full, or not writable.
     """
     if to not in FORMATS:
@@ -136,6 +136,6 @@ def export(
         except OSError as error:
             if error.errno != errno.ENOSPC:
                 raise
-            # Libraries say it at length, and of the file beside.
+            # Libraries report this at length, and for the temporary file.
             where = os.fspath(destination)
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), where) from error

@@ -1,10 +1,10 @@
-"""The folders of the GenForce recordings, so that scripts made for them read a session.
+"""Folder layout of the GenForce recordings, so that scripts made for them can read a session.
 
     <modality>/<indenter>-<YYYYmmdd_HHMMSS>/<point 1..N>/<phase>/...
 
-with the modalities `force` (ft.csv), `pose` (pose.csv), `image` (%04d.jpg, ref.jpg beside the
-points) or `uskin_raw` (%04d.npy, ref.npy), and `path` (planned targets). They have no times: row k
-of a file belongs to image k of its folder, which the frames view guarantees.
+with the modalities `force` (ft.csv), `pose` (pose.csv), `image` (%04d.jpg, ref.jpg next to the
+points) or `uskin_raw` (%04d.npy, ref.npy), and `path` (planned targets). The files have no times:
+row k of a file belongs to image k of its folder, which the frames view ensures.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from recorder.store import images
 
 FORCE_COLUMNS = ("Fx(N)", "Fy(N)", "Fz(N)", "Tx(Nmm)", "Ty(Nmm)", "Tz(Nmm)")
 POSE_COLUMNS = ("X(m)", "Y(m)", "Z(m)", "RX(rad)", "RY(rad)", "RZ(rad)")
-_QUALITY = 100  # only for sessions that have no JPEG bytes of their own
+_QUALITY = 100  # only for sessions without JPEG bytes
 
 Array = np.ndarray[Any, Any]
 
@@ -35,7 +35,7 @@ def write(session: Session, path: Path, options: Options, progress: Progress) ->
     """Write a session as the folders of one sensor.
 
     Raises:
-        SessionError: No whole press, neither camera nor taxels, or a damaged stream.
+        SessionError: No complete press, neither camera nor taxels, or a corrupt stream.
     """
     if not {"camera", "taxels"} & set(session.streams):
         raise SessionError(f"{session.name}: has neither camera nor taxels")
@@ -55,7 +55,7 @@ def write(session: Session, path: Path, options: Options, progress: Progress) ->
 
 
 def _whole(session: Session, found: list[Press]) -> list[Press]:
-    """Return the presses with all four phases: their scripts read four folders a point."""
+    """Return the presses with all four phases: the scripts read four folders per point."""
     phase = session.frames["phase"]
     whole = [press for press in found if len(np.unique(phase[press.rows])) == len(PHASES)]
     if not whole:
@@ -106,7 +106,7 @@ def _jpegs(camera: Stream, rows: Sequence[int]) -> Iterator[bytes]:
 
 
 def _references(session: Session, base: Path, name: str) -> None:
-    """Write ref.jpg: the first image without contact; ref.npy: the counts without contact."""
+    """Write ref.jpg, the first image without contact, and ref.npy, the counts without contact."""
     if "camera" in session.streams:
         known = session.reference["image"]
         known = known[known >= 0]
@@ -129,9 +129,9 @@ def _resting(session: Session) -> Array:
 
 
 def _path(session: Session, folder: Path, found: list[Press]) -> None:
-    """Write the planned places (n, 6), one row per point folder, no header.
+    """Write the planned positions (n, 6), one row per point folder, without a header.
 
-    The session plans places, not rotations: those are of the pose where the press began.
+    The session plans positions but no rotations: those are taken from the first pose of the press.
     """
     folder.mkdir(parents=True)
     planned = session.targets.get("planned")
@@ -154,6 +154,6 @@ def _write_csv(path: Path, names: Sequence[str], rows: Array) -> None:
 
 
 def _stamp(session: Session, press: Press) -> str:
-    """Return when the first press began, YYYYmmdd_HHMMSS in UTC."""
+    """Return the start of the first press as YYYYmmdd_HHMMSS in UTC."""
     began = int(session.frames["t_ns"][press.rows[0]]) + utc_offset(session, press.run)
     return datetime.fromtimestamp(began // 10**9, UTC).strftime("%Y%m%d_%H%M%S")

@@ -1,7 +1,7 @@
-"""HDF5: the whole session, under the names it has in Zarr.
+"""HDF5: the whole session, under the same names as in Zarr.
 
 Groups, arrays and attributes are those of docs/data-format.md. Attributes that are lists or objects
-are JSON text. JPEG images are variable-length rows of bytes, exactly those of the camera.
+are stored as JSON text. JPEG images are variable-length rows with the camera's unchanged bytes.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from recorder.spec import PHASES, TARGET_UNITS, Column
 
 _BLOCK = 4096  # rows
 _IMAGES = 16
-_BALLAST = 32 << 20  # bytes; the chunk caches of all open datasets, 1 MB each, and more
+_BALLAST = 32 << 20  # bytes; more than the chunk caches of all open datasets, 1 MB each
 _PACKED = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
 
 
@@ -31,7 +31,7 @@ def write(session: Session, path: Path, options: Options, progress: Progress) ->
     """Write a session as one HDF5 file.
 
     Raises:
-        SessionError: A stream is damaged.
+        SessionError: A stream is corrupt.
     """
     with _room_to_close(path) as give_up_room:
         # Attributes above 64 kB, such as a long plan, need the format of HDF5 1.8.
@@ -48,9 +48,9 @@ def write(session: Session, path: Path, options: Options, progress: Progress) ->
 
 @contextmanager
 def _room_to_close(path: Path) -> Iterator[Callable[[], None]]:
-    """Keep room on the disk that closing needs; the function given deletes it.
+    """Reserve the disk space that closing needs; the yielded function releases it.
 
-    A file that cannot be flushed when it is closed makes the HDF5 library crash the interpreter.
+    If a file cannot be flushed when it is closed, the HDF5 library crashes the interpreter.
     """
     ballast = path.with_name(path.name + ".ballast")
     try:
@@ -144,7 +144,7 @@ def _write_table(
 
 
 def _chunked(rows: int, shape: tuple[int, ...]) -> dict[str, Any]:
-    # Only an array that may grow may have chunks larger than itself.
+    # Only resizable arrays may have chunks larger than themselves.
     return {"chunks": (rows, *shape), "maxshape": (None, *shape)}
 
 

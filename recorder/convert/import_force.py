@@ -1,8 +1,8 @@
-"""Forces from a CSV or .npy file, as a Net F/T box would have counted them.
+"""Forces from a CSV or .npy file, quantised as by a Net F/T box.
 
-They are rounded to whole counts of 1 uN and 1 nN m (1e6 counts per N and per N mm, a Net F/T box's
-usual ones), so that a replay, whose wire carries counts, gives back the very same bytes. That is a
-thousand times finer than what such gauges resolve; the largest change is told.
+They are rounded to whole counts of 1 uN and 1 nN m (1e6 counts per N and per N mm, as usual for a
+Net F/T box), so that a replay, which transmits counts, returns exactly the same bytes. This is a
+thousand times finer than the resolution of such gauges; the largest change is reported.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from recorder.errors import SessionError
 
-# Names of force and torque columns and their units, read strictly: nothing is guessed.
+# Names of force and torque columns and their units, parsed strictly without guessing.
 
 # Newton per unit.
 FORCE_UNITS = {
@@ -48,10 +48,10 @@ _TIMES = ("t", "time", "timestamp")
 
 
 def parse_unit(text: str, known: dict[str, float], where: str) -> float:
-    """Return the factor to SI of a unit, however its parts are set apart (`N-mm`, `Nmm`, `N*mm`).
+    """Return the SI factor of a unit; its parts may be separated (`N-mm`, `Nmm`, `N*mm`).
 
     Raises:
-        SessionError: Not among `known`.
+        SessionError: The unit is not in `known`.
     """
     plain = re.sub(r"[\s\-*·.]", "", text)
     for name, factor in known.items():
@@ -63,17 +63,17 @@ def parse_unit(text: str, known: dict[str, float], where: str) -> float:
 def parse_header(
     names: list[str], *, force: str | None, torque: str | None, ignore: tuple[str, ...], where: str
 ) -> list[tuple[str, float] | None]:
-    """Return, for each column, its axis (or `t`) and its factor; None for one to ignore.
+    """Return the axis (or `t`) and factor of each column; None for an ignored one.
 
     Args:
-        names: As in the file, such as `Fx (N)`, `Tz[N mm]`, `time_ms`.
-        force: Unit of force columns that do not say it.
-        torque: The same for torque columns.
+        names: Names in the file, such as `Fx (N)`, `Tz[N mm]`, `time_ms`.
+        force: Unit of force columns without a unit.
+        torque: Unit of torque columns without a unit.
         ignore: Names of columns to leave out.
-        where: The file, for errors.
+        where: The file, for error messages.
 
     Raises:
-        SessionError: A column that is not known, comes twice, or does not say its unit.
+        SessionError: An unknown or repeated column, or one without a unit.
     """
     found: list[tuple[str, float] | None] = []
     for raw in names:
@@ -118,11 +118,11 @@ def _column(name: str, force: str | None, torque: str | None, where: str) -> tup
 
 Floats = NDArray[np.float64]
 
-# Per N and, of torques, per N mm or N m.
+# Per N and, for torques, per N mm or N m.
 COUNTS_PER_UNIT = 1e6
 _COUNTS_MAX = 2**31 - 1
+# Samples up to two periods old count as measured, however slow the recording was [s].
 _MAX_AGE, _MAX_AGE_PERIODS = 0.02, 2.0
-# What is as old as two rows still counts as measured, however slow the recording was [s].
 _NEWTON_MILLIMETRE, _NEWTON_METRE = ("N-mm", 1e-3), ("N-m", 1.0)
 
 
@@ -131,19 +131,19 @@ class Wrenches:
     """Forces to import."""
 
     value: Floats
-    """(n, 6) [N, N m], whole counts."""
+    """Values (n, 6) [N, N m], whole counts."""
     t_ns: NDArray[np.int64]
-    """(n,) from the first row on [ns]."""
+    """Times (n,) since the first row [ns]."""
     rate_hz: float
     """Rows per second."""
     attrs: dict[str, Any]
-    """Of the stream: device, axes_measured."""
+    """Stream attributes: device, axes_measured."""
     assumed: list[str] = field(default_factory=list)
-    """What was assumed or changed, in words."""
+    """Messages on assumptions and changes."""
 
     @property
     def seconds(self) -> float:
-        """How long it lasts [s]."""
+        """Duration [s]."""
         return float(self.t_ns[-1]) * 1e-9 + 1.0 / self.rate_hz
 
 
@@ -160,13 +160,13 @@ def read_force(
     Args:
         path: `.csv` with a header line, or `.npy`: (n,) pressing force, positive when pressing;
             (n, 3) Fx Fy Fz; (n, 6) with Tx Ty Tz.
-        rate_hz: Rows per second, where no column gives times.
-        force_unit: Of a `.npy` file, and of columns that do not say theirs.
+        rate_hz: Rows per second, if no column gives times.
+        force_unit: Unit of a `.npy` file, and of columns without a unit.
         torque_unit: The same for torques.
         ignore: Columns to leave out.
 
     Raises:
-        SessionError: What is wrong, and where.
+        SessionError: Invalid content; the message gives the place.
         OSError: The file cannot be read.
     """
     name = path.name
@@ -208,7 +208,7 @@ def load_npy(path: Path) -> NDArray[Any]:
     """Return the numbers of an .npy file.
 
     Raises:
-        SessionError: Not such a file, cut short, or of something else than numbers.
+        SessionError: Not an .npy file, truncated, or not numeric.
     """
     try:
         array: NDArray[Any] = np.load(path, allow_pickle=False)
@@ -306,7 +306,7 @@ def _refuse_bad(rows: Floats, name: str, first_line: int) -> None:
 
 
 def _counted(value: Floats, name: str) -> tuple[Floats, dict[str, Any], tuple[float, float]]:
-    """Whole counts of `value`, what the box is, and the largest change of force and torque."""
+    """Return `value` in whole counts, device attributes, largest change of force and torque."""
     fine = np.abs(value[:, 3:]).max(initial=0.0) * 1e3 * COUNTS_PER_UNIT <= _COUNTS_MAX
     torque_unit, per_unit = _NEWTON_MILLIMETRE if fine else _NEWTON_METRE
     scale = np.repeat([1.0 / COUNTS_PER_UNIT, per_unit / COUNTS_PER_UNIT], 3)

@@ -1,4 +1,4 @@
-"""Writes the session of an import: whole, or not at all."""
+"""Import a recording as a session, atomically."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from recorder.session.writer import SessionWriter
 from recorder.spec import StreamSpec, camera_spec, force_spec, taxels_spec
 from recorder.store.durable import sync_directory
 
-# What to import, and what of it is known.
+# Files to import and their metadata.
 
 _BLOCK = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
 class ImportOrder:
-    """Files of one recording, which start together, and what they do not say themselves."""
+    """Files of one recording that start together, and metadata that they do not contain."""
 
     out: Path
     """The session to write."""
     sensor: str
     """Name of the sensor."""
     indenter: str
-    """Name of what touched it."""
+    """Name of the object that touched it."""
     video: Path | None = None
     """Video file, or folder of images."""
     force: Path | None = None
@@ -44,27 +44,27 @@ class ImportOrder:
     taxels: Path | None = None
     """Taxel counts: .npy."""
     fps: float | None = None
-    """Images per second; None: what the video says."""
+    """Images per second; None takes the rate of the video."""
     force_hz: float | None = None
-    """Force rows per second; None: by the time column."""
+    """Force rows per second; None takes the time column."""
     taxels_hz: float | None = None
     """Taxel rows per second."""
     units: str | None = None
-    """Unit of forces that do not say theirs."""
+    """Unit of forces without a unit."""
     torque_units: str | None = None
-    """The same for torques."""
+    """Unit of torques without a unit."""
     ignore: tuple[str, ...] = ()
     """Force columns to leave out."""
     trim: bool = False
-    """Cut all to the shortest, rather than refuse recordings of unequal length."""
+    """If true, cut all to the shortest instead of rejecting recordings of unequal length."""
     operator: str = ""
-    """Who recorded it."""
+    """Person who made the recording."""
 
     def __post_init__(self) -> None:
-        """Refuse an order for nothing, and impossible rates.
+        """Reject an order without files, and impossible rates.
 
         Raises:
-            SessionError: Names the option.
+            SessionError: The message names the option.
         """
         if self.video is None and self.force is None and self.taxels is None:
             raise SessionError("found nothing to import; say --video, --force or --taxels")
@@ -78,10 +78,10 @@ class ImportOrder:
                 raise SessionError(f"{option}: found {rate:g} without the file it is the rate of")
 
     def files(self) -> dict[str, dict[str, Any]]:
-        """Name, size and SHA-256 of each file; of a folder, over its files in order of the names.
+        """Return name and SHA-256 of each file; for a folder, over its files in order of the names.
 
         Raises:
-            OSError: One cannot be read.
+            OSError: A file cannot be read.
         """
         found = {}
         for name in ("video", "force", "taxels"):
@@ -107,20 +107,20 @@ Progress = Callable[[int, int], None]
 Rows = Iterator[dict[str, Any]]
 
 _IMPORTING = ".importing"
+# Recordings may differ in length by this share, or by this duration [s].
 _LENGTH_TOLERANCE = 0.05
-# Recordings may differ in length by this share, or this long [s].
 _LENGTH_LEAST = 0.1
 
 
 def import_session(order: ImportOrder, progress: Progress | None = None) -> list[str]:
-    """Write `order.out` and return what was assumed or changed, in words.
+    """Write `order.out` and return messages on assumptions and changes.
 
     Args:
-        order: What to import.
-        progress: Called with the rows written and their number.
+        order: Files to import.
+        progress: Called with the number of rows written and the total.
 
     Raises:
-        SessionError: Something in the files is wrong; nothing is left behind.
+        SessionError: The files are invalid; nothing is left behind.
         OSError: A file cannot be read, or the disk is full; nothing is left behind.
     """
     if order.out.exists():
@@ -174,7 +174,7 @@ def _common_end(seconds: dict[str, float], trim: bool) -> float:
 def _streams(
     film: Film | None, wrenches: Wrenches | None, counts: Counts | None, end: float
 ) -> list[tuple[StreamSpec, int, Rows]]:
-    """Spec, number of rows and rows of each stream, as far as `end` [s]."""
+    """Return spec, number of rows and rows of each stream, up to `end` [s]."""
     found: list[tuple[StreamSpec, int, Rows]] = []
     end_ns = round(end * 1e9)
     if film is not None:
@@ -249,7 +249,7 @@ def _write(
     specs = [spec for spec, _, _ in streams]
     done, total = 0, sum(count for _, count, _ in streams)
     with SessionWriter.create(path, attrs=attrs, streams=specs, targets=no_targets) as session:
-        # No clock of this host has seen these samples: their times begin at 0.
+        # These samples have no time on this host's clock: their times begin at 0.
         session.begin_run({"t0_ns": 0, "utc": None, "boot_id": "imported"})
         for spec, _, rows in streams:
             with StreamWriter.open(session.stream_path(spec.name)) as writer:
@@ -264,11 +264,11 @@ def _write(
         session.finish("complete", rate_hz=signal.rate_hz)
 
 
-# The options of `python -m recorder import`.
+# Options of `python -m recorder import`.
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add what there is to say besides the session to write."""
+    """Add the options of an import."""
     add = parser.add_argument
     add("--video", type=Path, metavar="PATH", help="video file, or folder of images in name order")
     add("--force", type=Path, metavar="PATH", help="forces: .csv with a header, or .npy")
@@ -287,10 +287,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def order_of(options: argparse.Namespace) -> ImportOrder:
-    """Return what the options ask for.
+    """Return the import order that the options describe.
 
     Raises:
-        SessionError: They ask for nothing, or for an impossible rate.
+        SessionError: No files, or an impossible rate.
     """
     return ImportOrder(
         out=options.session,

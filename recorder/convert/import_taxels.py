@@ -1,4 +1,4 @@
-"""Taxel counts from an .npy file, rounded to what the device's wire carries."""
+"""Taxel counts from an .npy file, rounded to the integers that the device transmits."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,15 +17,15 @@ class Counts:
     """Taxels to import."""
 
     value: NDArray[np.int32]
-    """(n, 16, 3) [counts], each a uint16."""
+    """Counts (n, 16, 3), each a uint16."""
     rate_hz: float
     """Scans per second."""
     assumed: list[str] = field(default_factory=list)
-    """What was assumed or changed, in words."""
+    """Messages on assumptions and changes."""
 
     @property
     def seconds(self) -> float:
-        """How long it lasts [s]."""
+        """Duration [s]."""
         return len(self.value) / self.rate_hz
 
 
@@ -37,7 +37,7 @@ def read_taxels(path: Path, rate_hz: float | None) -> Counts:
         rate_hz: Scans per second.
 
     Raises:
-        SessionError: Another shape, a row that is NaN, negative or beyond uint16, or no rate.
+        SessionError: A different shape, a row that is NaN, negative or beyond uint16, or no rate.
         OSError: The file cannot be read.
     """
     array = load_npy(path)

@@ -1,4 +1,4 @@
-"""Images from a video file or a folder: the camera's own JPEG bytes where there are any."""
+"""Images from a video file or a folder, as the camera's original JPEG bytes where possible."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from recorder.errors import SessionError
 from recorder.store import images
 from recorder.strict_yaml import natural_key
 
-# Motion JPEG in an AVI file: the camera's own JPEG files, taken out without decoding them.
+# Motion JPEG in an AVI file: the camera's JPEG files are extracted without decoding.
 #
 # RIFF is a tree of chunks `FOURCC | uint32 size | content`, padded to even sizes; `RIFF` and `LIST`
-# chunks hold a form type and further chunks. A stream's header is `strh` (its kind, its codec, its
-# rate as dwRate / dwScale) with `strf` (BITMAPINFOHEADER) beside it, both in `LIST hdrl`; its
-# frames are the chunks `NNdc` or `NNdb` of `LIST movi`, NN being the number of the stream. Files
-# beyond 1 GB go on in further `RIFF AVIX` chunks (OpenDML). Source: Microsoft, "AVI RIFF File
+# chunks hold a form type and further chunks. A stream's header is `strh` (kind, codec, and rate as
+# dwRate / dwScale) followed by `strf` (BITMAPINFOHEADER), both in `LIST hdrl`. Its frames are the
+# chunks `NNdc` or `NNdb` of `LIST movi`, where NN is the number of the stream. Files beyond 1 GB
+# continue in further `RIFF AVIX` chunks (OpenDML). Source: Microsoft, "AVI RIFF File
 # Reference"; Matrox, "OpenDML AVI File Format Extensions", 1.02.
 
 _HEAD = struct.Struct("<4sI")
@@ -34,20 +34,20 @@ _MJPEG = (b"MJPG", b"mjpg")
 
 @dataclass(frozen=True, slots=True)
 class MotionJpeg:
-    """The frames of an AVI file."""
+    """Frames of an AVI file."""
 
     rate_hz: float
-    """Frames per second, by the stream's header."""
+    """Frames per second, from the stream's header."""
     frames: list[bytes]
-    """One JPEG file per frame; empty where the writer dropped one and left its place."""
+    """One JPEG file per frame; empty for a dropped frame that has a place in the file."""
 
 
 def read_avi(path: Path) -> MotionJpeg | None:
-    """Return the frames of an AVI file with a Motion JPEG stream; None of any other file.
+    """Return the frames of an AVI file with a Motion JPEG stream; None for any other file.
 
     Raises:
-        SessionError: The file is cut short, or its stream says no rate.
-        OSError: It cannot be read.
+        SessionError: The file is truncated, or its stream has no rate.
+        OSError: The file cannot be read.
     """
     with path.open("rb") as file:
         if file.read(12)[:4] != b"RIFF":
@@ -70,7 +70,7 @@ def _read(path: Path, data: mmap.mmap) -> MotionJpeg | None:
                 mjpeg = codec in _MJPEG
             streams += 1
         elif kind == b"strf" and number == streams - 1:
-            # The header's own codec name may be empty; that of the picture format holds then.
+            # If the header's codec name is empty, that of the picture format applies.
             mjpeg = mjpeg or data[start + 16 : start + 20] in _MJPEG
         elif number >= 0 and kind in (b"%02ddc" % number, b"%02ddb" % number):
             if not mjpeg:
@@ -82,7 +82,7 @@ def _read(path: Path, data: mmap.mmap) -> MotionJpeg | None:
 
 
 def _chunks(path: Path, data: mmap.mmap, at: int, end: int) -> Iterator[tuple[bytes, int, int]]:
-    """Yield kind, place and size of every chunk that is no group, in the order of the file."""
+    """Yield kind, offset and size of every chunk that is not a group, in file order."""
     while at + _HEAD.size <= end:
         kind, size = _HEAD.unpack_from(data, at)
         start = at + _HEAD.size
@@ -108,7 +108,7 @@ def _rate(path: Path, data: mmap.mmap, start: int, size: int) -> float:
     return float(rate / scale)
 
 
-# JPEG files as cameras send them: some lack the Huffman tables, which decoders of stills need.
+# JPEG files from cameras: some have no Huffman tables, which still-image decoders need.
 
 _SOI, _EOI = b"\xff\xd8", b"\xff\xd9"
 _DHT, _SOS = 0xC4, 0xDA
@@ -116,16 +116,16 @@ _STANDALONE = frozenset(range(0xD0, 0xD9)) | {0x01}
 
 
 def whole_jpeg(jpeg: bytes, where: str) -> tuple[bytes, bool]:
-    """Return the file with Huffman tables, and whether they had to be put in.
+    """Return the file with Huffman tables, and True if they had to be inserted.
 
-    What stands behind the end marker (cameras pad their buffers) is left as it is.
+    Data after the end marker (cameras pad their buffers) is left unchanged.
 
     Args:
         jpeg: One file.
-        where: What it is called in errors.
+        where: Name of the file in error messages.
 
     Raises:
-        SessionError: No JPEG, or cut short.
+        SessionError: Not a JPEG, or truncated.
     """
     if not jpeg.rstrip(b"\0").endswith(_EOI):
         raise SessionError(f"{where}: no whole JPEG: it does not end with one's end marker")
@@ -136,7 +136,7 @@ def whole_jpeg(jpeg: bytes, where: str) -> tuple[bytes, bool]:
 
 
 def _header(jpeg: bytes, where: str) -> tuple[bool, int]:
-    """Whether there are Huffman tables, and the place of SOS."""
+    """Return True if there are Huffman tables, and the offset of SOS."""
     if jpeg[:2] != _SOI:
         raise SessionError(f"{where}: no JPEG: it begins with {jpeg[:2]!r}")
     at, tables = 2, False
@@ -154,7 +154,7 @@ def _header(jpeg: bytes, where: str) -> tuple[bool, int]:
 
 @functools.cache
 def _standard_tables() -> bytes:
-    """The tables a file without any means (ITU-T T.81, Annex K.3), as an encoder writes them."""
+    """Return the default tables (ITU-T T.81, Annex K.3) for a file without any."""
     sample = images.encode_jpeg(np.zeros((16, 16, 3), np.uint8), 90)
     at, found = 2, b""
     while sample[at + 1] != _SOS:
@@ -174,21 +174,21 @@ class Film:
     """Images to import."""
 
     codec: str
-    """`jpeg`: as the camera sent them; `zstd`: pixels."""
+    """`jpeg`: the camera's bytes; `zstd`: pixels."""
     shape: tuple[int, int]
     """Rows and columns of an image [px]."""
     rate_hz: float
     """Images per second."""
     places: list[int]
-    """Place of each image in time, in periods from the first."""
+    """Time of each image, in periods since the first."""
     load: Callable[[], Iterator[Any]]
-    """The images: JPEG bytes, or RGB pixels (h, w, 3) uint8."""
+    """Load the images: JPEG bytes, or RGB pixels (h, w, 3) uint8."""
     assumed: list[str] = field(default_factory=list)
-    """What was assumed or changed, in words."""
+    """Messages on assumptions and changes."""
 
     @property
     def seconds(self) -> float:
-        """How long it lasts [s]."""
+        """Duration [s]."""
         return (self.places[-1] + 1) / self.rate_hz
 
 
@@ -197,10 +197,10 @@ def open_film(path: Path, fps: float | None) -> Film:
 
     Args:
         path: A video file or a folder.
-        fps: Images per second; None: what the video says.
+        fps: Images per second; None takes the rate of the video.
 
     Raises:
-        SessionError: No images, damaged ones, unequal sizes, or a rate that nobody tells.
+        SessionError: No images, corrupt ones, unequal sizes, or an unknown rate.
     """
     if path.is_dir():
         return _folder(path, fps)

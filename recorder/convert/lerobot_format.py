@@ -1,8 +1,8 @@
 """LeRobot dataset v3.0, written with pyarrow alone: one episode per press, from the frames view.
 
-Images stay the camera's own JPEG bytes (PNG where pixels were stored) inside the parquet files:
-LeRobot's default, video, moves markers by up to half a pixel. LeRobot's `timestamp` is
-frame_index / fps by definition; when a row really was is in `t_ns`, `capture_ns` and `utc_ns`.
+Images remain the camera's JPEG bytes (PNG if pixels were stored) inside the parquet files:
+LeRobot's default, video, shifts markers by up to half a pixel. LeRobot's `timestamp` is
+frame_index / fps by definition; the true times of a row are `t_ns`, `capture_ns` and `utc_ns`.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from recorder.convert.runs import Press, need_presses, utc_offset
 from recorder.session.align import NS
 from recorder.session.reader import Session, Stream
 
-# The statistics that LeRobot keeps of each feature, gathered episode by episode.
+# Statistics that LeRobot stores for each feature, accumulated by episode.
 
 Array = np.ndarray[Any, Any]
 Floats = NDArray[np.float64]
 
 # Quantiles by their names in LeRobot.
 QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
-_SAMPLED = 8  # images of an episode that are looked at
+_SAMPLED = 8  # images per episode that are sampled
 _STRIDE = 4  # pixels
 
 
@@ -51,7 +51,7 @@ class _Part:
         """Return the statistics of both.
 
         Moments are exact (Chan et al. 1979); quantiles are the mean of both weighted by their
-        counts, as LeRobot itself does.
+        counts, as in LeRobot itself.
         """
         total = self.count + other.count
         share = other.count / total
@@ -69,7 +69,7 @@ class _Part:
         )
 
     def document(self) -> dict[str, list[Any]]:
-        """Return them as LeRobot writes them."""
+        """Return them in LeRobot's format."""
         return {
             "min": self.low.tolist(),
             "max": self.high.tolist(),
@@ -82,20 +82,20 @@ class _Part:
 
 @dataclass(slots=True)
 class Stats:
-    """Statistics by feature. Rows with a NaN do not count."""
+    """Statistics by feature. Rows with a NaN are ignored."""
 
     parts: dict[str, _Part] = field(default_factory=dict)
-    """One per feature that had any row."""
+    """One part per feature that had any row."""
 
     def add(self, name: str, values: Array) -> None:
-        """Take in rows (n,) or (n, m) of a feature."""
+        """Include rows (n,) or (n, m) of a feature."""
         rows = np.asarray(values, np.float64).reshape(len(values), -1)
         rows = rows[np.isfinite(rows).all(axis=1)]
         if len(rows):
             self._take(name, _part(rows, len(rows)))
 
     def add_images(self, name: str, encoded: Sequence[bytes]) -> None:
-        """Take in some pixels of some encoded images; values 0 to 1, shape (c, 1, 1)."""
+        """Include sampled pixels of some encoded images; values 0 to 1, shape (c, 1, 1)."""
         chosen = np.unique(np.linspace(0, len(encoded) - 1, _SAMPLED).astype(int))
         pixels = []
         for place in chosen:
@@ -107,17 +107,17 @@ class Stats:
         self._shapes.add(name)
 
     def merge(self, other: Stats) -> None:
-        """Take in all of another."""
+        """Include all statistics of another object."""
         for name, part in other.parts.items():
             self._take(name, part)
         self._shapes |= other._shapes
 
     def document(self) -> dict[str, dict[str, list[Any]]]:
-        """Return what goes into meta/stats.json."""
+        """Return the content of meta/stats.json."""
         return {name: self._shaped(name) for name in self.parts}
 
     def flat(self) -> dict[str, list[Any]]:
-        """Return what goes into an episode's row: `stats/<feature>/<statistic>`."""
+        """Return the columns of an episode's row: `stats/<feature>/<statistic>`."""
         return {
             f"stats/{name}/{key}": value
             for name in self.parts
@@ -153,7 +153,7 @@ def _part(rows: Floats, count: int) -> _Part:
 
 VERSION = "v3.0"
 IMAGE = "observation.images.tactile"
-_CHUNK_FILES = 1000  # files in a chunk-NNN folder, LeRobot's default
+_CHUNK_FILES = 1000  # files per chunk-NNN folder, LeRobot's default
 _FILE_BYTES = 100_000_000  # LeRobot's default: data_files_size_in_mb 100
 _POSE = ("x", "y", "z", "rx", "ry", "rz")
 _WRENCH = ("fx", "fy", "fz", "tx", "ty", "tz")
@@ -178,7 +178,7 @@ class Feature:
         return {"dtype": self.dtype, "shape": list(self.shape), "names": names}
 
     def arrow(self) -> pa.DataType:
-        """Return its type in parquet, as the `datasets` library has it."""
+        """Return its parquet type, as in the `datasets` library."""
         if self.dtype == "image":
             return pa.struct({"bytes": pa.binary(), "path": pa.string()})
         kind = pa.from_numpy_dtype(np.dtype(self.dtype))
@@ -232,7 +232,7 @@ def write(session: Session, path: Path, options: Options, progress: Progress) ->
     """Write a session as a LeRobot dataset folder.
 
     Raises:
-        SessionError: No frames, a rate below 1 Hz, a run without UTC anchor, or a damaged stream.
+        SessionError: No frames, a rate below 1 Hz, a run without a UTC anchor, or a corrupt stream.
     """
     episodes = need_presses(session, valid_only=options.valid_only)
     path.mkdir()
@@ -251,7 +251,7 @@ def write(session: Session, path: Path, options: Options, progress: Progress) ->
 
 
 def task(session: Session) -> str:
-    """Return the task text: what was pressed into what."""
+    """Return the task text, with indenter and sensor."""
     indenter = session.attrs.get("indenter") or "unknown indenter"
     sensor = session.attrs.get("sensor") or "unknown sensor"
     return f"press the {indenter} indenter into the {sensor} sensor and shear it"
@@ -259,7 +259,7 @@ def task(session: Session) -> str:
 
 @dataclass(slots=True)
 class _Dataset:
-    """The files as they grow."""
+    """Files of the dataset while they are written."""
 
     path: Path
     features: dict[str, Feature]
@@ -273,7 +273,7 @@ class _Dataset:
     writer: pq.ParquetWriter | None = None
 
     def add(self, columns: dict[str, Any], text: str) -> None:
-        """Add one episode, given all columns but those that count."""
+        """Add one episode, given all columns except the counters."""
         count = len(columns["t_ns"])
         number, task_index = len(self.episodes), self.tasks.setdefault(text, len(self.tasks))
         columns |= {
@@ -318,13 +318,13 @@ class _Dataset:
         self.frames += count
 
     def close(self) -> None:
-        """Close the open data file. Safe twice."""
+        """Close the open data file. May be called twice."""
         if self.writer is not None:
             self.writer.close()
             self.writer = None
 
     def finish(self) -> None:
-        """Write everything below meta/."""
+        """Write all files below meta/."""
         pq.write_table(pa.Table.from_pylist(self.episodes), self._named(_EPISODES, 0))
         tasks = pa.table(
             {"task_index": list(self.tasks.values()), "__index_level_0__": list(self.tasks)}
@@ -360,7 +360,7 @@ class _Dataset:
         return named
 
 
-# What makes pandas read the texts as the index, which is where LeRobot looks for them.
+# Metadata that makes pandas read the texts as the index, where LeRobot looks for them.
 _INDEXED = {
     "pandas": json.dumps(
         {

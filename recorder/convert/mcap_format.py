@@ -1,8 +1,8 @@
-"""MCAP for Foxglove: every sample as one message, at the time it arrived.
+"""MCAP for Foxglove: every sample as one message, at its arrival time.
 
 `log_time` is the arrival and `publish_time` the capture, both UTC from the anchor of the run;
 `sequence` is the row of the stream (modulo 2**32). Images and poses use Foxglove's protobuf
-schemas; what those have no message for is JSON with its schema.
+schemas; data without a Foxglove message is JSON with its own schema.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from recorder.session.align import captured, quaternion
 from recorder.session.reader import Session, Stream
 from recorder.spec import OUTCOMES, PHASES
 
-# JSON schemas of the messages that Foxglove has no type for, and the topics of each stream.
+# JSON schemas of messages that Foxglove has no type for, and the topics of each stream.
 
-# Topics by stream; `/segments` and `/reference` are always there.
+# Topics by stream; `/segments` and `/reference` always exist.
 TOPICS: Mapping[str, tuple[str, ...]] = {
     "camera": ("/camera",),
     "pose": ("/pose", "/tf"),
@@ -132,7 +132,7 @@ BASE, TOOL, SENSOR = "base", "tool", "ft_sensor"
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """One message, before it has a channel number."""
+    """One message, before a channel number is assigned."""
 
     topic: str
     log_ns: int
@@ -147,7 +147,7 @@ def write(session: Session, path: Path, options: Options, progress: Progress) ->
     """Write a session as one MCAP file.
 
     Raises:
-        SessionError: A run without a UTC anchor, or a damaged stream.
+        SessionError: A run without a UTC anchor, or a corrupt stream.
     """
     known = [name for name in ("camera", "pose", "force", "taxels") if name in session.streams]
     total = sum(len(session.streams[name]) for name in known)
@@ -347,7 +347,7 @@ def _stamp(t_ns: int) -> dict[str, int]:
 
 
 def _finite(value: Any) -> Any:
-    """Return a value with null for what JSON has no number for."""
+    """Return a value with null in place of numbers that JSON cannot represent."""
     if isinstance(value, list):
         return [_finite(entry) for entry in value]
     return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -1,7 +1,7 @@
-"""Copies a session with its images stored in another way. The source is never changed.
+"""Copy a session, storing its images in another encoding. The source is never changed.
 
 `portable` stores images as zstd-compressed pixels, which every Zarr v3 reader understands;
-`camera` keeps the camera's own JPEG bytes, and can be made only from a session that has them.
+`camera` keeps the camera's JPEG bytes and is possible only if the session has them.
 """
 
 import os
@@ -23,7 +23,7 @@ PROFILES = ("portable", "camera")
 
 _CREATING = ".creating"
 
-# Called with the images done and those to do.
+# Called with the number of images done and the total.
 Progress = Callable[[int, int], None]
 
 
@@ -36,17 +36,17 @@ def repack(
 ) -> None:
     """Write a copy of a session with its images in another profile.
 
-    All else is copied byte by byte. The destination appears whole or not at all.
+    All other data is copied byte by byte. The destination is created atomically.
 
     Args:
         source: A finished session.
-        destination: Where; nothing may be there yet.
+        destination: Directory to create; must not exist.
         profile: `portable` or `camera`.
         progress: Called after every image that had to be converted.
 
     Raises:
-        SessionError: An unknown profile, an unfinished or damaged source, an existing destination,
-            or `camera` asked of images that were stored without their JPEG bytes.
+        SessionError: An unknown profile, an unfinished or corrupt source, an existing destination,
+            or `camera` for images that were stored without their JPEG bytes.
     """
     if is_url(source):
         raise SessionError(f"{source}: remote stores are only read; copy it here first")
@@ -91,7 +91,7 @@ def repack(
 
 
 def _decode_all(source: Layout, copy: Layout) -> Iterator[int]:
-    """Write the images of one column as lossless pixels; yield how many are done."""
+    """Write the images of one column as lossless pixels; yield the number done."""
     pixels = replace(copy, column=replace(copy.column, codec="zstd"))
     shutil.rmtree(pixels.path)
     pixels.create()

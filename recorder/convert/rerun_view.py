@@ -1,7 +1,7 @@
-"""A session in Rerun, the researcher's viewer: `python -m recorder view SESSION`.
+"""View a session in Rerun: `python -m recorder view SESSION`.
 
-Everything lies on two time lines: `capture` (UTC) and `session` (since the first sample). Images
-are the camera's own JPEG bytes; losslessly stored ones go as PNG. Needs the extra `view`.
+All data is on two time lines: `capture` (UTC) and `session` (since the first sample). Images are
+sent as the camera's JPEG bytes, losslessly stored ones as PNG. Needs the extra `view`.
 """
 
 import io
@@ -22,7 +22,7 @@ from recorder.spec import OUTCOMES, PHASES
 from recorder.store.durable import TEMPORARY
 
 APPLICATION = "tactile-rig"
-_AT_ONCE = 64  # images per message; what is shown of progress, and what is in memory
+_AT_ONCE = 64  # images per message; sets the granularity of progress and the memory use
 _MM = 1e3
 _NS = 1e-9
 
@@ -32,15 +32,15 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class _Run:
-    """One run of a session and where its clock lies."""
+    """One run of a session and its clock offset."""
 
     number: int
     to_utc: int
-    """Add this to monotonic times for UTC [ns since 1970]."""
+    """Offset from monotonic times to UTC [ns since 1970]."""
 
 
 class _Sink:
-    """A Rerun recording, and what part of the session goes there."""
+    """A Rerun recording, and the part of the session sent to it."""
 
     def __init__(self, rerun: Any, recording: Any, zero: int, window: tuple[float, float]) -> None:
         self.rerun = rerun
@@ -49,7 +49,7 @@ class _Sink:
         self._window = window
 
     def within(self, utc_ns: Array) -> Array:
-        """Which times lie in the part that was asked for (n,) bool."""
+        """Return a mask (n,) bool of the times in the requested part."""
         seconds = (utc_ns - self._zero) * _NS
         return np.asarray((seconds >= self._window[0]) & (seconds < self._window[1]))
 
@@ -77,9 +77,9 @@ def view(
     Args:
         path: The session.
         save: File to write in place of opening a viewer; replaced when it is complete.
-        start: Where the part begins, after the first sample [s].
-        seconds: How long the part is [s]; None: to the end.
-        progress: Told samples done and samples in all.
+        start: Start of the part, after the first sample [s].
+        seconds: Length of the part [s]; None: to the end.
+        progress: Called with the number of samples done and the total.
 
     Raises:
         SessionError: Rerun is not installed, the session cannot be read, or the part is empty.
@@ -128,7 +128,7 @@ def _runs(session: Session) -> Iterator[_Run]:
 
 
 def _utc_ns(entry: dict[str, Any]) -> int:
-    """UTC of a run's clock anchor [ns since 1970]; 0 where the run does not tell."""
+    """Return UTC of a run's clock anchor [ns since 1970]; 0 if the run has none."""
     if "utc_ns" in entry:
         return int(entry["utc_ns"])
     try:
@@ -152,7 +152,7 @@ def _log(session: Session, runs: Sequence[_Run], sink: _Sink, progress: Progress
     ]
     total = sum(len(chosen) for *_, chosen in parts)
     if not total:
-        raise SessionError(f"{session.path}: no samples in the part that was asked for")
+        raise SessionError(f"{session.path}: no samples in the requested part")
     done = 0
     for name, source, run, chosen in parts:
         for first in range(0, len(chosen), _AT_ONCE if name == "camera" else len(chosen) or 1):
@@ -210,7 +210,7 @@ _WRITERS = {"force": _force, "pose": _pose, "taxels": _taxels, "camera": _camera
 
 
 def _segments(sink: _Sink, session: Session, run: _Run) -> None:
-    """Target, phase and depth: a step at the start and the end of each, and a line of text."""
+    """Send target, phase and depth: a step at the start and end of each, and a line of text."""
     columns = {name: np.asarray(session.segments[name]) for name in session.segments}
     mine = (columns["run"] == run.number) & sink.within(columns["start_ns"] + run.to_utc)
     if not mine.any():
@@ -235,7 +235,7 @@ def _segments(sink: _Sink, session: Session, run: _Run) -> None:
 
 
 def _blueprint(session: Session) -> Any:
-    """The image beside the series, the plan below."""
+    """Return the layout: image next to the time series, plan below."""
     import rerun.blueprint as blueprint
 
     series = [

@@ -1,6 +1,6 @@
-"""Runs as exporters need them: the frames view cut into presses, and host times in UTC.
+"""Runs for exporters: the frames view divided into presses, and host times in UTC.
 
-A press is consecutive rows of one target in one run.
+A press is a sequence of consecutive rows of one target in one run.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Rows = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Press:
-    """One target as it was pressed once."""
+    """One press of a target."""
 
     target: int
     """Row of `targets`."""
@@ -33,16 +33,16 @@ class Press:
 
 
 def presses(session: Session, *, valid_only: bool = False) -> list[Press]:
-    """Return the presses in the order they were made; one without rows is left out.
+    """Return the presses in the order in which they were made; presses without rows are left out.
 
-    Rows without an image are left out where the session has a camera.
+    If the session has a camera, rows without an image are left out.
 
     Args:
         session: A finished session.
-        valid_only: Leave out rows that are not `valid`.
+        valid_only: If true, leave out rows that are not `valid`.
 
     Raises:
-        SessionError: No frames at all.
+        SessionError: The session has no frames.
     """
     frames = session.frames
     if "t_ns" not in frames or not len(frames["t_ns"]):
@@ -75,13 +75,13 @@ def need_presses(session: Session, *, valid_only: bool) -> list[Press]:
     return found
 
 
-# Host times of a run -> UTC, for formats that know only one clock.
+# Conversion of a run's host times to UTC, for formats with a single clock.
 
 Clock = NDArray[np.int64]
 
 
 def utc_offset(session: Session, run: int) -> int:
-    """Return what to add to a host time of a run to have UTC [ns since 1970].
+    """Return the offset from host times of a run to UTC [ns since 1970].
 
     Raises:
         SessionError: The run has no anchor.
@@ -99,10 +99,10 @@ def utc_offset(session: Session, run: int) -> int:
 
 
 def parse_utc(text: str) -> int:
-    """Return an ISO 8601 time as ns since 1970; a time without zone is UTC.
+    """Return an ISO 8601 time as ns since 1970; a time without a zone is UTC.
 
     Raises:
-        SessionError: Not such a time.
+        SessionError: The text is not a valid time.
     """
     whole, _, rest = text.strip().removesuffix("Z").partition(".")
     digits = rest[: len(rest) - len(rest.lstrip("0123456789"))]

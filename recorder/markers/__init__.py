@@ -1,7 +1,8 @@
-"""Binary marker images: packed masks, uSkin discs, counting. What sim, rig and learning share.
+"""Binary marker images: packed masks, uSkin discs and counting, shared by sim, rig and learning.
 
-An image is 640 x 480. Pixel centres lie at whole numbers, columns run to the right and rows down;
-the y axis of a sensor points up, against the rows. A mask is bool (480, 640), True on a marker.
+An image is 640 x 480. Pixel centres are at integer coordinates, columns increase to the right and
+rows downwards; a sensor's y axis points up, opposite to the rows. A mask is bool (480, 640), True
+on a marker.
 """
 
 from recorder.markers.blobs import SMALLEST_PX, Blobs, count_markers, find_blobs, marker_centres

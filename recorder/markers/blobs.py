@@ -1,8 +1,8 @@
-"""The connected patches of masks: how many, how large, where. numpy alone, many frames at once.
+"""Connected patches of masks: number, area and centre, for many frames at once, with numpy alone.
 
-Pixels are connected through their sides, not through their corners. Patches are found from runs of
-set pixels: neighbouring runs of neighbouring rows belong together, and each run is given the number
-of the first run that it is connected to.
+Pixels are connected through their sides, not their corners (4-connectivity). Patches are built from
+runs of set pixels: touching runs in neighbouring rows are joined, and each run is labelled with the
+number of the first run that it is connected to.
 """
 
 from __future__ import annotations
@@ -16,30 +16,30 @@ from recorder.markers.packing import Masks
 
 Integers = NDArray[np.int64]
 
-# Patches of fewer pixels are specks, not markers: the least marker of the patterns has 50.
+# Smaller patches are specks, not markers: the smallest marker of the patterns has 50 pixels.
 SMALLEST_PX = 12
-_BLOCK = 64  # frames at once
+_BLOCK = 64  # frames processed at once
 
 
 @dataclass(frozen=True, slots=True)
 class Blobs:
-    """Patches of some masks, frame by frame, in each from top to bottom."""
+    """Patches of some masks, ordered by frame and then from top to bottom."""
 
     frame: Integers
-    """Which mask (m,)."""
+    """Number of the mask (m,)."""
     area: Integers
     """Number of pixels (m,)."""
     centre: NDArray[np.float64]
     """Mean column and row (m, 2) [px]."""
     whole: NDArray[np.bool_]
-    """Whether no pixel lies on the border of the image (m,): nothing is cut off."""
+    """True if no pixel is on the border of the image (m,), so that nothing is cut off."""
 
     def __len__(self) -> int:
         """Return the number of patches."""
         return len(self.frame)
 
     def only(self, chosen: NDArray[np.bool_] | slice) -> Blobs:
-        """Return some of them."""
+        """Return a subset of the patches."""
         return Blobs(self.frame[chosen], self.area[chosen], self.centre[chosen], self.whole[chosen])
 
 
@@ -107,9 +107,9 @@ def _find(masks: Masks, first_frame: int) -> Blobs:
 
 
 def _runs(masks: Masks) -> tuple[Integers, Integers, Integers]:
-    """Return the runs of set pixels: line (over all frames), first column, column behind."""
+    """Return the runs of set pixels: line (over all frames), first column, end column."""
     frames, height, width = masks.shape
-    # With an unset pixel at either end of a line, every run begins and ends within it.
+    # With an unset pixel at both ends of a line, every run begins and ends within it.
     framed = np.zeros((frames, height, width + 2), np.bool_)
     framed[..., 1:-1] = masks
     changes = np.flatnonzero(framed[..., 1:] != framed[..., :-1])
@@ -120,12 +120,12 @@ def _runs(masks: Masks) -> tuple[Integers, Integers, Integers]:
 def _touching(
     line: Integers, left: Integers, right: Integers, height: int, width: int
 ) -> tuple[Integers, Integers]:
-    """Return the pairs of runs (e,), (e,) that share a side: each with those in the next row."""
+    """Return the pairs of runs (e,), (e,) in consecutive rows that share a side."""
     pitch = width + 1
     below = (line + 1) * pitch
     begin = np.searchsorted(line * pitch + right, below + left, side="right")
     end = np.searchsorted(line * pitch + left, below + right, side="left")
-    # The line after a frame's last belongs to the next frame.
+    # The last line of a frame is followed by a line of the next frame.
     count = np.where((line + 1) % height == 0, 0, np.maximum(end - begin, 0))
     upper = np.repeat(np.arange(len(line)), count)
     before = np.repeat(np.cumsum(count) - count, count)
@@ -133,10 +133,10 @@ def _touching(
 
 
 def _patches(upper: Integers, lower: Integers, runs: int) -> Integers:
-    """Return the number of the patch of each run (runs,), numbered by their first runs.
+    """Return the patch number of each run (runs,), numbered by their first runs.
 
     Every run points to an earlier run of its patch or to itself. Each round joins the patches of
-    touching runs by their ends and shortens all ways to one step, so that rounds are few.
+    touching runs at their roots and compresses all paths to one step, so that rounds are few.
     """
     root = np.arange(runs)
     while True:

@@ -1,8 +1,8 @@
-"""The marker image of a uSkin: a disc a taxel, which moves with shear and grows with pressure.
+"""Marker image of a uSkin: one disc per taxel, which moves with shear and grows with pressure.
 
-Taxel i lies at (i % 4, i // 4) on axes that run from -1 to 4 over the image, y **up**: taxel 0 is
+Taxel i is at (i % 4, i // 4) on axes that run from -1 to 4 over the image, y **up**: taxel 0 is
 at the lower left, and a positive y count moves its disc towards smaller rows. Sizes are those of a
-scatter plot, typographic points squared at 100 dots an inch (1 point = 1/72 inch).
+scatter plot, in square typographic points at 100 dots per inch (1 point = 1/72 inch).
 """
 
 from __future__ import annotations
@@ -18,41 +18,41 @@ Array = NDArray[np.float64]
 
 TAXELS, SIDE = 16, 4
 _POINTS_PER_INCH = 72.0
-_BLOCK = 64  # frames drawn at once: their rims stay in the cache
+_BLOCK = 64  # frames drawn at once, so that their rims stay in the cache
 
 
 @dataclass(frozen=True, slots=True)
 class DiscMap:
-    """From counts to discs. The defaults are the paper's Methods and the authors' publisher."""
+    """Map from counts to discs. Defaults: the paper's Methods and the authors' publisher."""
 
     shear_per_count: float = 2e-4
-    """S_X = S_Y: shift of a disc for a count of x or y [pitch]."""
+    """S_X = S_Y: shift of a disc per count of x or y [pitch]."""
     size_per_count: float = 0.2
-    """S_D: growth of a disc for a count of z [points^2]."""
+    """S_D: growth of a disc per count of z [points^2]."""
     size_min: float = 300.0
-    """Size of an untouched disc, and the least [points^2]: 24.06 px in diameter."""
+    """Size of a disc without contact, and the minimum [points^2]: 24.06 px in diameter."""
     size_max: float = 6000.0
-    """The largest [points^2]: 107.6 px in diameter."""
+    """Maximum size [points^2]: 107.6 px in diameter."""
     shift_max: float = 0.6
-    """A disc moves no farther than this along either axis [pitch]."""
+    """Largest shift of a disc along either axis [pitch]."""
     centre_min: float = -0.6
-    """No centre lies below this [pitch]."""
+    """Lower limit of a centre's coordinates [pitch]."""
     centre_max: float = 3.6
-    """No centre lies above this [pitch]."""
+    """Upper limit of a centre's coordinates [pitch]."""
     axis_min: float = -1.0
-    """Where the axes begin, at the left and at the bottom [pitch]."""
+    """Lower limit of the axes, at the left and at the bottom [pitch]."""
     axis_max: float = 4.0
-    """Where the axes end [pitch]."""
+    """Upper limit of the axes [pitch]."""
     dots_per_inch: float = 100.0
-    """Pixels of an inch."""
+    """Pixels per inch."""
     least_coverage: float = 50 / 255
-    """A pixel is set when the disc covers more than this share: grey above 50 of 255."""
+    """A pixel is set if the disc covers more than this share: grey above 50 of 255."""
 
     def __post_init__(self) -> None:
-        """Refuse a map that draws nothing.
+        """Reject a map that draws nothing.
 
         Raises:
-            ValueError: Limits the wrong way round, or a coverage that is no share below a half.
+            ValueError: Reversed limits, or a coverage outside (0, 0.5].
         """
         for low, high in (
             ("size_min", "size_max"),
@@ -75,7 +75,7 @@ class DiscMap:
             )
 
 
-# What the paper draws.
+# Map used in the paper.
 PAPER = DiscMap()
 
 
@@ -83,11 +83,11 @@ def draw_discs(counts: NDArray[np.integer | np.floating], disc_map: DiscMap = PA
     """Return the marker images (..., 480, 640) of taxel counts.
 
     Args:
-        counts: x, y, z of the 16 taxels (..., 16, 3), relative to the untouched sensor [counts].
-        disc_map: How counts become discs.
+        counts: x, y, z of the 16 taxels (..., 16, 3), relative to no contact [counts].
+        disc_map: Map from counts to discs.
 
     Raises:
-        ValueError: Another shape, or counts that are not finite.
+        ValueError: A different shape, or counts that are not finite.
     """
     centre, radius = place_discs(counts, disc_map)
     lead = radius.shape[:-1]
@@ -105,11 +105,11 @@ def place_discs(
     """Return centres (..., 16, 2) as column and row, and radii (..., 16) of the discs [px].
 
     Args:
-        counts: x, y, z of the 16 taxels (..., 16, 3), relative to the untouched sensor [counts].
-        disc_map: How counts become discs.
+        counts: x, y, z of the 16 taxels (..., 16, 3), relative to no contact [counts].
+        disc_map: Map from counts to discs.
 
     Raises:
-        ValueError: Another shape, or counts that are not finite.
+        ValueError: A different shape, or counts that are not finite.
     """
     counts = np.asarray(counts, np.float64)
     if counts.shape[-2:] != (TAXELS, 3):
@@ -130,7 +130,7 @@ def place_discs(
 
 
 def _fill(masks: Masks, centre: Array, radius: Array, coverage: float) -> None:
-    """Set the pixels of masks (n, 480, 640) that discs cover; touches only the rows they are on."""
+    """Set the pixels of masks (n, 480, 640) that discs cover; only rows with discs are touched."""
     reach = int(np.ceil(radius.max())) + 1
     row = np.floor(centre[..., 1, None]) + np.arange(-reach, reach + 2)
     half = _half_chord(radius[..., None], row - centre[..., 1, None], coverage)
@@ -151,15 +151,15 @@ def _fill(masks: Masks, centre: Array, radius: Array, coverage: float) -> None:
 
 
 def _half_chord(radius: Array, across: Array, coverage: float) -> Array:
-    """Return how far from its middle a row of pixels is covered [px]; negative: nowhere.
+    """Return the half-width over which a row of pixels is covered [px]; negative if not covered.
 
-    A pixel of the rim is cut by an edge that is straight to 1 / (24 radius) of its area. The
-    direction of that edge depends on where in the row it is, so the end is found by iteration.
+    The edge that cuts a rim pixel is straight up to 1 / (24 radius) of its area. The direction of
+    that edge depends on its position in the row, so the end is found by iteration.
 
     Args:
-        radius: Of the discs [px].
-        across: From the centre to the row of pixel centres [px].
-        coverage: The share that the disc must cover.
+        radius: Radius of the discs [px].
+        across: Distance from the centre to the row of pixel centres [px].
+        coverage: Share of a pixel that the disc must cover.
     """
     half = np.sqrt(np.maximum(radius**2 - across**2, 0.0))
     for _ in range(3):
@@ -169,10 +169,10 @@ def _half_chord(radius: Array, across: Array, coverage: float) -> Array:
 
 
 def _beyond_edge(along: Array, across: Array, share: float) -> Array:
-    """Return how far outside a straight edge the centre of a pixel covered by a share lies [px].
+    """Return the distance outside a straight edge of the centre of a partly covered pixel [px].
 
-    The edge is normal to (along, across). It cuts off a triangle of the unit square when it passes
-    one corner, and a trapezium when it passes two.
+    The edge is normal to (along, across) and covers `share` of the pixel. It cuts off a triangle of
+    the unit square if it passes one corner, and a trapezium if it passes two.
     """
     along, across = np.abs(along), np.abs(across)
     length = np.maximum(np.hypot(along, across), 1e-9)

@@ -1,4 +1,4 @@
-"""The pixels of the untouched image at which a displacement field is kept."""
+"""Lattice of pixels of the contact-free image at which a displacement field is stored."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from recorder.markers.packing import HEIGHT, WIDTH
 class Lattice:
     """Evenly spaced pixels over the image and a margin around it.
 
-    The material that is seen at pixel p before anything touches it is seen at p + d(p) in the
-    frame; the margin is for material that a press brings into view.
+    Material that is seen at pixel p without contact is seen at p + d(p) in the frame; the margin is
+    for material that a press brings into view.
     """
 
     step_px: int = 10
-    """From one pixel of the lattice to the next."""
+    """Spacing of the lattice."""
     margin_px: int = 40
-    """How far it reaches beyond columns 0 and 640 and rows 0 and 480."""
+    """Extent beyond columns 0 and 640 and rows 0 and 480."""
 
     def __post_init__(self) -> None:
-        """Refuse a lattice that does not end as it begins.
+        """Reject a lattice whose margins are not symmetric.
 
         Raises:
             ValueError: Not positive, or a step that does not divide the sides.
@@ -56,22 +56,22 @@ class Lattice:
         return places.astype(np.float64)
 
 
-# Where a displacement field says that markers are hard to see: flanks that are seen end-on.
+# Detection of steep flanks in a displacement field: seen edge-on, they make markers hard to see.
 
 Floats = NDArray[np.float64]
 
-# Size of a patch of skin in the frame over its size untouched below which it may hide a marker. It
-# is the mean of a cell, which an edge crosses somewhere: part of it is steeper still.
+# Ratio of a cell's area in the frame to its area without contact, below which it may hide a
+# marker. It is the mean over a cell that an edge crosses somewhere: part of it is steeper still.
 STEEP = 0.45
 
 
 def moved(centres: Floats, field: NDArray[np.floating], lattice: Lattice) -> Floats:
-    """Return where a field says that pixels (n, 2) are seen; NaN beyond its material.
+    """Return the positions to which a field moves pixels (n, 2); NaN beyond its material.
 
     Args:
-        centres: Column and row in the untouched image [px].
+        centres: Column and row in the image without contact [px].
         field: Displacement (h, w, 2) [px].
-        lattice: Where it is kept.
+        lattice: Lattice of the field.
     """
     column, row, along, down = _cells(centres, lattice)
     values = field.astype(np.float64)
@@ -81,13 +81,13 @@ def moved(centres: Floats, field: NDArray[np.floating], lattice: Lattice) -> Flo
 
 
 def on_flanks(centres: Floats, field: NDArray[np.floating], lattice: Lattice) -> NDArray[np.bool_]:
-    """Return which pixels (n, 2) lie on a steep flank, or a cell of the lattice beside one (n,).
+    """Return a mask (n,) of the pixels (n, 2) on a steep flank or in a lattice cell next to one.
 
-    How much a cell shrinks is the determinant of the displaced image's derivative. Arguments as for
-    `moved`.
+    The area ratio of a cell is the determinant of the displaced image's derivative. Arguments as
+    for `moved`.
     """
     values = field.astype(np.float64) / lattice.step_px
-    # Derivatives on the edges of cells, averaged over a cell; NaN, without material, is not steep.
+    # Derivatives on cell edges, averaged over a cell; NaN (no material) does not count as steep.
     across = (np.diff(values, axis=1)[1:] + np.diff(values, axis=1)[:-1]) / 2
     down = (np.diff(values, axis=0)[:, 1:] + np.diff(values, axis=0)[:, :-1]) / 2
     size = (1 + across[..., 0]) * (1 + down[..., 1]) - across[..., 1] * down[..., 0]
@@ -103,7 +103,7 @@ def on_flanks(centres: Floats, field: NDArray[np.floating], lattice: Lattice) ->
 def _cells(
     centres: Floats, lattice: Lattice
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats, Floats]:
-    """Return column and row of the cells that pixels are in, and how far along and down (n, 1)."""
+    """Return column and row of the cells of pixels, and the fractions along and down (n, 1)."""
     place = (centres + lattice.margin_px) / lattice.step_px
     most = np.array([lattice.shape[1], lattice.shape[0]]) - 2
     cell = np.clip(np.floor(place).astype(np.int64), 0, most)

@@ -1,23 +1,23 @@
-"""Has every marker of the reference stayed? A count that knows of the image's border.
+"""Check that a frame has all markers of its reference, by a count that allows for the border.
 
-Pressing moves markers and neither makes nor destroys them, so a frame has as many as the untouched
-image, but for those that cross the border. Counting only markers that lie fully inside does not
-help: one that is pushed against the border is lost to that count although it is there, and a whole
-column of them may be cut at once. So *all* patches are counted, cut ones too, and the border may
-explain a difference:
+Pressing moves markers but neither creates nor destroys them, so a frame has as many as the image
+without contact, except for those that cross the border. Counting only markers that are fully inside
+does not help: one that is pushed against the border is lost to that count although it exists, and a
+whole column of them may be cut at once. Therefore *all* patches are counted, including cut ones,
+and the border may explain a difference:
 
-- a marker of the reference **may have left** if it was within a marker's travel of the border, or
-  cut by it, and no marker of the frame is near its place;
-- a marker of the frame **may have come in** if it is that near to the border and no marker of the
+- a marker of the reference **may have left** if it was cut by the border, or within a marker's
+  travel of it, and no marker of the frame is near its place;
+- a marker of the frame **may have come in** if it is equally near the border and no marker of the
   reference is near its place.
 
-Near, and the travel, are half the distance between neighbours in the reference unless said
-otherwise. Where the displacement field of a frame is known, near means near to where the field
-takes the marker, and one more thing may explain a difference: a marker on a **steep flank** of the
-skin is seen end-on, as a sliver that is too small to count, or in two, or one with its neighbour.
+The travel, and the radius for "near", are half the distance between neighbours in the reference by
+default. If the displacement field of a frame is known, "near" refers to the position to which the
+field moves the marker. The field may also explain a difference: a marker on a **steep flank** of
+the skin is seen edge-on, as a sliver too small to count, split in two, or merged with a neighbour.
 
-A frame is flagged when more are missing than may have left or be hidden, or more are new than may
-have come in or be torn. Equal counts are never flagged, whatever the displacements in between.
+A frame is flagged if more markers are missing than may have left or be hidden, or more are new than
+may have come in or be split. Equal counts are never flagged, regardless of the displacements.
 """
 
 from __future__ import annotations
@@ -33,34 +33,34 @@ from recorder.markers.displacement import Lattice, moved, on_flanks
 from recorder.markers.packing import HEIGHT, WIDTH, Masks, require_masks
 
 Chosen = NDArray[np.bool_]
-# Gives the displacement (h, w, 2) [px] of a frame; asked only where the border is no reason.
+# Returns the displacement (h, w, 2) [px] of a frame; called only if the border is no explanation.
 FieldOf = Callable[[int], NDArray[np.floating]]
 
-# A patch is taken for two markers grown together above so many times the largest's area.
+# A patch above this multiple of the largest marker's area is taken for two merged markers.
 _MERGED = 1.5
-_NAMED = 3  # places that a reason names
+_NAMED = 3  # number of places that a reason lists
 
 
 @dataclass(frozen=True, slots=True)
 class MarkerFlag:
-    """A frame whose markers are not those of its reference."""
+    """A frame whose markers differ from those of its reference."""
 
     row: int
     """Number of the frame."""
     found: int
-    """Markers in it."""
+    """Number of markers in the frame."""
     expected: int
-    """Markers in the reference."""
+    """Number of markers in the reference."""
     reason: str
-    """What the border cannot explain, in words."""
+    """Difference that the border cannot explain, as text."""
 
     def __str__(self) -> str:
-        """Return the line that is printed."""
+        """Return the printed line."""
         return f"row {self.row}: {self.found} markers, reference {self.expected}: {self.reason}"
 
 
 class MarkerCheck:
-    """Compares frames with one reference."""
+    """Comparison of frames with one reference."""
 
     def __init__(
         self,
@@ -73,14 +73,14 @@ class MarkerCheck:
         """Find the markers of a reference.
 
         Args:
-            reference: The untouched mask (480, 640).
-            smallest_px: Patches of fewer pixels are not counted.
-            tolerance: So many markers may be missing or new beside what the border explains.
-            travel_px: How far a marker near the border may move [px]; half the median distance
-                to the nearest neighbour when None.
+            reference: Mask without contact (480, 640).
+            smallest_px: Smallest patch that is counted [px].
+            tolerance: Number of missing or extra markers allowed beyond those the border explains.
+            travel_px: Largest travel of a marker near the border [px]; if None, half the median
+                distance to the nearest neighbour.
 
         Raises:
-            ValueError: No mask, a reference without markers, or a negative tolerance or travel.
+            ValueError: Not a mask, no markers in the reference, or a negative tolerance or travel.
         """
         require_masks(reference)
         if tolerance < 0:
@@ -95,7 +95,7 @@ class MarkerCheck:
 
     @property
     def expected(self) -> int:
-        """Number of markers in the reference, cut ones too."""
+        """Number of markers in the reference, including cut ones."""
         return len(self._blobs)
 
     def flags(
@@ -106,13 +106,13 @@ class MarkerCheck:
         field_of: FieldOf | None = None,
         lattice: Lattice | None = None,
     ) -> list[MarkerFlag]:
-        """Return a flag for each frame whose markers are not those of the reference.
+        """Return a flag for each frame whose markers differ from those of the reference.
 
         Args:
             masks: Frames (n, 480, 640).
-            first_row: Number of the first of them.
-            field_of: Gives the displacement of frame 0 to n - 1, where it is known.
-            lattice: Where that is kept; the usual one when None.
+            first_row: Row number of the first frame.
+            field_of: Returns the displacement of frame 0 to n - 1, if it is known.
+            lattice: Lattice of the field; the default one if None.
 
         Raises:
             ValueError: Not bool (n, 480, 640).
@@ -137,7 +137,7 @@ class MarkerCheck:
         field: NDArray[np.floating] | None = None,
         lattice: Lattice | None = None,
     ) -> str | None:
-        """Return what is wrong with a frame of another count; None if there is an explanation."""
+        """Return the problem of a frame with a different count; None if it can be explained."""
         centres = self._blobs.centre
         flank = np.zeros(len(centres), np.bool_)
         if field is not None and lattice is not None:
@@ -184,7 +184,7 @@ def _half_pitch(blobs: Blobs) -> float:
 def _matched(
     one: NDArray[np.float64], other: NDArray[np.float64], reach: float
 ) -> tuple[Chosen, Chosen]:
-    """Return which of either (n,), (m,) are each other's nearest, and within reach [px]."""
+    """Return masks (n,), (m,) of points that are mutually nearest and within reach [px]."""
     ours, theirs = np.zeros(len(one), np.bool_), np.zeros(len(other), np.bool_)
     if len(one) and len(other):
         apart = _distances(one, other)

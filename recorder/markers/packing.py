@@ -1,6 +1,6 @@
-"""A mask in one bit a pixel, as the published recordings keep it.
+"""Masks packed at one bit per pixel, as in the published recordings.
 
-Row-major, the first pixel in the highest bit of the first byte (`numpy.packbits`, big-endian).
+Row-major, with the first pixel in the highest bit of the first byte (`numpy.packbits`, big-endian).
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def unpack(packed: Packed) -> Masks:
 
 
 def require_masks(masks: Masks) -> None:
-    """Refuse what is no mask and no batch of masks.
+    """Reject arrays that are neither a mask nor a batch of masks.
 
     Raises:
         ValueError: Not bool, or not 480 x 640.

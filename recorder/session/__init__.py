@@ -1,4 +1,4 @@
-"""Sessions: what a stream holds, writing, reading, alignment, windows."""
+"""Sessions: writing, reading, alignment, recovery and windows of synchronised rows."""
 
 from recorder.session.align import EXPOSURE, captured, linear, quaternion
 from recorder.session.clocks import clock_lines, fit_clocks

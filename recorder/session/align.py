@@ -1,9 +1,9 @@
-"""Bringing samples of different clocks' rates to common moments. Pure functions.
+"""Align streams sampled at different rates to common times. Pure functions.
 
-Times are int64 nanoseconds, sorted ascending; differences are taken as integers before anything
-becomes a float, since float64 cannot tell nanoseconds apart in a time since boot. Every result
-says how far it was fetched from (`age` [s]) and whether that is near enough (`valid`). Nothing is
-extrapolated: outside the samples a value is NaN and invalid.
+Times are int64 nanoseconds, sorted ascending; they are subtracted as integers before conversion
+to float, since float64 cannot resolve nanoseconds in a time since boot. Every result has the
+distance to the samples used (`age` [s]) and a flag `valid`: near enough. Nothing is extrapolated:
+outside the samples a value is NaN and invalid.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ NS = 1e-9
 
 
 class Values(Protocol):
-    """Samples (m, ...): an array, or what is indexed like one and reads only what is used."""
+    """Samples (m, ...): an array, or an array-like object that reads only the rows used."""
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -31,20 +31,20 @@ class Values(Protocol):
         ...
 
     def __getitem__(self, key: Any, /) -> Any:
-        """Return what the array would."""
+        """Return the indexed samples, as an array would."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Picked:
-    """One sample per query, taken as it is."""
+    """One unmodified sample per query."""
 
     index: NDArray[np.int64]
     """Sample used (n,); -1 where there is none."""
     age: Floats
     """Query minus sample (n,) [s]; negative for a later sample, NaN where there is none."""
     valid: Bools
-    """Whether the sample exists and is near enough (n,)."""
+    """True if the sample exists and is near enough (n,)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,9 +58,9 @@ class Aligned:
     gap: Floats
     """Distance between the samples around the query (n,) [s]; 0 on a sample."""
     valid: Bools
-    """Whether all samples used are near enough (n,)."""
+    """True if all samples used are near enough (n,)."""
     interpolated: Bools
-    """Whether the value lies between two samples rather than being one, or a mean of some (n,)."""
+    """True if the value was interpolated between two samples (n,); False for a sample or a mean."""
 
 
 def held(times: Times, query: Times, *, max_age: float = np.inf) -> Picked:
@@ -68,7 +68,7 @@ def held(times: Times, query: Times, *, max_age: float = np.inf) -> Picked:
 
     Args:
         times: Sample times (m,) [ns], ascending.
-        query: Times asked for (n,) [ns].
+        query: Requested times (n,) [ns].
         max_age: Largest age that is valid [s].
     """
     index = np.searchsorted(times, query, side="right").astype(np.int64) - 1
@@ -76,11 +76,11 @@ def held(times: Times, query: Times, *, max_age: float = np.inf) -> Picked:
 
 
 def nearest(times: Times, query: Times, *, max_age: float = np.inf) -> Picked:
-    """Return the sample nearest to each query; of two as near the earlier, of equal times the last.
+    """Return the sample nearest to each query; the earlier of a tie, the last of equal times.
 
     Args:
         times: Sample times (m,) [ns], ascending.
-        query: Times asked for (n,) [ns].
+        query: Requested times (n,) [ns].
         max_age: Largest distance that is valid [s].
     """
     if not len(times):
@@ -100,13 +100,13 @@ def linear(times: Times, values: Values, query: Times, *, max_age: float = np.in
     Args:
         times: Sample times (m,) [ns], ascending.
         values: Samples (m, ...).
-        query: Times asked for (n,) [ns].
+        query: Requested times (n,) [ns].
         max_age: Largest distance of either sample that is valid [s].
     """
     bracket = _bracket(times, query, max_age)
     weight = bracket.weight.reshape(-1, *(1 for _ in values.shape[1:]))
     if len(times):
-        # A plain sum of two products: exact on a sample, and NaN only where a used sample is.
+        # A plain sum of two products: exact on a sample, and NaN only if a sample used is NaN.
         first = np.where(weight < 1, values[bracket.before], 0) * (1 - weight)
         second = np.where(weight > 0, values[bracket.after], 0) * weight
         value = np.asarray(first + second, np.float64)
@@ -121,15 +121,15 @@ def mean(
 ) -> Aligned:
     """Return the mean of the samples inside each interval [start, stop], both ends included.
 
-    Where no sample lies inside, the value is interpolated linearly at the middle of the interval,
-    and `interpolated` says so. A mean is valid when samples lie within `max_age` of both ends, and
-    its age is that from `stop` to the last sample in it.
+    If no sample lies inside, the value is interpolated linearly at the middle of the interval and
+    `interpolated` is set. A mean is valid if samples lie within `max_age` of both ends; its age is
+    the time from its last sample to `stop`.
 
     Args:
         times: Sample times (m,) [ns], ascending.
         values: Samples (m, ...).
-        start: First moments (n,) [ns].
-        stop: Last moments (n,) [ns].
+        start: Interval starts (n,) [ns].
+        stop: Interval ends (n,) [ns].
         max_age: Largest distance that is valid [s].
     """
     first = np.searchsorted(times, start, side="left")
@@ -155,12 +155,12 @@ def mean(
 
 
 def pose(times: Times, poses: Values, query: Times, *, max_age: float = np.inf) -> Aligned:
-    """Return poses with positions interpolated linearly and rotations along the shortest arc.
+    """Return poses: positions interpolated linearly, rotations along the shortest arc.
 
     Args:
         times: Sample times (m,) [ns], ascending.
         poses: Positions [m] and rotation vectors [rad] (m, 6).
-        query: Times asked for (n,) [ns].
+        query: Requested times (n,) [ns].
         max_age: Largest distance of either sample that is valid [s].
     """
     result = linear(times, poses, query, max_age=max_age)
@@ -177,7 +177,7 @@ def quaternion(vector: Floats) -> Floats:
     """Return unit quaternions w x y z (n, 4) of rotation vectors (n, 3) [rad]."""
     angle = np.linalg.norm(vector, axis=-1, keepdims=True)
     half = 0.5 * angle
-    # sin(a/2)/a, through np.sinc so that it holds at a = 0.
+    # sin(a/2)/a, through np.sinc so that it is also defined at a = 0.
     return np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * vector], axis=-1)
 
 
@@ -191,7 +191,7 @@ def rotation_vector(quat: Floats) -> Floats:
 
 
 def slerp(first: Floats, second: Floats, weight: Floats) -> Floats:
-    """Return the rotations (n, 4) at `weight` (n,) of the shortest way from one to the other."""
+    """Return the rotations (n, 4) at `weight` (n,) on the shortest arc from `first` to `second`."""
     cosine = np.sum(first * second, axis=-1, keepdims=True)
     second = np.where(cosine < 0, -second, second)
     # The chord gives the angle precisely where the cosine is flat.
@@ -208,11 +208,11 @@ def slerp(first: Floats, second: Floats, weight: Floats) -> Floats:
 
 
 def exposure_window(capture: Times, exposure: float) -> tuple[Times, Times]:
-    """Return the first and last moment of light of images captured at `capture` (n,) [ns].
+    """Return the start and end of exposure of images captured at `capture` (n,) [ns].
 
     Args:
         capture: End of the exposure [ns].
-        exposure: Its length [s].
+        exposure: Length of the exposure [s].
     """
     return capture - round(exposure / NS), capture
 
@@ -268,22 +268,22 @@ def _picked(times: Times, query: Times, index: NDArray[np.int64], max_age: float
 def _sums(values: Values, first: NDArray[np.intp], last: NDArray[np.intp]) -> Floats:
     """Return the sums of values[first:last] for each pair, none of them empty.
 
-    Sums of their own rather than differences of a running sum: one NaN must not reach further than
-    the intervals it lies in.
+    Each interval is summed separately rather than by differences of a running sum, so that a NaN
+    affects only the intervals that contain it.
     """
     offset = int(first.min())
     part = np.asarray(values[offset : int(last.max())], np.float64)
-    # reduceat wants every index inside, so one row of zeros stands behind the last.
+    # reduceat needs every index inside, so a row of zeros is appended.
     padded = np.concatenate([part, np.zeros((1, *part.shape[1:]))])
     pairs = np.stack([first - offset, last - offset], axis=1).reshape(-1)
     return np.asarray(np.add.reduceat(padded, pairs, axis=0)[::2])
 
 
-# The streams of one run as alignment needs them: capture times and values in memory.
+# The streams of one run, prepared for alignment: capture times and values in memory.
 
 Array = np.ndarray[Any, Any]
 
-# Exposure of a camera that does not state it [s].
+# Exposure assumed for a camera that does not state it [s].
 EXPOSURE = 1 / 60
 _MAX_AGE = {"force": 0.02, "pose": 0.02}
 _MAX_AGE_PERIODS = 2.0
@@ -296,18 +296,18 @@ class Source:
     times: Times
     """Capture times (m,) [ns], ascending."""
     rows: NDArray[np.int64]
-    """Row of the stream that each is (m,)."""
+    """Row number of each in its stream (m,)."""
     values: Values | None
     """Values (m, ...); None for images, which stay on disk."""
     max_age: float
     """Oldest value that is still valid [s]."""
     exposure: float
-    """Time the light was collected before a capture [s]."""
+    """Exposure time before a capture [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sources:
-    """What a run has recorded; None for a stream the session lacks."""
+    """Recorded streams of a run; None for a stream that the session does not have."""
 
     camera: Source | None
     force: Source | None
@@ -316,7 +316,7 @@ class Sources:
 
     @property
     def signal(self) -> Source | None:
-        """The stream that the others are aligned to: the camera, or else the taxels."""
+        """Stream that the others are aligned to: the camera, or else the taxels."""
         return self.camera or self.taxels
 
     @property
@@ -333,7 +333,7 @@ class Sources:
 
 
 class StreamLike(Protocol):
-    """What is asked of a stream."""
+    """Interface of a stream that alignment reads."""
 
     name: str
     attrs: dict[str, Any]
@@ -358,7 +358,7 @@ class StreamLike(Protocol):
         ...
 
     def values(self, rows: slice) -> Values:
-        """Return rows of the column `value` (n, ...), or what is indexed like them."""
+        """Return rows of the column `value` (n, ...), or an array-like object of them."""
         ...
 
 
@@ -366,7 +366,7 @@ def sources_of_run(streams: Mapping[str, StreamLike], rows: Mapping[str, slice])
     """Return the known streams of one run.
 
     Args:
-        streams: Streams by name; those of other names are left out.
+        streams: Streams by name; unknown names are ignored.
         rows: Rows of each that belong to the run.
     """
     found = {
@@ -377,7 +377,7 @@ def sources_of_run(streams: Mapping[str, StreamLike], rows: Mapping[str, slice])
 
 
 def source(stream: StreamLike, rows: slice) -> Source:
-    """Return some rows of a stream with the times at which they were captured."""
+    """Return some rows of a stream with their capture times."""
     times = captured(stream)[rows]
     numbers = np.arange(len(stream.t_ns), dtype=np.int64)[rows]
     values = None if stream.name == "camera" else stream.values(rows)
@@ -396,10 +396,10 @@ def source(stream: StreamLike, rows: slice) -> Source:
 
 
 def captured(stream: StreamLike) -> Times:
-    """Return when each row was true (n,) [ns], as far as the stream tells.
+    """Return the capture time of each row (n,) [ns], as far as the stream gives it.
 
-    Arrival minus attrs `latency` [s]; or the device's own time, where attrs `device_clock` is
-    `monotonic`, because then it is the same clock (V4L2).
+    This is arrival minus attrs `latency` [s]; or the device's own time if attrs `device_clock` is
+    `monotonic`, because then both are the same clock (V4L2).
     """
     arrived = stream.t_ns - round(_number(stream, "latency", 0.0) / NS)
     if stream.attrs.get("device_clock") != "monotonic" or "device_t" not in stream.names:
@@ -411,6 +411,6 @@ def captured(stream: StreamLike) -> Times:
 
 
 def _number(stream: StreamLike, key: str, default: float) -> float:
-    """Return an attribute that may be missing, or null because nobody knows it."""
+    """Return an attribute, or `default` if it is missing or null (unknown)."""
     value = stream.attrs.get(key)
     return default if value is None else float(value)

@@ -1,11 +1,11 @@
-"""Where a device's own clock lies on the host's: offset and drift under delays that only add.
+"""Estimate a device clock's offset and drift against the host clock under positive delays.
 
-What arrives over a network or USB is never early, sometimes much too late. The fit therefore is
-the line under the points (device time, arrival minus device time): of all lines below them, the
-one with the least total distance, which is the edge of their lower convex hull above their mean
-(Moon, Skelly and Towsley, INFOCOM 1999). It is made anew in windows of 30 s, so that a clock that
-warms up is followed. The least delay of the transport itself cannot be seen by this; it stays in
-the offset unless the caller knows it. Pure functions, numpy only.
+Data over a network or USB never arrives early, but sometimes far too late. The fit is therefore
+a line under the points (device time, arrival minus device time): of all lines below them, the one
+with the least total distance. That is the edge of their lower convex hull above their mean
+(Moon, Skelly and Towsley, INFOCOM 1999). It is repeated in windows of 30 s, to follow a clock
+that warms up. The least delay of the transport itself cannot be observed in this way; it remains
+in the offset unless the caller supplies it. Pure functions, numpy only.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from recorder.store.layout import merge_attrs
 
 Floats = NDArray[np.float64]
 
-# Length of a fit [s]: long enough to catch prompt arrivals, short enough for a warming clock.
+# Window of a fit [s]: long enough to catch prompt arrivals, short enough for a warming clock.
 WINDOW = 30.0
-# Periods after which counters of so many bits and such ticks start again [s].
+# Periods after which counters of these bits and ticks wrap [s].
 WRAPS = tuple(2.0**bits * tick for bits in (16, 24, 31, 32) for tick in (1e-9, 1e-6, 1e-3))
-# A lasting change of the offset by more than this is a reset of the device's clock [s].
+# A permanent change of the offset by more than this is a reset of the device's clock [s].
 STEP = 0.02
 
 _BINS = 64  # least delays kept per window
 _KNOTS = 3  # fits per window length
 _LEAST_SAMPLES, _LEAST_SPAN = 16, 2.0
 _WRAP_SLACK = 0.5  # a wrap must explain the jump this well [s]
-_BLOCK = 1.0  # a reset is looked for between blocks of about this length [s]
+_BLOCK = 1.0  # resets are searched for between blocks of about this length [s]
 _PERSIST = 3  # blocks on either side that must agree
 
 
@@ -45,17 +45,17 @@ class ClockPiece:
     """The fit of the rows between two resets of the device's clock."""
 
     first_row: int
-    """First row it is made from."""
+    """First row of the fit."""
     rows: int
-    """How many."""
+    """Number of rows."""
     offset: float
-    """What is added to `device_t` at the first row to get host time [s]."""
+    """Value added to `device_t` at the first row to get host time [s]."""
     drift_ppm: float
-    """How much the device's clock gains on the host's, mean over the piece; positive is fast."""
+    """Mean drift of the device's clock against the host's [ppm]; positive is fast."""
     residual_rms: float
-    """Of arrival minus mapped time: how uneven the delays are [s]."""
+    """RMS of arrival minus mapped time: the variation of the delays [s]."""
     device_t: Floats
-    """Knots (k,), the device's time since the first knot's origin, wraps taken out [s]."""
+    """Knots (k,): device time since the first knot's origin, unwrapped [s]."""
     host_minus_device: Floats
     """Offset at the knots (k,) [s]."""
 
@@ -69,17 +69,17 @@ class ClockFit:
     window: float
     """Length of a window [s]."""
     causal: bool
-    """Whether each knot saw only what lay before it."""
+    """True if each knot uses only samples before it."""
     wrap: float | None
-    """Period after which the device's clock starts again [s]; None when it was not seen to."""
+    """Period after which the device's clock wraps [s]; None if no wrap was seen."""
 
     @property
     def resets(self) -> int:
-        """How often the device's clock began anew."""
+        """Number of resets of the device's clock."""
         return max(len(self.pieces) - 1, 0)
 
     def to_host(self, device_t: Floats, piece: int = 0) -> Floats:
-        """Return host times (n,) [s] of device times (n,) [s], wraps taken out, of one piece."""
+        """Return host times (n,) [s] of unwrapped device times (n,) [s] of one piece."""
         part = self.pieces[piece]
         return np.asarray(device_t + _interpolated(part, np.asarray(device_t, np.float64)))
 
@@ -129,20 +129,20 @@ def fit_clock(
     wrap: float | None = None,
     least_delay: float = 0.0,
 ) -> ClockFit | None:
-    """Return where the device's clock lies on the host's, or None for too few samples to say.
+    """Fit the device's clock to the host's; return None if there are too few samples.
 
     Args:
-        device_t: The device's times (n,) [s] in order of arrival; NaN where it gave none.
+        device_t: Device times (n,) [s] in order of arrival; NaN if the device gave none.
         t_ns: Arrivals (n,) [ns].
-        window: Length of a fit [s].
-        causal: Use only what lies before each knot, as a live program must.
-        wrap: Period after which the device's clock starts again [s]; None looks for a known one.
-        least_delay: Delay of the promptest arrival, if known [s].
+        window: Window of a fit [s].
+        causal: Use only samples before each knot, as a live program must.
+        wrap: Period after which the device's clock wraps [s]; None searches the known ones.
+        least_delay: Least delay of an arrival, if known [s].
     """
     rows = np.flatnonzero(np.isfinite(device_t))
     if len(rows) < _LEAST_SAMPLES:
         return None
-    # Relative to the first arrival, or float64 would round nanoseconds since boot.
+    # Relative to the first arrival: float64 would round nanoseconds since boot.
     origin_ns = int(t_ns[rows[0]])
     host = np.asarray((t_ns[rows] - origin_ns) * 1e-9, np.float64)
     device, found_wrap = _unwrapped(np.asarray(device_t, np.float64)[rows], host, wrap)
@@ -165,7 +165,7 @@ def fit_clock(
 
 
 def _unwrapped(device: Floats, host: Floats, wrap: float | None) -> tuple[Floats, float | None]:
-    """Return device times that grow through wraps, and the period if there was one."""
+    """Return unwrapped device times, and the wrap period if there was one."""
     change, passed = np.diff(device), np.diff(host)
     back = np.flatnonzero(change < -STEP)
     if not back.size:
@@ -183,7 +183,7 @@ def _unwrapped(device: Floats, host: Floats, wrap: float | None) -> tuple[Floats
 
 
 def _resets(host: Floats, offset: Floats) -> list[int]:
-    """Return the rows at which the offset changes for good by more than `STEP`."""
+    """Return the rows at which the offset changes permanently by more than `STEP`."""
     span = float(host[-1] - host[0])
     count = int(min(max(span / _BLOCK, 1), len(offset) // 4))
     if count < 2:
@@ -192,7 +192,7 @@ def _resets(host: Floats, offset: Floats) -> list[int]:
     least = np.minimum.reduceat(offset, edges[:-1])
     found: list[int] = []
     for block in range(1, count):
-        # A reset inside a block leaves its traces in two: look from the block before it.
+        # A reset inside a block affects the minima of two blocks: start from the block before it.
         before = float(least[max(block - _PERSIST, 0) : block].min())
         behind = least[block + 1 : block + 1 + _PERSIST]
         after = float(behind.min() if behind.size else least[block])
@@ -213,7 +213,7 @@ def _fit_piece(
     first, last = float(device.min()), float(device.max())
     if len(device) < _LEAST_SAMPLES or last - first < _LEAST_SPAN:
         return None
-    # What the whole piece says of the drift first, so that the least of a bin is the promptest.
+    # Remove the drift of the whole piece first, so that a bin's minimum is its promptest arrival.
     trend, _ = _line_below(*_least_of_bins(device, offset, (last - first) / (4 * _BINS)))
     x, level = _least_of_bins(device, offset - trend * device, min(window, last - first) / _BINS)
     count = max(int(np.ceil((last - first) / window * _KNOTS)) + 1, 2)
@@ -222,7 +222,7 @@ def _fit_piece(
     for number, knot in enumerate(knots):
         start = max(first, float(knot) - (window if causal else window / 2))
         if not causal:
-            # At the ends the window stays whole and the knot moves off its middle.
+            # At the ends the window keeps its length and the knot moves off its centre.
             start = min(start, max(last - window, first))
         stop = max(knot, first + _LEAST_SPAN) if causal else start + window
         inside = (x >= start) & (x <= stop)
@@ -264,7 +264,7 @@ def _turn(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]
 
 
 def _interpolated(piece: ClockPiece, device_t: Floats) -> Floats:
-    """Return the offset (n,) [s] at device times, beyond the knots by the slope of the last two."""
+    """Return the offset (n,) [s] at device times, extrapolated linearly beyond the knots."""
     x, y = piece.device_t, piece.host_minus_device
     inside = np.interp(device_t, x, y)
     first, last = ((y[k + 1] - y[k]) / (x[k + 1] - x[k]) for k in (0, len(x) - 2))
@@ -273,19 +273,19 @@ def _interpolated(piece: ClockPiece, device_t: Floats) -> Floats:
     return np.asarray(inside + below + above)
 
 
-# Fits every device clock of a session to the host's, and keeps what it found.
+# Fit every device clock of a session to the host's, and store the fits.
 #
-# The fit is reported, in attributes `clock_fit` of the stream; no time is ever replaced by it.
+# A fit is only reported, in attribute `clock_fit` of the stream; recorded times never change.
 
 
 def fit_clocks(path: str | os.PathLike[str]) -> dict[str, list[dict[str, Any] | None]]:
-    """Fit each stream whose device tells a time, run by run, and store it in its attributes.
+    """Fit each stream that has a device time, run by run, and store the fit in its attributes.
 
     Returns:
-        Attribute `clock_fit` by stream: one entry per run, None where too little was recorded.
+        Attribute `clock_fit` by stream: one entry per run, None if too little was recorded.
 
     Raises:
-        SessionError: Not a session, or a damaged one.
+        SessionError: Not a session, or a corrupt one.
     """
     session = Session(path)
     found: dict[str, list[dict[str, Any] | None]] = {}
@@ -306,7 +306,7 @@ def fit_clocks(path: str | os.PathLike[str]) -> dict[str, list[dict[str, Any] | 
 
 
 def clock_lines(session: Session) -> Iterator[str]:
-    """Say of each fitted clock where it lay and how it ran, for the last run of each stream."""
+    """Yield a line on the offset and drift of each fitted clock, for a stream's last run."""
     for name, stream in session.streams.items():
         entries = [entry for entry in stream.attrs.get("clock_fit", []) if entry is not None]
         if not entries:
@@ -327,12 +327,12 @@ def _seconds(value: float) -> str:
 
 
 def _device_clock(stream: Stream) -> tuple[str, NDArray[np.float64]] | None:
-    """Return what tells the device's time, and that time (n,) [s], or None."""
+    """Return the source of the device's time and that time (n,) [s], or None."""
     if "device_t" in stream.small:
         device_t = np.asarray(stream.array("device_t"), np.float64)
         return ("device_t", device_t) if np.isfinite(device_t).any() else None
     rate = stream.attrs.get("device", {}).get("rate_hz")
     if "seq" in stream.small and rate:
-        # A sequence number at a set rate is a clock that ticks once a sample.
+        # A sequence number at a fixed rate is a clock that ticks once per sample.
         return f"seq at {rate:g} Hz", np.asarray(stream.array("seq") / float(rate))
     return None

@@ -1,6 +1,6 @@
 """The `frames` view: one row per tick of the sensor's rate, inside the recorded phases.
 
-It is derived from the streams and can be rebuilt at any time; nothing in it is measured anew.
+It is derived from the streams and can be rebuilt at any time; it contains no original data.
 """
 
 import shutil
@@ -43,12 +43,12 @@ _BUILDING, _OLD = "frames.building", "frames.old"
 
 
 def write_frames(path: Path, rate_hz: float) -> None:
-    """Build the `frames` group of a session whose streams are closed, replacing one that is there.
+    """Build the `frames` group of a session with closed streams, replacing an existing one.
 
-    Killed at any point, there is either a whole group or none; the next call builds it again.
+    After a kill at any point, the group is either complete or absent; the next call rebuilds it.
 
     Raises:
-        SessionError: A stream is damaged.
+        SessionError: A stream is corrupt.
     """
     building, old, final = path / _BUILDING, path / _OLD, path / "frames"
     remove_leftovers(path)
@@ -62,7 +62,7 @@ def write_frames(path: Path, rate_hz: float) -> None:
 
 
 def remove_leftovers(path: Path) -> bool:
-    """Delete what a build that was killed has left; return whether there was any."""
+    """Delete the leftovers of a killed build; return True if there were any."""
     found = [path / name for name in (_BUILDING, _OLD) if (path / name).exists()]
     for leftover in found:
         shutil.rmtree(leftover)
@@ -72,8 +72,8 @@ def remove_leftovers(path: Path) -> bool:
 def frames_table(session: Session, rate_hz: float) -> dict[str, Array]:
     """Return the columns of the view, one row per tick that lies in a segment.
 
-    One grid of ticks per run starts with the run's first segment; rows never cross runs. See
-    `UNITS` for the columns; `taxels` is there only if the session has them. In a session without
+    Each run has one grid of ticks that starts with the run's first segment; rows never cross runs.
+    See `UNITS` for the columns; `taxels` exists only if the session has them. In a session without
     targets, such as an imported one, the view covers each run from its first sample to its last.
     """
     parts = [
@@ -95,7 +95,7 @@ def grid(anchor: int, start: int, end: int, rate_hz: float) -> Times:
 
 
 def depth_in(contact_frame: Floats, poses: Floats) -> Floats:
-    """Return how deep each pose lies below the contact plane (n,) [m].
+    """Return the depth of each pose below the contact plane (n,) [m].
 
     Args:
         contact_frame: Contact frame in the base frame (6,) [m, rad], z along the outward normal.
@@ -107,8 +107,8 @@ def depth_in(contact_frame: Floats, poses: Floats) -> Floats:
 
 
 def has_targets(session: Session) -> bool:
-    """Return whether anything was planned; imported sessions have no targets and no segments."""
-    # By the declared lengths: a table whose chunks are damaged has targets all the same.
+    """Return True if the session has targets; imported sessions have neither them nor segments."""
+    # Use the declared lengths: a table with corrupt chunks still has targets.
     arrays = (session.files.array(session.path / "targets" / name) for name in session.targets)
     return any(array.shape[0] for array in arrays)
 
@@ -120,7 +120,7 @@ def whole_run(session: Session, run: int, rate_hz: float) -> Times:
 
 
 def _run_ticks(session: Session, rate_hz: float) -> Iterator[tuple[int, Times, NDArray[np.int64]]]:
-    """Yield each run with its ticks and the segment each of them lies in."""
+    """Yield each run with its ticks and the segment of each tick."""
     segments = session.segments
     if not has_targets(session):
         for run in range(max(len(session.runs), 1)):
@@ -197,7 +197,7 @@ def _reference_offset(
 ) -> Floats:
     """Return the residual offset of each tick's contact point (n, 6) [N, N m].
 
-    That is the latest reference of the point in this run, taken at or before the tick; zero where
+    This is the latest reference of the point in this run, taken at or before the tick; zero if
     there is none.
     """
     offset = np.zeros((len(ticks), 6))

@@ -1,4 +1,4 @@
-"""Force over depth of a session of straight presses: loading and unloading, press by press."""
+"""Force over depth of a session of straight presses: loading and unloading curve per press."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +21,7 @@ _STEPS = 121
 
 @dataclass(frozen=True, slots=True)
 class PressCurves:
-    """Normal force at common depths; NaN where a press did not come."""
+    """Normal force at common depths; NaN at depths that a press did not reach."""
 
     depth: Floats
     """Common depths (m,) [m], ascending from 0."""
@@ -39,7 +39,7 @@ class PressCurves:
         return np.asarray(middle @ np.diff(self.depth))
 
     def lines(self) -> list[str]:
-        """Return a table: one line a press."""
+        """Return a table as text, one line per press."""
         lines = [
             f"{'press':<7}{'depth':>9}{'force':>10}{'loading':>12}{'unloading':>12}{'lost':>8}",
         ]
@@ -57,10 +57,10 @@ class PressCurves:
 
 
 def press_curves(session: Session) -> PressCurves:
-    """Return the curves of every target that went down and up again.
+    """Return the curves of every target that was pressed and released.
 
-    Forces are those of the stream, less the first reference of each run, at full rate; heights the
-    robot's, brought to the forces' times.
+    Forces are those of the stream at full rate, minus the first reference of each run. Depths come
+    from the robot's pose, interpolated to the times of the forces.
 
     Raises:
         SessionError: No such target, or no contact frame to measure depth in.
@@ -91,7 +91,7 @@ def press_curves(session: Session) -> PressCurves:
 
 
 def save_curves(curves: PressCurves, path: Path, title: str) -> None:
-    """Write the curves as a PNG: loading warm, unloading cool, every press a line."""
+    """Write the curves as a PNG: loading warm, unloading cool, one line per press."""
     lines = []
     for row in range(len(curves.target)):
         names = ("loading", "unloading") if row == 0 else ("", "")
@@ -129,13 +129,13 @@ def _samples(session: Session, row: int) -> tuple[Floats, Floats]:
 
 
 def _normal(rotation: Floats) -> Floats:
-    """Return z of a frame in its base (3,), from its rotation vector [rad]."""
+    """Return the z axis of a frame in its base (3,), from its rotation vector [rad]."""
     w, x, y, z = align.quaternion(rotation[None])[0]
     return np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
 
 
 def _at(grid: Floats, depth: Floats, force: Floats) -> Floats:
-    """Return the mean force around each depth of the grid (m,); NaN where there is none."""
+    """Return the mean force around each depth of the grid (m,); NaN if there is no sample."""
     step = grid[1] - grid[0]
     bins = np.round(depth / step).astype(np.int64)
     inside = (bins >= 0) & (bins < len(grid))
@@ -143,7 +143,7 @@ def _at(grid: Floats, depth: Floats, force: Floats) -> Floats:
     total = np.bincount(bins[inside], force[inside], minlength=len(grid))
     values = np.full(len(grid), np.nan)
     values[count > 0] = total[count > 0] / count[count > 0]
-    # A fast move may leave a bin empty between two that are not.
+    # A fast move may leave an empty bin between two filled ones: interpolate it.
     known = np.flatnonzero(count)
     if known.size:
         between = slice(known[0], known[-1] + 1)

@@ -1,6 +1,6 @@
-"""Opens a session to read. Needs no lock, changes nothing, and never invents a value.
+"""Read-only access to a session. Takes no lock, changes nothing and never fills in values.
 
-A chunk that is declared but not there is an error here; a Zarr reader would see fill values.
+A chunk that is declared but missing is an error here; a plain Zarr reader returns fill values.
 """
 
 import os
@@ -30,7 +30,7 @@ class Stream:
     """One stream of a session: columns of equal length, as recorded."""
 
     def __init__(self, path: Path, files: Files = LOCAL) -> None:
-        """Open a stream; `Session.streams` does it for you.
+        """Open a stream; use `Session.streams` instead.
 
         Raises:
             SessionError: Not a stream.
@@ -43,7 +43,7 @@ class Stream:
         self._columns: dict[str, Array] = {}
 
     def __len__(self) -> int:
-        """Return how many rows every column holds."""
+        """Return the number of rows that every column has."""
         return self._rows
 
     @property
@@ -70,7 +70,7 @@ class Stream:
         """Return a small column (n, ...) in memory.
 
         Raises:
-            SessionError: No such column, an image column, or a damaged chunk.
+            SessionError: No such column, an image column, or a corrupt chunk.
         """
         reader = self._reader(name)
         if reader.layout.column.is_image:
@@ -80,10 +80,10 @@ class Stream:
         return self._columns[name]
 
     def column(self, name: str) -> Array | zarr.Array[Any]:
-        """Return a column: in memory, or the Zarr array for images (perhaps longer than `len`).
+        """Return a column: in memory, or the Zarr array for images (possibly longer than `len`).
 
         Raises:
-            SessionError: No such column, or a damaged chunk.
+            SessionError: No such column, or a corrupt chunk.
         """
         reader = self._reader(name)
         if reader.layout.column.is_image:
@@ -94,7 +94,7 @@ class Stream:
         """Return rows [start, stop) (n, ...) of a small column, reading only their chunks.
 
         Raises:
-            SessionError: No such column, an image column, or a damaged chunk.
+            SessionError: No such column, an image column, or a corrupt chunk.
         """
         reader = self._reader(name)
         if reader.layout.column.is_image:
@@ -102,7 +102,7 @@ class Stream:
         return reader.rows_between(start, min(stop, self._rows))
 
     def values(self, rows: slice) -> Array | LazyRows:
-        """Return rows of the column `value` (n, ...): in memory, or read as used if remote."""
+        """Return rows of the column `value` (n, ...): in memory, or read lazily if remote."""
         reader = self._reader("value")
         if reader.layout.files.local or "value" in self._columns:
             return self.array("value")[rows]
@@ -112,7 +112,7 @@ class Stream:
         """Return images (n, h, w, channels) uint8, RGB.
 
         Raises:
-            SessionError: No images here, a row outside the stream, or a damaged image.
+            SessionError: No images here, a row outside the stream, or a corrupt image.
         """
         image = self._image()
         numbers = range(self._rows)[rows] if isinstance(rows, slice) else rows
@@ -124,7 +124,7 @@ class Stream:
         return out
 
     def jpeg(self, row: int) -> bytes | None:
-        """Return the camera's own bytes of one image, or None if it was stored losslessly.
+        """Return the camera's original bytes of one image, or None if it was stored losslessly.
 
         Raises:
             SessionError: No images here, or a row outside the stream.
@@ -141,10 +141,10 @@ class Stream:
         return image.column.shape if image is not None and image.column.codec == "jpeg" else None
 
     def jpegs(self, rows: Sequence[int]) -> Iterator[bytes]:
-        """Yield the camera's own bytes of some images, several fetched at once if remote.
+        """Yield the camera's original bytes of some images, fetched concurrently if remote.
 
         Raises:
-            SessionError: No images here, stored otherwise, or a row outside the stream.
+            SessionError: No images, images not stored as JPEG, or a row outside the stream.
         """
         image = self._image()
         if image.layout.column.codec != "jpeg":
@@ -170,7 +170,7 @@ class Stream:
 class Session:
     """One recorded session, read-only.
 
-    A session that is still being recorded opens with what is sealed so far; `warning` says so.
+    A session that is still being recorded shows only the rows sealed so far, and has a `warning`.
     """
 
     def __init__(
@@ -183,10 +183,10 @@ class Session:
 
         Args:
             path: A directory, or a URL that fsspec knows, such as `s3://bucket/x.zarr`.
-            storage_options: What fsspec needs to open the URL, e.g. `{"anon": True}`.
+            storage_options: Options that fsspec needs to open the URL, e.g. `{"anon": True}`.
 
         Raises:
-            SessionError: Not a session, of a newer format, out of reach, or remote and unfinished.
+            SessionError: Not a session, a newer format, unreachable, or remote and unfinished.
         """
         self.files, self.path = locate(path, storage_options)
         self.attrs = read_session_attrs(self.path, self.files)
@@ -207,7 +207,7 @@ class Session:
 
     @property
     def name(self) -> str:
-        """Where it is, as a person would write it: the path or the URL."""
+        """Location of the session as a path or URL."""
         return self.files.name(self.path)
 
     @property
@@ -222,7 +222,7 @@ class Session:
 
     @property
     def warning(self) -> str | None:
-        """What a reader should know before trusting the session, or None."""
+        """Warning to show before the session is used, or None."""
         if self.status == "recording":
             return (
                 f"{self.name}: still recording, or killed while it was; only sealed rows are "
@@ -232,13 +232,13 @@ class Session:
 
     @cached_property
     def rate_hz(self) -> float:
-        """Rate of the frames view: attrs `rate_hz`; before it is known, the signal's."""
+        """Rate of the frames view: attrs `rate_hz`, or else the signal's."""
         if "rate_hz" in self.attrs:
             return float(self.attrs["rate_hz"])
         for name in ("camera", "taxels", "pose", "force"):
             if name in self.streams:
                 return self.streams[name].rate_hz
-        raise SessionError(f"{self.name}: no stream has a rate to go by; say rate_hz")
+        raise SessionError(f"{self.name}: no stream has a rate; set rate_hz")
 
     def rows_of_run(self, name: str, run: int) -> slice:
         """Return the rows of a stream that belong to a run."""
@@ -256,7 +256,7 @@ class Session:
         return self._sources[run]
 
     def run_at(self, t_ns: int) -> int:
-        """Return the latest run whose samples enclose a time; the last run when none does."""
+        """Return the latest run whose samples enclose a time, or else the last run."""
         count = max(len(self.runs), 1)
         for run in reversed(range(count)):
             span = self.sources(run).span
@@ -276,7 +276,7 @@ class Session:
         rate_hz: float | None = None,
         run: int | None = None,
     ) -> Window:
-        """Return the last `n` synchronised rows at a time, as a live program would have had them.
+        """Return the last `n` synchronised rows at a time, as a live program would have seen them.
 
         Args:
             t_ns: Tick of the last row [ns]; the others lie before it, one period apart.
@@ -285,11 +285,11 @@ class Session:
             force: `mean_exposure`, `linear`, `held` or `nearest`, at the image's capture.
             pose: `slerp`, `held` or `nearest`, at the image's capture.
             taxels: `linear`, `held` or `nearest`, at the image's capture.
-            rate_hz: Rate of the rows; the session's own when None.
-            run: Run whose clock `t_ns` is of; found from the samples when None.
+            rate_hz: Rate of the rows; the session's if None.
+            run: Run of whose clock `t_ns` is; determined from the samples if None.
 
         Raises:
-            SessionError: An unknown method, or a damaged stream.
+            SessionError: An unknown method, or a corrupt stream.
         """
         ticks = ticks_before(t_ns, n, rate_hz or self.rate_hz)
         sources = self.sources(self.run_at(t_ns) if run is None else run)

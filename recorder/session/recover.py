@@ -1,4 +1,4 @@
-"""Puts a session back in order after its writers were killed or the power failed."""
+"""Recover a session after its writers were killed or the power failed."""
 
 import os
 from dataclasses import dataclass
@@ -13,48 +13,47 @@ from recorder.store.layout import StreamLayout, merge_attrs, read_session_attrs
 
 @dataclass(frozen=True, slots=True)
 class StreamRecovery:
-    """What was found in one stream."""
+    """Result of recovering one stream."""
 
     name: str
     """Path of the stream inside the session."""
     rows: int
-    """Rows it holds now."""
+    """Number of rows now."""
     recovered_rows: int
-    """Rows of them that no Zarr reader saw before."""
+    """Number of rows that no Zarr reader saw before."""
     torn_bytes: int
-    """Bytes of records that were never finished."""
+    """Bytes of incomplete records."""
     dropped_rows: int
-    """Rows that some columns held and others did not."""
+    """Number of rows that only some columns had."""
     touched: bool
-    """Whether anything had to be done."""
+    """True if the stream was changed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """What was found in a session, and what it is now."""
+    """Result of recovering a session."""
 
     streams: tuple[StreamRecovery, ...]
     """Every stream and table."""
     frames_rebuilt: bool
-    """Whether the frames view was built anew."""
+    """True if the frames view was rebuilt."""
     status: str
     """Status of the session now."""
 
     @property
     def touched(self) -> bool:
-        """Whether anything had to be done."""
+        """True if the session was changed."""
         return self.frames_rebuilt or any(stream.touched for stream in self.streams)
 
 
 def recover(path: str | os.PathLike[str]) -> Recovery:
     """Close a session that was not closed: seal its streams, build `frames`, set its status.
 
-    A session that was `recording` becomes `recovered`, another keeps its status. Nothing is done to
-    a sound session, so it may be repeated; killed half-way, it can be run again.
+    A session in status `recording` becomes `recovered`, any other keeps its status. A valid session
+    is not changed, so the call is idempotent; if killed half-way, it can be repeated.
 
     Raises:
-        SessionError: Not a session, one that is being written, or one damaged beyond what a crash
-            does.
+        SessionError: Not a session, one that is being written, or damage that a crash cannot cause.
     """
     session = Path(path)
     attrs = read_session_attrs(session)
@@ -76,7 +75,7 @@ def recover_streams(path: Path) -> list[StreamRecovery]:
     """Seal every stream and table of a session that was not closed.
 
     Raises:
-        SessionError: A stream is being written, or is damaged beyond what a crash does.
+        SessionError: A stream is being written, or has damage that a crash cannot cause.
     """
     groups = sorted(entry.parent for entry in (path / "streams").glob("*/zarr.json"))
     return [_recover(path, group) for group in (*groups, path / "segments", path / "reference")]

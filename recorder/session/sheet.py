@@ -1,4 +1,4 @@
-"""The contact sheet: a session on one page, to be looked at before it is believed."""
+"""The contact sheet: a session on one page, for a visual check."""
 
 import os
 from typing import Any
@@ -25,12 +25,12 @@ _DEPTH_COLOR = (132, 92, 172)
 def contact_sheet(
     session_path: str | os.PathLike[str], png_path: str | os.PathLike[str], *, count: int = 12
 ) -> None:
-    """Draw a session as a PNG: frames evenly over it, then force and depth over time.
+    """Draw a session as a PNG: evenly spaced frames, then force and depth over time.
 
     Args:
         session_path: A finished session.
-        png_path: Where the picture goes.
-        count: How many frames to show.
+        png_path: Output file.
+        count: Number of frames to show.
 
     Raises:
         SessionError: The session has no frames, or `count` is less than 1.
@@ -84,7 +84,7 @@ def contact_sheet(
 
 
 def _pictures(session: Session, chosen: NDArray[np.intp]) -> list[Image.Image]:
-    """Return one thumbnail per chosen row of `frames`: the image, or the taxels drawn."""
+    """Return one thumbnail per chosen row of `frames`: the image, or a picture of the taxels."""
     frames = session.frames
     if "camera" in session.streams:
         rows = frames["image"][chosen]
@@ -106,7 +106,7 @@ def _at_rest(session: Session, counts: NDArray[np.float64]) -> NDArray[Any]:
 
 
 def _fitted(pixels: NDArray[np.uint8]) -> Image.Image:
-    """Return an image scaled into the thumbnail, on dark ground."""
+    """Return an image scaled into the thumbnail, on a dark background."""
     image = Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels).convert("RGB")
     scale = min(_THUMB[0] / image.width, _THUMB[1] / image.height)
     size = (max(round(image.width * scale), 1), max(round(image.height * scale), 1))
@@ -159,7 +159,7 @@ def _caption(
 
 
 def _recorded_seconds(session: Session) -> NDArray[np.float64]:
-    """Return the time of each frame [s] with the pauses between phases, and between runs, cut."""
+    """Return the time of each frame [s], with pauses between phases and runs removed."""
     period = 1.0 / session.rate_hz
     steps = np.diff(session.frames["t_ns"]) * NS
     steps = np.where((steps > 1.5 * period) | (steps < 0), period, steps)

@@ -1,4 +1,4 @@
-"""Appends rows to one stream. The hot path of every recording process."""
+"""Append rows to one stream. This is the hot path of every recording process."""
 
 from __future__ import annotations
 
@@ -29,37 +29,37 @@ from recorder.store.layout import CHUNKS_PER_SHARD, PARTIAL, Layout, StreamLayou
 from recorder.store.rows import RowPacker
 from recorder.store.shard import ColumnLog, OpenShard, chunk_count, read_index, scan_partial
 
-# What of a stream is there after its writer stopped, however it stopped; and how to go on.
+# State of a stream after its writer stopped, however that happened, and how to resume it.
 #
-# Rows below the first journal come from the shards, the others from the journals, an image counts
-# only with its row and a row only with its image. Resuming and recovering are the same act: put the
-# stream back into the state it had while it was written, after its last whole row.
+# Rows below the first journal come from the shards, later rows from the journals. An image counts
+# only with its row, and a row only with its image. Resuming and recovering are the same operation:
+# both return the stream to the state that it had while written, after its last complete row.
 
-# Room kept on the disk of a stream being written, so that a full disk can still be closed.
+# Reserved space on disk for a stream being written, so that it can be closed on a full disk.
 BALLAST = "ballast"
 
 
 @dataclass(frozen=True, slots=True)
 class StreamState:
-    """What a look at a stream finds, nothing being changed."""
+    """State of a stream as found by a read-only survey."""
 
     rows: int
-    """Rows that exist whole in every column."""
+    """Number of rows that are complete in every column."""
     journalled: JournalledRows | None
-    """Rows that are not stored as chunks yet; None when the stream was closed."""
+    """Rows not yet stored as chunks; None if the stream was closed."""
     torn_bytes: int
     """Bytes of records that were being written when the writer died."""
     dropped_rows: int
-    """Rows that some columns hold and others do not."""
+    """Number of rows that only some columns have."""
     unfinished: tuple[Path, ...]
     """Files that a closed stream does not have."""
 
 
 def survey(layout: StreamLayout) -> StreamState:
-    """Look at a stream without changing it.
+    """Return the state of a stream without changing it.
 
     Raises:
-        SessionError: A sealed shard that is needed to count the rows is damaged.
+        SessionError: A sealed shard that is needed to count the rows is corrupt.
     """
     journalled = read_journals(layout)
     if journalled is None:  # closed, or never opened: the declared lengths hold
@@ -81,7 +81,7 @@ def survey(layout: StreamLayout) -> StreamState:
 
 
 def count_chunks(column: Layout) -> tuple[int, int]:
-    """Return how many chunks a column holds without a hole, and its torn bytes."""
+    """Return a column's number of chunks without a gap, and its torn bytes."""
     chunks = torn = 0
     numbers = column.shard_numbers()
     for number in numbers:
@@ -89,7 +89,7 @@ def count_chunks(column: Layout) -> tuple[int, int]:
             records, torn_here = scan_partial(column, number)
             held = len(records)
             torn += torn_here
-        elif number < numbers[-1]:  # nothing is ever begun behind a short shard
+        elif number < numbers[-1]:  # no shard is begun before the previous one is full
             held = CHUNKS_PER_SHARD
         else:
             held = chunk_count(read_index(column.shard(number)))
@@ -99,12 +99,12 @@ def count_chunks(column: Layout) -> tuple[int, int]:
 
 
 def unfinished_files(layout: StreamLayout) -> tuple[Path, ...]:
-    """Return the files that only a stream being written has."""
+    """Return the files that exist only while a stream is being written."""
     return tuple(sorted(p for p in layout.path.rglob("*") if is_unfinished(layout, p)))
 
 
 def is_unfinished(layout: StreamLayout, path: Path) -> bool:
-    """Return whether a path below a stream is one that only a stream being written has."""
+    """Return True if a path below a stream exists only while the stream is being written."""
     name, parent = path.name, path.parent
     if parent == layout.time.path and (name.startswith("journal-") or name == BALLAST):
         return True
@@ -116,21 +116,21 @@ def is_unfinished(layout: StreamLayout, path: Path) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class OpenStream:
-    """A stream ready to be appended to."""
+    """A stream open for appending."""
 
     image: ColumnLog | None
-    """Its images."""
+    """Log of the images."""
     small: tuple[ColumnLog, ...]
-    """Its other columns, up to the start of the journal."""
+    """Logs of the other columns, up to the start of the journal."""
     journal: Journal
-    """The rows behind them."""
+    """Journal of the rows after them."""
 
 
 def restore(layout: StreamLayout) -> OpenStream:
-    """Open a stream behind its last whole row. Killed at any point, it can be called again.
+    """Open a stream after its last complete row. If killed, it can be called again.
 
     Raises:
-        SessionError: The stream is damaged where it has to be read.
+        SessionError: The stream is corrupt where it has to be read.
     """
     for path in unfinished_files(layout):
         if path.name.endswith(TEMPORARY) or path.name == BALLAST:
@@ -158,9 +158,9 @@ def restore(layout: StreamLayout) -> OpenStream:
 def store_block(
     layout: StreamLayout, logs: tuple[ColumnLog, ...], first_row: int, rows: list[bytes]
 ) -> None:
-    """Append one block of rows to all small columns, sealing what is full.
+    """Append one block of rows to all small columns, and seal full shards.
 
-    Columns that hold the block already are left alone, so it may be called again after an error.
+    Columns that already have the block are skipped, so the call may be repeated after an error.
     """
     number = first_row // layout.block
     for log, chunk in zip(logs, pack_block(layout, rows), strict=True):
@@ -170,7 +170,7 @@ def store_block(
 
 
 def _rows_to_journal(layout: StreamLayout, state: StreamState) -> tuple[int, list[bytes]]:
-    """Return the rows that must (again) be in a journal, and make sure that they are."""
+    """Return the rows that must (again) be in a journal, writing the journal if necessary."""
     journalled = state.journalled
     if journalled is not None and journalled.first_row <= state.rows:
         rows = journalled.rows[: state.rows - journalled.first_row]
@@ -185,7 +185,7 @@ def _rows_to_journal(layout: StreamLayout, state: StreamState) -> tuple[int, lis
 
 
 def _stored_rows(layout: StreamLayout, start: int, stop: int) -> list[bytes]:
-    """Return the rows of the last, short block, packed as in a journal."""
+    """Return the rows of the last, incomplete block, packed as in a journal."""
     if start == stop:
         return []
     table = np.zeros(stop - start, layout.row_dtype)
@@ -215,16 +215,16 @@ def _read_chunk(column: Layout, chunk: int) -> NDArray[Any]:
     return decoded_rows(column, data)
 
 
-_BALLAST_BYTES = 1 << 16  # indices and metadata of a dozen columns, in whole disk blocks
+_BALLAST_BYTES = 1 << 16  # indices and metadata of a dozen columns, in full disk blocks
 
 
 class StreamWriter:
-    """The one writer of a stream.
+    """The only writer of a stream.
 
-    A row is accepted when `append` returns: from then on it survives the death of this process,
-    and within `sync_interval` seconds that of the machine. Images go straight into the open shard,
-    the other columns into the row journal, which commits the row; sealing, encoding and flushing
-    happen in a thread of their own.
+    A row is accepted when `append` returns: from then on it survives the death of this process, and
+    at most `sync_interval` seconds later also that of the machine. Images go directly into the open
+    shard, the other columns into the row journal, which commits the row. Sealing, encoding and
+    flushing run in a background thread.
     """
 
     def __init__(self, layout: StreamLayout, lock: int, sync_interval: float) -> None:
@@ -243,7 +243,7 @@ class StreamWriter:
             self._image_name = image.name
             self._encode = images.encoder(image, f"{layout.name}.{image.name}")
         self.rows: int = self._journal.first_row + len(self._journal.rows)
-        """Rows accepted so far."""
+        """Number of rows accepted so far."""
         _write_ballast(layout)
         layout.set_attrs(sync_interval=sync_interval)
         self._background = Background(
@@ -252,14 +252,14 @@ class StreamWriter:
 
     @classmethod
     def open(cls, path: str | os.PathLike[str], *, sync_interval: float = 1.0) -> Self:
-        """Open a stream to write behind its last whole row, whatever its last writer came to.
+        """Open a stream for writing after its last complete row, however its last writer ended.
 
         Args:
             path: The stream's group, e.g. `<session>/streams/force`.
             sync_interval: Longest time between two flushes to the disk [s].
 
         Raises:
-            SessionError: Not a stream, damaged, or open in another writer.
+            SessionError: Not a stream, corrupt, or open in another writer.
         """
         layout = StreamLayout.load(Path(path))
         lock = lock_stream(layout)
@@ -272,12 +272,12 @@ class StreamWriter:
     def append(self, **columns: Any) -> int:
         """Append one row and return its number.
 
-        An image is JPEG bytes or pixels, as its column declares; every other column a number or
-        array of the declared shape. Integers may go into float columns, NaN only there.
+        An image is JPEG bytes or pixels, as its column declares; any other column is a number or an
+        array of the declared shape. Float columns accept integers; only they accept NaN.
 
         Raises:
             SessionError: A missing, unknown or ill-typed column, or a closed writer.
-            OSError: The disk is full or failing. The row is not stored, the rows before it are.
+            OSError: The disk is full or failing. The row is not stored; earlier rows are.
         """
         if self._closed:
             raise SessionError(f"{self._layout.name}: the writer is closed")
@@ -309,10 +309,10 @@ class StreamWriter:
         self._layout.set_attrs(**attrs)
 
     def close(self) -> None:
-        """Seal what was appended, so that every Zarr reader sees it. Safe twice.
+        """Seal all appended rows, so that every Zarr reader sees them. May be called twice.
 
         Raises:
-            OSError: No room even for that; all rows are kept for `recover`.
+            OSError: No space left even for that; all rows are kept for `recover`.
         """
         if self._closed:
             return
@@ -335,10 +335,10 @@ class StreamWriter:
         self.close()
 
     def _hand_over(self) -> None:
-        """Give what became full to the background thread and start anew.
+        """Pass full shards and journals to the background thread and start new ones.
 
-        Both hand-overs come after the row was committed, so no shard is ever sealed with an image
-        that has no row.
+        Both are passed on only after the row was committed, so no shard is ever sealed with an
+        image that has no row.
         """
         if self._image is not None:
             shard = self._image.take_full()
@@ -361,7 +361,7 @@ class StreamWriter:
         journal.remove()
 
     def _sync(self) -> None:
-        # Images first: after a power cut a row without its image does not count.
+        # Images first: after a power failure, a row without its image does not count.
         if self._image is not None:
             self._image.sync()
         for log in self._small:
@@ -369,7 +369,7 @@ class StreamWriter:
         self._journal.sync()
 
     def _seal(self) -> None:
-        self._sync()  # until all columns are sealed, the journal is what a recovery relies on
+        self._sync()  # until all columns are sealed, recovery depends on the journal
         if self._journal.rows:
             store_block(self._layout, self._small, self._journal.first_row, self._journal.rows)
         for log in (*([self._image] if self._image else []), *self._small):
@@ -378,10 +378,10 @@ class StreamWriter:
 
 
 def lock_stream(layout: StreamLayout) -> int:
-    """Return a file descriptor that holds the stream for this process, until it is closed.
+    """Lock the stream for this process until the returned file descriptor is closed.
 
     Raises:
-        SessionError: Another writer holds it.
+        SessionError: Another writer holds the lock.
     """
     fd = os.open(layout.time.path, os.O_RDONLY)
     try:
@@ -393,7 +393,7 @@ def lock_stream(layout: StreamLayout) -> int:
 
 
 def _write_ballast(layout: StreamLayout) -> None:
-    """Occupy the room that sealing will need; an already full disk has none to keep."""
+    """Reserve the space that sealing will need; a full disk has none to reserve."""
     room = _BALLAST_BYTES + layout.block * (layout.row_dtype.itemsize + HEADER.size)
     path = layout.time.path / BALLAST
     try:

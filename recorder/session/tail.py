@@ -1,7 +1,7 @@
-"""Reads one row of an image column that is still being written, for whoever watches.
+"""Read single rows of an image column while it is being written, for a live viewer.
 
-Looks at the open shard's records and never at more of it than it must: no lock, no scan of what
-was read before, nothing the writer could notice.
+Reads only the records it needs from the open shard: no lock, no rescan, and no effect that the
+writer could notice.
 """
 
 import os
@@ -35,19 +35,19 @@ class ImageTail:
         self.close()
 
     def chunk(self, row: int) -> bytes | None:
-        """Return the encoded image of a row, or None while it is not there whole.
+        """Return the encoded image of a row, or None if it is not complete yet.
 
-        The camera's own JPEG bytes where the column keeps them.
+        These are the camera's original JPEG bytes if the column stores them.
 
         Raises:
-            SessionError: The row's shard is sealed and damaged.
+            SessionError: The row's shard is sealed and corrupt.
         """
         number, place = divmod(row, CHUNKS_PER_SHARD)
         if self._layout.partial(number).exists():
             data = self._from_open(number, place, row)
             if data is not None:
                 return data
-        # Sealed a moment ago, or not written yet.
+        # Either just sealed, or not written yet.
         if not self._layout.shard(number).exists():
             return None
         offset, nbytes = (int(v) for v in read_index(self._layout.shard(number))[place])
@@ -57,12 +57,12 @@ class ImageTail:
             return os.pread(file.fileno(), nbytes, offset)
 
     def jpeg(self, row: int, *, quality: int = 80) -> bytes | None:
-        """Return the image of a row as JPEG, or None while it is not there whole.
+        """Return the image of a row as JPEG, or None if it is not complete yet.
 
-        The camera's bytes are passed on unchanged; pixels are encoded at `quality`.
+        JPEG bytes from the camera are returned unchanged; pixels are encoded at `quality`.
 
         Raises:
-            SessionError: The image, or its sealed shard, is damaged.
+            SessionError: The image, or its sealed shard, is corrupt.
         """
         data = self.chunk(row)
         if data is None or self._layout.column.codec == "jpeg":
@@ -70,7 +70,7 @@ class ImageTail:
         return images.encode_jpeg(images.decoder(self._layout.column)(data), quality)
 
     def close(self) -> None:
-        """Let go of the file. Safe twice."""
+        """Close the file. May be called twice."""
         if self._fd >= 0:
             os.close(self._fd)
         self._fd, self._number = -1, -1
@@ -97,7 +97,7 @@ class ImageTail:
         whole = magic == MAGIC and index == row & 0xFFFFFFFF and len(data) == nbytes
         if whole and checksum(data, t_ns, index) == crc:
             return data
-        # Half written, or the writer took a record back: the next look starts afresh.
+        # Half written, or the writer removed a record: start again on the next call.
         self.close()
         return None
 

@@ -1,7 +1,7 @@
-"""Synchronised rows at given ticks: the one alignment behind `frames` and `Session.window`.
+"""Synchronised rows at given ticks, used by both `frames` and `Session.window`.
 
-Each tick gets the signal's (camera's, else taxels') latest sample, and everything else is brought
-to the moment that sample was captured: a label must fit its image, not the tick.
+Each tick gets the latest sample of the signal (the camera, else the taxels). All other values are
+aligned to the capture time of that sample, because a label must match its image, not the tick.
 """
 
 from collections.abc import Callable, Mapping
@@ -20,47 +20,47 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """`n` synchronised rows. A stream that the session lacks is None in all its fields.
+    """`n` synchronised rows. All fields of a stream that the session does not have are None.
 
-    Rows that reach before the start of a run, or behind its end, are there and invalid.
+    Rows before the start of a run or after its end exist but are invalid.
     """
 
     t_ns: Times
     """Ticks (n,) [ns], one period apart, on the clock of `run`."""
     capture_ns: Times
-    """When the signal of each row was captured (n,) [ns]; the tick itself where there is none."""
+    """Capture time of each row's signal (n,) [ns]; the tick itself if there is none."""
     image: NDArray[np.uint8] | None
-    """Images (n, h, w, channels) RGB; zeros where there is none."""
+    """Images (n, h, w, channels) RGB; zeros if there is none."""
     image_row: NDArray[np.int64] | None
-    """Rows of streams/camera (n,); -1 where there is none."""
+    """Rows of streams/camera (n,); -1 if there is none."""
     image_age: Floats | None
-    """Tick minus capture (n,) [s]; NaN where there is none."""
+    """Tick minus capture (n,) [s]; NaN if there is none."""
     image_valid: Bools | None
-    """Whether the image exists and is young enough (n,)."""
+    """True if the image exists and is recent enough (n,)."""
     wrench: Floats | None
     """Force and torque at the capture (n, 6) [N, N m], as in streams/force."""
     wrench_age: Floats | None
     """Distance from capture to the nearest sample used (n,) [s]."""
     wrench_valid: Bools | None
-    """Whether all samples used are near enough (n,)."""
+    """True if all samples used are near enough (n,)."""
     pose: Floats | None
     """Tool pose at the capture (n, 6) [m, rad], base frame, rotation vector."""
     pose_age: Floats | None
     """Distance from capture to the nearest sample used (n,) [s]."""
     pose_valid: Bools | None
-    """Whether all samples used are near enough (n,)."""
+    """True if all samples used are near enough (n,)."""
     taxels: Floats | None
     """Taxel counts (n, 16, 3): at the capture of the image, or the signal itself."""
     taxels_age: Floats | None
-    """Distance from capture to the nearest sample used (n,) [s]; as the signal, age at the tick."""
+    """Distance from capture to nearest sample used (n,) [s]; for the signal, age at the tick."""
     taxels_valid: Bools | None
-    """Whether all samples used are near enough (n,)."""
+    """True if all samples used are near enough (n,)."""
     signal_row: NDArray[np.int64]
-    """Row of the camera, or of the taxels without one (n,); -1 where there is none."""
+    """Row of the camera, or else of the taxels (n,); -1 if there is none."""
 
     @property
     def valid(self) -> Bools:
-        """Whether every stream that exists is valid (n,)."""
+        """True if all existing streams are valid (n,)."""
         flags = (self.image_valid, self.wrench_valid, self.pose_valid, self.taxels_valid)
         out = np.ones(len(self.t_ns), np.bool_)
         for flag in flags:
@@ -70,7 +70,7 @@ class Window:
 
     @property
     def skew(self) -> Floats:
-        """Largest distance of any value from the capture it is given for (n,) [s]; NaN for none."""
+        """Largest distance of a value from the capture that it belongs to (n,) [s]; NaN if none."""
         ages = [self.wrench_age, self.pose_age]
         if self.image_row is not None:
             ages.append(self.taxels_age)
@@ -96,7 +96,7 @@ def align_window(
     pose: str = "slerp",
     taxels: str = "linear",
 ) -> Window:
-    """Return the synchronised rows at `ticks` (n,) [ns], ascending, without the images' pixels.
+    """Return the synchronised rows at ascending `ticks` (n,) [ns], without the images' pixels.
 
     The methods are those of `Session.window`.
 
@@ -152,7 +152,7 @@ _Fetch = Callable[[Source, Times, float], Aligned]
 
 
 def _sample(pick: Callable[..., Picked]) -> _Fetch:
-    """Return the method that takes a sample as it is."""
+    """Return the method that takes unmodified samples."""
 
     def fetch(source: Source, moments: Times, exposure: float) -> Aligned:
         return _taken(source, pick(source.times, moments, max_age=source.max_age))

@@ -1,4 +1,4 @@
-"""Creates a session, takes its runs, and closes it."""
+"""Create a session, add runs to it, and close it."""
 
 import os
 import shutil
@@ -35,10 +35,10 @@ _CREATING = ".creating"
 
 
 class SessionWriter:
-    """The session as a whole: its attributes, runs and tables.
+    """Writer of a session's attributes, runs and tables.
 
-    It does not write the streams: each has a `StreamWriter` of its own, usually in a process of its
-    own, opened with `stream_path(name)`.
+    It does not write the streams: each has its own `StreamWriter`, usually in a separate process,
+    opened with `stream_path(name)`.
     """
 
     segments: StreamWriter
@@ -68,13 +68,13 @@ class SessionWriter:
         """Create a session with empty streams, status `recording`.
 
         Args:
-            path: Where; nothing may be there yet.
-            attrs: What is known of the session; `format`, `status` and `runs` are added.
+            path: Directory to create; must not exist.
+            attrs: Attributes of the session; `format`, `status` and `runs` are added.
             streams: Streams to record; the name is that of the group below `streams`.
             targets: Columns of the targets, one row per target.
 
         Raises:
-            SessionError: `path` exists, or something in the arguments cannot be stored.
+            SessionError: `path` exists, or an argument cannot be stored.
         """
         final = Path(path)
         if final.exists():
@@ -92,7 +92,7 @@ class SessionWriter:
 
     @classmethod
     def resume(cls, path: str | os.PathLike[str]) -> Self:
-        """Open a session to add a run, recovering first what a crash left behind.
+        """Open a session to add a run, first recovering it if it was not closed.
 
         Raises:
             SessionError: Not a session, or one that is being written.
@@ -107,8 +107,8 @@ class SessionWriter:
         """Add a run, before its streams are opened.
 
         Args:
-            entry: What belongs to the run alone, above all its clock anchor `t0_ns`, `utc` and
-                `boot_id`. `first_row`, the row of each stream that it starts with, is added.
+            entry: Attributes of the run, above all its clock anchor `t0_ns`, `utc` and `boot_id`.
+                `first_row`, the first row of the run in each stream, is added.
         """
         names = [*_stream_names(self.path)]
         first_row = {name: survey(StreamLayout.load(self.stream_path(name))).rows for name in names}
@@ -132,13 +132,13 @@ class SessionWriter:
         merge_attrs(self.path, attrs)
 
     def finish(self, status: str, reason: str = "", *, rate_hz: float) -> None:
-        """Close the session: tables, the frames view, and the status last of all.
+        """Close the session: write the tables, then the frames view, then the status.
 
-        Streams whose process died are recovered. Safe to repeat after an error.
+        Streams whose process died are recovered. May be repeated after an error.
 
         Args:
             status: `complete`, `stopped` or `recovered`.
-            reason: Why, in a few words.
+            reason: Reason in a few words.
             rate_hz: Rate of the frames view.
 
         Raises:
@@ -154,7 +154,7 @@ class SessionWriter:
         merge_attrs(self.path, {"status": status, "reason": reason})
 
     def close(self) -> None:
-        """Close the tables and leave the status as it is. Safe twice."""
+        """Close the tables and leave the status unchanged. May be called twice."""
         try:
             self.segments.close()
         finally:

@@ -1,4 +1,4 @@
-"""How bytes lie on the disk: shards that are their own log, journals, columns, durable files."""
+"""Storage on disk: shards that act as logs, journals, columns and atomic file changes."""
 
 from recorder.store.durable import replace_file, sync_directory
 from recorder.store.images import decode_jpeg

@@ -1,6 +1,6 @@
-"""Reads the chunks of one column straight from its shards, wherever they lie.
+"""Read the chunks of one column directly from its shards, local or remote.
 
-A chunk that is declared but not there is an error here; a Zarr reader would see fill values.
+A chunk that is declared but missing is an error here; a plain Zarr reader returns fill values.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from recorder.store.shard import MISSING, Index, read_index
 
 Array = np.ndarray[Any, Any]
 
-# Chunks fetched at once from a remote store: latency is paid once, memory stays small.
+# Chunks fetched concurrently from a remote store: hides latency and limits memory.
 _BATCH = 16
-# Decoded chunks that `LazyRows` keeps.
+# Number of decoded chunks that `LazyRows` caches.
 _KEPT = 64
 
 
 class ColumnReader:
-    """The chunks of one column.
+    """Reader of one column's chunks.
 
-    Holds no file open, so that it may be forked, pickled and copied.
+    It holds no file open, so that it can be forked, pickled and copied.
     """
 
     def __init__(self, layout: Layout) -> None:
-        """Read the declared length; shards are looked at when they are needed."""
+        """Read the declared length; shards are opened only when needed."""
         self.layout = layout
         self.rows = layout.rows()
         self._local = layout.files.local
@@ -43,7 +43,7 @@ class ColumnReader:
         """Return an encoded chunk.
 
         Raises:
-            SessionError: It is missing or cut short.
+            SessionError: It is missing or truncated.
         """
         if not self._local:
             return next(self.chunks([number]))
@@ -60,10 +60,10 @@ class ColumnReader:
         return data
 
     def chunks(self, numbers: Sequence[int]) -> Iterator[bytes]:
-        """Yield encoded chunks; from a remote store several are fetched at once.
+        """Yield encoded chunks; from a remote store several are fetched concurrently.
 
         Raises:
-            SessionError: One is missing or cut short.
+            SessionError: One is missing or truncated.
         """
         if self._local:
             yield from map(self.chunk, numbers)
@@ -77,7 +77,7 @@ class ColumnReader:
         """Return rows [start, stop) (n, ...) of a small column, reading only their chunks.
 
         Raises:
-            SessionError: A chunk is missing or damaged.
+            SessionError: A chunk is missing or corrupt.
         """
         step = self.layout.rows_per_chunk
         stop = min(stop, self.rows)
@@ -93,7 +93,7 @@ class ColumnReader:
         """Return all rows (n, ...) of a small column.
 
         Raises:
-            SessionError: A chunk is missing or damaged.
+            SessionError: A chunk is missing or corrupt.
         """
         return self.rows_between(0, self.rows)
 
@@ -117,13 +117,13 @@ class ColumnReader:
 
 
 class LazyRows:
-    """Some rows of a small column that stay where they are until they are asked for.
+    """Rows of a small column that are read on first use.
 
-    Indexed like the array they stand for. The chunks read last are kept, decoded.
+    Indexed like the array that they replace. The chunks read last are cached, decoded.
     """
 
     def __init__(self, reader: ColumnReader, rows: slice) -> None:
-        """Stand for `reader.read()[rows]`, `rows` without a step."""
+        """Replace `reader.read()[rows]`, with `rows` without a step."""
         self._reader = reader
         self._first, stop, _ = rows.indices(reader.rows)
         self.shape = (max(stop - self._first, 0), *reader.layout.column.shape)
@@ -134,7 +134,7 @@ class LazyRows:
         return self.shape[0]
 
     def __getitem__(self, key: Any) -> Array:
-        """Return what indexing the array would: rows by slice, numbers or mask, then the rest."""
+        """Return an indexed part: rows by slice, numbers or mask, then the other axes."""
         rows, rest = (key[0], key[1:]) if isinstance(key, tuple) else (key, ())
         numbers = np.arange(len(self))[rows]
         out = self._gathered(np.atleast_1d(numbers))

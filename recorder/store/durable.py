@@ -1,4 +1,4 @@
-"""File changes that are either whole or not there at all, also after a power cut."""
+"""File changes that are atomic and durable, also after a power failure."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ import numpy as np
 from recorder.errors import SessionError
 from recorder.store.files import LOCAL, read_document
 
-# Suffix of a file that is still being written and means nothing yet.
+# Suffix of a file that is still being written and not yet valid.
 TEMPORARY = ".tmp"
 
 
 def sync_directory(path: Path) -> None:
-    """Make the names in a directory as durable as the files they point to."""
+    """Make the names in a directory as durable as the files that they refer to."""
     fd = os.open(path, os.O_RDONLY)
     try:
         os.fsync(fd)
@@ -29,13 +29,13 @@ def sync_directory(path: Path) -> None:
 
 
 def replace_file(path: Path, data: bytes, *, temporary: Path | None = None) -> None:
-    """Write `data` to `path`, so that a reader sees the old content or all of the new one.
+    """Write `data` to `path` atomically: a reader sees the old or the new content.
 
     Args:
         path: The file.
         data: Its content.
-        temporary: Name beside it while it is written, where several may write the same file at
-            the same time; `path` with the suffix `TEMPORARY` when None.
+        temporary: Name used while writing, in the same directory, if several writers may write the
+            same file at the same time; `path` with the suffix `TEMPORARY` if None.
     """
     temporary = temporary or path.with_name(path.name + TEMPORARY)
     fd = os.open(temporary, os.O_CREAT | os.O_WRONLY | os.O_TRUNC, 0o644)
@@ -59,7 +59,7 @@ def write_json(path: Path, document: dict[str, Any]) -> None:
     Numpy scalars and arrays become numbers and lists.
 
     Raises:
-        SessionError: The document holds something JSON cannot, NaN included.
+        SessionError: The document has a value that JSON cannot hold, such as NaN.
     """
     try:
         text = json.dumps(document, indent=2, allow_nan=False, default=_plain)
@@ -87,14 +87,14 @@ def _plain(value: object) -> object:
     raise TypeError(f"{type(value).__name__} is not JSON")
 
 
-# One thread for everything slow: sealing, encoding blocks, flushing to the disk.
+# One thread for all slow work: sealing, encoding blocks, flushing to disk.
 
 
 class Background:
-    """Runs jobs in order, and a flush every `interval` seconds.
+    """Thread that runs jobs in order, and a flush every `interval` seconds.
 
-    The first job that fails stays at the head of the line, its error in `failure`; nothing runs
-    behind it until `drain`.
+    A job that fails remains first in the queue, with its error in `failure`; no other job runs
+    until `drain`.
     """
 
     def __init__(self, flush: Callable[[], None], *, interval: float, name: str) -> None:
@@ -109,18 +109,18 @@ class Background:
         self._thread.start()
 
     def submit(self, job: Callable[[], None]) -> None:
-        """Put a job in line. A job that fails must be safe to run again."""
+        """Queue a job. A job that fails must be safe to run again."""
         self._jobs.append(job)
         self._wake.set()
 
     def stop(self) -> None:
-        """End the thread once the jobs in line are done or one has failed. Safe twice."""
+        """End the thread once all queued jobs are done or one failed. May be called twice."""
         self._stopping = True
         self._wake.set()
         self._thread.join()
 
     def drain(self) -> None:
-        """Run what is still in line in the calling thread, after `stop`.
+        """Run the remaining jobs in the calling thread, after `stop`.
 
         Raises:
             OSError: A job failed again.

@@ -1,7 +1,7 @@
-"""Where the files of a session lie: this machine's disk, or a remote store behind a URL.
+"""Access to the files of a session, on the local disk or in a remote store behind a URL.
 
-Readers ask for files through `Files` and name them by `Path`; below a URL a path is the key of an
-object. Writers always write to a disk, and use it directly.
+Readers access files through `Files` and name them by `Path`; in a remote store, a path is the key
+of an object. Writers always write to a disk and access it directly.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ Range = tuple[int, int]
 
 
 class Files(Protocol):
-    """Reading, by name."""
+    """Read access to files by path."""
 
     @property
     def local(self) -> bool:
-        """Whether the paths are those of this machine."""
+        """True if the paths are on this machine."""
         ...
 
     def name(self, path: Path) -> str:
-        """Return how a person would write the path."""
+        """Return the path or URL for messages."""
         ...
 
     def read(self, path: Path) -> bytes:
@@ -51,7 +51,7 @@ class Files(Protocol):
         ...
 
     def ranges(self, path: Path, wanted: Sequence[Range]) -> list[bytes]:
-        """Return parts of a file; a part that reaches behind its end is short.
+        """Return parts of a file; a part that extends beyond its end is short.
 
         Raises:
             FileNotFoundError: No such file.
@@ -59,7 +59,7 @@ class Files(Protocol):
         ...
 
     def groups(self, path: Path) -> list[Path]:
-        """Return the directories right below one that hold a `zarr.json`, sorted."""
+        """Return the directories directly below a path that contain a `zarr.json`, sorted."""
         ...
 
     def listed(self, path: Path) -> list[Path]:
@@ -76,12 +76,12 @@ class Files(Protocol):
 
 
 class LocalFiles:
-    """The disk of this machine."""
+    """Files on the local disk."""
 
     local = True
 
     def name(self, path: Path) -> str:
-        """Return the path as it is."""
+        """Return the path unchanged."""
         return str(path)
 
     def read(self, path: Path) -> bytes:
@@ -103,7 +103,7 @@ class LocalFiles:
             os.close(fd)
 
     def groups(self, path: Path) -> list[Path]:
-        """Return the Zarr nodes right below a directory."""
+        """Return the Zarr nodes directly below a directory."""
         return sorted(entry.parent for entry in path.glob("*/zarr.json"))
 
     def listed(self, path: Path) -> list[Path]:
@@ -116,7 +116,7 @@ class LocalFiles:
         for entry in self.listed(path):
             try:
                 found[entry] = entry.stat().st_size
-            except FileNotFoundError:  # sealed or removed meanwhile, by whoever records
+            except FileNotFoundError:  # sealed or removed in the meantime by a writer
                 continue
         return found
 
@@ -125,23 +125,23 @@ class LocalFiles:
         return zarr.open_array(path, mode="r")
 
 
-# The only one that writers know.
+# The only instance that writers use.
 LOCAL = LocalFiles()
 
 
 def is_url(place: str | os.PathLike[str]) -> bool:
-    """Return whether a place is named by a URL, such as `s3://bucket/x.zarr`."""
+    """Return True if a place is a URL, such as `s3://bucket/x.zarr`."""
     return isinstance(place, str) and "://" in place
 
 
 def locate(
     place: str | os.PathLike[str], storage_options: Mapping[str, Any] | None = None
 ) -> tuple[Files, Path]:
-    """Return the files that a place is in, and its path among them.
+    """Return the file access for a place, and the path of the place within it.
 
     Args:
         place: A path, or a URL that fsspec knows.
-        storage_options: What fsspec needs to open the URL, e.g. `{"anon": True}`.
+        storage_options: Options that fsspec needs to open the URL, e.g. `{"anon": True}`.
 
     Raises:
         SessionError: An unknown kind of URL, a missing library, or options for a local path.
@@ -173,17 +173,17 @@ def read_document(files: Files, path: Path) -> dict[str, Any]:
 
 # Reading from object stores and web servers, through fsspec: `s3://`, `https://`, `memory://` ...
 #
-# Only what is needed crosses the network: a shard's index once, then the byte ranges of the chunks
-# asked for, neighbours in one request and requests side by side where the store allows it.
+# Network traffic is kept low: a shard's index is read once, then the byte ranges of the requested
+# chunks. Neighbouring ranges share a request, and requests are concurrent if the store allows it.
 
-# Bytes between two ranges that are cheaper to fetch than another request.
+# Gap between two ranges up to which fetching it is cheaper than another request [bytes].
 _JOIN_GAP = 1 << 14
 _HINTS = {
     "NoCredentialsError": "no credentials: set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or "
     "storage_options={'anon': True} for a public bucket",
-    "PermissionError": "not allowed: wrong credentials, or no right to read here",
-    "EndpointConnectionError": "nobody answers at the store's address",
-    "ClientConnectorError": "nobody answers at this address",
+    "PermissionError": "not allowed: wrong credentials, or no read permission",
+    "EndpointConnectionError": "no answer from the store's address",
+    "ClientConnectorError": "no answer from this address",
 }
 
 
@@ -192,13 +192,13 @@ class RemoteFiles:
     """Files of one remote store; pickled and forked as protocol and options."""
 
     protocol: str
-    """Kind of the store, as fsspec names it."""
+    """Protocol of the store, as named by fsspec."""
     options: Mapping[str, Any]
-    """What fsspec needs to open it; never printed, it may hold secrets."""
+    """Options that fsspec needs to open it; never printed, since they may contain secrets."""
     prefix: str
-    """What stands before a path in a URL."""
+    """Part of the URL before a path."""
     local: bool = field(default=False, init=False)
-    """Never this machine's disk."""
+    """Always False."""
     _documents: dict[Path, bytes] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )  # zarr.json files: a finished session does not change
@@ -208,7 +208,7 @@ class RemoteFiles:
         return self.prefix + str(path).lstrip("/") if self.prefix else str(path)
 
     def read(self, path: Path) -> bytes:
-        """Return a whole file; metadata is fetched once."""
+        """Return a whole file; metadata is fetched only once."""
         if path in self._documents:
             return self._documents[path]
         with self._said(path):
@@ -224,7 +224,7 @@ class RemoteFiles:
         return data
 
     def ranges(self, path: Path, wanted: Sequence[Range]) -> list[bytes]:
-        """Return parts of a file: near ones in one request, the others side by side."""
+        """Return parts of a file: neighbours in one request, the others concurrently."""
         joined = join_ranges(wanted)
         key = self._key(path)
         with self._said(path):
@@ -244,7 +244,7 @@ class RemoteFiles:
         return out
 
     def groups(self, path: Path) -> list[Path]:
-        """Return the Zarr nodes right below a directory."""
+        """Return the Zarr nodes directly below a directory."""
         with self._said(path):
             try:
                 found = self._system().ls(self._key(path), detail=False)
@@ -265,7 +265,7 @@ class RemoteFiles:
             found = self._system().find(self._key(path), detail=True)
             sizes = {name: entry["size"] for name, entry in found.items()}
             unknown = [name for name, size in sizes.items() if size is None]
-            if unknown:  # a web server's listing does not tell
+            if unknown:  # a web server's listing has no sizes
                 sizes |= zip(unknown, self._system().sizes(unknown), strict=True)
         return {Path(name.removeprefix(self.prefix)): int(size) for name, size in sizes.items()}
 
@@ -279,7 +279,7 @@ class RemoteFiles:
             return zarr.open_array(store, mode="r")
 
     def _with_documents(self, places: list[Path]) -> list[Path]:
-        """Return those of some directories that hold a `zarr.json`, all fetched side by side."""
+        """Return the directories that contain a `zarr.json`, fetching all concurrently."""
         keys = {self._key(place / "zarr.json"): place for place in places}
         if not keys:
             return []
@@ -297,18 +297,18 @@ class RemoteFiles:
         return _fsspec().filesystem(self.protocol, **self.options)
 
     def _key(self, path: Path) -> str:
-        # A path cannot hold the two slashes of a web address; a key of the others has none.
+        # A Path cannot hold the double slash of a web address; keys of other stores have none.
         return self.name(path) if self.protocol in _WEB else str(path)
 
     @contextmanager
     def _said(self, path: Path) -> Iterator[None]:
-        """Turn what a store's client raises into one sentence; a missing file stays one."""
+        """Turn errors of a store's client into one-line messages; keep FileNotFoundError."""
         try:
             yield
         except (FileNotFoundError, SessionError):
             raise
         except Exception as error:
-            # Each store has exceptions of its own, and this is the one door they come through.
+            # Each store has its own exceptions; this is the only place where they enter.
             said = _HINTS.get(type(error).__name__, f"{type(error).__name__}: {error}")
             raise SessionError(f"{self.name(path)}: {said}") from error
 
@@ -320,7 +320,7 @@ def open_url(url: str, options: Mapping[str, Any]) -> tuple[RemoteFiles, Path]:
     """Return the store of a URL and the path in it.
 
     Raises:
-        SessionError: fsspec or the store's own library is missing, or the URL is of no known kind.
+        SessionError: fsspec or the store's library is missing, or the URL is of an unknown kind.
     """
     fsspec = _fsspec()
     protocol = url.partition("://")[0]
@@ -338,7 +338,7 @@ def open_url(url: str, options: Mapping[str, Any]) -> tuple[RemoteFiles, Path]:
 def join_ranges(wanted: Sequence[Range]) -> list[Range]:
     """Return the fewest ranges (start, stop) that cover all (offset, length), ascending.
 
-    Ranges closer than 16 KiB become one.
+    Ranges less than 16 KiB apart are joined.
     """
     joined: list[list[int]] = []
     for offset, nbytes in sorted(wanted):

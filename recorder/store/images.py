@@ -1,4 +1,4 @@
-"""One image <-> the bytes of its chunk."""
+"""Conversion between one image and the bytes of its chunk."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from recorder.spec import Column
 Image = NDArray[np.uint8]
 
 ZSTD_LEVEL = 1
-# Used only where somebody writes pixels through Zarr: the recorder never encodes a JPEG.
+# Used only if pixels are written through Zarr: the recorder never encodes a JPEG.
 JPEG_QUALITY = 95
 
 _COLORSPACE = {1: "GRAY", 3: "RGB"}
@@ -39,7 +39,7 @@ def decompress(data: bytes) -> bytes:
     """Return the content of one zstd frame.
 
     Raises:
-        SessionError: The frame is damaged.
+        SessionError: The frame is corrupt.
     """
     try:
         plain: bytes = numcodecs.zstd.decompress(data)
@@ -52,7 +52,7 @@ def decode_jpeg(data: bytes, shape: tuple[int, ...]) -> Image:
     """Return the pixels of a JPEG as uint8 `shape` = (h, w, 1 or 3), RGB.
 
     Raises:
-        SessionError: Not a JPEG, damaged, or of another size.
+        SessionError: Not a JPEG, corrupt, or of a different size.
     """
     try:
         image: Image = simplejpeg.decode_jpeg(data, colorspace=_COLORSPACE[shape[2]])
@@ -75,7 +75,7 @@ def encode_jpeg(image: Image, quality: int) -> bytes:
 
 
 def decoder(column: Column) -> Callable[[bytes], Image]:
-    """Return the function from an image column's chunk to its pixels."""
+    """Return the function that decodes an image column's chunk to pixels."""
     shape = column.shape
     if column.codec == "jpeg":
         return lambda data: decode_jpeg(data, shape)
@@ -90,9 +90,9 @@ def decoder(column: Column) -> Callable[[bytes], Image]:
 
 
 def encoder(column: Column, where: str) -> Callable[[object], bytes]:
-    """Return the function from what a caller appends to the bytes of its chunk.
+    """Return the function that encodes an appended value as the bytes of its chunk.
 
-    A `jpeg` column takes JPEG bytes and keeps them as they are; a `zstd` column takes pixels.
+    A `jpeg` column takes JPEG bytes and stores them unchanged; a `zstd` column takes pixels.
     """
     expected = f"uint8 {column.shape}"
 
@@ -121,10 +121,10 @@ def encoder(column: Column, where: str) -> Callable[[object], bytes]:
     return keep if column.codec == "jpeg" else pack
 
 
-# `imagecodecs_jpeg` for zarr-python: reads images that were stored as the camera's own JPEG.
+# `imagecodecs_jpeg` for zarr-python: reads images stored as the camera's original JPEG.
 #
-# The name and the configuration are those of `imagecodecs.zarr`, which offers the same codec on
-# Python 3.12 and later; the bytes are plain JPEG, so either reads what the other wrote.
+# Name and configuration are those of `imagecodecs.zarr`, which offers the same codec on
+# Python 3.12 and later. The bytes are plain JPEG, so each codec reads the files of the other.
 
 NAME = "imagecodecs_jpeg"
 
@@ -136,11 +136,11 @@ class JpegCodec(ArrayBytesCodec):
     is_fixed_size = False
 
     level: int = JPEG_QUALITY
-    """Quality of what is written through Zarr; reading does not use it."""
+    """Quality of images written through Zarr; not used for reading."""
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> Self:
-        """Return the codec that an array's metadata names; keys it does not use are ignored."""
+        """Return the codec described by an array's metadata; unused keys are ignored."""
         configuration = data.get("configuration", {})
         return cls(level=int(configuration.get("level", JPEG_QUALITY)))
 
@@ -149,7 +149,7 @@ class JpegCodec(ArrayBytesCodec):
         return {"name": NAME, "configuration": {"level": self.level}}
 
     def compute_encoded_size(self, input_byte_length: int, chunk_spec: ArraySpec) -> int:
-        """Not known before encoding."""
+        """Raise NotImplementedError: the size is not known before encoding."""
         raise NotImplementedError
 
     def _decode_sync(self, chunk: Buffer, spec: ArraySpec) -> NDBuffer:
@@ -168,7 +168,7 @@ class JpegCodec(ArrayBytesCodec):
 
 
 def register() -> None:
-    """Make zarr-python use this codec for `imagecodecs_jpeg`, whoever else offers it."""
+    """Make zarr-python use this codec for `imagecodecs_jpeg`, even if others provide it too."""
     register_codec(NAME, JpegCodec)
-    # Without a choice zarr-python warns when imagecodecs has registered the same name.
+    # Without this setting zarr-python warns if imagecodecs has registered the same name.
     zarr.config.set({f"codecs.{NAME}": f"{JpegCodec.__module__}.{JpegCodec.__qualname__}"})

@@ -1,8 +1,8 @@
 """The row journal: one record per row, until a block of rows is stored as chunks.
 
-A chunk per sample would make every plain reader crawl, a sample that waits in memory for its chunk
-would be lost in a crash. So each row is first appended here, all small columns of the stream in one
-record, and a whole block later becomes one chunk per column.
+One chunk per sample would be slow for every plain reader; a sample kept in memory until its chunk
+is full would be lost in a crash. Each row is therefore first appended here, with all small columns
+of the stream in one record, and a full block later becomes one chunk per column.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from recorder.store import images
 from recorder.store.durable import replace_file, sync_directory
 from recorder.store.layout import Layout, StreamLayout
 
-# The record: how every byte that must survive a crash is framed.
+# Record format for all data that must survive a crash.
 #
-# A log is a file of records, one after the other, nothing between them::
+# A log is a file of records, one after the other, with nothing between them::
 #
 #     magic   4 bytes  b"TRL1"
 #     nbytes  uint32   length of the payload
@@ -33,19 +33,19 @@ from recorder.store.layout import Layout, StreamLayout
 #     index   uint32   number of the payload in its column or journal, modulo 2**32
 #     payload nbytes
 #
-# All little-endian. A record that is short, or whose checksum does not match, and everything behind
-# it, was being written when the writer died and does not count.
+# All little-endian. A record that is short or whose checksum does not match was being written when
+# the writer died; it and everything after it are ignored.
 
 MAGIC = b"TRL1"
 HEADER = struct.Struct("<4sIIqI")
 _STAMP = struct.Struct("<qI")
 _FRAME = struct.Struct("<4sII")
-_JOIN_BELOW = 1 << 14  # bytes; under this one copy is cheaper than a vectored write
+_JOIN_BELOW = 1 << 14  # bytes; below this size one copy is cheaper than a vectored write
 
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """Where one whole record lies in a log."""
+    """Position of one complete record in a log."""
 
     index: int
     """Number of the payload, modulo 2**32."""
@@ -58,28 +58,28 @@ class Record:
 
     @property
     def end(self) -> int:
-        """First byte behind the record."""
+        """First byte after the record."""
         return self.offset + self.nbytes
 
 
 def checksum(payload: bytes, t_ns: int, index: int) -> int:
-    """Return the CRC-32C that guards a payload together with its place and time."""
+    """Return the CRC-32C of a payload together with its index and time."""
     stamp = _STAMP.pack(t_ns, index & 0xFFFFFFFF)
     crc: int = google_crc32c.extend(google_crc32c.value(stamp), payload)
     return crc
 
 
 def header(payload: bytes, t_ns: int, index: int) -> bytes:
-    """Return the 24 bytes that go in front of a payload."""
+    """Return the 24-byte header of a payload."""
     stamp = _STAMP.pack(t_ns, index & 0xFFFFFFFF)
     crc = google_crc32c.extend(google_crc32c.value(stamp), payload)
     return _FRAME.pack(MAGIC, len(payload), crc) + stamp
 
 
 def scan(data: bytes, *, first_index: int, limit: int) -> Iterator[Record]:
-    """Yield the whole records at the start of a log, at most `limit`, numbered from `first_index`.
+    """Yield the complete records at the start of a log, at most `limit`, from `first_index` on.
 
-    Stops at the first that is torn, corrupt or out of order.
+    Stops at the first record that is torn, corrupt or out of order.
     """
     position = 0
     for index in range(first_index, first_index + limit):
@@ -96,13 +96,13 @@ def scan(data: bytes, *, first_index: int, limit: int) -> Iterator[Record]:
 
 
 class RecordLog:
-    """A file that only grows by whole records.
+    """File to which only complete records are appended.
 
     `append` is called by one thread; `sync` may be called by another.
     """
 
     def __init__(self, path: Path, *, end: int = 0, below: Path | None = None) -> None:
-        """Open a log, creating it when missing, and drop whatever lies behind byte `end`.
+        """Open a log, creating it if missing, and drop everything after byte `end`.
 
         Directories below `below` may be as new as the file, and are made durable with it.
         """
@@ -118,8 +118,8 @@ class RecordLog:
         """Add one record and return the byte offset of its payload.
 
         Raises:
-            OSError: The record could not be written whole (ENOSPC when the disk is full). The file
-                is back to its last whole record and the log may be used further.
+            OSError: The record could not be written completely (ENOSPC if the disk is full). The
+                file is truncated to its last complete record, and the log remains usable.
         """
         head = header(payload, t_ns, index)
         start = self.end + HEADER.size
@@ -128,7 +128,7 @@ class RecordLog:
                 written = os.pwrite(self._fd, head + payload, self.end)
             else:
                 written = os.pwritev(self._fd, [head, payload], self.end)
-            # A full disk shortens a write without an error; the next one would then fail.
+            # A full disk shortens a write without an error; only the next write would fail.
             if written != HEADER.size + len(payload):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
         except OSError:
@@ -138,7 +138,7 @@ class RecordLog:
         return start
 
     def finish(self, trailer: bytes) -> None:
-        """Add bytes that are no record, as the last of the file, and make all of it durable.
+        """Append bytes that are not a record as the end of the file, and make the file durable.
 
         Raises:
             OSError: As for `append`.
@@ -152,13 +152,13 @@ class RecordLog:
             raise
 
     def truncate(self, end: int) -> None:
-        """Drop everything behind byte `end`, which must be the end of a record."""
+        """Drop everything after byte `end`, which must be the end of a record."""
         os.ftruncate(self._fd, end)
         self.end = end
         self._synced = min(self._synced, end - 1)
 
     def sync(self) -> None:
-        """Make everything appended so far survive a power cut."""
+        """Make all appended records survive a power failure."""
         end = self.end
         if end == self._synced:
             return
@@ -169,7 +169,7 @@ class RecordLog:
         self._synced = end
 
     def close(self) -> None:
-        """Let go of the file. Safe twice."""
+        """Close the file. May be called twice."""
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
@@ -185,7 +185,7 @@ class Journal:
     """The open journal of a stream: the rows from `first_row` on, at most one block."""
 
     def __init__(self, layout: StreamLayout, first_row: int, rows: list[bytes]) -> None:
-        """Open the journal that starts at a row and holds `rows`; drop what lies behind them."""
+        """Open the journal that starts at a row and contains `rows`; drop everything after them."""
         self.first_row = first_row
         self.rows = rows
         self.path = layout.journal(first_row)
@@ -195,48 +195,48 @@ class Journal:
 
     @property
     def full(self) -> bool:
-        """Whether it holds a whole block."""
+        """True if the journal holds a full block."""
         return len(self.rows) == self._block
 
     def append(self, row: bytes, t_ns: int) -> None:
-        """Add one packed row. With this the row exists.
+        """Append one packed row; this commits the row.
 
         Raises:
-            OSError: It could not be written whole; the journal is as before.
+            OSError: It could not be written completely; the journal is unchanged.
         """
         self._log.append(row, t_ns, self.first_row + len(self.rows))
         self.rows.append(row)
 
     def sync(self) -> None:
-        """Make its rows survive a power cut. May be called from another thread."""
+        """Make its rows survive a power failure. May be called from another thread."""
         self._log.sync()
 
     def close(self) -> None:
-        """Let go of the file. Safe twice."""
+        """Close the file. May be called twice."""
         self._log.close()
 
     def remove(self) -> None:
-        """Delete the file: its rows are stored as chunks, durably."""
+        """Delete the file, once its rows are durably stored as chunks."""
         self._log.close()
         self.path.unlink(missing_ok=True)
 
 
 @dataclass(frozen=True, slots=True)
 class JournalledRows:
-    """What the journals of a stream hold."""
+    """Content of a stream's journals."""
 
     first_row: int
-    """Row of the stream that `rows` starts with."""
+    """Row of the stream at which `rows` starts."""
     rows: list[bytes]
-    """Packed rows, all whole."""
+    """Packed, complete rows."""
     paths: tuple[Path, ...]
-    """All journal files, also those whose rows do not follow on."""
+    """All journal files, including those whose rows are not consecutive."""
     torn_bytes: int
-    """Bytes that belong to no row."""
+    """Bytes that belong to no complete row."""
 
 
 def read_journals(layout: StreamLayout) -> JournalledRows | None:
-    """Return the rows that are journalled, or None without a journal."""
+    """Return the journalled rows, or None if there is no journal."""
     found = sorted(
         (int(path.name.removeprefix("journal-")), path)
         for path in layout.time.path.glob("journal-*")
@@ -259,7 +259,7 @@ def read_journals(layout: StreamLayout) -> JournalledRows | None:
 
 
 def write_journal(layout: StreamLayout, first_row: int, rows: list[bytes]) -> None:
-    """Write a journal at once, durably."""
+    """Write a journal in one go, durably."""
     records = []
     for index, row in enumerate(rows, first_row):
         records += [header(row, row_time(row), index), row]
@@ -283,15 +283,15 @@ def pack_block(layout: StreamLayout, rows: list[bytes]) -> list[bytes]:
 
 
 def fill_value(column: Layout) -> float | int:
-    """Return what a Zarr reader finds where nothing is stored."""
+    """Return the value that a Zarr reader gets for missing data."""
     return np.nan if column.dtype.kind == "f" else 0
 
 
 def remove_journals(paths: tuple[Path, ...], *, keep: Path | None = None) -> None:
     """Delete journals, in order of their rows, whose rows are stored elsewhere.
 
-    In this order what a crash leaves behind is still a row of journals without a hole, which
-    starts no later than the chunks end.
+    This order ensures that after a crash the remaining journals are still without a gap, and start
+    no later than the end of the chunks.
     """
     for path in paths:
         if path != keep:

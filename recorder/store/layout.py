@@ -1,7 +1,7 @@
-"""Where the arrays of a stream lie, and the Zarr v3 metadata that describes them.
+"""Layout of a stream's arrays on disk, and the Zarr v3 metadata that describes them.
 
-Every column is one array with one kind of chunking: `rows_per_chunk` rows in an inner chunk,
-`CHUNKS_PER_SHARD` inner chunks in a shard, one shard a file `c/<shard>/0/...`.
+Every column is one array with uniform chunking: `rows_per_chunk` rows per inner chunk,
+`CHUNKS_PER_SHARD` inner chunks per shard, one file `c/<shard>/0/...` per shard.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from recorder.store.durable import read_json, write_json
 from recorder.store.files import LOCAL, Files, read_document
 
 CHUNKS_PER_SHARD = 64
-# Suffix of a shard that is still growing; no Zarr reader looks at it.
+# Suffix of a shard that is still growing; Zarr readers ignore it.
 PARTIAL = ".partial"
 
 
@@ -30,11 +30,11 @@ class Layout:
     path: Path
     """Directory of the array."""
     column: Column
-    """What a row is."""
+    """Specification of the column."""
     rows_per_chunk: int
-    """Rows of an inner chunk: 1 for images."""
+    """Rows per inner chunk; 1 for images."""
     files: Files = field(default=LOCAL, repr=False, compare=False)
-    """What the directory is in."""
+    """File access for the directory."""
     dtype: np.dtype[Any] = field(init=False)
     """Little-endian numpy type of the column."""
 
@@ -44,7 +44,7 @@ class Layout:
 
     @property
     def rows_per_shard(self) -> int:
-        """Rows of a full shard."""
+        """Rows per full shard."""
         return self.rows_per_chunk * CHUNKS_PER_SHARD
 
     @property
@@ -62,7 +62,7 @@ class Layout:
         return self.path.joinpath("c", str(number), *("0" for _ in self.column.shape))
 
     def partial(self, number: int) -> Path:
-        """Return the path of the same shard while it grows."""
+        """Return the path of the shard while it grows."""
         final = self.shard(number)
         return final.with_name(final.name + PARTIAL)
 
@@ -73,15 +73,15 @@ class Layout:
             return []
         names = {entry.name.removesuffix(PARTIAL) for entry in root.iterdir()}
         numbers = sorted(int(name) for name in names if name.isdecimal())
-        # A directory alone is what a crash before the first record leaves.
+        # A crash before the first record leaves an empty directory.
         return [n for n in numbers if self.shard(n).exists() or self.partial(n).exists()]
 
     def rows(self) -> int:
-        """Return the length of the array as every Zarr reader sees it."""
+        """Return the declared length of the array, as every Zarr reader sees it."""
         return int(read_document(self.files, self.path / "zarr.json")["shape"][0])
 
     def set_rows(self, rows: int) -> None:
-        """Declare the length of the array, atomically."""
+        """Set the declared length of the array, atomically."""
         document = read_json(self.path / "zarr.json")
         if document["shape"][0] != rows:
             document["shape"][0] = rows
@@ -104,7 +104,7 @@ class Layout:
                 "configuration": {"chunk_shape": [self.rows_per_shard, *column.shape]},
             },
             "chunk_key_encoding": {"name": "default", "configuration": {"separator": "/"}},
-            # What is missing should look missing, as far as the type allows.
+            # Use NaN as the fill value if the type allows it, so that missing data is recognisable.
             "fill_value": "NaN" if column.dtype.startswith("float") else 0,
             "codecs": [
                 {
@@ -127,7 +127,7 @@ class Layout:
 
     @classmethod
     def load(cls, path: Path, files: Files = LOCAL) -> Self:
-        """Return the layout that an array's metadata describes.
+        """Return the layout described by an array's metadata.
 
         Raises:
             SessionError: Not an array of this kind.
@@ -159,14 +159,14 @@ class Layout:
 
 @dataclass(frozen=True, slots=True)
 class StreamLayout:
-    """One stream on disk: its columns, apart by how they are written."""
+    """One stream on disk: its columns, grouped by the way they are written."""
 
     path: Path
     """Directory of the group."""
     small: tuple[Layout, ...]
     """Columns whose rows are journalled together, the time column last."""
     image: Layout | None
-    """The column of images, if there is one."""
+    """Column of images, if there is one."""
 
     @property
     def name(self) -> str:
@@ -185,7 +185,7 @@ class StreamLayout:
 
     @property
     def block(self) -> int:
-        """Rows of one chunk of the small columns, and of one journal."""
+        """Rows per chunk of the small columns, and per journal."""
         return self.time.rows_per_chunk
 
     @property
@@ -196,7 +196,7 @@ class StreamLayout:
     def journal(self, first_row: int) -> Path:
         """Return the path of the journal that starts at a row.
 
-        It lies inside the time column's directory, where no Zarr reader lists it.
+        It is in the time column's directory, where Zarr readers do not list it.
         """
         return self.time.path / f"journal-{first_row}"
 
@@ -215,13 +215,13 @@ class StreamLayout:
         """Return the layout of a stream on disk.
 
         Raises:
-            SessionError: Not a stream, or its columns do not fit together.
+            SessionError: Not a stream, or its columns are inconsistent.
         """
         names = read_document(files, path / "zarr.json").get("attributes", {}).get("columns")
         if not isinstance(names, list) or not names:
             raise SessionError(f"{path}: found no attrs columns, expected a stream")
         for name in map(str, names):
-            if Path(name).name != name or name == "..":  # it must not lead out of the stream
+            if Path(name).name != name or name == "..":  # must not lead out of the stream
                 raise SessionError(f"{path}: found column {name!r}, expected a plain name")
         columns = [Layout.load(path / str(name), files) for name in names]
         small = tuple(column for column in columns if not column.column.is_image)
@@ -236,7 +236,7 @@ def create_stream(path: Path, spec: StreamSpec) -> StreamLayout:
 
     Raises:
         SessionError: Attributes that JSON cannot hold.
-        FileExistsError: Something is there already.
+        FileExistsError: The path exists.
     """
     path.mkdir()
     attrs = {"rate_hz": spec.rate_hz, "columns": [column.name for column in spec.columns]}
@@ -277,7 +277,7 @@ def decoded_rows(layout: Layout, data: bytes) -> np.ndarray[Any, Any]:
     """Return the rows of one chunk of a small column, fill values included.
 
     Raises:
-        SessionError: The chunk is damaged.
+        SessionError: The chunk is corrupt.
     """
     plain = images.decompress(data)
     if len(plain) != layout.chunk_bytes:
@@ -286,14 +286,14 @@ def decoded_rows(layout: Layout, data: bytes) -> np.ndarray[Any, Any]:
     return np.frombuffer(plain, layout.dtype).reshape(layout.chunk_shape)
 
 
-# Reads what a session, or an archive, says of itself.
+# Attributes of a session or an archive.
 
 
 def read_session_attrs(path: Path, files: Files = LOCAL) -> dict[str, Any]:
     """Return the attributes of a session.
 
     Raises:
-        SessionError: Not a session, or of a newer format.
+        SessionError: Not a session, or a newer format.
     """
     return read_attrs(path, files, what="session", format_=FORMAT, version=FORMAT_VERSION)
 
@@ -301,17 +301,17 @@ def read_session_attrs(path: Path, files: Files = LOCAL) -> dict[str, Any]:
 def read_attrs(
     path: Path, files: Files, *, what: str, format_: str, version: int
 ) -> dict[str, Any]:
-    """Return the attributes of what lies at a place.
+    """Return the attributes of a session or an archive.
 
     Args:
         path: Its directory.
-        files: What the directory is in.
-        what: How a person calls such a thing.
-        format_: What it must say it is.
-        version: The newest `format_version` that can be read.
+        files: File access for the directory.
+        what: Kind of object, for messages.
+        format_: Expected value of `format`.
+        version: Newest `format_version` that can be read.
 
     Raises:
-        SessionError: Nothing there, of another format, or of a newer one.
+        SessionError: Missing, a different format, or a newer version.
     """
     name = files.name(path)
     if files.local and not path.is_dir():
@@ -319,7 +319,7 @@ def read_attrs(
     try:
         files.read(path / "zarr.json")
     except FileNotFoundError as error:
-        if not files.local:  # the store says whether it is the bucket that is missing
+        if not files.local:  # the store's error shows if the bucket itself is missing
             raise SessionError(f"{name}: no such {what} ({error})") from None
     except OSError as error:
         raise SessionError(f"{name}: {error}") from error
@@ -335,7 +335,7 @@ def read_attrs(
 
 
 def says_it_is(path: Path, files: Files, format_: str) -> bool:
-    """Whether what lies at a place is there, readable, and says that it is of a format."""
+    """Return True if a place is readable and its metadata declares the given format."""
     try:
         attrs = read_document(files, path / "zarr.json").get("attributes", {})
     except SessionError:

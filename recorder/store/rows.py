@@ -1,4 +1,4 @@
-"""A row offered to a stream -> the packed bytes of its journal record, or a clear refusal."""
+"""Packing of a row into the bytes of its journal record, with validation."""
 
 import struct
 from collections.abc import Callable, Mapping
@@ -23,7 +23,7 @@ Packer = Callable[[Any], bytes]
 
 
 class RowPacker:
-    """Packs the small columns of one row, in the stream's order."""
+    """Packer for the small columns of one row, in the stream's order."""
 
     def __init__(self, layout: StreamLayout) -> None:
         """Prepare one packer per column."""
@@ -95,7 +95,7 @@ def _array_packer(layout: Layout, where: str) -> Packer:
 
 
 def _fits(array: np.ndarray[Any, Any], dtype: np.dtype[Any]) -> bool:
-    """Whether every value survives the conversion, up to floating-point rounding."""
+    """Return True if every value survives the conversion, up to floating-point rounding."""
     if array.dtype.kind not in ("iuf" if dtype.kind == "f" else "iu"):
         return False
     if dtype.kind == "f" or not array.size:

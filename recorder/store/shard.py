@@ -1,8 +1,8 @@
-"""The shard that is its own write-ahead log.
+"""Shards that are their own write-ahead log.
 
-While it grows, a shard is a log of records (`records.py`) in `<key>.partial`. Sealing appends the
-standard `sharding_indexed` index, whose offsets simply point past the record headers, makes the
-file durable and renames it to its key: from then on it is a plain Zarr v3 shard.
+While it grows, a shard is a log of records (`journal.py`) in `<key>.partial`. Sealing appends the
+standard `sharding_indexed` index, whose offsets skip the record headers, makes the file durable
+and renames it to its key: from then on it is a plain Zarr v3 shard.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from recorder.store.layout import CHUNKS_PER_SHARD, Layout
 MISSING = 0xFFFF_FFFF_FFFF_FFFF
 CRC_BYTES = 4
 
-# (slots, 2): offset and length of each inner chunk, MISSING twice for none.
+# (slots, 2): offset and length of each inner chunk; both are MISSING if there is none.
 Index = NDArray[np.uint64]
 
 
@@ -32,7 +32,7 @@ class OpenShard:
     """One growing shard of one column."""
 
     def __init__(self, layout: Layout, number: int, records: list[Record]) -> None:
-        """Open `<key>.partial`, which holds `records`, and drop whatever lies behind them."""
+        """Open `<key>.partial`, which contains `records`, and drop everything after them."""
         self.number = number
         self._sealed = False
         self._layout = layout
@@ -43,38 +43,38 @@ class OpenShard:
         self._log = RecordLog(path, end=end, below=layout.path)
 
     def __len__(self) -> int:
-        """Return how many chunks it holds."""
+        """Return the number of chunks."""
         return len(self._entries)
 
     @property
     def full(self) -> bool:
-        """Whether it can take no more."""
+        """True if the shard is full."""
         return len(self._entries) == CHUNKS_PER_SHARD
 
     def append(self, chunk: bytes, t_ns: int) -> None:
         """Add one encoded chunk.
 
         Raises:
-            OSError: It could not be written whole; the shard is as before.
+            OSError: It could not be written completely; the shard is unchanged.
         """
         index = self.number * CHUNKS_PER_SHARD + len(self._entries)
         offset = self._log.append(chunk, t_ns, index)
         self._entries.append((offset, len(chunk)))
 
     def drop_last(self) -> None:
-        """Take the last chunk back."""
+        """Remove the last chunk."""
         offset, _ = self._entries.pop()
         self._log.truncate(offset - HEADER.size)
 
     def sync(self) -> None:
-        """Make its chunks survive a power cut. May be called from another thread."""
+        """Make its chunks survive a power failure. May be called from another thread."""
         self._log.sync()
 
     def seal(self) -> None:
-        """Turn the log into a shard and give it its name, replacing a shorter one. Safe twice.
+        """Turn the log into a shard and rename it, replacing a shorter one. May be called twice.
 
         Raises:
-            OSError: No room for the index; the shard is as before.
+            OSError: No space for the index; the shard is unchanged.
         """
         if self._sealed:
             return
@@ -86,12 +86,12 @@ class OpenShard:
         self._sealed = True
 
     def close(self) -> None:
-        """Let go of the file as it is."""
+        """Close the file without sealing it."""
         self._log.close()
 
 
 def packed_index(entries: list[tuple[int, int]], slots: int = CHUNKS_PER_SHARD) -> bytes:
-    """Return the bytes that close a shard: an offset and a length a slot, and their checksum."""
+    """Return the bytes that end a shard: offset and length per slot, and their checksum."""
     index = np.full((slots, 2), MISSING, "<u8")
     index[: len(entries)] = np.array(entries, "<u8").reshape(-1, 2)
     data = index.tobytes()
@@ -99,10 +99,10 @@ def packed_index(entries: list[tuple[int, int]], slots: int = CHUNKS_PER_SHARD) 
 
 
 def read_index(path: Path, files: Files = LOCAL, slots: int = CHUNKS_PER_SHARD) -> Index:
-    """Return the index of a sealed shard that has room for so many chunks.
+    """Return the index of a sealed shard with the given number of slots.
 
     Raises:
-        SessionError: No such shard, or its index is damaged.
+        SessionError: No such shard, or its index is corrupt.
     """
     try:
         tail = files.tail(path, 16 * slots + CRC_BYTES)
@@ -117,30 +117,29 @@ def read_index(path: Path, files: Files = LOCAL, slots: int = CHUNKS_PER_SHARD) 
 
 
 def chunk_count(index: Index) -> int:
-    """Return how many chunks a shard holds before the first missing one."""
+    """Return the number of chunks before the first missing one."""
     missing = np.flatnonzero(index[:, 0] == MISSING)
     return int(missing[0]) if missing.size else CHUNKS_PER_SHARD
 
 
 def scan_partial(layout: Layout, number: int) -> tuple[list[Record], int]:
-    """Return the whole records of a growing shard, and how many torn bytes lie behind them."""
+    """Return the complete records of a growing shard and the number of torn bytes after them."""
     data = layout.partial(number).read_bytes()
     first = number * CHUNKS_PER_SHARD
     records = list(scan(data, first_index=first, limit=CHUNKS_PER_SHARD))
     tail = data[records[-1].end if records else 0 :]
-    # A writer that died between index and rename leaves the index behind: nothing is torn then.
+    # A writer that died between index and rename leaves the index at the end; nothing is torn.
     index = packed_index([(record.offset, record.nbytes) for record in records])
     return records, 0 if index.startswith(tail) else len(tail)
 
 
 def reopen(layout: Layout, number: int, chunks: int) -> OpenShard:
-    """Open a shard to grow on behind its first `chunks` chunks, which must be there.
+    """Open a shard for appending after its first `chunks` chunks, which must exist.
 
-    A sealed shard stays where it is; its chunks are copied, and it is replaced when the copy is
-    sealed in turn.
+    A sealed shard is not moved; its chunks are copied, and it is replaced when the copy is sealed.
 
     Raises:
-        SessionError: The shard holds fewer whole records.
+        SessionError: The shard has fewer complete records.
     """
     partial, sealed = layout.partial(number), layout.shard(number)
     records = scan_partial(layout, number)[0] if partial.exists() else []
@@ -162,26 +161,26 @@ def _copy_records(sealed: Path, partial: Path, chunks: int) -> None:
             rest -= len(data)
         copy.flush()
         os.fsync(copy.fileno())
-    # Only a complete copy may be called partial: from here on it stands for the sealed one.
+    # Only a complete copy may be named partial: from here on it replaces the sealed shard.
     temporary.replace(partial)
     sync_directory(partial.parent)
 
 
-# One column while it is written: sealed shards behind it, one open shard at its end.
+# One column while it is written: sealed shards, then one open shard.
 
 
 class ColumnLog:
-    """Appends encoded chunks to a column and seals its shards.
+    """Writer that appends encoded chunks to a column and seals its shards.
 
-    The array's declared length grows only after a shard is sealed, so whatever a Zarr reader may
-    see is there.
+    The array's declared length grows only after a shard is sealed, so all data that a Zarr reader
+    may access exists.
     """
 
     def __init__(self, layout: Layout, chunks: int) -> None:
-        """Open the column behind its first `chunks` chunks; what lies behind them is dropped.
+        """Open the column after its first `chunks` chunks and drop any later ones.
 
         Raises:
-            SessionError: The column holds fewer chunks.
+            SessionError: The column has fewer chunks.
         """
         self.layout = layout
         self.chunks = chunks
@@ -201,7 +200,7 @@ class ColumnLog:
         """Add one encoded chunk, whose last sample is from `t_ns`.
 
         Raises:
-            OSError: It could not be written whole; the column is as before.
+            OSError: It could not be written completely; the column is unchanged.
         """
         if self._shard is None:
             self._shard = OpenShard(self.layout, self.chunks // CHUNKS_PER_SHARD, [])
@@ -209,38 +208,38 @@ class ColumnLog:
         self.chunks += 1
 
     def drop_last(self) -> None:
-        """Take back the chunk that was added last."""
+        """Remove the chunk that was appended last."""
         if self._shard is not None and len(self._shard):
             self._shard.drop_last()
             self.chunks -= 1
 
     def take_full(self) -> OpenShard | None:
-        """Hand over the open shard if it is full; the next chunk starts another."""
+        """Return the open shard if it is full and detach it; the next chunk starts another."""
         if self._shard is None or not self._shard.full:
             return None
         shard, self._shard = self._shard, None
         return shard
 
     def seal(self, shard: OpenShard) -> None:
-        """Seal a full shard of this column, then let the array's length include it."""
+        """Seal a full shard of this column, then extend the array's length to include it."""
         shard.seal()
         rows = (shard.number + 1) * self.layout.rows_per_shard
         self.layout.set_rows(max(rows, self.layout.rows()))
 
     def seal_full(self) -> None:
-        """Seal the open shard if it is full. May be called again after an error."""
+        """Seal the open shard if it is full. May be repeated after an error."""
         if self._shard is not None and self._shard.full:
             self.seal(self._shard)
             self._shard = None
 
     def sync(self) -> None:
-        """Make what was appended survive a power cut. May be called from another thread."""
+        """Make all appended chunks survive a power failure. May be called from another thread."""
         shard = self._shard
         if shard is not None:
             shard.sync()
 
     def finish(self, rows: int) -> None:
-        """Seal the open shard and declare the array to be `rows` long."""
+        """Seal the open shard and set the array's length to `rows`."""
         if self._shard is not None:
             self._shard.seal()
             self._shard = None
@@ -248,7 +247,7 @@ class ColumnLog:
         self._remove_behind(-(-rows // self.layout.rows_per_shard))
 
     def close(self) -> None:
-        """Let go of the open shard as it is. Safe twice."""
+        """Close the open shard without sealing it. May be called twice."""
         if self._shard is not None:
             self._shard.close()
             self._shard = None

@@ -1,4 +1,4 @@
-"""Groups of columns that are written whole, at once: `targets` and `frames`."""
+"""Groups of columns that are written in one go: `targets` and `frames`."""
 
 from collections.abc import Iterator, Mapping
 from functools import partial
@@ -61,10 +61,10 @@ def _column(files: Files, path: Path, name: str) -> Array:
 
 
 class Table(Mapping[str, Array]):
-    """The columns of a group, read when they are first asked for."""
+    """Columns of a group, read on first access."""
 
     def __init__(self, path: Path, names: tuple[str, ...], load: Any) -> None:
-        """Show the columns `names`, read by `load(name)`."""
+        """Provide the columns `names`, read by `load(name)`."""
         self._path = path
         self._names = names
         self._load = load
@@ -72,7 +72,7 @@ class Table(Mapping[str, Array]):
 
     @classmethod
     def of_group(cls, path: Path, files: Files = LOCAL) -> "Table":
-        """Return the table in a group written by `write_table`; empty when there is none."""
+        """Return the table in a group written by `write_table`; empty if there is none."""
         names = tuple(sorted(entry.name for entry in files.groups(path)))
         return cls(path, names, partial(_column, files, path))
 

@@ -1,4 +1,4 @@
-"""The accuracy page: what competes, what it is held against, what is kept and drawn."""
+"""The accuracy page: entries, their comparison with references, stored values and plots."""
 
 import math
 from dataclasses import replace

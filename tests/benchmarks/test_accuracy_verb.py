@@ -1,4 +1,4 @@
-"""The verb `accuracy`: what it takes, refuses and writes."""
+"""The command `accuracy`: its arguments, its errors and its output files."""
 
 import argparse
 

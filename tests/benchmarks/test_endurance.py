@@ -1,4 +1,4 @@
-"""The long run: its plan, what it sees of processes, what it makes of it."""
+"""The endurance run: its plan, its process measurements and its report."""
 
 from __future__ import annotations
 

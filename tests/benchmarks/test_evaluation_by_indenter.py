@@ -1,4 +1,4 @@
-"""Errors by indenter, of made-up predictions."""
+"""Errors by indenter, from synthetic predictions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ROLES = np.array(["new_indenter"] * 8 + ["new_press"] * 4)
 
 
 def some(pair: tuple[str, str], off: float) -> Predictions:
-    """Three presses of four frames each: two unseen indenters, of which one is off; one seen."""
+    """Return three presses of four frames: two unseen indenters, one with errors; one seen."""
     made = replace(
         predictions("transferred", pair, translator="flow"),
         rows=np.arange(12),

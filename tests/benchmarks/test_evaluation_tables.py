@@ -1,4 +1,4 @@
-"""The paper's tables, from made-up experiments."""
+"""The paper's tables, from synthetic experiments."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def score(method: str, dice: float, role: str = "new_indenter") -> PairedScore:
 
 @pytest.fixture
 def experiment(tmp_path: Path) -> Path:
-    """Two sensors: `direct` is worse than `flow`, and one pair by `flow` worse than the other."""
+    """Two sensors: `direct` is worse than `flow`, and one pair of `flow` worse than the other."""
     folder = tmp_path / "homogeneous"
     made = [predictions("target", (name, name), off=0.125) for name in ("array-i", "circle-i")]
     for pair, off in zip(PAIRS, (0.25, 0.5), strict=True):
@@ -61,7 +61,7 @@ def test_the_page_tells_goals_means_pairs_and_the_paper(
     assert lines[0].startswith("# Forces on sensors")
     assert "Made by hand." in lines
     assert "nan" not in page.read_text()
-    # Labels reach over 4 N and 2 N; 0.375 N is the mean of both pairs.
+    # Labels have ranges of 4 N and 2 N; 0.375 N is the mean error of both pairs.
     goal = "| MAE of Fz over the labels' range [%] | below 2.8 % (the paper's worst: 5.6) |"
     assert f"{goal} 9.4 | 12.5 (circle-i to array-i) |" in lines
     assert "| Dice | above 0.97 | 0.950 | 0.920 (circle-i to array-i) |" in lines
@@ -189,5 +189,5 @@ def test_several_are_told_of_at_a_glance_below_the_intro(experiment: Path, tmp_p
     assert (pairs, model, labels, newtons) == ("2", "priors, flow", "0.375", "0.250, 0.250")
     assert float(after) == pytest.approx(float(worst), abs=1e-3)
     assert others == "-", "there is but one indenter"
-    assert shares == "16.7, 6.2"  # labels reach over 3, 1 and 4 N
+    assert shares == "16.7, 6.2"  # the labels' ranges are 3, 1 and 4 N
     assert dice == "0.950 |"

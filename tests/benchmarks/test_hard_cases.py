@@ -62,7 +62,7 @@ def test_every_mistake_has_a_case_that_must_catch_it() -> None:
 
 
 def _solver_parts() -> dict[str, object]:
-    """What the mistakes stand in for."""
+    """Return the solver parts that the deliberate bugs replace."""
     return {
         "face_rule": assembly.face_rule,
         "element_kernels": assembly.element_kernels,
@@ -106,7 +106,7 @@ def test_lines_that_the_solver_no_longer_has_are_not_silently_left_right(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("benchmarks.sim.stability.planted._FULL_INTEGRATION", (("gone", "", 1),))
-    with pytest.raises(ValueError, match="'gone' is not there 1 times"):
+    with pytest.raises(ValueError, match="'gone' does not occur 1 times"):
         fully_integrated.__wrapped__()
 
 
@@ -177,7 +177,7 @@ def _measures_nothing(_solver: Solver) -> list[Law]:
 @pytest.mark.parametrize(
     ("run", "said"),
     [
-        (_diverges, "no state was found: no state"),
+        (_diverges, "no converged state: no state"),
         (_crashes, "ZeroDivisionError"),
         (_measures_nothing, "no law was measured"),
     ],
@@ -240,4 +240,4 @@ def test_the_page_shows_measured_and_limit_and_what_failed() -> None:
     assert "force [N]: 0.25 ≤ 0.5" in text
     assert "**FAILED** `starts-at-touch`" in text
     assert "**a\\|b: 0.25 ≥ 0.5**" in text
-    assert "| nodal-contact | contact looked for at nodes only | `starts-at-touch` |" in text
+    assert "| nodal-contact | contact detected at nodes only | `starts-at-touch` |" in text

@@ -37,5 +37,5 @@ def test_the_sheet_in_the_documentation_is_the_one_that_is_drawn(tmp_path: Path)
     shown = Path(__file__).parents[2] / "docs/images/indenters.png"
     with Image.open(tmp_path / "sheet.png") as drawn, Image.open(shown) as kept:
         change = np.asarray(drawn).astype(int) - np.asarray(kept)
-    # Pillow's own versions draw letters differently, by little.
+    # Pillow versions differ slightly in how they draw letters.
     assert np.mean(np.abs(change).max(axis=2) > 40) < 0.01

@@ -1,4 +1,4 @@
-"""The solver of round presses against closed forms, an integral equation and known forces."""
+"""The axisymmetric solver against closed forms, an integral equation and known forces."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_the_tangent_is_the_derivative_of_the_force_and_that_of_the_energy() -> 
 
 
 def test_a_uniform_strain_is_met_by_any_mesh() -> None:
-    """Patch test: forces of a uniform state stand at the rim alone."""
+    """Patch test: a uniform state has nodal forces only on the boundary."""
     grid = Grid(np.array([0, 0.3, 0.35, 1.0]), np.array([-1, -0.4, 0.0]))
     elastic = Elastic(grid, 1.0, 50.0)
     u = (grid.nodes * [0.1, -0.2]).ravel()
@@ -87,7 +87,7 @@ def test_small_presses_follow_the_integral_equation(case: Case, force: float) ->
 
 @pytest.mark.slow
 def test_a_punch_with_a_small_edge_nears_the_sharp_one() -> None:
-    """Its edge takes from the radius about as much as the part of it that does not touch."""
+    """The rounded edge reduces the effective radius by about its part that is not in contact."""
     depth = 2e-3
     forces = {}
     for edge in (0.2, 0.1):

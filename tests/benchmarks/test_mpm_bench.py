@@ -1,4 +1,4 @@
-"""The comparison's table: measured once, told in newtons and in per cent, and resumed."""
+"""The comparison table: measured once, reported in newtons and per cent, and resumed."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_the_table_states_force_and_error_and_the_right_volume_where_it_was_not(
     lines = mpm.table([ROW, replace(ROW, force_rescaled=(0.5304, 0.9197, 7.824))])
     assert "0.2652  0.4598  3.9120 (   0.0  -50.0  100.0)" in lines[2]
     assert "10.0   20.0    3.0" in lines[2]
-    assert "( 100.0    0.0  300.0)  had the volume" in lines[4]
+    assert "( 100.0    0.0  300.0)  corrected for" in lines[4]
     assert len(lines) == 6
 
 

@@ -1,4 +1,4 @@
-"""The referee of random scenes sees mistakes that are planted in the solver."""
+"""The judge of random scenes detects deliberate bugs in the solver."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ def _judged(index: int, settings: Settings, folder: Path, mistake: str | None) -
         return judge_scene(scene, settings)
 
 
-# By mistake: a scene of seed 0 that is right without it, the precision, the law that it breaks.
+# By bug: a scene of seed 0 that is right without it, the precision, and the law it violates.
 CAUGHT = {
     "full-integration": (94, "auto", "near-layer"),
     "lagged-friction": (62, "auto", "coulomb"),
-    # A state that float32 reaches as a rule is no longer found: no law is broken, but it is said.
+    # A state that float32 normally reaches is not found: no law is violated, but it is reported.
     "energy-line-search": (2, "float32", None),
 }
-# Contact at nodes alone stays within the stated error on meshes that follow the contact; the cases
-# `flat-punch-between-bounds` and `flat-punch-off-the-grid`, on even elements, catch it.
+# Node-only contact stays within the stated error on meshes that follow the contact; the cases
+# `flat-punch-between-bounds` and `flat-punch-off-the-grid`, on uniform elements, detect it.
 HARMLESS_HERE = {"nodal-contact"}
 
 

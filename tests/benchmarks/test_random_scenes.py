@@ -40,7 +40,7 @@ BALL = Scene(shapes.sphere(4 * MM), press([0.2 * MM, 0.4 * MM]))
 
 
 def _made_up(scene: Scene) -> Result:
-    """A gel that gives way exactly where the indenter is, with a force of mechanics' size."""
+    """Return a gel that yields exactly where the indenter is, with a force of realistic size."""
     frames, nodes = len(scene.motion), 41
     x = np.linspace(-scene.body.size_x / 2, scene.body.size_x / 2, nodes)
     surface = np.zeros((frames, nodes, nodes, 3), np.float32)
@@ -166,7 +166,7 @@ def test_a_warning_excuses_only_what_it_owns_up_to(good: Result) -> None:
     assert of_laws(silent, held(silent)).kind == "silent"
 
 
-# What is drawn.
+# Random scenes.
 
 
 def test_a_scene_is_the_same_alone_and_among_others(tmp_path: Path) -> None:
@@ -182,7 +182,7 @@ def test_scene_17_of_seed_0_is_what_it_was(tmp_path: Path) -> None:
     one = drawn(0, 17, tmp_path)
     assert one.what == "trap, far aside"
     assert one.scene is not None
-    # Where this changes, every counter-example's name means another scene.
+    # If these values change, the name of every counter-example refers to a different scene.
     assert one.scene.motion.tip[1:3] == ((0.0, 0.0, -0.000584), (0.00146, 0.0, -0.000584))
 
 
@@ -292,7 +292,7 @@ def test_a_counter_example_is_made_plain_while_the_same_law_stays_broken(
     )
 
     def pulls(simpler: Scene) -> Verdict:
-        """As if friction had to do with it, and nothing else."""
+        """Judge as if friction were the only cause."""
         if simpler.effects.friction is None:
             return Verdict("right", scene=simpler)
         return replace(of_laws(good, bad), kind="silent", scene=simpler)
@@ -316,7 +316,7 @@ def test_the_page_counts_by_class_and_by_law(good: Result) -> None:
     told = [Told("0/0", "sensible, x", right, 1.0), Told("0/1", "trap, y|z", silent, 2.0)]
     text = page(told, Plan(2))
     assert "| right | all laws hold | 1 |" in text
-    assert "| no-pull | Contact does not pull;" in text
+    assert "| no-pull | Contact does not pull," in text
     assert "| 0/1 | silent | trap, y\\|z |" in text
 
 

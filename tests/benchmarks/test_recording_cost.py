@@ -1,4 +1,4 @@
-"""What recording costs: that the right things are counted. How fast anything is, is not a test."""
+"""Recording cost: only that the right things are counted; speed itself is not tested."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ from rig.core.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_WRONG_INPUT
 SECONDS = 3.0
 
 
-# Frames that know their number
+# Numbered frames
 
 
 @pytest.mark.parametrize("number", [0, 1, 255, 256, 70_000])
@@ -94,7 +94,7 @@ def test_a_store_gives_back_what_was_appended_and_counts_its_bytes(
     require(one)
     path = tmp_path / "store"
     found = write(one, path, seconds=0.0, most_bytes=1)
-    assert len(found["took_ns"]) == 20  # the fewest, since no time was given
+    assert len(found["took_ns"]) == 20  # the minimum, since no time was given
     assert found["bytes"] == tree_bytes(path) > 20 * 10_000
     assert inspect(one, path)["left"] == list(range(20))
     with one.make().reader(path) as (count, images):
@@ -115,7 +115,7 @@ def test_frames_that_were_not_sealed_are_counted_after_repair_only(
     appender = one.make().create(tmp_path / "store")
     for number in range(5):
         appender.append(make(number), number)
-    # A copy is what a kill at this moment would have left.
+    # A copy is the state that a kill at this moment would have left.
     shutil.copytree(tmp_path / "store", tmp_path / "killed")
     appender.close()
     found = inspect(one, tmp_path / "killed")
@@ -171,7 +171,7 @@ def test_feeds_are_recorded_whole_at_their_rates(tmp_path: Path) -> None:
     for one in fed:
         assert one.failure == ""
         expected = round(0.5 * one.feed.rate_hz)
-        # A frame is stored or counted as dropped; what waits in a socket is never lost.
+        # A frame is either stored or counted as dropped; data waiting in a socket is never lost.
         assert one.rows + one.dropped == expected
         assert one.feed.kind == "camera" or one.dropped == 0
         assert one.nbytes > 0
@@ -252,7 +252,7 @@ def recorded(motion: Motion, tmp_path_factory: pytest.TempPathFactory) -> Record
 def test_the_motion_presses_as_hard_and_as_often_as_it_says(motion: Motion) -> None:
     t = np.arange(0.0, SECONDS, 1e-3)
     normal = -motion.wrench(t)[:, 2]
-    # The first press meets a rested layer; relaxation takes from the later ones.
+    # The first press meets a relaxed layer; relaxation reduces the force of the later ones.
     assert normal.max() == pytest.approx(PEAK, rel=0.1)
     off = normal < 0.05
     assert np.count_nonzero(off[1:] & ~off[:-1]) == pytest.approx(PRESS_HZ * SECONDS, abs=1)
@@ -290,7 +290,7 @@ def test_methods_rank_as_they_must(motion: Motion, recorded: Recorded) -> None:
     pose = {name: one for (stream, name), one in found.items() if stream == "pose"}
     assert pose["slerp"].errors["mm"].rms < pose["nearest"].errors["mm"].rms
     assert pose["nearest"].errors["mm"].rms < pose["held"].errors["mm"].rms
-    # A tool that points down: the rotation vector changes sign from sample to sample.
+    # For a tool that points down, the rotation vector changes sign between samples.
     assert pose["component-wise linear"].errors["deg"].rms > 10
     assert pose["slerp"].errors["deg"].most < 0.2
     assert found["image", "nearest"].errors["px"].rms < found["image", "held"].errors["px"].rms

@@ -1,4 +1,4 @@
-"""The integral equation agrees with its limits, with tables, and with the shape it must give."""
+"""The integral equation against its limits, tables, and the shape it must have."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def test_a_thick_layer_is_a_half_space() -> None:
 
 
 def _widening(exponent: float, limits: list[tuple[float, float, float]]) -> list[float]:
-    """How many heights a punch must be widened by to carry its force by the film's law."""
+    """Return the widening, in heights, at which a punch has its force by the film's law."""
     return [((force / film) ** (1 / exponent) - 1) * ratio for ratio, force, film in limits]
 
 
@@ -149,7 +149,7 @@ def _widening(exponent: float, limits: list[tuple[float, float, float]]) -> list
     ids=["springs", "sliding springs", "squeezed film"],
 )
 def test_a_thin_layer_carries_a_punch_as_a_film(base, poisson, exponent, film) -> None:
-    """All that is left is an edge: the punch acts as if wider by a fixed share of the height."""
+    """The rest is an edge effect: the punch acts as if wider by a fixed share of the height."""
     limits = []
     for ratio in (20.0, 40.0):
         force = layer_punch(1.0, ratio, 1.0, 1.0, poisson, base=base).force
@@ -189,7 +189,7 @@ def test_kappa_is_that_of_the_paper_within_its_digits() -> None:
 
 @pytest.mark.parametrize("poisson", [0.0, 0.3, 0.45, 0.5])
 def test_small_contacts_follow_the_expansion_of_the_equation(poisson: float) -> None:
-    """F/F_Hertz in c = sqrt(R d)/h, to c^4, by hand.
+    """F/F_Hertz in c = sqrt(R d)/h up to c^4, derived by hand.
 
     cos kt cos ks = 1 - k^2 (t^2 + s^2)/2 makes phi a parabola, with which
     c^2 = x^2 - p x^3 + 6/5 e x^5 - p e x^6 and F/F_Hertz = (x/c)^3 (1 + e x^3), x = a/h,
@@ -230,7 +230,7 @@ def test_dimitriadis_holds_for_shallow_presses_and_only_for_them() -> None:
 def test_dimitriadis_has_the_published_numbers_for_an_incompressible_layer() -> None:
     for c in (0.1, 0.25, 1.0):
         series = dimitriadis(c**2, 1.0, 1.0, 1.0, 0.5) / hertz(c**2, 1.0, 1.0, 0.5)
-        # The sign of the last term is the other one in the paper's line for nu = 0.5.
+        # The paper prints the opposite sign for the last term at nu = 0.5.
         printed = 1 + 1.133 * c + 1.283 * c**2 + 0.769 * c**3 - 0.0975 * c**4
         assert series == pytest.approx(printed, rel=5e-4)
 

@@ -1,4 +1,4 @@
-"""The layer's kernel agrees with the equations of elasticity, its limits and longer arithmetic."""
+"""The layer's kernel against the equations of elasticity, its limits and extended precision."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ ANY_LAYER = [("bonded", nu) for nu in POISSON] + [("frictionless", 0.3)]
 
 
 def _ratio_from_elasticity(alpha: float, poisson: float, base: str) -> float:
-    """L(alpha) by carrying (U, W, T, S) from base to top through plane-strain elasticity.
+    """Return L(alpha), integrating (U, W, T, S) from base to top through plane-strain elasticity.
 
     u = U sin kx, w = W cos kx, shear traction T sin kx, normal traction S cos kx; G = k = 1. The
-    state's derivative holds lambda only in quotients that stay finite at nu = 0.5.
+    state's derivative contains lambda only in quotients that stay finite at nu = 0.5.
     """
     quotient = poisson / (1 - poisson)  # lambda / (lambda + 2 G)
     inverse = (1 - 2 * poisson) / (2 * (1 - poisson))  # G / (lambda + 2 G)
@@ -57,7 +57,7 @@ def test_ratio_keeps_its_digits_where_the_textbook_form_loses_them(poisson: floa
     kappa = 3 - 4 * nu
     above = 2 * kappa * np.sinh(2 * a) - 4 * a
     below = 2 * kappa * np.cosh(2 * a) + 1 + kappa**2 + 4 * a**2
-    # Longer numbers lose digits too where 2 sinh - 4 a nearly cancels, but far fewer.
+    # Extended precision also loses digits where 2 sinh - 4 a nearly cancels, but far fewer.
     np.testing.assert_allclose(
         layer_ratio(alpha, poisson), (above / below).astype(float), rtol=2e-14
     )
@@ -92,7 +92,7 @@ def test_long_waves_feel_the_oedometric_modulus(poisson: float) -> None:
 
 
 def test_long_waves_squeeze_an_incompressible_layer_like_a_viscous_film() -> None:
-    """Lubrication: the film gives way by h^3 k^2 / (3 G) and not at all when k = 0."""
+    """Lubrication: the film's compliance is h^3 k^2 / (3 G), and zero for k = 0."""
     wave_number, thickness = 1e-5, 1.0
     expected = thickness**3 * wave_number**2 / (3 * (1 / 3))
     assert layer_compliance(wave_number, thickness, 1.0, 0.5) == pytest.approx(expected, rel=1e-8)
@@ -123,7 +123,7 @@ def test_edge_decay_is_the_slowest_free_mode_of_the_layer(poisson: float) -> Non
 
     rate = edge_decay(poisson)
     assert abs(denominator(1j * rate)) < 1e-12
-    # Newton from all over the upper half plane: no root has a smaller imaginary part.
+    # Newton's method from the whole upper half plane: no root has a smaller imaginary part.
     real, imaginary = np.meshgrid(np.linspace(0, 5, 60), np.linspace(0.05, 4, 60))
     alpha = real + 1j * imaginary
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):

@@ -1,4 +1,4 @@
-"""The deep press's figures lie where linear theory and the laws of the material say they must."""
+"""Results of the deep press against linear theory and the material's laws."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_the_surface_bulges_beside_the_contact_as_linear_theory_says() -> None:
     assert np.all(linear > 0)
     assert PRESS.height[1] == pytest.approx(linear[0], rel=0.15)
     assert PRESS.height[2] == pytest.approx(linear[1], rel=0.2)
-    # Towards the free sides, which an endless layer lacks, the bulge dies.
+    # Towards the free sides, which an infinite layer does not have, the bulge vanishes.
     assert 0 < PRESS.height[3] < PRESS.height[2]
 
 

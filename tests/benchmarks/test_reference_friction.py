@@ -1,4 +1,4 @@
-"""Cattaneo and Mindlin's formulas agree with Cerruti's, with each other and with energy."""
+"""Cattaneo and Mindlin's formulas against Cerruti's, each other and energy."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ SYSTEM = (NORMAL, COEFFICIENT, RADIUS, 0.145e6, 0.45)
 
 
 def _shift_at(x: float, y: float, tangential: float) -> np.ndarray:
-    """Surface displacement (3,) at (x, y) under the traction, by Cerruti's point load.
+    """Return the surface displacement (3,) at (x, y) under the traction, by Cerruti's point load.
 
-    Polar coordinates about the point; each chord is cut where the traction has a kink.
+    Polar coordinates about the point; each chord is split where the traction has a kink.
     """
     core = mindlin_stick_radius(tangential, *SYSTEM[:3])
     place, weight = np.polynomial.legendre.leggauss(24)
@@ -47,7 +47,7 @@ def _shift_at(x: float, y: float, tangential: float) -> np.ndarray:
                 ]
         ends.sort()
         for low, high in pairwise(ends):
-            # A double sine flattens the roots of the traction at both ends.
+            # A double sine removes the square-root singularities of the traction at both ends.
             angle = np.pi / 2 * place
             distance = (high + low) / 2 + (high - low) / 2 * np.sin(angle)
             step = (high - low) / 2 * np.cos(angle) * np.pi / 2 * weight
@@ -131,9 +131,9 @@ def test_return_starts_at_the_turn_and_closes_the_loop() -> None:
 
 
 def test_return_follows_from_adding_a_reversed_slip_ring() -> None:
-    """Mindlin & Deresiewicz: on the way back slip runs inwards anew, at twice the traction.
+    """Mindlin & Deresiewicz: on unloading, slip starts again inwards, at twice the traction.
 
-    First loading by T* plus a push back by T* - T in a contact with doubled friction.
+    First loading by T*, plus a push back by T* - T in a contact with doubled friction.
     """
     turn, tangential = 0.8 * MOST, 0.1 * MOST
     doubled = (NORMAL, 2 * COEFFICIENT, *SYSTEM[2:])
@@ -146,7 +146,7 @@ def test_return_follows_from_adding_a_reversed_slip_ring() -> None:
 @pytest.mark.parametrize("share", [0.1, 0.6, 1.0])
 def test_loss_is_the_area_of_the_loop(share: float) -> None:
     turn = share * MOST
-    # Shift on the way back less shift on the way out, over the force.
+    # Shift on unloading minus shift on loading, integrated over the force.
     area, _ = quad(
         lambda force: mindlin_return(force, turn, *SYSTEM) + mindlin_return(-force, turn, *SYSTEM),
         -turn,

@@ -1,4 +1,4 @@
-"""Half-space references agree with each other, with quadrature and with their limits."""
+"""Half-space references against each other, quadrature and their limits."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SOFT = (0.145e6, 0.45)
 
 
 def _galin_sneddon_force(depth: float, radius: float, slope, modulus: float, poisson: float):
-    """F = 2 E* int_0^a x^2 z'(x) / sqrt(a^2 - x^2) dx, the other of Sneddon's two forms."""
+    """F = 2 E* int_0^a x^2 z'(x) / sqrt(a^2 - x^2) dx, the second of Sneddon's two forms."""
     value, _ = quad(
         lambda angle: slope(radius * math.sin(angle)) * (radius * math.sin(angle)) ** 2,
         0,
@@ -101,10 +101,10 @@ def test_hertz_pressure_adds_up_to_hertz_force() -> None:
 
 
 def _surface_under(traction, load, radius: float, x: float, points: int = 48):
-    """Displacement (3,) at (x, 0) under traction(r) on a disc, from the point load `load`.
+    """Return the displacement (3,) at (x, 0) under traction(r) on a disc, by point load `load`.
 
-    Polar coordinates about (x, 0) take the pole out; along each chord the root at its ends is
-    taken out by sines.
+    Polar coordinates about (x, 0) remove the pole; the substitution by sines removes the square
+    root at the ends of each chord.
     """
     place, weight = leggauss(points)
     total = np.zeros(3)
@@ -174,7 +174,7 @@ def test_cerruti_under_mindlins_punch_traction_moves_the_disc_evenly(share: floa
 
 
 def test_point_loads_are_reciprocal() -> None:
-    """Betti: what a pull along z does along x at P, a push along x at P does along z at home."""
+    """Betti: swapping the two points and the two directions gives the same displacement."""
     x, y = 0.7e-3, -1.9e-3
     assert boussinesq(x, y, 1.0, *SOFT)[0] == pytest.approx(cerruti(-x, -y, 1.0, *SOFT)[2])
     assert cerruti(x, y, 1.0, *SOFT)[1] == pytest.approx(cerruti(y, x, 1.0, *SOFT)[1])

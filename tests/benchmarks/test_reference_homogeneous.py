@@ -1,4 +1,4 @@
-"""Closed forms of the neo-Hookean material agree with its energy."""
+"""Closed forms of the neo-Hookean material against its energy."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SOFT = (0.145e6, 0.45)
 
 
 def _energy(gradient: np.ndarray, modulus: float, poisson: float):
-    """W(F) as `Body` states it, for complex F too."""
+    """Return W(F) as defined by `Body`, also for complex F."""
     shear = modulus / (2 * (1 + poisson))
     bulk = modulus / (3 * (1 - 2 * poisson))
     volume = np.linalg.det(gradient)
@@ -27,7 +27,7 @@ def _energy(gradient: np.ndarray, modulus: float, poisson: float):
 
 
 def _nominal_stress(gradient: np.ndarray, modulus: float, poisson: float) -> np.ndarray:
-    """P = dW/dF (3, 3), by complex steps: exact to round-off."""
+    """Return P = dW/dF (3, 3) by complex steps, exact to round-off."""
     stress = np.empty((3, 3))
     for index in np.ndindex(3, 3):
         stepped = gradient.astype(complex)
@@ -53,7 +53,7 @@ def test_uniaxial_stress_is_the_slope_of_the_energy_with_free_sides(
 
     side = minimize_scalar(widened, bounds=(0.4, 2.5), method="bounded", options={"xatol": 1e-12}).x
     stress = _nominal_stress(np.diag([side, side, stretch]), 1.0, poisson)
-    # The minimum is flat, so its place, and the stress, are known to half the digits only.
+    # The minimum is flat, so its position and the stress have only half the digits.
     assert stress[0, 0] == pytest.approx(0, abs=1e-5)
     assert uniaxial_stress(stretch, 1.0, poisson) == pytest.approx(stress[2, 2], abs=1e-5)
 

@@ -1,4 +1,4 @@
-"""Lee and Radok's forces agree with quadrature, with springs and dashpots, and with limits."""
+"""Lee and Radok's forces against quadrature, springs and dashpots, and limits."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ DEPTH = np.array([0.0, 0.3e-3, 0.4e-3, 1.0e-3, 1.0e-3, 1.2e-3])
 
 
 def _history(elastic_rate, until: float) -> float:
-    """int_0^until E(until - s)/E rate(s) ds, corner by corner."""
+    """Return int_0^until E(until - s)/E rate(s) ds, interval by interval."""
     corners = [0.0, *[float(time) for time in RAMP if 0 < time < until], until]
     total = 0.0
     for low, high in pairwise(corners):
-        # s = low + span x^2 takes the root of a first touch out.
+        # s = low + span x^2 removes the square root at first contact.
         value, _ = quad(
             lambda x, low=low, span=high - low: (
                 float(relaxation_modulus(until - low - span * x * x, 1.0, RATIOS, TIMES))
@@ -63,7 +63,7 @@ def test_sphere_is_the_convolution_by_quadrature() -> None:
 
 
 def test_punch_is_a_spring_beside_springs_with_dashpots() -> None:
-    """Each branch obeys f' = ratio k d' - f/time; here also while the punch is withdrawn."""
+    """Each branch obeys f' = ratio k d' - f/time, here also during withdrawal of the punch."""
     depth = np.array([0.0, 0.4e-3, 0.4e-3, 1.0e-3, 0.9e-3, 0.95e-3])
     stiffness = flat_punch(1.0, 3e-3, *SOFT)
     branches = np.zeros(2)
@@ -131,9 +131,9 @@ def test_a_layer_relaxes_to_its_elastic_force() -> None:
 
 
 def test_histories_beyond_the_theory_are_refused() -> None:
-    with pytest.raises(ValueError, match="depth: falls"):
+    with pytest.raises(ValueError, match="depth: decreases"):
         lee_radok_sphere([0, 1, 2], [0, 1e-3, 0.9e-3], 4e-3, *SOFT, RATIOS, TIMES)
-    with pytest.raises(ValueError, match="time: does not rise"):
+    with pytest.raises(ValueError, match="time: not increasing"):
         lee_radok_punch([0, 1, 1], [0, 1e-3, 1e-3], 4e-3, *SOFT, RATIOS, TIMES)
     with pytest.raises(ValueError, match="shape"):
         hereditary([0, 1], [0, 1, 2], RATIOS, TIMES)

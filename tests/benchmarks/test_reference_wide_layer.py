@@ -1,4 +1,4 @@
-"""Sag and natural frequencies of a wide layer agree with the equations of one column of it."""
+"""Sag and natural frequencies of a wide layer against the equations of one column."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_sag_is_in_balance_with_the_weight() -> None:
     z = np.linspace(-HEIGHT, 0, 9)
     sag = layer_sag(z, acceleration, HEIGHT, DENSITY, MODULUS, POISSON)
     for axis, stiffness in enumerate(STIFFNESS):
-        # Heights in units of the layer's, so that the solver's tolerance means something.
+        # Heights are scaled by the layer's, so that the solver's tolerance is meaningful.
         pull = DENSITY * acceleration[axis] * HEIGHT**2 / stiffness
         solved = solve_bvp(
             lambda _, state, pull=pull: np.vstack([state[1], np.full_like(state[0], -pull)]),
@@ -56,7 +56,7 @@ def test_frequencies_are_those_of_a_column_of_elements(overtone: int) -> None:
     length = HEIGHT / count
     stiff = np.diag(np.full(count, 2.0)) - np.eye(count, k=1) - np.eye(count, k=-1)
     mass = np.diag(np.full(count, 4.0)) + np.eye(count, k=1) + np.eye(count, k=-1)
-    stiff[-1, -1], mass[-1, -1] = 1, 2  # the free top; the base is left out
+    stiff[-1, -1], mass[-1, -1] = 1, 2  # the free top; the fixed base is omitted
     squares = eigh(
         stiff / length, mass * length / 6 * DENSITY, eigvals_only=True, subset_by_index=[0, 2]
     )

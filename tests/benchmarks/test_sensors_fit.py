@@ -1,4 +1,4 @@
-"""The fit of the rows' numbers, the sheet of pictures and the bench, on the quick tier."""
+"""The fit of the sensors' parameters, the sheet of pictures and the benchmark, on the fast tier."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def fitted(sensors: dict[str, SimulatedSensor]) -> list[Line]:
 
 
 def with_found(each: SimulatedSensor, lines: list[Line]) -> SimulatedSensor:
-    """The sensor with the numbers that were found for it."""
+    """Return the sensor with the parameters fitted for it."""
     mine = {line.name: line.found for line in lines if line.name.startswith(each.name)}
     ratios = tuple(value for name, value in mine.items() if "ratio" in name)
     viscosity = each.effects.viscosity

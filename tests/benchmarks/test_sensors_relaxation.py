@@ -1,4 +1,4 @@
-"""Hysteresis of a press: areas, branches, and the ratio that loses a wanted share."""
+"""Hysteresis of a press: areas, branches, and the ratio for a given energy loss."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is timed, counted and written about speed: presses, forces, floors, steps, the page."""
+"""Speed benchmark: timings, counts and report for presses, forces, roofline bounds and steps."""
 
 from __future__ import annotations
 
@@ -151,8 +151,8 @@ def test_a_runs_iterations_are_weighed_with_the_meshes_they_ran_on(
 def test_a_floor_is_the_larger_of_moving_and_computing() -> None:
     run = Run("presses", "all", newton_elements=10, newton_nodes=20, cg_nodes=1000)
     machine = Machine("m", "cpu", copy_rate=1e6, near_rate=1e9, flop_rate=1e9)
-    # 2 blocks of the preconditioner, 12 vectors, 27 blocks of 4 bytes a number that are assembled,
-    # on a CPU for every other one, and copied; on a GPU products read 27 of 2, written beside them.
+    # 2 preconditioner blocks, 12 vectors, 27 assembled blocks of 4 bytes per number (on a CPU only
+    # every other one, then copied). On a GPU, products read 27 extra blocks of 2 bytes.
     row, half_row = 4 * 27 * 9, 2 * 27 * 9
     cg_bytes = 4 * (2 * 9 + 12 * 3)
     newton_bytes = 2 * row + 4 * (4 * 9 + 4 * 3)
@@ -209,7 +209,7 @@ def test_without_a_step_the_answer_is_the_same_and_the_next_run_has_it_again(
         "one mesh topology for all",
         "graph capture",
         "no rows launched for what has ended",
-        "products read the tangent in float16",  # those of float32 do
+        "products read the tangent in float16",  # affects only float32 products
     }
     for one, other in zip(outcomes, exact, strict=True):
         assert isinstance(one, Result)
@@ -260,7 +260,7 @@ def test_what_is_measured_is_kept_and_not_measured_twice(tmp_path: Path) -> None
     said.clear()
     measure(plan_of(tmp_path, ("presses", "reference")), said.append)
     assert (tmp_path / "cpu.jsonl").read_text() == before
-    assert all("there already" in line for line in said)
+    assert all("already measured" in line for line in said)
     measure(plan_of(tmp_path, ("presses",), again=True), said.append)
     assert (tmp_path / "cpu.jsonl").read_text() != before
 
@@ -303,7 +303,7 @@ def made_up(folder: Path) -> list[Record]:
     key = ("sphere", 0.0, 0.0, 0.6)
     write_forces(folder / REFERENCE_FILE, {key: np.array([0.0, 0.0, -2.0])})
     write_forces(presses_file(cpu.path), {key: np.array([0.0, 0.0, -2.03])})
-    # As the law has it: an error 2.25 times as large where elements are 1.5 times as high.
+    # Expected from the law: an error 2.25 times as large for elements 1.5 times as high.
     write_runs(meshes_file(cpu.path), {"0.99 mm": {key: np.array([0.0, 0.0, -2.0675])}})
     write_forces(presses_file(gpu.path), {key: np.array([0.0, 0.0, -2.01])})
     write_runs(steps_file(cpu.path), {AS_IT_IS: {key: np.array([0.0, 0.0, -2.05])}})
@@ -329,7 +329,7 @@ def test_the_page_says_what_was_measured_and_what_was_not(tmp_path: Path) -> Non
     assert "![Error against seconds, of a mesh and of two](images/speed.png)" in lines
     assert "| Two Cores | 0.99 mm | 100 s | 0.617 s | 0 | 3.37 % |" in text
     assert "| Two Cores | 0.99 and 0.66 mm, extrapolated | 8.7 min | 3.21 s | 0 | 0.00 % |" in text
-    # 0.5 % at 0.66 mm, by the square of the size: what is left at 0.33 mm.
+    # 0.5 % at 0.66 mm; by the square of the element size, the error that remains at 0.33 mm.
     assert "the reference is still about 0.17 % too large" in text
     assert "| Two Cores | 810 | 2 | 35.0 min (predicted from 162) | 2.59e+03 | - |" in lines
     assert "| A GPU | 9 | not measured | not measured | not measured | not measured |" in lines

@@ -1,4 +1,4 @@
-"""The verb `speed`: what it takes, refuses and writes."""
+"""The command `speed`: its arguments, its errors and its output files."""
 
 from __future__ import annotations
 

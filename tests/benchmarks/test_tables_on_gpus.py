@@ -1,4 +1,4 @@
-"""Tables and ablations side by side: what begins when, and where."""
+"""Tables and ablations run in parallel: order of starts and assignment to GPUs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def on_gpus() -> ModuleType:
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules["on_gpus"] = module  # dataclasses look their module up
+    sys.modules["on_gpus"] = module  # dataclasses look up their module
     spec.loader.exec_module(module)
     return module
 
@@ -67,7 +67,7 @@ def test_what_fails_takes_along_only_what_needs_it(on_gpus: ModuleType, tmp_path
     took = on_gpus.run_all(pieces, on_gpus.Machine(["0"], 4), tmp_path, said.append)
     assert list(took) == ["beside"]
     assert "    no such sensor" in said
-    assert any("behind: left out, it needs broken" in line for line in said)
+    assert any("behind: skipped, it needs broken" in line for line in said)
 
 
 def test_stopped_it_stops_what_runs_and_waits_for_it(on_gpus: ModuleType, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The cases of the golden set: command lines of all packages, and what is looked at after them."""
+"""The cases of the golden set: command lines of all packages, and the outputs that are compared."""
 
 # ruff: noqa: E501  (a command line is one line)
 
@@ -13,17 +13,17 @@ BENCHES = ("gelsight", "gelsight-hetero", "gelsight-material", "tacpalm", "uskin
 
 
 def _bench(text: str, of: str = "gelsight") -> str:
-    """A bench file that changes one of ours."""
+    """Return a bench file that modifies a packaged one."""
     return f"extends: {{root}}/rig/bench/benches/{of}.yaml\n{text}\n"
 
 
 def _copied(source: str, name: str = "x.zarr", *steps: tuple[object, ...]) -> tuple[object, ...]:
-    """A copy of a session or archive, and what is done to it."""
+    """Return the steps that copy a session or archive and then modify it."""
     inside = tuple((kind, f"{{out}}/{name}/{path}", *rest) for kind, path, *rest in steps)
     return (("copy", source, f"{{out}}/{name}"), *inside)
 
 
-# What the help pages name
+# Commands with help pages
 
 RIG = (
     *("collect", "home", "calibrate-latency", "force-depth", "campaign", "jog", "live", "grip"),
@@ -637,7 +637,7 @@ SIM_CASES = (
             ),
         ),
         look=("x.markers.zarr",),
-        rtol_elsewhere=0.05,  # torques of light touches, as exact as the residual
+        rtol_elsewhere=0.05,  # torques of light touches are only as accurate as the residual
         timeout=600,
         slow=True,
     ),
@@ -733,7 +733,7 @@ def _trained(name: str, line: str, **more: object) -> Case:
 
 
 def _based(kind: str) -> tuple[tuple[object, ...], ...]:
-    """A model that says where the networks are that it adapts."""
+    """Return the steps that copy a model and fill in the paths of its base networks."""
     return (
         ("copy", f"{MODELS}/{kind}", f"{{out}}/{kind}"),
         ("fill", f"{{out}}/{kind}/config.yaml"),

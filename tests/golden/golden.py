@@ -1,6 +1,6 @@
-"""Runs command lines of a checkout, tells what came of them, and compares it with a record.
+"""Run command lines of a checkout, summarise their results, and compare them with a record.
 
-Only argv and files: nothing of the packages is imported here.
+Only argv and files are used: nothing of the packages is imported here.
 """
 
 from __future__ import annotations
@@ -29,25 +29,25 @@ HERE = Path(__file__).resolve().parent
 DATA, EXPECTED = HERE / "data", HERE / "expected"
 CHECKOUT = HERE.parent.parent
 
-# A value that is not compared; one that may be missing, too; and a number within a text.
+# Placeholders: a value that is not compared, one that may also be missing, a number in a text.
 ANY, MAYBE, NUMBER = "<any>", "<maybe>", "<#>"
 
-# Codecs that are ours: such arrays are compared by their stored bytes.
+# Our own codecs: such arrays are compared by their stored bytes.
 PRODUCT_CODECS = {"imagecodecs_jpeg"}
-# Keys of JSON whose values are never compared: they say how long it took.
+# JSON keys whose values are durations and are never compared.
 TIMES = {"seconds", "seconds_by_stage", "cpu_seconds", "wall_s"}
-# Keys of JSON, and arrays, that count or measure what an iteration left: their numbers count on the
-# same machine only.
+# JSON keys and arrays with counts or residuals of iterations: their values are compared only on
+# the same machine.
 ITERATIONS = {"newton", "cg", "residual", "contact", "balance", "slip_excess"}
-# Verbs that measure the product and are no part of it: help pages may name them or not.
+# Commands that measure the product and do not belong to it: help pages may or may not list them.
 MEASURING = {
     *("refine", "hard-cases", "effects", "accuracy", "cost-table", "speed"),
     *("faults", "endurance", "bench-recorder", "bench", "tables"),
 }
-# Files of a folder that are told one by one; of more, one hash tells.
+# Largest number of files in a folder that are listed individually; more are hashed together.
 MOST_NAMES = 60
 
-# Lines of standard error that tell of progress, or of a library's own doings.
+# Lines of standard error that report progress, or come from libraries.
 _NOISE = re.compile(
     r"^[\w -]+: (compiling kernels|[\d.]+ %|[\d.]+ s\b)|^\d[\d,]* of \d[\d,]* |left *$|^\d+/\d+ |"
     r"^\[ WARN|site-packages"
@@ -60,27 +60,27 @@ _UTC = re.compile(r"\d{4}-\d\d-\d\dT[\d:.]+Z?")
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """Some command lines and what is looked at after them.
+    """Some command lines and the outputs to compare.
 
     Attributes:
-        name: Of the case, and of its record.
-        commands: `PACKAGE ARGUMENTS`, one a line; `{out}` is an empty folder, `{data}` the folder
-            of data, `{root}` the checkout. Each is a process of its own.
-        together: Whether one process runs all of them, to save the time of imports.
-        prepare: What is done to files before: `("copy", from, to)`, `("write", path, text)`,
+        name: Name of the case, and of its record.
+        commands: `PACKAGE ARGUMENTS`, one per line; `{out}` is an empty folder, `{data}` the folder
+            of data, `{root}` the checkout. Each is a separate process.
+        together: If true, one process runs all of them, to save the time of imports.
+        prepare: Changes to files beforehand: `("copy", from, to)`, `("write", path, text)`,
             `("fill", path)` for names in braces within a file, `("npy", path, rows, columns,
             step)`, `("png", path, shade)`, `("delete", path)`, `("cut", path, bytes)`,
             `("json", path, "a.b.c", value)`.
-        look: Files and folders in `{out}` that are looked at, by glob.
-        loose: Whether it runs in real time, so that only the make of what it writes is stable.
-        portable: Whether hashes must be equal on every machine, as where bytes are only moved.
-        unstable: Dotted paths in what was found that are not compared, by regular expression.
-        rtol: Of numbers.
-        rtol_elsewhere: Of numbers on another machine than that of the record.
-        slow: Whether it takes more than some ten seconds.
-        timed: Whether its output tells how long something took, which is left out.
-        once: Whether it is recorded in one run, because it takes minutes.
-        timeout: Of a command [s].
+        look: Globs of the files and folders in `{out}` to compare.
+        loose: True if it runs in real time, so that only the structure of its output is stable.
+        portable: True if hashes must be equal on every machine, because bytes are only moved.
+        unstable: Regular expressions of dotted paths in the result that are not compared.
+        rtol: Relative tolerance of numbers.
+        rtol_elsewhere: The same on a machine other than that of the record.
+        slow: True if it takes more than about ten seconds.
+        timed: True if its output contains durations, which are removed.
+        once: True if it is recorded in a single run, because it takes minutes.
+        timeout: Timeout of a command [s].
     """
 
     name: str
@@ -103,7 +103,7 @@ class Case:
 
 
 def run_case(case: Case, root: Path) -> dict[str, Any]:
-    """Run a case in a checkout; what was found."""
+    """Run a case in a checkout and return its result."""
     out = Path(tempfile.mkdtemp(prefix="golden-")).resolve()
     places = {"out": str(out), "data": str(DATA), "root": str(root)}
     try:
@@ -216,7 +216,7 @@ def _prepare(step: tuple[Any, ...], places: dict[str, str]) -> None:
         raise ValueError(f"{kind}: no such step")
 
 
-# What a command said
+# Output of a command
 
 
 def _told(
@@ -247,7 +247,7 @@ def _told(
 
 
 def _helped(said: str) -> dict[str, Any]:
-    """The verbs, and options, that a help page names."""
+    """Return the commands and options that a help page lists."""
     found: dict[str, Any] = {}
     if verbs := re.search(r"^ +\{([\w,-]+)\}", said, re.MULTILINE):
         found["verbs"] = sorted({*verbs.group(1).split(",")} - MEASURING)
@@ -260,9 +260,9 @@ def _helped(said: str) -> dict[str, Any]:
 
 
 def _lines(said: str, places: dict[str, str], *, timed: bool = True) -> list[str]:
-    """Lines without what depends on place.
+    """Return the lines with paths and times masked.
 
-    Output is `timed`: durations are left out. In errors they stay, and progress is left out.
+    If `timed`, durations are masked. Otherwise (errors) they stay, and progress is removed.
     """
     found = []
     for line in said.splitlines():
@@ -313,7 +313,7 @@ def _without(found: dict[str, Any], unstable: Iterable[str]) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """JSON values; floats to 9 digits."""
+    """Convert to JSON values, with floats rounded to 9 digits."""
     if isinstance(value, dict):
         return {str(key): _plain(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):
@@ -325,7 +325,7 @@ def _plain(value: Any) -> Any:
     return value
 
 
-# What files hold
+# Content of files
 
 
 def _look(path: Path, loose: bool) -> Any:
@@ -361,7 +361,7 @@ def _sha(content: bytes) -> str:
 
 
 def _array(values: Any) -> dict[str, Any]:
-    """Shape, hash, and a few numbers of an array."""
+    """Return shape, hash, and a few numbers of an array."""
     values = np.asarray(values)
     found: dict[str, Any] = {"shape": list(values.shape), "dtype": str(values.dtype)}
     if values.dtype.kind in "fc":
@@ -424,7 +424,7 @@ def _codecs(listed: list[dict[str, Any]]) -> list[str]:
 
 
 def _look_onnx(path: Path) -> Any:
-    """The graph and its weights, not the names of the Python modules that it was traced from."""
+    """Return the graph and its weights, without the names of the traced Python modules."""
     import onnx
 
     model = onnx.load(str(path))
@@ -555,11 +555,11 @@ _LOOKS = {
 }
 
 
-# Two findings, and a finding beside its record
+# Comparison of two results, and of a result with its record
 
 
 def agreed(one: Any, other: Any, where: str = "", dropped: list[str] | None = None) -> Any:
-    """What two runs have in common; the paths of what they do not go to `dropped`."""
+    """Return the common part of two runs; paths of differences are appended to `dropped`."""
     dropped = [] if dropped is None else dropped
     if isinstance(one, dict) and isinstance(other, dict):
         kept = {}
@@ -595,9 +595,9 @@ def differences(
     where: str = "",
     scale: float = 1e-3,
 ) -> list[str]:
-    """Lines on what differs; hashes of computed numbers count on the same machine only.
+    """Return lines on differences; hashes of computed numbers count only on the same machine.
 
-    Numbers of one list may differ by the tolerance of its largest, `scale`.
+    Numbers of a list may differ by the tolerance of the list's largest, `scale`.
     """
     if expected in (ANY, MAYBE) if isinstance(expected, str) else False:
         return []
@@ -650,7 +650,7 @@ def differences(
 
 
 def _largest(values: list[Any]) -> float:
-    """The largest number of a list, and of lists in it; 0 where there is none."""
+    """Return the largest number of a list, including nested lists; 0 if there is none."""
     inner = (_largest(each) if isinstance(each, list) else each for each in values)
     return max((abs(each) for each in inner if _is_number(each)), default=0.0)
 
@@ -676,7 +676,7 @@ def _short(value: Any) -> str:
 
 
 def machine() -> str:
-    """What numbers to the last digit depend on, in words."""
+    """Describe everything that the last digits of numbers depend on."""
     words, flags = "", ""
     for line in Path("/proc/cpuinfo").read_text().splitlines():
         name, _, value = (part.strip() for part in line.partition(":"))
@@ -695,7 +695,7 @@ def machine() -> str:
 
 
 def as_text(record: dict[str, Any]) -> str:
-    """A record as JSON: sorted, lists of plain values in one line."""
+    """Return a record as JSON: sorted, lists of plain values on one line."""
     text = json.dumps(record, indent=1, sort_keys=True, ensure_ascii=False)
     flat = re.compile(r"\[\n\s*([^\[\]{}\"]*?)\n\s*\]")
     text = flat.sub(lambda found: "[" + " ".join(found.group(1).split()) + "]", text)
@@ -703,12 +703,12 @@ def as_text(record: dict[str, Any]) -> str:
 
 
 def record_path(case: Case) -> Path:
-    """Where what is expected of a case is."""
+    """Return the path of a case's record."""
     return EXPECTED / f"{case.name}.json"
 
 
 def compare(case: Case, found: dict[str, Any]) -> tuple[list[str], bool]:
-    """Lines on what differs from the record, and whether hashes were compared."""
+    """Return lines on differences from the record, and True if hashes were compared."""
     path = record_path(case)
     if not path.exists():
         return [f"{path.name}: no record; make one with record.py"], False

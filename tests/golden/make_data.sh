@@ -1,13 +1,13 @@
 #!/bin/sh
-# Makes the folder data/ by a checkout: sh tests/golden/make_data.sh CHECKOUT PYTHON
-# Done once, at edbb4ea; made anew it differs (times, addresses), and every record with it.
+# Create the folder data/ from a checkout: sh tests/golden/make_data.sh CHECKOUT PYTHON
+# Done once, at edbb4ea; a new run differs (times, addresses), and so would every record.
 set -eu
 root=$(cd "$1" && pwd); python=$2; data=$(cd "$(dirname "$0")" && pwd)/data
 part=$(mktemp -d); mkdir -p "$data/models"
 export PYTHONPATH="$root" OMP_NUM_THREADS=1
 cd "$root"
 
-# Sessions: one target each on the mock bench; few and clean pictures, to be small.
+# Sessions: one target each on the mock bench, with few, noise-free pictures to limit the size.
 cat > "$part/small.yaml" <<END
 extends: $root/rig/bench/benches/gelsight.yaml
 camera: {rate_hz: 5.0}
@@ -32,7 +32,7 @@ rm -rf "$archive"
     --indenters sphere,prism,cone --processes 1 --no-check --out "$archive"
 "$python" -m learning split "$archive" --out "$split" --new-press 0.2 --validation 0.2
 
-# Models of each kind, of a few steps.
+# Models of each kind, trained for a few steps.
 learning() { verb=$1; shift; "$python" -m learning "$verb" "$archive" --split "$split" "$@"; }
 learning train-force --sensor r6 --out "$part/force" --preset tiny --set input.side_px=32 \
     --set 'stages=[{epochs: 2, learning_rate: 0.002}]' --set 'network.encoder=[4, 4, 8]' \
@@ -47,7 +47,7 @@ learning train-field --out "$part/field" --preset cpu_smoke --sensors r6,r18 \
     --set map_stage.steps=2 --set map_stage.warm_up_steps=1 --set map_stage.batch=2 \
     --set validate_every_steps=2 --set validated=2 --set 'net.widths=[8, 8, 16, 16, 16]' \
     --set 'map.widths=[8, 8, 8, 8]' --set map.numbers=4 --set examples.patterns=4
-# Networks of SD-Turbo's make with a few thousand random numbers, by a helper of the tests.
+# Networks like SD-Turbo with a few thousand random weights, from a test helper.
 rm -rf "$data/base"
 PYTHONPATH="$root:$root/tests" "$python" -c "import sys
 from pathlib import Path

@@ -1,6 +1,6 @@
-"""Records what a checkout does: `python tests/golden/record.py --root CHECKOUT [--only NAME]`.
+"""Record the results of a checkout: `python tests/golden/record.py --root CHECKOUT [--only NAME]`.
 
-Every case runs twice; what differs between both is not kept, and is told.
+Every case runs twice; results that differ between the runs are dropped and reported.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from golden import CHECKOUT, EXPECTED, agreed, as_text, machine, record_path, ru
 
 
 def main() -> int:
-    """Record the chosen cases; the exit code."""
+    """Record the chosen cases and return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--root", type=Path, default=CHECKOUT, help="checkout that is run")
     parser.add_argument("--only", action="append", help="cases whose name contains this")

@@ -1,6 +1,6 @@
-"""Replays the golden set: `python tests/golden/replay.py [--slow] [--only NAME] [-j 2]`.
+"""Replay the golden set: `python tests/golden/replay.py [--slow] [--only NAME] [-j 2]`.
 
-Prints a line a case, and what differs; exit 1 when anything does.
+Prints one line per case, and the differences; exit code 1 if there are any.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ MOST_LINES = 12
 
 
 def replayed(case: Case, root: Path) -> tuple[list[str], str, float]:
-    """What differs, a note on how it was compared, and how long it took [s].
+    """Return the differences, a note on the comparison, and the duration [s].
 
-    A case that runs in real time is tried once more where it differs: a host that pauses for a
-    moment changes what is recorded, as it should. The note says so.
+    A real-time case that differs is tried a second time: a host that pauses for a moment does
+    change the recording. The note mentions this.
     """
     began = time.monotonic()
     lines, note = _once(case, root)
@@ -48,7 +48,7 @@ def _once(case: Case, root: Path) -> tuple[list[str], str]:
 def all_replayed(
     cases: list[Case], root: Path, jobs: int
 ) -> Iterator[tuple[Case, tuple[list[str], str, float]]]:
-    """Each case with `replayed`: those in real time alone, the others side by side."""
+    """Yield each case with `replayed`: real-time cases one by one, then the others in parallel."""
     for case in cases:
         if case.loose:
             yield case, replayed(case, root)
@@ -58,7 +58,7 @@ def all_replayed(
 
 
 def main() -> int:
-    """Replay the chosen cases; the exit code."""
+    """Replay the chosen cases and return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--root", type=Path, default=CHECKOUT, help="checkout that is run")
     parser.add_argument("--only", action="append", help="cases whose name contains this")

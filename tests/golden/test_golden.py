@@ -1,4 +1,4 @@
-"""What the commands say and write is what they said and wrote before: see README.md."""
+"""Regression test: the commands' output and files match the golden records (see README.md)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-# The scripts of this folder run by themselves as well.
+# The scripts of this folder also run on their own.
 sys.path.insert(0, str(Path(__file__).parent))
 
 from cases import CASES

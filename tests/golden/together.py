@@ -1,4 +1,4 @@
-"""Runs many command lines in one process and prints [exit code, output, errors] of each as JSON."""
+"""Run many command lines in one process; print [exit code, output, errors] of each as JSON."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import traceback
 
 
 def run(package: str, arguments: list[str]) -> tuple[int, str, str]:
-    """Run `python -m PACKAGE ARGUMENTS` here."""
+    """Run `python -m PACKAGE ARGUMENTS` in this process."""
     kept = os.dup(1), os.dup(2)
     with tempfile.TemporaryFile() as said, tempfile.TemporaryFile() as erred:
         os.dup2(said.fileno(), 1)

@@ -1,4 +1,4 @@
-"""Alignment equals the definition, written out one query at a time."""
+"""Alignment against its definition, written out one query at a time."""
 
 from typing import Any
 
@@ -19,7 +19,7 @@ from recorder.session.align import (
     rotation_vector,
 )
 
-LATE = 5_000_000_000_000_000  # [ns]; here float64 resolves no better than 1 ns in seconds * 1e9
+LATE = 5_000_000_000_000_000  # [ns]; float64 resolves only 1 ns here, in seconds * 1e9
 instants = st.integers(0, 40)
 sample_times = st.lists(instants, max_size=12).map(
     lambda times: np.sort(LATE + np.array(times, np.int64))
@@ -143,7 +143,7 @@ def matrix(vector: Any) -> Any:
 
 
 def interpolated(first: Any, second: Any, weight: float) -> Any:
-    """Return the rotation vector at `weight` between two, as `pose` gives it."""
+    """Return the rotation vector at `weight` between two, computed by `pose`."""
     poses = np.concatenate([np.zeros((2, 3)), [first, second]], axis=1)
     times = np.array([LATE, LATE + 1000], np.int64)
     return pose(times, poses, np.array([LATE + round(1000 * weight)])).value[0, 3:]
@@ -160,7 +160,7 @@ def test_rotation_vectors_survive_the_way_through_quaternions(vector: Any) -> No
 def test_interpolation_is_smooth_where_the_rotation_vector_wraps(
     axis: Any, off: float, weight: float
 ) -> None:
-    """At pi the vector is cut, v and v - 2 pi axis being one rotation; nothing may spin round."""
+    """At pi the vector jumps from v to v - 2 pi axis, the same rotation; no spin may result."""
     axis = axis / np.linalg.norm(axis)
     first, second = (np.pi - 0.01) * axis, -(np.pi - 0.01 + off) * axis
     weight = round(1000 * weight) / 1000
@@ -185,7 +185,7 @@ def test_a_vector_and_its_wrap_interpolate_alike(first: Any, second: Any, weight
     wrapped = second - 2 * np.pi * second / np.linalg.norm(second)
     between = np.linalg.norm(rotation_of(matrix(first).T @ matrix(second)))
     if between > np.pi - 1e-3:
-        return  # half a turn apart, both ways round are as short
+        return  # half a turn apart: both directions are equally short
     plain, other = interpolated(first, second, weight), interpolated(first, wrapped, weight)
     np.testing.assert_allclose(matrix(plain), matrix(other), atol=1e-9)
 

@@ -1,4 +1,4 @@
-"""Marker archives: written by units in any order and by many, read anywhere, checked and paired."""
+"""Marker archives: parallel writing in any order, local and remote reading, checks and pairing."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ PLAN = ArchivePlan((plan(), plan("Circle1", lattice=None)), INDENTERS, {"made_fr
 
 
 def unit_of(rows: slice, sensor: str = "Array1") -> dict[str, Any]:
-    """Return what a unit of the plan is written from; every row says which one it is."""
+    """Return the data of a unit of the plan; the row number is encoded in every row."""
     row = np.arange(rows.start, rows.stop)
     wrench = np.repeat(row[:, None] * -0.1, 6, axis=1)
     wrench[row % 7 == 3] = np.nan
@@ -102,7 +102,7 @@ def write_units(writer: ArchiveWriter, name: str, units: Sequence[int]) -> None:
 
 
 def make_archive(path: Path, made_from: ArchivePlan = PLAN) -> Path:
-    """Write what is missing of an archive, as `make simulate` does."""
+    """Write the missing units of an archive, as `make simulate` does."""
     writer = ArchiveWriter.begin(path, made_from)
     for name, units in writer.missing().items():
         write_units(writer, name, units)
@@ -127,7 +127,7 @@ def copy(archive: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture
 def unflushed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Flush nothing: a killed process is no power cut, and flushing is most of the time."""
+    """Disable flushing: a kill is not a power failure, and flushing takes most of the time."""
     monkeypatch.setattr(os, "fsync", lambda fd: None)
 
 
@@ -187,7 +187,7 @@ def test_what_an_archive_lacks_is_named(archive: Path) -> None:
 
 
 def every_array(path: Path) -> Iterator[tuple[Path, np.ndarray[Any, Any]]]:
-    """Yield each array of the archive and what it holds."""
+    """Yield each array of the archive with its content."""
     for name, sensor in MarkerArchive(path).items():
         yield path / name / "markers", sensor.packed(slice(None))
         yield path / name / "references", sensor.references
@@ -236,7 +236,7 @@ def test_an_archive_behind_a_url_reads_alike(archive: Path) -> None:
     )
     assert remote["Circle1"].sources == local["Circle1"].sources
     assert check("memory://bucket/a.markers.zarr") == []
-    again = pickle.loads(pickle.dumps(remote))  # as it comes to the workers of a data loader
+    again = pickle.loads(pickle.dumps(remote))  # as passed to the workers of a data loader
     np.testing.assert_array_equal(again["Array1"].packed([5]), PACKED[[5]])
     np.testing.assert_array_equal(again["Array1"].table["frame"], local["Array1"].table["frame"])
 
@@ -309,7 +309,7 @@ def test_an_archive_being_written_warns_and_shows_what_is_there(tmp_path: Path) 
         writer.finish()
     (finding,) = check(path)
     assert finding.code == "unfinished"
-    assert "1 of 8 units are there" in finding.message
+    assert "1 of 8 units are written" in finding.message
 
 
 def test_order_repetition_and_many_writers_do_not_matter(
@@ -331,7 +331,7 @@ def test_order_repetition_and_many_writers_do_not_matter(
     assert [child.exitcode for child in children] == [0] * 6
     writer.finish()
     assert digests(path) == digests(archive)
-    write_units(writer, "Array1", [0])  # late, and as if nothing had happened
+    write_units(writer, "Array1", [0])  # late, which must not matter
     writer.finish()
     assert digests(path) == digests(archive)
     assert make_archive(path) == path
@@ -361,7 +361,7 @@ def test_killed_at_random_and_started_again_the_bytes_are_the_same(
         child.join()
         if child.exitcode == -signal.SIGKILL:
             killed += 1
-        else:  # it was ready before: begin again, and wait for less
+        else:  # it had finished: start again, and wait for less time
             shutil.rmtree(path)
             longest *= 0.7
     make_archive(path, many_units)
@@ -426,7 +426,7 @@ def test_another_plan_does_not_go_on_with_an_archive(
         ("references", REFERENCES[:0], "expected 1 to 32767"),
         ("mm_per_px", float("nan"), "mm_per_px"),
         ("attrs", {"mm_per_px": 1}, "which the format sets itself"),
-        ("displacement_of", "Circle1", "beside a lattice"),
+        ("displacement_of", "Circle1", "together with a lattice"),
     ],
 )
 def test_a_plan_that_cannot_be_is_refused(field: str, value: Any, message: str) -> None:
@@ -522,7 +522,7 @@ def test_a_damaged_entry_of_the_ledger_is_named(tmp_path: Path) -> None:
 def group(
     indenters: int, targets: int, frames: int = 5, *, seed: int = 0
 ) -> dict[str, np.ndarray[Any, Any]]:
-    """Return the table of a sensor: every phase of every target with some frames, shuffled."""
+    """Return the table of a sensor, shuffled: every phase of every target with some frames."""
     dice = np.random.default_rng(seed)
     rows = []
     for indenter in range(indenters):
@@ -617,7 +617,7 @@ def test_a_location_of_two_presses_is_ambiguous() -> None:
 
 
 def rewrite(path: Path, column: str, change: Callable[[np.ndarray[Any, Any]], Any]) -> None:
-    """Change a column of the first sensor through Zarr, checksums and all."""
+    """Change a column of the first sensor through Zarr, including checksums."""
     array = zarr.open_array(path / "Array1" / "table" / column, mode="r+")
     values = np.asarray(array)
     change(values)

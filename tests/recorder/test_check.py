@@ -1,4 +1,4 @@
-"""Each planted fault is found, at its place, and nothing else is."""
+"""Each planted fault is found at its place, with no other findings."""
 
 import json
 import shutil
@@ -19,12 +19,12 @@ Columns = dict[str, Any]
 
 
 def only_in(name: str, change: Callable[[Columns], Columns]) -> Callable[[str, Columns], Columns]:
-    """Return a change of one stream that leaves the others alone."""
+    """Return a change that affects one stream only."""
     return lambda stream, columns: change(columns) if stream == name else columns
 
 
 def without(rows: slice) -> Callable[[Columns], Columns]:
-    """Return the change that loses rows."""
+    """Return a change that drops rows."""
 
     def change(columns: Columns) -> Columns:
         keep = np.delete(np.arange(len(columns["t_ns"])), rows)
@@ -34,7 +34,7 @@ def without(rows: slice) -> Callable[[Columns], Columns]:
 
 
 def repeated(rows: slice) -> Callable[[Columns], Columns]:
-    """Return the change that repeats the first value of some rows in all of them."""
+    """Return a change that repeats the first value of some rows in all of them."""
 
     def change(columns: Columns) -> Columns:
         values = list(columns["value"])
@@ -45,7 +45,7 @@ def repeated(rows: slice) -> Callable[[Columns], Columns]:
 
 
 def shifted(column: str, rows: slice, by: Any) -> Callable[[Columns], Columns]:
-    """Return the change that adds something to a column in some rows."""
+    """Return a change that adds an offset to a column in some rows."""
 
     def change(columns: Columns) -> Columns:
         values = np.array(columns[column])
@@ -119,7 +119,7 @@ def test_a_fault_in_what_was_recorded_is_found_and_only_it(fault: str, tmp_path:
 
 
 def write_frames_without_offsets(path: Path) -> None:
-    """Build frames for a session whose segments point to targets that are not there."""
+    """Build frames for a session whose segments refer to missing targets."""
     shutil.rmtree(path / "targets" / "point")
     write_frames(path, 40)
     edit_json(path / "zarr.json", lambda d: d["attributes"].update(rate_hz=40))
@@ -127,7 +127,7 @@ def write_frames_without_offsets(path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A session with nothing wrong."""
+    """A session without faults."""
     return make_session(tmp_path_factory.mktemp("sound") / "s.zarr")
 
 
@@ -145,7 +145,7 @@ def flip(path: Path, place: int) -> None:
 
 
 def cut_jpeg(session: Path) -> None:
-    """Replace a session's images by ones whose end the camera never sent."""
+    """Replace a session's images by truncated ones."""
 
     def change(columns: Columns) -> Columns:
         values = list(columns["value"])
@@ -261,7 +261,7 @@ ON_DISK: dict[str, tuple[str, str, Callable[[Path], Any]]] = {
 
 
 def append_all_segments(session: Path) -> None:
-    """Add a phase that the frames view does not know of."""
+    """Add a phase that the frames view does not contain."""
     row = {"target": [0], "phase": [0], "outcome": [0], "run": [0]}
     times = {"start_ns": [T0 + 3_400_000_000], "end_ns": [T0 + 3_500_000_000]}
     with StreamWriter.open(session / "segments") as stream:
@@ -289,7 +289,7 @@ def test_a_source_that_is_said_to_be_still_may_repeat_itself(tmp_path: Path) -> 
 
 
 def test_late_packets_are_no_clock_step(tmp_path: Path) -> None:
-    """A stall delays some samples and then delivers them at once; the clocks still agree."""
+    """A stall delays some samples and then delivers them all; the clocks still agree."""
 
     def stall(columns: Columns) -> Columns:
         t_ns = np.array(columns["t_ns"])

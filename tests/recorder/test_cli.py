@@ -1,4 +1,4 @@
-"""The command line: what it prints, how it exits, and a picture worth looking at."""
+"""The command line: its output, its exit codes, and the contact sheet."""
 
 import shutil
 import subprocess

@@ -1,4 +1,4 @@
-"""Offset and drift of device clocks, found again under delays that only ever add."""
+"""Offset and drift of device clocks, recovered under positive delays."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from recorder.session.clocks import ClockFit, clock_lines, fit_clock, fit_clocks
 
 OFFSET, DRIFT, LEAST_DELAY = 0.055, 80e-6, 0.004
 START = 86_400.0
-# The host has been up for a day: times are large, as they are in a lab [s].
+# The host has been up for a day: times are large, as in a lab [s].
 
 
 def _arrivals(
     seed: int, *, rate_hz: float = 60.0, span: float = 600.0, shape: float = 2.0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """True times [s], the device's [s] and arrivals [ns] of a clock that is late, fast and warm.
+    """Return true times [s], device times [s] and arrivals [ns] of a late, fast, warming clock.
 
-    Delays: 4 ms at least, gamma of mean 1.5 ms on top, 1 % spikes; thermal wander of 0.5 ms.
+    Delays: at least 4 ms, plus gamma of mean 1.5 ms, with 1 % spikes; thermal wander of 0.5 ms.
     """
     rng = np.random.default_rng(seed)
     true = START + np.arange(round(rate_hz * span)) / rate_hz
@@ -29,7 +29,7 @@ def _arrivals(
     delay = LEAST_DELAY + rng.gamma(shape, 1.5e-3 / shape, len(true))
     spikes = rng.random(len(true)) < 0.01
     delay[spikes] += rng.exponential(0.03, int(spikes.sum()))
-    # A stream keeps its order: what waits behind a late packet is late too.
+    # A stream keeps its order: packets behind a late one are late too.
     arrived = np.maximum.accumulate(true + delay)
     return true, device, np.round(arrived * 1e9).astype(np.int64)
 
@@ -46,7 +46,7 @@ def test_55_ms_and_80_ppm_come_back_within_1_ms_and_a_tenth_rms(causal: bool, sh
         error = fit.to_host(device) - true
         assert np.sqrt(np.mean(error**2)) < 0.1e-3
         assert abs(piece.offset - START - OFFSET) < 1e-3
-        # The wander itself turns by up to 0.5 ms in 75 s; over the whole it averages out.
+        # The wander varies by up to 0.5 ms in 75 s; over the whole recording it averages out.
         assert piece.drift_ppm == pytest.approx(80, abs=3)
         raw = t_ns * 1e-9 - LEAST_DELAY - true
         assert np.sqrt(np.mean(raw**2)) > 10 * np.sqrt(np.mean(error**2))
@@ -154,7 +154,7 @@ def test_every_stream_with_a_clock_gets_its_fit_in_its_attributes(tmp_path: Path
     expected = fit_clock(device, t_ns)
     assert expected is not None
     assert fit.pieces[0].offset == expected.pieces[0].offset
-    # The force's clock ticks 200 times a second of the host's: no drift was put in.
+    # The force's clock ticks 200 times per second of the host's: no drift was added.
     drift = session.streams["force"].attrs["clock_fit"][0]["pieces"][0]["drift_ppm"]
     assert abs(drift) < 40
     assert np.array_equal(session.streams["pose"].t_ns, before)

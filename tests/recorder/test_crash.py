@@ -1,7 +1,7 @@
-"""Killed at any moment, a stream keeps every accepted row, invents none and recovers the same way.
+"""Killed at any moment, a stream keeps all accepted rows, adds none and recovers deterministically.
 
-Twice: by SIGKILL at random moments of a real process, and by stopping, one after the other, in
-front of every single file system call that the writer makes.
+Tested in two ways: by SIGKILL of a real process at random moments, and by stopping before each
+file system call of the writer in turn.
 """
 
 import mmap
@@ -34,13 +34,13 @@ BLOCK = 64
 
 @pytest.fixture(autouse=True)
 def nothing_is_flushed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Flush nothing: a killed process is no power cut, and flushing is most of the time."""
+    """Disable flushing: a kill is not a power failure, and flushing takes most of the time."""
     monkeypatch.setattr(os, "fsync", lambda fd: None)
     monkeypatch.setattr(os, "fdatasync", lambda fd: None)
 
 
 def image_rows(rows: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
-    """Return the columns of rows that say everywhere which ones they are, never all zero."""
+    """Return columns in which every value encodes its row number, never all zero."""
     pixels = np.empty((len(rows), 4, 4, 3), np.uint8)
     pixels[...] = (rows % 251 + 1)[:, None, None, None]
     pixels[:, 0, 0] = np.stack([rows & 255, rows >> 8 & 255, rows >> 16], axis=1)
@@ -65,7 +65,7 @@ def lossless_camera(rate_hz: float) -> StreamSpec:
 
 
 def assert_every_row_is_itself(path: Path) -> int:
-    """Check that all that a reader sees is what was appended, and return the rows."""
+    """Check that all rows a reader sees are those appended, and return their number."""
     stream = Stream(path)
     expected = (force_rows if "value" in stream.small else image_rows)(np.arange(len(stream)))
     for name, values in expected.items():
@@ -75,7 +75,7 @@ def assert_every_row_is_itself(path: Path) -> int:
 
 
 def assert_zarr_agrees(path: Path) -> None:
-    """Check that every array, to its own declared length, is what was appended."""
+    """Check that every array, up to its own declared length, equals the appended rows."""
     for column in StreamLayout.load(path).columns:
         found = np.asarray(zarr.open_array(column.path, mode="r"))
         make = image_rows if (path / "device_t").exists() else force_rows
@@ -90,7 +90,7 @@ def recover(path: Path) -> int:
 
 
 def record_until_killed(path: Path, accepted: mmap.mmap, slot: int, make: Any) -> None:
-    """Append as fast as possible, counting the accepted rows where the parent can see them."""
+    """Append as fast as possible, counting accepted rows in memory shared with the parent."""
     with StreamWriter.open(path, sync_interval=0.01) as stream:
         while True:
             row = stream.append(**make(stream.rows))
@@ -107,7 +107,7 @@ def test_sigkill_loses_at_most_the_row_in_flight(seed: int, tmp_path: Path) -> N
     create_stream(paths[1], force_spec(100))
     context = multiprocessing.get_context("fork")
     least = [0, 0]
-    for _ in range(2):  # a killed stream is resumed, and killed again
+    for _ in range(2):  # a killed stream is resumed, then killed again
         accepted = mmap.mmap(-1, 16)
         children = [
             context.Process(target=record_until_killed, args=(path, accepted, slot, make))
@@ -136,9 +136,9 @@ def test_sigkill_loses_at_most_the_row_in_flight(seed: int, tmp_path: Path) -> N
 
 
 class InlineBackground(Background):
-    """Does the background work on the spot, so that a crash point is the same every time.
+    """Run the background work synchronously, so that crash points are reproducible.
 
-    Or never, as if the disk did not keep up.
+    Or never, as if the disk were too slow.
     """
 
     keeps_up = True
@@ -164,7 +164,7 @@ def open_files() -> set[int]:
 
 @contextmanager
 def killed_at(call: int | None) -> Iterator[None]:
-    """Kill what runs inside in front of its file operation number `call`, or at the end of it."""
+    """Kill the code inside before its file operation number `call`, or at the end."""
     before = open_files()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(stream_writer, "Background", InlineBackground)
@@ -176,7 +176,7 @@ def killed_at(call: int | None) -> Iterator[None]:
 
 
 def append_rows(path: Path, make: Callable[[int], dict[str, Any]], count: int) -> Iterator[int]:
-    """Resume, append and close; yield the number of rows that exist for certain."""
+    """Resume, append and close; yield the number of rows that are guaranteed to exist."""
     stream = StreamWriter.open(path)
     yield stream.rows
     for _ in range(count):
@@ -231,7 +231,7 @@ def test_dying_in_front_of_any_file_operation_of_a_recovery_loses_nothing(
 def check_every_crash_point(
     tmp_path: Path, origin: Path, scenario: Callable[[Path], Iterator[int]]
 ) -> None:
-    """Play a scenario once per file operation in it, each time dying in front of that one."""
+    """Run a scenario once per file operation in it, dying before that operation."""
     crashes = 0
     while True:
         crashes += 1

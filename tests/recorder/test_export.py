@@ -1,4 +1,4 @@
-"""Exports as a whole: there or not there, inside their folder, and clear about what they lack."""
+"""Exports in general: atomic, inside their folder, and with clear errors for missing libraries."""
 
 from __future__ import annotations
 
@@ -163,7 +163,7 @@ def test_a_missing_library_is_named_with_its_extra(
 
 
 def test_the_recorder_alone_imports_no_extra() -> None:
-    # Not fsspec: zarr-python imports it itself where there is one.
+    # fsspec is not listed: zarr-python imports it if it is installed.
     heavy = {"pyarrow", "h5py", "s3fs", "mcap", "google.protobuf", "pandas", "rerun", "torch"}
     code = f"import sys, recorder, recorder.__main__; print(sorted({heavy} & set(sys.modules)))"
     done = subprocess.run(

@@ -1,4 +1,4 @@
-"""GenForce folders, read as the published scripts read theirs: by folder, file name and column."""
+"""GenForce folders, read as the published scripts do: by folder, file name and column."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def table(path: Path, names: list[str]) -> np.ndarray:
 
 
 def run_of(path: Path, sensor: str, modality: str) -> Path:
-    """The one run folder, <indenter>-<YYYYmmdd_HHMMSS>."""
+    """Return the only run folder, <indenter>-<YYYYmmdd_HHMMSS>."""
     (run,) = (path / sensor / modality).glob("*-[0-9]*_[0-9]*")
     return run
 

@@ -1,4 +1,4 @@
-"""HDF5 exports, opened again by h5py."""
+"""HDF5 exports, read back with h5py."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""LeRobot exports, read with pyarrow, and by LeRobot itself where there is one."""
+"""LeRobot exports, read with pyarrow, and with LeRobot itself if it is installed."""
 
 from __future__ import annotations
 
@@ -227,7 +227,7 @@ def test_lerobot_itself_reads_it(names: tuple[str, ...], tmp_path: Path) -> None
     if "camera" in names:
         pixels = session.streams["camera"].images(frames["image"])
         found = np.round(seen["image"].transpose(0, 2, 3, 1) * 255).astype(int)
-        # Two JPEG decoders may round differently by a grey level or two.
+        # Two JPEG decoders may differ by a grey level or two.
         assert np.abs(found - pixels).max() <= 4
         assert said["stats"][IMAGE]["mean"] == [3, 1, 1]
     else:

@@ -1,4 +1,4 @@
-"""MCAP exports, opened again by the mcap and mcap-protobuf readers with checksums verified."""
+"""MCAP exports, read back with the mcap and mcap-protobuf readers, with checksums verified."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recordings made elsewhere become sound sessions, or leave nothing behind but a clear error."""
+"""Imported recordings become valid sessions, or leave nothing behind but a clear error."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def avi(
     sound_first: bool = False,
     opendml: bool = False,
 ) -> bytes:
-    """An AVI file; with sound before the picture, or with half of it in a second RIFF chunk."""
+    """Return an AVI file; with audio before the video, or half of it in a second RIFF chunk."""
     head = struct.pack(
         "<4s4sIHHIIIIIIII", b"vids", codec, 0, 0, 0, 0, rate[1], rate[0], 0, 0, 0, 0, 0
     )
@@ -73,7 +73,7 @@ def order(folder: Path, **options: Any) -> ImportOrder:
 
 
 def refused(folder: Path, match: str, **options: Any) -> None:
-    """The import raises, and nothing is left where the session would be."""
+    """Check that the import raises and leaves nothing behind."""
     before = set(folder.iterdir())
     with pytest.raises(SessionError, match=match):
         import_session(order(folder, **options))

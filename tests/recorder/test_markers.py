@@ -1,4 +1,4 @@
-"""Packed masks, uSkin discs, and counting markers: what sim, rig and learning share."""
+"""Packed masks, uSkin discs and marker counting, shared by sim, rig and learning."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def squares(
     side: int = 18,
     without: tuple[tuple[int, int], ...] = (),
 ) -> Mask:
-    """Return a mask of squares, row by row; those that reach out of the image are cut."""
+    """Return a mask of squares, row by row; those at the border are cut."""
     mask = np.zeros((HEIGHT, WIDTH), np.bool_)
     for i in range(-1, 15):
         for j in range(-1, 15):
@@ -94,7 +94,7 @@ def test_the_lattice_reaches_beyond_the_image_on_every_side() -> None:
 
 
 def coverage(centre: NDArray[np.float64], radius: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return which share of each pixel of an image the discs cover, by 16 x 16 samples a pixel."""
+    """Return the share of each pixel that the discs cover, by 16 x 16 samples per pixel."""
     inside = np.zeros((HEIGHT, WIDTH))
     offset = (np.arange(16) + 0.5) / 16 - 0.5
     for (column, row), reach in zip(centre, radius, strict=True):
@@ -130,7 +130,7 @@ def test_a_pixel_is_set_where_a_disc_covers_more_than_50_of_255() -> None:
         share = coverage(centre, radius)
         sure = np.abs(share - 50 / 255) > 0.02
         np.testing.assert_array_equal(mask[sure], (share > 50 / 255)[sure])
-        assert np.count_nonzero(~sure) < 200  # and only few pixels are that near to the limit
+        assert np.count_nonzero(~sure) < 200  # only few pixels are that close to the limit
 
 
 def test_taxels_run_to_the_right_and_up_and_positive_y_counts_move_them_up() -> None:
@@ -268,7 +268,7 @@ def test_one_marker_lost_in_the_middle_is_flagged_with_its_place() -> None:
 
 def test_a_column_that_leaves_the_image_is_explained_and_one_more_is_not() -> None:
     reference = squares(left=4)
-    gone = squares(left=-18)  # the first column lies outside, the last one has not come in
+    gone = squares(left=-18)  # the first column is outside, the last one has not come in
     check = MarkerCheck(reference)
     assert count_markers(gone) < count_markers(reference)
     assert check.flags(gone[None]) == []
@@ -296,7 +296,7 @@ def test_markers_that_grow_together_are_flagged_as_such() -> None:
 
 
 def with_flank(mask: Mask) -> tuple[Mask, NDArray[np.float16]]:
-    """Return the mask with columns 260 to 300 seen nearly end-on, and the field that says so."""
+    """Return the mask with columns 260 to 300 seen nearly edge-on, and the matching field."""
     knees, moved = np.array([-200, 260, 300, 600, 900]), np.array([0.0, 0, -39, 0, 0])
     untouched = np.interp(np.arange(WIDTH), knees + moved, knees)
     column = np.round(untouched).astype(int).clip(0, WIDTH - 1)

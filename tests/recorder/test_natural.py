@@ -1,4 +1,4 @@
-"""Names in the order that people count in."""
+"""Natural sort order of names."""
 
 from __future__ import annotations
 

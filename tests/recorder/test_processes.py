@@ -1,4 +1,4 @@
-"""Worker processes: a lost one is told of, what is in hand is ended or not."""
+"""Worker processes: a lost worker is reported; current calls are finished or stopped."""
 
 from __future__ import annotations
 

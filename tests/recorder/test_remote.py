@@ -1,4 +1,4 @@
-"""Sessions behind URLs: the same values as on disk, few bytes moved, and errors that say what."""
+"""Sessions behind URLs: same values as on disk, little network traffic, and clear errors."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ get_loop()  # fsspec keeps one thread for the life of the process
 
 
 class CountedFileSystem(MemoryFileSystem):
-    """A store that writes down what is asked of it."""
+    """A store that records its requests."""
 
     protocol = "counted"
     store: dict[str, Any] = {}  # noqa: RUF012 - as its parent has it
@@ -60,7 +60,7 @@ def counted(recorded: Path) -> str:
 
 
 class _Quiet(http.server.SimpleHTTPRequestHandler):
-    """Files of a directory, with byte ranges, which the standard library's server does not know."""
+    """HTTP server for a directory with byte ranges, which the standard library does not support."""
 
     def log_message(self, *_: object) -> None:
         pass
@@ -120,7 +120,7 @@ def s3(recorded: Path) -> Iterator[str]:
 
 @pytest.fixture(scope="module", autouse=True)
 def _servers_run_all_the_time(web: str, s3: str) -> None:
-    """Start them before any test counts its threads."""
+    """Start the servers before any test counts its threads."""
 
 
 @pytest.fixture(
@@ -188,7 +188,7 @@ def test_a_window_moves_only_the_chunks_it_needs(counted: str, recorded: Path) -
     session, asked = Session(counted), CountedFileSystem.asked
     frames = session.frames
     times = [int(frames["t_ns"][index]) for index in (20, 60, 100)]
-    session.window(times[0], 8, run=0)  # times and shard indexes are fetched once
+    session.window(times[0], 8, run=0)  # times and shard indices are fetched once
     asked.clear()
     session.window(times[1], 8, run=0)
     second = list(asked)
@@ -196,7 +196,7 @@ def test_a_window_moves_only_the_chunks_it_needs(counted: str, recorded: Path) -
     session.window(times[1] - 1, 8, run=0)
     images = [path for path, _ in asked if "/camera/value/" in path]
     assert [path for path, _ in asked if "/camera/value/" not in path] == []
-    assert len(images) <= 2  # one request, or two across a shard's end
+    assert len(images) <= 2  # one request, or two across the end of a shard
     columns = {path.split("/streams/")[1].split("/c/")[0] for path, _ in second}
     assert columns <= {"camera/value", "force/value", "pose/value"}
     camera = Session(recorded).streams["camera"]
@@ -244,7 +244,7 @@ def test_a_chunk_that_is_missing_or_short_is_an_error(recorded: Path) -> None:
     system = fsspec.filesystem("memory")
     system.put(str(recorded), "/short/s.zarr", recursive=True)
     name = "/short/s.zarr/streams/camera/value/c/1/0/0/0"
-    system.pipe_file(name, system.cat_file(name)[-2000:])  # an index over nothing
+    system.pipe_file(name, system.cat_file(name)[-2000:])  # an index without data
     camera = Session("memory://short/s.zarr").streams["camera"]
     with pytest.raises(SessionError, match=r"memory://short/s\.zarr/.*/c/1/0/0/0: chunk .* short"):
         camera.images([70, 100])
@@ -268,7 +268,7 @@ def test_what_cannot_be_opened_says_why(
         "s3://nobucket/s.zarr": "no such session (The specified bucket does not exist)",
         "s3://bucket/other.zarr": "no such session",
         web.replace("s.zarr", "other.zarr"): "no such session",
-        "http://127.0.0.1:9/s.zarr": "nobody answers",
+        "http://127.0.0.1:9/s.zarr": "no answer",
         "memory://nothing/s.zarr": "no such session",
         "nope://x/s.zarr": "Protocol not known: nope",
     }
@@ -284,13 +284,13 @@ def test_what_cannot_be_opened_says_why(
     monkeypatch.setenv("AWS_CONFIG_FILE", os.devnull)
     with pytest.raises(SessionError, match="no credentials: set AWS_ACCESS_KEY_ID"):
         Session(s3, storage_options={"skip_instance_cache": True})
-    with pytest.raises(SessionError, match="not allowed: wrong credentials, or no right"):
+    with pytest.raises(SessionError, match="not allowed: wrong credentials, or no read"):
         Session(s3, storage_options={"anon": True})
 
 
 def test_secrets_are_never_said(recorded: Path) -> None:
     options = {"key": "AKIA", "secret": "hush", "endpoint_url": "http://127.0.0.1:9"}
-    with pytest.raises(SessionError, match="nobody answers") as caught:
+    with pytest.raises(SessionError, match="no answer") as caught:
         Session(
             "s3://bucket/s.zarr",
             storage_options={**options, "config_kwargs": {"retries": {"max_attempts": 0}}},

@@ -1,4 +1,4 @@
-"""Sessions: runs, the frames view, windows, recovery, and what other programs read."""
+"""Sessions: runs, the frames view, windows, recovery, and compatibility with other readers."""
 
 import json
 import shutil
@@ -34,7 +34,7 @@ from recorder.session.frames import depth_in, grid, write_frames
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A finished session with a camera; not to be changed."""
+    """A finished session with a camera; must not be changed."""
     return make_session(tmp_path_factory.mktemp("recorded") / "s.zarr")
 
 
@@ -373,7 +373,7 @@ def test_imagecodecs_reads_camera_bytes_under_the_same_name(recorded: Path) -> N
         array = zarr.open_array(recorded / "streams/camera/value", mode="r")
         found = np.asarray(array[:3])
     ours = Stream(recorded / "streams/camera").images(range(3))
-    assert np.abs(found.astype(int) - ours).max() <= 1  # another JPEG library, other rounding
+    assert np.abs(found.astype(int) - ours).max() <= 1  # JPEG libraries round differently
 
 
 def test_tensorstore_reads_the_numbers_and_the_portable_images(

@@ -1,4 +1,4 @@
-"""YAML without surprises: what is read is what is written, and nothing is overwritten silently."""
+"""Strict YAML: written values are read back unchanged, and nothing is overwritten silently."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The newest image can be read while its shard grows, and never half of one."""
+"""The newest image can be read while its shard grows, and is never incomplete."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def stream(folder: Path, codec: str) -> Path:
 def test_every_row_is_there_as_soon_as_it_is_appended(tmp_path: Path) -> None:
     path = stream(tmp_path, "jpeg")
     with StreamWriter.open(path) as writer, open_tail(path) as tail:
-        # Two shards and a piece: the tail follows from one to the next.
+        # Two shards and a part: the tail continues from one to the next.
         for row in range(150):
             assert tail.jpeg(row) is None
             writer.append(value=jpeg(row), device_t=0.0, t_ns=row + 1)
@@ -73,7 +73,7 @@ def test_a_record_that_is_half_written_is_not_there(tmp_path: Path) -> None:
             with open_tail(torn) as tail:
                 assert tail.jpeg(0) == jpeg(0)
                 assert tail.jpeg(1) is None
-        # The rest arrives: now it is.
+        # The rest arrives, and the image is complete.
         with open_tail(torn) as tail:
             assert tail.jpeg(1) is None
             place.write_bytes(whole)

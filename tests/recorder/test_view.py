@@ -1,4 +1,4 @@
-"""A session in Rerun, read back with Rerun's own reader."""
+"""A session in Rerun, read back with Rerun's reader."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Rrd:
             self.batches.setdefault(chunk.entity_path, []).append(chunk.to_record_batch())
 
     def column(self, entity: str, name: str) -> list[Any]:
-        """Values of one component, row after row."""
+        """Return the values of one component, row by row."""
         rows: list[Any] = []
         for batch in self.batches[entity]:
             rows += batch.column(batch.schema.names.index(name)).to_pylist()
@@ -51,7 +51,7 @@ class Rrd:
         return np.array([row[0] for row in self.column(entity, "Scalars:scalars")])
 
     def times(self, entity: str, line: str) -> np.ndarray:
-        """Times [ns] on a time line."""
+        """Return the times [ns] on a time line."""
         columns = [b.column(b.schema.names.index(line)) for b in self.batches[entity]]
         return np.concatenate([column.cast("int64").to_numpy() for column in columns])
 

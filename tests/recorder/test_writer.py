@@ -1,4 +1,4 @@
-"""A stream is a list of rows: whatever is appended, resumed and closed, that is what is read."""
+"""A stream reads back exactly the rows that were appended, through resuming and closing."""
 
 import errno
 import os
@@ -18,7 +18,7 @@ from recorder.session.reader import Stream
 from recorder.store import journal
 from recorder.store.layout import StreamLayout, create_stream
 
-BLOCK = 64  # rows of a journal at camera rates, and frames of an image shard
+BLOCK = 64  # rows per journal at camera rates, and frames per image shard
 
 
 def tiny_camera(path: Path) -> Path:
@@ -28,14 +28,14 @@ def tiny_camera(path: Path) -> Path:
 
 
 def camera_row(row: int) -> dict[str, Any]:
-    """Return a row that says in every column which one it is."""
+    """Return a row that encodes its number in every column."""
     pixels = np.full((4, 4, 3), row % 251, np.uint8)
     pixels[0, 0] = [row & 255, row >> 8 & 255, row >> 16]
     return {"value": pixels, "device_t": row / 60, "t_ns": 10**15 + row * 16_666_667}
 
 
 def assert_holds_exactly(path: Path, rows: int) -> None:
-    """Read a camera stream by our reader and by zarr-python and compare every row."""
+    """Compare every row of a camera stream, read by our reader and by zarr-python."""
     stream = Stream(path)
     assert len(stream) == rows
     expected = [camera_row(row) for row in range(rows)]
@@ -193,9 +193,9 @@ def test_a_wrong_image_is_refused(codec: str, image: Any, message: str, tmp_path
 
 
 class SmallDisk:
-    """Stands in for the file system calls of the writer: so many bytes and no more.
+    """Replacement for the writer's file system calls, with limited capacity.
 
-    Like a real one it shortens the write that does not fit, and refuses the next.
+    Like a real disk it shortens the write that does not fit, and rejects the next.
     """
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, room: int) -> None:
@@ -236,7 +236,7 @@ def test_a_full_disk_loses_no_accepted_row_and_can_be_closed(
     with pytest.raises(OSError, match="No space left"):
         stream.append(**camera_row(accepted))
     assert stream.rows == accepted
-    disk.room = stream_writer._BALLAST_BYTES  # what closing frees before it seals
+    disk.room = stream_writer._BALLAST_BYTES  # space that closing frees before it seals
     stream.close()
     assert_holds_exactly(path, accepted)
 

@@ -1,4 +1,4 @@
-"""Real arms: the real ur_rtde in its supervised child, against the emulator in a process."""
+"""Arms with the real ur_rtde in its supervised child, against the emulator in a process."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ from rig.devices.arm.settings import ArmConfig
 
 ROOT = Path(__file__).resolve().parents[2]
 HOST = f"127.{110 + os.getpid() // 250 % 100}.{1 + os.getpid() % 250}.1"
-# Loopback addresses by process: parallel runs do not meet.
+# Loopback addresses by process, so that parallel runs do not collide.
 TCP = (0.0, 0.0, 0.1, 0.0, 0.0, 0.0)
 START = compose(flange_pose(np.array(POSTURE)), TCP)
 FRAME = (*(START[:3] - [0.0, 0.0, 0.03]), 0.0, 0.0, 0.0)
 LIMITS = GuardLimits(
     force_rating=(10.0, 10.0, 10.0, 1.0, 1.0, 1.0),
     box=((-0.05, -0.05, -0.005), (0.05, 0.05, 0.06)),
-    # Roomy: the machine's own delays must not look like a lost sensor.
+    # Generous: delays of the machine must not look like a lost sensor.
     stale_force=2.0,
     stale_pose=2.0,
 )
-# A child that is held up for a quarter of a second is no dead one here.
+# A child that is delayed by a quarter of a second must not count as dead here.
 CONFIG = ArmConfig(host=HOST, tcp=TCP, payload=0.7, retract=0.01, watchdog_hz=2.0)
 CLOCK = SystemClock()
 
@@ -43,7 +43,7 @@ def inject(fault: str = "state", **values: Any) -> dict[str, Any]:
 
 
 def at(x: float, y: float, z: float, vector: Any = START[3:]) -> np.ndarray:
-    """TCP pose at a place in the contact frame, which stands parallel to the base."""
+    """Return the TCP pose at a position in the contact frame, which is parallel to the base."""
     return np.array([FRAME[0] + x, FRAME[1] + y, FRAME[2] + z, *vector])
 
 
@@ -63,7 +63,7 @@ def moving() -> bool:
 
 
 def stands_still() -> bool:
-    """The same pose over at least 50 controller cycles."""
+    """Return True if the pose is constant over at least 50 controller cycles."""
     before = inject()
     wait_until(lambda: inject()["tick"] >= before["tick"] + 50)
     return inject()["pose"] == before["pose"]
@@ -71,7 +71,7 @@ def stands_still() -> bool:
 
 @contextmanager
 def emulated() -> Iterator[subprocess.Popen[str]]:
-    """An emulator at HOST that stands at START."""
+    """Yield an emulator at HOST with the arm at START."""
     command = [
         sys.executable,
         "-m",
@@ -102,7 +102,7 @@ def make(**options: Any) -> Arm:
 
 @contextmanager
 def started(**options: Any) -> Iterator[Arm]:
-    """An arm that obeys."""
+    """Yield an arm that accepts commands."""
     arm = make(**options)
     arm.start(20.0)
     yield arm
@@ -111,7 +111,7 @@ def started(**options: Any) -> Iterator[Arm]:
 
 
 def back_at_start(arm: Arm) -> Arm:
-    """An arm that several tests move, as the first of them had it."""
+    """Return a shared arm to the state in which the first test received it."""
     inject("slider", fraction=1.0)
     assert arm.move(START, mode="travel").outcome == "done"
     return arm

@@ -1,4 +1,4 @@
-"""Drives a real headless Chromium over its DevTools protocol: what the tests of the page need."""
+"""Control of a real headless Chromium over its DevTools protocol, for tests of the page."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ class Chromium:
                 return result
 
     def _note(self, message: dict[str, Any]) -> None:
-        """Keep what the page complains of."""
+        """Store the errors that the page reports."""
         params = message.get("params", {})
         if message.get("method") == "Runtime.exceptionThrown":
             self.console.append(json.dumps(params["exceptionDetails"])[:500])
@@ -115,7 +115,7 @@ class Chromium:
             self.console.append(f"{params['entry']['text']} {params['entry'].get('url', '')}")
 
     def resize(self, width: int, height: int, *, scale: float = 1.0, dark: bool = True) -> None:
-        """Size of the window [px] and what the operator's system prefers."""
+        """Set the window size [px], its scale, and the preferred colour scheme."""
         self._ask(
             "Emulation.setDeviceMetricsOverride",
             width=width,
@@ -134,7 +134,7 @@ class Chromium:
         self.until("location.href != 'about:blank' && document.readyState == 'complete'")
 
     def eval(self, script: str) -> Any:
-        """Value of a JavaScript expression in the page."""
+        """Return the value of a JavaScript expression in the page."""
         answer = self._ask(
             "Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True
         )
@@ -143,7 +143,7 @@ class Chromium:
         return answer["result"].get("value")
 
     def until(self, script: str, timeout: float = 30.0) -> Any:
-        """Wait until a JavaScript expression is true; its value."""
+        """Wait until a JavaScript expression is true; return its value."""
         deadline = time.monotonic() + timeout
         while not (value := self.eval(script)):
             if time.monotonic() > deadline:
@@ -153,7 +153,7 @@ class Chromium:
         return value
 
     def click(self, selector: str) -> None:
-        """A real mouse click in the middle of an element."""
+        """Perform a real mouse click in the middle of an element."""
         box = self.eval(
             f"(() => {{ const e = document.querySelector({json.dumps(selector)});"
             " e.scrollIntoView({block: 'center'}); const r = e.getBoundingClientRect();"

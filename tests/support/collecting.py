@@ -1,4 +1,4 @@
-"""Runs `python -m rig collect` as a technician does, and finds its processes to kill them."""
+"""Run `python -m rig collect` as a user does, and find its processes to kill them."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ ROOT = Path(__file__).parents[2]
 
 
 def quick_bench(folder: Path, sensor: str, *, limits: str = "{}") -> Path:
-    """A mock bench that wastes no test's time: short preflight, fast travel where nothing is near.
+    """Write a mock bench for fast tests: short preflight, fast travel away from contact.
 
     Args:
-        folder: Where to write it.
-        sensor: The bench it extends.
+        folder: Folder to write it to.
+        sensor: Packaged bench to extend.
         limits: YAML mapping merged over its limits.
     """
     return reliability.quick_bench(folder, sensor, BENCHES, limits=limits)
 
 
 def faults_of(session: Path, *, stopped: bool = False) -> list[str]:
-    """What `check` finds that a busy machine cannot have caused.
+    """Return the findings of `check` that a busy machine cannot have caused.
 
-    The emulators share this machine's cores: one that is held up for 50 ms makes a gap, and so does
-    an emulated controller whose clock stands still meanwhile.
+    The emulators share this machine's cores: a delay of 50 ms in one causes a gap, and so does an
+    emulated controller whose clock stops in the meantime.
 
     Args:
-        session: What to check.
-        stopped: Whether streams may end before the session does.
+        session: Session to check.
+        stopped: True if streams may end before the session does.
     """
     excused = {"gap", "clock-step"} | ({"truncated"} if stopped else set())
     return [str(finding) for finding in check(session) if finding.code not in excused]
@@ -57,7 +57,7 @@ class Collection:
         where = [] if "--resume" in arguments else ["--out", str(session)]
         if "--bench" not in arguments and "--resume" not in arguments:
             where += ["--sensor", sensor]
-        # What somebody measured of this machine's mock benches is none of a test's business.
+        # Ignore calibrations of mock benches that were measured on this machine.
         where += ["--calibrations", str(session.parent / "none-measured")]
         process = subprocess.Popen(
             [sys.executable, "-u", "-m", "rig", "collect", *where, *arguments],
@@ -70,7 +70,7 @@ class Collection:
         return cls(session, process)
 
     def wait(self, timeout: float = 55.0) -> int:
-        """Its exit code, with everything it printed in `lines`."""
+        """Return its exit code, with all printed lines in `lines`."""
         try:
             output, _ = self.process.communicate(timeout=timeout)
         except subprocess.TimeoutExpired:
@@ -85,19 +85,19 @@ class Collection:
         return "\n".join(self.lines)
 
     def processes(self) -> dict[int, str]:
-        """Command lines of this collection's processes, the main one among them, by pid."""
+        """Return the command lines of its processes, including the main one, by pid."""
         return family(self.process.pid)
 
     def emulator(self, module: str) -> int:
-        """The pid of the emulator `python -m <module>`."""
+        """Return the pid of the emulator `python -m <module>`."""
         return next(pid for pid, command in self.processes().items() if f"-m {module}" in command)
 
     def stream(self, name: str) -> int:
-        """The pid of one stream's process: the one that writes `<session>/streams/<name>`."""
+        """Return the pid of the process that writes `<session>/streams/<name>`."""
         return stream_process(self.processes(), self.session, name)
 
     def until(self, condition: Callable[[], bool], timeout: float = 40.0) -> None:
-        """Wait for `condition`, with the collection still running."""
+        """Wait for `condition` while the collection runs."""
         deadline = time.monotonic() + timeout
         while not condition():
             if self.process.poll() is not None or time.monotonic() > deadline:
@@ -107,17 +107,17 @@ class Collection:
             time.sleep(0.02)
 
     def recording(self) -> bool:
-        """Whether frames, poses and forces are being stored."""
+        """Return True if frames, poses and forces are being stored."""
         return any(self.session.glob("streams/*/value/c/*/*/*.partial")) or any(
             self.session.glob("streams/force/t_ns/journal-*")
         )
 
     def segments(self) -> int:
-        """Bytes of the segment journal: grows by one row a phase."""
+        """Return the bytes of the segment journal, which grows by one row per phase."""
         return sum(path.stat().st_size for path in self.session.glob("segments/*/journal-*"))
 
     def kill_all(self) -> None:
-        """SIGKILL to every process, children first found, main last."""
+        """Send SIGKILL to every process, children first, main process last."""
         pids = sorted(self.processes(), key=lambda pid: pid == self.process.pid)
         for pid in pids:
             try:

@@ -1,4 +1,4 @@
-"""A process that dies in front of any call that changes files."""
+"""A process that dies before any chosen call that changes files."""
 
 import os
 import shutil
@@ -10,11 +10,11 @@ import pytest
 
 
 class Killed(BaseException):
-    """Stands for SIGKILL: nothing that the program does afterwards reaches the disk."""
+    """Replaces SIGKILL: nothing that the program does afterwards reaches the disk."""
 
 
 class FailingCalls:
-    """Counts the calls that change files and dies in front of one of them."""
+    """Count the calls that change files and die before a chosen one."""
 
     NAMES = ("pwrite", "pwritev", "write", "ftruncate", "fsync", "fdatasync", "unlink")
     PATH_NAMES = ("replace", "unlink", "mkdir", "write_bytes")

@@ -34,7 +34,7 @@ TINY = DirectSettings(
 
 
 def encoder(widths: tuple[int, int, int] = (8, 8, 16)) -> Encoder:
-    """Return the encoder of an autoencoder, always the same."""
+    """Return the encoder of an autoencoder, with fixed weights."""
     torch.manual_seed(7)
     return Autoencoder(widths, 4).encoder
 
@@ -45,13 +45,13 @@ def tiny_network(settings: DirectSettings = TINY) -> DirectNetwork:
 
 
 def finished_run(path: Path, settings: DirectSettings = TINY) -> None:
-    """Make the folder of a run that ended as it began."""
+    """Write the folder of a finished run with untrained weights."""
     with RunFolder.open(path, KIND, settings, "data") as run:
         run.finish(settings.steps, {"model": tiny_network(settings)})
 
 
 def coarse(aligned: AlignedImages) -> AlignedImages:
-    """Return the same moments at an eighth of the side."""
+    """Return the same frames at an eighth of the size."""
 
     def shrunk(images: torch.Tensor) -> torch.Tensor:
         flat = images.flatten(0, -3).unsqueeze(1).float()

@@ -1,7 +1,7 @@
-"""NumPy's word on what the finite elements must give, from plain nodal shape functions.
+"""NumPy reference of the finite elements, from plain nodal shape functions.
 
-Nothing here shares a formula with the kernels but the energy: forces are written node by node, and
-derivatives are taken by the complex step f'(u) v = Im f(u + i h v) / h, exact to round-off.
+It shares only the energy with the kernels: forces are computed node by node, and
+derivatives by the complex step f'(u) v = Im f(u + i h v) / h, exact to round-off.
 """
 
 from __future__ import annotations
@@ -25,25 +25,25 @@ CPU = "cpu"
 
 
 def domed_mesh() -> Mesh:
-    """48 elements, no two of one shape: a small dome, its nodes moved a little (not the base's)."""
+    """Return 48 elements of different shapes: a small dome with nodes above the base moved."""
     body = Body(size_x=4e-3, size_y=4.4e-3, thickness=3e-3, dome_radius=5e-3)
     return moved(build_mesh(body, 1e-3), 0.03)
 
 
 def domed_meshes() -> list[Mesh]:
-    """`domed_mesh` and one of its topology that has no node, volume or area in common with it."""
+    """Return `domed_mesh` and a mesh of equal topology, but different nodes, volumes, areas."""
     body = Body(size_x=4.3e-3, size_y=3.9e-3, thickness=3e-3, dome_radius=7e-3)
     return [domed_mesh(), moved(build_mesh(body, 1e-3), 0.02, seed=4)]
 
 
 def moved(mesh: Mesh, by: float, seed: int = 3) -> Mesh:
-    """The mesh with its free nodes moved by up to `by` thicknesses, and what follows from that."""
+    """Return the mesh with its free nodes moved by up to `by` thicknesses, elements updated."""
     shift = np.random.default_rng(seed).uniform(-by, by, mesh.nodes.shape) * mesh.free[:, None]
     return with_nodes(mesh, mesh.nodes + shift)
 
 
 def with_nodes(mesh: Mesh, nodes: Array) -> Mesh:
-    """The mesh with nodes in other places: elements as they follow, faces and masses as before."""
+    """Return the mesh with moved nodes: elements are updated, faces and masses unchanged."""
     jacobian = np.einsum("eai,qaj->eqij", nodes[mesh.elements], local_gradients())
     return replace(
         mesh, nodes=nodes, inverse=np.linalg.inv(jacobian), weight=np.linalg.det(jacobian)
@@ -51,7 +51,7 @@ def with_nodes(mesh: Mesh, nodes: Array) -> Mesh:
 
 
 def local_gradients() -> Array:
-    """Gradient of the 8 trilinear shape functions at the 8 Gauss points (point, node, axis).
+    """Return gradients of the 8 trilinear shape functions at 8 Gauss points (point, node, axis).
 
     N_a = (1 +- xi)(1 +- eta)(1 +- zeta)/8, by the complex step along each axis.
     """
@@ -67,7 +67,7 @@ def local_gradients() -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Material:
-    """One environment's material, and what its Prony branches bring into the step."""
+    """One environment's material, and the history of its Prony branches at the step's start."""
 
     shear: float
     bulk: float
@@ -76,11 +76,11 @@ class Material:
     history: Array | None = None
     bulk_history: Array | None = None
     everywhere: bool = False
-    """Volume change at every Gauss point: the element that locks."""
+    """True for volume change at every Gauss point, the element that locks."""
 
 
 def deformation(mesh: Mesh, u: Array) -> tuple[Array, Array, Array]:
-    """F (E, 8, 3, 3), d(shape)/d(position) (E, 8, node, 3) volume (E, 8), at Gauss points."""
+    """Return F (E, 8, 3, 3), d(shape)/dx (E, 8, node, 3) and volume (E, 8) at Gauss points."""
     jacobian = np.einsum("eai,qaj->eqij", mesh.nodes[mesh.elements], local_gradients())
     slopes = np.einsum("qaj,eqji->eqai", local_gradients(), np.linalg.inv(jacobian))
     gradient = np.einsum("eai,eqaj->eqij", u[mesh.elements], slopes)
@@ -88,7 +88,7 @@ def deformation(mesh: Mesh, u: Array) -> tuple[Array, Array, Array]:
 
 
 def element_energy(mesh: Mesh, u: Array, material: Material) -> Array:
-    """Elastic energy of every element (E,), real or complex."""
+    """Return the elastic energy of every element (E,), real or complex."""
     f, _slopes, weight = deformation(mesh, u)
     j = np.linalg.det(f)
     square = np.einsum("eqij,eqij->eq", f, f)
@@ -101,7 +101,7 @@ def element_energy(mesh: Mesh, u: Array, material: Material) -> Array:
 
 
 def element_force(mesh: Mesh, u: Array, material: Material) -> Array:
-    """Force of every element on its nodes, outwards of the strain (E, 8, 3), real or complex."""
+    """Return the internal force of every element on its nodes (E, 8, 3), real or complex."""
     f, slopes, weight = deformation(mesh, u)
     j = np.linalg.det(f)
     inverse = np.swapaxes(np.linalg.inv(f), 2, 3)
@@ -123,19 +123,19 @@ def element_force(mesh: Mesh, u: Array, material: Material) -> Array:
 
 
 def element_tangent(mesh: Mesh, u: Array, v: Array, material: Material) -> Array:
-    """Derivative of `element_force` along `v` (E, 8, 3)."""
+    """Return the derivative of `element_force` along `v` (E, 8, 3)."""
     return element_force(mesh, u + 1j * STEP * v, material).imag / STEP
 
 
 def at_nodes(cells: NDArray[np.int32], values: Array, count: int) -> Array:
-    """Values at the corners of cells (C, corners, ...) added up at `count` nodes."""
+    """Sum values at the corners of cells (C, corners, ...) at `count` nodes."""
     total = np.zeros((count, *values.shape[2:]))
     np.add.at(total, cells, values)
     return total
 
 
 def stiffness(mesh: Mesh, u: Array, material: Material) -> Array:
-    """Dense tangent of the elements at `u` (N, 3, N, 3); nothing held."""
+    """Return the dense tangent of the elements at `u` (N, 3, N, 3), without constraints."""
     count = len(mesh.nodes)
     dense = np.empty((count, 3, count, 3))
     for node in range(count):
@@ -149,7 +149,7 @@ def stiffness(mesh: Mesh, u: Array, material: Material) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Rubbing:
-    """What friction remembers of the step before, and what limits it."""
+    """State of friction at the previous step, and its limit."""
 
     coefficient: float
     stick: float
@@ -170,8 +170,8 @@ def contact(
     u: Array,
     rubbing: Rubbing | None,
 ) -> dict[str, Array]:
-    """Contact by the host's signed distance and a return map: everything the kernel writes, and
-    the gap. `carried` (S, P) is the pressure that needs no penetration.
+    """Return contact by the host's signed distance and a return map: all values that the kernel
+    writes, and the gap. `carried` (S, P) is the multiplier, a pressure without penetration.
     """
     shape, weight = rule
     corners = (mesh.nodes + u)[mesh.faces]
@@ -211,37 +211,37 @@ def contact(
 
 
 def scalars(values: Any, real: Any) -> Any:
-    """An array of Warp scalars."""
+    """Return an array of Warp scalars."""
     return wp.array(np.asarray(values, numpy_of(real)), dtype=real, device=CPU)
 
 
 def vectors(values: Any, real: Any) -> Any:
-    """An array of Warp 3-vectors, the last axis being theirs."""
+    """Return an array of Warp 3-vectors along the last axis."""
     return wp.array(np.asarray(values, numpy_of(real)), dtype=vector_of(real), device=CPU)
 
 
 def matrices(values: Any, real: Any) -> Any:
-    """An array of Warp 3x3 matrices, the last two axes being theirs."""
+    """Return an array of Warp 3x3 matrices along the last two axes."""
     return wp.array(np.asarray(values, numpy_of(real)), dtype=matrix_of(real), device=CPU)
 
 
 def integers(values: Any) -> Any:
-    """An array of Warp integers."""
+    """Return an array of Warp integers."""
     return wp.array(np.asarray(values, np.int32), dtype=wp.int32, device=CPU)
 
 
 def rows(active: Array) -> Any:
-    """Numbers of the environments that are on, -1 of the others: what is launched (B,)."""
+    """Return the launch rows (B,): numbers of the active environments, -1 for the others."""
     return integers(np.where(np.asarray(active) > 0, np.arange(len(active)), -1))
 
 
 def zeros(shape: tuple[int, ...], dtype: Any) -> Any:
-    """An array of zeros of a Warp type."""
+    """Return an array of zeros of a Warp type."""
     return wp.zeros(shape, dtype=dtype, device=CPU)
 
 
 def geometry(meshes: list[Mesh], variant: list[int], real: Any) -> tuple[Any, Any, Any]:
-    """Inverse, weight and mesh of each environment, as the kernels of the elements take them."""
+    """Return inverse, weight and mesh of each environment, as the element kernels take them."""
     return (
         matrices([mesh.inverse for mesh in meshes], real),
         scalars([mesh.weight for mesh in meshes], real),
@@ -250,5 +250,5 @@ def geometry(meshes: list[Mesh], variant: list[int], real: Any) -> tuple[Any, An
 
 
 def relative(found: Array, expected: Array) -> float:
-    """Largest difference over the largest expected value."""
+    """Return the largest difference over the largest expected value."""
     return float(np.abs(found - expected).max() / np.abs(expected).max())

@@ -1,4 +1,4 @@
-"""A batch of tangents assembled two ways: by the stencil's kernels, and densely by NumPy."""
+"""A batch of tangents assembled in two ways: by the kernels, and densely by NumPy."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ GRID = oracle.domed_mesh()
 MESHES = (GRID, oracle.moved(GRID, 0.06))
 COUNT = len(GRID.nodes)
 SHAPE = face_rule(2)[0]
-# What is in the matrix before it is assembled.
+# Initial value of the matrix before assembly.
 FILLED = 7.0
 
 
 class Tangents:
-    """Three environments on two bodies, of which the last is off; every input drawn at random."""
+    """Three environments on two bodies, the last inactive, with random inputs."""
 
     def __init__(
         self, variant: str = "elastic", strain: float = 0.02, contact: float = 3.0
@@ -61,7 +61,7 @@ class Tangents:
     def stencil(
         self, real: Any, *, parallel: bool = False, half: bool = False, keep: bool = True
     ) -> Stencil:
-        """Assembled by the kernels over a matrix full of `FILLED`."""
+        """Return the tangent assembled by the kernels over a matrix full of `FILLED`."""
         with planted("full-integration" if self.variant == "full_integration" else None):
             stencil = Stencil(
                 GRID,
@@ -78,7 +78,7 @@ class Tangents:
         return stencil
 
     def assemble(self, stencil: Stencil, real: Any, anew: list[int] | None = None) -> None:
-        """Assemble once more, as things are now, the elastic part where `anew` says so."""
+        """Assemble again for the current state, the elastic part where `anew` is set."""
         geometry = (
             oracle.matrices(np.stack([mesh.inverse for mesh in MESHES]), real),
             oracle.scalars(np.stack([mesh.weight for mesh in MESHES]), real),
@@ -113,7 +113,7 @@ class Tangents:
         return (*columns, oracle.matrices(history, real), oracle.scalars(bulk_history, real))
 
     def dense(self, env: int) -> Array:
-        """The same (N, 3, N, 3) from the complex step, face by face, and the definition."""
+        """Return the same (N, 3, N, 3) by complex steps, face by face, from the definition."""
         dense = _stiffness(MESHES[self.body[env]], self.u[env], self.materials[env])
         blocks = np.einsum("spij,pa,pb->saibj", self.contact[env], SHAPE, SHAPE)
         for face, touched, block in zip(GRID.faces, self.touched[env], blocks, strict=True):
@@ -127,9 +127,9 @@ class Tangents:
 
 
 def _stiffness(mesh: Mesh, u: Array, material: Material) -> Array:
-    """Dense tangent of the elements (N, 3, N, 3) by 24 complex steps.
+    """Return the dense tangent of the elements (N, 3, N, 3) by 24 complex steps.
 
-    Nodes of one parity along x, y and z move together: each element has just one of them.
+    Nodes of one parity along x, y and z move together: each element has exactly one of them.
     """
     dense = np.zeros((COUNT, 3, COUNT, 3))
     grid = np.stack(np.unravel_index(np.arange(COUNT), np.array(mesh.cells) + 1), axis=-1)
@@ -144,7 +144,7 @@ def _stiffness(mesh: Mesh, u: Array, material: Material) -> Array:
 
 
 def flat_tangent(by: float) -> Stencil:
-    """The undeformed tangent of one body whose elements are `by` times as wide as high."""
+    """Return the undeformed tangent of a body whose elements are `by` times as wide as high."""
     nodes = GRID.nodes * np.array([by, by, 1.0])
     jacobian = np.einsum("eai,qaj->eqij", nodes[GRID.elements], oracle.local_gradients())
     one, real = [1.0], wp.float64
@@ -175,7 +175,7 @@ def flat_tangent(by: float) -> Stencil:
 
 
 def spread_out(matrix: Array) -> Array:
-    """A stencil's blocks (N, 27, 3, 3) as a dense matrix (N, 3, N, 3)."""
+    """Return the blocks (N, 27, 3, 3) as a dense matrix (N, 3, N, 3)."""
     near = neighbours(GRID.cells)
     dense = np.zeros((COUNT, 3, COUNT, 3))
     for slot in range(SLOTS):
@@ -185,9 +185,9 @@ def spread_out(matrix: Array) -> Array:
 
 
 def columns_of(dense: Array, axis: int = 2) -> Array:
-    """What of a dense tangent couples nodes of one column (3N, 3N), with 1 for held nodes.
+    """Return the part of a dense tangent within node columns (3N, 3N), with 1 for fixed nodes.
 
-    Of a line along x or y where `axis` is 0 or 1.
+    For `axis` 0 or 1, lines along x or y take the place of columns.
     """
     shape = tuple(cells + 1 for cells in GRID.cells)
     place = np.stack(np.unravel_index(np.arange(COUNT), shape))

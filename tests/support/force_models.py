@@ -1,4 +1,4 @@
-"""Small force models and presses of noise for tests."""
+"""Small force models and random presses for tests."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ TOY = ForceSettings(
 
 
 def toy(**changes: Any) -> ForceSettings:
-    """Return the toy's settings with some of them replaced."""
+    """Return the toy settings with some values replaced."""
     return replace(TOY, **changes)
 
 

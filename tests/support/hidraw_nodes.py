@@ -1,4 +1,4 @@
-"""Runs Python where the shim of rig.devices.hid gives it hidraw nodes."""
+"""Run Python with hidraw nodes provided by the shim of rig.devices.hid."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def library(folder: Path) -> Path:
-    """The shim, built; skips the test where it cannot be."""
+    """Return the built shim; skip the test if it cannot be built."""
     try:
         return build(folder)
     except ConfigError as error:
@@ -24,7 +24,7 @@ def library(folder: Path) -> Path:
 
 
 def run(shim: Path, code: str, *arguments: str, nodes: Path | None = None) -> str:
-    """What `code` prints with the shim preloaded."""
+    """Return the output of `code` with the shim preloaded."""
     environment = os.environ | {"LD_PRELOAD": str(shim), "PYTHONPATH": str(ROOT)}
     environment.pop("FAKE_HIDRAW", None)
     if nodes is not None:

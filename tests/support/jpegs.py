@@ -6,7 +6,7 @@ from rig.devices.camera.jpeg import segments
 
 
 def stripped(jpeg: bytes) -> bytes:
-    """Without its Huffman tables, as some UVC cameras send it."""
+    """Return the JPEG without its Huffman tables, as some UVC cameras send it."""
     bare = jpeg
     for marker, at, content in reversed(list(segments(jpeg))):
         if marker == 0xC4:

@@ -21,13 +21,13 @@ DEPTH, SHEAR = 1.0e-3, 0.5e-3
 CONTACT_FRAME = [0.4, -0.1, 0.2, 0.0, 0.0, 0.0]
 CAMERA_HZ, FORCE_HZ = 60.0, 200.0
 SECONDS = 1.0
-# Pictures in which markers are hidden.
+# Pictures with hidden markers.
 HIDDEN = range(38, 41)
 TARGETS = 2
 
 
 def state(seconds: np.ndarray[Any, Any]) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
-    """Return depth and shear [m] at times after the first phase's beginning."""
+    """Return depth and shear [m] at times since the start of the first phase."""
     cycle = np.where(seconds >= 0, seconds % 0.4, 0) * 10
     depth = DEPTH * np.interp(cycle, [0, 1, 3, 4], [-0.05, 1, 1, -0.05])
     return depth, SHEAR * np.interp(cycle, [1, 2, 3], [0, 1, 0])
@@ -86,7 +86,7 @@ def record(path: Path, kind: str = "camera") -> Path:
 
 
 def rows_of(name: str, seconds: np.ndarray[Any, Any]) -> list[dict[str, Any]]:
-    """Return the rows of a stream at times after the session's beginning."""
+    """Return the rows of a stream at times since the start of the session."""
     depth, shear = state(seconds - 0.1)
     t_ns = T0 + np.round(seconds * 1e9).astype(np.int64)
     rows: list[dict[str, Any]] = [{"t_ns": int(time)} for time in t_ns]
@@ -114,7 +114,7 @@ def rows_of(name: str, seconds: np.ndarray[Any, Any]) -> list[dict[str, Any]]:
 
 
 def altered(source: Path, path: Path, arrays: dict[str, Any] | None = None, **attrs: Any) -> Path:
-    """Copy a session, with other attributes and with other values in some of its tables."""
+    """Copy a session, changing some attributes and values of its tables."""
     shutil.copytree(source, path)
     merge_attrs(path, attrs)
     for name, values in (arrays or {}).items():

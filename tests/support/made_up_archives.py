@@ -1,12 +1,12 @@
-"""Small marker archives for tests: patterns moved by a field in closed form, forces of its state.
+"""Small synthetic marker archives for tests: patterns moved by an analytic field, matching forces.
 
-A press pushes what is seen outwards from its place and, while sheared, along with it:
+A press displaces the image outwards from its position and, while sheared, along the shear:
 
     d(p) = outward (p - c) / width exp(-|p - c|^2 / (2 width^2)) + shear exp(-|p - c|^2 / (2 far^2))
 
 in pixels, with `outward` = 16 px per mm of depth and `far` = 2 width. Images are the pattern at the
-inverse of p + d(p), found by iteration on a coarse grid. All sensors see the same places under the
-same indenters; their forces differ by their stiffness alone.
+inverse of p + d(p), found by iteration on a coarse grid. All sensors have the same positions and
+indenters; their forces differ only by their stiffness.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ MM_PER_PX = 0.03
 LATTICE = Lattice()
 OUTWARD_PX_PER_MM, FAR = 16.0, 2.0
 DEPTHS_MM, SHEAR_MM = (1.0, 1.5), 0.6
-# Width of the field under an indenter; others have that of the sphere.
+# Width of the field under an indenter; other indenters use that of the sphere.
 WIDTHS_PX = {"sphere": 90.0, "cone": 60.0, "prism": 120.0}
-# Factor on the forces of a sensor, by its name, which is its pattern's too.
+# Force factor of a sensor by its name, which is also that of its pattern.
 STIFFNESS = {"dots": 1.0, "grid": 1.6, "diamonds": 0.6, "dense": 1.2}
 FORCE_DEPTH_MM = 1.2
 NORMAL_N_PER_MM, NORMAL_N_PER_MM2, SHEAR_N_PER_MM = 2.0, 0.8, 1.5
@@ -39,14 +39,14 @@ NORMAL_N_PER_MM, NORMAL_N_PER_MM2, SHEAR_N_PER_MM = 2.0, 0.8, 1.5
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """What a press does to the surface at one moment."""
+    """State of the surface under a press at one moment."""
 
     centre: tuple[float, float]
-    """Column and row of its place [px]."""
+    """Column and row of the press [px]."""
     width_px: float
     depth_mm: float
     shear_mm: tuple[float, float] = (0.0, 0.0)
-    """Along columns and down rows."""
+    """Components along columns and down rows."""
     loading: bool = True
 
 
@@ -69,19 +69,19 @@ def made_up_archive(
     """Make an archive and open it.
 
     Args:
-        path: Where, `X.markers.zarr`.
+        path: Archive to write, `X.markers.zarr`.
         sensors: Names of `STIFFNESS`.
-        indenters: Their names, by code.
-        unseen: Those of them that no model may be trained on.
-        targets: Presses of each indenter.
-        frames_per_phase: A press has one untouched frame and four times as many.
-        displacement: Whether the first sensor keeps the field, and the others share it.
+        indenters: Names of the indenters, by code.
+        unseen: Indenters that no model may be trained on.
+        targets: Presses per indenter.
+        frames_per_phase: A press has one frame without contact and four times this number.
+        displacement: If true, the first sensor stores the field and the others share it.
         force_depth: Presses without a location by the last indenter, at the end of each sensor.
         unloading: Factor on the pressing force while it unloads.
         stiffness: Factor on the forces of a sensor, by name.
         unlabelled: Sensors without a wrench.
-        invalid: Rows, the same in every sensor, that are not there.
-        finish: Whether the archive is completed; otherwise its last unit is missing.
+        invalid: Rows that are invalid, the same in every sensor.
+        finish: If true, the archive is completed; otherwise its last unit is missing.
     """
     presses = _presses(indenters, targets, frames_per_phase, force_depth)
     length = 1 + 4 * frames_per_phase
@@ -128,7 +128,7 @@ def made_up_archive(
 
 
 def wrench_of(state: State, stiffness: float, unloading: float = 1.0) -> NDArray[np.float64]:
-    """Return Fx Fy Fz [N] and torques of 0: a parabola of depth, a line of shear, both of width."""
+    """Return Fx Fy Fz [N] and zero torques: quadratic in depth, linear in shear, times width^2."""
     size = (state.width_px / WIDTHS_PX["sphere"]) ** 2
     factor = stiffness * size * (1.0 if state.loading else unloading)
     normal = NORMAL_N_PER_MM * state.depth_mm + NORMAL_N_PER_MM2 * state.depth_mm**2
@@ -138,7 +138,7 @@ def wrench_of(state: State, stiffness: float, unloading: float = 1.0) -> NDArray
 
 
 def field_at(state: State, columns: Any, rows: Any) -> tuple[Any, Any]:
-    """Return the displacement (column, row) [px] of what is seen, untouched, at places [px]."""
+    """Return the displacement (column, row) [px] of the material at contact-free positions [px]."""
     x, y = columns - state.centre[0], rows - state.centre[1]
     square = (x**2 + y**2) / (2 * state.width_px**2)
     outward = OUTWARD_PX_PER_MM * state.depth_mm / state.width_px * np.exp(-square)
@@ -147,18 +147,18 @@ def field_at(state: State, columns: Any, rows: Any) -> tuple[Any, Any]:
 
 
 def lattice_field(state: State) -> NDArray[np.float16]:
-    """Return the field on the lattice, as archives keep it."""
+    """Return the field on the lattice, as stored in archives."""
     moved = field_at(state, LATTICE.columns[None, :], LATTICE.rows[:, None])
     return np.stack(moved, axis=-1).astype(np.float16)
 
 
 def mask_of(name: str, state: State) -> NDArray[np.bool_]:
-    """Return the mask (480, 640) that a sensor shows."""
+    """Return the mask (480, 640) of a sensor."""
     return _pattern(name, *_untouched(state))
 
 
 def _masks(sensors: Sequence[str], states: Sequence[State]) -> dict[str, NDArray[np.uint8]]:
-    """Return the packed masks (n, 38400) of sensors: where material was is the same for all."""
+    """Return the packed masks (n, 38400) of sensors, which share the inverse field."""
     packed = {name: np.empty((len(states), PACKED), np.uint8) for name in sensors}
     for row, state in enumerate(states):
         places = _untouched(state)
@@ -168,7 +168,7 @@ def _masks(sensors: Sequence[str], states: Sequence[State]) -> dict[str, NDArray
 
 
 def _untouched(state: State) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return column and row (480, 640) [px] at which the material of each pixel was untouched."""
+    """Return the contact-free column and row (480, 640) [px] of the material at each pixel."""
     if state.depth_mm == 0 and state.shear_mm == (0.0, 0.0):
         return _pixels()
     columns, rows = np.meshgrid(_coarse(WIDTH), _coarse(HEIGHT))
@@ -184,7 +184,7 @@ def _untouched(state: State) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
 def _presses(
     indenters: Sequence[str], targets: int, steps: int, force_depth: int
 ) -> list[tuple[int, int, list[State]]]:
-    """Code of the indenter, target (behind the others without a location), states."""
+    """Return code of the indenter, target (those without a location last) and states."""
     made = []
     for code, indenter in enumerate(indenters):
         for target in range(targets):
@@ -198,7 +198,7 @@ def _presses(
 
 
 def _sheared(depth: float, target: int, steps: int) -> list[tuple[float, float, float, bool]]:
-    """Depth, shear to the right and down [mm], whether it loads: untouched, then four phases."""
+    """Return depth, shear right and down [mm], loading: without contact, then four phases."""
     angle = np.pi / 4 * (3 * target + 1)
     right, down = SHEAR_MM * np.cos(angle), SHEAR_MM * np.sin(angle)
     shares = [step / steps for step in range(1, steps + 1)]
@@ -214,7 +214,7 @@ def _sheared(depth: float, target: int, steps: int) -> list[tuple[float, float, 
 def _states(
     indenter: str, place: int, path: Iterable[tuple[float, float, float, bool]]
 ) -> list[State]:
-    # Multiples of irrational numbers spread places evenly, whatever their number.
+    # Multiples of irrational numbers spread positions evenly for any number of them.
     centre = (
         WIDTH * (0.3 + 0.4 * ((0.5 + 0.755 * place) % 1)),
         HEIGHT * (0.3 + 0.4 * ((0.5 + 0.570 * place) % 1)),
@@ -228,7 +228,7 @@ def _table(
     within: Sequence[tuple[int, int, int]],
     targets: int,
 ) -> dict[str, NDArray[Any]]:
-    """Columns that sensors share, for rows of a press and a frame."""
+    """Return the columns that sensors share, for rows of a press and a frame."""
     states = [presses[press][2][frame] for _, press, frame in within]
     code = np.array([presses[press][0] for _, press, _ in within])
     target = np.array([presses[press][1] for _, press, _ in within])
@@ -259,11 +259,11 @@ def _pixels() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
 
 
 def _pattern(name: str, x: NDArray[Any], y: NDArray[Any]) -> NDArray[np.bool_]:
-    """Whether there is a marker at places [px] of the untouched surface."""
+    """Return True where there is a marker at positions [px] of the undeformed surface."""
     if name == "diamonds":
         x, y = x + y, y - x
     pitch, half = {"dots": (64, 15), "grid": (72, 14), "diamonds": (88, 18), "dense": (40, 9)}[name]
-    # As np.mod, in a quarter of its time.
+    # Equivalent to np.mod, in a quarter of its time.
     u, v = (place - pitch * np.floor(place / pitch) - pitch / 2 for place in (x, y))
     if name in ("dots", "dense"):
         return np.asarray(u * u + v * v < half * half)
@@ -276,7 +276,7 @@ def _coarse(side: int) -> NDArray[np.float64]:
 
 @functools.cache
 def _refined(side: int) -> NDArray[np.float32]:
-    """Matrix (side, n) that interpolates linearly between places of the coarse grid."""
+    """Return the matrix (side, n) that interpolates linearly from the coarse grid."""
     coarse = _coarse(side)
     hats = 1 - np.abs(np.arange(side)[:, None] - coarse[None, :]) / (coarse[1] - coarse[0])
     return np.clip(hats, 0, 1).astype(np.float32)

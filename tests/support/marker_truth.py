@@ -1,9 +1,9 @@
-"""Pictures whose markers are known, and how well they are found.
+"""Pictures with known markers, and the accuracy of marker detection on them.
 
 Run it with `python tests/support/marker_truth.py`.
 
-The mock bench's camera draws discs at known places; the simulator's GelSight is lit by coloured
-lamps and has the mask of what it drew.
+The mock bench's camera draws discs at known positions; the simulator's GelSight is lit by coloured
+lamps and comes with the mask that was rendered.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from learning.markers import CameraPreset, Segmenter, find_centres, grey, preset
 from rig.bench.worlds import MarkerView
 from rig.mock.world.picture import MarkerCamera, Surface
 
-# What the mock benches show, by the preset that is meant for it.
+# Views of the mock benches, by the preset intended for them.
 VIEWS = {
     "bench-gelsight": MarkerView("grid", 1.6e-3, 0.26e-3, 0.0249e-3, rows=7, columns=9),
     "bench-tacpalm": MarkerView(
@@ -31,34 +31,34 @@ VIEWS = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Known:
-    """One picture."""
+    """One picture with its ground truth."""
 
     picture: NDArray[np.uint8]
     mask: NDArray[np.bool_]
     centres: NDArray[np.float64]
-    """Column and row (n, 2) of the markers that lie within the picture [px]."""
+    """Column and row (n, 2) of the markers inside the picture [px]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """How well the markers of some pictures were found."""
+    """Accuracy of marker detection on some pictures."""
 
     iou: float
-    """Least overlap of masks."""
+    """Smallest overlap of masks."""
     mask_rms_px: float
-    """Of the centres of patches."""
+    """RMS error of the centres of patches."""
     grey_rms_px: float
-    """Of the centres weighted by grey."""
+    """RMS error of the centres weighted by grey level."""
     worst_px: float
-    """Of these, the farthest."""
+    """Largest error of the centres weighted by grey level."""
     missed: int
     """Markers without a centre within 5 px, and centres without a marker."""
     rate: float
-    """Masks a second of CPU time, the best of three."""
+    """Masks per second of CPU time, the best of three."""
 
 
 def mock_pictures(view: MarkerView, *, grey_noise: float, frames: int = 6) -> Iterator[Known]:
-    """Yield pictures of a press that deepens and shears."""
+    """Yield pictures of a press with increasing depth and shear."""
     camera = MarkerCamera(view, grey_noise=grey_noise, seed=3)
     stencil = MarkerCamera(replace(view, background=(0, 0, 0), ink=(255, 255, 255)))
     depth = 1.2e-3 if view.layout == "grid" else 4.0e-3
@@ -68,7 +68,7 @@ def mock_pictures(view: MarkerView, *, grey_noise: float, frames: int = 6) -> It
             (1e-3, -0.5e-3), depth * share, 3e-3, 4e-3, (0.4e-3 * share, 0.2e-3 * share)
         )
         centres = camera.pixels(surface)
-        # What is drawn is a disc half a pixel wider than it should be; the truth is what is drawn.
+        # The drawn disc is half a pixel wider than specified; the ground truth is the drawn one.
         drawn = stencil.image(surface).min(axis=2) >= 128
         inset = np.minimum(centres, [639, 479] - centres).min(axis=1)
         yield Known(camera.image(surface), drawn, centres[inset > radius_px + 3])
@@ -94,7 +94,7 @@ def simulated_pictures() -> Iterator[Known]:
 
 
 def measure(known: list[Known], name: str) -> Found:
-    """Return how well a preset finds the markers of pictures."""
+    """Return the accuracy of a preset on pictures."""
     found = preset(name)
     if not isinstance(found, CameraPreset):
         raise TypeError(f"{name} is not for pictures")
@@ -125,12 +125,12 @@ def measure(known: list[Known], name: str) -> Found:
 
 
 def rms(values: list[float]) -> float:
-    """Return the root of the mean square."""
+    """Return the root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 
 def main() -> None:
-    """Print how well every preset does on what it could be meant for."""
+    """Print the accuracy of every preset on the pictures that it could be meant for."""
     print(f"{'pictures':32s}{'preset':18s}{'IoU':>7s}{'patch':>8s}{'grey':>8s}{'worst':>8s} missed")
     cases = [
         (f"{name}, noise {noise:g}", name, list(mock_pictures(view, grey_noise=noise)))

@@ -1,4 +1,4 @@
-"""NumPy's word on what one time step of the material points must give, written node by node."""
+"""NumPy reference of one time step of the material points, written node by node."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 def state_of(
     scenes: Sequence[Scene], numerics: MpmNumerics, *, free: bool = False, settle: bool = True
 ) -> tuple[State, Lattice, list[Pace]]:
-    """A batch before its first step; `free` lets go of every held particle."""
+    """Return a batch before its first step; `free` releases every held particle."""
     lattice = build_lattice(scenes, numerics)
     if free:
         lattice = replace(lattice, held=0)
@@ -33,12 +33,12 @@ def state_of(
 
 
 def put(array: Any, values: Array) -> None:
-    """Write values into an array of the CPU."""
+    """Write values into a CPU array."""
     array.numpy()[:] = values
 
 
 def spline(way: Array) -> Array:
-    """Quadratic B-spline of ways (..., 3) from a node [cells]: the product over the axes."""
+    """Return the quadratic B-spline of offsets (..., 3) from a node [cells]: product over axes."""
     size = np.abs(way)
     inner = 0.75 - size**2
     outer = 0.5 * (1.5 - size) ** 2
@@ -46,13 +46,13 @@ def spline(way: Array) -> Array:
 
 
 def near(x: Array) -> list[tuple[int, int, int]]:
-    """The 27 nodes that a particle at x (3,) hangs on."""
+    """Return the 27 nodes that a particle at x (3,) interacts with."""
     first = np.floor(x - 0.5).astype(int)
     return [(first[0] + i, first[1] + j, first[2] + k) for i, j, k in product(range(3), repeat=3)]
 
 
 def kirchhoff(gradient: Array, shear: float, bulk: float) -> Array:
-    """Kirchhoff stress P F^T of the law in `sim.scene`, from F = I + gradient (3, 3)."""
+    """Return the Kirchhoff stress P F^T of the law in `sim.scene`, from F = I + gradient (3, 3)."""
     f = np.eye(3) + gradient
     det = np.linalg.det(f)
     b = f @ f.T
@@ -63,7 +63,7 @@ def kirchhoff(gradient: Array, shear: float, bulk: float) -> Array:
 def move(
     lattice: Lattice, velocity: Array, shift: Array, gradient: Array, shear: float, bulk: float
 ) -> tuple[Array, Array, Array]:
-    """Displacement, its gradient, and sums at nodes (X, Y, Z, 4) after one step of the particles.
+    """Return displacement, its gradient and sums at nodes (X, Y, Z, 4) after a step of particles.
 
     `velocity` is that of the nodes (X, Y, Z, 3).
     """
@@ -92,5 +92,5 @@ def move(
 
 
 def sums_of(state: State, env: int = 0) -> Array:
-    """Mass and momentum at the nodes of an environment (X, Y, Z, 4)."""
+    """Return mass and momentum at the nodes of an environment (X, Y, Z, 4)."""
     return np.asarray(state.sums.numpy()[env] / FIXED_POINT).reshape(*state.lattice.nodes, 4)

@@ -1,4 +1,4 @@
-"""Predicted forces with errors that are known."""
+"""Predicted forces with known errors."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def predictions(
     roles: tuple[str, ...] = ("new_indenter", "new_press"),
     first: int = 0,
 ) -> Predictions:
-    """Four frames of each role, every axis off by a number."""
+    """Return four frames of each role, with a constant error on every axis."""
     count = 4 * len(roles)
     true = np.tile(TRUE, (len(roles), 1))
     std, range_ = spread_and_range(TRUE)

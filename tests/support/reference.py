@@ -1,6 +1,6 @@
-"""Writes docs/reference from the table of commands and the packages' own words: `make reference`.
+"""Write docs/reference from the table of commands and the packages' docstrings: `make reference`.
 
-Packages are read, not imported: public names are those in the `__all__` of a package.
+Packages are parsed, not imported: public names are those in the `__all__` of a package.
 """
 
 from __future__ import annotations
@@ -15,45 +15,45 @@ sys.path.insert(0, str(ROOT))
 from tactile.commands import COMMANDS, EXTRAS, GROUPS, Command  # noqa: E402
 
 FOLDER = ROOT / "docs" / "reference"
-# Characters of a value that is told where nothing else is.
+# Longest value [characters] that is shown for a name without a description.
 SHORT = 60
 PACKAGES = ("trajectories", "recorder", "rig", "sim", "learning", "tactile")
 ABOUT_COMMANDS = """\
 # Commands
 
-Made from `tactile/commands.py` by `make reference`.
+Generated from `tactile/commands.py` by `make reference`.
 
-`tactile --help` lists all of them, `tactile COMMAND --help` tells the options of one and their
-units. `tactile COMMAND` and the verb in the third column are the same: options, messages, exit
-codes. `python -m tactile` is `tactile`. Files are looked for, and written, in the folder that it is
-run in; `tactile init DIR` lays out one. Measuring has a command of its own, in a checkout:
+`tactile --help` lists all commands, `tactile COMMAND --help` the options of one with their units.
+`tactile COMMAND` and the command in the third column are equivalent in options, messages and exit
+codes. `python -m tactile` is `tactile`. Files are read from and written to the current folder;
+`tactile init DIR` creates a suitable one. Benchmarks have a separate command, in a checkout:
 `python -m benchmarks`.
 
-`extra` is what a command needs beside the package itself: `pip install 'tactile-rig[EXTRA]'`.
-Without, it says so and ends with exit code 2."""
+`extra` is the extra that a command needs: `pip install 'tactile-rig[EXTRA]'`. If it is missing, the
+command prints this and ends with exit code 2."""
 EXIT_CODES = """
 ## Exit codes
-| code | after |
+| code | meaning |
 |---|---|
-| 0 | all was done |
-| 1 | a check found something, a comparison differs, a simulation has no solution |
-| 2 | wrong input: an unknown command or option, an unusable file, a missing extra |
+| 0 | success |
+| 1 | a check found problems, a comparison differs, a simulation has no solution |
+| 2 | invalid input: an unknown command or option, an unusable file, a missing extra |
 | 3 | a device was lost |
 | 4 | a safety stop |
 | 130 | interrupted |"""
 ABOUT_NAMES = """\
 # Public names
 
-Made from the packages by `make reference`: the names in the `__all__` of each. What is not here may
-change without a word. All quantities are SI unless a name says otherwise. Every package has a
-`py.typed`: mypy and editors know the types."""
+Generated from the packages by `make reference`: the names in the `__all__` of each. All other names
+may change without notice. All quantities are in SI units unless a name states otherwise. Every
+package has a `py.typed` file with which mypy and editors find the types."""
 
 
 def commands_page() -> str:
-    """The table of commands."""
+    """Return the page of commands."""
     lines = [ABOUT_COMMANDS]
     for title, commands in GROUPS.items():
-        lines += ["", f"## {title}", "| command | what it does | the same verb | extra |"]
+        lines += ["", f"## {title}", "| command | description | equivalent | extra |"]
         lines += ["|---|---|---|---|", *(_row(command) for command in commands)]
     lines.append(EXIT_CODES)
     return "\n".join(lines) + "\n"
@@ -66,7 +66,7 @@ def _row(command: Command) -> str:
 
 
 def names_page() -> str:
-    """Every public name of every package, with the first line of what it says of itself."""
+    """Return the page of all public names, with the first line of each description."""
     lines = [ABOUT_NAMES]
     for package in PACKAGES:
         for path in sorted((ROOT / package).rglob("__init__.py")):
@@ -79,7 +79,7 @@ def names_page() -> str:
                 lines += ["", "| name | |", "|---|---|"]
                 lines += [f"| `{name}` | {_told(path, name)} |" for name in names]
             else:
-                lines += ["", "No public names of its own."]
+                lines += ["", "No public names."]
     return "\n".join(lines) + "\n"
 
 
@@ -93,7 +93,7 @@ def _exported(path: Path) -> list[str]:
 
 
 def _told(path: Path, name: str) -> str:
-    """First line of a name's docstring, wherever it is defined."""
+    """Return the first line of a name's docstring, wherever the name is defined."""
     body = ast.parse(path.read_text()).body
     for node in body:
         if isinstance(node, ast.ClassDef | ast.FunctionDef) and node.name == name:
@@ -118,7 +118,7 @@ def _imported(module: str, name: str) -> str:
 
 
 def _above(path: Path, node: ast.stmt) -> str:
-    """The comment that stands right above an assignment."""
+    """Return the comment directly above an assignment."""
     told: list[str] = []
     for line in reversed(path.read_text().splitlines()[: node.lineno - 1]):
         if not line.startswith("#"):
@@ -128,7 +128,7 @@ def _above(path: Path, node: ast.stmt) -> str:
 
 
 def _value(node: ast.Assign | ast.AnnAssign) -> str:
-    """A short value, which says enough."""
+    """Return the value if it is short."""
     text = "" if node.value is None else ast.unparse(node.value)
     return f"`{text}`" if len(text) <= SHORT else ""
 

@@ -1,4 +1,4 @@
-"""Sessions to test with."""
+"""Sessions for tests."""
 
 import json
 from collections.abc import Callable, Mapping
@@ -22,7 +22,7 @@ from recorder import (
 Columns = dict[str, Any]
 Change = Callable[[str, Columns], Columns]
 
-T0 = 4_000_000_000_000_000  # a month after boot: float64 seconds could not hold it to the ns
+T0 = 4_000_000_000_000_000  # a month after boot: float64 seconds cannot resolve ns at this value
 RATES = {"camera": 60.0, "force": 1000.0, "pose": 125.0, "taxels": 60.0}
 CONTACT_FRAME = [0.4, -0.1, 0.2, 0.0, 0.0, 0.0]
 PHASE_S = 0.4
@@ -30,7 +30,7 @@ DEPTH = 8e-4
 
 
 def depth_at(seconds: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the indentation [m]: four phases of pressing, shearing, back and lifting."""
+    """Return the indentation [m] for the four phases: press, shear, shear back, release."""
     cycle = seconds % (4 * PHASE_S) / PHASE_S
     return DEPTH * np.interp(cycle, [0, 1, 3, 4], [-0.05, 1, 1, -0.05])
 
@@ -121,9 +121,9 @@ def make_session(
     change: Change = lambda name, columns: columns,
     finish: bool = True,
 ) -> Path:
-    """Record a session of one press after another.
+    """Record a session of consecutive presses.
 
-    `change` may plant a fault: it is given every stream and table before it is written.
+    `change` may plant a fault: it is called with every stream and table before it is written.
     """
     targets = {
         "point": np.arange(50, dtype=np.int16),

@@ -1,4 +1,4 @@
-"""Small archives of simulated sensors for tests: tier `layer`, a handful of presses."""
+"""Small archives of simulated sensors for tests: tier `layer`, a few presses."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sim.sensors import sensor
 from sim.simulate import Tier, simulate_many
 
 LAYER = Solving(tier="layer")
-# A family of two skins and one of taxels: 5 units, two of them force and depth.
+# A family of two skins and one of taxels: 5 units, two of them force-depth.
 SKINS = Plan(
     "targets",
     (sensor("r6"), sensor("r18"), sensor("uskin")),
@@ -32,7 +32,7 @@ SKINS = Plan(
 )
 UNITS, IMAGES = 5, 2 * (2 + 3) * 5 + (4 + 3) * 5
 _IN_USE = sensor("array-i")
-# A sensor with everything that life does to it, pressed at its middle alone.
+# A sensor with all device variations, pressed only at its centre.
 LIVED = replace(
     SKINS,
     sensors=(
@@ -49,7 +49,7 @@ LIVED = replace(
 
 
 def make(path: Path, plan: Plan, units: Callable[[Sequence[Unit]], Any] = tuple) -> Filled:
-    """Make what is missing of an archive in this process; `units` says in which order, and what."""
+    """Make an archive's missing units in this process; `units` chooses and orders them."""
     begun: Begun = begin(path, plan)
     stop = Stop()
     stop.asked = False
@@ -63,7 +63,7 @@ def make(path: Path, plan: Plan, units: Callable[[Sequence[Unit]], Any] = tuple)
 
 @pytest.fixture(scope="module", autouse=True)
 def solved_once() -> Iterator[None]:
-    """Solve every press of these tests once, and foretell the cost from one press of a family."""
+    """Solve every press of these tests once, and predict costs from one press per family."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(solving, "simulate_many", _known)
         patch.setattr(run, "SAMPLES", 1)
@@ -82,6 +82,6 @@ def _simulated(scene: Scene, tier: Tier, options: tuple[Any, ...]) -> Any:
 
 
 def digests(path: Path) -> dict[str, str]:
-    """SHA-256 of every file of an archive."""
+    """Return the SHA-256 of every file of an archive."""
     files = (entry for entry in path.rglob("*") if entry.is_file())
     return {str(f.relative_to(path)): hashlib.sha256(f.read_bytes()).hexdigest() for f in files}

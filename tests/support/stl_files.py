@@ -1,4 +1,4 @@
-"""Bodies of triangles, made up of little, and the files that hold them."""
+"""Small triangulated bodies and the files that contain them."""
 
 from __future__ import annotations
 
@@ -37,21 +37,21 @@ def write_text(path: Path, body: Body) -> Path:
 
 
 def block(x: float, y: float, z: float) -> Body:
-    """A box from z = 0 to z, its middle over the origin."""
+    """Return a box from z = 0 to z, centred over the origin."""
     cube = np.array([(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)], float)
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     return (cube - [0.5, 0.5, 0]) * [x, y, z], _halved(quads)
 
 
 def rounded_block(x: float, y: float, z: float, radius: float, count: int) -> Body:
-    """The same with all of its edges rounded, by `count` (odd) strips in each direction."""
+    """Return the same with all edges rounded, by `count` (odd) strips in each direction."""
     vertices, faces = ball(1.0, count)
     half = np.array([x, y, z]) / 2 - radius
     return vertices * radius + np.sign(vertices) * half + [0, 0, z / 2], faces
 
 
 def ball(radius: float, count: int) -> Body:
-    """A sphere around the origin: a cube of `count` x `count` squares a side, blown up."""
+    """Return a sphere around the origin: an inflated cube of `count` x `count` squares per side."""
     corner = np.tan((np.arange(count + 1) / count - 0.5) * math.pi / 2)
     u, v = (axis.ravel() for axis in np.meshgrid(corner, corner, indexing="ij"))
     row = np.arange(count)[:, None] * (count + 1) + np.arange(count)
@@ -68,7 +68,7 @@ def ball(radius: float, count: int) -> Body:
 
 
 def revolved(profile: Sequence[tuple[float, float]], count: int) -> Body:
-    """A closed outline (distance from the axis, z), material on its left, turned about z."""
+    """Return a closed outline (distance from axis, z), material on its left, revolved about z."""
     angle = np.arange(count) / count * math.tau
     radius, z = np.array(profile, float).T
     around = np.stack([np.cos(angle), np.sin(angle), np.ones(count)])
@@ -83,7 +83,7 @@ def revolved(profile: Sequence[tuple[float, float]], count: int) -> Body:
 
 
 def joined(*bodies: Body) -> Body:
-    """Bodies side by side in one file."""
+    """Return bodies combined in one file."""
     first = np.cumsum([0] + [len(vertices) for vertices, _ in bodies])
     faces = [faces + start for (_, faces), start in zip(bodies, first, strict=False)]
     return np.concatenate([vertices for vertices, _ in bodies]), np.concatenate(faces)

@@ -1,4 +1,4 @@
-"""Networks of SD-Turbo's, CLIP's and VGG16's make, a few thousand random numbers each."""
+"""Networks like SD-Turbo, CLIP and VGG16, each with a few thousand random weights."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from learning.translation.diffusion.data import ImagePairs
 from learning.translation.diffusion.settings import TRANSLATOR_PRESETS, TranslatorSettings
 from learning.translation.diffusion.train import Pretrained
 
-# Of images: their latents are 4 x 4.
+# Size of images; their latents are 4 x 4.
 SIDE = 16
-# Of the cross-attention: as many as a latent has pixels, as with the real networks at 256.
+# Width of the cross-attention: the number of a latent's pixels, as in the real networks at 256.
 WIDTH = 16
 UNET: dict[str, Any] = {
     "sample_size": 4,
@@ -41,7 +41,7 @@ VAE: dict[str, Any] = {
     "latent_channels": 4,
     "scaling_factor": 0.18215,
 }
-# For images of 256 x 256, whose latents are 16 x 16 then.
+# For images of 256 x 256, which have latents of 16 x 16 with it.
 DEEP_VAE: dict[str, Any] = {
     **VAE,
     "down_block_types": ["DownEncoderBlock2D"] * 5,
@@ -61,12 +61,12 @@ VGG = (2, 2, 3, 3, 3)
 
 
 def tiny_pretrained(vae: dict[str, Any] = VAE) -> Pretrained:
-    """Return networks that differ from the full-size ones in their sizes alone."""
+    """Return networks that differ from the full-size ones only in size."""
     return random_pretrained(UNET, vae, CLIP, VGG)
 
 
 def write_base(folder: Path, vae: dict[str, Any] = VAE) -> Path:
-    """Write SD-Turbo's two networks in diffusers' layout, as diffusers itself does."""
+    """Write SD-Turbo's two networks in the layout of diffusers, using diffusers."""
     made = tiny_pretrained(vae)
     made.unet.save_pretrained(folder / "unet")
     made.vae.save_pretrained(folder / "vae")
@@ -86,7 +86,7 @@ def tiny_settings(preset: str = "ours", **weights: str) -> TranslatorSettings:
 
 
 def striped_pairs(count: int = 4) -> ImagePairs:
-    """Return pairs of stripes: the target has those of the source, turned by a right angle."""
+    """Return pairs of stripes: the target has those of the source, rotated by a right angle."""
     lines = torch.arange(SIDE)
     shifted = torch.stack([((lines + 2 * each) // 4) % 2 for each in range(count)])
     source = (shifted[:, None, :] * 255).expand(-1, SIDE, -1).to(torch.uint8)

@@ -1,4 +1,4 @@
-"""A page with nothing behind it but shared records and a session, and clients for it."""
+"""A page backed only by shared records and a session, and clients for it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ TARGETS = 40
 
 @functools.cache
 def jpeg(seed: int) -> bytes:
-    """A camera's image that does not compress well, so that slow clients show."""
+    """Return a camera image that compresses poorly, so that slow clients are noticed."""
     pixels = np.random.default_rng(seed).integers(0, 256, (480, 640, 3), dtype=np.uint8)
     data: bytes = simplejpeg.encode_jpeg(pixels, quality=60)
     return data
@@ -37,7 +37,7 @@ def jpeg(seed: int) -> bytes:
 
 @dataclass
 class Stage:
-    """What a collecting process and its streams would have made."""
+    """Mock of a collecting process and its streams: their session and shared records."""
 
     folder: Path
     images: list[bytes] = field(default_factory=list)
@@ -81,7 +81,7 @@ class Stage:
         )
 
     def writer(self) -> SessionWriter:
-        """The session, to add segments to."""
+        """Return a writer of the session, to add segments."""
         self.camera.close()
         return SessionWriter.resume(self.session)
 
@@ -94,7 +94,7 @@ class Stage:
         self.counters["force"].write((now_ns, 900, 800, 3, 998.0, 0.004))
 
     def picture(self) -> bytes:
-        """Record one more image and show its row; its bytes."""
+        """Record one more image and show its row; return its bytes."""
         data = jpeg(len(self.images) % 4)
         now_ns = self.clock.now_ns()
         row = self.camera.append(value=data, device_t=float("nan"), t_ns=now_ns)
@@ -111,7 +111,7 @@ class Stage:
 def watch(
     gate: Gate, port: int, *, token: str | None = None, origin: str | None = None
 ) -> ClientConnection:
-    """A client as the page's script is one."""
+    """Connect a client like the page's script."""
     where = f"127.0.0.1:{port}"
     return connect(
         f"ws://{where}/live",
@@ -123,7 +123,7 @@ def watch(
 
 
 def next_state(client: ClientConnection) -> dict[str, Any]:
-    """The next state, whatever else comes before it."""
+    """Return the next state, ignoring other messages."""
     while True:
         message = client.recv(timeout=10)
         if isinstance(message, str) and (content := json.loads(message))["kind"] == "state":
@@ -132,7 +132,7 @@ def next_state(client: ClientConnection) -> dict[str, Any]:
 
 
 def next_image(client: ClientConnection) -> bytes:
-    """The next image."""
+    """Return the next image."""
     while True:
         message = client.recv(timeout=10)
         if isinstance(message, bytes):

@@ -1,4 +1,4 @@
-"""The command `tactile`: its table, its help, what it does with words it does not know."""
+"""The command `tactile`: its table, its help, and unknown commands."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ OURS = ("trajectories", "recorder", "rig", "sim", "learning")
 
 
 def _verbs(package: str) -> dict[str, argparse.ArgumentParser]:
-    """The verbs that `python -m PACKAGE` has, and their parsers."""
+    """Return the commands of `python -m PACKAGE` and their parsers."""
     front = importlib.import_module(f"{package}.__main__")
     if package == "rig":
-        parser = front._arguments([])  # of no verb alone: of all
+        parser = front._arguments([])  # without a command it has the parsers of all
     else:
         parser = front.parser() if package == "recorder" else front.arguments()
     (verbs,) = (each for each in parser._actions if isinstance(each, argparse._SubParsersAction))
@@ -63,7 +63,7 @@ HELPS = (["--help"], ["-h"], [], ["session", "--help"], ["train"], ["nosuch"], [
 
 @pytest.mark.parametrize("words", HELPS, ids=" ".join)
 def test_help_imports_no_package(words: list[str]) -> None:
-    """Nor numpy: that is what makes it quick."""
+    """Nor numpy, which keeps help fast."""
     code = f"""
 import sys
 from tactile.__main__ import main

@@ -1,4 +1,4 @@
-"""`tactile init`: the folder of a lab, and what works in it."""
+"""`tactile init`: the folder of a lab, and commands that work in it."""
 
 from __future__ import annotations
 

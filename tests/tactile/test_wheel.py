@@ -1,4 +1,4 @@
-"""What is installed: every file that the code opens, and a lab that works from the wheel alone."""
+"""The installed package: all files that the code opens, and a lab based on the wheel alone."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FOR_EACH = "*"
 
 
 def _there() -> set[str]:
-    """Every file of the packages that is no Python, as git knows them."""
+    """Return all tracked non-Python files of the packages."""
     listed = subprocess.run(
         ["git", "ls-files", "--cached", "--others", "--exclude-standard", *PACKAGES],
         cwd=ROOT,
@@ -31,7 +31,7 @@ def _there() -> set[str]:
 
 
 def _declared() -> dict[str, set[str]]:
-    """What every pattern of the package data finds."""
+    """Return the files matched by each pattern of the package data."""
     found = {}
     for package, patterns in DATA.items():
         folders = PACKAGES if package == FOR_EACH else (package.replace(".", "/"),)
@@ -77,7 +77,7 @@ print(session.status, wrench.shape[1], window.wrench.shape, window.image.shape)
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_a_lab_works_from_the_wheel_alone(tmp_path: Path) -> None:
-    """As somebody without the repository: a fresh venv, an empty folder."""
+    """As for a user without the repository: a fresh venv, an empty folder."""
     clone, house = tmp_path / "clone", tmp_path / "wheels"
     _run("git", "clone", "-q", str(ROOT), str(clone), cwd=tmp_path)
     _run(sys.executable, "-m", "pip", "wheel", "--no-deps", "-q", "-w", str(house), ".", cwd=clone)
@@ -107,7 +107,7 @@ def test_a_lab_works_from_the_wheel_alone(tmp_path: Path) -> None:
 
 
 def _run(*command: str, cwd: Path) -> str:
-    """Run it as a stranger would, without a path of ours; what it said."""
+    """Run a command without the repository on its path, and return its output."""
     env = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
     ran = subprocess.run(command, cwd=cwd, env=env, capture_output=True, text=True, check=False)
     assert ran.returncode == 0, f"{command}:\n{ran.stdout}\n{ran.stderr}"

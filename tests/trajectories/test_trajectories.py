@@ -1,4 +1,4 @@
-"""Laws of the plans: counts of the paper, closed paths, never too deep, JSON and back."""
+"""Properties of the plans: the paper's counts, closed paths, maximum depth, JSON round trip."""
 
 from __future__ import annotations
 

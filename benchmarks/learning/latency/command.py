@@ -1,4 +1,4 @@
-"""`python -m benchmarks latency`: what accuracy costs in time, by size, precision and runtime."""
+"""`python -m benchmarks latency`: accuracy against time, by size, precision and runtime."""
 
 from __future__ import annotations
 
@@ -20,37 +20,44 @@ PRESETS = "paper,half,quarter,tiny,displacement"
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and what it does."""
+    """Add the subcommand and its options."""
     parser = verbs.add_parser(
         "latency",
-        help="time force models, a frame at a time",
-        description="Steps through frames as a live sensor gives them and tells how long one "
-        "takes, and how far forces are off: from labels with --archive, else from torch in fp32. "
-        "Models are trained ones, or presets with random weights, whose time is the same.",
+        help="time force models, one frame at a time",
+        description="Processes frames one by one as from a live sensor and reports the time "
+        "per frame and the force error: from labels with --archive, else from torch in fp32. "
+        "Models are trained, or presets with random weights, which take the same time.",
     )
     parser.add_argument(
-        "--model", action="append", type=Path, metavar="MODEL", help="a force model; again for more"
+        "--model",
+        action="append",
+        type=Path,
+        metavar="MODEL",
+        help="a force model (repeatable)",
     )
     parser.add_argument(
         "--presets",
         metavar="NAME,...",
-        help=f"random weights of these, without --model ({PRESETS})",
+        help=f"presets with random weights, without --model ({PRESETS})",
     )
     parser.add_argument("--archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr, for MAE")
-    parser.add_argument("--sensor", metavar="NAME", help="its sensor that is looked at")
+    parser.add_argument("--sensor", metavar="NAME", help="sensor in the archive")
     parser.add_argument("--split", type=Path, metavar="FILE", help="split.json")
     parser.add_argument(
-        "--role", default="new_indenter", metavar="NAME", help="presses of the split (new_indenter)"
+        "--role",
+        default="new_indenter",
+        metavar="NAME",
+        help="role in the split (new_indenter)",
     )
-    parser.add_argument("--presses", type=int, default=10, help="how many presses are shown (10)")
-    parser.add_argument("--frames", type=int, default=100, help="how many frames are timed (100)")
-    parser.add_argument("--threads", type=int, default=2, help="threads of a step on a CPU (2)")
-    parser.add_argument("--device", default="cpu", help="where torch runs, e.g. cuda (cpu)")
+    parser.add_argument("--presses", type=int, default=10, help="number of presses (10)")
+    parser.add_argument("--frames", type=int, default=100, help="number of frames to time (100)")
+    parser.add_argument("--threads", type=int, default=2, help="CPU threads of a step (2)")
+    parser.add_argument("--device", default="cpu", help="device of torch, e.g. cuda (cpu)")
     parser.add_argument(
         "--runtimes", metavar="NAME,...", help="torch, torch.compile, onnxruntime, openvino (all)"
     )
     parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="bench.csv, bench.md and bench.png go here"
+        "--out", type=Path, metavar="DIR", help="folder for bench.csv, bench.md and bench.png"
     )
     parser.set_defaults(run=_run)
 
@@ -69,7 +76,7 @@ def _run(options: argparse.Namespace) -> int:
             raise LearningError(f"--{name}: found {getattr(options, name)}; allowed: 1 and more")
     variants = [variant for variant in VARIANTS if variant.runtime in wanted]
     rows: list[Cost] = []
-    progress = Progress("ways to run it", sys.stderr)
+    progress = Progress("variants", sys.stderr)
     for name, predictor in _models(options).items():
         with tempfile.TemporaryDirectory() as folder:
             rows += costs(
@@ -99,7 +106,7 @@ def _models(options: argparse.Namespace) -> dict[str, ForcePredictor]:
 
     if options.model:
         if options.presets:
-            raise LearningError("--presets: found beside --model; allowed: one of them")
+            raise LearningError("--presets: found with --model; allowed: one of them")
         return {path.name: load_force_model(path, options.device) for path in options.model}
     names = (options.presets or PRESETS).split(",")
     return {name: untrained(name, options.device) for name in names}
@@ -123,7 +130,7 @@ def _sample(options: argparse.Namespace, predictor: ForcePredictor) -> Sample:
     rows = split.rows(table, options.role)
     form = predictor.settings.input.stored_form
     locations = sorted(set(table["location"][rows].tolist()))
-    # Evenly spread, so that a few presses are not all of one indenter.
+    # Spread evenly, so that a few presses cover several indenters.
     step = max(1, len(locations) // options.presses)
     chosen = locations[::step][: options.presses]
     few = [row for row in rows.tolist() if table["location"][row] in set(chosen)]

@@ -1,4 +1,4 @@
-"""The table of what a step costs, and its picture: accuracy against time."""
+"""Table of the cost of a step, and a plot of accuracy against time."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 from benchmarks.learning.latency.costs import Cost
 
-# What a live model should reach.
+# Target rate of a live model.
 LIVE_HZ = 60
 
 
@@ -34,7 +34,7 @@ def markdown(rows: Sequence[Cost]) -> str:
 
 
 def write_csv(rows: Sequence[Cost], path: Path) -> None:
-    """Write the table as CSV; what is not known is empty."""
+    """Write the table as CSV, with empty cells for unknown values."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, [column.name for column in fields(Cost)])
         writer.writeheader()
@@ -42,7 +42,7 @@ def write_csv(rows: Sequence[Cost], path: Path) -> None:
 
 
 def draw(rows: Sequence[Cost], path: Path) -> None:
-    """Draw accuracy against time; without labels, the difference from fp32 against time."""
+    """Plot accuracy against time; without labels, the difference from fp32 against time."""
     import matplotlib
 
     matplotlib.use("Agg")

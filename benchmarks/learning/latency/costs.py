@@ -1,4 +1,4 @@
-"""What accuracy costs in time: a model in every precision, by everything that can run it."""
+"""Accuracy against time for a model in every precision, by every runtime."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from learning.force.model import ForceModel
 from learning.force.predict import ForcePredictor
 from learning.force.stream import ForceStream, open_exported
 
-# Frames before the clock starts.
+# Warm-up frames that are not timed.
 WARM_UP = 5
 
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """One way to run a model."""
+    """One combination of runtime and precision."""
 
     runtime: str
     precision: str
@@ -51,19 +51,19 @@ VARIANTS = (
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """A line of the table."""
+    """One row of the table."""
 
     model: str
     weights: int
-    """Number of them."""
+    """Number of weights."""
     runtime: str
     precision: str
     threads: int
     p50_ms: float | None
-    """Half of the frames take no longer [ms]; None: this runtime does not run here."""
+    """Median time of a frame [ms]; None: this runtime is not available here."""
     p99_ms: float | None
     rate_hz: float | None
-    """Frames a second, one after the other."""
+    """Frames per second, processed one after the other."""
     difference_n: float | None
     """Largest difference of a force from torch in fp32 [N]."""
     mae_n: float | None
@@ -73,16 +73,16 @@ class Cost:
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """The frames that are timed and compared: presses, one after the other."""
+    """Frames that are timed and compared: presses, one after the other."""
 
     frames: NDArray[np.uint8] | NDArray[np.float32]
-    """As the model takes them (n, ...)."""
+    """Frames in the model's input format (n, ...)."""
     starts: NDArray[np.int64]
-    """Where each press begins, and n."""
+    """First frame of each press, followed by n."""
     references: NDArray[np.uint8] | None
-    """The untouched image of each press (P, 256, 256), where the model needs it."""
+    """Undeformed image of each press (P, 256, 256), if the model needs it."""
     forces: NDArray[np.float64] | None
-    """Labels (n, 3) N, where there are."""
+    """Labels (n, 3) N, if available."""
 
 
 def sample_of(presses: Presses, predictor: ForcePredictor) -> Sample:
@@ -100,7 +100,7 @@ def sample_of(presses: Presses, predictor: ForcePredictor) -> Sample:
 
 
 def sample_of_noise(predictor: ForcePredictor, count: int) -> Sample:
-    """Return made-up frames: they cost as much as others, and have no labels."""
+    """Return synthetic frames without labels, which take as long as real ones."""
     frames = made_up_frames(predictor, count + 1)
     needed = predictor.settings.input.needs_reference
     return Sample(frames[1:], np.array([0, count]), frames[:1] if needed else None, None)
@@ -117,17 +117,17 @@ def costs(
     variants: Sequence[Variant] = VARIANTS,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Cost]:
-    """Return what each way to run a model costs.
+    """Return the cost of running a model in each variant.
 
     Args:
-        name: Of the model in the table.
+        name: Name of the model in the table.
         predictor: The model, on the CPU or another device; exported ones run on the CPU.
-        sample: What it is shown.
-        folder: Where exported models may be kept meanwhile.
+        sample: Frames to process.
+        folder: Folder for temporary exported models.
         threads: Threads of a step on the CPU.
-        least_frames: So many frames are timed at least, the sample again and again.
-        variants: Ways to run it.
-        progress: Called with ways done and their number.
+        least_frames: Minimum number of frames to time; the sample is repeated.
+        variants: Variants to measure.
+        progress: Called with the number of variants done and the total.
     """
     torch.set_num_threads(threads)
     exported = folder / f"{name}.onnx"
@@ -173,7 +173,7 @@ def _stream(
 
 
 def _bf16(predictor: ForcePredictor) -> ForceModel:
-    """Return a copy of the model with weights in bfloat16; the box of forces stays as it is."""
+    """Return a copy of the model with weights in bfloat16, but unchanged force limits."""
     copy = ForceModel(predictor.settings.network, predictor.settings.input)
     copy.load_state_dict(predictor.model.state_dict())
     copy = copy.to(predictor.device, torch.bfloat16)
@@ -193,7 +193,7 @@ def _forces(stream: ForceStream, sample: Sample) -> NDArray[np.float64]:
 def _inputs_along(
     stream: ForceStream, sample: Sample, count: int = 24
 ) -> Iterator[dict[str, NDArray[np.generic]]]:
-    """Yield the inputs of steps as they come along in a sample."""
+    """Yield the inputs of some steps while processing a sample."""
     places = np.linspace(0, len(sample.frames) - 1, min(count, len(sample.frames))).astype(int)
     for press, (first, end) in enumerate(zip(sample.starts, sample.starts[1:], strict=False)):
         stream.reset(None if sample.references is None else sample.references[press])
@@ -205,7 +205,7 @@ def _inputs_along(
 
 
 def _times(stream: ForceStream, sample: Sample, least_frames: int) -> NDArray[np.float64]:
-    """Return how long frames take (n,) s, after a few that are not counted."""
+    """Return the time per frame (n,) s, after a few warm-up frames."""
     if sample.references is not None:
         stream.reset(sample.references[0])
     taken = []

@@ -16,24 +16,22 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and what it does."""
+    """Add the subcommand and its options."""
     parser = verbs.add_parser(
         "learning-tables",
-        help="write the paper's tables, from experiments",
-        description="Gathers experiments, whole or not, in one page: what was hoped for, means "
-        "over pairs, all pairs, the paper's figures beside ours; forces in N and over the labels' "
-        "standard deviation. CSV files and pictures go to the folder of the page's name.",
+        help="write the paper's tables from experiments",
+        description="Collects experiments, complete or not, on one page: goals, means over pairs, "
+        "all pairs, the paper's numbers next to ours; forces in N and relative to the labels' "
+        "standard deviation. CSV files and plots go to a folder named after the page.",
     )
     parser.add_argument(
         "experiments",
         nargs="+",
         metavar="[NAME=]EXPERIMENT",
-        help="folders of `experiment`; NAME in place of the folder's",
+        help="folders of `experiment`; NAME replaces the folder's name",
     )
     parser.add_argument("--out", type=Path, required=True, metavar="PAGE.md", help="the page")
-    parser.add_argument(
-        "--intro", type=Path, metavar="FILE", help="text above the tables, Markdown"
-    )
+    parser.add_argument("--intro", type=Path, metavar="FILE", help="Markdown text above the tables")
     parser.set_defaults(run=_run)
 
 

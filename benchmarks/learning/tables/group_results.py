@@ -1,4 +1,4 @@
-"""What an experiment with a group of sensors found, on indenters that no model saw."""
+"""Results of an experiment with a group of sensors, on indenters that no model saw."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from recorder.strict_yaml import natural_key
 
 NO_TRANSLATOR = ""
 
-# A row of scores, and whose they are.
+# Scores of a translator, and the row of scores they contain.
 Scored = tuple[TranslationScores, PairedScore]
 
 
@@ -41,7 +41,7 @@ class IndenterErrors:
     """Errors on frames of one indenter; means over pairs."""
 
     indenter: str
-    """Its name."""
+    """Name of the indenter."""
     reach: float
     """Largest normal force of the labels, in any sensor [N]."""
     shear: float
@@ -54,24 +54,24 @@ class IndenterErrors:
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """What an experiment found, on indenters that no model saw."""
+    """Results of an experiment, on indenters that no model saw."""
 
     name: str
-    """How it is called."""
+    """Name of the group."""
     force: tuple[ForceRow, ...]
-    """Errors of force on unseen indenters."""
+    """Force errors on unseen indenters."""
     beside: tuple[Beside, ...]
-    """The paper's figures, and ours."""
+    """The paper's numbers next to ours."""
     scores: tuple[Scored, ...]
-    """Translated frames, and what they are held against, on unseen indenters."""
+    """Scores of translated frames and of their baselines, on unseen indenters."""
     labels: StoredCompensation | None = None
-    """How labels were brought from skin to skin; None: they were not."""
+    """Compensation of labels between skins; None: labels were not compensated."""
     indenters: Mapping[Variant, tuple[IndenterErrors, ...]] = field(default_factory=dict)
-    """The same errors by indenter, those of the largest forces first."""
+    """Errors by indenter, in descending order of the largest force."""
 
     @property
     def pairs(self) -> int:
-        """How many pairs of sensors."""
+        """Number of pairs of sensors."""
         return len({(row.source, row.target) for row in self.force if row.source != row.target})
 
     @property
@@ -80,12 +80,12 @@ class Group:
         return after({row.method for row in self.force})
 
     def rows(self, method: str, translator: str = NO_TRANSLATOR) -> list[ForceRow]:
-        """The rows of one variant."""
+        """Return the rows of one variant."""
         return [row for row in self.force if row.variant == (method, translator)]
 
     @property
     def best(self) -> str:
-        """The translator by which the forces are told best."""
+        """Translator with the most accurate forces."""
         names = {row.translator for row in self.force if row.method == self.after}
         if not names:
             raise LearningError(f"{self.name}: found no {self.after} forces; allowed: some")
@@ -94,7 +94,7 @@ class Group:
         )
 
     def label_fits(self) -> list[float]:
-        """Return R2 of the labels that were learned from, were they the target's; by pair."""
+        """Return R2 of the training labels compared with the target's own, by pair."""
         if self.labels is None:
             return []
         name = CHOICES.get(self.after)
@@ -103,7 +103,7 @@ class Group:
         return [one.r2 for one in chosen if one is not None and one.r2 is not None]
 
     def dice(self, translator: str) -> dict[tuple[str, str], float]:
-        """Dice of the frames that a translator made, by source and target."""
+        """Return the Dice score of a translator's frames, by source and target."""
         return {
             (one.source, one.target): row.dice
             for one, row in self.scores
@@ -112,10 +112,10 @@ class Group:
 
 
 def read_group(name: str, folder: Path) -> Group:
-    """Return what an experiment's folder holds, whether it has come to its end or not.
+    """Read the folder of an experiment, complete or not.
 
     Raises:
-        LearningError: No results, or a damaged file of them.
+        LearningError: No results, or a corrupt results file.
     """
     forces, scores = read_folder(folder / "results")
     if not forces and not scores:
@@ -135,10 +135,10 @@ def read_group(name: str, folder: Path) -> Group:
 def by_indenter(
     predictions: Iterable[Predictions],
 ) -> Mapping[Variant, tuple[IndenterErrors, ...]]:
-    """Return the errors of each variant by unseen indenter, those of the largest forces first.
+    """Return the errors of each variant by unseen indenter, in descending order of force.
 
     Args:
-        predictions: Of any pairs and roles, each pair and variant in one.
+        predictions: Predictions of any pairs and roles; each pair and variant occurs once.
     """
     variants: dict[Variant, list[Predictions]] = {}
     for one in predictions:
@@ -170,6 +170,6 @@ def _of_indenter(name: str, pairs: Sequence[Predictions]) -> IndenterErrors:
 
 
 def mean(values: Iterable[float]) -> float:
-    """Return the mean; NaN of nothing."""
+    """Return the mean, or NaN if there are no values."""
     found = list(values)
     return sum(found) / len(found) if found else float("nan")

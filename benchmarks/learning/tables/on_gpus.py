@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""All tables and ablations side by side, on as many GPUs as there are.
+"""Compute all tables and ablations in parallel, on all available GPUs.
 
     python benchmarks/learning/tables/on_gpus.py OUT [--only NAME,...] [--gpus 0,1] [--jobs 8]
 
-What run.sh and ablations.sh do one after the other, each piece as soon as what it needs is done:
-presses are simulated on the cores, two archives at a time and behind everything else; each table
-and each ablation takes a share of a GPU. The pages are written at the end, what each piece took
-into OUT/times.csv, what it said into OUT/log. What fails takes along only what needs it. Stopped
-by Ctrl-C, the same command goes on.
+Does the work of run.sh and ablations.sh, starting each task as soon as its dependencies are done:
+presses are simulated on the CPU cores, two archives at a time at low priority; each table and each
+ablation takes a share of a GPU. The pages are written at the end; the time of each task goes to
+OUT/times.csv and its output to OUT/log. If a task fails, only its dependents are skipped. After
+Ctrl-C, the same command continues.
 """
 
 from __future__ import annotations
@@ -30,55 +30,55 @@ CLEAN = "heterogeneous-clean"
 ABLATIONS = ("whole", "half", "quarter", "single-frame", "direct", "direct-blind", "clean")
 ABLATION = "ablation "
 ARCHIVES_AT_ONCE = 2
-# Memory of a GPU that each of the models trained side by side takes, at most.
+# Maximum GPU memory of each model trained in parallel.
 JOB_BYTES = 7 * 2**30
-# Time between two looks at what runs [s].
+# Interval between checks of the running tasks [s].
 LOOK_EVERY = 0.5
-# Of what a piece said before it failed.
+# Lines of a failed task's output to show.
 SAID_LINES = 15
 
 
 @dataclass(frozen=True)
 class Piece:
-    """A table, an ablation or an archive."""
+    """A task: a table, an ablation or an archive."""
 
     name: str
     command: tuple[str, ...]
     needs: tuple[str, ...] = ()
-    """Names of those that must be done before."""
+    """Names of the tasks that must be done before."""
     environment: tuple[tuple[str, str], ...] = ()
-    """Variables beside those that are set."""
+    """Additional environment variables."""
     jobs: int = 0
-    """Models that it trains side by side on a GPU; 0: it keeps the cores busy."""
+    """Number of models that it trains in parallel on a GPU; 0: it runs on the CPU cores."""
 
     def can_begin(self, done: Iterable[str]) -> bool:
-        """Whether all that it needs is among those that are done."""
+        """Return True if all dependencies are done."""
         return {*self.needs} <= {*done}
 
 
 @dataclass
 class Running:
-    """A piece that runs."""
+    """A running task."""
 
     piece: Piece
     gpu: int
-    """Which of the GPUs, from 0."""
+    """Index of the GPU, from 0."""
     process: subprocess.Popen[bytes]
     since: float
 
 
 @dataclass
 class Machine:
-    """What pieces share."""
+    """Resources shared by the tasks."""
 
     gpus: Sequence[str]
-    """Names that CUDA knows them by."""
+    """CUDA device names."""
     room: int
-    """How many models a GPU has memory for."""
+    """Number of models that fit into a GPU's memory."""
     running: list[Running] = field(default_factory=list)
 
     def place_for(self, piece: Piece) -> int | None:
-        """Return the GPU that trains the fewest models; None: there is no room."""
+        """Return the GPU that trains the fewest models; None: no GPU has space."""
 
         def held(gpu: int) -> tuple[int, int]:
             jobs = [run.piece.jobs for run in self.running if run.gpu == gpu]
@@ -93,12 +93,12 @@ class Machine:
 
 
 def pieces(out: Path, jobs: int, cores: int) -> list[Piece]:
-    """Return all pieces, the most urgent first.
+    """Return all tasks, the most urgent first.
 
     Args:
-        out: Where the tables go.
-        jobs: Models that a table trains side by side; an ablation, of fewer pairs, half as many.
-        cores: How many there are.
+        out: Folder for the tables.
+        jobs: Models that a table trains in parallel; an ablation has fewer pairs and trains half.
+        cores: Number of CPU cores.
     """
 
     def archive(name: str) -> Piece:
@@ -108,7 +108,7 @@ def pieces(out: Path, jobs: int, cores: int) -> list[Piece]:
     def trained(name: str, script: str, needs: str, at_once: int) -> Piece:
         command = ("bash", str(HERE / script), str(out), name.removeprefix(ABLATION))
         said = (
-            ("ONLY", "experiment"),  # pages are written at the end, of all
+            ("ONLY", "experiment"),  # all pages are written at the end
             ("JOBS", str(at_once)),
             ("PROCESSES", str(max(at_once, cores // 4))),
         )
@@ -123,7 +123,7 @@ def pieces(out: Path, jobs: int, cores: int) -> list[Piece]:
     return [
         *map(archive, (*GROUPS[:2], CLEAN, GROUPS[2], *FULL)),
         *map(table, GROUPS),
-        # Trains translators of its own; the others take those of the table.
+        # Trains its own translators; the others use those of the table.
         ablation("clean", f"archive {CLEAN}"),
         *map(table, FULL),
         *(ablation(name, GROUPS[0]) for name in ABLATIONS if name != "clean"),
@@ -133,16 +133,16 @@ def pieces(out: Path, jobs: int, cores: int) -> list[Piece]:
 def run_all(
     due: Iterable[Piece], machine: Machine, out: Path, say: Callable[[str], None]
 ) -> dict[str, float]:
-    """Run pieces, each once what it needs is done; return the seconds of those that succeeded.
+    """Run each task once its dependencies are done; return the seconds of those that succeeded.
 
     Args:
-        due: The most urgent first.
-        machine: What they share.
-        out: Logs and times go here.
-        say: Called with a line for each beginning and end.
+        due: Tasks, the most urgent first.
+        machine: Resources shared by the tasks.
+        out: Folder for logs and times.
+        say: Called with a line for each start and end of a task.
 
     Raises:
-        KeyboardInterrupt: It was stopped; what ran was told to, and has ended.
+        KeyboardInterrupt: The run was stopped; running tasks were signalled and have ended.
     """
     waiting, took, began = list(due), dict[str, float](), time.monotonic()
     (out / "log").mkdir(parents=True, exist_ok=True)
@@ -167,18 +167,18 @@ def run_all(
                     _write(out / "times.csv", took)
                     say(f"{now()}{run.piece.name}: done in {seconds:.0f} s")
                     continue
-                say(f"{now()}{run.piece.name}: failed after {seconds:.0f} s, it said:")
+                say(f"{now()}{run.piece.name}: failed after {seconds:.0f} s, with this output:")
                 said = _log(out, run.piece).read_text(errors="replace").splitlines()
                 for line in said[-SAID_LINES:]:
                     say(f"    {line}")
             if not machine.running and not any(piece.can_begin(took) for piece in waiting):
                 for piece in waiting:
-                    say(f"{now()}{piece.name}: left out, it needs {', '.join(piece.needs)}")
+                    say(f"{now()}{piece.name}: skipped, it needs {', '.join(piece.needs)}")
                 break
             if not ended:
                 time.sleep(LOOK_EVERY)
     except KeyboardInterrupt:
-        for run in machine.running:  # a terminal has told them too; twice does no harm
+        for run in machine.running:  # a terminal signals them too, which is harmless
             run.process.send_signal(signal.SIGINT)
         for run in machine.running:
             run.process.wait()
@@ -225,12 +225,14 @@ def _page(out: Path, page: str, made: Sequence[Path], *options: str) -> None:
 
 
 def main() -> int:
-    """Run what is asked for; 0, or 1 when a piece failed."""
+    """Run the requested tasks; return 0, or 1 if a task failed."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("out", type=Path, help="folder of everything that is made")
-    parser.add_argument("--only", help="tables and ablations by name, and what they need (all)")
-    parser.add_argument("--gpus", help="numbers of GPUs, 0,1 for instance (all)")
-    parser.add_argument("--jobs", type=int, default=8, help="models that a table trains at once")
+    parser.add_argument("out", type=Path, help="output folder")
+    parser.add_argument(
+        "--only", help="tables and ablations, which run with their dependencies (all)"
+    )
+    parser.add_argument("--gpus", help="GPU numbers, e.g. 0,1 (all)")
+    parser.add_argument("--jobs", type=int, default=8, help="models trained in parallel per table")
     options = parser.parse_args()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     gpus, memory = _gpus()
@@ -247,7 +249,7 @@ def main() -> int:
 
 
 def chosen(known: Sequence[Piece], only: str | None) -> list[Piece]:
-    """Return the pieces of these names and all that they need; None: all."""
+    """Return the named tasks and all their dependencies; None: all tasks."""
     if only is None:
         return list(known)
     by_name = {piece.name: piece for piece in known}

@@ -1,4 +1,4 @@
-"""The paper's tables for groups of sensors: a page, its CSV files and pictures."""
+"""The paper's tables for groups of sensors: a page, its CSV files and plots."""
 
 from __future__ import annotations
 
@@ -26,33 +26,33 @@ from learning.evaluation.translation import TRANSLATED, score_line
 from recorder.store.durable import replace_file
 from recorder.strict_yaml import natural_key
 
-# R2 on unseen indenters that is hoped for, mean over axes and pairs.
+# Goal for R2 on unseen indenters, mean over axes and pairs.
 GOAL_R2 = {"homogeneous": 0.95, "heterogeneous": 0.9}
-# The same of Dice, and from the taxels of a uSkin.
+# Goal for the Dice score, and for translation from the taxels of a uSkin.
 GOAL_DICE, GOAL_DICE_TAXELS = 0.97, 0.93
-# Errors that are hoped for, over the paper's: both as shares of the range of the labels.
+# Goal for the errors relative to the paper's: both as shares of the range of the labels.
 GOAL_SHARE = 0.5
-# Stands above the table of all groups.
+# Text above the table of all groups.
 TOLD = """\
 Means over pairs, on unseen indenters. `before`: the source's model on the target's own frames;
-`after`: the model named, which learned from no label of the target; `but for one`: the same without
-the indenter that costs most; `own labels`: the target's model. `labels alone`: R2 of the labels
-that the model named learned from, were they predictions of the target's own, on the presses that it
-learned from."""
+`after`: the model named, trained without any label of the target; `but for one`: the same without
+the indenter that costs most; `own labels`: the target's model. `labels alone`: R2 of the training
+labels of the model named, compared with the target's own labels, on the presses that it was
+trained on."""
 TITLE = "# Forces on sensors that never saw a force gauge"
 
 
 def write_tables(groups: Sequence[Group], out: Path, intro: str = "") -> list[Path]:
-    """Write the page `out`, and its CSV files and pictures in the folder of its name.
+    """Write the page `out`, and its CSV files and plots in a folder of the same name.
 
     Args:
-        groups: In the order of the page.
-        out: Path of the page, ends in .md.
-        intro: What stands above the tables; its first line is the page's title if it begins with #.
+        groups: Groups in the order of the page.
+        out: Path of the page, which must end in .md.
+        intro: Text above the tables; its first line is the page's title if it begins with #.
 
     Raises:
         LearningError: A group without forces.
-        OSError: Not writable.
+        OSError: The folder is not writable.
     """
     folder = out.with_suffix("")
     folder.mkdir(parents=True, exist_ok=True)
@@ -85,7 +85,7 @@ def _picture(group: Group) -> bytes:
 
 
 def _overview(groups: Sequence[Group]) -> list[str]:
-    """Return a line for each group; nothing of one group, which says it all itself."""
+    """Return a row for each group, or nothing for a single group."""
     if len(groups) < 2:
         return []
     lines = ["", "## At a glance", "", *TOLD.splitlines(), ""]
@@ -219,7 +219,7 @@ def _indenters(group: Group, best: str) -> list[str]:
 
 
 def _labels(group: Group) -> list[str]:
-    """Return how far labels are from the target's own before an image has been looked at."""
+    """Return the table that compares transferred labels with the target's own."""
     if group.labels is None:
         return []
     found: dict[str, dict[str, Choice]] = {}
@@ -228,7 +228,7 @@ def _labels(group: Group) -> list[str]:
             found.setdefault(name, {})[f"{pair.source} to {pair.target}"] = choice
     lines = [
         "",
-        "The source's labels beside the target's own (training presses, paired locations):",
+        "The source's labels compared with the target's own (training presses, paired locations):",
     ]
     lines += ["", *_head("labels", "R2", "worst pair", "distance [N]", "worst pair")]
     methods = {choice: method for method, choice in CHOICES.items()}
@@ -245,12 +245,12 @@ def _labels(group: Group) -> list[str]:
 def _translations(group: Group) -> list[str]:
     if not group.scores:
         return []
-    lines = ["", "Translated images beside the true ones, means over pairs:", ""]
+    lines = ["", "Translated images compared with the true ones, means over pairs:", ""]
     lines += _head("images", "Dice", "centroids [px]", "[mm]", "field error [px]", "count off [%]")
     kinds = sorted({(row.method != TRANSLATED, row.method) for _one, row in group.scores})
     for other, method in kinds:
         of_method = [(one.translator, row) for one, row in group.scores if row.method == method]
-        # What a translator is held against is the same beside all of them.
+        # The baselines are the same for all translators.
         for translator in sorted({name for name, _row in of_method}):
             rows = [row for name, row in of_method if name == translator]
             cells = [f"{mean(row.dice for row in rows):.3f}"]
@@ -300,7 +300,7 @@ def _paper(group: Group) -> list[str]:
     shown = [one for one in group.beside if math.isfinite(one.unseen)]
     if not shown:
         return []
-    lines = ["", "The paper's figures beside ours (unseen indenters; shares of held-out frames):"]
+    lines = ["", "The paper's numbers next to ours (unseen indenters; shares of held-out frames):"]
     lines += ["", *_head("figure", "the paper", "ours", "paper / range", "ours / range")]
     for one in shown:
         figure = one.figure
@@ -320,7 +320,7 @@ def _paper(group: Group) -> list[str]:
 
 
 def _paper_worst(group: str, axes: Sequence[str]) -> float:
-    """Largest error that the paper has after translation, over the range of its labels."""
+    """Return the paper's largest error after translation, over the range of its labels."""
     measures = {*axes} | ({"shear"} if len(axes) > 1 else set())
     found = [
         paper_share(figure)
@@ -350,12 +350,12 @@ def _pair(row: ForceRow) -> str:
 
 
 def _head(*cells: str) -> list[str]:
-    """Return the two lines that a table begins with."""
+    """Return the two header lines of a table."""
     return [_line(*cells), "|" + "---|" * len(cells)]
 
 
 def _or_dash(value: float, form: str) -> str:
-    """Return a number in a format; a dash in place of what is none."""
+    """Return a number in a format, or a dash if it is not finite."""
     return f"{value:{form}}" if math.isfinite(value) else "-"
 
 

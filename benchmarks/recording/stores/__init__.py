@@ -1,4 +1,4 @@
-"""The stores that are held side by side, a file each; a row of `STORES` is a row of the page."""
+"""Stores to be compared, one module each; each entry of `STORES` is a row of the page."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 Image = NDArray[np.uint8]
-# How many frames a store holds, and what reads n images from a first one: (n, 480, 640, 3).
+# Number of frames in a store, and a function that reads n images from a first one.
 Opened = tuple[int, Callable[[int, int], Image]]
-# Numbers of the frames found, in order; None for one that is not what was written.
+# Numbers of the frames found, in order; None for a frame that differs from the one written.
 Numbers = list[int | None]
 
 
@@ -23,30 +23,30 @@ class Appender(Protocol):
     """A store being written."""
 
     def append(self, frame: Image | bytes, t_ns: int) -> None:
-        """Add one frame, pixels (480, 640, 3) or JPEG bytes as the store takes them."""
+        """Append one frame, pixels (480, 640, 3) or JPEG bytes depending on the store."""
 
     def close(self) -> None:
         """Finish the store."""
 
 
 class Store(Protocol):
-    """One way to keep frames on disk."""
+    """One way to store frames on disk."""
 
     def create(self, path: Path) -> Appender:
-        """A new store at `path`."""
+        """Create a new store at `path`."""
 
     def reader(self, path: Path) -> AbstractContextManager[Opened]:
-        """The store, open to be read."""
+        """Open the store for reading."""
 
     def left(self, path: Path) -> Numbers:
-        """What its ordinary reader finds in a store whose writer was killed.
+        """Return the frames that the ordinary reader finds in a store whose writer was killed.
 
         Raises:
-            Exception: Whatever its reader raises when it cannot be opened.
+            Exception: Any exception of the reader if the store cannot be opened.
         """
 
     def repaired(self, path: Path) -> Numbers | None:
-        """The same after its own repair; None without one."""
+        """Return the same after the store's own repair; None if it has no repair."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,27 +56,27 @@ class Entry:
     key: str
     """Short name, for the command line of the measuring process."""
     title: str
-    """What the page calls it."""
+    """Title on the page."""
     module: str
-    """Module of this package that has the class."""
+    """Module of this package that defines the class."""
     store: str
-    """The class; called with `options`."""
+    """Name of the class; called with `options`."""
     takes: Literal["pixels", "decoded", "jpeg"]
     """Raw pixels, pixels of a decoded JPEG, or the JPEG itself."""
     needs: tuple[str, ...] = ()
-    """Libraries of the extra `bench`."""
+    """Required libraries of the extra `bench`."""
     options: tuple[str, ...] = ()
     """Arguments of the class."""
     foreign: bool = False
-    """Runs in the interpreter that LEROBOT_PYTHON names."""
+    """True if it runs in the interpreter given by LEROBOT_PYTHON."""
     lossy: bool = False
-    """Loses pixels: frame numbers cannot be read back."""
+    """True if pixels are lossy, so that frame numbers cannot be read back."""
 
     def make(self) -> Store:
-        """The store; its library is imported here.
+        """Create the store; its library is imported here.
 
         Raises:
-            ImportError: It is not installed.
+            ImportError: The library is not installed.
         """
         module = importlib.import_module(f"{__name__}.{self.module}")
         store: Store = getattr(module, self.store)(*self.options)
@@ -150,9 +150,9 @@ STORES = (
 
 
 def entry(key: str) -> Entry:
-    """The row with that key.
+    """Return the entry with that key.
 
     Raises:
-        KeyError: There is none.
+        KeyError: No such entry.
     """
     return {one.key: one for one in STORES}[key]

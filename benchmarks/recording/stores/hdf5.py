@@ -1,4 +1,4 @@
-"""HDF5 through h5py, default settings: one chunk a frame, or the JPEG as bytes of its own."""
+"""HDF5 through h5py, default settings: one chunk per frame, or the JPEG as a byte array."""
 
 from __future__ import annotations
 
@@ -55,12 +55,12 @@ class Hdf5:
         self._profile = profile
 
     def create(self, path: Path) -> _Appender:
-        """A new file."""
+        """Create a new file."""
         return _Appender(path, self._profile)
 
     @contextmanager
     def reader(self, path: Path) -> Iterator[Opened]:
-        """Frames, and what reads them."""
+        """Yield the number of frames and a function that reads them."""
         with h5py.File(path, "r") as file:
             data = file[_NAME]
 
@@ -74,7 +74,7 @@ class Hdf5:
             yield len(data), read_jpeg if self._profile == "jpeg" else read
 
     def left(self, path: Path) -> Numbers:
-        """What h5py finds; it refuses a file that was not closed and flushed."""
+        """Return the frames that h5py finds; it rejects a file that was not closed and flushed."""
         with h5py.File(path, "r") as file:
             data = file[_NAME]
             if self._profile == "jpeg":
@@ -82,5 +82,5 @@ class Hdf5:
             return [number_in_pixels(row) for row in data]
 
     def repaired(self, path: Path) -> None:
-        """`h5clear` only clears the flag; there is no repair."""
+        """Return None: `h5clear` only clears the flag and repairs nothing."""
         return

@@ -1,6 +1,6 @@
 """LeRobot's own dataset writer and reader. Runs in the interpreter that LEROBOT_PYTHON names.
 
-Needs torch, which the rig does without; nothing of LeRobot is replaced.
+It needs torch, which the rig does not use; LeRobot is used unmodified.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from benchmarks.recording.stores import Image, Numbers, Opened
 
 _KEY = "observation.images.tactile"
 _REPOSITORY = "local/frames"
+# Frames per episode: one second, about the press of one target.
 _EPISODE = 60
-# Frames of an episode: one second, about the press of one target.
+# The number that lerobot-record starts per camera.
 _WRITER_THREADS = 4
-# What lerobot-record starts per camera.
 
 
 def _dataset_class() -> Any:
     try:
         import torchvision  # noqa: F401
     except RuntimeError:
-        # A torchvision made for CUDA loads none of its operators beside a torch without. It only
-        # wants them declared; LeRobot's writer and reader use none.
+        # A torchvision built for CUDA loads none of its operators with a CPU-only torch. It only
+        # needs them declared; LeRobot's writer and reader use none.
         _declare_operators()
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
@@ -66,7 +66,7 @@ class _Appender:
         self._count = 0
 
     def append(self, frame: Image | bytes, t_ns: int) -> None:
-        # Written by its threads later, so it needs a copy of its own as from any camera.
+        # Its threads write later, so each frame needs a copy, as from any camera.
         image = np.array(frame)
         self._data.add_frame(
             {
@@ -99,12 +99,12 @@ class LeRobot:
         self._dataset = _dataset_class()
 
     def create(self, path: Path) -> _Appender:
-        """A new dataset."""
+        """Create a new dataset."""
         return _Appender(self._dataset, path, self._profile)
 
     @contextmanager
     def reader(self, path: Path) -> Iterator[Opened]:
-        """Frames, and what reads them."""
+        """Yield the number of frames and a function that reads them."""
         data = self._dataset(_REPOSITORY, root=path)
 
         def read(first: int, count: int) -> Image:
@@ -115,10 +115,10 @@ class LeRobot:
         yield len(data), read
 
     def left(self, path: Path) -> Numbers:
-        """What its reader finds."""
+        """Return the frames that its reader finds."""
         with self.reader(path) as (count, read):
             return [number_in_pixels(read(row, 1)[0]) for row in range(count)]
 
     def repaired(self, path: Path) -> None:
-        """There is no repair."""
+        """Return None: there is no repair."""
         return

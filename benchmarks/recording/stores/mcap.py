@@ -31,7 +31,7 @@ class _Appender:
 
     def append(self, frame: Image | bytes, t_ns: int) -> None:
         data = frame if isinstance(frame, bytes) else frame.tobytes()
-        # Evenly spaced times, by which the reader finds a window.
+        # Evenly spaced times, from which the reader finds a window.
         at_ns = self._count * _PERIOD_NS
         self._writer.add_message(self._channel, at_ns, data, at_ns, self._count)
         self._count += 1
@@ -54,12 +54,12 @@ class Mcap:
         self._profile = profile
 
     def create(self, path: Path) -> _Appender:
-        """A new file."""
+        """Create a new file."""
         return _Appender(path, self._profile)
 
     @contextmanager
     def reader(self, path: Path) -> Iterator[Opened]:
-        """Frames, and what reads them."""
+        """Yield the number of frames and a function that reads them."""
         with path.open("rb") as file:
             reader = make_reader(file)
             summary = reader.get_summary()
@@ -75,13 +75,13 @@ class Mcap:
             yield count, read
 
     def left(self, path: Path) -> Numbers:
-        """What the reader that seeks finds; it needs the summary at the end of the file."""
+        """Return the frames that the seeking reader finds; it needs the summary at the end."""
         with path.open("rb") as file:
             messages = make_reader(file).iter_messages()
             return [self._number(message.data) for _, _, message in messages]
 
     def repaired(self, path: Path) -> Numbers:
-        """What reading record by record finds, which is how `mcap recover` works."""
+        """Return the frames found record by record, which is how `mcap recover` works."""
         found: Numbers = []
         with path.open("rb") as file:
             try:
@@ -89,7 +89,7 @@ class Mcap:
                     if isinstance(record, Message):
                         found.append(self._number(record.data))
             except (McapError, EOFError, ValueError):
-                return found  # the torn end
+                return found  # truncated end of the file
         return found
 
 

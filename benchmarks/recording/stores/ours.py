@@ -39,17 +39,17 @@ class Ours:
         self._codec = codec
 
     def create(self, path: Path) -> _Appender:
-        """A new session."""
+        """Create a new session."""
         return _Appender(path, self._codec)
 
     @contextmanager
     def reader(self, path: Path) -> Iterator[Opened]:
-        """Frames, and what reads them."""
+        """Yield the number of frames and a function that reads them."""
         camera = Session(path).streams["camera"]
         yield len(camera), lambda first, count: camera.images(slice(first, first + count))
 
     def left(self, path: Path) -> Numbers:
-        """What is sealed."""
+        """Return the sealed frames."""
         camera = Session(path).streams["camera"]
         if self._codec == "jpeg":
             return [number_in_jpeg(camera.jpeg(row) or b"") for row in range(len(camera))]
@@ -58,6 +58,6 @@ class Ours:
         ]
 
     def repaired(self, path: Path) -> Numbers:
-        """What `python -m recorder recover` brings back."""
+        """Return the frames after `python -m recorder recover`."""
         recover(path)
         return self.left(path)

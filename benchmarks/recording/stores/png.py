@@ -1,4 +1,4 @@
-"""A folder of PNG files, the commonest recorder of all."""
+"""Folder of PNG files, the most common kind of recorder."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ class _Appender:
         self._count = 0
 
     def append(self, frame: Image | bytes, t_ns: int) -> None:
-        # The channel order plays no part in what it costs.
+        # The channel order does not affect the cost.
         name = str(self._path / f"{self._count:06d}.png")
         if not cv2.imwrite(name, np.asarray(frame), [cv2.IMWRITE_PNG_COMPRESSION, _LEVEL]):
             raise OSError(f"{name}: could not be written")
         self._count += 1
 
     def close(self) -> None:
-        """Nothing to do: every file is whole."""
+        """Do nothing: every file is complete."""
 
 
 class PngFiles:
-    """One file a frame."""
+    """One file per frame."""
 
     def create(self, path: Path) -> _Appender:
-        """A new folder."""
+        """Create a new folder."""
         return _Appender(path)
 
     @contextmanager
     def reader(self, path: Path) -> Iterator[Opened]:
-        """Frames, and what reads them."""
+        """Yield the number of frames and a function that reads them."""
         names = sorted(str(file) for file in path.glob("*.png"))
 
         def read(first: int, count: int) -> Image:
@@ -50,10 +50,10 @@ class PngFiles:
         yield len(names), read
 
     def left(self, path: Path) -> Numbers:
-        """All files; one that was being written is cut short."""
+        """Return the frames of all files; one that was being written is truncated."""
         found = [cv2.imread(str(file)) for file in sorted(path.glob("*.png"))]
         return [None if image is None else number_in_pixels(np.asarray(image)) for image in found]
 
     def repaired(self, path: Path) -> None:
-        """There is no repair."""
+        """Return None: there is no repair."""
         return

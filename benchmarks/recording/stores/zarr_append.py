@@ -1,4 +1,4 @@
-"""zarr-python by itself: one chunk a frame, `append` for each, as its documentation shows."""
+"""zarr-python alone: one chunk per frame, `append` for each, as in its documentation."""
 
 from __future__ import annotations
 
@@ -30,27 +30,27 @@ class _Appender:
         self._array.append(np.asarray(frame)[None])
 
     def close(self) -> None:
-        """Nothing to do: every append is whole."""
+        """Do nothing: every append is complete."""
 
 
 class ZarrAppend:
-    """An array that grows by a frame."""
+    """Array that grows by one frame at a time."""
 
     def create(self, path: Path) -> _Appender:
-        """A new array."""
+        """Create a new array."""
         return _Appender(path)
 
     @contextmanager
     def reader(self, path: Path) -> Iterator[Opened]:
-        """Frames, and what reads them."""
+        """Yield the number of frames and a function that reads them."""
         array = zarr.open_array(path, mode="r")
         yield array.shape[0], lambda first, count: np.asarray(array[first : first + count])
 
     def left(self, path: Path) -> Numbers:
-        """All declared frames; those that were never written read as zeros."""
+        """Return all declared frames; those that were never written read as zeros."""
         with self.reader(path) as (count, read):
             return [number_in_pixels(read(row, 1)[0]) for row in range(count)]
 
     def repaired(self, path: Path) -> None:
-        """There is no repair."""
+        """Return None: there is no repair."""
         return

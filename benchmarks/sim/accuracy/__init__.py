@@ -1,4 +1,4 @@
-"""What accuracy costs: error, time and memory of every tier and mesh; docs/results/accuracy.md."""
+"""Error, time and memory of every tier and mesh; writes docs/results/accuracy.md."""
 
 from __future__ import annotations
 

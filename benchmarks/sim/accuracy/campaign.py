@@ -1,4 +1,4 @@
-"""Every competitor on every case: errors, time and memory, one line of a file after the other."""
+"""Measure errors, time and memory of every competitor on every case into a file of rows."""
 
 from __future__ import annotations
 
@@ -28,29 +28,29 @@ from sim.scene import Scene, press
 
 # Depth of the press that loads the kernels before a measurement [m].
 WARM = 0.02e-3
-# Power of the fineness that the time of a press grows with, to tell what would take too long.
+# Assumed power law of the time of a press with fineness, used to skip slow measurements.
 GROWTH = 4.0
-# Ladder of the formulas: they take no time.
+# Ladder of the closed-form solutions, which take no time.
 CLOSED_FORM = "closed form"
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What is measured, and how far it may go."""
+    """Selection and limits of the measurements."""
 
     device: str
     cases: tuple[Case, ...]
     competitors: tuple[Competitor, ...]
     fineness: float
-    """Of the reference's mesh."""
+    """Fineness of the reference's mesh."""
     seconds_max: float
-    """What is expected to take longer is left out [s]."""
+    """Measurements expected to take longer are skipped [s]."""
     cache: Path
-    """Folder of the references."""
+    """Folder of the cached references."""
 
 
 def measure(plan: Plan, path: Path, say: Callable[[str], None]) -> None:
-    """Measure what is not yet in the file at `path`, and add it there line by line."""
+    """Run the measurements that are missing from the file at `path`, and append each as a line."""
     begin(path, machine(plan.device), plan.device, _reference_text(plan))
     known = read(path)
     done = {row.key: row for row in known.rows}
@@ -71,7 +71,7 @@ def measure(plan: Plan, path: Path, say: Callable[[str], None]) -> None:
 
 
 def machine(device: str) -> str:
-    """The machine in words."""
+    """Return a description of the machine."""
     if device == "cpu":
         return f"one core of {platform.machine()} ({os.cpu_count()} cores)"
     import warp as wp
@@ -85,7 +85,7 @@ def _case_rows(
     truth: Sequence[Reference | None],
     done: dict[tuple[str, str, str], Row],
 ) -> Iterator[Row]:
-    """Rows of a case that are not `done`, closed form first."""
+    """Yield the rows of a case that are not in `done`, closed form first."""
     if (case.name, CLOSED_FORM, "none") not in done:
         row = _closed_form_row(case, truth)
         if row is not None:
@@ -115,7 +115,7 @@ def _too_long(last: Row, one: Competitor, scenes: int, seconds_max: float) -> bo
 
 
 def _measured(case: Case, one: Competitor, device: str, truth: Sequence[Reference | None]) -> Row:
-    """The row, measured in a process of its own on a CPU, whose memory is then the press's own."""
+    """Measure a row; on a CPU in a separate process, so that its memory is that of the press."""
     if device != "cpu":
         return measure_here(case, one, device, truth)
     before = os.environ.get("OMP_NUM_THREADS")
@@ -143,14 +143,14 @@ def _measure_there(case: str, competitor: str, device: str, truth: list[Referenc
 def measure_here(
     case: Case, one: Competitor, device: str, truth: Sequence[Reference | None]
 ) -> Row:
-    """The row of `one` on a case, measured in this process."""
+    """Measure `one` on a case in this process and return the row."""
     empty = Row(case.name, one.ladder, one.label, one.fineness, device)
     coarsest = next(each for each in competitors() if each.ladder == one.ladder)
     try:
         coarsest.solve([_warm(case.scenes[0])], device)
         outcomes, spent = spent_by(lambda: in_launches(one.solve, case.scenes, device), device)
     except SceneError as error:
-        return replace(empty, note=f"refused: {error}")
+        return replace(empty, note=f"rejected: {error}")
     found = [
         compare(outcome_of(outcome), true.outcome, scene.body)
         for scene, outcome, true in zip(case.scenes, outcomes, truth, strict=True)
@@ -180,12 +180,12 @@ def measure_here(
 
 
 def _warm(scene: Scene) -> Scene:
-    """A press as shallow as it can be with the same kernels."""
+    """Return the shallowest press that uses the same kernels."""
     return replace(scene, motion=press([WARM]))
 
 
 def _closed_form_row(case: Case, truth: Sequence[Reference | None]) -> Row | None:
-    """The formula's row; None where practice has none, or nothing to compare it with."""
+    """Return the row of the formula, or None without a common formula or a reference."""
     true = truth[0]
     force = closed_form(case.name, case.scenes[0])
     if force is None or true is None:
@@ -214,7 +214,7 @@ def _mean(values: Sequence[float]) -> float:
 
 
 def _elements(result: Result) -> int:
-    """Elements of a mesh, particles, or pixels."""
+    """Return the number of elements, particles, or pixels."""
     record = result.record
     if "particles" in record:
         return int(record["particles"])

@@ -1,4 +1,4 @@
-"""What is simulated to see what accuracy costs: seven cases, each a list of scenes."""
+"""The seven cases of the accuracy page, each a list of scenes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sim.scene import Body, Scene, press, press_shear_return, ramp_hold
 MM = 1e-3
 # Depths of the plain presses [m].
 DEPTHS = (0.5 * MM, 1.0 * MM, 1.5 * MM)
-# Edge radius of shapes that have room for it [m]; sharper edges ask for finer elements only.
+# Edge radius of shapes that have room for it [m]; sharper edges only need finer elements.
 EDGE = 0.5 * MM
 
 
@@ -22,9 +22,9 @@ class Case:
 
     name: str
     title: str
-    """What the chart says."""
+    """Title in the chart."""
     scenes: tuple[Scene, ...]
-    """One body and one set of effects, so that a launch can solve them all."""
+    """Scenes with the same body and set of effects, so that one launch can solve them all."""
 
 
 def _edged(name: str) -> Indenter:
@@ -34,8 +34,8 @@ def _edged(name: str) -> Indenter:
 
 _BODY = Body()
 _BALL = sphere(4 * MM)
-# Without friction the skin under an edge slides until it creases, in one of many ways: there is no
-# one answer to be compared with.
+# Without friction the skin under an edge slides until it creases, in one of many ways, so there is
+# no unique solution to compare with.
 _RUB = Effects(friction=Friction(0.5))
 # Body: the paper's gel, 20 x 20 x 4 mm, 0.145 MPa, nu 0.45.
 CASES: tuple[Case, ...] = (
@@ -86,10 +86,10 @@ CASES: tuple[Case, ...] = (
 
 
 def chosen(names: tuple[str, ...]) -> tuple[Case, ...]:
-    """The cases of those names, all when there is none.
+    """Return the cases of those names, or all cases without names.
 
     Raises:
-        ValueError: No such case.
+        ValueError: Unknown case.
     """
     known = {case.name: case for case in CASES}
     for name in names:

@@ -1,4 +1,4 @@
-"""Small multiples on logarithmic axes: error, or memory, against seconds; drawn with Pillow."""
+"""Small multiples of error, or memory, against seconds on log axes, drawn with Pillow."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ COLUMNS = 4
 PANEL_WIDTH, PANEL_HEIGHT = 330, 290
 LEFT, RIGHT, TOP, BOTTOM = 58, 12, 34, 36
 HEAD = 56
-# Drawn so much larger, then reduced: Pillow's lines have steps.
+# Supersampling factor: drawn at this scale, then reduced, because Pillow's lines are jagged.
 SMOOTH = 2
 BAND: Colour = (226, 229, 235)
 
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """Points of one ladder on one device, coarse to fine."""
+    """Points of one ladder on one device, from coarse to fine."""
 
     name: str
     colour: Colour
     mark: Mark
     points: tuple[tuple[float, float], ...]
-    """(seconds, value); 0 seconds stands at the left edge."""
+    """(seconds, value); 0 seconds is drawn at the left edge."""
     reach: tuple[float, ...] = ()
-    """For each point, how far a whisker goes up; nothing without."""
+    """Upper end of the whisker of each point; empty: no whiskers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,12 +44,12 @@ class Panel:
     title: str
     series: tuple[Series, ...]
     floor: float = math.nan
-    """Below it the reference itself cannot tell; NaN where there is none."""
+    """Uncertainty of the reference, below which errors are unknown; NaN: not available."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """A logarithmic axis on pixels."""
+    """Logarithmic axis in pixels."""
 
     low: float
     high: float
@@ -57,7 +57,7 @@ class Scale:
     end: float
 
     def __call__(self, value: float) -> float:
-        """Pixel of a value; values beyond the axis lie at its end."""
+        """Return the pixel of a value; values beyond the axis are clipped to its end."""
         inside = min(max(value, self.low), self.high)
         share = math.log(inside / self.low) / math.log(self.high / self.low)
         return self.start + share * (self.end - self.start)
@@ -66,14 +66,14 @@ class Scale:
 def save_chart(
     path: Path, title: str, panels: Sequence[Panel], value_label: str, *, note: str
 ) -> None:
-    """Write the panels, their legend in the place after the last, as one PNG.
+    """Write the panels and, after the last one, their legend as one PNG.
 
     Args:
-        path: Of the picture.
-        title: What it shows.
-        panels: Cases; they share both axes.
-        value_label: What is up, with its unit.
-        note: A line below the title.
+        path: Path of the picture.
+        title: Title of the picture.
+        panels: Cases, which share both axes.
+        value_label: Label of the vertical axis, with its unit.
+        note: Line below the title.
     """
     rows = math.ceil((len(panels) + 1) / COLUMNS)
     size = COLUMNS * PANEL_WIDTH, HEAD + rows * PANEL_HEIGHT
@@ -108,7 +108,7 @@ def _panel(
     _box(pen, (left, top, right, bottom), PANEL)
     if math.isfinite(panel.floor) and panel.floor > limits[1][0]:
         _box(pen, (left, to_y(panel.floor), right, bottom), BAND)
-        _text(pen, (right - 4, bottom - 4), "the reference cannot tell", SOFT, 11, "rs")
+        _text(pen, (right - 4, bottom - 4), "below the reference's accuracy", SOFT, 11, "rs")
     for tick in _powers(*limits[0]):
         x = to_x(tick)
         _line(pen, [(x, top), (x, bottom)], GRID, 1)
@@ -161,7 +161,7 @@ def _mark(pen: ImageDraw.ImageDraw, place: tuple[float, float], colour: Colour, 
 
 
 def _decades(values: Sequence[float]) -> tuple[float, float]:
-    """Powers of ten around the values; one decade at least."""
+    """Return powers of ten around the values, spanning at least one decade."""
     if not values:
         return 0.1, 1.0
     low = 10.0 ** math.floor(math.log10(min(values)) + 1e-9)

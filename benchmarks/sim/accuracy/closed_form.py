@@ -1,4 +1,4 @@
-"""The formulas that practice reaches for, as if the gel were a half-space: they cost nothing."""
+"""Common closed-form solutions, which treat the gel as a half-space and take no time."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ Array = NDArray[np.float64]
 
 
 def closed_form(case: str, scene: Scene) -> Array | None:
-    """Force of the indenter on the body (F, 3) [N]; None where no formula is in common use.
+    """Return the force of the indenter on the body (F, 3) [N], or None without a common formula.
 
-    Hertz, Sneddon's punch and (sharp) cone; Lee and Radok; Cattaneo and Mindlin on the way aside,
-    and by Masing's rule on the way back.
+    Hertz, Sneddon's punch and (sharp) cone; Lee and Radok; Cattaneo and Mindlin during shear,
+    with Masing's rule on the return.
     """
     body = scene.body
     tip = np.array(scene.motion.tip)
@@ -62,7 +62,7 @@ def closed_form(case: str, scene: Scene) -> Array | None:
 
 
 def _shear(scene: Scene, radius: float, normal: Array) -> Array:
-    """Shear force (F,) of a sphere that goes aside and comes back [N]; no ploughing."""
+    """Return the shear force (F,) of a sphere that is sheared and returned [N], no ploughing."""
     friction, body = scene.effects.friction, scene.body
     coefficient = 0.0 if friction is None else friction.coefficient
     tip = np.array(scene.motion.tip)
@@ -74,7 +74,7 @@ def _shear(scene: Scene, radius: float, normal: Array) -> Array:
         change = 0.0
         if moved and limit:
             contact = hertz_contact_radius(-float(tip[frame, 2]), radius)
-            # A reversal is Masing's: twice the way for twice the force.
+            # Masing's rule for a reversal: twice the displacement for twice the force.
             share = 0.5 if before * moved < 0 else 1.0
             change = (
                 mindlin_force(

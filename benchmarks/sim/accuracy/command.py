@@ -1,4 +1,4 @@
-"""Error, time and memory of every way to an answer.
+"""Error, time and memory of every solver and setting.
 
 `python -m benchmarks accuracy` writes docs/results/accuracy.md.
 """
@@ -16,23 +16,21 @@ if TYPE_CHECKING:
     from sim.cli.options import Verbs
 
 SMOKE_CASES, SMOKE_COMPETITORS = ("sphere",), ("layer", "fem fineness 0.5", "fem even 1.25 mm")
-# Fineness of the reference with --smoke.
+# Fineness of the reference mesh with --smoke.
 SMOKE_REFERENCE = 0.8
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and its options."""
+    """Add the subcommand and its options."""
     parser = verbs.add_parser(
         "accuracy",
         help="error, time and memory of every tier, mesh and precision; writes a page",
-        description="Measures into one file a device, goes on where it was stopped, and draws the "
-        "page from all files there are. On a machine with a GPU: --device cuda:0 --only measure "
-        "--out DIR; the file comes home and --only page draws it too.",
+        description="Measures into one file per device, resumes an interrupted run, and draws the "
+        "page from all files. On a machine with a GPU: --device cuda:0 --only measure "
+        "--out DIR; copy the file here and --only page includes it.",
     )
     parser.add_argument("--device", default="cpu", help="cpu, cuda:0, ... (%(default)s)")
-    parser.add_argument(
-        "--only", choices=("measure", "page"), help="leave the other step out (both)"
-    )
+    parser.add_argument("--only", choices=("measure", "page"), help="run this step only (both)")
     parser.add_argument(
         "--case", action="append", default=[], metavar="NAME", help="this case only (repeatable)"
     )
@@ -41,14 +39,14 @@ def add_to(verbs: Verbs) -> None:
         type=float,
         default=2.0,
         metavar="FINENESS",
-        help="of the reference's mesh (%(default)s); computed once, then read",
+        help="fineness of the reference mesh (%(default)s); cached",
     )
     parser.add_argument(
         "--seconds",
         type=float,
         default=20.0,
         metavar="S",
-        help="leave out meshes that are expected to take longer [s] (%(default)s)",
+        help="skip meshes that are expected to take longer [s] (%(default)s)",
     )
     parser.add_argument(
         "--out",
@@ -62,7 +60,7 @@ def add_to(verbs: Verbs) -> None:
         type=Path,
         default=Path("build/accuracy"),
         metavar="DIR",
-        help="folder that keeps the references (%(default)s)",
+        help="folder of cached references (%(default)s)",
     )
     parser.add_argument(
         "--smoke", action="store_true", help="one case on coarse meshes: seconds, not minutes"
@@ -71,10 +69,10 @@ def add_to(verbs: Verbs) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure what is missing, draw the page; the exit code.
+    """Measure missing rows, draw the page, and return the exit code.
 
     Raises:
-        SceneError: A case or a device that is not there, or nothing to draw.
+        SceneError: Unknown case or device, or no measurements to draw.
     """
     if options.only != "page":
         _measure(options)
@@ -121,7 +119,7 @@ def _draw(folder: Path) -> None:
 
     files = sorted(folder.glob("*.jsonl"))
     if not files:
-        raise SceneError(f"--out: no measurements in {folder}; allowed: a folder that has some")
+        raise SceneError(f"--out: no measurements in {folder}; allowed: a folder with measurements")
     page = folder.with_suffix(".md")
     write_page(page, folder, [read(path) for path in files])
     print(f"{page}: written")

@@ -1,4 +1,4 @@
-"""What competes on the accuracy page: the one list of tiers, meshes and precisions."""
+"""Competitors on the accuracy page: tiers, meshes and precisions."""
 
 from __future__ import annotations
 
@@ -14,33 +14,33 @@ from sim.simulate import simulate, simulate_many
 
 Outcomes = list[Result | SimulationDiverged]
 
-# Of `fem` on meshes that follow the contact, beside the default.
+# Finenesses of `fem` on contact-adapted meshes, besides the default.
 FINENESS = (0.5, 1.0, 1.4)
-# What is asked for, to be met by measuring.
+# Requested tolerances, which the solver meets by error control.
 TOLERANCES = ("5 %", "2 %", "1 %")
-# Edges of an element of `fem` on even meshes [m], coarse to fine.
+# Element sizes of `fem` on uniform meshes [m], coarse to fine.
 EVEN_SPACINGS = (1.25e-3, 0.8e-3, 0.5e-3)
-# Cells of `mpm` [m], coarse to fine; two particles a cell and dimension.
+# Cell sizes of `mpm` [m], coarse to fine; two particles per cell and dimension.
 MPM_CELLS = (1.0e-3, 0.8e-3, 0.5e-3, 0.4e-3)
 
 
 @dataclass(frozen=True, slots=True)
 class Competitor:
-    """One way to an answer."""
+    """One solver with its settings."""
 
     ladder: str
-    """Those of one ladder differ in fineness only, and are joined by a line."""
+    """Competitors of one ladder differ only in fineness and are joined by a line."""
     label: str
-    """Its step on the ladder."""
+    """Name of its step on the ladder."""
     fineness: float
-    """Rises from coarse to fine."""
+    """Fineness, which increases from coarse to fine."""
     solve: Callable[[Sequence[Scene], str], Outcomes]
-    """From scenes and a device to their outcomes."""
+    """Maps scenes and a device to their outcomes."""
     cpu_only: bool = False
     cpu_cases: tuple[str, ...] | None = None
-    """Cases that are measured on a CPU; None: all. Others would take hours there."""
+    """Cases that are measured on a CPU; None: all. The others would take hours there."""
     settings: dict[str, Any] = field(default_factory=dict)
-    """What was chosen, for the record."""
+    """Chosen settings, for the record."""
 
     @property
     def name(self) -> str:
@@ -53,7 +53,7 @@ def _layer(scenes: Sequence[Scene], _device: str) -> Outcomes:
 
 
 def _fem(**chosen: Any) -> Callable[[Sequence[Scene], str], Outcomes]:
-    """`fem` with these of `Numerics`."""
+    """Return a solver that calls `fem` with these fields of `Numerics`."""
 
     def solve(scenes: Sequence[Scene], device: str) -> Outcomes:
         from sim.fem.numerics import Numerics
@@ -71,7 +71,7 @@ def _within(tolerance: str) -> Callable[[Sequence[Scene], str], Outcomes]:
                 found.append(simulate(scene, tolerance=tolerance, device=device))
             except SimulationDiverged as diverged:
                 found.append(diverged)
-            except SceneError as refused:  # out of reach: as good as no solution, and said
+            except SceneError as refused:  # not attainable: reported as no solution
                 found.append(SimulationDiverged(str(refused)))
         return found
 
@@ -89,7 +89,7 @@ def _mpm(cell: float | None) -> Callable[[Sequence[Scene], str], Outcomes]:
 
 
 def competitors() -> list[Competitor]:
-    """All of them; each ladder from coarse to fine."""
+    """Return all competitors, each ladder from coarse to fine."""
     from sim.fem.numerics import Numerics
 
     default = Numerics().fineness
@@ -143,10 +143,10 @@ def competitors() -> list[Competitor]:
 
 
 def by_name(name: str) -> Competitor:
-    """The competitor of that name.
+    """Return the competitor of that name.
 
     Raises:
-        SceneError: There is none.
+        SceneError: Unknown name.
     """
     known = {one.name: one for one in competitors()}
     if name not in known:

@@ -1,4 +1,4 @@
-"""docs/results/accuracy.md and its charts, from the measurements of every device."""
+"""Write docs/results/accuracy.md and its charts from the measurements of every device."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from benchmarks.sim.accuracy.reference import COARSER
 from benchmarks.sim.accuracy.row import Measured, Row
 from sim.fem.numerics import Numerics
 
-# Colour of each ladder; the mark tells the device.
+# Colour of each ladder; the shape of the mark gives the device.
 COLOURS: dict[str, Colour] = {
     CLOSED_FORM: (128, 132, 142),
     "layer": (52, 148, 96),
@@ -29,14 +29,14 @@ COLOURS: dict[str, Colour] = {
 
 @dataclass(frozen=True, slots=True)
 class Chart:
-    """One picture of the page."""
+    """One chart of the page."""
 
     file: str
     title: str
     measure: str
-    """Of `Row.mean`, or `memory`."""
+    """Key of `Row.mean`, or `memory`."""
     unit: float
-    """What the measure is multiplied by."""
+    """Factor applied to the measure."""
     label: str
 
 
@@ -52,14 +52,14 @@ CHARTS = (
     Chart("accuracy-markers.png", "Error of the markers", "marker_rms", 1, "markers, rms [px]"),
     Chart("accuracy-memory.png", "Memory", "memory", 1 / 2**20, "memory [MiB]"),
 )
-# Errors of the force that the first table looks for.
+# Force errors in the first table.
 GOALS = (0.1, 0.03, 0.01, 0.003)
 
 _INTRO = """# What accuracy costs
 
-Every way to an answer on {count} presses: what it misses, and what it takes. Lines join the meshes
-of one solver, coarse to fine; discs were measured on a CPU, diamonds on a GPU; below the grey line
-the reference cannot tell. Made by `make accuracy`; measurements are in `{folder}`, one file a
+Every solver on {count} presses: its error, time and memory. Lines join the meshes of one solver,
+coarse to fine; discs were measured on a CPU, diamonds on a GPU; in the grey band errors are below
+the reference's accuracy. Made by `make accuracy`; measurements are in `{folder}`, one file per
 device, and `python -m benchmarks accuracy --only page` draws them again.{unmeasured}
 
 {machines}
@@ -73,39 +73,39 @@ _METHOD = """
 The body is the paper's gel, 20 x 20 x 4 mm, 0.145 MPa, nu 0.45. Plain presses have frames at 0.5,
 1.0 and 1.5 mm (the 18 indenters: 0.5 and 1.0), the loop goes 1 mm down and 1 mm aside, the viscous
 press goes 1 mm down in 0.1 s and is held for 1 s while a branch of half the stiffness relaxes with
-0.2 s. Friction, where there is some, is 0.5: without it the skin under an edge slides until it
-creases, in one of many ways, and no answer is the answer.
+0.2 s. Friction, where present, is 0.5: without it the skin under an edge slides until it creases,
+in one of many ways, and there is no unique solution.
 
 - **Force**: |F - Fref| along each axis over max(|Fref| of the frame, a tenth of the largest
   |Fref|); the worst frame and axis, and the last frame.
-- **Surface**: distance between the two places of a material point of the top, cubic between the
-  points of either; rms and largest over 121 x 121 points, the worst frame; "beside" is the largest
-  where the reference is not touched.
+- **Surface**: distance between the two positions of a material point of the top, interpolated by
+  cubics on both meshes; rms and largest over 121 x 121 points, the worst frame; "beside" is the
+  largest value outside the contact of the reference.
 - **Markers**: 14 x 14 material points of the top as the paper's camera sees them: a pinhole 21.11
   mm below the surface, 35 mm lens, 36 mm film, 640 px: p = 622.2 px (x, y) / (21.11 mm + z), 33.9
   um a pixel.
-- **Seconds**: wall time of the press with kernels compiled; of the 18 indenters, solved one by one
-  on a CPU and in one launch on a GPU, all over 18. **Memory**: on a CPU the most that a process of
-  its own held, Python and libraries (about 220 MiB) included; on a GPU the most its arrays held.
-- **fem** has a mesh that follows the contact; its default has the fineness {default:g}.
-  **tolerance** is met by measuring, or by `layer` where its estimate is trusted, and its seconds
-  are of everything that was tried. **fem even** has elements of one size, whatever touches.
-- **Reference**: {reference}; viscous motions in time steps a third as long. The grey line is its
-  difference from elements {coarser:g} times as large: errors below are not known. It is computed
-  once and kept in `build/accuracy`.
+- **Seconds**: wall time of the press with kernels compiled; for the 18 indenters, solved one by
+  one on a CPU and in one launch on a GPU, the total over 18. **Memory**: on a CPU the peak of a
+  separate process, including Python and libraries (about 220 MiB); on a GPU the peak of its arrays.
+- **fem** has a mesh that adapts to the contact; its default has the fineness {default:g}.
+  **tolerance** is met by error control, or by `layer` where its estimate is trusted, and its
+  seconds include all attempts. **fem even** has elements of one size everywhere.
+- **Reference**: {reference}; viscous motions in time steps a third as long. The grey band is its
+  difference from a mesh with elements {coarser:g} times as large: smaller errors are unknown. It is
+  computed once and kept in `build/accuracy`.
 - **Closed forms** (half-space): Hertz, Sneddon's punch and sharp cone, Lee and Radok, Cattaneo and
-  Mindlin; they take no time and stand at the left edge. Tube and the 18 have none in common use.
-- **mpm** has two particles a cell and dimension; **mpm as published** is the lattice, contact,
+  Mindlin; they take no time and are at the left edge. Tube and the 18 have no common formula.
+- **mpm** has two particles per cell and dimension; **mpm as published** is the lattice, contact,
   time step and mass of Tacchi and GenForce; on a CPU the sphere alone.
 """
 
 
 def write_page(path: Path, folder: Path, measured: Sequence[Measured]) -> None:
-    """Write the page at `path` and its charts in `images` beside it; `folder` holds the files."""
+    """Write the page at `path` and its charts in `images` next to it; `folder` has the files."""
     images = path.parent / "images"
     for chart in CHARTS:
         panels = [_panel(case, chart, measured) for case in _cases(measured)]
-        note = "a point a mesh, finer to the right; discs: CPU, diamonds: GPU"
+        note = "one point per mesh, finer to the right; discs: CPU, diamonds: GPU"
         save_chart(images / chart.file, chart.title, panels, chart.label, note=note)
     machines = " ".join(
         f"{'GPU' if one.device != 'cpu' else 'CPU'}: {one.machine}." for one in measured
@@ -140,7 +140,7 @@ def _cases(measured: Sequence[Measured]) -> list[Case]:
 
 
 def _rows(case: Case, measured: Sequence[Measured]) -> list[Row]:
-    """Rows of a case from all devices; closed forms once."""
+    """Return the rows of a case from all devices, with closed forms only once."""
     found: dict[tuple[str, str, str], Row] = {}
     for one in measured:
         for row in one.rows:
@@ -189,7 +189,7 @@ def _value(row: Row, chart: Chart) -> float:
 
 
 def _reach(row: Row, chart: Chart) -> float:
-    """Where the worst scene of several lies."""
+    """Return the value of the worst scene if there are several."""
     if chart.measure == "memory" or row.worst == row.mean:
         return math.nan
     return row.worst.get(chart.measure, math.nan) * chart.unit
@@ -198,7 +198,7 @@ def _reach(row: Row, chart: Chart) -> float:
 def _goal_lines(measured: Sequence[Measured]) -> list[str]:
     head = " | ".join(f"{100 * goal:g} %" for goal in GOALS)
     lines = [
-        "The least time that reaches an error of the force (worst frame and axis), and by what:",
+        "Shortest time that reaches an error of the force (worst frame and axis), and the solver:",
         "",
         f"| press | device | {head} |",
         "|---|---|" + "---|" * len(GOALS),

@@ -1,4 +1,4 @@
-"""The truth that errors are measured from: `fem`, finer and tighter than anything that competes."""
+"""Reference solutions: `fem`, with finer meshes and tighter tolerances than all competitors."""
 
 from __future__ import annotations
 
@@ -20,30 +20,30 @@ from sim.simulate import simulate_many
 if TYPE_CHECKING:
     from sim.fem.numerics import Numerics
 
-# Elements of the second reference over those of the first. Where errors fall with the square of the
-# element, the first one's own error is 0.8 of the difference.
+# Element size of the second reference over that of the first. If errors decrease with the square of
+# the element size, the error of the first is 0.8 of the difference.
 COARSER = 1.5
-# Parts that each piece of a viscous motion is cut into: its time steps are finer as well.
+# Number of parts that each piece of a viscous motion is divided into, which refines the time steps.
 VISCOUS_PARTS = 3
-# Of the file; another one is computed anew.
+# Version of the cache file; other versions are computed again.
 FORMAT = 2
 
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """The reference of one scene, and how much of it can be relied on."""
+    """Reference of one scene, and its accuracy."""
 
     outcome: Outcome
     uncertainty: dict[str, float]
-    """Of each error of `Errors.worst`: the difference of the two finest meshes."""
+    """Difference of the two finest meshes for each error of `Errors.worst`."""
 
 
-# Of a reference's mesh.
+# Maximum number of elements of a reference mesh.
 ELEMENTS_MAX = 1_000_000
 
 
 def reference_numerics(fineness: float) -> Numerics:
-    """Finest mesh, contact without penetration, solved to a tenth of the default."""
+    """Return settings with the finest mesh, no penetration, and a tenth of the tolerance."""
     from sim.fem.numerics import Numerics
 
     return Numerics(
@@ -61,7 +61,7 @@ def solve_references(
     fineness: float,
     device: str,
 ) -> list[Outcome | SimulationDiverged]:
-    """Outcomes of scenes that share a body; frames are those of each scene."""
+    """Solve scenes that share a body; the outcomes have the frames of each scene."""
     parts = VISCOUS_PARTS if scenes[0].effects.viscosity is not None else 1
     cut = [replace(scene, motion=finer(scene.motion, parts)) for scene in scenes]
     numerics = reference_numerics(fineness)
@@ -79,7 +79,7 @@ def solve_references(
 
 
 def finer(motion: Motion, parts: int) -> Motion:
-    """The same motion with every piece cut into `parts`; its own waypoints are each `parts`-th."""
+    """Return the same motion with each piece cut into `parts`, the waypoints being every nth."""
     tip, time = [motion.tip[0]], [motion.time[0]]
     pieces = pairwise(zip(motion.tip, motion.time, strict=True))
     for (start, begin), (end, finish) in pieces:
@@ -99,15 +99,15 @@ def references(
     cache: Path,
     say: Callable[[str], None],
 ) -> list[Reference | None]:
-    """The references of a case's scenes; None where none was found. Computed once, then read.
+    """Return the references of a case's scenes, or None where not found; results are cached.
 
     Args:
-        name: Of the case.
+        name: Name of the case.
         scenes: Its scenes, which share a body.
-        fineness: Of the finest mesh.
-        device: Where they are computed.
-        cache: Folder that keeps them.
-        say: Told what is computed.
+        fineness: Fineness of the finest mesh.
+        device: Device to compute on.
+        cache: Folder of cached references.
+        say: Called with progress messages.
     """
     path = cache / f"{name}-{fineness:g}-{FORMAT}.npz"
     if not path.exists():

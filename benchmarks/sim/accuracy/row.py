@@ -1,4 +1,4 @@
-"""One measurement: a competitor on a case; and the file that measurements are kept in."""
+"""One measurement of a competitor on a case, and the file of measurements."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MEASURES = (
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """What one competitor gave on one case, or why it gave nothing."""
+    """Result of one competitor on one case, or the reason for its absence."""
 
     case: str
     ladder: str
@@ -31,13 +31,13 @@ class Row:
     fineness: float
     device: str
     wall: float = math.nan
-    """A press [s]; kernels compiled before. Of several scenes: all of them over their number."""
+    """Wall time of a press [s], kernels compiled before; for several scenes, the mean."""
     cpu: float = math.nan
     """CPU time of a press [s]."""
     memory: int = 0
-    """Most memory held [bytes]; see `Spent`."""
+    """Peak memory [bytes]; see `Spent`."""
     elements: int = 0
-    """Elements of a mesh, particles, or pixels."""
+    """Number of elements, particles, or pixels."""
     mean: dict[str, float] = field(default_factory=dict)
     """Errors, averaged over the scenes of the case."""
     worst: dict[str, float] = field(default_factory=dict)
@@ -45,9 +45,9 @@ class Row:
     axes: tuple[float, ...] = ()
     """Largest error of Fx, Fy and Fz over frames and scenes [N]."""
     failed: int = 0
-    """Scenes without a solution."""
+    """Number of scenes without a solution."""
     note: str = ""
-    """Why there is nothing, or not everything."""
+    """Reason for a missing or incomplete result."""
 
     @property
     def name(self) -> str:
@@ -56,24 +56,24 @@ class Row:
 
     @property
     def key(self) -> tuple[str, str, str]:
-        """What is measured once."""
+        """Identity of the measurement."""
         return self.case, self.name, self.device
 
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """Rows of one device, the machine they come from, and what they are measured against."""
+    """Rows of one device, its machine, and the reference."""
 
     machine: str
     device: str
     reference: str
     floors: dict[str, dict[str, float]]
-    """For each case the reference's own uncertainty in each error."""
+    """Uncertainty of the reference in each error, by case."""
     rows: tuple[Row, ...]
 
 
 def begin(path: Path, machine: str, device: str, reference: str) -> None:
-    """Begin a file of measurements, unless there is one."""
+    """Create a file of measurements, unless it exists."""
     if path.exists():
         return
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -82,18 +82,18 @@ def begin(path: Path, machine: str, device: str, reference: str) -> None:
 
 
 def append(path: Path, line: Row | dict[str, Any]) -> None:
-    """Add a row, or the floor of a case, to a file of measurements."""
+    """Append a row, or the reference uncertainty of a case, to a file of measurements."""
     plain = asdict(line) if isinstance(line, Row) else line
     with path.open("a", encoding="utf-8") as file:
         file.write(json.dumps(_without_nan(plain)) + "\n")
 
 
 def read(path: Path) -> Measured:
-    """A file of measurements.
+    """Read a file of measurements.
 
     Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: It is not one.
+        FileNotFoundError: No such file.
+        ValueError: Not a file of measurements.
     """
     lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
     if not lines or "machine" not in lines[0]:
@@ -113,7 +113,7 @@ def read(path: Path) -> Measured:
 
 
 def _without_nan(value: Any) -> Any:
-    """JSON knows no NaN: null stands for it; six digits are enough."""
+    """Replace NaN by null, which JSON can represent, and round to six digits."""
     if isinstance(value, dict):
         return {key: _without_nan(item) for key, item in value.items()}
     if isinstance(value, tuple | list):

@@ -1,1 +1,1 @@
-"""What an effect costs that is off, and what one costs that is on: `docs/results/effects.md`."""
+"""Cost of physical effects, switched off and on: `docs/results/effects.md`."""

@@ -1,4 +1,4 @@
-"""What effects cost when off, and when on.
+"""Cost of physical effects, switched off and on.
 
 `python -m benchmarks effects` writes docs/results/effects.md.
 """
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and its options."""
+    """Add the subcommand and its options."""
     parser = verbs.add_parser(
         "effects",
-        help="prove that effects which are off cost nothing, measure what they cost when on; "
+        help="prove that disabled effects cost nothing, measure the cost of enabled ones; "
         "writes a page (about 2 minutes)",
     )
     parser.add_argument(
@@ -29,7 +29,7 @@ def add_to(verbs: Verbs) -> None:
         type=int,
         default=7,
         metavar="N",
-        help="pairs of runs that times are the least of (%(default)s)",
+        help="pairs of runs, of which times are the minimum (%(default)s)",
     )
     parser.add_argument(
         "--out",
@@ -41,7 +41,7 @@ def add_to(verbs: Verbs) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure, tell it as it comes, write the page; 1 if an effect that is off left a trace.
+    """Measure, print results and write the page; return 1 if a disabled effect left a trace.
 
     Raises:
         SceneError: Fewer than one repeat.
@@ -57,7 +57,7 @@ def _run(options: argparse.Namespace, cache: str) -> int:
 
     from sim.device import ready_device
 
-    # A cache of its own, empty: what is read from the usual one would not be compiled.
+    # A separate empty cache, because kernels in the usual cache would not be compiled.
     wp.config.kernel_cache_dir = cache
     ready_device("cpu")
     from benchmarks.sim.effects.measure import combinations, cost

@@ -1,4 +1,4 @@
-"""Which kernels a run launches, and what it takes to compile each."""
+"""Kernels that a run launches, and the compile time of each."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ import warp as wp
 
 @contextmanager
 def launches(compiled: dict[str, float]) -> Iterator[set[str]]:
-    """While it is open, collects the names of the kernels that are launched.
+    """Collect the names of the kernels that are launched inside the context.
 
-    A kernel that `compiled` does not know is compiled first, if it is not in Warp's cache, and its
-    CPU seconds are noted there.
+    A kernel that is not in `compiled` is compiled first, if it is not in Warp's cache, and its
+    CPU seconds are stored there.
     """
     launch, found = wp.launch, set[str]()
 

@@ -1,4 +1,4 @@
-"""The machine code that a kernel was compiled to, to tell whether two kernels are the same."""
+"""Machine code of a compiled kernel, to check that two kernels are the same."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import warp as wp
 
 
 def machine_code(kernel: Any) -> bytes:
-    """The instructions of a kernel of a module of its own, compiled for the CPU.
+    """Return the instructions of a kernel in its own module, compiled for the CPU.
 
-    Names, and the addresses that the linker will fill in, are not among them.
+    They exclude names, and the addresses that the linker will fill in.
 
     Raises:
-        FileNotFoundError: Warp kept no object file, or one that is not in ELF.
+        FileNotFoundError: Warp kept no object file, or one that is not ELF.
     """
     wp.init()  # type: ignore[no-untyped-call]
     kernel.module.load("cpu")
@@ -28,7 +28,7 @@ def machine_code(kernel: Any) -> bytes:
 
 
 def _text(content: bytes) -> bytes:
-    """Every executable section of a 64-bit ELF file (System V ABI, chapter 4), in turn."""
+    """Return all executable sections of a 64-bit ELF file (System V ABI, chapter 4), in turn."""
     (table,) = struct.unpack_from("<Q", content, 40)
     size, count = struct.unpack_from("<HH", content, 58)
     executable, found = 4, b""

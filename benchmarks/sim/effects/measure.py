@@ -1,4 +1,4 @@
-"""Measures what effects cost: nothing when off, something stated when on."""
+"""Measure the cost of effects: none when off, and a stated cost when on."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from sim.result import Result
 from sim.scene import Scene
 from sim.simulate import simulate
 
-# Parts of an effect's weak share at which its answer is compared.
+# Parts of an effect's weak share at which its result is compared.
 PARTS = (1.0, 0.5, 0.1)
 
 
@@ -35,39 +35,39 @@ class Combination:
     key: tuple[str, ...]
     kernels: int
     own: int
-    """Those among them that no effect at all does without."""
+    """Number of kernels that are not launched without effects."""
     compile_seconds: float
-    """CPU seconds to compile all of them, once for a machine [s]."""
+    """CPU time to compile all of them, once per machine [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """What one effect costs."""
+    """Cost of one effect."""
 
     name: str
     same_code: bool
-    """Off, its kernels have the machine code of a source that never had the effect."""
+    """Off, its kernels have the same machine code as a source without the effect."""
     same_results: bool
-    """Off, with the other effects on, every result is that of such a build, bit for bit."""
+    """Off, with the other effects on, every result equals that of such a build, bit for bit."""
     off_ratio: float
-    """CPU time of a press without effects, this build over one without the effect."""
+    """CPU time of a press without effects, of this build over one without the effect."""
     on_ratio: float
-    """CPU time of the press with the effect over that without."""
+    """CPU time of the press with the effect over that without it."""
     numbers_off: int
     numbers_on: int
-    """Numbers of state for one press when off and when on."""
+    """Size of the state of one press when off and when on, in numbers."""
     memories: tuple[tuple[Memory, int], ...]
     limits: tuple[float, ...]
     """Relative change of the force at each of `PARTS` of the weak share."""
 
     @property
     def proven(self) -> bool:
-        """Whether the effect leaves no trace when it is off."""
+        """True if the effect leaves no trace when it is off."""
         return self.same_code and self.same_results and not self.numbers_off
 
 
 def combinations() -> Iterator[Combination]:
-    """Every set of effects, from none to all: 16."""
+    """Yield every set of effects, from none to all: 16."""
     compiled: dict[str, float] = {}
     plain: set[str] = set()
     for count in range(len(EFFECTS) + 1):
@@ -81,7 +81,7 @@ def combinations() -> Iterator[Combination]:
 
 
 def cost(name: str, repeats: int) -> Cost:
-    """Measure one effect; times are the least of `repeats` pairs."""
+    """Measure one effect; times are the minimum of `repeats` pairs."""
     others = scene(*(other for other in EFFECTS if other != name))
     here = simulate(others, numerics=NUMERICS)
     with built_without(name):
@@ -106,9 +106,9 @@ def cost(name: str, repeats: int) -> Cost:
 def _ratio(
     first: Scene, second: Scene, repeats: int, build: Callable[[], AbstractContextManager[None]]
 ) -> float:
-    """CPU time of `first` over that of `second` in the build that `build` opens."""
+    """Return the CPU time of `first` over that of `second` in the build that `build` opens."""
     times: tuple[list[float], list[float]] = ([], [])
-    # One more than is counted: the first of each compiles.
+    # The first run of each is not counted, because it compiles.
     with build():
         _seconds(second)
     _seconds(first)

@@ -1,4 +1,4 @@
-"""How many numbers the solver's state holds for an effect, counted and as declared."""
+"""Size of the solver's state for an effect, counted and as declared."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from sim.effects.declaration import Memory
 
 
 def stored(state: Any, memory: Memory) -> int:
-    """Numbers that the state holds in an effect's array; 0 where it has none."""
+    """Return how many numbers the state has in an effect's array; 0 without an array."""
     array = state
     for name in memory.name.split("."):
         array = getattr(array, name)
@@ -20,7 +20,7 @@ def stored(state: Any, memory: Memory) -> int:
 
 
 def declared(assembly: Any, memory: Memory, branches: int = 1) -> int:
-    """Numbers that an effect says it needs, with `branches` Prony branches at most."""
+    """Return how many numbers an effect declares, with at most `branches` Prony branches."""
     mesh = assembly.mesh
     elements = len(mesh.elements)
     places = {

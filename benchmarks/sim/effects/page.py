@@ -1,4 +1,4 @@
-"""The page: `docs/results/effects.md`."""
+"""Page `docs/results/effects.md`."""
 
 from __future__ import annotations
 
@@ -13,52 +13,53 @@ from benchmarks.sim.effects.without import EFFECTS
 
 _PREFACE = """# What effects cost
 
-Made by `python -m benchmarks effects`; run it again on another machine and the page is that
-machine's. {machine}.
+Made by `python -m benchmarks effects`; run it on another machine to get that machine's numbers.
+{machine}.
 
-Friction, viscosity, inertia and gravity are one file each in `sim/effects`, and each declares what
-the `fem` tier keeps for it (`STATE`), in which kernels its lines stand (`KERNELS`), and what it
-tends to as it gets weaker (`LIMIT`). Its lines in a kernel are blocks `if wp.static(...):`, which
-are not compiled when it is off.
+Friction, viscosity, inertia and gravity are one file each in `sim/effects`. Each declares the state
+that the `fem` tier stores for it (`STATE`), the kernels that contain its lines (`KERNELS`), and its
+limit as it gets weaker (`LIMIT`). Its lines in a kernel are blocks `if wp.static(...):`, which are
+not compiled when it is off.
 
 ## Off
 
-The claim is that an effect which is off costs nothing. It is compared with a build that never had
-it: the blocks are cut out of the kernels' source, and what is left is compiled.
+The claim is that an effect which is off costs nothing. It is tested against a build without the
+effect: the blocks are cut out of the kernels' source, and the rest is compiled.
 """
 
 _OFF = """
-*Same machine code*: the instructions of every kernel the effect stands in, compiled with the effect
-off, and compiled from the source that was cut. *Same results*: force, surface, traction and quality
-of a press with the three other effects on, bit for bit. *Time*: CPU time of a press without
-effects, this build over the one that was cut, least of {repeats} pairs; it differs from 1 by what
-the machine's clock does.
+*Same machine code*: the instructions of every kernel that contains the effect, compiled with the
+effect off, and compiled from the source without it. *Same results*: force, surface, traction and
+quality of a press with the three other effects on, bit for bit. *Time*: CPU time of a press without
+effects, this build over the one without the effect, minimum of {repeats} pairs; deviations from 1
+are due to timing noise of the machine.
 
 ## On
 
 One press into {elements} elements in double precision; the viscosity has two branches. *Time* is
-that of the press with the effect over that without, least of {repeats}: more steps where friction
-or relaxation ask for them, more iterations, and the arithmetic itself.
+that of the press with the effect over that without, minimum of {repeats}: more steps where friction
+or relaxation need them, more iterations, and the arithmetic itself.
 """
 
 _LIMIT = """
 ## Weaker and weaker
 
-What the force on the last frame changes by, over the force, when the effect is weak: a half gives a
-half and a tenth a tenth, so it vanishes with its parameter. Solved to a residual of 1e-10.
+Change of the force on the last frame, over the force, when the effect is weak: half the parameter
+gives half the change and a tenth gives a tenth, so it vanishes with the parameter. Solved to a
+residual of 1e-10.
 """
 
 _KERNELS = """
 ## Kernels
 
-Kernels that a press launches, for every set of effects; those that are its own, which a press
-without effects does not launch; and the CPU time to compile them all. Each is compiled once for a
-machine and kept in Warp's cache; sets share what they can.
+Kernels that a press launches, for every set of effects; those that a press without effects does not
+launch; and the CPU time to compile them all. Each is compiled once per machine and kept in Warp's
+cache; sets share kernels where possible.
 """
 
 
 def render(costs: Sequence[Cost], combinations: Sequence[Combination], repeats: int) -> str:
-    """The page as Markdown."""
+    """Return the page as Markdown."""
     elements = f"{12 * 12 * 4:,}"
     machine = (
         f"Warp {wp.config.version}, Python {platform.python_version()}, "

@@ -1,4 +1,4 @@
-"""The press that effects are measured on: small, so that what an effect adds shows."""
+"""Press used to measure effects: small, so that the cost of an effect is visible."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ NUMERICS = Numerics(spacing=1e-3, precision="float64")
 EXACT = Numerics(
     spacing=1e-3, precision="float64", tolerance=1e-10, penalty=3000.0, augmentations=10
 )
-# Down half a millimetre, then a little aside, in 1 ms: fast enough for mass to be felt.
+# Half a millimetre down, then 0.15 mm sideways, in 1 ms: fast enough for inertia to matter.
 MOTION = Motion(
     ((0.0, 0.0, 0.0), (0.0, 0.0, -0.5e-3), (0.15e-3, 0.0, -0.5e-3)), (0.0, 0.5e-3, 1e-3)
 )
@@ -23,13 +23,13 @@ MOTION = Motion(
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """An effect as strong as it is measured, and how weak it is when it should vanish."""
+    """Effect at full strength, and the share at which it counts as weak."""
 
     effect: Friction | Viscosity | Inertia | Gravity
     parameter: str
-    """The parameter that goes to 0, as the page shows it at full strength."""
+    """Parameter that goes to 0, as shown on the page at full strength."""
     share: float
-    """Share of the parameter at which the effect answers in proportion."""
+    """Share of the parameter at which the response is proportional."""
 
 
 TRIALS: dict[str, Trial] = {
@@ -41,11 +41,11 @@ TRIALS: dict[str, Trial] = {
 
 
 def scene(*names: str, share: float = 1.0) -> Scene:
-    """The press with the named effects at `share` of their strength, all others off."""
+    """Return the press with the named effects at `share` of their strength, all others off."""
     return Scene(sphere(3e-3), MOTION, BODY, effects(*names, share=share))
 
 
 def effects(*names: str, share: float = 1.0) -> Effects:
-    """The named effects at `share` of their strength."""
+    """Return the named effects at `share` of their strength."""
     made = {name: TRIALS[name].effect.weakened(share) for name in names}
-    return Effects(**made)  # type: ignore[arg-type]  # each under the name of its own kind
+    return Effects(**made)  # type: ignore[arg-type]  # each under the name of its kind

@@ -1,4 +1,4 @@
-"""Builds of the solver that never had an effect: its lines cut out of the kernels' source."""
+"""Builds of the solver without an effect, whose lines are cut out of the kernels' source."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from benchmarks.sim.substitute import in_place_of, rebuilt
 from sim.effects import Friction, Gravity, Inertia, Viscosity
 from sim.effects.declaration import Snippet
 
-# The effects by the names they have in `Effects`.
+# Effects by their names in `Effects`.
 EFFECTS: dict[str, type[Friction] | type[Gravity] | type[Inertia] | type[Viscosity]] = {
     "friction": Friction,
     "viscosity": Viscosity,
@@ -23,10 +23,10 @@ EFFECTS: dict[str, type[Friction] | type[Gravity] | type[Inertia] | type[Viscosi
 
 
 def cut(source: str, flag: str) -> str:
-    """The source without its blocks `if wp.static(FLAG):`.
+    """Return the source without its blocks `if wp.static(FLAG):`.
 
     Raises:
-        ValueError: No such block, or one with an `else`: cutting would take away more than the
+        ValueError: No such block, or one with an `else`, where cutting would remove more than the
             effect.
     """
     blocks = [
@@ -47,7 +47,7 @@ def cut(source: str, flag: str) -> str:
 
 @cache
 def cut_factory(snippet: Snippet) -> Callable[..., Any]:
-    """The kernel factory of a snippet, built from source that never had the snippet."""
+    """Return the kernel factory of a snippet, built from source without the snippet."""
     module = rebuilt(
         importlib.import_module(snippet.module),
         f"without_{snippet.flag}",
@@ -59,7 +59,7 @@ def cut_factory(snippet: Snippet) -> Callable[..., Any]:
 
 @contextmanager
 def built_without(effect: str) -> Iterator[None]:
-    """While it is open, every batch is solved by kernels that never had `effect`."""
+    """Solve every batch inside the context with kernels that were built without `effect`."""
     with ExitStack() as open_:
         for snippet in EFFECTS[effect].KERNELS:
             user = importlib.import_module(snippet.user)

@@ -1,4 +1,4 @@
-"""Presses solved by other means than `sim`, to hold `sim` against.
+"""Presses solved by methods independent of `sim`, to verify `sim`.
 
-Only the table that compares (`comparison`) and its command import it.
+Only the comparison table (`comparison`) and its command import `sim`.
 """

@@ -1,11 +1,11 @@
-"""A round rigid indenter pressed straight into a round, bonded, neo-Hookean layer, with friction.
+"""Rigid axisymmetric indenter pressed into a round, bonded, neo-Hookean layer, with friction.
 
-Contact at Gauss points of the top: pressure = carried + stiffness * penetration where that is
-positive, `carried` brought up to date at every depth that is reported until the force stands still
-(augmented Lagrangian) where there is no friction; the penetration that is left is told. Friction
-by return mapping: the shear traction of the last step moves on by a spring and is cut back to
-mu * pressure; the tangent is the true derivative, not symmetric. All tractions are per untouched
-area, which does not change what they are: forces and Coulomb's ratio.
+Contact at Gauss points of the top: pressure = multiplier + stiffness * penetration where that is
+positive. Without friction the multiplier (`carried`) is updated at every reported depth until the
+force no longer changes (augmented Lagrangian); the remaining penetration is reported. Friction uses
+return mapping: the shear traction of the last step is increased by a spring and limited to
+mu * pressure; the tangent is exact and not symmetric. All tractions are per undeformed area, which
+changes neither forces nor Coulomb's ratio.
 """
 
 from __future__ import annotations
@@ -30,25 +30,25 @@ Base = Literal["bonded", "sliding"]
 STIFFNESS = 3000.0
 # Gauss points along each element edge of the top.
 POINTS = 4
-# Out-of-balance force over contact force that ends Newton's method, and its limit.
+# Residual over contact force at which Newton's method has converged, and its iteration limit.
 CONVERGED, ITERATIONS = 1e-7, 20
-# How often `carried` is brought up to date at most, and the change of force that ends it.
+# Maximum number of multiplier updates, and the change of force at which they end.
 AUGMENTATIONS, STANDS_STILL = 4, 2e-5
-# Part of a Newton step that is made whatever comes of it.
+# Minimum share of a Newton step, which is taken even if the merit function rises.
 SHARE_MIN = 0.1
-# Determinant of the deformation gradient below which a Newton step is cut.
+# Determinant of the deformation gradient below which a Newton step is shortened.
 DET_MIN = 0.02
-# How often a step may be cut in half before the press is given up.
+# Number of times a step may be halved before the press fails.
 FAILURES = 40
 
 
 class NotSolved(Exception):
-    """Newton's method found no balance, even in small steps."""
+    """Raised if Newton's method does not converge, even in small steps."""
 
 
 @dataclass(frozen=True)
 class Layer:
-    """The soft body: a disc bonded at z = -thickness, free at its side and top."""
+    """Soft body: a disc bonded at z = -thickness, free at its side and top."""
 
     radius: float
     """[m]."""
@@ -58,61 +58,61 @@ class Layer:
     """Young's modulus [Pa]."""
     poisson: float = 0.45
     base: Base = "bonded"
-    """`sliding` lets the base move sideways, which makes a plane's press uniform."""
+    """`sliding` lets the base move sideways, so that a press by a plane is uniform."""
 
     @property
     def shear(self) -> float:
-        """G [Pa]."""
+        """Shear modulus G [Pa]."""
         return self.modulus / (2 * (1 + self.poisson))
 
     @property
     def bulk(self) -> float:
-        """K [Pa]."""
+        """Bulk modulus K [Pa]."""
         return self.modulus / (3 * (1 - 2 * self.poisson))
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What the indenter feels at one depth."""
+    """Result at one depth."""
 
     depth: float
     """[m]."""
     force: float
-    """Along the axis [N]."""
+    """Force along the axis [N]."""
     contact_radius: float
-    """Largest radius that touches, where it is now [m]."""
+    """Largest deformed radius in contact [m]."""
     balance: float
     """|force + reaction of the base| over force."""
     det_f_min: float
     """Smallest determinant of the deformation gradient."""
     penetration: float
-    """How deep the indenter is in the layer, weighted by pressure, over the depth."""
+    """Mean penetration, weighted by pressure, over the depth."""
 
 
 @dataclass
 class State:
-    """Displacements, and what the contact points carry."""
+    """Displacements and contact state."""
 
     tip: float
     u: Array
     """(2 N,) [m]."""
     carried: Array
-    """Pressure (S, P) that the augmentation holds [Pa]."""
+    """Multiplier, as a pressure (S, P) [Pa]."""
     shear: Array
     """Shear traction (S, P) of the last step [Pa]."""
     rate: Array
-    """How `u` moved with the tip in the last step, (2 N,)."""
+    """Derivative of `u` by the tip position in the last step, (2 N,)."""
 
 
 class Press:
-    """One layer on one grid under one indenter.
+    """One indenter on one layer with one mesh.
 
     Args:
         layer: The soft body.
         profile: The indenter.
         grid: The mesh of the layer.
-        friction: Coulomb's coefficient.
-        contact_radius: About how wide the contact will be [m]; scales the contact stiffness.
+        friction: Coulomb friction coefficient.
+        contact_radius: Approximate contact radius [m]; scales the contact stiffness.
     """
 
     def __init__(
@@ -129,7 +129,7 @@ class Press:
         along = np.hypot(*(self.nodes[top, axis] @ slope.T for axis in (0, 1)))
         self.area = 2 * math.pi * self.r * weight * along
         self.unknowns = (2 * top[:, :, None] + np.arange(2)).reshape(len(top), 6)
-        # Stresses are sums of terms as large as the bulk modulus.
+        # Stresses are sums of terms as large as the bulk modulus, which sets the rounding error.
         self.rounding = 2e-14 * layer.bulk * layer.radius * layer.thickness
         fixed = np.isclose(self.nodes[:, 0], 0)
         low = np.isclose(self.nodes[:, 1], -layer.thickness)
@@ -142,15 +142,15 @@ class Press:
         self.base = 2 * np.flatnonzero(low) + 1
 
     def start(self) -> State:
-        """The untouched layer, the tip on its top."""
+        """Return the undeformed layer, with the tip at its top."""
         none, still = np.zeros_like(self.r), np.zeros(2 * len(self.nodes))
         return State(0.0, still, none, none, still)
 
     def run(self, depths: Sequence[float], path: Sequence[float]) -> list[Answer]:
-        """Answers at `depths` [m], by way of the depths of `path` [m] in between.
+        """Return the results at `depths` [m], passing through the depths of `path` [m].
 
         Raises:
-            NotSolved: A step that cannot be balanced.
+            NotSolved: A step does not converge.
         """
         state, answers, before = self.start(), [], 0.0
         for depth in sorted(depths):
@@ -158,15 +158,15 @@ class Press:
                 if 1.0001 * before < middle < 0.9999 * depth:
                     state = self._moved(state, -middle)
             state = self._moved(state, -depth)
-            # The way on goes from the state before it is settled, so that one depth more or less
-            # asked for changes nothing. Stick and slip would change places while it is settled.
+            # The next step starts from the state before the multiplier updates, so adding a depth
+            # changes no other result. With friction, the updates would alter stick and slip.
             found = state if self.friction else self._settled(state)
             answers.append(self._answer(found, depth))
             before = depth
         return answers
 
     def _moved(self, state: State, target: float) -> State:
-        """Newton's method from `state` to a tip at z = `target`, in smaller steps where need be."""
+        """Apply Newton's method to a tip at z = `target`, in smaller steps where needed."""
         step, failed = target - state.tip, 0
         while state.tip != target:
             last = abs(target - state.tip) <= 1.001 * abs(step)
@@ -180,7 +180,7 @@ class Press:
         return state
 
     def _settled(self, state: State) -> State:
-        """The state with its pressure carried, as far as Newton's method gets with that."""
+        """Return the state with updated multipliers, as far as Newton's method converges."""
         force, share = self._tractions(state, state.u, state.tip).force, 1.0
         for _ in range(AUGMENTATIONS):
             pressure = self._tractions(state, state.u, state.tip).pressure
@@ -196,7 +196,7 @@ class Press:
         return state
 
     def _balanced(self, old: State, tip: float) -> State | None:
-        """The state with the tip at `tip` that balances; None where Newton's method finds none."""
+        """Return the equilibrium with the tip at `tip`, or None if Newton's method fails."""
         u = old.u + old.rate * (tip - old.tip)
         if self._inverted(u):
             u = old.u.copy()
@@ -216,7 +216,7 @@ class Press:
             while True:
                 if not self._inverted(u - share * change):
                     contact, residual, now = self._residual(old, u - share * change, tip)
-                    # Nearly there, merit is rounding.
+                    # Near convergence, changes of the merit function are rounding errors.
                     if now < merit + 1e-9 * abs(merit) or share < SHARE_MIN:
                         break
                 share /= 2
@@ -227,10 +227,10 @@ class Press:
         return None
 
     def _residual(self, old: State, u: Array, tip: float) -> tuple[Contact, Array, float]:
-        """Contact, forces that are out of balance, and what a Newton step must not raise.
+        """Return the contact, the residual, and the merit function of a Newton step.
 
-        That is the potential energy, which balance makes least, where there is no friction; else
-        the forces that are out of balance.
+        The merit function is the potential energy, which is minimal in equilibrium, if there is no
+        friction, and the norm of the residual otherwise.
         """
         contact = self._tractions(old, u, tip)
         pushed = np.bincount(self.unknowns.ravel(), contact.nodal.ravel(), len(u))
@@ -244,7 +244,7 @@ class Press:
         return bool(min(values.min() for values in self.elastic.dilatation(u)) < DET_MIN)
 
     def _tractions(self, old: State, u: Array, tip: float) -> Contact:
-        """What the indenter does to the top, and how that changes with displacement."""
+        """Return the tractions of the indenter on the top, and their derivative."""
         moved = u[self.unknowns].reshape(-1, 3, 2)
         place = self.shape @ moved
         r, z = self.r + place[..., 0], self.z + place[..., 1] - tip
@@ -288,10 +288,10 @@ class Press:
         return Contact(pressure, shear, nodal, stiff, force, reach)
 
     def _touched(self, old: State, before: Array, gap: Array) -> tuple[Array, Array]:
-        """Share of the step in which a point touches (S, P), and its derivative by the gap [1/m].
+        """Return the share of the step in contact (S, P), and its derivative by the gap [1/m].
 
-        Without it friction is exact to first order in the step only: a point that has just been
-        reached would be dragged by all of the step.
+        Without it, friction is exact only to first order in the step: a point that has just come
+        into contact would be dragged by the whole step.
         """
         moved = self.shape @ before
         was = self.profile.distance(self.r + moved[..., 0], self.z + moved[..., 1] - old.tip)[0]
@@ -322,17 +322,17 @@ class Press:
 
 @dataclass(frozen=True)
 class Contact:
-    """Tractions on the contact points of the top."""
+    """Tractions at the contact points of the top."""
 
     pressure: Array
     """(S, P) [Pa]."""
     shear: Array
     """(S, P) along the tangent (n_z, -n_r) [Pa]."""
     nodal: Array
-    """Force (S, 6) on the nodes of each edge [N]."""
+    """Nodal forces (S, 6) of each edge [N]."""
     stiff: Array
     """-d(traction)/d(place) at the points, (S, P, 2, 2) [Pa/m]."""
     force: float
-    """Of the indenter, downwards [N]."""
+    """Downward force of the indenter [N]."""
     reach: float
-    """Largest r that touches [m]."""
+    """Largest r in contact [m]."""

@@ -1,7 +1,7 @@
-"""Presses by round indenters whose truth is computed here, each with an equal in `sim`.
+"""Presses by round indenters with reference solutions, each with an equivalent scene in `sim`.
 
-Lengths in millimetres, as in the names; the body is a square block pressed at its middle, wide
-enough (contact radius + 4 thicknesses to each side) that a disc of equal area stands for it.
+Lengths are in millimetres, as in the names. The body is a square block pressed at its middle, wide
+enough (contact radius + 4 thicknesses to each side) to be replaced by a disc of equal area.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Case:
 
     @property
     def name(self) -> str:
-        """Says all of it but the modulus: `sphere 4 in 4, mu 0.3, nu 0.45, to 1.5`."""
+        """Description without the modulus: `sphere 4 in 4, mu 0.3, nu 0.45, to 1.5`."""
         measures = "/".join(f"{measure:g}" for measure in self.measures)
         return (
             f"{self.kind} {measures} in {self.thickness:g}, mu {self.friction:g}, "
@@ -64,11 +64,11 @@ class Case:
         return make[self.kind](*lengths)
 
     def layer(self, radius: float) -> Layer:
-        """The body as a disc of `radius` [m]."""
+        """Return the body as a disc of `radius` [m]."""
         return Layer(radius, self.thickness * MM, self.modulus, self.poisson)
 
     def touched(self, depth: float) -> tuple[float, float]:
-        """About which radii touch at `depth`, from and to [mm]; enough to place elements by."""
+        """Return approximate inner and outer contact radii at `depth` [mm], for mesh grading."""
         first = self.measures[0]
         if self.kind == "sphere":
             return 0.0, _cap(first, depth, self.thickness)
@@ -83,18 +83,18 @@ class Case:
         return (self.measures[1] if self.kind == "tube" else 0.0), first
 
     def places(self, elements: int) -> list[Fine]:
-        """Where the mesh is fine, with `elements` along the radius of the contact."""
+        """Return the refined zones of the mesh, with `elements` along the radius of the contact."""
         low, high = self.touched(max(self.depths))
         if self.kind in ("sphere", "cone", "torus"):
             wide = (high - low) / (2 if self.kind == "torus" else 1)
             zones = [Fine(low * MM, high * MM, wide / elements * MM)]
             if low == 0:
-                # A contact that is small yet has half as many elements along its radius.
+                # A contact that is still small has half as many elements along its radius.
                 small = self.touched(min(self.depths))[1]
                 zones.append(Fine(0.0, small * MM, small / elements * 2 * MM))
             return zones
         edge = self.measures[-1]
-        # An edge of which only a little touches wants elements for that little.
+        # If only a small part of an edge touches, the elements are sized for that part.
         held = math.sqrt(edge**2 - max(0.0, edge - max(self.depths)) ** 2)
         size = held / elements * 2.5
         spots = [Fine((high - edge) * MM, (high + 0.3 * edge) * MM, size * MM)]
@@ -103,14 +103,14 @@ class Case:
         return spots
 
     def path(self, steps: int) -> list[float]:
-        """Depths [m] that a press goes by: contact grows about evenly."""
+        """Return intermediate depths [m] of a press, at which the contact grows about evenly."""
         power = 2 if self.kind in ("sphere", "torus") else 1
         deepest = max(self.depths) * MM
         return [deepest * (step / steps) ** power for step in range(1, steps + 1)]
 
 
 def _cap(radius: float, depth: float, thickness: float) -> float:
-    """Contact radius of a sphere, between a half-space (R d)^1/2 and a thin layer (2 R d)^1/2."""
+    """Return a sphere's contact radius between (R d)^1/2 (half-space) and (2 R d)^1/2 (layer)."""
     half_space = math.sqrt(radius * depth)
     grown = min(1.0, 0.5 * half_space / thickness)
     return min(half_space * math.sqrt(1 + grown), 0.98 * radius)

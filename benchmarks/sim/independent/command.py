@@ -1,6 +1,6 @@
-"""`sim` against solutions that others' means gave: `python -m benchmarks independent`.
+"""`sim` compared with independent solutions: `python -m benchmarks independent`.
 
-With `--make`, those solutions are computed (what is missing of them) in place of the comparison.
+With `--make`, missing solutions are computed instead of the comparison.
 """
 
 from __future__ import annotations
@@ -21,42 +21,44 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and its options."""
+    """Add the subcommand and its options."""
     parser = verbs.add_parser(
         "independent",
-        help="forces of presses beside solutions by other means",
-        description="Solves presses whose forces are known from finite elements that share no line "
-        "with `sim`, and tells how far off it is. Exit 0 however far that is.",
+        help="forces of presses compared with independent solutions",
+        description="Solves presses whose forces are known from finite elements that share no code "
+        "with `sim`, and reports the error of `sim`. The exit code is 0 for any error.",
     )
     parser.add_argument(
         "--only",
         action="append",
         default=[],
         metavar="WORD",
-        help="cases whose name has this in it (may be repeated)",
+        help="cases whose name contains this (may be repeated)",
     )
-    parser.add_argument("--list", action="store_true", help="name the cases and end")
+    parser.add_argument("--list", action="store_true", help="list the cases and exit")
     parser.add_argument(
-        "--set", choices=("axisymmetric", "foreign"), help="leave the other truths out"
+        "--set", choices=("axisymmetric", "foreign"), help="compare with this set only"
     )
-    parser.add_argument("--tolerance", metavar="ERROR", help='ask `sim` for it: "1 %%"')
+    parser.add_argument("--tolerance", metavar="ERROR", help='tolerance for `sim`: "1 %%"')
     parser.add_argument("--tier", choices=("layer", "fem", "mpm"), help="the tier of `sim`")
-    parser.add_argument("--processes", type=int, default=1, help="cases side by side (%(default)s)")
-    parser.add_argument("--csv", type=Path, metavar="FILE", help="write the rows there too")
+    parser.add_argument(
+        "--processes", type=int, default=1, help="number of parallel cases (%(default)s)"
+    )
+    parser.add_argument("--csv", type=Path, metavar="FILE", help="also write the rows to this file")
     parser.add_argument(
         "--make",
         choices=("axisymmetric", "foreign"),
-        help="solve what the file of truths lacks, and add it",
+        help="solve the cases missing from the reference file, and add them",
     )
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Compare, or make truths; the exit code.
+    """Compare, or make reference solutions, and return the exit code.
 
     Raises:
-        SceneError: No such case; a tier and a tolerance; a number of processes below 1; truths to
-            be made by GetFEM, which is not there.
+        SceneError: Unknown case; both a tier and a tolerance; fewer than 1 process; GetFEM is
+            needed but not installed.
         WorkerLost: A worker process was killed.
     """
     if options.make:
@@ -79,7 +81,9 @@ def run(options: argparse.Namespace) -> int:
     if options.set != "axisymmetric":
         tasks += foreign_tasks(options.only)
     if not tasks:
-        raise SceneError(f"--only: {', '.join(options.only)!r}; allowed: part of a case's name")
+        raise SceneError(
+            f"--only: {', '.join(options.only)!r}; allowed: part of the name of a case"
+        )
     if options.list:
         print("\n".join(task.name for task in tasks))
         return 0

@@ -1,4 +1,4 @@
-"""`sim` beside the truths of this folder, force by force."""
+"""Comparison of `sim` with the reference solutions of this folder, force by force."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from sim.scene import Body, Scene, press, through
 from sim.simulate import simulate
 from sim.tiers import Tier
 
-# Error that is counted as good [%].
+# Error that counts as good [%].
 WITHIN = 3.0
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How `sim` is asked; with none of both, its default."""
+    """Settings of `sim`; without both, its default."""
 
     tier: Tier | None = None
     tolerance: str | None = None
@@ -44,41 +44,41 @@ class Settings:
 
 @dataclass(frozen=True)
 class Task:
-    """A scene of `sim` and the truths of some of its frames."""
+    """A scene of `sim` and the reference forces of some of its frames."""
 
     name: str
     scene: Scene
     frames: tuple[int, ...]
-    """Which frames of the result have a truth."""
+    """Frames of the result that have a reference force."""
     truths: tuple[tuple[float, float, float], ...]
-    """Force on the body [N]; NaN where nothing is known of a component."""
+    """Force on the body [N]; NaN for unknown components."""
     errors: tuple[float, ...]
-    """Error bars of the truths [%]."""
+    """Uncertainties of the reference forces [%]."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One force compared."""
+    """Comparison of one force."""
 
     case: str
     depth_mm: float
     truth_n: float
-    """Length of the force, of the components that are known."""
+    """Magnitude of the force, over the known components."""
     ours_n: float
-    """The same of `sim`; NaN where it was not solved."""
+    """The same of `sim`; NaN if it was not solved."""
     error_percent: float
-    """|ours - truth| as vectors over |truth|; with a sign where one component is known."""
+    """|ours - truth| as vectors over |truth|; signed if only one component is known."""
     truth_error_percent: float
     own_percent: float
-    """What the result says of its own error; NaN where it says nothing."""
+    """Error estimate of the result; NaN without one."""
     seconds: float
-    """Of the whole press."""
+    """Wall time of the whole press."""
     said: str = ""
-    """Why it was not solved."""
+    """Reason why it was not solved."""
 
 
 def scene_of(case: Case) -> Scene:
-    """The case as a scene of `sim`."""
+    """Return the case as a scene of `sim`."""
     measures = [measure * MM for measure in case.measures]
     indenter: Indenter
     match case.kind:
@@ -98,7 +98,7 @@ def scene_of(case: Case) -> Scene:
 
 
 def round_tasks(only: Sequence[str] = ()) -> list[Task]:
-    """Cases of `axisymmetric.csv` whose name has one of the words; all without words."""
+    """Return the cases of `axisymmetric.csv` whose name has one of the words; all without words."""
     rows = load()
     tasks = []
     for case in CASES:
@@ -118,7 +118,7 @@ def round_tasks(only: Sequence[str] = ()) -> list[Task]:
 
 
 def foreign_scene(case: ForeignCase) -> Scene:
-    """The case as a scene of `sim`."""
+    """Return the case as a scene of `sim`."""
     measures = [measure * MM for measure in case.measures]
     indenter: Indenter
     match case.shape:
@@ -150,7 +150,7 @@ def foreign_scene(case: ForeignCase) -> Scene:
 
 
 def foreign_tasks(only: Sequence[str] = ()) -> list[Task]:
-    """Cases of `foreign.csv` whose name has one of the words; all without words."""
+    """Return the cases of `foreign.csv` whose name has one of the words; all without words."""
     rows = foreign.load()
     tasks = []
     for case in foreign_cases.CASES:
@@ -170,7 +170,7 @@ def foreign_tasks(only: Sequence[str] = ()) -> list[Task]:
 
 
 def compared(task: Task, settings: Settings) -> list[Row]:
-    """Solve a task and compare; a scene that `sim` cannot solve gives rows that say why."""
+    """Solve a task and compare; rows of a scene that `sim` cannot solve state the reason."""
     from time import perf_counter
 
     start = perf_counter()
@@ -199,7 +199,7 @@ def compared(task: Task, settings: Settings) -> list[Row]:
 
 
 def own_error(record: dict[str, object]) -> float:
-    """What a result says of its force's error [%], NaN where nothing.
+    """Return the error estimate of a result's force [%], or NaN without one.
 
     `record["error"]` may be a share, or a mapping with `force` or `percent`.
     """
@@ -214,7 +214,7 @@ def own_error(record: dict[str, object]) -> float:
 
 
 def all_compared(tasks: Sequence[Task], settings: Settings, processes: int) -> Iterator[list[Row]]:
-    """Rows of each task as it is done; in the order of the tasks with one process.
+    """Yield the rows of each task as it completes; in the order of the tasks with one process.
 
     Raises:
         WorkerLost: A worker process was killed.
@@ -231,21 +231,21 @@ def all_compared(tasks: Sequence[Task], settings: Settings, processes: int) -> I
 
 
 def _ready() -> None:
-    """Start Warp without a banner of its own."""
+    """Start Warp without its banner."""
     from sim.device import ready_device
 
     ready_device("cpu")
 
 
 def summary(rows: Sequence[Row]) -> str:
-    """How many forces, the worst, and how many are good."""
+    """Return the number of forces, the worst error, and the number of good forces."""
     solved = [row for row in rows if not math.isnan(row.error_percent)]
     cases = len({row.case for row in rows})
     missing = len(rows) - len(solved)
     if not solved:
         return f"{cases} cases, {len(rows)} forces: none solved"
     worst = max(solved, key=lambda row: abs(row.error_percent))
-    # A truth is only known to its own error bar.
+    # A reference force is only known to its own uncertainty.
     good = sum(abs(row.error_percent) <= WITHIN + row.truth_error_percent for row in solved)
     lost = f", {missing} not solved" if missing else ""
     return (
@@ -258,7 +258,7 @@ HEAD = f"{'case':<44} {'depth mm':>8} {'truth N':>10} {'ours N':>10} {'error %':
 
 
 def line(row: Row) -> str:
-    """A row of the table."""
+    """Return a row as a line of the table."""
     if row.said:
         return f"{row.case:<44} {row.depth_mm:8.4g} {row.truth_n:10.4g} not solved: {row.said}"
     own = "" if math.isnan(row.own_percent) else f"{row.own_percent:7.2f}"

@@ -1,15 +1,15 @@
-"""Axisymmetric finite elements for a compressible neo-Hookean body, of second order.
+"""Second-order axisymmetric finite elements for a compressible neo-Hookean body.
 
-Nine-node quadrilaterals, and a dilatation that is linear over each of them (Q2/P1, stable however
-nearly incompressible the material is: Boffi, Brezzi & Fortin, Mixed Finite Element Methods and
+Nine-node quadrilaterals with a dilatation that is linear in each of them (Q2/P1, stable even for
+nearly incompressible materials: Boffi, Brezzi & Fortin, Mixed Finite Element Methods and
 Applications, 2013, section 8.6). The energy is
 
     W = G/2 (J^(-2/3) |F|^2 - 3) + K/2 ((theta^2 - 1)/2 - ln theta),
 
-theta the projection of J = det F onto 1, r, z in each element, weighted by the untouched volume:
-the three-field principle of Simo, Taylor & Pister (Comput. Methods Appl. Mech. Eng. 51 (1985) 177)
-with pressure and dilatation eliminated, so displacements alone are unknown. F = (F_rr, F_rz, F_zr,
-F_zz, F_hoop) has five entries that are not 0.
+where theta is the projection of J = det F onto 1, r, z in each element, weighted by the undeformed
+volume: the three-field principle of Simo, Taylor & Pister (Comput. Methods Appl. Mech. Eng. 51
+(1985) 177) with pressure and dilatation eliminated, which leaves only displacements as unknowns.
+F = (F_rr, F_rz, F_zr, F_zz, F_hoop) has five nonzero entries.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ POINTS = 3
 
 
 def quadratic(place: Array) -> tuple[Array, Array]:
-    """Three quadratic shape functions at `place` (P,) in -1..1 and their slopes, (P, 3) each."""
+    """Return three quadratic shape functions at `place` (P,) in -1..1 and their slopes, (P, 3)."""
     value = np.stack([place * (place - 1) / 2, 1 - place**2, place * (place + 1) / 2], axis=-1)
     slope = np.stack([place - 0.5, -2 * place, place + 0.5], axis=-1)
     return value, slope
@@ -37,18 +37,18 @@ def quadratic(place: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class Grid:
-    """Elements between lines of r and of z; a node also halfway between lines."""
+    """Elements between lines of r and of z, with nodes also halfway between lines."""
 
     r: Array
-    """Lines of r [m], rising from 0 (or from an inner radius)."""
+    """Lines of r [m], increasing from 0 (or from an inner radius)."""
     z: Array
-    """Lines of z [m], rising from the base to the top."""
+    """Lines of z [m], increasing from the base to the top."""
     dome: float | None = None
-    """Radius of a sphere [m] that the top is lowered onto, with all lines of z in proportion."""
+    """Radius of a spherical top [m], to which all lines of z are scaled."""
 
     @property
     def nodes(self) -> Array:
-        """Places (N, 2) of the nodes [m], r slowest."""
+        """Positions (N, 2) of the nodes [m], r slowest."""
         r, z = _with_middles(self.r), _with_middles(self.z)
         nodes = np.stack(np.meshgrid(r, z, indexing="ij"), axis=-1).reshape(-1, 2)
         if self.dome is not None:
@@ -58,7 +58,7 @@ class Grid:
 
     @property
     def rows(self) -> int:
-        """Nodes in a column along z."""
+        """Number of nodes in a column along z."""
         return 2 * len(self.z) - 1
 
     @property
@@ -84,12 +84,12 @@ def _with_middles(lines: Array) -> Array:
 
 
 class Elastic:
-    """Stored energy of a grid of elements as a function of its nodal displacements.
+    """Stored energy of a mesh as a function of its nodal displacements.
 
     Args:
-        grid: The untouched body.
-        shear: G [Pa].
-        bulk: K [Pa].
+        grid: Mesh of the undeformed body.
+        shear: Shear modulus G [Pa].
+        bulk: Bulk modulus K [Pa].
     """
 
     def __init__(self, grid: Grid, shear: float, bulk: float) -> None:
@@ -104,7 +104,7 @@ class Elastic:
         along_z = np.einsum("pi,qj->pqij", value, slope).reshape(-1, 9)
         r = np.einsum("pn,en->ep", shape, nodes[elements, 0])
         flat = np.outer(weight, weight).ravel()
-        # Places by reference coordinates (E, P, 2), and with them slopes of the shapes by place.
+        # Derivatives of position by reference coordinates (E, P, 2), then shape slopes by position.
         first_way = np.einsum("pn,enc->epc", along_r, nodes[elements])
         second_way = np.einsum("pn,enc->epc", along_z, nodes[elements])
         area = first_way[..., 0] * second_way[..., 1] - first_way[..., 1] * second_way[..., 0]
@@ -112,14 +112,14 @@ class Elastic:
         over_z = first_way[..., 0, None] * along_z - second_way[..., 0, None] * along_r
         over_r, over_z = over_r / area[..., None], over_z / area[..., None]
         self.volume: Array = 2 * math.pi * r * flat * area
-        # How the five entries of F follow from the 18 displacements, (E, P, 5, 18).
+        # Operator from the 18 displacements to the five entries of F, (E, P, 5, 18).
         self.operator = np.zeros((*r.shape, 5, 18))
         self.operator[:, :, 0, 0::2] = over_r
         self.operator[:, :, 1, 0::2] = over_z
         self.operator[:, :, 2, 1::2] = over_r
         self.operator[:, :, 3, 1::2] = over_z
         self.operator[:, :, 4, 0::2] = shape / r[:, :, None]
-        # Projection onto 1, r, z of each element: from values at points to coefficients.
+        # Projection onto 1, r, z of each element, from values at points to coefficients.
         first, second = np.repeat(place, POINTS), np.tile(place, POINTS)
         self.linear = np.stack([np.ones_like(first), first, second], axis=1)
         mass = np.einsum("ep,pa,pb->eab", self.volume, self.linear, self.linear)
@@ -128,19 +128,19 @@ class Elastic:
         self._columns = np.tile(self.unknowns, (1, 18)).ravel()
 
     def gradients(self, u: Array) -> Array:
-        """F at the points of the elements, (E, P, 5), from displacements (2 N,) [m]."""
+        """Return F at the points of the elements, (E, P, 5), from displacements (2 N,) [m]."""
         f: Array = np.matmul(self.operator, u[self.unknowns][:, None, :, None])[..., 0]
         f[:, :, [0, 3, 4]] += 1
         return f
 
     def dilatation(self, u: Array) -> tuple[Array, Array]:
-        """J at the points and its projection theta, (E, P) each."""
+        """Return J at the points and its projection theta, (E, P) each."""
         f = self.gradients(u)
         j = _determinant(f)
         return j, self._projected(j)
 
     def energy(self, u: Array) -> float:
-        """Stored energy [J]; inf where an element is turned inside out."""
+        """Return the stored energy [J]; inf if an element is inverted."""
         f = self.gradients(u)
         j = _determinant(f)
         theta = self._projected(j)
@@ -151,7 +151,7 @@ class Elastic:
         return float(np.sum(density * self.volume))
 
     def force(self, u: Array) -> Array:
-        """First derivative of the energy (2 N,) [N]."""
+        """Return the first derivative of the energy (2 N,) [N]."""
         f = self.gradients(u)
         j = _determinant(f)
         theta = self._projected(j)
@@ -160,7 +160,7 @@ class Elastic:
         stress = (self.shear * j ** (-2 / 3))[..., None] * (
             f - (square / 3 / j)[..., None] * cofactor
         )
-        # Pressure: the projection of dU/dtheta, which works on J itself.
+        # Pressure: the projection of dU/dtheta, which is the conjugate of J.
         pressure = self._projected(self.bulk / 2 * (theta - 1 / theta))
         stress += pressure[..., None] * cofactor
         weighted = (stress * self.volume[..., None]).reshape(len(f), 1, -1)
@@ -169,7 +169,7 @@ class Elastic:
         return np.asarray(whole, np.float64)
 
     def tangent(self, u: Array) -> csc_matrix:
-        """Second derivative of the energy (2 N, 2 N) [N/m]."""
+        """Return the second derivative of the energy (2 N, 2 N) [N/m]."""
         f = self.gradients(u)
         j = _determinant(f)
         theta = self._projected(j)
@@ -191,7 +191,7 @@ class Elastic:
             np.swapaxes(self.operator.reshape(count, -1, 18), 1, 2),
             weighted.reshape(count, -1, 18),
         )
-        # Derivative of the coefficients of theta, (E, 3, 18), and how U bends along them.
+        # Derivative of the coefficients of theta, (E, 3, 18), and the curvature of U along them.
         change = np.einsum("epi,epik->epk", cofactor, self.operator, optimize=True)
         moved = np.einsum("ep,pa,epk->eak", self.volume, self.linear, change, optimize=True)
         moved = np.matmul(self.inverse, moved)
@@ -203,7 +203,7 @@ class Elastic:
         )
 
     def _projected(self, values: Array) -> Array:
-        """`values` (E, P) replaced by the linear function nearest to them in each element."""
+        """Return the linear function nearest to `values` (E, P) in each element."""
         moments = (values * self.volume) @ self.linear
         projected: Array = np.einsum("eab,eb->ea", self.inverse, moments) @ self.linear.T
         return projected
@@ -215,13 +215,13 @@ def _determinant(f: Array) -> Array:
 
 
 def _cofactor(f: Array) -> Array:
-    """Derivative of the determinant, (..., 5)."""
+    """Return the derivative of the determinant, (..., 5)."""
     rr, rz, zr, zz, hoop = np.moveaxis(f, -1, 0)
     return np.stack([zz * hoop, -zr * hoop, -rz * hoop, rr * hoop, rr * zz - rz * zr], axis=-1)
 
 
 def _second(f: Array) -> Array:
-    """Second derivative of the determinant, (..., 5, 5)."""
+    """Return the second derivative of the determinant, (..., 5, 5)."""
     rr, rz, zr, zz, hoop = np.moveaxis(f, -1, 0)
     second = np.zeros((*f.shape, 5))
     for first, other, value in (

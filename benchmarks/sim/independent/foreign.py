@@ -1,4 +1,4 @@
-"""Truths of presses without an axis of symmetry, by a foreign program, kept in `foreign.csv`."""
+"""Reference solutions of presses without axial symmetry, by GetFEM, kept in `foreign.csv`."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ FILE = Path(__file__).with_name("foreign.csv")
 ROOT = Path(__file__).parents[3]
 # Environment variable with the interpreter that has GetFEM.
 PYTHON = "FOREIGN_PYTHON"
-# Where Debian and Ubuntu put `python3-getfem`.
+# Interpreter for which Debian and Ubuntu install `python3-getfem`.
 SYSTEM = "/usr/bin/python3"
-# What the sizes of elements are multiplied by.
+# Factors on the element sizes.
 FINE, COARSE = 1.3, 2.0
 
 
 class MissingProgram(Exception):
-    """No interpreter has GetFEM."""
+    """Raised if no interpreter has GetFEM."""
 
 
 @dataclass(frozen=True)
@@ -36,28 +36,28 @@ class ForeignTruth:
     case: str
     shape: str
     measures: str
-    """As `ForeignCase.measures` [mm]."""
+    """Value of `ForeignCase.measures` [mm]."""
     point: int
-    """Which point of the path, from 0."""
+    """Index of the point of the path, from 0."""
     x_mm: float
     y_mm: float
     depth_mm: float
     friction: float
     force_x_n: float
-    """On the body."""
+    """Force on the body."""
     force_y_n: float
     force_z_n: float
     elements: int
-    """Hexahedra of the fine mesh, of the part that is solved."""
+    """Number of hexahedra of the fine mesh, in the part that is solved."""
     error_percent: float
-    """Force on the coarse mesh less that on the fine one, as vectors, over the latter."""
+    """Difference between the forces on the coarse and fine mesh, as vectors, over the latter."""
 
 
 def interpreter() -> str:
-    """An interpreter that imports GetFEM.
+    """Return an interpreter that can import GetFEM.
 
     Raises:
-        MissingProgram: There is none.
+        MissingProgram: No interpreter has it.
     """
     tried = [found for found in (os.environ.get(PYTHON), sys.executable, SYSTEM) if found]
     for candidate in tried:
@@ -73,7 +73,7 @@ def interpreter() -> str:
 
 
 def load(path: Path = FILE) -> list[ForeignTruth]:
-    """All rows of the file; none where there is no file."""
+    """Return all rows of the file, or none if it does not exist."""
     if not path.exists():
         return []
     with path.open(newline="") as file:
@@ -83,7 +83,7 @@ def load(path: Path = FILE) -> list[ForeignTruth]:
 def make(
     only: Sequence[str] = (), path: Path = FILE, say: Callable[[str], None] = print
 ) -> list[str]:
-    """Solve what the file lacks, case by case, and write it after each; what was not solved.
+    """Solve the cases missing from the file, write it after each, and return those not solved.
 
     Raises:
         MissingProgram: No interpreter has GetFEM.
@@ -119,7 +119,7 @@ Force = tuple[tuple[float, float, float], int]
 
 
 def _solved(python: str, case: ForeignCase, scale: float) -> list[Force]:
-    """Force and number of elements at each point of the path that was reached."""
+    """Return the force and number of elements at each point of the path that was reached."""
     module = "benchmarks.sim.independent.getfem_press"
     done = subprocess.run(
         [python, "-m", module, case.name, f"{scale}"],

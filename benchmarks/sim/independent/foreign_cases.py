@@ -1,6 +1,6 @@
-"""Presses without an axis of symmetry, for a foreign program (`getfem_press`). Lengths in mm.
+"""Presses without axial symmetry, for GetFEM (`getfem_press`). Lengths are in mm.
 
-Plain values, and nothing but the standard library: the program runs in an interpreter of its own.
+Plain values and only the standard library, because GetFEM runs in a separate interpreter.
 """
 
 from __future__ import annotations
@@ -19,32 +19,32 @@ class ForeignCase:
     name: str
     shape: Shape
     measures: tuple[float, ...]
-    """[mm]. `spheres`: radius, and x of the centres of two (or of none: one in the middle).
+    """[mm]. `spheres`: radius, and x of the centres of two (without them: one in the middle).
     `punch`: radius, edge radius. `bar`: radius, length, edge radius; `box`: width, length, edge
     radius. `triangle`: x and y of three corners, counter-clockwise, edge radius."""
     path: tuple[tuple[float, float, float], ...]
     """x, y and depth of the tip [mm]."""
     x_zones: tuple[Zone, ...]
-    """Where x wants elements of a size: from, to, size [mm] of the fine mesh."""
+    """Element sizes along x: from, to, size [mm] of the fine mesh."""
     y_zones: tuple[Zone, ...]
     """The same for y."""
     size: tuple[float, float, float] = (20.0, 20.0, 4.0)
-    """Of the body along x, y and z [mm]."""
+    """Size of the body along x, y and z [mm]."""
     dome: float | None = None
     """Radius of the body's top [mm]."""
     tilt: tuple[float, float] = (0.0, 0.0)
-    """Of the indenter about x and y [degrees]."""
+    """Tilt of the indenter about x and y [degrees]."""
     friction: float = 0.0
     mirrors: str = ""
-    """`x`: the scene is its own mirror image in the plane x = 0, so half of it is solved; `y`,
-    `xy` likewise."""
+    """`x`: the scene is symmetric about the plane x = 0, so half of it is solved; `y`, `xy`
+    likewise."""
     modulus: float = 0.145e6
     """[Pa]."""
     poisson: float = 0.45
 
     @property
     def text(self) -> str:
-        """The measures between spaces."""
+        """The measures, separated by spaces."""
         return " ".join(f"{measure:g}" for measure in self.measures)
 
 

@@ -1,13 +1,13 @@
-"""A press solved by GetFEM, a program of others: run by an interpreter that has it.
+"""Press solved by GetFEM, an independent program, in an interpreter that has it.
 
     python3 -m benchmarks.sim.independent.getfem_press NAME SCALE
 
-prints one line of JSON per point of the path: force on the body [N] and how many elements. SCALE
+prints one line of JSON per point of the path: force on the body [N] and number of elements. SCALE
 multiplies the size of every element. GetFEM (getfem.org; Debian: python3-getfem) assembles the weak
 form written below and differentiates it; the mesh, Newton's method and the steps are ours. Elements
-of second order (20 nodes), millimetres and newtons. Contact by the augmented Lagrangian of a signed
-distance that is written as an expression of GetFEM's language; every indenter is a core grown by
-its edge radius. Equations are solved by pypardiso where it is there, else by GetFEM's MUMPS.
+are of second order (20 nodes), units are millimetres and newtons. Contact uses an augmented
+Lagrangian with a signed distance written in GetFEM's language; every indenter is a core grown by
+its edge radius. Equations are solved by pypardiso if installed, else by GetFEM's MUMPS.
 """
 
 from __future__ import annotations
@@ -33,27 +33,27 @@ except ImportError:
 
 Array = NDArray[np.float64]
 
-# Numbers of regions.
+# Region numbers.
 BASE, TOP = 1, 2
-# Of contact, in modulus per millimetre of contact radius.
+# Contact stiffness, in modulus per millimetre of contact radius.
 STIFFNESS = 300.0
-# Friction with which hardly anything slips.
+# Friction coefficient at which hardly any point slips.
 STUCK = 50.0
 GROWTH, CONVERGED, ITERATIONS, AUGMENTATIONS = 0.5, 1e-6, 14, 3
-# Of a change that Newton's method proposes, tried in turn.
+# Shares of a Newton step, tried in turn.
 SHARES = (1.0, 0.5, 0.25, 0.125)
-# First Piola-Kirchhoff stress of the law that `sim` has, at virtual displacements.
+# First Piola-Kirchhoff stress of the material law in `sim`, at virtual displacements.
 LAW = "(G*pow(Det(F),-2/3)*(F-Norm_sqr(F)/3*Inv(F)')+K/2*(sqr(Det(F))-1)*Inv(F)'):Grad_Test_u"
 
 
 def lines(low: float, high: float, zones: Any, scale: float, coarsest: float) -> Array:
-    """Lines between elements along one axis [mm]."""
+    """Return the lines between elements along one axis [mm]."""
     places = [Fine(start, end, size * scale) for start, end, size in zones]
     return graded(low, high, places, GROWTH, coarsest * scale)
 
 
 def mesh_of(case: ForeignCase, scale: float) -> Any:
-    """Hexahedra between lines; with a dome, stretched along z to meet it, of second order."""
+    """Return hexahedra between lines; with a dome, of second order and stretched to it along z."""
     size_x, size_y, thick = case.size
     x = lines(0.0 if "x" in case.mirrors else -size_x / 2, size_x / 2, case.x_zones, scale, 3.0)
     y = lines(0.0 if "y" in case.mirrors else -size_y / 2, size_y / 2, case.y_zones, scale, 3.0)
@@ -81,7 +81,7 @@ def mesh_of(case: ForeignCase, scale: float) -> Any:
 
 
 def turned(case: ForeignCase) -> tuple[Array, float]:
-    """Rotation of the indenter, and how far it is raised so that its tip is lowest [mm]."""
+    """Return the rotation of the indenter, and its rise that keeps its tip lowest [mm]."""
     about = np.radians(np.array([*case.tilt, 0.0]))
     angle = float(np.linalg.norm(about))
     if angle == 0:
@@ -95,7 +95,7 @@ def turned(case: ForeignCase) -> tuple[Array, float]:
 
 
 def distance(case: ForeignCase) -> str:
-    """Signed distance as an expression of the place q in the indenter's own frame."""
+    """Return the signed distance as an expression of the place q in the indenter's frame."""
     measures = case.measures
     if case.shape == "spheres":
         radius = measures[0]
@@ -135,7 +135,7 @@ def _triangle(measures: tuple[float, ...], edge: float) -> str:
     along = np.roll(corners, -1, axis=0) - corners
     along /= np.linalg.norm(along, axis=1)[:, None]
     normal = np.stack([along[:, 1], -along[:, 0]], axis=1)
-    # The core: every side moved inwards by the edge radius.
+    # Core: every side moved inwards by the edge radius.
     offset = np.sum(normal * corners, axis=1) - edge
     core = [
         np.linalg.solve(np.stack([normal[index - 1], normal[index]]), offset[[index - 1, index]])
@@ -157,7 +157,7 @@ def _triangle(measures: tuple[float, ...], edge: float) -> str:
 
 
 class Solver:
-    """GetFEM's model of a case, and Newton's method on it."""
+    """GetFEM model of a case, with Newton's method."""
 
     def __init__(self, case: ForeignCase, scale: float) -> None:
         self.case = case
@@ -186,7 +186,7 @@ class Solver:
 
     def _model(self, volume: Any) -> Any:
         case, model = self.case, getfem.Model("real")
-        # Heaviside(t), but with a derivative, 0, so that what it chooses can be differentiated.
+        # Heaviside(t) with a derivative of 0, so that expressions with it can be differentiated.
         getfem.asm_define_function("step", 1, "Heaviside(t)", "0*t")
         modulus = case.modulus * 1e-6
         model.add_fem_variable("u", self.field)
@@ -211,7 +211,7 @@ class Solver:
         return model
 
     def _rub(self, model: Any) -> None:
-        """Coulomb's friction by return mapping, for one sphere."""
+        """Add Coulomb friction by return mapping, for one sphere."""
         radius = self.case.measures[0]
         model.add_initialized_data("mu", self.case.friction)
         model.add_initialized_data("lower", np.array([0.0, 0.0, radius]))
@@ -225,7 +225,7 @@ class Solver:
         self.contact = "-(push*n+rub).Test_u"
 
     def force(self) -> Array:
-        """Force of the indenter on the whole body (3,) [N]."""
+        """Return the force of the indenter on the whole body (3,) [N]."""
         nodal = getfem.asm_generic(self.surface, 1, self.contact, TOP, self.model)
         sums = -np.asarray(nodal).reshape(-1, 3)[: self.field.nbdof() // 3].sum(axis=0)
         copies = 2.0 ** len(self.case.mirrors)
@@ -235,9 +235,9 @@ class Solver:
         return np.asarray(copies * sums)
 
     def move(self, tip: Array, guess: Array | float = 0.0) -> bool:
-        """Newton's method to a tip at `tip`; whether it balances.
+        """Apply Newton's method to a tip at `tip`; return True if it converges.
 
-        It starts from the body as it is, displaced by `guess` [mm] at its nodes.
+        It starts from the current body, displaced by `guess` [mm] at its nodes.
         """
         model, before = self.model, self.model.variable("u")
         travel = tip - model.variable("tip")
@@ -247,8 +247,8 @@ class Solver:
         was = model.variable("tip")
         model.set_variable("tip", tip)
         model.set_variable("u", before + guess)
-        # With friction, first as if all stuck: were the body left where it is, all of it would slip
-        # at the first iteration, and nothing would hold it sideways.
+        # With friction, first solve as if all points stick: from the undisplaced body, all points
+        # would slip in the first iteration, and nothing would restrain it sideways.
         if self.case.friction:
             model.set_variable("mu", STUCK)
             if not self._balanced():
@@ -262,7 +262,7 @@ class Solver:
         return False
 
     def _balanced(self) -> bool:
-        """Newton's method from the body as it is; whether it converges."""
+        """Apply Newton's method from the current body; return True if it converges."""
         norm = self._residual(self.model.variable("u"))
         for _ in range(ITERATIONS):
             if not math.isfinite(norm):
@@ -273,19 +273,19 @@ class Solver:
         return False
 
     def _residual(self, u: Array) -> float:
-        """Length of the forces that are out of balance with displacements `u` [N]."""
+        """Return the norm of the residual with displacements `u` [N]."""
         self.model.set_variable("u", u)
         self.model.assembly("build_all")
         return float(np.linalg.norm(np.asarray(self.model.rhs())[self.free]))
 
     def _improved(self, norm: float) -> float:
-        """Take one Newton step, shortened where that helps; the force still out of balance [N]."""
+        """Take one Newton step, shortened if that helps; return the norm of the residual [N]."""
         start, change = self.model.variable("u"), np.zeros(self.field.nbdof())
         change[self.free] = self._solve(np.asarray(self.model.rhs())[self.free])
         left = {}
         for share in SHARES:
             left[share] = self._residual(start + share * change)
-            # NaN, of an element turned inside out, is not less either.
+            # NaN, from an inverted element, does not compare as less.
             if left[share] < norm:
                 return left[share]
         finite = [share for share in SHARES if math.isfinite(left[share])]
@@ -317,7 +317,7 @@ class Solver:
         return np.asarray(solution)
 
     def settle(self) -> None:
-        """Bring the carried pressure up to date, so that no penetration is left."""
+        """Update the multipliers, so that no penetration remains."""
         for _ in range(AUGMENTATIONS):
             before = self.model.variable("carried")
             force = self.force()
@@ -330,7 +330,7 @@ class Solver:
 
 
 def main(name: str, scale: float) -> int:
-    """Solve a case; print each of its forces."""
+    """Solve a case and print each of its forces."""
     case = next(case for case in CASES if case.name == name)
     solver = Solver(case, scale)
     start = np.array([case.path[0][0], case.path[0][1], 0.0])
@@ -338,8 +338,8 @@ def main(name: str, scale: float) -> int:
     for x, y, depth in case.path:
         aim = np.array([x, y, -depth])
         length = float(np.linalg.norm(aim - start))
-        # How the body moved per way of the tip, of the last step in this direction: without it, the
-        # indenter is so deep in the body that Newton's method starts from pressures a hundredfold.
+        # Displacement of the body per displacement of the tip, in the last step in this direction.
+        # Without it, the indenter is so deep that Newton's method starts at a hundredfold pressure.
         if heading @ (aim - start) < 0.99 * length:
             rate = np.zeros(solver.field.nbdof())
         heading = (aim - start) / length

@@ -1,4 +1,4 @@
-"""Meshes graded to the contact: fine where the indenter comes, growing outwards and downwards."""
+"""Meshes graded to the contact: fine at the indenter, coarser outwards and downwards."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from benchmarks.sim.independent.element import Grid
 
 Array = NDArray[np.float64]
 
-# Places at which the wanted size of an element is summed.
+# Number of points at which the element size is integrated.
 SAMPLES = 20_000
 
 
 @dataclass(frozen=True)
 class Fine:
-    """An interval of r with elements of a size, and how they grow beside it."""
+    """Interval of r with elements of a given size."""
 
     low: float
     """[m]."""
@@ -31,14 +31,14 @@ class Fine:
 def graded(
     low: float, high: float, places: Sequence[Fine], growth: float, coarsest: float
 ) -> Array:
-    """Lines from `low` to `high` [m] between elements of the sizes that `places` ask for.
+    """Return lines from `low` to `high` [m] between elements of the sizes given by `places`.
 
     Args:
         low: First line [m].
         high: Last line [m].
-        places: Where elements are how fine.
-        growth: How much longer an element is than the fine ones, per distance from them.
-        coarsest: Longest element [m].
+        places: Refined intervals.
+        growth: Increase of the element length per distance from the refined intervals.
+        coarsest: Maximum element length [m].
     """
 
     def size(x: Array) -> Array:
@@ -52,7 +52,7 @@ def graded(
 
 
 def _lines(low: float, high: float, size: Callable[[Array], Array]) -> Array:
-    # Half of the samples lie densely at either end, where elements may be 1e-4 of the whole.
+    # Half of the samples are dense at either end, where elements may be 1e-4 of the whole.
     share = np.linspace(0, 1, SAMPLES) ** 3
     x = np.unique(np.concatenate([low + (high - low) * share, high - (high - low) * share]))
     middle = (x[1:] + x[:-1]) / 2
@@ -69,9 +69,9 @@ def layer_grid(
     growth: float = 0.3,
     dome: float | None = None,
 ) -> Grid:
-    """Mesh of a layer [m] whose elements at the top have the sizes that `places` ask for.
+    """Return the mesh of a layer [m] whose elements at the top have the sizes in `places`.
 
-    With a `dome` [m] its top is a sphere of that radius, `thickness` high at the middle.
+    With a `dome` [m], the top is a sphere of that radius, `thickness` high at the middle.
     """
     finest = min(place.size for place in places)
     r = graded(0.0, radius, places, growth, thickness / 2)

@@ -1,8 +1,8 @@
-"""Outlines of round indenters: signed distance in the half-plane (r, z), tip at z = 0.
+"""Profiles of round indenters: signed distance in the half-plane (r, z), tip at z = 0.
 
-Every outline is a core that is grown by `rounding` on all sides: a point (sphere, ring), an upright
+Every profile is a core that is grown by `rounding` on all sides: a point (sphere, ring), an upright
 strip (punch, flat tube) or an upright cone (cone with a round tip). Distance, normal and curvature
-of such a body are exact wherever a point is no deeper in it than `rounding`.
+of such a body are exact up to a penetration of `rounding`.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ Kind = Literal["sphere", "torus", "punch", "tube", "cone"]
 
 @dataclass(frozen=True)
 class Profile:
-    """One outline; build it by the functions below."""
+    """One profile, built by the functions below."""
 
     kind: Kind
     inner: float
-    """Least r of the core [m]."""
+    """Smallest r of the core [m]."""
     outer: float
-    """Largest r of the core [m]; of a cone, of its apex: 0."""
+    """Largest r of the core [m]; for a cone, r of its apex: 0."""
     rounding: float
-    """How far the body reaches beyond the core [m]."""
+    """Distance by which the body extends beyond the core [m]."""
     half_angle: float = 0.0
-    """From the axis to the side of a cone [rad]."""
+    """Angle from the axis to the side of a cone [rad]."""
 
     def distance(self, r: Array, z: Array) -> tuple[Array, Array, Array, Array]:
-        """Signed distance [m], its gradient in r and in z, and its curvature [1/m]."""
+        """Return the signed distance [m], its gradient in r and in z, and its curvature [1/m]."""
         if self.kind == "cone":
             return self._from_cone(r, z)
         near_r = np.clip(r, self.inner, self.outer)
@@ -58,25 +58,25 @@ class Profile:
 
 
 def sphere(radius: float) -> Profile:
-    """A sphere [m]."""
+    """Return a sphere [m]."""
     return Profile("sphere", 0.0, 0.0, radius)
 
 
 def torus(ring_radius: float, tube_radius: float) -> Profile:
-    """A ring lying flat: radius of its middle line and of its round section [m]."""
+    """Return a ring lying flat: radius of its middle line and of its round section [m]."""
     return Profile("torus", ring_radius, ring_radius, tube_radius)
 
 
 def punch(radius: float, edge_radius: float) -> Profile:
-    """A flat round punch with a rounded edge [m]."""
+    """Return a flat round punch with a rounded edge [m]."""
     return Profile("punch", 0.0, radius - edge_radius, edge_radius)
 
 
 def tube(outer_radius: float, inner_radius: float, edge_radius: float) -> Profile:
-    """A flat ring with rounded edges [m]."""
+    """Return a flat ring with rounded edges [m]."""
     return Profile("tube", inner_radius + edge_radius, outer_radius - edge_radius, edge_radius)
 
 
 def cone(half_angle: float, tip_radius: float) -> Profile:
-    """A cone [rad] on a tangent spherical tip [m]."""
+    """Return a cone [rad] on a tangent spherical tip [m]."""
     return Profile("cone", 0.0, 0.0, tip_radius, half_angle)

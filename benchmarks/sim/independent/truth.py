@@ -1,6 +1,6 @@
-"""Truths of round presses, kept in `axisymmetric.csv`.
+"""Reference solutions of axisymmetric presses, kept in `axisymmetric.csv`.
 
-Each case is solved on two meshes, and on the discs inside and around its square body.
+Each case is solved on two meshes, and on the discs inscribed in and around its square body.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ FILE = Path(__file__).with_name("axisymmetric.csv")
 
 @dataclass(frozen=True)
 class Fineness:
-    """How fine a case is solved."""
+    """Resolution at which a case is solved."""
 
     elements: int
-    """Along the radius of the contact."""
+    """Number of elements along the radius of the contact."""
     growth: float
-    """Of elements with the distance from it."""
+    """Growth of elements with the distance from the contact."""
     steps: int
-    """Of the tip, with friction; half as many without."""
+    """Number of tip steps, with friction; half as many without."""
 
 
 FINE, COARSE = Fineness(28, 0.22, 40), Fineness(14, 0.36, 20)
@@ -40,7 +40,7 @@ class Truth:
     case: str
     kind: str
     measures: str
-    """As `Case.measures`, a space between [mm, degrees]."""
+    """Value of `Case.measures`, separated by spaces [mm, degrees]."""
     size_mm: float
     """Width of the square body."""
     thickness_mm: float
@@ -50,22 +50,22 @@ class Truth:
     depth_mm: float
     force_n: float
     contact_radius_mm: float
-    """Largest radius that touches, deformed."""
+    """Largest deformed radius in contact."""
     coarse_percent: float
-    """Force on the coarse mesh less that on the fine one, over it."""
+    """Force on the coarse mesh less that on the fine one, over the latter."""
     side_percent: float
-    """Force with a disc around the square less that with a disc inside it, over it."""
+    """Force with a disc around the square less that with a disc inside it, over the force."""
     soft_percent: float
-    """Penetration of the contact over the depth; force errs by 1 to 2 times that."""
+    """Penetration of the contact over the depth; the force error is 1 to 2 times that."""
     error_percent: float
-    """Error bar of the force: |coarse| + |side| / 2 + 2 |soft|."""
+    """Uncertainty of the force: |coarse| + |side| / 2 + 2 |soft|."""
 
 
 def solved(case: Case, radius: float, fineness: Fineness) -> list[Answer]:
-    """The press of a case into a disc of `radius` [m].
+    """Solve the press of a case into a disc of `radius` [m].
 
     Raises:
-        NotSolved: No balance was found.
+        NotSolved: Newton's method did not converge.
     """
     layer = case.layer(radius)
     grid = layer_grid(
@@ -79,15 +79,15 @@ def solved(case: Case, radius: float, fineness: Fineness) -> list[Answer]:
 
 
 def truths(case: Case) -> list[Truth]:
-    """Rows of a case.
+    """Return the rows of a case.
 
     Raises:
-        NotSolved: No balance was found.
+        NotSolved: Newton's method did not converge.
     """
     half = case.size / 2 * MM
     equal = 2 * half / math.sqrt(math.pi)
     fine, coarse = solved(case, equal, FINE), solved(case, equal, COARSE)
-    # Friction hardly matters for what the side does, and takes many steps.
+    # Friction hardly changes the effect of the side, and needs many steps.
     slippery = replace(case, friction=0.0)
     inside, around = (solved(slippery, half * size, COARSE) for size in (1.0, math.sqrt(2)))
     rows = []
@@ -118,7 +118,7 @@ def truths(case: Case) -> list[Truth]:
 
 
 def load(path: Path = FILE) -> list[Truth]:
-    """All rows of the file, in its order; none where there is no file."""
+    """Return all rows of the file in order, or none if it does not exist."""
     if not path.exists():
         return []
     with path.open(newline="") as file:
@@ -128,12 +128,12 @@ def load(path: Path = FILE) -> list[Truth]:
 def make(
     only: Sequence[str] = (), path: Path = FILE, say: Callable[[str], None] = print
 ) -> list[str]:
-    """Solve what the file lacks, case by case, and write it after each; what was not solved.
+    """Solve the cases missing from the file, write it after each, and return those not solved.
 
     Args:
-        only: Words of which a case's name has one; empty: all cases.
+        only: Words to select cases by name; empty: all cases.
         path: The file.
-        say: Told of each case.
+        say: Called with a message for each case.
     """
     from time import perf_counter
 

@@ -1,4 +1,4 @@
-"""A contact sheet: the tip of every named indenter as a shaded map of heights."""
+"""Contact sheet: the tip of every named indenter as a shaded height map."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from sim.indenters.shapes import NAMES, named
 
 Array = NDArray[np.float64]
 
-# Width of what a tile shows [m]: the widest indenter and a margin.
+# Width of the view in a tile [m]: the widest indenter and a margin.
 VIEW = 17e-3
-# Heights beyond this are not drawn [m]: a press never goes so deep.
+# Heights beyond this are not drawn [m], because no press goes that deep.
 REACH = 5e-3
 COLUMNS = 6
 # Samples along each side of a pixel.
@@ -29,19 +29,19 @@ CAPTION = 40
 SCALE = 5e-3
 
 PAPER, INK, GREY = (250, 250, 248), (32, 36, 44), (120, 126, 134)
-# Colours of the tip plane and of what is REACH away from it.
+# Colours of the tip plane and of points REACH above it.
 NEAR, FAR = np.array([236.0, 196.0, 128.0]), np.array([44.0, 74.0, 112.0])
-# Direction to the lamp: over the left shoulder of who looks at the tip.
+# Direction to the lamp: over the viewer's left shoulder.
 LIGHT = np.array([-0.5, 0.6, -0.62]) / np.linalg.norm([-0.5, 0.6, -0.62])
 
 
 def draw_sheet(
     path: str | PathLike[str], *, indenters: Sequence[Indenter] | None = None, tile: int = 200
 ) -> None:
-    """Write a PNG with a tile (of `tile` pixels) for each indenter, all 18 when none are given.
+    """Write a PNG with a tile (of `tile` pixels) for each indenter, by default all 18.
 
-    A tile shows x to the right and y up. Bright is the tip plane, dark is further up; the lamp
-    stands to the upper left. Each caption gives the name and the edge radius.
+    A tile shows x to the right and y up. The tip plane is bright and higher points are darker;
+    the lamp is at the upper left. Each caption gives the name and the edge radius.
     """
     shown = [named(name) for name in NAMES] if indenters is None else list(indenters)
     across = min(COLUMNS, len(shown))
@@ -65,7 +65,7 @@ def draw_sheet(
 
 
 def _shaded(indenter: Indenter, tile: int) -> NDArray[np.uint8]:
-    """The tip as an image (tile, tile, 3)."""
+    """Return an image of the tip (tile, tile, 3)."""
     count = tile * SAMPLES
     along = ((np.arange(count) + 0.5) / count - 0.5) * VIEW
     x, y = np.meshgrid(along, -along)
@@ -90,7 +90,7 @@ def _write(
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """`python -m benchmarks indenters PATH`: the sheet of all 18."""
+    """Run `python -m benchmarks indenters PATH`, which draws the sheet of all 18."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks indenters", description=__doc__)
     parser.add_argument("path", type=Path, help="PNG to write")
     draw_sheet(parser.parse_args(arguments).path)

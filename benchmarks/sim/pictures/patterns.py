@@ -1,4 +1,4 @@
-"""A contact sheet of patterns: `python -m benchmarks patterns docs/images/patterns.png`."""
+"""Contact sheet of patterns: `python -m benchmarks patterns docs/images/patterns.png`."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from sim.markers.pattern import HOMOGENEOUS, NAMES, SIMULATED, Pattern, named
 COLUMNS = 6
 # Height of the text under a tile [px].
 CAPTION = 42
-# Side of the gel that is drawn, unless the pattern is wider [m].
+# Side of the gel in a tile, unless the pattern is wider [m].
 GEL = 20e-3
 MARKER = np.array([40.0, 44.0, 54.0])
-# Colour of what the camera sees.
+# Colour of the camera's field of view.
 FRAME = (196, 78, 62)
 GELSIGHT_MM_PER_PX = 0.0249
 
@@ -30,7 +30,7 @@ GELSIGHT_MM_PER_PX = 0.0249
 def draw_sheet(path: str | PathLike[str], names: Sequence[str] = NAMES, *, tile: int = 200) -> None:
     """Write a PNG with a tile (of `tile` pixels) for each of the patterns.
 
-    A tile shows the whole gel, x to the right and y up; the frame is what the camera sees of it.
+    A tile shows the whole gel, x to the right and y up; the frame is the camera's field of view.
     Captions give the number of markers and the width of one.
     """
     across = min(COLUMNS, len(names))
@@ -69,7 +69,7 @@ def _drawn(pattern: Pattern, gel: float, tile: int) -> NDArray[np.uint8]:
 
 
 def _view(name: str) -> Camera | None:
-    """The camera that the pattern is known from."""
+    """Return the camera that the pattern is known for."""
     if name in SIMULATED:
         return Camera.paper()
     return Camera.of_scale(GELSIGHT_MM_PER_PX) if name in HOMOGENEOUS else None
@@ -78,7 +78,7 @@ def _view(name: str) -> Camera | None:
 def _frame(
     pen: ImageDraw.ImageDraw, left: int, top: int, tile: int, view: Camera, gel: float
 ) -> None:
-    """Draw the edges of the image as far as they lie on the gel."""
+    """Draw the edges of the image where they lie on the gel."""
     pixel = view.mm_per_px * 1e-3 * tile / gel
     for length, horizontal in ((HEIGHT, True), (WIDTH, False)):
         offset = length * pixel / 2

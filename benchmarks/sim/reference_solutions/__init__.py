@@ -1,7 +1,7 @@
-"""What a press must give, from formulas and integral equations: references free of the solver.
+"""Reference solutions of presses, from formulas and integral equations.
 
-Nothing here uses the rest of the simulator. SI units throughout; a force that presses and a depth
-are positive, displacements are in the contact frame (z up, out of the material).
+They are independent of the rest of the simulator. SI units throughout; a force that presses and a
+depth are positive, displacements are in the contact frame (z up, out of the material).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Rigid axisymmetric indenters on a layer, frictionless: exact within linear elasticity.
 
-The pressure is carried by a density phi(t) on 0..a (a: contact radius), and the surface under the
-indenter has its shape when, for 0 <= t <= a,
+The pressure is represented by a density phi(t) on 0..a (a: contact radius). The surface under the
+indenter has its shape if, for 0 <= t <= a,
 
     phi(t) + 2/pi int_0^a K(t, s) phi(s) ds = 2/pi (d - g(t)),
     K(t, s) = int_0^inf (L(k h) - 1) cos(k t) cos(k s) dk,
@@ -11,10 +11,10 @@ Hayes et al., J. Biomech. 5 (1972) 541), with L of `bonded_layer` and g(t) = t i
 sqrt(t^2 - r^2) for an indenter of height z(r) above its tip. Then F = pi E* int_0^a phi dt. A
 smooth indenter adds phi(a) = 0 (no infinite pressure at the edge), which ties d to a.
 
-Both integrals are by Gauss-Legendre rules, so the error falls faster than any power of the number
-of points. `points` is the number of t up to a/h = 10 and grows in proportion beyond, as does that
-of k: doubling it moves no force by more than 1e-12 for a/h up to 10 and 1e-10 for a/h up to 80, at
-any nu up to 0.5.
+Both integrals use Gauss-Legendre rules, so the error decreases faster than any power of the number
+of points. `points` is the number of t up to a/h = 10 and grows in proportion beyond, as does the
+number of k: doubling it changes no force by more than 1e-12 for a/h up to 10 and 1e-10 for a/h up
+to 80, at any nu up to 0.5.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def layer_punch(
     """Flat circular punch of `radius` [m], pressed in by `depth` [m].
 
     Raises:
-        ValueError: A depth that is not above 0.
+        ValueError: The depth is not positive.
     """
     _require_depth(depth)
     flat = Profile(transform=np.zeros_like, slope=np.zeros_like)
@@ -71,7 +71,7 @@ def layer_paraboloid(
     """Paraboloid of curvature 1/`radius` at its tip, Hertz' shape, pressed in by `depth` [m].
 
     Raises:
-        ValueError: A depth that is not above 0.
+        ValueError: The depth is not positive.
     """
     shape = Profile(lambda t: t**2 / radius, lambda t: 2 * t / radius)
     guess = math.sqrt(radius * abs(depth))
@@ -94,7 +94,7 @@ def layer_sphere(
     """True sphere of `radius` [m], pressed in by `depth` [m].
 
     Raises:
-        ValueError: A depth that is not above 0, or at which the contact would pass the equator.
+        ValueError: The depth is not positive, or the contact would pass the equator.
     """
 
     def slope(t: Array) -> Array:
@@ -124,7 +124,7 @@ def layer_cone(
     """Cone, `half_angle` [rad] from its axis to its side, pressed in by `depth` [m].
 
     Raises:
-        ValueError: A depth that is not above 0.
+        ValueError: The depth is not positive.
     """
     steepness = math.pi / 2 / math.tan(half_angle)
     shape = Profile(lambda t: steepness * t, lambda t: np.full_like(t, steepness), steepness)
@@ -136,7 +136,7 @@ def layer_cone(
 
 
 class _Equation:
-    """The integral equation at one contact radius, solved for d = 1 and for g."""
+    """Integral equation at one contact radius, solved for d = 1 and for g."""
 
     def __init__(
         self,
@@ -161,7 +161,7 @@ class _Equation:
 
     @property
     def smooth_depth(self) -> float:
-        """The depth at which phi(a) = 0 [m]."""
+        """Depth at which phi(a) = 0 [m]."""
         return float(self.edge[1] / self.edge[0])
 
     def contact(self, depth: float, modulus: float) -> LayerContact:
@@ -183,13 +183,13 @@ class _Equation:
 def _smooth(
     equation: Callable[[float], _Equation], depth: float, guess: float, limit: float
 ) -> _Equation:
-    """The equation at the contact radius, at most `limit`, that makes phi(a) = 0 at `depth`."""
+    """Return the equation at the contact radius, at most `limit`, with phi(a) = 0 at `depth`."""
     _require_depth(depth)
 
     def excess(contact_radius: float) -> float:
         return equation(contact_radius).smooth_depth - depth
 
-    # The layer widens the contact beyond the half-space's, where the search begins.
+    # The layer widens the contact compared with the half-space, where the search begins.
     low, high = guess / 2, min(1.5 * guess, limit)
     while excess(high) < 0:
         if high == limit:

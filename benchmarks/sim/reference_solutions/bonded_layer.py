@@ -1,4 +1,4 @@
-"""A wide elastic layer on a rigid base, one wave of pressure at a time.
+"""Wide elastic layer on a rigid base, by wave number of the pressure.
 
 Under the pressure p cos(k x) the surface of a layer of thickness h sinks by
 
@@ -17,28 +17,27 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
 
 Array = NDArray[np.float64]
-# How the layer is held below: glued to the base, or sliding on it without lifting.
+# Boundary condition at the base: glued, or sliding without lifting.
 Base = Literal["bonded", "frictionless"]
 
 
 def layer_ratio(alpha: ArrayLike, poisson: float, base: Base = "bonded") -> Array:
-    """L(alpha), alpha = k h >= 0: sinking of the layer over sinking of the half-space.
+    """Return L(alpha), alpha = k h >= 0: sinking of the layer over sinking of the half-space.
 
     Bonded, with kappa = 3 - 4 nu (the kernel of Hayes et al., J. Biomech. 5 (1972) 541):
 
         L = (2 kappa sinh 2a - 4 a) / (2 kappa cosh 2a + 1 + kappa^2 + 4 a^2)
 
-    Frictionless base, free of nu: L = (cosh 2a - 1) / (sinh 2a + 2 a). Written here with
-    exp(-2a), so nothing overflows, and without the difference of nearly equal numbers that
-    spoils the bonded numerator as a -> 0 and nu -> 0.5 (L -> 2/3 a^3 there): relative error a few
-    1e-16 for any alpha.
+    Frictionless base, independent of nu: L = (cosh 2a - 1) / (sinh 2a + 2 a). Evaluated with
+    exp(-2a), so nothing overflows, and without the cancellation in the bonded numerator as
+    a -> 0 and nu -> 0.5 (L -> 2/3 a^3 there): the relative error is a few 1e-16 for any alpha.
     """
     alpha = np.asarray(alpha, float)
     numerator: Array
     if base == "frictionless":
         numerator = np.square(np.expm1(-2 * alpha))
     else:
-        # kappa - 1 is exact this way; 2 sinh x - 2 x stands apart, as it is small for small x.
+        # This form of kappa - 1 is exact; 2 sinh x - 2 x is separate, as it is small for small x.
         excess = 2 * (1 - 2 * poisson)
         numerator = -excess * np.expm1(-4 * alpha) + _sinh_beyond_linear(2 * alpha)
     ratio: Array = numerator / np.where(alpha > 0, _denominator(alpha, poisson, base), 1.0)
@@ -46,7 +45,7 @@ def layer_ratio(alpha: ArrayLike, poisson: float, base: Base = "bonded") -> Arra
 
 
 def layer_deficit(alpha: ArrayLike, poisson: float, base: Base = "bonded") -> Array:
-    """1 - L(alpha), accurate where L is 1 to machine precision: it falls off as exp(-2 alpha)."""
+    """Return 1 - L(alpha), accurate even where L rounds to 1: it decays as exp(-2 alpha)."""
     alpha = np.asarray(alpha, float)
     once, twice = np.exp(-2 * alpha), np.exp(-4 * alpha)
     numerator: Array
@@ -63,10 +62,10 @@ def layer_deficit(alpha: ArrayLike, poisson: float, base: Base = "bonded") -> Ar
 def layer_compliance(
     wave_number: ArrayLike, thickness: float, modulus: float, poisson: float, base: Base = "bonded"
 ) -> Array:
-    """Sinking of the surface over pressure, w / p at wave number k [m/Pa].
+    """Return the sinking of the surface over pressure, w / p at wave number k [m/Pa].
 
-    2 (1 - nu^2) / (E k) L(k h). At k = 0 its limit: bonded h / M with the oedometric modulus M,
-    frictionless h (1 - nu^2) / E (the layer may widen along the wave).
+    2 (1 - nu^2) / (E k) L(k h). The limit at k = 0 is, for a bonded base, h / M with the
+    oedometric modulus M, and for a frictionless one h (1 - nu^2) / E (free to widen).
     """
     alpha = np.asarray(wave_number, float) * thickness
     slope = 0.5 if base == "frictionless" else (1 - 2 * poisson) / (2 * (1 - poisson) ** 2)
@@ -77,11 +76,11 @@ def layer_compliance(
 
 
 def edge_decay(poisson: float) -> float:
-    """Rate b at which a bonded layer forgets a far edge: what it does there dies as exp(-b x/h).
+    """Return the rate b at which the effect of a bonded layer's far edge decays, as exp(-b x/h).
 
     The root of 2 kappa cos 2b + 1 + kappa^2 - 4 b^2 = 0, the pole of L at alpha = i b nearest to
-    the real axis: 0.739 (nu = 0.5), 0.783 (0.45), 0.913 (0.3). Formulas for an endless layer hold
-    on a block only where exp(-b x/h) is small, x being the distance to the nearest side.
+    the real axis: 0.739 (nu = 0.5), 0.783 (0.45), 0.913 (0.3). Formulas for an infinite layer
+    apply to a block only where exp(-b x/h) is small, x being the distance to the nearest side.
     """
     kappa = 3 - 4 * poisson
 
@@ -92,7 +91,7 @@ def edge_decay(poisson: float) -> float:
 
 
 def _denominator(alpha: Array, poisson: float, base: Base) -> Array:
-    """The denominator of L as written in `layer_ratio`, times exp(-2 alpha)."""
+    """Return the denominator of L as written in `layer_ratio`, times exp(-2 alpha)."""
     once = np.exp(-2 * alpha)
     value: Array
     if base == "frictionless":
@@ -104,11 +103,11 @@ def _denominator(alpha: Array, poisson: float, base: Base) -> Array:
 
 
 def _sinh_beyond_linear(x: Array) -> Array:
-    """2 exp(-x) (sinh x - x) for x >= 0, to full relative precision."""
+    """Return 2 exp(-x) (sinh x - x) for x >= 0, to full relative precision."""
     square = np.minimum(x, 1.0) ** 2
     series = np.ones_like(x)
-    # sinh x - x = x^3/6 (1 + x^2/(4 5) (1 + x^2/(6 7) (1 + ...))); the term left out is below
-    # 1e-16 of the first for x <= 1.
+    # sinh x - x = x^3/6 (1 + x^2/(4 5) (1 + x^2/(6 7) (1 + ...))); the first neglected term is
+    # below 1e-16 of the first for x <= 1.
     for even in (18, 16, 14, 12, 10, 8, 6, 4):
         series = 1 + square / (even * (even + 1)) * series
     small = np.exp(-x) * np.minimum(x, 1.0) ** 3 / 3 * series

@@ -1,10 +1,11 @@
-"""A deep press of a sphere into a neo-Hookean block: converged figures to compare a solver with.
+"""Deep press of a sphere into a neo-Hookean block: converged values for comparison.
 
 Two element families, 8-node bricks with one volume change each (60 x 60 x 12) and 27-node bricks
-with full integration (16 x 16 x 4), press the same block and agree to 0.1 % in force; contact by
-penalty at Gauss points, stiff enough not to show. Surface figures are good to about 3 um outside of
-the contact. Material and block are `Body`'s defaults: W = G/2 (J^(-2/3) tr(F^T F) - 3)
-+ K/2 ((J^2 - 1)/2 - ln J), bonded below, sides free, press in the middle.
+with full integration (16 x 16 x 4), press the same block and agree to 0.1 % in force. Contact uses
+a penalty at Gauss points that is stiff enough to have no visible effect. Surface values are
+accurate to about 3 um outside of the contact. Material and block are the defaults of `Body`:
+W = G/2 (J^(-2/3) tr(F^T F) - 3) + K/2 ((J^2 - 1)/2 - ln J), bonded below, sides free, press in the
+middle.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class DeepIndentation:
-    """What is pressed, and what comes out."""
+    """Inputs and results of the press."""
 
     size_x: float
     """[m]."""
@@ -26,13 +27,13 @@ class DeepIndentation:
     """[Pa]."""
     poisson: float
     radius: float
-    """Of the rigid sphere [m]."""
+    """Radius of the rigid sphere [m]."""
     depths: tuple[float, ...]
     """[m]."""
     forces: tuple[float, ...]
-    """At `depths`, without friction [N]; +-0.1 %."""
+    """Forces at `depths`, without friction [N]; +-0.1 %."""
     force_stick: tuple[float, float]
-    """At the last of `depths`, where touched points never slip: lowest and highest figure [N]."""
+    """Force at the last of `depths` if touched points never slip: lowest and highest value [N]."""
     height_at: tuple[float, ...]
     """Distances from the axis, along x, of material points before the press [m]."""
     height: tuple[float, ...]

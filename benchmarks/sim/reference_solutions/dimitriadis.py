@@ -1,4 +1,4 @@
-"""Dimitriadis' formula for a sphere on a bonded layer: quick, and good for shallow presses only."""
+"""Dimitriadis' formula for a sphere on a bonded layer, valid for shallow presses only."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from benchmarks.sim.reference_solutions.half_space import hertz, hertz_contact_r
 def dimitriadis(
     depth: float, radius: float, thickness: float, modulus: float, poisson: float
 ) -> float:
-    """Force of a paraboloid on a bonded layer [N], as a series in c = sqrt(R d) / h.
+    """Return the force of a paraboloid on a bonded layer [N], as a series in c = sqrt(R d) / h.
 
     F = F_Hertz (1 - 2 A/pi c + 4 A^2/pi^2 c^2 - 8/pi^3 (A^3 + 4 pi^2/15 B) c^3
         + 16 A/pi^4 (A^3 + 3 pi^2/5 B) c^4),
@@ -18,10 +18,11 @@ def dimitriadis(
     B = (0.6387 - 1.0277 nu + 1.5164 nu^2)/(1 - nu):
     Dimitriadis et al., Biophys. J. 82 (2002) 2798, with their coefficients of a bonded layer.
 
-    A reference below c = 0.25 and from nu = 0.3 up only: against `layer_paraboloid` it is off by
-    -0.2, -1.4, -3.1, -6.3, -14 % at c = 0.1, 0.25, 0.35, 0.5, 1 (nu = 0.45), at nu = 0.5 by -0.2,
-    -1.8, -4.0, -8.3, -20 %. Most of it is the term in c^2, which the exact equation expands to
-    7/6 of what stands here. For nu = 0.5 the paper prints +0.0975 c^4, this form gives -0.0973.
+    Usable as a reference only below c = 0.25 and for nu of 0.3 or more: its error relative to
+    `layer_paraboloid` is -0.2, -1.4, -3.1, -6.3, -14 % at c = 0.1, 0.25, 0.35, 0.5, 1 (nu = 0.45),
+    and at nu = 0.5 -0.2, -1.8, -4.0, -8.3, -20 %. Most of it is due to the term in c^2, for which
+    the exact equation gives 7/6 of this one. For nu = 0.5 the paper prints +0.0975 c^4, this form
+    gives -0.0973.
     """
     pi = math.pi
     first = -(1.2876 - 1.4678 * poisson + 1.3442 * poisson**2) / (1 - poisson)

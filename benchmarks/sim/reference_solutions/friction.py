@@ -1,9 +1,9 @@
 """Cattaneo and Mindlin: a sphere on a half-space, pressed by N, then pushed sideways by T <= mu N.
 
-The contact (radius a, of Hertz) sticks within r < c and slips outside; the sphere is rigid and N
-does not change. Two small things are left out: the surface is dragged inwards by N (not so at
-nu = 0.5), and points slip a little across T (not so at nu = 0). Formulas: Cattaneo (1938), Mindlin
-(1949); Johnson, Contact Mechanics (1985), sections 7.2 (push) and 7.4 (back and forth).
+The contact (Hertz radius a) sticks within r < c and slips outside; the sphere is rigid and N is
+constant. Two small effects are neglected: N drags the surface inwards (except at nu = 0.5), and
+points slip a little across T (except at nu = 0). Formulas: Cattaneo (1938), Mindlin (1949);
+Johnson, Contact Mechanics (1985), sections 7.2 (push) and 7.4 (back and forth).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 def mindlin_stick_radius(
     tangential: float, normal: float, coefficient: float, contact_radius: float
 ) -> float:
-    """Radius of the sticking core [m]: c = a (1 - T/(mu N))^(1/3).
+    """Return the radius of the sticking core [m]: c = a (1 - T/(mu N))^(1/3).
 
     Raises:
         ValueError: |T| above mu N.
@@ -31,7 +31,7 @@ def mindlin_stick_radius(
 def mindlin_traction(
     r: ArrayLike, tangential: float, normal: float, coefficient: float, contact_radius: float
 ) -> Array:
-    """Shear traction along T at distance `r` from the axis, on first loading [Pa].
+    """Return the shear traction along T at distance `r` from the axis, on first loading [Pa].
 
     q = 3 mu N / (2 pi a^3) (sqrt(a^2 - r^2) - sqrt(c^2 - r^2)), each root 0 where not
     real.
@@ -52,7 +52,7 @@ def mindlin_displacement(
     modulus: float,
     poisson: float,
 ) -> float:
-    """Sideways shift of the sphere against the far body, on first loading [m].
+    """Return the sideways shift of the sphere relative to the far body, on first loading [m].
 
     D = 3 mu N (2 - nu) / (16 a G) (1 - (1 - T/(mu N))^(2/3)), G = E/(2 (1 + nu)).
 
@@ -72,7 +72,7 @@ def mindlin_force(
     modulus: float,
     poisson: float,
 ) -> float:
-    """Tangential force at a sideways shift, on first loading [N]; mu N once all slips."""
+    """Return the tangential force at a sideways shift, on first loading [N]; mu N in full slip."""
     shift = _full_shift(normal, coefficient, contact_radius, modulus, poisson)
     part = max(0.0, 1 - abs(displacement) / shift)
     return math.copysign(coefficient * normal * (1 - part**1.5), displacement)
@@ -87,11 +87,11 @@ def mindlin_return(
     modulus: float,
     poisson: float,
 ) -> float:
-    """Shift on the way back from `turned_at`, for T between `turned_at` and -`turned_at` [m].
+    """Return the shift during unloading from `turned_at`, for T between +-`turned_at` [m].
 
-    Masing's rule on first loading D: D(T*) - 2 D((T* - T)/2), which is Mindlin & Deresiewicz,
-    J. Appl. Mech. 20 (1953) 327. The way out again from -T* is the
-    mirror image, -mindlin_return(-T, T*).
+    Masing's rule applied to first loading D: D(T*) - 2 D((T* - T)/2), which is Mindlin &
+    Deresiewicz, J. Appl. Mech. 20 (1953) 327. Reloading from -T* is the mirror image,
+    -mindlin_return(-T, T*).
 
     Raises:
         ValueError: |T| above |T*|, or |T*| above mu N.
@@ -113,7 +113,7 @@ def mindlin_loss(
     modulus: float,
     poisson: float,
 ) -> float:
-    """Energy turned to heat in one cycle of T between +-`amplitude` [J].
+    """Return the energy dissipated in one cycle of T between +-`amplitude` [J].
 
     9 (mu N)^2 (2 - nu) / (10 a G) (1 - q^(5/3) - 5/6 s (1 + q^(2/3))), s = T*/(mu N), q = 1 - s:
     Mindlin & Deresiewicz (1953).

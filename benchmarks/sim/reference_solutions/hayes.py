@@ -11,7 +11,7 @@ from benchmarks.sim.reference_solutions.axisymmetric import layer_punch
 HAYES_POISSON = (0.30, 0.40, 0.45, 0.49, 0.50)
 
 # kappa at punch radius over thickness a/h (keys) and `HAYES_POISSON` (columns), from Hayes'
-# integral equation solved to convergence: every digit counts.
+# integral equation solved to convergence; all digits are significant.
 HAYES_KAPPA: Mapping[float, tuple[float, ...]] = MappingProxyType(
     {
         0.2: (1.2066, 1.2323, 1.2523, 1.2741, 1.2806),
@@ -24,8 +24,8 @@ HAYES_KAPPA: Mapping[float, tuple[float, ...]] = MappingProxyType(
     }
 )
 
-# kappa at a/h for nu = 0.5 as the paper prints it (Hayes, Keer, Herrmann & Mockros, J. Biomech. 5
-# (1972) 541) and cartilage studies use it; up to 0.9 % below the converged values.
+# kappa at a/h for nu = 0.5 as printed in the paper (Hayes, Keer, Herrmann & Mockros, J. Biomech.
+# 5 (1972) 541) and used in cartilage studies; up to 0.9 % below the converged values.
 HAYES_PRINTED: Mapping[float, float] = MappingProxyType(
     {
         0.2: 1.281,
@@ -40,9 +40,9 @@ HAYES_PRINTED: Mapping[float, float] = MappingProxyType(
 
 
 def hayes_kappa(ratio: float, poisson: float) -> float:
-    """Factor kappa of F = 2 a E d kappa / (1 - nu^2) at a/h = `ratio`, for nu up to 0.5.
+    """Return the factor kappa of F = 2 a E d kappa / (1 - nu^2) at a/h = `ratio`, nu up to 0.5.
 
-    1 on the half-space; solved here, to 1e-10 up to a/h = 80.
+    It is 1 on the half-space; solved here to 1e-10 up to a/h = 80.
     """
     force = layer_punch(1.0, ratio, 1.0, 1.0, poisson).force
     return force * (1 - poisson**2) / (2 * ratio)

@@ -1,7 +1,8 @@
 """Displacement of a half-space's surface under a point force: Boussinesq and Cerruti.
 
 Contact frame: z points out of the material, which fills z < 0; the force acts on the material at
-the origin of the surface z = 0. Singular there; valid for small strain and any Poisson's ratio.
+the origin of the surface z = 0, where the solution is singular. Valid for small strain and any
+Poisson's ratio.
 """
 
 from __future__ import annotations
@@ -15,10 +16,10 @@ Array = NDArray[np.float64]
 
 
 def boussinesq(x: ArrayLike, y: ArrayLike, force: float, modulus: float, poisson: float) -> Array:
-    """Displacement (..., 3) at (x, y) [m] under `force` along +z (pulling) [N].
+    """Return the displacement (..., 3) at (x, y) [m] under `force` along +z (pulling) [N].
 
     u_z = (1 - nu^2) F / (pi E r), u_r = (1 + nu)(1 - 2 nu) F / (2 pi E r): Johnson, Contact
-    Mechanics (1985), eqs. 3.22, with both axes turned out of the material.
+    Mechanics (1985), eqs. 3.22, with both axes reversed to point out of the material.
     """
     x, y = np.asarray(x, float), np.asarray(y, float)
     r = np.hypot(x, y)
@@ -28,11 +29,11 @@ def boussinesq(x: ArrayLike, y: ArrayLike, force: float, modulus: float, poisson
 
 
 def cerruti(x: ArrayLike, y: ArrayLike, force: float, modulus: float, poisson: float) -> Array:
-    """Displacement (..., 3) at (x, y) [m] under `force` along +x [N].
+    """Return the displacement (..., 3) at (x, y) [m] under `force` along +x [N].
 
     With G = E / (2 (1 + nu)): u_x = F/(2 pi G) ((1 - nu)/r + nu x^2/r^3),
     u_y = F/(2 pi G) nu x y/r^3, u_z = -F/(4 pi G) (1 - 2 nu) x/r^2: Johnson (1985), eqs. 3.75,
-    with the z axis turned out of the material.
+    with the z axis reversed to point out of the material.
     """
     x, y = np.asarray(x, float), np.asarray(y, float)
     r = np.hypot(x, y)

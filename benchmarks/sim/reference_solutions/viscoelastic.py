@@ -1,10 +1,10 @@
-"""Lee and Radok: indentation of a body that relaxes, from its elastic solution.
+"""Lee and Radok: indentation of a relaxing body, from its elastic solution.
 
-The modulus is E(t) = E (1 + sum_i ratio_i exp(-t/time_i)), E at rest; Poisson's ratio keeps its
-value at all times, so the bulk relaxes with the shear. Any elastic force F_el at rest then becomes
-F(t) = int_0^t (E(t - s)/E) dF_el(s), as long as the contact never shrinks: Lee & Radok, J. Appl.
-Mech. 27 (1960) 438. Motions are straight between the given times, as `Motion` has them; depth
-before the first time is 0, so a first depth above 0 is a jump.
+The modulus is E(t) = E (1 + sum_i ratio_i exp(-t/time_i)), with the equilibrium modulus E;
+Poisson's ratio is constant, so the bulk relaxes with the shear. Any elastic force F_el with
+modulus E becomes F(t) = int_0^t (E(t - s)/E) dF_el(s), as long as the contact never shrinks: Lee &
+Radok, J. Appl. Mech. 27 (1960) 438. Motions are linear between the given times, as in `Motion`;
+depth before the first time is 0, so a first depth above 0 is a jump.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 def relaxation_modulus(
     time: ArrayLike, modulus: float, ratios: Sequence[float], times: Sequence[float]
 ) -> Array:
-    """E(t) after a step of strain [Pa]; `modulus` is that at rest."""
+    """Return E(t) after a step of strain [Pa]; `modulus` is the equilibrium modulus."""
     time = np.asarray(time, float)
     value = np.ones_like(time)
     for ratio, relaxation in zip(ratios, times, strict=True):
@@ -35,13 +35,13 @@ def relaxation_modulus(
 def hereditary(
     time: Sequence[float], force: ArrayLike, ratios: Sequence[float], times: Sequence[float]
 ) -> Array:
-    """Force at `time` (N,) [N] of a body whose elastic force at rest is `force` (N,).
+    """Return the force at `time` (N,) [N] of a body whose equilibrium elastic force is `force`.
 
-    int_0^t (E(t - s)/E) dF_el(s), exact where the elastic force is straight between the times (a
-    punch that moves straight); for others, give it at many times. Contact may not shrink.
+    int_0^t (E(t - s)/E) dF_el(s), exact if the elastic force is linear between the times (a punch
+    with linear motion); otherwise use many times. The contact must not shrink.
 
     Raises:
-        ValueError: Times that do not rise, or lengths that differ.
+        ValueError: Times that do not increase, or lengths that differ.
     """
     at, force = _checked(time, force, "force")
     total = force.copy()
@@ -67,13 +67,13 @@ def lee_radok_punch(
     *,
     kappa: float = 1.0,
 ) -> Array:
-    """Force of a flat punch at `time` (N,) [N]: F = 2 a kappa/(1 - nu^2) int E(t - s) d depth(s).
+    """Return the force of a flat punch [N]: F = 2 a kappa/(1 - nu^2) int E(t - s) d depth(s).
 
-    Any history of `depth` (N,) [m], withdrawal too, while the force stays above 0 (the punch does
-    not adhere). `kappa` is 1 on the half-space, `hayes_kappa` on a layer.
+    Valid at `time` (N,) for any history of `depth` (N,) [m], including withdrawal, while the force
+    is positive (no adhesion). `kappa` is 1 on the half-space, `hayes_kappa` on a layer.
 
     Raises:
-        ValueError: Times that do not rise, or lengths that differ.
+        ValueError: Times that do not increase, or lengths that differ.
     """
     stiffness = 2 * radius * kappa * reduced_modulus(modulus, poisson)
     return hereditary(time, stiffness * np.asarray(depth, float), ratios, times)
@@ -88,18 +88,19 @@ def lee_radok_sphere(
     ratios: Sequence[float],
     times: Sequence[float],
 ) -> Array:
-    """Force of a sphere on a half-space at `time` (N,) [N].
+    """Return the force of a sphere on a half-space at `time` (N,) [N].
 
     F = 4 sqrt(R) / (3 (1 - nu^2)) int_0^t E(t - s) d(depth^1.5)(s), for a `depth` (N,) [m] that
-    never falls; Hertz' limits hold. Exact: over a straight piece the integral is a Dawson function.
+    never decreases, within the limits of Hertz. Exact: on a linear piece the integral is a Dawson
+    function.
 
     Raises:
-        ValueError: A depth that falls or starts below 0, times that do not rise, or lengths that
-            differ.
+        ValueError: A depth that decreases or starts below 0, times that do not increase, or lengths
+            that differ.
     """
     at, depth = _checked(time, depth, "depth")
     if depth[0] < 0 or np.any(np.diff(depth) < 0):
-        raise ValueError("depth: falls, or starts below 0; allowed: 0 or above, never falling")
+        raise ValueError("depth: decreases, or starts below 0; allowed: 0 or above, nondecreasing")
     total = depth**1.5
     for ratio, relaxation in zip(ratios, times, strict=True):
         memory = np.empty_like(depth)
@@ -112,7 +113,7 @@ def lee_radok_sphere(
 
 
 def _relaxed_rise(start: float, end: float, span: float, relaxation: float) -> float:
-    """Returns int exp(-(t - s)/relaxation) d(depth^1.5)(s) over one piece that ends at t [m^1.5].
+    """Return int exp(-(t - s)/relaxation) d(depth^1.5)(s) over one piece that ends at t [m^1.5].
 
     With y = depth / (speed relaxation), d(depth^1.5) is 3/2 (speed relaxation)^1.5 sqrt(y) dy, and
     int_0^Y exp(y - Y) sqrt(y) dy = sqrt(Y) - D(sqrt Y), D being Dawson's function.
@@ -130,5 +131,5 @@ def _checked(time: Sequence[float], values: ArrayLike, name: str) -> tuple[Array
     if at.ndim != 1 or at.shape != values.shape:
         raise ValueError(f"{name}: shape {values.shape}; allowed: that of time, {at.shape}, 1-D")
     if np.any(np.diff(at) <= 0):
-        raise ValueError("time: does not rise; allowed: rising [s]")
+        raise ValueError("time: not increasing; allowed: increasing [s]")
     return at, values

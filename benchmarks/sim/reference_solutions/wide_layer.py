@@ -1,8 +1,8 @@
-"""A bonded layer far from its edges, where only the height counts: sag and natural frequencies.
+"""Bonded layer far from its edges, a function of height only: sag and natural frequencies.
 
-Contact frame: z from -h (bonded) to 0 (free). Small strain. On a block it holds where the nearest
-side is several heights away: the edge is felt as exp(-b x/h), b from `edge_decay` (0.78 at
-nu = 0.45), so by 1 % at 6 h.
+Contact frame: z from -h (bonded) to 0 (free). Small strain. It applies to a block at several
+heights from the nearest side: the effect of the edge decays as exp(-b x/h), b from `edge_decay`
+(0.78 at nu = 0.45), to 1 % at 6 h.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 
 def oedometric_modulus(modulus: float, poisson: float) -> float:
-    """M = E (1 - nu) / ((1 + nu)(1 - 2 nu)) [Pa]: stress over strain where nothing can widen."""
+    """Return M = E (1 - nu) / ((1 + nu)(1 - 2 nu)) [Pa]: confined stress over strain."""
     return modulus * (1 - poisson) / ((1 + poisson) * (1 - 2 * poisson))
 
 
@@ -29,7 +29,7 @@ def layer_sag(
     modulus: float,
     poisson: float,
 ) -> Array:
-    """Displacement (..., 3) at height `z` under an even acceleration (x, y, z) [m].
+    """Return the displacement (..., 3) at height `z` under a uniform acceleration (x, y, z) [m].
 
     u_i = density a_i (h^2 - z^2) / (2 C_i), C = (G, G, M): the solution of C u'' + density a = 0,
     u(-h) = 0, u'(0) = 0. The top sinks by density g h^2 / (2 M).
@@ -44,9 +44,9 @@ def layer_sag(
 def shear_frequency(
     thickness: float, density: float, modulus: float, poisson: float, *, overtone: int = 0
 ) -> float:
-    """Frequency of sideways swinging [Hz]: (2 n + 1) c_s / (4 h), c_s = sqrt(G / density).
+    """Return the frequency of lateral vibration [Hz]: (2 n + 1) c_s / (4 h), c_s = sqrt(G/density).
 
-    A standing wave with a node at the base and a free top; n = `overtone` is 0 for the lowest.
+    A standing wave with a node at the base and a free top; n = `overtone`, 0 for the lowest mode.
     """
     speed = math.sqrt(modulus / (2 * (1 + poisson)) / density)
     return (2 * overtone + 1) * speed / (4 * thickness)
@@ -55,6 +55,6 @@ def shear_frequency(
 def compression_frequency(
     thickness: float, density: float, modulus: float, poisson: float, *, overtone: int = 0
 ) -> float:
-    """Frequency of swinging up and down [Hz]: (2 n + 1) c_p / (4 h), c_p = sqrt(M / density)."""
+    """Return the vertical frequency [Hz]: (2 n + 1) c_p / (4 h), c_p = sqrt(M / density)."""
     speed = math.sqrt(oedometric_modulus(modulus, poisson) / density)
     return (2 * overtone + 1) * speed / (4 * thickness)

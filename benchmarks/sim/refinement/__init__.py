@@ -1,4 +1,4 @@
-"""How the force and the surface settle as the mesh gets finer: docs/results/refinement.md."""
+"""Convergence of force and surface with mesh refinement: docs/results/refinement.md."""
 
 from benchmarks.sim.refinement.bench import BenchRow, bench_rows
 from benchmarks.sim.refinement.page import write_page

@@ -1,4 +1,4 @@
-"""The bench problem on one mesh after the other: error against two element families' figures."""
+"""The bench problem on a series of meshes, compared with results of two element families."""
 
 from __future__ import annotations
 
@@ -16,35 +16,35 @@ from sim.result import Result
 from sim.scene import Body, Scene, press
 from sim.simulate import simulate
 
-# Radius outside of the deepest contact, where surfaces are compared [m]: at its rim a mesh can only
-# say where the edge of the contact lies to within an element.
+# Radius outside of the deepest contact, where surfaces are compared [m]: at the contact edge the
+# accuracy is limited to the size of an element.
 FAR = 4e-3
 
 
 @dataclass(frozen=True, slots=True)
 class BenchRow:
-    """One mesh and what it gave."""
+    """Results on one mesh."""
 
     spacing: float
-    """Edge of an element [m]."""
+    """Element size [m]."""
     cells: tuple[int, int, int]
     force: tuple[float, ...]
-    """At the reference's depths [N]."""
+    """Forces at the reference's depths [N]."""
     error: tuple[float, ...]
-    """Of the force, relative to the reference."""
+    """Errors of the force, relative to the reference."""
     field_error: float
-    """Largest difference from the reference's surface figures [m]."""
+    """Largest difference from the reference's surface values [m]."""
     finest_error: float
-    """Largest difference of the surface from that of the finest mesh, outside `FAR` [m]."""
+    """Largest difference of the surface from that on the finest mesh, outside `FAR` [m]."""
     newton: int
     cg: int
     seconds: float
-    """Wall time of the press, kernels compiled before."""
+    """Wall time of the press, with kernels compiled before."""
     result: Result
 
 
 def bench_rows(spacings: Sequence[float], device: str) -> Iterator[BenchRow]:
-    """The bench problem at each spacing [m], the finest first, whose surface the others meet."""
+    """Yield the results at each spacing [m], the finest first, as the reference of the surface."""
     reference = NEO_HOOKEAN_SPHERE
     scene = Scene(sphere(reference.radius), press(reference.depths), body=Body())
     finest: Result | None = None
@@ -71,9 +71,10 @@ def bench_rows(spacings: Sequence[float], device: str) -> Iterator[BenchRow]:
 
 
 def convergence_rate(rows: Sequence[BenchRow]) -> float:
-    """Exponent p of error ~ spacing^p, fitted to the mean error of the force over the depths.
+    """Fit the exponent p of error ~ spacing^p to the mean force error over the depths.
 
-    Measured from the finest mesh, which is left out of the fit: its own error is in the penalty.
+    Errors are relative to the finest mesh, which is excluded from the fit: its own error is due to
+        the penalty.
     """
     finest, *others = sorted(rows, key=lambda row: row.spacing)
     target = np.array(finest.force)
@@ -83,7 +84,7 @@ def convergence_rate(rows: Sequence[BenchRow]) -> float:
 
 
 def _field_error(result: Result) -> float:
-    """Largest difference from the reference's heights and outward shifts along x [m]."""
+    """Return the largest difference from the reference's heights and outward shifts along x [m]."""
     reference = NEO_HOOKEAN_SPHERE
     middle = len(result.surface_y) // 2
     exact = len(result.surface_y) % 2 == 1
@@ -103,7 +104,7 @@ def _field_error(result: Result) -> float:
 def _at(
     x: NDArray[np.float64], values: NDArray[np.float32], places: Sequence[float]
 ) -> NDArray[np.float64]:
-    """Values at `places` [m] by a cubic through the four nearest nodes."""
+    """Return the values at `places` [m] by a cubic through the four nearest nodes."""
     found = []
     for place in places:
         first = int(np.clip(np.searchsorted(x, place) - 2, 0, len(x) - 4))
@@ -113,7 +114,7 @@ def _at(
 
 
 def _difference(result: Result, finest: Result) -> float:
-    """Largest distance between two surfaces at the nodes of the first outside `FAR` [m]."""
+    """Return the largest distance of two surfaces at nodes of the first outside `FAR` [m]."""
     from scipy.interpolate import RegularGridInterpolator
 
     field = RegularGridInterpolator(

@@ -1,4 +1,4 @@
-"""Force and surface against the size of an element.
+"""Force and surface against element size.
 
 `python -m benchmarks refine` writes docs/results/refinement.md.
 """
@@ -17,16 +17,17 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and its options."""
+    """Add the subcommand and its options."""
     parser = verbs.add_parser(
-        "refine", help="the bench problem and the 18 shapes on ever finer meshes; writes a page"
+        "refine",
+        help="the bench problem and the 18 shapes on successively finer meshes; writes a page",
     )
     parser.add_argument(
         "--bench",
         type=numbers(),
         default=(1.25, 1.0, 0.8, 0.6667, 0.5, 0.4),
         metavar="MM,...",
-        help="sizes of an element for the bench problem [mm] (%(default)s); the finest takes "
+        help="element sizes for the bench problem [mm] (%(default)s); the finest takes "
         "minutes on a CPU",
     )
     parser.add_argument(
@@ -34,9 +35,9 @@ def add_to(verbs: Verbs) -> None:
         type=numbers(),
         default=(1.0, 0.8, 0.6667),
         metavar="MM,...",
-        help="sizes of an element for the 18 shapes [mm] (%(default)s); half an hour each on a CPU",
+        help="element sizes for the 18 shapes [mm] (%(default)s); half an hour each on a CPU",
     )
-    parser.add_argument("--only", choices=("bench", "shapes"), help="leave the other part out")
+    parser.add_argument("--only", choices=("bench", "shapes"), help="run this part only")
     parser.add_argument("--device", default="cpu", help="cpu, cuda:0, ... (%(default)s)")
     parser.add_argument(
         "--out",
@@ -48,10 +49,10 @@ def add_to(verbs: Verbs) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Solve, tell what came out as it comes, write the page; the exit code.
+    """Solve, print results as they come, write the page, and return the exit code.
 
     Raises:
-        SceneError: A mesh that cannot be built, or a device that is not there.
+        SceneError: A mesh that cannot be built, or an unknown device.
         SimulationDiverged: The bench problem was not solved.
     """
     from benchmarks.sim.refinement.bench import bench_rows

@@ -1,4 +1,4 @@
-"""docs/results/refinement.md: tables of the bench problem and of the 18 shapes."""
+"""Write docs/results/refinement.md: tables of the bench problem and of the 18 shapes."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ def write_page(
     bench: Sequence[BenchRow],
     shapes: Sequence[tuple[float, float, Sequence[ShapeRow]]],
 ) -> None:
-    """Write the page; either part may be empty and is then left out."""
+    """Write the page; an empty part is skipped."""
     lines = ["# From coarse to fine", ""]
     lines.append(
-        "What the `fem` tier gives on one mesh after the other. Made by "
+        "Results of the `fem` tier on a series of meshes. Made by "
         f"`python -m benchmarks refine`, on {device}."
     )
     if bench:
@@ -61,7 +61,7 @@ def _bench_lines(rows: Sequence[BenchRow]) -> list[str]:
     if len(rows) > 2:
         lines += [
             "",
-            f"The force settles as (size of an element)^{convergence_rate(rows):.1f}, fitted to "
+            f"The force converges as (element size)^{convergence_rate(rows):.1f}, fitted to "
             "the mean error over the depths against the finest mesh.",
         ]
     return lines
@@ -74,7 +74,7 @@ def _shape_lines(parts: Sequence[tuple[float, float, Sequence[ShapeRow]]]) -> li
         "## The 18 indenters",
         "",
         f"Pressed to {DEPTH * MM:g} mm and sheared by {SHEAR * MM:g} mm along x, friction "
-        f"{FRICTION:g}, all in one batch. Fz pressed and Fx sheared [N] for each size of element;",
+        f"{FRICTION:g}, all in one batch. Fz pressed and Fx sheared [N] for each element size;",
         "the change is that of Fz from the second finest mesh to the finest. Seconds for the "
         "batch: "
         + ", ".join(

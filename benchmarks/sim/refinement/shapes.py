@@ -1,4 +1,4 @@
-"""All 18 indenters pressed and sheared, on one mesh after the other."""
+"""All 18 indenters pressed and sheared, on a series of meshes."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from sim.scene import Scene, press_shear_return
 from sim.simulate import simulate_many
 
 DEPTH, SHEAR, FRICTION = 1.5e-3, 1.0e-3, 0.5
-# Edge radius given to every shape that has room for it [m]: that of an element of the finer meshes,
-# since an edge sharper than an element makes the force depend on the path.
+# Edge radius given to every shape that has room for it [m]: an element size of the finer meshes,
+# because with an edge sharper than an element the force depends on the path.
 EDGE = 0.5e-3
-# Frames of each phase.
+# Number of frames of each phase.
 STEPS = 2
 
 
 @dataclass(frozen=True, slots=True)
 class ShapeRow:
-    """One shape on one mesh: the force pressed, and pressed and sheared; or why there is none."""
+    """Forces of one shape on one mesh: pressed, then sheared, or why they are missing."""
 
     name: str
     edge_radius: float
-    """Used [m]; 0 for shapes without an edge."""
+    """Edge radius used [m]; 0 for shapes without an edge."""
     spacing: float
-    """Edge of an element [m]."""
+    """Element size [m]."""
     pressed: float
     """Normal force at full depth [N], pressing positive."""
     sheared: float
@@ -38,11 +38,11 @@ class ShapeRow:
     det_f_min: float
     balance: float
     diverged: str
-    """Empty, or what the solver said."""
+    """Message of the solver; empty if it converged."""
 
 
 def rounded(name: str) -> Indenter:
-    """The named shape with the edge radius used here."""
+    """Return the named shape with the edge radius used here."""
     own = named(name)
     if own.edge_radius == 0:
         return own
@@ -52,7 +52,7 @@ def rounded(name: str) -> Indenter:
 def shape_rows(
     spacings: Sequence[float], device: str, *, names: Sequence[str] = NAMES
 ) -> Iterator[tuple[float, float, list[ShapeRow]]]:
-    """For each spacing [m]: the spacing, wall seconds and a row for each shape, in one batch."""
+    """Yield for each spacing [m] the spacing, wall seconds and rows of all shapes in one batch."""
     scenes = [
         Scene(
             rounded(name),

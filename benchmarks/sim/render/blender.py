@@ -1,10 +1,11 @@
 # mypy: ignore-errors
 # bpy, Blender as a module, has no types.
-"""The same images by Blender: `python -m benchmarks blender OUT` (extra `blender`).
+"""Marker images rendered by Blender: `python -m benchmarks blender OUT` (extra `blender`).
 
 Each state's fine surface becomes a mesh whose texture coordinates are its material points, seen by
-the paper's camera (35 mm lens, 36 mm film) and lit by nothing: the texture emits. So Blender's
-renderer is compared, not its lighting. Cycles on a CPU takes half a minute an image.
+the paper's camera (35 mm lens, 36 mm film) without lights, because the texture is emissive. So the
+comparison is with Blender's renderer, not its lighting. Cycles on a CPU takes half a minute per
+image.
 """
 
 from __future__ import annotations
@@ -27,18 +28,18 @@ from sim.markers.renderer import Renderer
 from sim.markers.top import heights
 
 PATTERNS = ("Array1", "Circle1", "Diamond1")
-# Side of the texture [px]: 4.9 um a pixel on the paper's gel.
+# Side of the texture [px]: 4.9 um per pixel on the paper's gel.
 TEXTURE = 4096
-# Distance of the mesh's points [m].
+# Spacing of the mesh's points [m].
 SPACING = 0.1e-3
-# Rays a pixel.
+# Rays per pixel.
 SAMPLES = 256
-# Blender's clipping likes millimetres.
+# Unit for Blender, whose clipping distances suit millimetres.
 MM = 1e3
 
 
 def render(state: State, texture: Path, out: Path) -> np.ndarray:
-    """The share (480, 640) of each pixel that is marker, by Blender, of a state with a texture."""
+    """Return the marker share (480, 640) of each pixel, rendered by Blender from a texture."""
     import bpy
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -48,7 +49,7 @@ def render(state: State, texture: Path, out: Path) -> np.ndarray:
     lens.lens, lens.sensor_width, lens.sensor_fit = LENS * MM, FILM * MM, "HORIZONTAL"
     lens.clip_start, lens.clip_end = 0.1, 1e3
     camera = bpy.data.objects.new("camera", lens)
-    # Blender's cameras look along -z with y up: turned about x it looks up, with y downwards.
+    # Blender's cameras look along -z with y up; rotated about x, it looks up with y downwards.
     camera.location, camera.rotation_euler = (0, 0, -Camera.paper().distance * MM), (math.pi, 0, 0)
     scene.collection.objects.link(camera)
     scene.camera = camera
@@ -70,7 +71,7 @@ def render(state: State, texture: Path, out: Path) -> np.ndarray:
 
 
 def _gel(state: State, texture: Path):
-    """Blender's object: the deformed top in mm, its texture by material points."""
+    """Return the Blender object: the deformed top in mm, textured by material points."""
     import bpy
 
     body = state.body
@@ -106,7 +107,7 @@ def _gel(state: State, texture: Path):
 
 
 def draw_texture(name: str, state: State, path: Path) -> None:
-    """Write a pattern over the whole gel as a PNG, markers white, edges anti-aliased."""
+    """Write a pattern over the whole gel as a PNG, with white markers and anti-aliased edges."""
     body, pattern = state.body, named(name)
     pixels = [(np.arange(TEXTURE) + 0.5) / TEXTURE - 0.5] * 2
     x, y = (share * size for share, size in zip(pixels, (body.size_x, body.size_y), strict=True))
@@ -116,11 +117,11 @@ def draw_texture(name: str, state: State, path: Path) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Render every state and pattern, write both images and print how alike they are."""
+    """Render every state and pattern, write both images and print their similarity."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks blender", description=__doc__)
     parser.add_argument("out", type=Path, help="folder for the images")
     parser.add_argument("--patterns", default=",".join(PATTERNS), help="default %(default)s")
-    parser.add_argument("--made-up", action="store_true", help="leave out the solved presses")
+    parser.add_argument("--made-up", action="store_true", help="skip the solved presses")
     options = parser.parse_args(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
     ready_device("cpu")

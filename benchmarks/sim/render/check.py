@@ -1,4 +1,4 @@
-"""Figures of docs/rendering.md: rendering against ray-casting.
+"""Comparison of rendering with ray casting, for docs/rendering.md.
 
 Run with `python -m benchmarks render-check`.
 """
@@ -25,7 +25,7 @@ Masks = NDArray[np.bool_]
 PATTERNS = ("Array1", "Circle1", "Diamond1", "Array3")
 SAMPLES = (1, 3, 5)
 SPACINGS = (0.2e-3, 0.05e-3)
-# Steps of the lattice besides the usual one [px].
+# Lattice spacings besides the default one [px].
 STEPS = (5, 20)
 # Rays along each side of a pixel.
 RAY_SAMPLES = 5
@@ -33,24 +33,24 @@ RAY_SAMPLES = 5
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """How far one way of rendering is from another, the worst and the mean of the patterns."""
+    """Difference between two ways of rendering, worst and mean over the patterns."""
 
     state: str
     what: str
     overlap: float
-    """Least intersection over union."""
+    """Smallest intersection over union."""
     differ: float
     """Mean share of pixels that differ."""
     differ_most: float
 
     def __str__(self) -> str:
-        """A row of a table."""
+        """Return a row of a table."""
         shares = f"{100 * self.differ:.4f} % | {100 * self.differ_most:.4f} %"
         return f"| {self.state} | {self.what} | {self.overlap:.5f} | {shares} |"
 
 
 def lines(states: Sequence[State], *, ray_samples: int, device: str) -> Iterator[Line]:
-    """Every comparison of every state."""
+    """Yield every comparison of every state."""
     camera = Camera.paper()
     patterns = [named(name) for name in PATTERNS]
     for state in states:
@@ -111,7 +111,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         default=RAY_SAMPLES,
         help="rays along each side of a pixel (default %(default)s)",
     )
-    parser.add_argument("--made-up", action="store_true", help="leave out the solved presses")
+    parser.add_argument("--made-up", action="store_true", help="skip the solved presses")
     options = parser.parse_args(arguments)
     ready_device(options.device)
     states = [dent(at=(2e-3, -1e-3), aside=(0.6e-3, 0.3e-3)), fold()]

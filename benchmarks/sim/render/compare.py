@@ -1,4 +1,4 @@
-"""How alike two masks are."""
+"""Similarity of two masks."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ Mask = NDArray[np.bool_]
 
 
 def iou(one: Mask, other: Mask) -> float:
-    """Pixels that are marker in both over those that are in either; 1 where neither has any."""
+    """Return the intersection over union of the marker pixels; 1 if neither has any."""
     either = int((one | other).sum())
     return int((one & other).sum()) / either if either else 1.0
 
 
 def mismatch(one: Mask, other: Mask) -> float:
-    """Share of all pixels in which they differ."""
+    """Return the share of all pixels in which they differ."""
     return float((one != other).mean())

@@ -31,7 +31,7 @@ BEFORE = np.array([232.0, 150.0, 120.0])
 def draw(path: str | PathLike[str], states: Sequence[State]) -> None:
     """Write a PNG: a row for each state, a column for each pattern.
 
-    Dark is where markers are, red where only the untouched gel has them.
+    Markers are dark; places with markers only on the undeformed gel are red.
     """
     width = GAP + len(PATTERNS) * (TILE[0] + GAP)
     sheet = Image.new("RGB", (width, GAP + len(states) * (TILE[1] + CAPTION + GAP)), PAPER)

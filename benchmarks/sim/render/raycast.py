@@ -1,9 +1,9 @@
 # mypy: ignore-errors
-# Warp gives kernels their types itself; mypy cannot follow annotations made at run time.
-"""The same picture by other means: rays through a fine mesh, markers by their formula.
+# Warp assigns types to kernels itself; mypy cannot follow annotations made at run time.
+"""Independent marker images: rays through a fine mesh, and markers from their formula.
 
 A check of `Renderer` that shares neither its interpolation, nor its rasteriser, nor its distance
-textures with it. Slow: some 0.1 s for each ray a pixel.
+textures. Slow: about 0.1 s for each ray per pixel.
 """
 
 import functools
@@ -20,7 +20,7 @@ from sim.scene import Body
 
 Array = NDArray[np.float64]
 
-# Distance of the mesh's points [m]: half of what is checked.
+# Spacing of the mesh's points [m]: half of the spacing that is checked.
 SPACING = 0.05e-3
 
 
@@ -52,7 +52,7 @@ def _kernel():
 
 
 def smooth(x: Array, y: Array, values: Array, to_x: Array, to_y: Array) -> Array:
-    """Values (X, Y, ...) at x, y as piecewise cubics at to_x, to_y; slopes through three values."""
+    """Resample values (X, Y, ...) with cubics whose slopes come from three neighbouring values."""
     slope = np.gradient(values, x, axis=0, edge_order=2)
     along = CubicHermiteSpline(x, values, slope, axis=0)(to_x)
     slope = np.gradient(along, y, axis=1, edge_order=2)
@@ -69,9 +69,9 @@ def cast_rays(
     samples: int = 1,
     spacing: float = SPACING,
 ) -> Array:
-    """Material point, x and y [m], that each sample sees (480 n, 640 n, 2) for n `samples`.
+    """Return the material point, x and y [m], of each sample (480 n, 640 n, 2) for n `samples`.
 
-    `surface` is one frame (X, Y, 3) [m]; the camera must have no mount of its own.
+    `surface` is one frame (X, Y, 3) [m]; the camera must have no separate mount.
     """
     fine_x, fine_y = (
         np.linspace(-size / 2, size / 2, round(size / spacing) + 1)
@@ -108,10 +108,10 @@ def cast_rays(
 
 
 def marked(pattern: Pattern, material: Array, samples: int) -> NDArray[np.bool_]:
-    """Mask (480, 640) of what `cast_rays` saw: True where markers cover half a pixel or more.
+    """Return the mask (480, 640), True where markers cover at least half of the samples.
 
-    A point is held against the marker with the nearest centre alone: markers must be less than 0.7
-    times as wide as they are apart.
+    A point is compared with the marker with the nearest centre only, so markers must be less than
+    0.7 times as wide as their distance.
     """
     points = material.reshape(-1, 2)
     seen = np.isfinite(points[:, 0])
@@ -124,7 +124,7 @@ def marked(pattern: Pattern, material: Array, samples: int) -> NDArray[np.bool_]
 
 
 def _triangles(across: int, along: int) -> NDArray[np.int32]:
-    """Corners (n, 3) of two triangles a cell, cut the other way than the rasteriser's."""
+    """Return corners (n, 3) of two triangles per cell, split opposite to the rasteriser's."""
     number = np.arange(across * along).reshape(across, along)
     a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
     cells = np.stack([np.stack([a, b, d], -1), np.stack([b, c, d], -1)], axis=2)

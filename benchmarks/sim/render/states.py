@@ -1,4 +1,4 @@
-"""Deformed surfaces to draw: made up ones, smooth or folded, and presses that `fem` solves."""
+"""Deformed surfaces to draw: synthetic, smooth or folded, and presses solved by `fem`."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ class State:
     name: str
     body: Body
     x: Array
-    """x of the untouched points (X,) [m]."""
+    """x of the undeformed points (X,) [m]."""
     y: Array
-    """The same for y (Y,)."""
+    """y of the undeformed points (Y,) [m]."""
     surface: NDArray[np.float32]
     """Their displacement (X, Y, 3) [m]."""
 
@@ -40,9 +40,9 @@ def dent(
     radius: float = 3e-3,
     points: int = 61,
 ) -> State:
-    """A smooth dent: `depth` [m] down at a place, outwards around it, and dragged `aside` [m].
+    """Return a smooth dent of `depth` [m], with the skin pushed outwards and dragged `aside` [m].
 
-    Points lie closer together where the dent is, as those of a mesh would.
+    Points are denser at the dent, as in a mesh.
     """
     body = Body() if body is None else body
     x = _graded(body.size_x / 2, at[0], points)
@@ -59,7 +59,7 @@ def dent(
 
 
 def fold(*, points: int = 121) -> State:
-    """A sheet dragged so far over itself that part of it lies behind another part."""
+    """Return a sheet dragged over itself so far that part of it is behind another part."""
     body = Body()
     x = np.linspace(-body.size_x / 2, body.size_x / 2, points)
     bell = np.exp(-((x / 2.5e-3) ** 2))[:, None] * np.ones(points)
@@ -68,9 +68,9 @@ def fold(*, points: int = 121) -> State:
 
 
 def solved(*, spacing: float | None = None, device: str = "cpu") -> list[State]:
-    """A deep sphere, a prism beside the middle, and a sheared cylinder with friction, by `fem`.
+    """Solve a deep sphere, an off-centre prism, and a sheared cylinder with friction, by `fem`.
 
-    `spacing` is the edge of an element [m].
+    `spacing` is the element size [m].
     """
     scenes = {
         "sphere R 4 mm, 1.5 mm deep": Scene(sphere(4e-3), press([1.5e-3])),
@@ -91,13 +91,13 @@ def solved(*, spacing: float | None = None, device: str = "cpu") -> list[State]:
 
 
 def state_of(name: str, result: Result, frame: int) -> State:
-    """One frame of a result."""
+    """Return one frame of a result."""
     body = result.scene.body
     return State(name, body, result.surface_x, result.surface_y, result.surface[frame])
 
 
 def _graded(half: float, middle: float, points: int) -> Array:
-    """Places from -half to half, about three times as dense around `middle`."""
+    """Return points from -half to half, about three times as dense around `middle`."""
     share = np.linspace(-1, 1, 20 * points)
     density = 1 + 2 * np.exp(-((share * half - middle) ** 2) / (half / 3) ** 2)
     amount = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2)])

@@ -1,4 +1,4 @@
-"""How many images a second, stage by stage: `python -m benchmarks render-speed --device cuda:0`."""
+"""Images per second, stage by stage: `python -m benchmarks render-speed --device cuda:0`."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ REPEATS = 5
 def measure(
     frames: int, samples: int, spacing: float, device: str, repeats: int
 ) -> list[tuple[str, float, int]]:
-    """Each stage: its name, the least of `repeats` times [s], and how many images that was."""
+    """Return each stage's name, minimum time over `repeats` [s], and number of images."""
     body, lens, top = Body(), lens_of(Camera.paper()), top_of(Body(), spacing)
     states = [dent(depth=(k + 1) / frames * 1.5e-3) for k in range(frames)]
     x, y = states[0].x, states[0].y
@@ -50,13 +50,13 @@ def measure(
         seconds = []
         for _ in range(repeats + 1):
             wp.synchronize_device(device)
-            # CPU time on a CPU, whose cores others may be using.
+            # CPU time on a CPU, whose cores may be shared with others.
             clock = time.process_time if device == "cpu" else time.perf_counter
             began = clock()
             found = work()
             wp.synchronize_device(device)
             seconds.append(clock() - began)
-        # The first may have compiled a kernel.
+        # The first call may have compiled a kernel.
         return found, min(seconds[1:])
 
     vertex, to_vertices = timed(lambda: see_vertices(lens, device_top, *taps, here))
@@ -73,7 +73,7 @@ def measure(
     return [
         ("vertices", to_vertices, frames),
         ("which triangle", to_triangles, frames),
-        ("which material point", to_material, frames),
+        ("material point of each pixel", to_material, frames),
         ("packed masks", to_masks, images),
         ("packed masks to the host", to_host, images),
         ("grey images", to_grey, images),
@@ -85,15 +85,20 @@ def measure(
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Print a line for each stage."""
+    """Print one line per stage."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks render-speed", description=__doc__)
     parser.add_argument("--device", default="cpu", help="cpu, cuda:0 ... (default %(default)s)")
-    parser.add_argument("--frames", type=int, default=9, help="rendered at once")
-    parser.add_argument("--samples", type=int, default=1, help="along a pixel's side, odd")
+    parser.add_argument("--frames", type=int, default=9, help="frames per batch")
+    parser.add_argument("--samples", type=int, default=1, help="samples along a pixel's side, odd")
     parser.add_argument(
-        "--spacing-mm", type=float, default=SPACING * 1e3, help="of the points [mm]"
+        "--spacing-mm", type=float, default=SPACING * 1e3, help="spacing of the points [mm]"
     )
-    parser.add_argument("--repeats", type=int, default=REPEATS, help="of which the fastest counts")
+    parser.add_argument(
+        "--repeats",
+        type=int,
+        default=REPEATS,
+        help="number of repeats, of which the fastest counts",
+    )
     options = parser.parse_args(arguments)
     ready_device(options.device)
     rows = measure(

@@ -1,1 +1,1 @@
-"""Simulated sensors against measurements, against other tiers, and their time a frame."""
+"""Simulated sensors compared with measurements and other tiers, and their time per frame."""

@@ -1,8 +1,8 @@
-"""How far a live sensor's forces lie from `layer` and `fem`: `python -m benchmarks live-forces`.
+"""Live forces compared with `layer` and `fem`: `python -m benchmarks live-forces`.
 
-Sphere, prism and cylinder are pressed to the sensor's depth, sheared, taken back and lifted, with
-its friction and viscosity, at its speed. `live` is told a pose 60 times a second; `layer` and `fem`
-are told the frames that are compared. Minutes an indenter, nearly all of them `fem`'s.
+Sphere, prism and cylinder are pressed to the sensor's depth, sheared, returned and lifted, with the
+sensor's friction, viscosity and speed. `live` receives a pose 60 times a second; `layer` and `fem`
+receive the frames that are compared. Takes minutes per indenter, nearly all of them for `fem`.
 """
 
 from __future__ import annotations
@@ -28,21 +28,23 @@ from sim.stream.stream import GRID, LivePress
 Array = NDArray[np.floating[Any]]
 
 INDENTERS = ("sphere", "prism", "cylinder")
-# Poses that the live one is told in a second.
+# Poses per second of the live sensor.
 RATE = 60.0
-# Frames of each of the four ways.
+# Number of frames of each of the four phases.
 STEPS = 4
-# Direction of the shear [rad]: along no row of pixels.
+# Direction of the shear [rad], not along a row of pixels.
 ANGLE = 0.3
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Solve, compare, print."""
+    """Solve, compare and print."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks live-forces", description=__doc__)
     parser.add_argument("--sensors", nargs="+", default=HETEROGENEOUS, choices=HETEROGENEOUS)
     parser.add_argument("--indenters", nargs="+", default=INDENTERS)
-    parser.add_argument("--grid", type=int, default=GRID, help="of the live one (%(default)s)")
-    parser.add_argument("--device", default="cpu", help="of `fem` (%(default)s)")
+    parser.add_argument(
+        "--grid", type=int, default=GRID, help="grid of the live sensor (%(default)s)"
+    )
+    parser.add_argument("--device", default="cpu", help="device of `fem` (%(default)s)")
     options = parser.parse_args(argv)
     ready_device(options.device)
     print(f"{'':28} {'largest force [N]':>21}   {'rms error [N]':>20}   {'worst error [N]':>20}")
@@ -55,7 +57,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def lines(each: SimulatedSensor, indenter: Indenter, grid: int, device: str) -> Iterator[str]:
-    """One line for each thing that the live forces are compared with."""
+    """Yield one line for each solution that the live forces are compared with."""
     motion = way(each)
     scene = each.scene(indenter, motion)
     live = live_forces(each, indenter, motion, grid)
@@ -71,7 +73,7 @@ def lines(each: SimulatedSensor, indenter: Indenter, grid: int, device: str) -> 
 
 
 def way(each: SimulatedSensor) -> Motion:
-    """Down to the full depth of the sensor's trajectory, aside, back and up."""
+    """Return the motion: down to the sensor's full depth, sideways, back and up."""
     plan = each.trajectory
     depth = each.depth_max if plan is None else plan.depth_max
     shear = 0.0 if plan is None else plan.shear
@@ -79,7 +81,7 @@ def way(each: SimulatedSensor) -> Motion:
 
 
 def live_forces(each: SimulatedSensor, indenter: Indenter, motion: Motion, grid: int) -> Array:
-    """Forces (F, 3) [N] at the motion's waypoints, solved at `RATE` on the way between them."""
+    """Return forces (F, 3) [N] at the motion's waypoints, solved at `RATE` in between."""
     live = LivePress(each, indenter, grid=grid)
     tips, times = np.array(motion.tip), np.array(motion.time)
     forces, before = [], 0.0

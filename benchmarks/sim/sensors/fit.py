@@ -1,13 +1,13 @@
-"""What the rows' fitted numbers come from: `python -m benchmarks sensor-fit [--finer] [--check]`.
+"""Fit of the sensors' parameters: `python -m benchmarks sensor-fit [--finer] [--check]`.
 
 1. The prism is pressed, without viscosity, into GelSight, uSkin and TacPalm: force over depth.
-2. Ratios of the branches: the press at the row's speed loses the wanted share of its area.
-3. Moduli: force goes as the modulus, and at full depth uSkin : GelSight : TacPalm = 4 : 2 : 1.
+2. Ratios of the branches: the press at the row's speed loses the given share of its area.
+3. Moduli: force is proportional to modulus; at full depth uSkin : GelSight : TacPalm = 4 : 2 : 1.
 4. Gains of uSkin: the largest counts of a press and of its shear at the contact points.
 
-It prints what it finds beside what the rows say, and fails where they differ by more than 1 %.
-`--finer` takes elements of two thirds the size; `--check` solves the viscous presses with the rows'
-numbers, there and back.
+It prints the fitted values next to those of the rows, and fails if they differ by more than 1 %.
+`--finer` uses elements of two thirds the size; `--check` solves the viscous presses, loading and
+unloading, with the rows' values.
 """
 
 from __future__ import annotations
@@ -34,41 +34,41 @@ from sim.simulate import simulate
 
 Array = NDArray[np.float64]
 
-# The prism's force at full depth, in parts (paper: TacTip's is four times below uSkin's and two
+# Ratios of the prism's force at full depth (paper: TacTip's is four times below uSkin's and two
 # times below GelSight's).
 FORCES = {"uskin": 4.0, "gelsight": 2.0, "tacpalm": 1.0}
-# The one whose modulus is given.
+# Sensor whose modulus is given.
 ANCHOR = "gelsight"
-# Share of the press's area that is lost; assumed, 10 to 20 %.
+# Share of the press's area that is lost; assumed, within 10 to 20 %.
 LOSS = {"uskin": 0.12, "gelsight": 0.15, "tacpalm": 0.15}
-# Largest counts along z, and along x or y, that presses of the trajectory's full depth and shear
-# give: discs grow to 2,300 points^2, 8 times, and move by 0.4 of their pitch; they keep apart.
+# Largest counts along z, and along x or y, of presses with the trajectory's full depth and shear:
+# discs grow 8 times, to 2,300 points^2, and move by 0.4 of their pitch, but do not touch.
 COUNTS_NORMAL, COUNTS_SHEAR = 10_000.0, 2_000.0
-# Height of an element [m]; where the indenter comes it is half as wide.
+# Element height [m]; at the indenter elements are half as wide.
 SPACING = {"uskin": 0.667e-3, "gelsight": 0.667e-3, "tacpalm": 1.2e-3}
-# Frames of a press.
+# Number of frames of a press.
 STEPS = 8
-# Relative difference from which a row is out of date.
+# Relative difference above which a row is out of date.
 AGREED = 0.01
 
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One fitted number."""
+    """One fitted parameter."""
 
     name: str
     row: float
-    """What the row says."""
+    """Value in the row."""
     found: float
 
     @property
     def agrees(self) -> bool:
-        """Whether the row is up to date."""
+        """True if the row is up to date."""
         return abs(self.row / self.found - 1) <= AGREED
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Fit, print, and compare with the rows; 1 where they differ."""
+    """Fit, print and compare with the rows; return 1 if they differ."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks sensor-fit", description=__doc__)
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("--finer", action="store_true", help="elements of two thirds the size")
@@ -97,7 +97,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def fit_forces(sensors: dict[str, SimulatedSensor], presses: dict[str, Result]) -> list[Line]:
-    """Ratios and moduli, from elastic presses with the rows' moduli."""
+    """Fit ratios and moduli from elastic presses with the rows' moduli."""
     lines, peaks = [], {}
     for name, each in sensors.items():
         depth, force = _curve(presses[name])
@@ -117,9 +117,9 @@ def fit_forces(sensors: dict[str, SimulatedSensor], presses: dict[str, Result]) 
 
 
 def fit_gains(pad: SimulatedSensor, results: Sequence[Result]) -> list[Line]:
-    """Gains of uSkin, from presses that end in a shear at several contact points."""
+    """Fit the gains of uSkin from presses that end in a shear at several contact points."""
     if not isinstance(pad.signal, TaxelSignal):
-        raise TypeError(f"{pad.name}: {type(pad.signal).__name__}; a pad of taxels is fitted")
+        raise TypeError(f"{pad.name}: {type(pad.signal).__name__}; allowed: a pad of taxels")
     taxels = TaxelPad(pad.body, pad.signal)
     flux = np.concatenate([taxels.change(SurfaceField.of(result)) for result in results])
     normal = COUNTS_NORMAL / float(flux[..., 2].max())
@@ -131,7 +131,7 @@ def fit_gains(pad: SimulatedSensor, results: Sequence[Result]) -> list[Line]:
 
 
 def print_cycles(results: dict[str, Result]) -> None:
-    """Print force and loss of the prism's press and way back, solved with the rows' numbers."""
+    """Print force and loss of the prism's loading and unloading, solved with the rows' values."""
     print(f"\n{'solved with viscosity':42} {'force [N]':>10} {'part':>10} {'loss':>10}")
     unit = _curve(results[ANCHOR])[1].max() / FORCES[ANCHOR]
     for name, result in results.items():
@@ -141,16 +141,16 @@ def print_cycles(results: dict[str, Result]) -> None:
 
 
 def prism_press(each: SimulatedSensor) -> Scene:
-    """The prism to full depth, without viscosity."""
+    """Return the press of the prism to full depth, without viscosity."""
     scene = each.scene(named("prism"), _motion(each))
     return replace(scene, effects=replace(scene.effects, viscosity=None))
 
 
 def prism_shear(pad: SimulatedSensor, point: int) -> Scene:
-    """The prism at a contact point, to full depth and aside by the full shear along x."""
+    """Return the press of the prism to full depth at a contact point, with full shear along x."""
     plan = pad.trajectory
     if plan is None:
-        raise TypeError(f"{pad.name}: no trajectory; a pad with one is fitted")
+        raise TypeError(f"{pad.name}: no trajectory; allowed: a pad with one")
     x, y = plan.position(point)
     deep = (x, y, -plan.depth_max)
     aside = (x + plan.shear, y, -plan.depth_max)
@@ -160,14 +160,14 @@ def prism_shear(pad: SimulatedSensor, point: int) -> Scene:
 
 
 def _cycle(each: SimulatedSensor) -> Scene:
-    """The prism to full depth and back."""
+    """Return the press of the prism to full depth and back."""
     return each.scene(named("prism"), _motion(each, there_and_back=True))
 
 
 def _motion(each: SimulatedSensor, *, there_and_back: bool = False) -> Motion:
     plan = each.force_depth
     if plan is None:
-        raise TypeError(f"{each.name}: no force-depth press; a sensor with one is fitted")
+        raise TypeError(f"{each.name}: no force-depth press; allowed: a sensor with one")
     depths = [plan.depth_max * index / STEPS for index in range(STEPS + 1)]
     if there_and_back:
         depths += depths[-2::-1]
@@ -176,20 +176,20 @@ def _motion(each: SimulatedSensor, *, there_and_back: bool = False) -> Motion:
 
 def _branches(each: SimulatedSensor) -> Viscosity:
     if each.effects.viscosity is None:
-        raise TypeError(f"{each.name}: no viscosity; a sensor with one is fitted")
+        raise TypeError(f"{each.name}: no viscosity; allowed: a sensor with one")
     return each.effects.viscosity
 
 
 def _curve(result: Result) -> tuple[Array, Array]:
-    """Depth and pressing force of a press."""
+    """Return the depths and pressing forces of a press."""
     return -np.array(result.scene.motion.tip)[:, 2], -result.force[:, 2]
 
 
 def _solved(name: str, scene: Scene, numerics: Numerics, device: str) -> Result:
-    """The result of a scene, told of when it is there.
+    """Solve a scene and report when it is done.
 
     Raises:
-        SimulationDiverged: There is none.
+        SimulationDiverged: No solution.
     """
     result = simulate(scene, "fem", numerics=numerics, device=device)
     print(f"solved: {name}, {len(scene.motion)} frames", file=sys.stderr)

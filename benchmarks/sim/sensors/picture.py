@@ -1,9 +1,9 @@
-"""A sheet with what every sensor gives of one press.
+"""Sheet with the output of every sensor for one press.
 
 Run with `python -m benchmarks sensor-picture [--out PNG]`.
 
-The prism is pressed straight down at the middle to each sensor's full depth; white is what the
-sensor reports, the orange outlines are its markers untouched.
+The prism is pressed straight down at the middle to each sensor's full depth; the output of the
+sensor is white, the outlines of its undeformed markers are orange.
 """
 
 from __future__ import annotations
@@ -33,20 +33,20 @@ from sim.simulate import Tier, simulate
 Colours = NDArray[np.uint8]
 
 ORDER = (*HETEROGENEOUS, *HOMOGENEOUS, *MATERIAL, "gel")
-# Tiles in a row, the size of one, the space around it and the height of its caption [px].
+# Tiles in a row, size of a tile, space around it and height of its caption [px].
 COLUMNS, TILE, GAP, CAPTION = 4, (400, 300), 18, 50
 MARKER, GROUND, UNTOUCHED = (240, 240, 236), (22, 26, 34), (240, 140, 40)
-# Patterns that are shown of a sensor with many.
+# Number of patterns shown for a sensor with many.
 PATTERNS = 4
-# Largest height of an element [m]; none is above a sixth of the thickness.
+# Maximum element height [m]; it is also at most a sixth of the thickness.
 SPACING = 1.2e-3
-# Of what their lives draw.
+# Random seed of the device variation.
 SEED = 0
 
 
 @dataclass(frozen=True, slots=True)
 class Tile:
-    """One picture of the sheet."""
+    """One image of the sheet."""
 
     title: str
     text: str
@@ -55,7 +55,7 @@ class Tile:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Simulate, read, draw."""
+    """Simulate, read out and draw."""
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks sensor-picture", description=__doc__
     )
@@ -69,14 +69,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         each = sensor(name)
         tiles += _tiles(each, _pressed(each, options.tier))
         print(f"drawn: {name}", file=sys.stderr)
-    # A palette makes the file three times smaller and costs nothing that an eye would see.
+    # A palette makes the file three times smaller without a visible difference.
     sheet(tiles).quantize(256, dither=Image.Dither.NONE).save(options.out, "PNG", optimize=True)
     print(options.out)
     return 0
 
 
 def sheet(tiles: Sequence[Tile]) -> Image.Image:
-    """All tiles, row by row."""
+    """Return a page with all tiles, row by row."""
     rows = -(-len(tiles) // COLUMNS)
     width, height = TILE[0] + GAP, TILE[1] + CAPTION + GAP
     page = Image.new("RGB", (COLUMNS * width + GAP, rows * height + GAP), PAPER)
@@ -92,7 +92,7 @@ def sheet(tiles: Sequence[Tile]) -> Image.Image:
 
 
 def outlined(mask: NDArray[np.bool_], untouched: NDArray[np.bool_]) -> Colours:
-    """Markers (480, 640, 3) in white, the outlines of the untouched ones in orange."""
+    """Return markers (480, 640, 3) in white, with outlines of the undeformed ones in orange."""
     pixels = np.where(mask[..., None], MARKER, GROUND).astype(np.uint8)
     pixels[untouched & ~binary_erosion(untouched, iterations=2)] = UNTOUCHED
     return pixels

@@ -1,4 +1,4 @@
-"""Hysteresis of a press: how much force is lost between going down and coming up."""
+"""Hysteresis of a press: loss of force between loading and unloading."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from sim.errors import SceneError
 
 Array = NDArray[np.float64]
 
-# Steps that each way of a press is cut into.
+# Number of steps of loading and of unloading.
 STEPS = 400
 
 
 def hysteresis(depth: Array, force: Array) -> float:
-    """Area between loading and unloading over the area under loading.
+    """Return the area between loading and unloading over the area under loading.
 
     Args:
-        depth: Of the tip at each moment (n,) [m], rising to its largest once and falling after it.
-        force: Pressing force then (n,) [N].
+        depth: Depths of the tip (n,) [m], rising once to the largest and then decreasing.
+        force: Pressing forces (n,) [N].
 
     Raises:
-        SceneError: Depths that do not go down once and up once.
+        SceneError: Depths that do not increase once and then decrease once.
     """
     deepest = int(depth.argmax())
     turns = np.diff(depth)
@@ -37,18 +37,18 @@ def hysteresis(depth: Array, force: Array) -> float:
 def relaxed(
     depth: Array, force: Array, viscosity: Viscosity, *, speed: float
 ) -> tuple[Array, Array]:
-    """Depth and force of a press and its way back at `speed` [m/s], from the elastic press alone.
+    """Return depth and force of loading and unloading at `speed` [m/s], from an elastic press.
 
-    Force is that of an elastic body plus each branch's, which fades: F(t) = F_e(t) + sum ratio
-    int_0^t exp(-(t - s) / time) dF_e(s), and none once the indenter has left the skin (F < 0). It
-    is exact for a linear layer whose contact keeps its size (Lee & Radok 1960), as a flat punch's
-    does, and to measure what else there is `fit` solves the same press.
+    Force is that of an elastic body plus the decaying force of each branch: F(t) = F_e(t) + sum
+    ratio int_0^t exp(-(t - s) / time) dF_e(s), and 0 once the indenter has left the skin (F < 0).
+    This is exact for a linear layer with constant contact area (Lee & Radok 1960), as under a flat
+    punch; for other indenters `fit` solves the same press to measure the difference.
 
     Args:
-        depth: Of the elastic press, from 0 to the deepest (n,) [m].
-        force: Its pressing force (n,) [N].
-        viscosity: The branches.
-        speed: Of the tip.
+        depth: Depths of the elastic press, from 0 to the deepest (n,) [m].
+        force: Pressing forces (n,) [N].
+        viscosity: Prony branches.
+        speed: Speed of the tip.
     """
     down = np.linspace(0.0, depth[-1], STEPS + 1)
     way = np.concatenate([down, down[-2::-1]])
@@ -68,7 +68,7 @@ def relaxed(
 def fitted(
     depth: Array, force: Array, times: tuple[float, ...], *, speed: float, share: float
 ) -> Viscosity:
-    """Branches of these times [s], all of one ratio, that lose `share` of a press's area.
+    """Return branches of these times [s] with equal ratios that lose `share` of a press's area.
 
     Raises:
         SceneError: No ratio up to 10 loses as much.

@@ -1,10 +1,10 @@
-"""A session of a simulated bench against an offline simulation of the poses that it recorded.
+"""Compare a session of a simulated bench with an offline simulation of its recorded poses.
 
     python -m benchmarks live-session sessions/x.zarr
 
 The offline simulation solves the `layer` tier at every recorded pose, on a finer grid; its images
-are `sim.markers`'s. What it differs in from the recording is what the live one costs: poses that
-were passed over, answers in between, a coarser grid, images of filled rims, JPEG and noise.
+are from `sim.markers`. Differences from the recording are the error of live simulation: skipped
+poses, interpolated results, a coarser grid, images with filled rims, JPEG and noise.
 """
 
 from __future__ import annotations
@@ -40,23 +40,23 @@ from sim.stream.stream import LivePress
 
 Array = NDArray[np.float64]
 
-# Tips this high above the surface say nothing of the contact [m].
+# Tips more than this above the surface are not in contact [m].
 FREE = 1e-3
-# Images that are compared, evenly among those of contact.
+# Number of images to compare, evenly spaced among those in contact.
 IMAGES = 40
 _STAMP = re.compile(rb"state_t_ns=(-?\d+)")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recorded:
-    """What a session holds of a simulated sensor; times [ns] of the session's clock."""
+    """Recording of a simulated sensor in a session; times [ns] are on the session's clock."""
 
     sensor: SimulatedSensor
     indenter: str
     gauge_depth: float
-    """Of the F/T sensor's origin below the untouched surface [m]."""
+    """Depth of the F/T sensor's origin below the undeformed surface [m]."""
     time: NDArray[np.int64]
-    """Of each pose (n,)."""
+    """Time of each pose (n,)."""
     tip: Array
     """(n, 3) [m] in the contact frame."""
     force_time: NDArray[np.int64]
@@ -65,10 +65,10 @@ class Recorded:
 
 
 def recorded(session: Session) -> Recorded:
-    """The poses and forces of a session.
+    """Return the poses and forces of a session.
 
     Raises:
-        SceneError: A session of another world.
+        SceneError: The session was recorded with another world.
     """
     world = session.attrs["bench"].get("world") or {}
     if world.get("kind") != "simulated":
@@ -95,12 +95,12 @@ def recorded(session: Session) -> Recorded:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Offline:
-    """What an offline simulation of the recorded poses gives."""
+    """Offline simulation of the recorded poses."""
 
     wrench: Array
-    """At each pose (n, 6), about the F/T sensor's origin [N, N m]."""
+    """Wrench at each pose (n, 6), about the F/T sensor's origin [N, N m]."""
     top: SurfaceField
-    """At each of the wanted times."""
+    """Surface at each of the requested times."""
 
 
 def simulated(
@@ -130,10 +130,12 @@ def simulated(
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Compare and print; the exit code."""
+    """Compare, print and return the exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks live-session", description=__doc__)
     parser.add_argument("session", type=Path)
-    parser.add_argument("--grid", type=int, default=GRID, help="of the offline one (%(default)s)")
+    parser.add_argument(
+        "--grid", type=int, default=GRID, help="grid of the offline simulation (%(default)s)"
+    )
     options = parser.parse_args(argv)
     session = Session(options.session)
     try:
@@ -157,7 +159,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def force_lines(found: Recorded, wrench: Array) -> Iterator[str]:
-    """How far the recorded forces lie from the offline ones, axis by axis, in contact."""
+    """Yield the differences of the recorded forces from the offline ones in contact, by axis."""
     inside = (found.force_time >= found.time[0]) & (found.force_time <= found.time[-1])
     times = (found.force_time[inside] - found.time[0]).astype(float)
     known = (found.time - found.time[0]).astype(float)
@@ -177,7 +179,7 @@ def force_lines(found: Recorded, wrench: Array) -> Iterator[str]:
 def image_lines(
     images: Sequence[NDArray[np.uint8]], reader: CameraReadout, top: SurfaceField
 ) -> Iterator[str]:
-    """IoU of the recorded images' markers and the offline ones'."""
+    """Yield the IoU of the markers in the recorded images and the offline ones."""
     found = []
     for row, image in enumerate(images):
         one = SurfaceField(top.x, top.y, top.displacement[row : row + 1])
@@ -186,16 +188,16 @@ def image_lines(
         found.append((seen & expected).sum() / max((seen | expected).sum(), 1))
     untouched = reader.masks(SurfaceField(top.x, top.y, 0 * top.displacement[:1]))[0, 0]
     yield (
-        f"{len(found)} images of contact: IoU of markers {min(found):.4f} at least, "
-        f"{np.mean(found):.4f} in the mean; markers are {untouched.mean():.1%} of the pixels"
+        f"{len(found)} images of contact: IoU of markers {min(found):.4f} minimum, "
+        f"{np.mean(found):.4f} mean; markers are {untouched.mean():.1%} of the pixels"
     )
 
 
 def markers_in(image: NDArray[np.uint8], expected: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Pixels (480, 640) whose grey is nearer to the ink than to the gel around it.
+    """Return pixels (480, 640) whose grey is nearer to the ink than to the gel around it.
 
-    The two greys are the medians of where markers are expected and of where none are: a change of
-    place moves neither.
+    The two greys are the medians of pixels with and without an expected marker, which hardly
+    depend on small displacements.
     """
     grey = image.astype(float).mean(axis=-1)
     ink, gel = np.median(grey[expected]), np.median(grey[~expected])
@@ -204,7 +206,7 @@ def markers_in(image: NDArray[np.uint8], expected: NDArray[np.bool_]) -> NDArray
 
 
 def taxel_lines(counts: NDArray[np.int32], offline: NDArray[np.int32]) -> Iterator[str]:
-    """How far recorded counts lie from the offline ones."""
+    """Yield the differences of recorded counts from the offline ones."""
     change = np.ptp(offline, axis=0).max(axis=0)
     error = counts - offline
     yield "axis   rms error   worst error   largest change [counts]"
@@ -217,7 +219,7 @@ def taxel_lines(counts: NDArray[np.int32], offline: NDArray[np.int32]) -> Iterat
 
 
 def _images(session: Session, pressed: NDArray[np.int64]) -> dict[int, NDArray[np.uint8]]:
-    """Images of contact, by the time of the state that they say they show [ns]."""
+    """Return images in contact, by the stamped time of the state that they show [ns]."""
     stream: Any = session.streams["camera"]
     inside = np.flatnonzero((stream.t_ns > pressed[0]) & (stream.t_ns < pressed[-1]))
     found: dict[int, NDArray[np.uint8]] = {}
@@ -233,7 +235,7 @@ def _images(session: Session, pressed: NDArray[np.int64]) -> dict[int, NDArray[n
 
 
 def _scans(session: Session, pressed: NDArray[np.int64]) -> dict[int, NDArray[np.int32]]:
-    """Scans of contact, by the time that they arrived at [ns]."""
+    """Return scans in contact, by their time of arrival [ns]."""
     stream: Any = session.streams["taxels"]
     values = np.asarray(stream.column("value"))[: len(stream.t_ns)]
     near = np.searchsorted(pressed, stream.t_ns)

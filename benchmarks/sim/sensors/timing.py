@@ -1,9 +1,9 @@
-"""What reading a sensor costs beyond the deformation.
+"""Cost of reading out a sensor, beyond that of the deformation.
 
 Run with `python -m benchmarks sensor-speed [--frames 64]`.
 
-CPU seconds of one process for a frame, the least of some repeats. Fields are smooth dents on a mesh
-of 41 x 41 points, all of them new to what reads them.
+CPU seconds of one process per frame, the minimum of some repeats. Fields are smooth dents on a mesh
+of 41 x 41 points that the readout has not seen before.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from sim.sensors.readout import CameraReadout, TaxelReadout, readout
 from sim.sensors.sensor import sensor
 
 REPEATS = 3
-# Points of a field along x, and along y.
+# Number of points of a field along x, and along y.
 POINTS = 41
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Measure every stage and print a table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks sensor-speed", description=__doc__)
-    parser.add_argument("--frames", type=int, default=64, help="frames at once (%(default)s)")
-    parser.add_argument("--device", default="cpu", help="of rendering (%(default)s)")
+    parser.add_argument("--frames", type=int, default=64, help="frames per batch (%(default)s)")
+    parser.add_argument("--device", default="cpu", help="device of rendering (%(default)s)")
     options = parser.parse_args(argv)
     ready_device(options.device)
     print(f"{'stage':52} {'ms a frame':>10}")
@@ -44,7 +44,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def stages(frames: int, device: str) -> Iterator[tuple[str, Callable[[], object]]]:
-    """Name and work of each stage."""
+    """Yield the name and work of each stage."""
     pad = readout(sensor("uskin"), seed=0)
     if isinstance(pad, TaxelReadout):
         top = dents(sensor("uskin").body, frames)
@@ -63,7 +63,7 @@ def stages(frames: int, device: str) -> Iterator[tuple[str, Callable[[], object]
 
 
 def dents(body: Body, frames: int) -> SurfaceField:
-    """Dents of growing depth at the middle, a tenth of the thickness at most."""
+    """Return dents of increasing depth at the middle, up to a tenth of the thickness."""
     x, y = (np.linspace(-size / 2, size / 2, POINTS) for size in (body.size_x, body.size_y))
     across, along = np.meshgrid(x, y, indexing="ij")
     bell = np.exp(-(across**2 + along**2) / body.thickness**2)

@@ -1,5 +1,5 @@
-"""How long the paper's work takes, what each step of the solver is worth, and how far its floor is.
+"""Time of the paper's presses, gain of each optimisation of the solver, and roofline bound.
 
-`python -m benchmarks speed` measures into one file a device and writes docs/results/speed.md from
+`python -m benchmarks speed` measures into one file per device and writes docs/results/speed.md from
 all of them.
 """

@@ -1,4 +1,4 @@
-"""Measures the parts that are not yet in a device's file, one after the other."""
+"""Measure the parts that are not yet in a device's file, one after the other."""
 
 from __future__ import annotations
 
@@ -27,23 +27,23 @@ if TYPE_CHECKING:
     from sim.fem.numerics import Numerics
     from sim.mpm import MpmNumerics
 
-# Of the timed presses: out-of-balance force over force at the depths that are kept and between
-# them, and how often the pressure is brought up. Tighter ones move no mesh's error by 0.1 %; see
-# the step that is left out.
+# Settings of the timed presses: residual over force at the depths that are stored and between
+# them, and number of multiplier updates. Tighter settings change no mesh's error by 0.1 %; see the
+# ablation of this step.
 TOLERANCE, PATH_TOLERANCE, AUGMENTATIONS = 1.5e-2, 0.1, 1
-# Of the reference. Tighter ones find the skin creasing under sharp edges, where there are many
-# states, and give up.
+# Settings of the reference. With tighter ones the skin creases under sharp edges, where there are
+# many solutions, and the solver fails.
 REFERENCE_TOLERANCE, REFERENCE_AUGMENTATIONS = 3e-4, 5
-# Numbers of presses beside the whole and the dense one.
+# Numbers of presses besides the whole and the dense set.
 SCALING = (1, 9)
-# Speed of the tip in the authors' released parameters, which Tacchi was timed with [m/s].
+# Tip speed in the authors' released parameters, with which Tacchi was timed [m/s].
 AUTHORS_SPEED = 40e-3
 REFERENCE_FILE = "reference.csv"
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What is measured, and how."""
+    """Selection and settings of the measurements."""
 
     device: str
     work: Work
@@ -51,14 +51,14 @@ class Plan:
     parts: tuple[str, ...]
     processes: int
     spacing: float
-    """Of the timed presses [m]."""
+    """Element height of the timed presses [m]."""
     meshes: tuple[float, ...]
-    """Other heights of elements that the same presses are timed with [m]."""
+    """Other element heights with which the same presses are timed [m]."""
     reference_spacing: float
     again: bool
-    """Measure what is there already."""
+    """Measure existing runs again."""
     long: bool
-    """On a CPU, measure 810 presses too."""
+    """On a CPU, also measure 810 presses."""
     kernels: Path | None
     """Warp's cache."""
     mpm: dict[str, MpmNumerics] = field(default_factory=dict)
@@ -66,17 +66,17 @@ class Plan:
 
     @property
     def file(self) -> Path:
-        """Of the device."""
+        """Record of the device."""
         return self.folder / f"{self.device.replace(':', '-')}.jsonl"
 
     @property
     def on_gpu(self) -> bool:
-        """Whether the device solves presses side by side."""
+        """True if the device solves presses in parallel."""
         return self.device != "cpu"
 
     @property
     def numerics(self) -> Numerics:
-        """Of the timed presses."""
+        """Settings of the timed presses."""
         from sim.fem.numerics import FOR_EDGES, Numerics
 
         return Numerics(
@@ -90,22 +90,22 @@ class Plan:
 
 
 def presses_file(record: Path) -> Path:
-    """Where the forces of the timed presses are, beside the record of their device."""
+    """Return the file of the forces of the timed presses, next to the record of their device."""
     return record.with_name(f"{record.stem}-presses.csv")
 
 
 def steps_file(record: Path) -> Path:
-    """Where the forces of the runs without one step are."""
+    """Return the file of the forces of the ablation runs."""
     return record.with_name(f"{record.stem}-steps.csv")
 
 
 def meshes_file(record: Path) -> Path:
-    """Where the forces of the same presses with other elements are."""
+    """Return the file of the forces of the same presses with other element sizes."""
     return record.with_name(f"{record.stem}-meshes.csv")
 
 
 def measure(plan: Plan, say: Callable[[str], None]) -> None:
-    """Measure what is asked for and not yet in the file, and keep it run by run."""
+    """Measure the requested parts that are not yet in the file, and store each run."""
     record = read(plan.file) if plan.file.exists() else None
     if record is None:
         record = Record(plan.file, Machine(machine_name(plan.device), plan.device))
@@ -123,7 +123,7 @@ def measure(plan: Plan, say: Callable[[str], None]) -> None:
 
 
 class _Campaign:
-    """The parts, with what they share."""
+    """Measurement of the parts, with their shared state."""
 
     def __init__(self, plan: Plan, record: Record, say: Callable[[str], None]) -> None:
         self._plan, self._record, self._say = plan, record, say
@@ -162,9 +162,9 @@ class _Campaign:
         if not due:
             return
         whole = self._run("steps", AS_IT_IS), sample, fem(plan.numerics, plan.device)
-        if plan.on_gpu:  # the first run of that many presses takes memory that later ones reuse
+        if plan.on_gpu:  # the first run allocates memory that later ones reuse
             self._solved(*whole)
-        # What it is held against is timed in the same call: the machine may have changed.
+        # The baseline is timed in the same call, because the machine may have changed.
         base, forces = self._solved(*whole)
         self._keep(base)
         kept = read_runs(steps_file(plan.file)) | {AS_IT_IS: forces}
@@ -235,11 +235,11 @@ class _Campaign:
         )
 
     def _due(self, run: Run) -> bool:
-        """Whether it is still to be measured."""
+        """Return True if the run still has to be measured."""
         known = self._record.get(*run.key)
         if known is None or self._plan.again:
             return True
-        self._say(f"{run.part}, {run.name}: there already; --again measures anew")
+        self._say(f"{run.part}, {run.name}: already measured; --again measures it again")
         return False
 
     def _timed(self, part: str, name: str, presses: Sequence[Press], *, processes: int) -> None:
@@ -249,7 +249,7 @@ class _Campaign:
             self._keep(self._solved(run, presses, solve)[0])
 
     def _solved(self, run: Run, presses: Sequence[Press], solve: Solve) -> tuple[Run, Forces]:
-        """`run` measured on presses by finite elements, and their forces."""
+        """Solve presses by finite elements and return the measured `run` and their forces."""
         plan = self._plan
         if self._warm is None:
             scene = presses[0].scene()
@@ -275,7 +275,7 @@ class _Campaign:
         self._keep(timed(run, scenes, mpm(numerics, plan.device), plan.device)[0])
 
     def _rate(self, run: Run) -> None:
-        """Measure the machine, beside the run that is held to it."""
+        """Measure the rates of the machine, next to the run to which they apply."""
         plan = self._plan
         near = max(ROW_BYTES * run.nodes // max(run.presses, 1), 2**20)
         flops, source = flop_rate(plan.device)

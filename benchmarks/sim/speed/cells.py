@@ -1,4 +1,4 @@
-"""How numbers stand in the tables of the page."""
+"""Formatting of numbers in the tables of the page."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ MISSING = "not measured"
 
 
 def row(cells: Sequence[str]) -> str:
-    """A line of a table."""
+    """Return a row of a table."""
     return "| " + " | ".join(cells) + " |"
 
 
 def or_missing(value: float, text: str) -> str:
-    """`text`, but for a value that was not measured."""
+    """Return `text`, or a placeholder for a value that was not measured."""
     return text if math.isfinite(value) else MISSING
 
 
 def percent(value: float) -> str:
-    """A share in percent."""
+    """Return a share in percent."""
     return or_missing(value, f"{100 * value:.2f} %")
 
 
 def memory(size: int) -> str:
-    """A number of bytes in MiB."""
+    """Return a number of bytes in MiB."""
     return f"{size / 2**20:,.0f} MiB" if size else MISSING
 
 
 def seconds(value: float) -> str:
-    """Seconds with three digits; minutes and hours from where they read better."""
+    """Return seconds with three digits, or minutes or hours for long times."""
     if not math.isfinite(value):
         return MISSING
     if value < 120:

@@ -1,4 +1,4 @@
-"""The paper's presses timed, and what makes them quick.
+"""Timing of the paper's presses, and the gain of each optimisation.
 
 `python -m benchmarks speed` writes docs/results/speed.md.
 """
@@ -17,40 +17,40 @@ if TYPE_CHECKING:
     from sim.cli.options import Verbs
     from sim.mpm import MpmNumerics
 
-# What is measured; `page` draws.
+# Parts to measure; `page` draws.
 PARTS = ("presses", "scaling", "steps", "mpm", "meshes", "reference")
-# Other heights of elements that the presses are timed with [m].
+# Other element heights with which the presses are timed [m].
 MESHES = (4e-3 / 3, 1e-3, 4e-3 / 6)
-# Elements with --smoke [mm].
+# Element sizes with --smoke [mm].
 SMOKE_SPACING, SMOKE_REFERENCE, SMOKE_MESHES = 4 / 3, 1.0, (1e-3,)
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and its options."""
+    """Add the subcommand and its options."""
     parser = verbs.add_parser(
         "speed",
-        help="the paper's 162 presses timed, what each step is worth, the floor; writes a page",
-        description="Measures into one file a device, goes on where it was stopped, and writes the "
-        "page from all files there are. On a machine with a GPU: --device cuda:0 --only "
-        f"{','.join(PARTS)} --out DIR; its files come home and --only page takes them in.",
+        help="time the paper's 162 presses; ablations and roofline bound; writes a page",
+        description="Measures into one file per device, resumes an interrupted run, and writes the "
+        "page from all files. On a machine with a GPU: --device cuda:0 --only "
+        f"{','.join(PARTS)} --out DIR; copy its files here and --only page includes them.",
     )
     parser.add_argument("--device", default="cpu", help="cpu, cuda:0, ... (%(default)s)")
     parser.add_argument(
-        "--processes", type=int, metavar="N", help="on a CPU (2); a GPU takes one process"
+        "--processes", type=int, metavar="N", help="processes on a CPU (2); a GPU uses one"
     )
     parser.add_argument(
         "--spacing",
         type=float,
         default=0.8,
         metavar="MM",
-        help="elements of the timed presses [mm] (%(default)s)",
+        help="element height of the timed presses [mm] (%(default)s)",
     )
     parser.add_argument(
         "--reference",
         type=float,
         default=0.4,
         metavar="MM",
-        help="elements of the reference [mm] (%(default)s); on a CPU it takes hours",
+        help="element height of the reference [mm] (%(default)s); on a CPU it takes hours",
     )
     parser.add_argument(
         "--only",
@@ -64,8 +64,8 @@ def add_to(verbs: Verbs) -> None:
         metavar="DIR",
         help="folder of the measurements; the page is DIR.md (%(default)s)",
     )
-    parser.add_argument("--again", action="store_true", help="measure what is there already")
-    parser.add_argument("--long", action="store_true", help="all 810 presses on a CPU too")
+    parser.add_argument("--again", action="store_true", help="measure existing runs again")
+    parser.add_argument("--long", action="store_true", help="also all 810 presses on a CPU")
     parser.add_argument(
         "--smoke", action="store_true", help="a few presses on coarse meshes: seconds, not minutes"
     )
@@ -73,10 +73,10 @@ def add_to(verbs: Verbs) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure what is missing, write the page; the exit code.
+    """Measure missing runs, write the page, and return the exit code.
 
     Raises:
-        SceneError: A part or a device that is not there, or nothing to draw.
+        SceneError: Unknown part or device, or no measurements to draw.
     """
     parts = _parts(options)
     measured = tuple(part for part in PARTS if part in parts)
@@ -90,7 +90,7 @@ def run(options: argparse.Namespace) -> int:
 def _parts(options: argparse.Namespace) -> set[str]:
     allowed = (*PARTS, "page")
     if options.only is None:
-        # What takes hours is nothing that a first run should begin with.
+        # A first run should not begin with parts that take hours.
         hours = {"meshes", "reference"} if _cpu(options) and not options.smoke else set()
         return set(allowed) - hours
     parts = set(options.only.split(","))
@@ -150,7 +150,7 @@ def _draw(folder: Path) -> None:
 
     files = sorted(folder.glob("*.jsonl"))
     if not files:
-        raise SceneError(f"--out: no measurements in {folder}; allowed: a folder that has some")
+        raise SceneError(f"--out: no measurements in {folder}; allowed: a folder with measurements")
     page = folder.with_suffix(".md")
     write_page(page, [read(path) for path in files])
     print(f"{page}: written")

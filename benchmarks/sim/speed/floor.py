@@ -1,4 +1,4 @@
-"""The least that the iterations of a run can take: bytes to move, operations to do."""
+"""Roofline bound on the time of a run's iterations: memory traffic and operations."""
 
 from __future__ import annotations
 
@@ -14,70 +14,71 @@ NUMBER, HALF = 4, 2
 VECTOR, BLOCK = 3 * NUMBER, 9 * NUMBER
 SLOTS = 27
 
-# A node's row of the tangent, all of it stored.
+# Full row of a node in the tangent.
 ROW_BYTES = SLOTS * BLOCK
-# The same as products read it on a GPU.
+# The same as read by matrix-vector products on a GPU.
 HALF_ROW_BYTES = SLOTS * 9 * HALF
-# Pivot and coupling of a node, each read once.
+# Pivot and coupling blocks of a node, each read once.
 PRECONDITIONER_BYTES = 2 * BLOCK
-# Direction, product, solution and residual read, the two last and the preconditioned residual
-# written; then that one and the direction read, and the direction written.
+# Search direction, product, solution and residual read, the last two and the preconditioned
+# residual written; then that residual and the direction read, and the direction written.
 VECTORS_BYTES = 10 * VECTOR
-# Of a node and iteration of conjugate gradients on a GPU; in the product a vector, which stays
-# near, is read and one written.
+# Per node and iteration of conjugate gradients on a GPU; in the product one vector, which stays in
+# cache, is read and one written.
 CG_BYTES = HALF_ROW_BYTES + 2 * VECTOR + PRECONDITIONER_BYTES + VECTORS_BYTES
-# The same where products read the tangent as it was assembled, as on a CPU.
+# The same with products that read the tangent as it was assembled, as on a CPU.
 WHOLE_CG_BYTES = CG_BYTES - HALF_ROW_BYTES + ROW_BYTES
-# The product, three small products of the preconditioner, four vector updates and dot products.
+# Operations of the product, three small products of the preconditioner, four vector updates and
+# dot products.
 CG_FLOPS = 2 * 9 * SLOTS + 3 * 18 + 2 * 15
-# The elastic part read, the tangent written, its columns factored, displacement and residual;
-# beside them the elastic part is written where it is new, and on a GPU the tangent in float16.
+# Elastic part read, tangent written, its columns factored, displacement and residual; in addition
+# the elastic part is written when updated, and on a GPU the tangent in float16.
 NEWTON_NODE_BYTES = 2 * ROW_BYTES + 4 * BLOCK + 4 * VECTOR
 # Inverse Jacobians, weights and node numbers of an element.
 _GEOMETRY_BYTES = 8 * BLOCK + 8 * NUMBER + 8 * NUMBER
-# Forces of its corners, written and read.
+# Forces at its corners, written and read.
 _FORCES_BYTES = 2 * 8 * VECTOR
-# Of an element's tangent and one evaluation of its forces, counted in the kernels' source; about 20
-# % sure.
+# Operations for an element's tangent and for its forces, counted in the kernels' source, accurate
+# to about 20 %.
 _TANGENT_FLOPS, _FORCES_FLOPS = 14_000, 3_500
 
 
 def anew(*, cpu: bool) -> float:
-    """Share of Newton iterations that assemble the elastic part."""
+    """Return the share of Newton iterations that assemble the elastic part."""
     return 1 / ELASTIC_EVERY if cpu else 1.0
 
 
 def newton_element_bytes(*, cpu: bool) -> float:
-    """Of a Newton iteration and element: what is read for the tangent and for the forces."""
+    """Return the bytes read per Newton iteration and element, for the tangent and the forces."""
     return (1 + anew(cpu=cpu)) * _GEOMETRY_BYTES + _FORCES_BYTES
 
 
 def newton_element_flops(*, cpu: bool) -> float:
-    """Operations of a Newton iteration and element."""
+    """Return the operations per Newton iteration and element."""
     return anew(cpu=cpu) * _TANGENT_FLOPS + _FORCES_FLOPS
 
 
 @dataclass(frozen=True, slots=True)
 class Floor:
-    """What the iterations of a run ask for, and the seconds that takes at the machine's rates."""
+    """Memory traffic and operations of a run, and their time at the machine's rates."""
 
     newton_bytes: float
     cg_bytes: float
     flops: float
     byte_seconds: float
-    """At the rate of an array beyond any cache; on a CPU, at that of one press's tangent where it
-    is higher."""
+    """At the copy rate of an array beyond any cache, or, on a CPU, of one press's tangent if that
+    is faster."""
     flop_seconds: float
 
     @property
     def seconds(self) -> float:
-        """The larger: moving and computing may go on at once."""
+        """The larger of both times, since memory traffic and computation can overlap."""
         known = [s for s in (self.byte_seconds, self.flop_seconds) if math.isfinite(s)]
         return max(known, default=math.nan)
 
 
 def floor_of(run: Run, machine: Machine) -> Floor:
-    """The floor of a run in float32, whose products read the tangent in float16 on a GPU."""
+    """Return the bound for a run in float32, with products in float16 on a GPU."""
     cpu = machine.device == "cpu"
     of_node = NEWTON_NODE_BYTES + anew(cpu=cpu) * ROW_BYTES + (0 if cpu else HALF_ROW_BYTES)
     newton_bytes = run.newton_elements * newton_element_bytes(cpu=cpu) + run.newton_nodes * of_node

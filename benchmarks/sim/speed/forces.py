@@ -1,4 +1,4 @@
-"""Forces of presses at every depth in a CSV file, and how far they are from a reference."""
+"""Forces of presses at every depth in a CSV file, and their errors relative to a reference."""
 
 from __future__ import annotations
 
@@ -21,19 +21,18 @@ Key = tuple[str, float, float, float]
 Forces = dict[Key, Array]
 
 COLUMNS = ("indenter", "x_mm", "y_mm", "depth_mm", "fx", "fy", "fz")
-# From this depth on a press counts for the first error: before, forces are a few hundredths of the
-# largest.
+# Minimum depth for the first error: at smaller depths, forces are a few hundredths of the largest.
 SHALLOW_MM = 0.6
 
 
 @dataclass(frozen=True, slots=True)
 class Errors:
-    """|F - Fref| / |Fref| over presses and depths that both have; NaN where there are none."""
+    """|F - Fref| / |Fref| over common presses and depths; NaN if there are none."""
 
     presses: int
     mean: float
     most: float
-    """95 % lie below."""
+    """95th percentile."""
     worst: float
     worst_at: str
     normal: float
@@ -41,18 +40,18 @@ class Errors:
 
 
 def forces_of(presses: Sequence[Press], outcomes: Sequence[Result | SimulationDiverged]) -> Forces:
-    """Forces of those presses that have a solution."""
+    """Return the forces of the presses that have a solution."""
     found: Forces = {}
     for press, outcome in zip(presses, outcomes, strict=True):
         if isinstance(outcome, Result):
-            # The first frame only touches.
+            # In the first frame the indenter only touches the surface.
             for depth, force in zip(press.depths, outcome.force[1:], strict=True):
                 found[press.indenter, press.x, press.y, depth] = force
     return found
 
 
 def write_forces(path: Path, forces: Forces) -> None:
-    """Write forces in [N], whole or not at all."""
+    """Write forces in [N] atomically."""
     _write(path, COLUMNS, [_line(key, force) for key, force in forces.items()])
 
 
@@ -65,19 +64,19 @@ def write_runs(path: Path, runs: dict[str, Forces]) -> None:
 
 
 def read_forces(path: Path) -> Forces:
-    """The forces that `write_forces` wrote; none where there is no file.
+    """Read the forces written by `write_forces`; empty if there is no file.
 
     Raises:
-        ValueError: Other columns.
+        ValueError: The columns differ.
     """
     return dict(_read(line) for line in _lines(path, COLUMNS))
 
 
 def read_runs(path: Path) -> dict[str, Forces]:
-    """The forces that `write_runs` wrote; none where there is no file.
+    """Read the forces written by `write_runs`; empty if there is no file.
 
     Raises:
-        ValueError: Other columns.
+        ValueError: The columns differ.
     """
     runs: dict[str, Forces] = {}
     for name, *line in _lines(path, ("run", *COLUMNS)):
@@ -115,7 +114,7 @@ def _read(line: Sequence[str]) -> tuple[Key, Array]:
 
 
 def errors(forces: Forces, reference: Forces, *, from_mm: float = 0.0) -> Errors:
-    """How far `forces` are from `reference`, at depths from `from_mm` on."""
+    """Return the errors of `forces` relative to `reference`, at depths of at least `from_mm`."""
     both = [key for key in reference if key in forces and key[3] >= from_mm - 1e-9]
     if not both:
         nothing = float("nan")

@@ -1,8 +1,8 @@
-"""Frames a second of a press in small steps, one or many at once: `python -m benchmarks frames`.
+"""Frames per second of presses in small steps, one or many at once: `python -m benchmarks frames`.
 
-A frame is 0.05 mm of motion. Spheres of 3 to 5 mm go 1 mm into the paper's gel, each at a place of
-its own: 20 frames a press. Errors are those of the forces from 0.1 mm on, against the default mesh
-with elements half as long, of the first presses.
+A frame is 0.05 mm of motion. Spheres of 3 to 5 mm go 1 mm into the paper's gel, each at a different
+place: 20 frames per press. Errors are those of the forces from 0.1 mm on, relative to the default
+mesh with elements half as long, for the first presses.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ if TYPE_CHECKING:
 
 MM = 1e-3
 FRAME, FRAMES = 0.05 * MM, 20
-# Presses at once.
+# Numbers of simultaneous presses.
 COUNTS = (1, 64, 256, 1024)
-# Presses whose errors are told.
+# Number of presses whose errors are measured.
 JUDGED = 4
-# First frame that is judged, 0 being the touch: 0.1 mm.
+# First frame whose error is measured, 0 being the touch: 0.1 mm.
 FROM = 2
 
 
@@ -48,7 +48,7 @@ class Way:
 
 
 def ways() -> list[Way]:
-    """`layer`, three coarse meshes of `fem` with the states as exact as they are, the default."""
+    """Return `layer`, three coarse meshes of `fem` with matching tolerances, and the default."""
     found = [Way("layer", None)]
     for spacing in (1.33, 1.0, 0.8):
         quick = Numerics(
@@ -63,7 +63,7 @@ def ways() -> list[Way]:
 
 
 def scenes(count: int) -> list[Scene]:
-    """The first `count` presses; the same for every count."""
+    """Return the first `count` presses, which are the same for every count."""
     random = np.random.default_rng(0)
     drawn = random.uniform([3 * MM, -4 * MM, -4 * MM], [5 * MM, 4 * MM, 4 * MM], (max(COUNTS), 3))
     depths = [FRAME * frame for frame in range(1, FRAMES + 1)]
@@ -73,7 +73,7 @@ def scenes(count: int) -> list[Scene]:
 def solved(
     way: Way, some: Sequence[Scene], device: str, processes: int
 ) -> tuple[float, list[Outcome]]:
-    """Time to solve the presses [s], and their outcomes."""
+    """Return the time to solve the presses [s], and their outcomes."""
     tier = "layer" if way.numerics is None else "fem"
     on_cpu = device == "cpu" or tier == "layer"
     numerics = way.numerics
@@ -91,7 +91,7 @@ def solved(
 
 
 def errors(outcomes: Sequence[Outcome], truths: Sequence[Outcome]) -> tuple[float, float]:
-    """Mean and largest error [%] of the presses that have a truth."""
+    """Return mean and largest error [%] of the presses that have a reference."""
     found = []
     for one, truth in zip(outcomes, truths, strict=False):
         if isinstance(one, SimulationDiverged) or isinstance(truth, SimulationDiverged):
@@ -102,31 +102,33 @@ def errors(outcomes: Sequence[Outcome], truths: Sequence[Outcome]) -> tuple[floa
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and its options."""
+    """Add the subcommand and its options."""
     parser = verbs.add_parser(
         "frames",
-        help="frames a second, one press or many at once",
-        description="Times presses of 20 frames of 0.05 mm by `layer` and by meshes of `fem`, and "
-        "tells how far off their forces are. Kernels are compiled before.",
+        help="frames per second, one press or many at once",
+        description="Times presses of 20 frames of 0.05 mm with `layer` and with meshes of `fem`, "
+        "and reports the errors of their forces. Kernels are compiled before.",
     )
     parser.add_argument("--device", default="cpu", help="cpu, or cuda:0 and the like (%(default)s)")
     parser.add_argument(
         "--counts",
         default=",".join(map(str, COUNTS)),
-        help="presses at once, each its own row (%(default)s)",
+        help="numbers of simultaneous presses, one row each (%(default)s)",
     )
     parser.add_argument(
-        "--processes", type=int, default=2, help="of what runs on the CPU (%(default)s)"
+        "--processes", type=int, default=2, help="processes on the CPU (%(default)s)"
     )
-    parser.add_argument("--only", default="", metavar="WORD", help="ways with this in their name")
+    parser.add_argument(
+        "--only", default="", metavar="WORD", help="only methods whose name contains this"
+    )
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace, say: Callable[[str], None] = print) -> int:
-    """Print the table; 0.
+    """Print the table and return 0.
 
     Raises:
-        SceneError: Counts that are no whole numbers from 1 to the largest.
+        SceneError: Counts that are not integers from 1 to the largest.
     """
     from sim.device import ready_device
 
@@ -137,7 +139,7 @@ def run(options: argparse.Namespace, say: Callable[[str], None] = print) -> int:
     if not all(1 <= one <= max(COUNTS) for one in counts):
         raise SceneError(f"--counts: {options.counts!r}; allowed: 1 to {max(COUNTS)}, by commas")
     ready_device(options.device)
-    say(f"solving {JUDGED} presses finely, to tell errors")
+    say(f"solving {JUDGED} presses on a fine mesh, as the reference")
     _seconds, truths = solved(
         Way("", Numerics(fineness=1.5, elements_max=400_000, one_topology=True)),
         scenes(JUDGED),

@@ -1,4 +1,4 @@
-"""The solver without one of its steps, for as long as a context lasts."""
+"""Ablations: the solver without one of its optimisations, inside a context."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from benchmarks.sim.substitute import in_place_of
 
 @contextlib.contextmanager
 def without_prediction() -> Iterator[None]:
-    """Every step begins at the last state: no share of the last change, no way along the tangent.
+    """Start every step at the last state, without prediction by the last change or the tangent.
 
-    Both are arguments of methods that the solver calls, but of none that a caller can reach.
+    Both are arguments of methods that the solver calls, but that a caller cannot reach.
     """
     from sim.fem import assembly, solver
     from sim.fem.assembly import State
     from sim.fem.newton import Newton
 
     class FromLast(State):
-        """Begins each step with the displacement that the last one ended with."""
+        """State that begins each step with the displacement at the end of the last one."""
 
         def begin_step(self, chosen: Any, tip: Any, duration: Any, guess: Any) -> None:
             super().begin_step(chosen, tip, duration, np.zeros_like(guess))
 
     class WithTheTip(Newton):
-        """Begins each step where its tip ends, and follows no tip along the tangent."""
+        """Newton's method that begins each step at its tip, without a tangent predictor."""
 
         def begin(self, chosen: Any, tolerance: Any, *, predict: Any) -> None:
             super().begin(chosen, tolerance, predict=np.zeros_like(predict))
@@ -39,28 +39,28 @@ def without_prediction() -> Iterator[None]:
 
 
 def without_keeping() -> contextlib.AbstractContextManager[None]:
-    """Every iteration of Newton's assembles the elastic part of its tangent."""
+    """Assemble the elastic part of the tangent in every Newton iteration."""
     from sim.fem import assembly
 
     return _made_with(assembly, "Stencil", keep=False)
 
 
 def without_graphs() -> contextlib.AbstractContextManager[None]:
-    """Every kernel of conjugate gradients is launched by itself."""
+    """Launch every kernel of conjugate gradients separately."""
     from sim.fem import newton
 
     return _made_with(newton, "ConjugateGradient", record=False)
 
 
 def without_gathering() -> contextlib.AbstractContextManager[None]:
-    """Every iteration of conjugate gradients launches threads for all environments."""
+    """Launch threads for all environments in every iteration of conjugate gradients."""
     from sim.fem import newton
 
     return _made_with(newton, "ConjugateGradient", gather=False)
 
 
 def without_rounding() -> contextlib.AbstractContextManager[None]:
-    """Products read the tangent as it was assembled."""
+    """Compute products with the tangent as it was assembled."""
     from sim.fem import assembly
 
     return _made_with(assembly, "Stencil", half=False)
@@ -69,7 +69,7 @@ def without_rounding() -> contextlib.AbstractContextManager[None]:
 def _made_with(
     user: ModuleType, name: str, **always: Any
 ) -> contextlib.AbstractContextManager[None]:
-    """What a module makes of this class has these arguments, whatever else is asked for."""
+    """Construct this class in the module always with these arguments, overriding others."""
     kind = getattr(user, name)
 
     def made(*args: Any, **options: Any) -> Any:

@@ -1,4 +1,4 @@
-"""How fast a machine moves bytes and multiplies, measured beside the runs that are held to it."""
+"""Memory and arithmetic rates of a machine, measured next to the runs that are compared."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from pathlib import Path
 
 import numpy as np
 
-# Size of the array whose copy no cache holds.
+# Size of an array larger than any cache.
 FAR_BYTES = 256 * 2**20
-# How long each rate is measured at least [s].
+# Minimum duration of measuring a rate [s].
 LEAST_SECONDS = 0.2
-# Of the matrices that are multiplied.
+# Side of the matrices that are multiplied.
 SIDE = 1024
-# float32 operations a second outside of tensor cores, by a word of the GPU's name: NVIDIA's data
+# float32 operations per second outside of tensor cores, by a word in the GPU's name: NVIDIA's data
 # sheets of the H200 SXM, H100 SXM and A100.
 STATED_FLOPS = {"H200": 66.9e12, "H100": 66.9e12, "A100": 19.5e12}
 
 
 def machine_name(device: str) -> str:
-    """The machine in words."""
+    """Return a description of the machine."""
     if device != "cpu":
         import warp as wp
 
@@ -38,9 +38,9 @@ def machine_name(device: str) -> str:
 
 
 def copy_rate(device: str, size: int, threads: int = 1) -> float:
-    """Bytes read and written per second by copies of `size` bytes.
+    """Return the bytes read and written per second by copies of `size` bytes.
 
-    On a CPU by NumPy, in so many threads at once, each with arrays of its own; on a GPU by Warp.
+    NumPy copies on a CPU, in `threads` threads with separate arrays; Warp copies on a GPU.
     """
     if device != "cpu":
         return _copy_rate_gpu(device, size)
@@ -69,7 +69,7 @@ def _copy_rate_gpu(device: str, size: int) -> float:
 
 
 def flop_rate(device: str) -> tuple[float, str]:
-    """float32 operations per second at best, and where the figure comes from."""
+    """Return the peak float32 operations per second, and the source of the number."""
     if device == "cpu":
         left = np.ones((SIDE, SIDE), np.float32)
         product = np.empty_like(left)
@@ -83,7 +83,7 @@ def flop_rate(device: str) -> tuple[float, str]:
 
 
 def _least_seconds(work: Callable[[], object]) -> float:
-    """The least wall time of `work`, called for a while."""
+    """Return the minimum wall time of `work`, called repeatedly."""
     least = float("inf")
     work()
     until = time.perf_counter() + LEAST_SECONDS

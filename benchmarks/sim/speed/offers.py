@@ -1,4 +1,4 @@
-"""What each mesh, and each two of them, cost and give on all presses of the work."""
+"""Cost and error of each mesh, and of each pair of meshes, on all presses of the work."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from benchmarks.sim.speed.forces import SHALLOW_MM, Errors, Forces, errors, read
 from benchmarks.sim.speed.record import Record, Run
 from sim.extrapolation import COARSER, left_of_difference
 
-# Ratio of the elements of two meshes at least: closer ones multiply what is left to chance.
+# Minimum ratio of the element sizes of two meshes; closer meshes amplify random errors.
 APART = 1.3
-# Of devices.
+# Colours of devices.
 COLOURS: tuple[Colour, ...] = ((59, 111, 182), (217, 130, 43), (63, 155, 107), (176, 64, 62))
-# Whether there are two meshes, how they are drawn and called.
+# True if there are two meshes, with their mark and name in the chart.
 KINDS: tuple[tuple[bool, Mark, str], ...] = (
     (False, "disc", "a mesh"),
     (True, "diamond", "two meshes"),
@@ -28,31 +28,31 @@ KINDS: tuple[tuple[bool, Mark, str], ...] = (
 
 @dataclass(frozen=True, slots=True)
 class Offer:
-    """One way to solve all presses, and what it takes."""
+    """One way to solve all presses, with its cost and errors."""
 
     spacing_mm: float
-    """Height of the elements, of the finer mesh where there are two."""
+    """Element height, of the finer mesh if there are two."""
     coarser_mm: float | None
-    """Of the coarser mesh; None: there is one mesh."""
+    """Element height of the coarser mesh; None: there is one mesh."""
     seconds: float
     presses: int
     failed: int
     memory: int
     errors: Errors
-    """At depths from `SHALLOW_MM` on."""
+    """Errors at depths of at least `SHALLOW_MM`."""
 
     @property
     def elements(self) -> str:
-        """Its meshes in words."""
+        """Description of its meshes."""
         if self.coarser_mm is None:
             return f"{self.spacing_mm:.3g} mm"
         return f"{self.coarser_mm:.3g} and {self.spacing_mm:.3g} mm, extrapolated"
 
 
 def offers_of(record: Record, reference: Forces) -> list[Offer]:
-    """All meshes of a device from coarse to fine, then those two of them that are far enough apart.
+    """Return all meshes of a device from coarse to fine, then all pairs that differ enough.
 
-    Two meshes take the time of both; their forces are those that `sim.extrapolation` makes of them.
+    Two meshes take the time of both; their forces are extrapolated by `sim.extrapolation`.
     """
     forces = read_runs(meshes_file(record.path))
     forces["all"] = read_forces(presses_file(record.path))
@@ -88,13 +88,13 @@ def _pair(coarse: Run, fine: Run, first: Forces, second: Forces, reference: Forc
 
 
 def cheapest(offers: Sequence[Offer], error: float) -> Offer | None:
-    """The offer that takes least time of those that solve every press within `error`, a share."""
+    """Return the fastest of the offers that solve every press with mean error up to `error`."""
     good = [one for one in offers if not one.failed and one.errors.mean <= error]
     return min(good, key=lambda one: one.seconds, default=None)
 
 
 def offer_table(records: Sequence[Record], offers: Sequence[Sequence[Offer]]) -> list[str]:
-    """The table of all offers of all devices."""
+    """Return the table of all offers of all devices."""
     lines = [
         "| machine | elements | seconds | a press | without a solution | error, mean | "
         "95 % below | worst | where | memory |",
@@ -113,13 +113,13 @@ def offer_table(records: Sequence[Record], offers: Sequence[Sequence[Offer]]) ->
 def save_offer_chart(
     path: Path, records: Sequence[Record], offers: Sequence[Sequence[Offer]], floor: float
 ) -> None:
-    """Draw error against seconds of all offers, a panel for each way to sum up the errors.
+    """Draw error against seconds of all offers, one panel per summary of the errors.
 
     Args:
-        path: Of the picture.
-        records: Of all devices.
-        offers: Of each of them.
-        floor: Error of the reference itself, a share; NaN where it is not known.
+        path: Path of the picture.
+        records: Records of all devices.
+        offers: Offers of each device.
+        floor: Error of the reference, as a share; NaN if unknown.
     """
     panels = []
     for title, measure in (("mean", "mean"), ("95 % below", "most"), ("worst", "worst")):

@@ -1,6 +1,6 @@
-"""docs/results/speed.md.
+"""Write docs/results/speed.md.
 
-From the measurements of every device; numbers come from there or are cited.
+Numbers come from the measurements of every device, or are cited.
 """
 
 from __future__ import annotations
@@ -27,25 +27,25 @@ from sim.extrapolation import left_of_difference
 from sim.fem.numerics import FOR_EDGES
 from sim.paper_presses import DEPTHS_MM, FRICTION, PLACES_MM
 
-# Seconds for the whole work and error of the force, by kind of device: wanted, and hoped for.
+# Goals for total seconds and force error, by kind of device: required, and hoped for.
 GOALS = {"cpu": ((600.0, 0.03), (300.0, 0.01)), "gpu": ((10.0, 0.01), (3.0, 0.01))}
 WHOLE, DENSE = 162, 810
-# The picture, in the folder `images` beside the page.
+# Chart, in the folder `images` next to the page.
 CHART = "speed.png"
 
 _INTRO = """# Speed
 
 The paper's work: 18 indenters at 9 places ({places} mm along x and y), pressed to {depths} mm, with
 friction {friction:g}, into its gel of 20 x 20 x 4 mm. {whole} presses, 5 frames each, by the `fem`
-tier with elements as high as the table says, {finer:g} times as wide where the indenter comes and
-growing outwards from there, states as exact as these meshes are (`Numerics(tolerance={tolerance:g},
-path_tolerance={path:g}, augmentations={augmentations})`). Seconds are wall time with kernels
-compiled, from scenes to results; compiling is told apart. Shared machines are not alike from day to
-day: the rates of each, measured beside its presses, are under "The floor", and material points were
-timed in the same run. Made by `make speed`.
+tier with the element height given in the table. Elements are {finer:g} times as wide at the
+indenter and grow outwards. Tolerances match these meshes (`Numerics(tolerance={tolerance:g},
+path_tolerance={path:g}, augmentations={augmentations})`). Seconds are wall time from scenes to
+results, with kernels compiled; compile time is given separately. Shared machines vary from day to
+day: the rates of each, measured next to its presses, are under "The floor", and material points
+were timed in the same run. Made by `make speed`.
 """
 _ERRORS = """
-Error: |F - Fref| / |Fref| of every press and depth that the reference has: all 18 indenters in the
+Error: |F - Fref| / |Fref| of every press and depth in the reference: all 18 indenters in the
 middle, at a corner and at a side.
 """
 _MESHES = """
@@ -54,21 +54,22 @@ _MESHES = """
 The same {whole} presses with coarser and finer elements, and with two meshes whose forces are
 extrapolated to elements of no size (`simulate(..., extrapolate=True)`, `--extrapolate`); errors
 from {deep:g} mm on. Errors of a mesh fall about as the square of its elements' size, and all forces
-are too large; by that law the reference is still about {left} too large
-itself, which is in every row: a mesh is worse by so much, and two meshes are better than they look.
+are too large. By that law the reference is still about {left} too large, which affects every
+row: a mesh is worse by this amount, and two meshes are better than shown.
 
 ![Error against seconds, of a mesh and of two](images/{chart})
 """
 _SCALING = """
 ## More presses
 
-The 1 and the 9 are spread over indenters and places; {dense} are the indenters on {x} x {y} places.
+The 1 and the 9 presses are spread over indenters and places; {dense} are the indenters
+on {x} x {y} places.
 """
 _MPM = """
 ## Material points
 
 Our own `mpm` tier on the sphere in the middle, timed in the same run. "{whole} presses" is that
-press {whole} times, or the batch as often as it fits: a prediction.
+press {whole} times, or the batch repeated: a prediction.
 """
 _TACCHI = """
 ## Tacchi
@@ -85,11 +86,11 @@ _COMMANDS = """
 make speed                                   # this machine's CPU, then this page
 python -m benchmarks speed --device cuda:0 --only presses,scaling,steps,mpm,meshes,reference \\
   --out DIR
-python -m benchmarks speed --only page       # with DIR's files beside those in docs/results/speed
+python -m benchmarks speed --only page       # with DIR's files next to those in docs/results/speed
 ```
 
-What is in `{folder}` is not measured again unless `--again` is given; `--long` measures all
-{dense} on a CPU as well.
+Runs in `{folder}` are not measured again unless `--again` is given; `--long` also measures all
+{dense} on a CPU.
 """
 
 
@@ -169,7 +170,7 @@ def _headline(
 
 
 def _reached(offers: Sequence[Offer], limit: float, error: float) -> str:
-    """Whether a goal was reached, and by what; else what comes nearest."""
+    """Return whether a goal was reached and by which mesh, or the nearest result."""
     whole = [one for one in offers if one.presses >= WHOLE and math.isfinite(one.errors.mean)]
     if not whole:
         return MISSING
@@ -211,7 +212,7 @@ def _reference_text(records: Sequence[Record]) -> str:
 
 
 def _left_in_reference(records: Sequence[Record], offers: Sequence[Sequence[Offer]]) -> float:
-    """Mean error of the reference, by the law of `sim.extrapolation` and the finest mesh."""
+    """Return the mean error of the reference, by the law of `sim.extrapolation`."""
     run = next((found for each in records if (found := each.get("reference", "reference"))), None)
     finest = min(
         (

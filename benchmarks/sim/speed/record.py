@@ -1,4 +1,4 @@
-"""What was measured on a device: the machine, then one line for every timed run; JSON Lines."""
+"""Measurements of a device: the machine, then one line for every timed run; JSON Lines."""
 
 from __future__ import annotations
 
@@ -8,29 +8,29 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-# What is measured, in the order that it is.
+# Parts in the order of measurement.
 PARTS = ("presses", "scaling", "steps", "mpm", "meshes", "reference")
 
 
 @dataclass(frozen=True, slots=True)
 class Machine:
-    """Where the runs of a file took place, and how fast that place is."""
+    """Machine of the runs in a file, and its rates."""
 
     name: str
     device: str
     warm_seconds: float = math.nan
-    """First press of every set of kernels: compiled if need be, loaded in any case [s]."""
+    """Time of the first press with every set of kernels, compiled if necessary, and loaded [s]."""
     compiled: int = 0
-    """Kernel modules that were compiled then; the others lay in Warp's cache."""
+    """Number of kernel modules that were compiled; the others were in Warp's cache."""
     copy_rate: float = math.nan
-    """Bytes read and written per second when an array larger than any cache is copied, by as many
-    threads as processes compute."""
+    """Bytes read and written per second when copying an array larger than any cache, with as many
+    threads as processes."""
     near_rate: float = math.nan
-    """The same with an array as large as the tangent of one press on the mesh that is timed."""
+    """The same with an array as large as the tangent of one press on the timed mesh."""
     flop_rate: float = math.nan
-    """float32 operations per second at best."""
+    """Peak float32 operations per second."""
     flop_source: str = ""
-    """Where that comes from."""
+    """Source of `flop_rate`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,29 +41,29 @@ class Run:
     name: str
     presses: int = 0
     seconds: float = math.nan
-    """Wall time, kernels compiled before."""
+    """Wall time, with kernels compiled before."""
     again: float = math.nan
-    """The same once more, with the memory already taken."""
+    """The same for a second run, with memory already allocated."""
     cpu: float = math.nan
     """CPU time of all processes [s]."""
     memory: int = 0
-    """Most memory held [bytes]: of all processes, Python and libraries included, on a CPU; of the
-    arrays on a GPU."""
+    """Peak memory [bytes]: on a CPU of all processes, including Python and libraries; on a GPU of
+    the arrays."""
     processes: int = 1
     spacing_mm: float = math.nan
     tolerance: float = math.nan
-    """Out-of-balance force over force at which states are kept."""
+    """Residual over force at which states are accepted."""
     failed: int = 0
-    """Presses without a solution."""
+    """Number of presses without a solution."""
     groups: int = 0
-    """Mesh topologies: as many launches at least, on a GPU."""
+    """Number of mesh topologies, which is the minimum number of launches on a GPU."""
     elements: int = 0
-    """Of all presses together; particles of `mpm`."""
+    """Number of elements of all presses together; particles of `mpm`."""
     nodes: int = 0
     newton: int = 0
     """Newton iterations of all presses; time steps of `mpm`."""
     newton_first: float = math.nan
-    """How many more of them the first depths took than a later depth of the same presses."""
+    """Newton iterations of the first depths beyond those of a later depth of the same presses."""
     cg: int = 0
     newton_elements: int = 0
     """Newton iterations times elements, summed over presses."""
@@ -72,30 +72,30 @@ class Run:
     against: float = math.nan
     """Wall time of the run that this one is compared with, in the same call [s]."""
     difference: float = math.nan
-    """Mean distance of the forces from those of that run, over their size."""
+    """Mean distance of the forces from those of that run, relative to their magnitude."""
     note: str = ""
 
     @property
     def key(self) -> tuple[str, str]:
-        """What is measured once."""
+        """Identity of the measurement."""
         return self.part, self.name
 
     @property
     def best(self) -> float:
-        """The shorter of the two times [s]."""
+        """Shorter of the two times [s]."""
         return self.seconds if not self.again < self.seconds else self.again
 
 
 @dataclass(slots=True)
 class Record:
-    """The file of one device; every change is written at once and whole."""
+    """File of one device; every change is written immediately and atomically."""
 
     path: Path
     machine: Machine
     runs: dict[tuple[str, str], Run] = field(default_factory=dict)
 
     def put(self, run: Run) -> None:
-        """Add a run, or put it in the place of the one of its name."""
+        """Add a run, or replace the one with the same name."""
         self.runs[run.key] = run
         self.write()
 
@@ -109,20 +109,20 @@ class Record:
         partial.replace(self.path)
 
     def get(self, part: str, name: str) -> Run | None:
-        """The run of that name, if it was measured."""
+        """Return the run of that name, or None if it was not measured."""
         return self.runs.get((part, name))
 
     def of(self, part: str) -> list[Run]:
-        """All runs of a part, in the order in which they were measured."""
+        """Return all runs of a part, in the order of measurement."""
         return [run for run in self.runs.values() if run.part == part]
 
 
 def read(path: Path) -> Record:
-    """The record in a file.
+    """Read the record in a file.
 
     Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: It is not one.
+        FileNotFoundError: No such file.
+        ValueError: Not a record.
     """
     lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
     if not lines or "copy_rate" not in lines[0]:
@@ -132,7 +132,7 @@ def read(path: Path) -> Record:
 
 
 def _plain(line: dict[str, Any]) -> dict[str, Any]:
-    """JSON knows no NaN: null stands for it; six digits are enough."""
+    """Replace NaN by null, which JSON can represent, and round to six digits."""
     kept = {}
     for name, value in line.items():
         if not isinstance(value, float):

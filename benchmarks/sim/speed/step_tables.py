@@ -1,4 +1,4 @@
-"""Tables of the page that say why it is as quick as it is: steps, and the floor below them."""
+"""Tables of the page on the gain of each optimisation, and on the roofline bound."""
 
 from __future__ import annotations
 
@@ -22,27 +22,26 @@ from benchmarks.sim.speed.steps import AS_IT_IS, REPLACED, Step, assembled_gain,
 _STEPS = """
 ## What each step is worth
 
-One step left out at a time, on presses in the middle: all indenters on a GPU, four on a CPU, in one
-process. Gain: time without the step over time with it. Forces: mean distance of all from those with
-all steps. Error: from the reference, mean over depths from {deep:g} mm on.
+Ablation: one step left out at a time, on presses in the middle: all indenters on a GPU, four on a
+CPU, in one process. Gain: time without the step over time with it. Forces: mean distance from those
+with all steps. Error: relative to the reference, mean over depths from {deep:g} mm on.
 """
 _FLOOR = """
 ## The floor
 
-Counted: Newton iterations, elements, nodes and CG iterations of each press of the timed run. A CG
-iteration moves at least {cg} bytes a node on a GPU ({row} of the tangent's row, which products read
-in float16, the rest vectors and preconditioner in float32) and {whole} on a CPU, which reads it in
-float32. A Newton iteration moves {element:g} bytes an element besides writing and copying the
-tangent, and computes {flops:,.0f} operations an element, counted in the kernels' source: on a CPU,
-where every second one assembles the elastic part, {cpu_element:g} and {cpu_flops:,.0f}. Bytes are
-moved at the rate of a copy measured beside the run:
-of an array that no cache holds or, on a CPU where that is faster, of one as large as the tangent of
-one press.
+The roofline bound counts Newton iterations, elements, nodes and CG iterations of each press of the
+timed run. A CG iteration moves at least {cg} bytes per node on a GPU ({row} for the tangent's row,
+which products read in float16, the rest for vectors and preconditioner in float32) and {whole} on a
+CPU, which reads it in float32. A Newton iteration moves {element:g} bytes per element besides
+writing and copying the tangent, and computes {flops:,.0f} operations per element, counted in the
+kernels' source; on a CPU, where every second one assembles the elastic part, {cpu_element:g} and
+{cpu_flops:,.0f}. Bytes are moved at the copy rate measured next to the run, for an array larger
+than any cache or, on a CPU where that is faster, for one as large as the tangent of one press.
 """
 
 
 def steps_section(records: Sequence[Record], reference: Forces) -> list[str]:
-    """What each step is worth, predicted and measured, a table for each device."""
+    """Return the predicted and measured gain of each step, a table for each device."""
     lines = [_STEPS.format(deep=SHALLOW_MM)]
     for record in records:
         base = record.get("steps", AS_IT_IS)
@@ -74,7 +73,7 @@ def steps_section(records: Sequence[Record], reference: Forces) -> list[str]:
 
 
 def _warm_start(record: Record) -> list[str]:
-    """What a start from `layer` could save at most."""
+    """Return the upper bound on the gain of a start from `layer`."""
     run = record.get("presses", "all")
     if run is None or not run.newton or not math.isfinite(run.newton_first):
         return []
@@ -83,12 +82,12 @@ def _warm_start(record: Record) -> list[str]:
         "",
         "Not built: a warm start from `layer`. Every depth but the first starts from a prediction; "
         f"the first takes {run.newton_first / run.presses:.1f} Newton iterations a press more, "
-        f"{most} of all: no start could save more, and `layer` takes time as well.",
+        f"{most} of all: this is an upper bound on the saving, and `layer` takes time as well.",
     ]
 
 
 def _once(measured: str, record: Record, tangent: bool) -> str:
-    """The figure from when both sides were in the code, and what it makes of the present run."""
+    """Return the gain measured when both variants existed, and its value for the present run."""
     run = record.get("presses", "all")
     text = f"measured once: {measured}"
     if tangent and run is not None and run.cg_nodes:
@@ -116,7 +115,7 @@ def _step_line(step: Step, record: Record, base: Run | None, off: dict[str, floa
 
 
 def floor_section(records: Sequence[Record]) -> list[str]:
-    """What the iterations of the timed presses ask for, a column for each device."""
+    """Return the roofline bound of the timed presses, one column per device."""
     lines = [
         _FLOOR.format(
             cg=CG_BYTES,

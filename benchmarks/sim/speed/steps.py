@@ -1,4 +1,4 @@
-"""What each step towards speed is worth: predicted with its reason, and measured without it."""
+"""Gain of each optimisation: predicted with its reason, and measured by ablation."""
 
 from __future__ import annotations
 
@@ -24,30 +24,30 @@ if TYPE_CHECKING:
 
 Where = Literal["cpu", "gpu", "both"]
 
-# Elements of the even mesh that is as exact, about, as a graded one, over those of that one.
+# Element size of a uniform mesh about as accurate as a graded one, over that of the graded one.
 EVEN = 0.6
-# Name of the run that the others are held against.
+# Name of the baseline run.
 AS_IT_IS = "as it is"
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """A step that can be left out, or put in, by an argument."""
+    """A step that an argument can leave out or include."""
 
     name: str
     where: Where
     predicted: str
-    """How many times faster, before it was built."""
+    """Speed-up predicted before it was built."""
     reason: str
     solve: Callable[[Numerics, str, int], Solve]
-    """From numerics, device and processes to the solver without it (with it: see `put_in`)."""
+    """Returns the solver without it (with it: see `put_in`) for numerics, device and processes."""
     put_in: bool = False
-    """Whether the run `AS_IT_IS` is the one without the step."""
+    """True if the run `AS_IT_IS` is the one without the step."""
 
 
 @dataclass(frozen=True, slots=True)
 class Replaced:
-    """A step whose other side is no longer in the code: what was measured when both were."""
+    """A step whose alternative was removed from the code, with an earlier measurement of both."""
 
     name: str
     predicted: str
@@ -104,21 +104,21 @@ STEPS = (
         "elements finer in plan than over the depth",
         "both",
         "below 1",
-        "as many more elements where edges need them: an error that is bought cheaply",
+        "more elements where edges need them, which reduces the error at little cost",
         _coarser_in_plan,
     ),
     Step(
         "graded mesh",
         "both",
         "about 1",
-        "hardly fewer elements than an even mesh as coarse as they are high: see the errors",
+        "hardly fewer elements than a uniform mesh of the same height: see the errors",
         _changed(graded=False),
     ),
     Step(
         "graded mesh, against an even one of 3/5 the size",
         "both",
         "2-3",
-        "what an even mesh as exact as the graded one would take: see the errors",
+        "time of a uniform mesh as accurate as the graded one: see the errors",
         _even,
     ),
     Step(
@@ -132,30 +132,30 @@ STEPS = (
         "states as exact as meshes are",
         "both",
         "1.3-2",
-        "tolerances of 1.5 % where they are kept, 10 % on the way, not 0.1 % and 1 %; pressures "
-        "brought up once, not twice: what is left is far below the mesh's error",
+        "tolerances of 1.5 % where they are kept, 10 % on the way, not 0.1 % and 1 %; one "
+        "multiplier update, not two: the remaining residual is far below the mesh's error",
         _changed(tolerance=1e-3, path_tolerance=1e-2, augmentations=2),
     ),
     Step(
         "prediction of the next state",
         "both",
         "2-3 with soft contact",
-        "fewer Newton iterations: a step begins where the last one's motion, or the tangent, leads",
+        "fewer Newton iterations: a step begins at an extrapolated state",
         _without(without_prediction),
     ),
     Step(
         "elastic part kept for two iterations",
         "cpu",
         "1.2",
-        "assembling is half of a press; contact, which is taken anew, changes most, so that hardly "
-        "an iteration is added",
+        "assembling is half of a press; contact, which is always updated, changes most, so hardly "
+        "any iteration is added",
         _without(without_keeping),
     ),
     Step(
         "two processes on two cores",
         "cpu",
         "up to 2",
-        "presses are independent; less what starting processes takes, and what cores share",
+        "presses are independent; start-up of processes and shared resources cost some",
         _shared,
         put_in=True,
     ),
@@ -163,7 +163,7 @@ STEPS = (
         "presses side by side",
         "gpu",
         "up to the number of presses",
-        "one press does not fill a GPU; each walks at its own step, so that the total is the "
+        "one press does not fill a GPU; each advances with its own steps, so the total is the "
         "slowest press, not the sum of the slowest steps",
         _one_by_one,
     ),
@@ -177,8 +177,8 @@ STEPS = (
     Step(
         "graph capture",
         "both",
-        "up to 5 where launches are what takes the time",
-        "about 10 us a launch without, 2 us recorded, on a GPU; 50 us of Python's on a CPU",
+        "up to 5 where launches take most of the time",
+        "about 10 us a launch without, 2 us recorded, on a GPU; 50 us of Python on a CPU",
         _without(without_graphs),
     ),
     Step(
@@ -192,7 +192,7 @@ STEPS = (
         "products read the tangent in float16",
         "gpu",
         "1.1-1.3",
-        f"{CG_BYTES} bytes a node and iteration in place of {WHOLE_CG_BYTES}; as many iterations",
+        f"{CG_BYTES} bytes per node and iteration instead of {WHOLE_CG_BYTES}; as many iterations",
         _without(without_rounding),
     ),
 )
@@ -213,32 +213,32 @@ REPLACED = (
     Replaced(
         "on a CPU: a row of the tangent in wide registers, not block by block",
         "2-4 in products",
-        "27 blocks of 3x3 compile to a multiplication at a time; eight lanes at once are near what "
-        "memory gives",
+        "27 blocks of 3x3 compile to one multiplication at a time; eight lanes at once are near "
+        "the memory bandwidth",
         "63 against 28 ns a node, one core, float32",
     ),
     Replaced(
         "on a GPU: an element's tangent a row a thread, not whole",
         "3-6 in assembling",
-        "all 64 blocks of an element are 9 kB of a thread's own, which it waits for; a row of 8 "
-        "stays in registers, for several times the operations",
+        "all 64 blocks of an element are 9 kB of thread-local memory, whose latency dominates; a "
+        "row of 8 stays in registers, for several times the operations",
         "6.9 s against 3.2 s, 162 presses on an H200; 24.0 against 18.9 s in all, with sums of "
         "conjugate gradients by whole blocks of threads",
     ),
 )
-# Seconds of a product a node, assembled and without a matrix, and of an assembly an element; one
-# core of a CPU, float32, measured when both were in the code.
+# Seconds per node of a product, assembled and matrix-free, and per element of an assembly; one CPU
+# core, float32, measured when both were in the code.
 ASSEMBLED_NODE, FREE_NODE, ASSEMBLY_ELEMENT = 0.052e-6, 0.7e-6, 2.2e-6
 
 
 def steps_on(device: str) -> list[Step]:
-    """The steps that mean something there."""
+    """Return the steps that apply to a device."""
     kind = "cpu" if device == "cpu" else "gpu"
     return [step for step in STEPS if step.where in ("both", kind)]
 
 
 def assembled_gain(newton_elements: int, cg_nodes: int) -> float:
-    """How much less time tangents take assembled, for so many iterations on a CPU."""
+    """Return the time of matrix-free over assembled tangents, for these iterations on a CPU."""
     assembled = newton_elements * ASSEMBLY_ELEMENT + cg_nodes * ASSEMBLED_NODE
     return cg_nodes * FREE_NODE / assembled if assembled else float("nan")
 

@@ -1,4 +1,4 @@
-"""Tacchi's and GenForce's own program on the same work: cited, not measured with the rest."""
+"""Tacchi's and GenForce's own program on the same work: cited, not measured here."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Cited:
-    """A way of running their method, and what 18 indenters x 9 places x 5 depths take with it."""
+    """A way to run their method, and its time for 18 indenters x 9 places x 5 depths."""
 
     name: str
     press: str
-    """One press to all five depths on 2 CPU cores, kernels compiled."""
+    """Time of one press to all five depths on 2 CPU cores, kernels compiled."""
     cpu: str
-    """All of them on 2 CPU cores."""
+    """Time of all presses on 2 CPU cores."""
     gpu: str
-    """All of them on one H200; empty where it was not run."""
+    """Time of all presses on one H200; empty if not run."""
 
 
 CITED = (
@@ -33,7 +33,7 @@ CITED = (
     ),
     Cited("the same at the paper's 10 mm/s", "4 times that", "32 h", "970 s"),
 )
-# How the figures came about.
+# Source of the numbers.
 SOURCE = (
     "Taichi 1.7.4; on a CPU single presses were run and multiplied, on an H200 as well (4.6 s and "
     "6.0 s a press, 9 to 16 s more for each process to compile); good to 20 %"

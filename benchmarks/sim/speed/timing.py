@@ -1,4 +1,4 @@
-"""One timed run of some presses: its time, memory, iterations and what became of them."""
+"""One timed run of some presses: its time, memory, iterations and outcomes."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ if TYPE_CHECKING:
     from sim.mpm import MpmNumerics
 
 Value = TypeVar("Value")
-# From scenes, and what is told of the share done, to outcomes.
+# Function from scenes and a progress callback to outcomes.
 Solve = Callable[[Sequence[Scene], Callable[[float], None]], list[Outcome]]
 
 # Depth of the press that loads the kernels [m].
 WARM = 0.02e-3
 TINY = Body(4e-3, 4e-3, 4e-3)
-# Time between two looks at the workers' memory [s].
+# Interval between checks of the workers' memory [s].
 LOOK_EVERY = 0.1
 
 
 def timed(
     run: Run, scenes: Sequence[Scene], solve: Solve, device: str
 ) -> tuple[Run, list[Outcome]]:
-    """`run` with what it took to solve `scenes`, and their outcomes."""
+    """Solve `scenes` and return `run` with the cost, and their outcomes."""
 
     def work() -> list[Outcome]:
         with Progress(f"{run.part}: {run.name}", sys.stderr) as progress:
@@ -61,7 +61,7 @@ def timed(
 
 
 def fem(numerics: Numerics, device: str, processes: int = 1) -> Solve:
-    """What solves scenes by finite elements."""
+    """Return a function that solves scenes by finite elements."""
 
     def solve(scenes: Sequence[Scene], progress: Callable[[float], None]) -> list[Outcome]:
         return simulate_many(
@@ -72,7 +72,7 @@ def fem(numerics: Numerics, device: str, processes: int = 1) -> Solve:
 
 
 def mpm(numerics: MpmNumerics, device: str) -> Solve:
-    """What solves scenes by material points."""
+    """Return a function that solves scenes by material points."""
 
     def solve(scenes: Sequence[Scene], progress: Callable[[float], None]) -> list[Outcome]:
         return simulate_many(scenes, "mpm", numerics=numerics, device=device, progress=progress)
@@ -81,7 +81,7 @@ def mpm(numerics: MpmNumerics, device: str) -> Solve:
 
 
 def counted(run: Run, outcomes: Sequence[Outcome]) -> Run:
-    """`run` with the sizes of its meshes and the iterations of all its presses."""
+    """Return `run` with the mesh sizes and iterations of all its presses."""
     solved = [one for one in outcomes if isinstance(one, Result)]
     failed = [one for one in outcomes if isinstance(one, SimulationDiverged)]
     run = replace(run, failed=len(failed), note=run.note or (str(failed[0]) if failed else ""))
@@ -109,16 +109,16 @@ def counted(run: Run, outcomes: Sequence[Outcome]) -> Run:
 
 
 def _first(newton: NDArray[np.int64]) -> float:
-    """Iterations of the first depth beyond those of a later one; the first frame only touches."""
+    """Return iterations of the first depth beyond a later one's; the first frame only touches."""
     return float(newton[1] - newton[2:].mean()) if len(newton) > 2 else 0.0
 
 
 def warm_up(
     scene: Scene, numerics: Numerics, device: str, kernels: Path | None
 ) -> tuple[float, int]:
-    """Seconds of a first, shallow press in either precision, and modules compiled for them.
+    """Return seconds of a first, shallow press in both precisions, and the modules compiled.
 
-    Either: what float32 does not solve is solved again in float64.
+    Both are needed because presses that fail in float32 are solved again in float64.
     """
     before = _entries(kernels)
     began = time.perf_counter()
@@ -130,7 +130,7 @@ def warm_up(
 
 
 def warm_up_mpm(scene: Scene, numerics: MpmNumerics, device: str) -> None:
-    """Load the kernels of `mpm`: the same scene on a body of a few particles."""
+    """Load the kernels of `mpm` with the same scene on a body of a few particles."""
     tiny = replace(scene, motion=press([1e-6]), body=TINY)
     simulate_many([tiny], "mpm", numerics=numerics, device=device)
 
@@ -138,7 +138,7 @@ def warm_up_mpm(scene: Scene, numerics: MpmNumerics, device: str) -> None:
 def spent_with_workers(
     work: Callable[[], Value], device: str, processes: int
 ) -> tuple[Value, Spent]:
-    """As `spent_by`, the processes that `work` starts included."""
+    """Measure like `spent_by`, including the processes that `work` starts."""
     if processes == 1:
         return spent_by(work, device)
     most: dict[int, int] = {}
@@ -164,7 +164,7 @@ def spent_with_workers(
 
 
 def _children() -> list[int]:
-    """Processes that this one has started; none where the system does not tell."""
+    """Return the child processes of this process, or none if the system does not list them."""
     found = []
     for listed in Path(f"/proc/{os.getpid()}/task").glob("*/children"):
         try:
@@ -175,7 +175,7 @@ def _children() -> list[int]:
 
 
 def _peak(process: int) -> int:
-    """Most memory that a process has held [bytes]; 0 once it is gone."""
+    """Return the peak memory of a process [bytes]; 0 once it has ended."""
     try:
         text = Path(f"/proc/{process}/status").read_text()
     except OSError:

@@ -1,4 +1,4 @@
-"""The work that is timed: the paper's presses, and samples of them."""
+"""Presses to be timed: the paper's presses, and samples of them."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from sim.indenters import NAMES, named
 from sim.paper_presses import DEPTHS_MM, FRICTION, PLACES_MM
 from sim.scene import Scene, press
 
-# Places along x and y between the outermost when 810 presses are asked for.
+# Numbers of places along x and y, between the outermost ones, for 810 presses.
 DENSE_X, DENSE_Y = 9, 5
-# Middle, corner and side [mm]: what all nine places are, but for turns and mirrors.
+# Middle, corner and side [mm], which by symmetry represent all nine places.
 REFERENCE_AT = ((0.0, 0.0), (4.0, 4.0), (0.0, 4.0))
-# Stand for all 18 where those would take too long: smooth, many bumps, an edge, a ring.
+# Sample of the 18 shapes where all would take too long: smooth, many bumps, an edge, a ring.
 SAMPLE_SHAPES = ("sphere", "wave", "prism", "torus")
 SMOKE_SHAPES = ("sphere", "prism")
 
 
 @dataclass(frozen=True, slots=True)
 class Press:
-    """One indenter at one place, to all depths; millimetres, as in the files."""
+    """One indenter at one place, to all depths, in millimetres as in the files."""
 
     indenter: str
     x: float
@@ -31,7 +31,7 @@ class Press:
     depths: tuple[float, ...] = DEPTHS_MM
 
     def scene(self, *, speed: float = 10e-3) -> Scene:
-        """The press as it is simulated; `speed` of the tip in [m/s]."""
+        """Return the scene of the press; `speed` is that of the tip in [m/s]."""
         return Scene(
             named(self.indenter),
             press(
@@ -45,20 +45,20 @@ class Press:
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """Which presses each part of the measurement consists of."""
+    """Presses of each part of the measurement."""
 
     presses: tuple[Press, ...]
-    """The whole: indenter by indenter, at all its places."""
+    """All presses: each indenter at all its places."""
     dense: tuple[Press, ...]
-    """Five times as many places."""
+    """Presses at five times as many places."""
     reference: tuple[Press, ...]
     centred: tuple[Press, ...]
     """Every indenter in the middle."""
     sample: tuple[Press, ...]
-    """Some of them."""
+    """Some of the centred presses."""
 
     def some(self, count: int) -> tuple[Press, ...]:
-        """`count` of the whole, spread over indenters and places; the first is centred."""
+        """Return `count` of all presses, spread over indenters and places; the first is centred."""
         places = len(PLACES_MM) ** 2
         stride = max(1, len(self.presses) // count)
         stride += stride % places == 0
@@ -67,7 +67,7 @@ class Work:
 
 
 def paper_work() -> Work:
-    """18 indenters x 9 places x 5 depths."""
+    """Return 18 indenters x 9 places x 5 depths."""
     dense_x = np.linspace(PLACES_MM[0], PLACES_MM[-1], DENSE_X)
     dense_y = np.linspace(PLACES_MM[0], PLACES_MM[-1], DENSE_Y)
     return Work(
@@ -80,7 +80,7 @@ def paper_work() -> Work:
 
 
 def smoke_work() -> Work:
-    """A few shallow presses, to see that everything runs."""
+    """Return a few shallow presses, to test that everything runs."""
     depths = (0.1, 0.6)
     centred = tuple(Press(name, 0.0, 0.0, depths) for name in SMOKE_SHAPES)
     aside = tuple(Press(name, 4.0, 4.0, depths) for name in SMOKE_SHAPES)

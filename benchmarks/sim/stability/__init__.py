@@ -1,1 +1,1 @@
-"""Hard cases: scenes that break simulators, each held to laws of mechanics."""
+"""Hard cases: scenes that break simulators, each checked against laws of mechanics."""

@@ -1,4 +1,4 @@
-"""The bodies and indenters that most cases press."""
+"""Bodies and indenters of most cases."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ MM = 1e-3
 
 # The paper's gel, 20 x 20 x 4 mm.
 GEL = Body()
-# As much of it as a shear of 1 mm needs.
+# Part of it that is large enough for a shear of 1 mm.
 MAT = Body(size_x=14 * MM, size_y=14 * MM)
-# A quarter of it, for cases about steps and not about sides.
+# Quarter of it, for cases about steps and not about sides.
 PAD = Body(size_x=10 * MM, size_y=10 * MM)
-# Stands for a TacPalm: 30 x 30 x 12 mm, a dome of radius 45 mm, soft gel of 30 kPa.
+# Model of a TacPalm: 30 x 30 x 12 mm, a dome of radius 45 mm, soft gel of 30 kPa.
 DOME = Body(size_x=30 * MM, size_y=30 * MM, thickness=12 * MM, modulus=30e3, dome_radius=45 * MM)
 # The same, flat.
 SLAB = Body(size_x=30 * MM, size_y=30 * MM, thickness=12 * MM, modulus=30e3)

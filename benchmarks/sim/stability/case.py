@@ -1,4 +1,4 @@
-"""A hard case: a named function that simulates something difficult and returns the laws it kept."""
+"""A hard case: a named function that simulates a difficult scene and returns the laws checked."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ from sim.simulate import simulate_many
 
 @dataclass(frozen=True, slots=True)
 class Solver:
-    """How cases call the `fem` tier."""
+    """Settings with which cases call the `fem` tier."""
 
     device: str = "cpu"
 
     def numerics(self, spacing: float | None = 1e-3, **others: object) -> Numerics:
-        """Numerics with this mesh; 1 mm is coarse, and laws of mechanics hold on it as well.
+        """Return settings with this mesh; 1 mm is coarse, but laws of mechanics hold on it as well.
 
-        None: the default, which follows the contact.
+        None: the default, which adapts to the contact.
         """
         return Numerics(spacing=spacing, **others)  # type: ignore[arg-type]
 
     def one(self, scene: Scene, **numerics: object) -> Result:
-        """The result of one scene.
+        """Return the result of one scene.
 
         Raises:
-            SimulationDiverged: There is none.
+            SimulationDiverged: No solution.
         """
         return self.many([scene], **numerics)[0]
 
     def many(self, scenes: Sequence[Scene], **numerics: object) -> list[Result]:
-        """The results of scenes solved side by side.
+        """Return the results of scenes solved in parallel.
 
         Raises:
-            SimulationDiverged: One of them has none.
+            SimulationDiverged: One of them has no solution.
         """
         chosen = self.numerics(**numerics)  # type: ignore[arg-type]
         results = []
@@ -54,23 +54,23 @@ Run = Callable[[Solver], list[Law]]
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A hard case; its name and what it asserts are its function's."""
+    """A hard case; its function gives its name and its assertion."""
 
     run: Run
     seconds: float
-    """What it takes on one core of a laptop, roughly: sets the order and the time left."""
+    """Approximate time on one core of a laptop; sets the order and the remaining time."""
 
     @property
     def name(self) -> str:
-        """As `--only` takes it."""
+        """Name for `--only`."""
         return self.run.__name__.replace("_", "-")
 
     @property
     def group(self) -> str:
-        """The file it stands in."""
+        """Name of the file that defines it."""
         return self.run.__module__.rsplit(".", 1)[-1]
 
     @property
     def asserts(self) -> str:
-        """What it asserts, in one sentence."""
+        """Its assertion, in one sentence."""
         return (self.run.__doc__ or "").strip().split("\n\n")[0].replace("\n", " ")

@@ -23,14 +23,14 @@ BY_NAME = {case.name: case for case in CASES}
 
 
 def chosen(patterns: list[str]) -> tuple[Case, ...]:
-    """Cases whose name matches any of the patterns (`*` and `?` stand for anything); all for none.
+    """Return cases whose name matches any pattern (with `*` and `?`), or all without patterns.
 
     Raises:
         ValueError: A pattern that matches nothing.
     """
     for pattern in patterns:
         if not any(fnmatch(case.name, pattern) for case in CASES):
-            raise ValueError(f"no case is called {pattern!r}; --list names them")
+            raise ValueError(f"no case is called {pattern!r}; --list shows them")
     return tuple(
         case
         for case in CASES

@@ -1,4 +1,4 @@
-"""Simulate what breaks simulators, judge it by laws of mechanics.
+"""Hard cases for the simulator, judged by laws of mechanics.
 
 `python -m benchmarks hard-cases`.
 """
@@ -20,31 +20,33 @@ if TYPE_CHECKING:
 
 
 def add_to(verbs: Verbs) -> None:
-    """The verb and its options."""
+    """Add the subcommand and its options."""
     parser = verbs.add_parser(
         "hard-cases",
-        help="simulate what breaks simulators, judge it by laws of mechanics",
-        description="Runs named cases and holds each to laws of mechanics. Exit 1 when any law "
-        "fails; with --planted, when a mistake is caught by no case. About ten minutes. With "
-        "--random, scenes are drawn by chance and judged by a referee that is not the solver.",
+        help="simulate hard cases and check them against laws of mechanics",
+        description="Runs named cases and checks each against laws of mechanics. Exit code 1 if "
+        "any law fails; with --planted, if no case detects a deliberate bug. Takes about 10 min. "
+        "With --random, random scenes are judged by a referee that is independent of the solver.",
     )
     parser.add_argument(
         "--only",
         action="append",
         default=[],
         metavar="NAME",
-        help="run this case only, * and ? stand for anything (may be repeated); no page is "
+        help="run this case only, * and ? are wildcards (may be repeated); no page is "
         "written unless --out is given",
     )
-    parser.add_argument("--list", action="store_true", help="name the cases and end")
+    parser.add_argument("--list", action="store_true", help="list the cases and exit")
     parser.add_argument(
         "--planted",
         metavar="MISTAKE",
-        help="plant a known mistake in the solver and tell which cases catch it; `all`: each "
-        "mistake on the cheapest cases that must",
+        help="inject a deliberate bug into the solver and report the cases that detect it; `all`: "
+        "each bug on the fastest cases that must detect it",
     )
     parser.add_argument(
-        "--processes", type=int, help="side by side (default: 2 on a CPU, 1 on a GPU)"
+        "--processes",
+        type=int,
+        help="number of parallel processes (default: 2 on a CPU, 1 on a GPU)",
     )
     parser.add_argument("--device", default="cpu", help="cpu, or cuda:0 and the like (%(default)s)")
     parser.add_argument(
@@ -57,41 +59,41 @@ def add_to(verbs: Verbs) -> None:
 
 
 def _add_random(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("scenes drawn by chance, in place of the cases")
+    group = parser.add_argument_group("random scenes, instead of the cases")
     group.add_argument(
         "--random",
         type=int,
         metavar="N",
-        help="so many scenes; exit 1 when any answer is silently wrong, or on a crash",
+        help="number of scenes; exit code 1 on a silently wrong answer, or on a crash",
     )
-    group.add_argument("--seed", type=int, default=0, help="others with each seed (%(default)s)")
+    group.add_argument("--seed", type=int, default=0, help="random seed (%(default)s)")
     group.add_argument(
-        "--scene", type=int, default=0, metavar="I", help="number of the first (%(default)s)"
+        "--scene", type=int, default=0, metavar="I", help="number of the first scene (%(default)s)"
     )
     group.add_argument(
         "--precision",
         choices=("auto", "float32", "float64"),
         default="auto",
-        help="of the solver (%(default)s)",
+        help="precision of the solver (%(default)s)",
     )
     group.add_argument(
-        "--seconds", type=float, default=60.0, help="a solve may take (default: %(default)g)"
+        "--seconds", type=float, default=60.0, help="time limit of a solve (default: %(default)g)"
     )
     group.add_argument(
         "--found",
         type=Path,
         default=Path("runs/hard-cases"),
         metavar="DIR",
-        help="where scenes that are wrong are stored, made plain (%(default)s)",
+        help="folder for simplified failing scenes (%(default)s)",
     )
-    group.add_argument("--no-shrink", action="store_true", help="do not make them plain")
+    group.add_argument("--no-shrink", action="store_true", help="do not simplify them")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the cases, write the page; 0, or 1 when one failed.
+    """Run the cases, write the page, and return 0, or 1 if a case failed.
 
     Raises:
-        SceneError: No such case, mistake or device; an option out of range.
+        SceneError: Unknown case, bug or device; an option out of range.
     """
     from benchmarks.sim.stability.catalogue import CASES, chosen
     from benchmarks.sim.stability.page import page
@@ -170,7 +172,7 @@ def _run_random(options: argparse.Namespace, processes: int) -> int:
 
 
 def _tell(reports: Sequence[Report]) -> bool:
-    """Print the last line; whether any case failed."""
+    """Print the summary; return True if any case failed."""
     failed = sum(not report.passed for report in reports)
     passed = len(reports) - failed
     print(f"{len(reports)} cases, {passed} passed" + (f", {failed} failed" if failed else ""))
@@ -187,7 +189,7 @@ def _catch(mistake: str, cases: Sequence[Case], device: str, processes: int) -> 
 
 
 def _catch_all(device: str, processes: int) -> tuple[dict[str, Sequence[Report]], bool]:
-    """Each mistake on the cases that must catch it and pass without it; whether all do."""
+    """Run each bug on the cases that must detect it; return reports, and True if all were found."""
     from benchmarks.sim.stability.catalogue import BY_NAME
     from benchmarks.sim.stability.planted import CATCHERS
     from benchmarks.sim.stability.runner import run_cases
@@ -211,4 +213,4 @@ def _catch_all(device: str, processes: int) -> tuple[dict[str, Sequence[Report]]
 
 
 def _silent(_line: str) -> None:
-    """Say nothing: what the planted mistakes do to each case is told in one line a mistake."""
+    """Discard the line, because deliberate bugs are summarised in one line each."""

@@ -1,4 +1,4 @@
-"""Depth: large strain on flat bodies and domes, and shapes that touch in several places."""
+"""Depth: large strain on flat bodies and domes, and shapes with several contacts."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ def _even(depth: float, steps: int) -> list[float]:
 
 
 def sphere_2_5_of_4_mm(solver: Solver) -> list[Law]:
-    """A sphere 2.5 mm into 4 mm: 60 % strain under the tip, and every bit of work is stored."""
+    """A sphere 2.5 mm into 4 mm: 60 % strain under the tip, and all work is stored."""
     result = solver.one(Scene(SPHERE, press(_even(2.5 * MM, 25))))
     return [
         *sound(result, det_f=0.5),
-        # Trapezoid rule over 25 steps of a force that grows as depth^2 or faster: 1 / 25^2.
+        # Trapezoid rule over 25 steps of a force that grows as depth^2 or faster: error 1 / 25^2.
         conserves(result, 5e-3),
         rises("force rises with depth", push(result)),
         rises("stiffness rises with depth", np.diff(push(result))),
@@ -44,7 +44,7 @@ def sphere_2_5_of_4_mm(solver: Solver) -> list[Law]:
 
 
 def sphere_3_6_of_4_mm(solver: Solver) -> list[Law]:
-    """A sphere 3.6 mm into 4 mm, the deepest a scene may ask for, keeps det F above its floor."""
+    """A sphere 3.6 mm into 4 mm, the deepest allowed press, keeps det F above its lower limit."""
     result = solver.one(Scene(SPHERE, press(_even(3.6 * MM, 6))))
     return [*sound(result), rises("force rises with depth", push(result))]
 
@@ -54,14 +54,14 @@ def dome_4_5_mm(solver: Solver) -> list[Law]:
     result = solver.one(Scene(PALM_SPHERE, press(PALM_STEPS), DOME), spacing=2 * MM)
     return [
         *sound(result, det_f=0.5),
-        # 9 frames, cut into at most 2 steps each.
+        # 9 frames, each divided into at most 2 steps.
         conserves(result, 3e-2),
         rises("force rises with depth", push(result)),
     ]
 
 
 def dome_is_symmetric(solver: Solver) -> list[Law]:
-    """A dome pressed at its apex answers alike along x and y, and pushes straight up."""
+    """A dome pressed at its apex responds equally along x and y, and pushes straight up."""
     result = solver.one(Scene(PALM_SPHERE, press([2 * MM, 4.5 * MM]), DOME), spacing=2 * MM)
     aside = np.abs(result.force[:, :2]).max() / push(result).max()
     return [
@@ -92,16 +92,16 @@ def dome_under_a_prism(solver: Solver) -> list[Law]:
 
 
 def wave_touches_in_two_places(solver: Solver) -> list[Law]:
-    """Two ridges with a groove between: contact opens, joins and never pulls; work is stored."""
+    """Two ridges with a groove between: contacts open, join and never pull; work is stored."""
     result = solver.one(Scene(named("wave"), press(_even(1.5 * MM, 15))))
     return [*sound(result, det_f=0.3), conserves(result, 1e-2), rises("force", push(result))]
 
 
 def force_is_continuous(solver: Solver) -> list[Law]:
-    """Over 60 even steps to 1.5 mm the force has no jump where contact points join."""
+    """Over 60 even steps to 1.5 mm the force has no jump when contact points join."""
     result = solver.one(Scene(SPHERE, press(_even(1.5 * MM, 60))))
-    # Contact points join by eights out of some 60: a kink of 8/60 of a step's 2/60 of the force,
-    # 0.4 %. Pressure that began with a jump (as a stored contact would) shows as several percent.
+    # Contact points join by eights out of about 60: a kink of 8/60 of a step's 2/60 of the force,
+    # 0.4 %. A pressure that starts with a jump (as with stale contact) would give several percent.
     return [
         *sound(result, det_f=0.5),
         conserves(result, 2e-3),
@@ -112,7 +112,7 @@ def force_is_continuous(solver: Solver) -> list[Law]:
 def named_indenters(solver: Solver) -> list[Law]:
     """Each of the 18 indenters, 0.8 mm deep: none inverts an element, all are in balance.
 
-    On elements of 1 mm, half of them pass through the skin at an edge and are refused.
+    On elements of 1 mm, half of them pass through the skin at an edge and are rejected.
     """
     motion = press([0.4 * MM, 0.8 * MM])
     results, refusals = [], []
@@ -122,7 +122,7 @@ def named_indenters(solver: Solver) -> list[Law]:
         except SimulationDiverged as diverged:
             refusals += evidence(diverged)
     least = min(push(result)[-1] for result in results)
-    # The least is the cone's, a tip of 0.5 mm: 2 a d E* alone is 0.13 N.
+    # The smallest force is the cone's, with a tip of 0.5 mm: 2 a d E* alone is 0.13 N.
     return [
         *sound(*results),
         *refusals,

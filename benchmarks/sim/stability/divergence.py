@@ -1,4 +1,4 @@
-"""What a simulation that found no state must leave: what it tried, and its last good state."""
+"""Laws of a diverged simulation: it must report its attempts and its last converged state."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from sim.errors import SimulationDiverged
 
 
 def evidence(diverged: SimulationDiverged) -> list[Law]:
-    """Laws of a refusal; the dump is read and removed.
+    """Return the laws of a rejection; the dump is read and removed.
 
-    One that saw the indenter pass through the skin says at which waypoint, and has no other state.
+    If the indenter passed through the skin, the waypoint is named and there is no other state.
     """
     if "passes through the skin" in str(diverged):
         return [at_least("names of the waypoint", str(diverged).count("waypoint"), 1)]

@@ -1,4 +1,4 @@
-"""Edges: cones, tubes and prisms whose edge radius is far below the size of an element."""
+"""Edges: cones, tubes and prisms whose edge radius is far below the element size."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ CONE = shapes.cone(math.radians(30), 0.3 * MM, 0.1 * MM)
 PUNCH = shapes.flat_punch(3 * MM, 0.3 * MM)
 PUNCH_DEPTH = 0.3 * MM
 MANY = [0.1 * MM * step for step in range(1, 11)]
-# Two ways to press an edge in: with the edge radius below the element, contact points slip over the
-# edge, which leaves states a little apart; a path that matters would show as 10 to 30 %.
+# Two ways to press an edge in: with the edge radius below the element size, contact points slip
+# over the edge, which leaves slightly different states; true path dependence would be 10 to 30 %.
 PATH = 2e-3
 
 
@@ -47,7 +47,7 @@ def _one_way_or_another(
 
 
 def sharp_cone(solver: Solver) -> list[Law]:
-    """A 30 degree cone (tip 0.3 mm, edge 0.1 mm) 1 mm deep: pushes straight up, or is refused."""
+    """A 30 degree cone (tip 0.3 mm, edge 0.1 mm) 1 mm deep pushes straight up, or is rejected."""
     motion = press([0.05 * MM * step for step in range(1, 21)])
     try:
         result = solver.one(Scene(CONE, motion, PAD), spacing=0.5 * MM)
@@ -62,28 +62,28 @@ def sharp_cone(solver: Solver) -> list[Law]:
 
 
 def cone_on_a_coarse_mesh(solver: Solver) -> list[Law]:
-    """The same cone on elements ten times its edge radius: sound, and said to be far off."""
+    """The same cone on elements ten times its edge radius: valid, with a large error estimate."""
     result = solver.one(Scene(CONE, press([0.5 * MM, 1 * MM]), PAD))
     said = result.record["error"]["percent"]
-    return [*sound(result), at_least("error that it says [%]", said, 20.0)]
+    return [*sound(result), at_least("stated error [%]", said, 20.0)]
 
 
 def tube_wall(solver: Solver) -> list[Law]:
     """A tube's wall, 0.8 mm wide and rounded to 0.4 mm, 1 mm deep in 1 frame or in 10."""
-    # On elements of 1 mm such a wall may settle in one of two states, 1 % apart in force.
-    # Stiff contact: 10 frames bring a soft one 0.2 % closer to its answer than one.
+    # On elements of 1 mm such a wall may converge to one of two states, 1 % apart in force.
+    # Contact is stiff: with soft contact, 10 frames are 0.2 % closer to the solution than one.
     wall = named("cylinder_sh", 0.4 * MM)
     return _one_way_or_another(solver, wall, PAD, spacing=0.5 * MM, penalty=1000.0)
 
 
 def tube_off_the_grid(solver: Solver) -> list[Law]:
-    """The tube's force hardly depends on where its wall lies between the nodes."""
+    """The tube's force hardly depends on the position of its wall between the nodes."""
     places = (0.0, 0.125 * MM, 0.25 * MM)
     scenes = [Scene(named("cylinder_sh"), press([0.6 * MM], at=(x, x / 2)), PAD) for x in places]
     results = solver.many(scenes, spacing=0.5 * MM)
     force = [push(result)[-1] for result in results]
-    # 3 contact points span the wall, of which its rounded edges leave 1 to 2: their count varies
-    # around the ring. On elements of 1 mm, wider than the wall, the spread is 20 %.
+    # 3 contact points span the wall, 1 to 2 without its rounded edges: their count varies around
+    # the ring. On elements of 1 mm, wider than the wall, the spread is 20 %.
     return [*sound(*results), at_most("spread of the force", max(force) / min(force) - 1, 0.10)]
 
 
@@ -104,7 +104,7 @@ def flat_punch_between_bounds(solver: Solver) -> list[Law]:
         layer_punch(PUNCH_DEPTH, radius, 4 * MM, 0.145e6, 0.45).force
         for radius in (2.7 * MM, 3.0 * MM)
     )
-    # 3 % beyond the bounds: what large strain adds at a depth of 7.5 % of the thickness.
+    # 3 % beyond the bounds for the effect of large strain at a depth of 7.5 % of the thickness.
     return [
         *sound(result, det_f=0.5),
         at_least("force / exact, radius 2.7 mm", push(result)[-1] / narrow, 0.97),
@@ -113,7 +113,7 @@ def flat_punch_between_bounds(solver: Solver) -> list[Law]:
 
 
 def flat_punch_off_the_grid(solver: Solver) -> list[Law]:
-    """A flat punch's force does not depend on where it stands between the nodes."""
+    """A flat punch's force does not depend on its position between the nodes."""
     places = (0.0, 0.125 * MM, 0.25 * MM, 0.375 * MM, 0.5 * MM)
     scenes = [Scene(PUNCH, press([PUNCH_DEPTH], at=(place, 0.0))) for place in places]
     results = solver.many(scenes)
@@ -126,10 +126,10 @@ def flat_punch_off_the_grid(solver: Solver) -> list[Law]:
 
 
 def flat_punch_is_smooth(solver: Solver) -> list[Law]:
-    """A flat punch's force against depth has no step where nodes slip over its edge."""
+    """A flat punch's force against depth has no jump when nodes slip over its edge."""
     depths = [0.02 * MM * step for step in range(1, 31)]
     result = solver.one(Scene(PUNCH, press(depths)), spacing=0.5 * MM)
-    # A straight line bends nowhere; contact points leave over the edge one ring at a time.
+    # A straight line has no second difference; contact points leave over the edge ring by ring.
     return [
         *sound(result, det_f=0.3),
         smooth("largest second difference / largest force", push(result)[1:], 0.01),

@@ -1,4 +1,4 @@
-"""Friction: shear, reversal and slip; every contact point keeps Coulomb's law in every frame."""
+"""Friction: shear, reversal and slip; every contact point obeys Coulomb's law in every frame."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from sim.scene import Motion, Scene, press, press_shear_return, through
 LOOP = press_shear_return(1 * MM, 1 * MM, steps=5)
 # Frames of `LOOP` at the end of the shear and of its return.
 ASIDE, BACK = 10, 15
-# Work is summed by the trapezoid rule over some 50 steps of a loop: 1 % of it at most.
+# Work is summed by the trapezoid rule over about 50 steps of a loop: an error of at most 1 %.
 QUADRATURE = 0.01
 
 
@@ -41,7 +41,7 @@ def _rubbed(coefficient: float, motion: Motion = LOOP) -> Scene:
 
 
 def _drag(result: Result, frame: int) -> float:
-    """Force that drags the body along +x over the force that presses it."""
+    """Return the force that drags the body along +x over the force that presses it."""
     return float(result.force[frame, 0] / -result.force[frame, 2])
 
 
@@ -53,16 +53,16 @@ def _loop(solver: Solver, coefficient: float, least: float, pull: float = 1e-6) 
         dissipates(result, QUADRATURE),
         lets_go(result),
         at_least("shear / push after 1 mm", _drag(result, ASIDE), least),
-        # Ploughing: the sphere's front flank, 15 degrees steep on average, adds to mu.
+        # Ploughing: the sphere's front flank, with an average slope of 15 degrees, adds to mu.
         at_most("shear / push after 1 mm", _drag(result, ASIDE), coefficient + 0.25),
         at_least("sheared the other way after the return", -_drag(result, BACK), 0.0),
     ]
 
 
 def shear_friction_0(solver: Solver) -> list[Law]:
-    """Friction with coefficient 0 is frictionless: same forces, nothing lost, 1 mm of shear."""
-    # Stiff contact: a soft one is brought up to its answer at every frame, which moves the skin
-    # without work of the tip: 1 % of it at the default, 0.3 % here.
+    """Friction with coefficient 0 is frictionless: same forces, no work lost, 1 mm of shear."""
+    # Stiff contact: with soft contact, multiplier updates at every frame move the skin without
+    # work of the tip, 1 % of it at the default, 0.3 % here.
     rubbed = solver.one(_rubbed(0.0), penalty=1000.0)
     free = solver.one(Scene(SPHERE, LOOP, MAT), penalty=1000.0)
     return [
@@ -86,13 +86,13 @@ def shear_friction_0_8(solver: Solver) -> list[Law]:
 
 def shear_friction_2(solver: Solver) -> list[Law]:
     """1 mm of shear and back at mu 2: nearly all sticks."""
-    # At the trailing edge the sphere's flank is steeper than 1 in mu: what sticks there is pulled
-    # up by mu sin - cos of the slope, of a pressure that is small: 1 % of the largest.
+    # At the trailing edge the sphere's flank is steeper than mu = 1: sticking points there are
+    # pulled up by mu sin - cos of the slope, at a small pressure: 1 % of the largest.
     return _loop(solver, 2.0, 0.55, pull=0.03)
 
 
 def lifted_while_it_slips(solver: Solver) -> list[Law]:
-    """Lifted while all slips: the friction limit is the pressure of the same moment."""
+    """Lifted during full slip: the friction limit follows the pressure of the same moment."""
     points = [(0.0, 0.0, 0.0), (0.0, 0.0, -0.6 * MM), (0.3 * MM, 0.0, -0.6 * MM)]
     points += [(0.3 * MM, 0.0, z * MM) for z in (-0.5, -0.4, -0.2, 0.0)]
     scene = Scene(SPHERE, through(points, speed=10 * MM), PAD, Effects(friction=Friction(0.3)))
@@ -102,14 +102,14 @@ def lifted_while_it_slips(solver: Solver) -> list[Law]:
         slides(result),
         dissipates(result, QUADRATURE),
         lets_go(result),
-        # All but the last ring slips after half a contact radius: nearly mu.
+        # All but the last ring slips after half a contact radius: almost mu.
         at_least("shear / push", _drag(result, 2), 0.2),
         at_most("shear / push", _drag(result, 2), 0.4),
     ]
 
 
 def friction_rises_with_its_coefficient(solver: Solver) -> list[Law]:
-    """More friction, more shear force and more push for the same way: mu 0, 0.1, 0.3, 1."""
+    """More friction gives more shear force and more push for the same path: mu 0, 0.1, 0.3, 1."""
     motion = press_shear_return(0.6 * MM, 0.4 * MM, steps=3)
     scenes = [_rubbed(coefficient, motion) for coefficient in (0.0, 0.1, 0.3, 1.0)]
     results = solver.many(scenes)
@@ -121,13 +121,13 @@ def friction_rises_with_its_coefficient(solver: Solver) -> list[Law]:
 
 
 def shear_in_few_or_many_frames(solver: Solver) -> list[Law]:
-    """The same shear reported in 2 frames or in 10: friction remembers the way, not the frames."""
+    """The same shear in 2 or in 10 frames: friction depends on the path, not on the frames."""
     few, many = (
         solver.one(_rubbed(0.3, press_shear_return(1 * MM, 1 * MM, steps=steps)))
         for steps in (2, 10)
     )
-    # Steps are a fortieth of the thickness at most, with frames or without: paths differ by
-    # where the steps fall, and slip per step enters to first order (1/10 of the shear a step).
+    # Steps are at most a fortieth of the thickness, independently of frames: paths differ in the
+    # positions of the steps, and slip per step is first-order accurate (1/10 of the shear a step).
     return [
         slides(few, many),
         at_most("forces at the corners", difference(few.force[::2], many.force[::10]), 0.02),
@@ -135,7 +135,7 @@ def shear_in_few_or_many_frames(solver: Solver) -> list[Law]:
 
 
 def stick_slip_reversals(solver: Solver) -> list[Law]:
-    """Small steps to and fro: from the second round on the loop closes, and each round costs."""
+    """Small steps back and forth: from the second round on the loop closes and dissipates work."""
     sway = [0.05, 0.1, 0.15, 0.2, 0.25, 0.2, 0.15, 0.1, 0.05, 0.0]
     sway += [-value for value in sway]
     points = [(0.0, 0.0, 0.0), (0.0, 0.0, -0.5 * MM)]
@@ -150,19 +150,19 @@ def stick_slip_reversals(solver: Solver) -> list[Law]:
         slides(result),
         dissipates(result, QUADRATURE),
         # Masing: a steady cycle forgets the first loading. Points at the rim of the contact come
-        # and go, and creep towards the cycle: 0.03 % on even elements, 0.5 % on graded ones.
+        # and go, and creep towards the cycle: 0.03 % on uniform elements, 0.5 % on graded ones.
         at_most("third round against second", difference(rounds[1], rounds[2]), 0.01),
         at_least("work lost by a round / its largest", min(lost) / max(lost), 0.9),
     ]
 
 
 def _area(x: np.ndarray, force: np.ndarray) -> float:
-    """Work around a closed loop [J]: trapezoid rule."""
+    """Return the work around a closed loop [J] by the trapezoid rule."""
     return float(((force[1:] + force[:-1]) / 2 * np.diff(x)).sum())
 
 
 def light_press_long_slide(solver: Solver) -> list[Law]:
-    """Pressed 0.15 mm and dragged 3 mm: it slips all over, and shear over push becomes mu."""
+    """Pressed 0.15 mm and dragged 3 mm, it slips everywhere, and shear over push becomes mu."""
     points = [(-1.5 * MM, 0.0, 0.0), (-1.5 * MM, 0.0, -0.15 * MM)]
     points += [(x * MM, 0.0, -0.15 * MM) for x in (-1.0, -0.5, 0.0, 0.5, 1.0, 1.5)]
     scene = Scene(SPHERE, through(points, speed=10 * MM), PAD, Effects(friction=Friction(0.4)))
@@ -185,7 +185,7 @@ def shear_mirrors(solver: Solver) -> list[Law]:
         for way in (0.4, -0.4)
     )
     turned = left.force * np.array([-1, 1, 1])
-    # Each state is accepted 1e-4 out of balance, and what slipped is remembered.
+    # Each state is accepted with a residual of 1e-4, and accumulated slip is remembered.
     return [
         slides(right, left),
         mirrored(right, left, 2e-3),
@@ -207,7 +207,7 @@ def shear_along_y(solver: Solver) -> list[Law]:
 
 
 def shear_along_the_diagonal(solver: Solver) -> list[Law]:
-    """Shear at 45 degrees gives the force of shear along x, turned."""
+    """Shear at 45 degrees gives the rotated force of shear along x."""
     straight, turned = (
         solver.one(_rubbed(0.5, press_shear_return(0.8 * MM, 0.5 * MM, angle=angle, steps=3)))
         for angle in (0.0, math.pi / 4)
@@ -216,8 +216,8 @@ def shear_along_the_diagonal(solver: Solver) -> list[Law]:
     along = (turned.force[:, 0] + turned.force[:, 1]) * cosine
     across = (turned.force[:, 1] - turned.force[:, 0]) * cosine
     back = np.stack([along, across, turned.force[:, 2]], axis=1)
-    # The square body and its elements are not round: sides nearer by a factor of sqrt 2, and some
-    # 20 contact points that lie otherwise.
+    # The square body and its elements are not round: sides are nearer by a factor of sqrt 2, and
+    # about 20 contact points lie differently.
     return [
         slides(straight, turned),
         at_most("force", difference(straight.force, back), 0.03),
@@ -226,7 +226,7 @@ def shear_along_the_diagonal(solver: Solver) -> list[Law]:
 
 
 def full_stick_stiffens(solver: Solver) -> list[Law]:
-    """A press that cannot slip (mu 10) takes a tenth more force than one that slips freely."""
+    """A press that cannot slip (mu 10) needs a tenth more force than one that slips freely."""
     motion = press([0.5 * MM, 1.0 * MM, 1.5 * MM])
     stuck = solver.one(_rubbed(10.0, motion))
     free = solver.one(Scene(SPHERE, motion, MAT))
@@ -241,7 +241,7 @@ def full_stick_stiffens(solver: Solver) -> list[Law]:
 
 
 def slides_off_the_rim(solver: Solver) -> list[Law]:
-    """Dragged outwards over the rim until contact is lost sideways: nothing stays behind."""
+    """Dragged outwards over the rim until contact is lost sideways: no force remains."""
     points = [(2.0 * MM, 0.0, 0.0), (2.0 * MM, 0.0, -0.8 * MM)]
     points += [(x * MM, 0.0, -0.8 * MM) for x in (3.0, 4.0, 5.0, 6.0, 7.0, 9.0)]
     scene = Scene(SPHERE, through(points, speed=10 * MM), PAD, Effects(friction=Friction(0.5)))
@@ -255,7 +255,7 @@ def slides_off_the_rim(solver: Solver) -> list[Law]:
 
 
 def shear_of_a_sunk_start(solver: Solver) -> list[Law]:
-    """A motion that begins 0.6 mm inside sticks as one that pressed straight down before."""
+    """A motion that begins 0.6 mm inside sticks like one that first pressed straight down."""
     low, aside = (0.0, 0.0, -0.6 * MM), (0.3 * MM, 0.0, -0.6 * MM)
     sunk = solver.one(_rubbed(0.5, through([low, aside], speed=10 * MM)))
     pressed = solver.one(_rubbed(0.5, through([(0.0, 0.0, 0.0), low, aside], speed=10 * MM)))

@@ -1,4 +1,4 @@
-"""Time: viscosity, inertia and gravity, each against its slow, fast and zero limits."""
+"""Time: viscosity, inertia and gravity, each compared with its slow, fast and zero limits."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from benchmarks.sim.stability.laws import (
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.scene import Body, Motion, Scene, press, press_shear_return, ramp_hold
 
-# Stiffness of the one branch over the rest, and its relaxation time [s].
+# Stiffness of the only branch over the equilibrium stiffness, and its relaxation time [s].
 RATIO, TIME = 0.5, 0.2
 VISCOUS = Effects(viscosity=Viscosity(ratios=(RATIO,), times=(TIME,)))
 DEPTH = 1 * MM
-# Depths over the largest, evenly down and up.
+# Depths over the largest, with equal steps down and up.
 THERE_AND_BACK = (0.25, 0.5, 0.75, 1.0, 0.75, 0.5, 0.25, 0.0)
 
 
@@ -41,24 +41,24 @@ def _cycle(speed: float) -> Motion:
 
 
 def ramp_and_hold_relaxes(solver: Solver) -> list[Law]:
-    """After a fast ramp the force falls, ever slower, to the elastic force, never below it."""
+    """After a fast ramp the force decreases ever more slowly to the elastic force, never below."""
     hold = ramp_hold(DEPTH, ramp=0.01, hold=10 * TIME, steps=20)
     viscous = solver.one(Scene(SPHERE, hold, PAD, VISCOUS))
     elastic = solver.one(Scene(SPHERE, press([DEPTH]), PAD))
     force, rest = push(viscous)[20:], push(elastic)[-1]
-    # exp(-10) is left of the branch after 10 relaxation times; 1e-4 of the force is the solver's
-    # tolerance, 1e-3 of its largest fall between frames.
+    # A share of exp(-10) of the branch remains after 10 relaxation times; 1e-4 of the force is the
+    # solver's tolerance, 1e-3 of its largest decrease between frames.
     return [
         *sound(viscous, det_f=0.5),
-        rises("force falls while held", -force, -1e-4),
-        rises("and ever slower", np.diff(force), -5e-3),
+        rises("force decreases while held", -force, -1e-4),
+        rises("ever more slowly", np.diff(force), -5e-3),
         at_most("end / elastic - 1", abs(force[-1] / rest - 1), 1e-3),
         dissipates(viscous, 0.01),
     ]
 
 
 def loading_above_unloading(solver: Solver) -> list[Law]:
-    """At the same depth the force is larger on the way down; the closed loop loses work."""
+    """At the same depth the force is larger during loading; the closed loop loses work."""
     result = solver.one(Scene(SPHERE, _cycle(DEPTH / TIME), PAD, VISCOUS))
     force = push(result)
     down, up = force[1:4], force[7:4:-1]
@@ -74,15 +74,15 @@ def loading_above_unloading(solver: Solver) -> list[Law]:
 
 
 def fast_and_slow_presses(solver: Solver) -> list[Law]:
-    """Slow is elastic, fast is elastic times 1 + ratio, and any speed lies between."""
+    """A slow press is elastic, a fast one is elastic times 1 + ratio, others lie between."""
     speeds = (1e-4, 3e-3, 1e-2, 1e2)
     results = [
         solver.one(Scene(SPHERE, press([DEPTH], speed=speed), PAD, VISCOUS)) for speed in speeds
     ]
     elastic = push(solver.one(Scene(SPHERE, press([DEPTH]), PAD)))[-1]
     force = [push(result)[-1] / elastic for result in results]
-    # 10 s is 50 relaxation times: a ramp ends 1/50 behind times ratio. 10 us: 1/20,000 relaxed; but
-    # the springs of the contact do not stiffen with the material: 2/1000 of the force.
+    # 10 s is 50 relaxation times: a ramp lags by 1/50 times ratio. In 10 us, 1/20,000 relaxes; but
+    # the contact springs do not stiffen with the material: 2/1000 of the force.
     return [
         *sound(*results, det_f=0.5),
         rises("force rises with speed", force),
@@ -101,7 +101,7 @@ def viscosity_of_no_stiffness(solver: Solver) -> list[Law]:
 
 
 def four_branches(solver: Solver) -> list[Law]:
-    """Four branches from 1 ms to 10 s, in shear only, around a loop: passive at every frame."""
+    """Four branches from 1 ms to 10 s, in shear only, around a loop: passive in every frame."""
     viscosity = Viscosity(
         ratios=(1.0, 0.5, 0.3, 0.2), times=(1e-3, 0.05, 0.5, 10.0), relaxes="shear"
     )
@@ -110,7 +110,7 @@ def four_branches(solver: Solver) -> list[Law]:
 
 
 def slow_press_with_mass(solver: Solver) -> list[Law]:
-    """Pressed at 1 mm/s, mass does not count: waves cross the layer 6,000 times a millimetre."""
+    """Pressed at 1 mm/s, mass is negligible: waves cross the layer 6,000 times per millimetre."""
     motion = press([0.5 * MM, 1 * MM], speed=1 * MM)
     moving = solver.one(Scene(SPHERE, motion, PAD, Effects(inertia=Inertia())))
     still = solver.one(Scene(SPHERE, motion, PAD))
@@ -118,7 +118,7 @@ def slow_press_with_mass(solver: Solver) -> list[Law]:
 
 
 def fast_press_with_mass(solver: Solver) -> list[Law]:
-    """Pressed at 2 m/s, a third of the shear wave's speed, mass adds to the force."""
+    """Pressed at 2 m/s, a third of the shear wave speed, mass adds to the force."""
     motion = press([0.25 * MM, 0.5 * MM, 0.75 * MM, 1 * MM], speed=2.0)
     moving = solver.one(Scene(SPHERE, motion, PAD, Effects(inertia=Inertia())))
     still = solver.one(Scene(SPHERE, motion, PAD))
@@ -129,7 +129,7 @@ def fast_press_with_mass(solver: Solver) -> list[Law]:
 
 
 def released_body_comes_to_rest(solver: Solver) -> list[Law]:
-    """Let go within 0.1 ms, the skin swings back and comes to rest: no energy from nowhere."""
+    """Released within 0.1 ms, the skin swings back and comes to rest without gaining energy."""
     tip = [(0.0, 0.0, 0.0), (0.0, 0.0, -DEPTH), (0.0, 0.0, 5 * MM)]
     time = [0.0, 0.1, 0.1001]
     for step in range(1, 41):
@@ -138,8 +138,8 @@ def released_body_comes_to_rest(solver: Solver) -> list[Law]:
     scene = Scene(SPHERE, Motion(tip=tuple(tip), time=tuple(time)), PAD, Effects(inertia=Inertia()))
     result = solver.one(scene)
     size = np.abs(result.surface).reshape(len(tip), -1).max(axis=1)
-    # The lowest mode swings in 2.3 ms; backward Euler with 0.25 ms takes a third of its amplitude
-    # away each period: after 4 periods a hundredth to a tenth of it is left.
+    # The lowest mode has a period of 2.3 ms; backward Euler with 0.25 ms removes a third of its
+    # amplitude per period: after 4 periods a hundredth to a tenth of it remains.
     return [
         at_least("smallest det F", result.quality.det_f_min.min(), 0.3),
         at_most("balance while pressed", result.quality.balance[1], BALANCE),
@@ -166,7 +166,7 @@ def _sag(solver: Solver, pull: tuple[float, float, float], axis: int) -> list[La
     result = solver.one(scene, spacing=2 / 3 * MM, precision="float64")
     middle = result.surface[0, 30, 30]
     exact = layer_sag(0.0, pull, WIDE.thickness, WIDE.density, WIDE.modulus, WIDE.poisson)
-    # The sides are 10 thicknesses away: felt by 0.2 % (at 6 it is 4 %).
+    # The sides are 10 thicknesses away: an effect of 0.2 % (4 % at 6 thicknesses).
     return [
         at_most("sag / formula - 1", abs(float(middle[axis]) / float(exact[axis]) - 1), 0.005),
         at_most("balance: weight against base", result.quality.balance.max(), 5e-4),
@@ -199,7 +199,7 @@ def gravity_upside_down(solver: Solver) -> list[Law]:
     middle = (force[0] + force[2]) / 2
     return [
         *sound(up, none, down, det_f=0.4),
-        rises("a skin that hangs out is pressed deeper", force),
+        rises("a skin that sags outwards is pressed deeper", force),
         at_most("mean of both / without - 1", abs(middle / force[1] - 1), 0.01),
     ]
 
@@ -225,7 +225,7 @@ def all_effects_at_once(solver: Solver) -> list[Law]:
 
 
 def stays_elastic_when_rested(solver: Solver) -> list[Law]:
-    """A viscous body that was pressed since long (it starts inside) has the elastic force."""
+    """A viscous body pressed for a long time (it starts inside) has the elastic force."""
     inside = Motion(tip=((0.0, 0.0, -DEPTH), (0.0, 0.0, -DEPTH)), time=(0.0, 50 * TIME))
     viscous = solver.one(Scene(SPHERE, inside, PAD, VISCOUS))
     elastic = solver.one(Scene(SPHERE, press([DEPTH]), PAD))

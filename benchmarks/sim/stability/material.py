@@ -1,4 +1,4 @@
-"""Material: nearly incompressible, not at all, soft and stiff."""
+"""Material: nearly incompressible, compressible, soft and stiff."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def _poisson(solver: Solver, values: tuple[float, ...], **numerics: object) -> l
         *sound(middle, *others, det_f=0.5),
         rises("force rises with nu", force),
         # A bonded layer stiffens by 7 to 8 %, on this mesh and on fine ones (1.5 mm deep: 2.093 N
-        # after 1.956 N); elements that lock by 33 % at nu 0.49 and by a factor of 17 at 0.4999.
+        # after 1.956 N); elements with locking by 33 % at nu 0.49 and by a factor of 17 at 0.4999.
         at_most("stiffening since nu 0.45", force[-1] / force[0], 1.12),
     ]
 
@@ -54,7 +54,7 @@ def poisson_0_4999(solver: Solver) -> list[Law]:
 
 
 def poisson_0_4999_by_itself(solver: Solver) -> list[Law]:
-    """At nu 0.4999 the solver finds the precision it needs by itself."""
+    """At nu 0.4999 the solver automatically chooses the required precision."""
     body = Body(size_x=8 * MM, size_y=8 * MM, poisson=0.4999)
     chosen, exact = (
         solver.one(Scene(SPHERE, PRESS, body), spacing=4 / 3 * MM, precision=precision)
@@ -67,26 +67,26 @@ def poisson_0_4999_by_itself(solver: Solver) -> list[Law]:
 
 
 def poisson_zero(solver: Solver) -> list[Law]:
-    """Cork, nu 0: softer than foam at nu 0.2 when pressed lightly, and hardly bulging."""
+    """Cork, nu 0: softer than foam at nu 0.2 in a light press, and hardly bulging."""
     cork, foam = solver.many(
         [Scene(SPHERE, LIGHT, replace(GEL, poisson=value)) for value in (0.0, 0.2)]
     )
     return [
         *sound(cork, foam, det_f=0.2),
-        # Lightly: deep down, what counts is how cork resists being crushed to nothing.
+        # A light press, because at depth the resistance of cork to complete crushing dominates.
         rises("force rises with nu", [push(cork)[1], push(foam)[1]]),
-        # What is squeezed does not swell; only rotation at large strain lifts the skin. At nu 0.45
+        # Compressed cork does not swell; only rotation at large strain lifts the skin. At nu 0.45
         # it rises by 0.03 of the depth.
         at_most("bulge / depth", cork.surface[-1, ..., 2].max() / MM, 0.02),
     ]
 
 
 def modulus_1e4_to_1e7(solver: Solver) -> list[Law]:
-    """From jelly (1e4 Pa) to hard rubber (1e7 Pa), force over modulus is one number."""
+    """From jelly (1e4 Pa) to hard rubber (1e7 Pa), force over modulus is constant."""
     values = (1e4, 1e5, 1e6, 1e7)
     results = solver.many([Scene(SPHERE, PRESS, replace(GEL, modulus=value)) for value in values])
     ratios = [result.force / value for result, value in zip(results, values, strict=True)]
-    # The arithmetic is done in moduli: what differs is the last digit of float32.
+    # The solver works in units of the modulus: only the last digit of float32 differs.
     spread = max(difference(ratios[0], ratio) for ratio in ratios)
     return [*sound(*results, det_f=0.5), at_most("spread of F / E", spread, 1e-5)]
 

@@ -1,4 +1,4 @@
-"""docs/results/stability.md, from the reports."""
+"""Write docs/results/stability.md from the reports."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from benchmarks.sim.stability.runner import Report
 
 _INTRO = """# Stability
 
-Scenes that break simulators, and what the finite-element solver does with them. A case passes by
-laws of mechanics alone: nothing inverts, base and indenter balance, no work comes from nowhere,
-symmetric scenes have symmetric answers, neither steps nor units nor precision decide the result,
-no contact point exceeds Coulomb's limit. A state that did not converge is never accepted: the
-solver raises `SimulationDiverged` with what it tried and its last good state.
+Scenes that break simulators, and the results of the finite-element solver. A case is judged by laws
+of mechanics alone: no element inverts, base and indenter balance, no work is created, symmetric
+scenes have symmetric results, neither steps nor units nor precision affect the result, and no
+contact point exceeds Coulomb's limit. A state that did not converge is never accepted: the solver
+raises `SimulationDiverged` with its attempts and its last converged state.
 
 Repeat it with `make hard-cases` (`ONLY=name` for some; `python -m benchmarks hard-cases --list`
-names them). It fails when any law fails. Each limit is explained where it stands, in
-`benchmarks/sim/stability/`: what the mesh, the tolerance or float32 lets one expect, and a factor
-of 2 to 5. Most cases run on elements of 1 mm (20 x 20 x 4 in the gel): coarse for force, and the
-laws must hold there as well.
+lists them). It fails if any law fails. Each limit is explained in `benchmarks/sim/stability/`: the
+accuracy expected of the mesh, the tolerance or float32, and a factor of 2 to 5. Most cases use
+elements of 1 mm (20 x 20 x 4 in the gel), which is coarse for force, but the laws must hold there
+as well.
 """
 
 _TITLES = {
@@ -40,7 +40,7 @@ _TITLES = {
 
 
 def page(reports: Sequence[Report], caught: Mapping[str, Sequence[Report]], device: str) -> str:
-    """The page as Markdown; `caught` has the reports of cases run with each planted mistake."""
+    """Return the page as Markdown; `caught` has the reports with each deliberate bug."""
     passed = sum(report.passed for report in reports)
     seconds = sum(report.seconds for report in reports)
     machine = f"{platform.machine()}, {os.cpu_count()} cores, device {device}"
@@ -78,8 +78,8 @@ def _planted(caught: Mapping[str, Sequence[Report]]) -> list[str]:
     lines = [
         "## Planted mistakes",
         "",
-        "Known mistakes can be planted in the solver (`--planted NAME`, or `all`). The cases "
-        "must catch each; these are the cheapest that do, and what they say then.",
+        "Deliberate bugs can be injected into the solver (`--planted NAME`, or `all`). The cases "
+        "must detect each; these are the fastest that do, with the law that fails.",
         "",
         "| mistake | what it is | caught by | law that fails |",
         "|---|---|---|---|",

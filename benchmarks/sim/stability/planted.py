@@ -1,4 +1,4 @@
-"""Builds of the solver that are wrong on purpose, and the cases that must catch them."""
+"""Solver builds with deliberate bugs, and the cases that must detect them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.sim.substitute import in_place_of, rebuilt
 
-# By mistake, the cheapest cases that fail with it: what `--planted all` runs.
+# The fastest cases that detect each bug, which `--planted all` runs.
 CATCHERS: dict[str, tuple[str, ...]] = {
     "full-integration": ("poisson-0-49",),
     "nodal-contact": ("flat-punch-between-bounds", "flat-punch-off-the-grid"),
@@ -23,26 +23,26 @@ CATCHERS: dict[str, tuple[str, ...]] = {
 MISTAKES = tuple(CATCHERS)
 
 WHAT: dict[str, str] = {
-    "full-integration": "volume change taken at every Gauss point: elements lock near nu = 0.5",
-    "nodal-contact": "contact looked for at nodes only",
-    "lagged-friction": "friction limit taken from the step before",
-    "energy-line-search": "steps accepted by a drop of the energy",
+    "full-integration": "volume change at every Gauss point, so elements lock near nu = 0.5",
+    "nodal-contact": "contact detected at nodes only",
+    "lagged-friction": "friction limit from the previous step",
+    "energy-line-search": "steps accepted by a decrease of the energy",
 }
 
-# A module of the solver, a name in it, and what the name stands for instead.
+# A module of the solver, a name in it, and the replacement of that object.
 Part = tuple[ModuleType, str, Any]
 
-# Lines of `sim.fem.element`, what stands there instead, and how often the lines are there.
+# Lines of `sim.fem.element`, their replacement, and the number of occurrences.
 _FULL_INTEGRATION = (
-    # In the forces, the pressure of each Gauss point in place of the element's.
+    # In the forces, use the pressure of each Gauss point instead of the element's.
     (
         "            energy += w * half * (g * square - three * shear[env])\n",
         "            energy += w * half * (g * square - three * shear[env])\n"
         "            pressure = half * bulk[env] * less * (two + less) / j\n",
         1,
     ),
-    # In the tangent the same, and its derivative in place of the mean's. `of_mean` gives the bulk
-    # modulus where `at_point` takes the pressure.
+    # In the tangent the same, with its derivative instead of the mean's. `of_mean` gives the bulk
+    # modulus where `at_point` uses the pressure.
     (
         "        return pressure, stiffness / volume\n",
         "        return bulk[env], real(0.0)\n",
@@ -69,10 +69,10 @@ _FULL_INTEGRATION = (
 
 @cache
 def fully_integrated() -> ModuleType:
-    """`sim.fem.element` with the volume change of each Gauss point in place of the element's.
+    """Return `sim.fem.element` with the volume change of each Gauss point, not the element's.
 
     Raises:
-        ValueError: Lines that are to be changed are not in its source.
+        ValueError: Lines to be changed are not in its source.
     """
     from sim.fem import element
 
@@ -80,7 +80,7 @@ def fully_integrated() -> ModuleType:
         for right, wrong, count in _FULL_INTEGRATION:
             if source.count(right) != count:
                 raise ValueError(
-                    f"{element.__name__}: {right.strip()!r} is not there {count} times"
+                    f"{element.__name__}: {right.strip()!r} does not occur {count} times"
                 )
             source = source.replace(right, wrong)
         return source
@@ -116,7 +116,7 @@ def _lagged_friction() -> list[Part]:
     from sim.fem.newton import Newton
 
     class Lagged(Newton):
-        """Takes friction's limit when a step begins, and never brings it up to date."""
+        """Newton's method that sets the friction limit only at the start of a step."""
 
         def __init__(self, assembly: Any) -> None:
             super().__init__(assembly)
@@ -136,7 +136,7 @@ def _energy_line_search() -> list[Part]:
     from sim.fem.newton import Newton
 
     class ByEnergy(Newton):
-        """Accepts steps by a drop of the energy, which round-off hides close to the solution."""
+        """Newton's method that accepts energy decreases, which rounding hides at the end."""
 
         def _search(self, active: Any, running: Any, predicting: Any, slope: Any) -> Any:
             self._before = self._energy()
@@ -150,7 +150,7 @@ def _energy_line_search() -> list[Part]:
             return self._energy() <= self._before + 1e-4 * self._length * slope
 
         def _energy(self) -> Any:
-            """Of elements and contact springs, by environment; weight left out."""
+            """Return the energy of elements and contact springs by environment, without weight."""
             assembly: Any = self._assembly
             shares = assembly.element_energy, assembly.face_energy
             return sum(share.numpy().sum(axis=1, dtype=float) for share in shares)
@@ -168,10 +168,10 @@ _PARTS: dict[str, Callable[[], list[Part]]] = {
 
 @contextmanager
 def planted(mistake: str | None) -> Iterator[None]:
-    """While it is open, this process solves with the mistake; with None, as ever.
+    """Inject the bug into this process's solver inside the context; with None, do nothing.
 
     Raises:
-        ValueError: No such mistake.
+        ValueError: Unknown bug.
     """
     if mistake is not None and mistake not in _PARTS:
         raise ValueError(f"no mistake is called {mistake!r}; known: {', '.join(MISTAKES)}")

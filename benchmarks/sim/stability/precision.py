@@ -1,4 +1,4 @@
-"""Precision: units, float32, symmetry, batches and tiers, and how little they may change."""
+"""Precision: units, float32, symmetry, batches and tiers, with the changes that they may cause."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from sim.result import Result
 from sim.scene import Body, Scene, press, press_shear_return
 from sim.simulate import simulate
 
-# The tolerance of 1e-7, summed over the nodes.
+# Tolerance of 1e-7, summed over the nodes.
 BALANCE_TIGHT = 1e-6
 PRESS = press([0.5 * MM, 1.0 * MM, 1.5 * MM])
 
 
 def _alike(first: Result, second: Result) -> Law:
-    """Number of values that differ in any bit."""
+    """Return the law that no value differs in any bit."""
     pairs = (
         (first.wrench, second.wrench),
         (first.surface, second.surface),
@@ -43,7 +43,7 @@ def _alike(first: Result, second: Result) -> Law:
 
 
 def float32_against_float64(solver: Solver) -> list[Law]:
-    """Force and skin in float32 are those in float64 to within the tolerance."""
+    """Force and skin in float32 agree with those in float64 to within the tolerance."""
     single, double = (
         solver.one(Scene(SPHERE, PRESS), precision=precision)
         for precision in ("float32", "float64")
@@ -56,9 +56,9 @@ def float32_against_float64(solver: Solver) -> list[Law]:
 
 
 def float32_reaches_its_tolerance(solver: Solver) -> list[Law]:
-    """Down to its tolerance float32 converges as float64 does: round-off stops no Newton step."""
+    """Down to its tolerance, float32 converges like float64: rounding stops no Newton step."""
     punch = shapes.flat_punch(3 * MM, 0.3 * MM)
-    # A third of the default tolerance: there a difference of energies has none left in float32.
+    # A third of the default tolerance, where energy differences have no digits left in float32.
     single, double = (
         solver.one(
             Scene(punch, press([0.3 * MM, 0.6 * MM]), PAD), precision=precision, tolerance=3e-5
@@ -75,7 +75,7 @@ def float32_reaches_its_tolerance(solver: Solver) -> list[Law]:
 
 
 def tighter_tolerance(solver: Solver) -> list[Law]:
-    """The tolerance is honest: at 1e-7 the force moves by less than 1e-4 says."""
+    """The tolerance is reliable: at 1e-7 the force changes by less than 1e-4 implies."""
     loose, tight = (
         solver.one(Scene(SPHERE, PRESS), precision="float64", tolerance=tolerance)
         for tolerance in (1e-4, 1e-7)
@@ -88,7 +88,7 @@ def tighter_tolerance(solver: Solver) -> list[Law]:
 
 
 def metres_and_millimetres(solver: Solver) -> list[Law]:
-    """A scene a thousand times longer gives a million times the force: only ratios matter."""
+    """A scene a thousand times larger has a million times the force: only ratios matter."""
     small = Body(size_x=0.8 * MM, size_y=0.8 * MM, thickness=0.2 * MM)
     large = Body(size_x=0.8, size_y=0.8, thickness=0.2)
     depths = [0.02 * MM, 0.05 * MM]
@@ -96,7 +96,7 @@ def metres_and_millimetres(solver: Solver) -> list[Law]:
     big = solver.one(
         Scene(shapes.sphere(0.2), press([1e3 * depth for depth in depths]), large), spacing=0.05
     )
-    # The arithmetic is done in thicknesses: what differs is the last digit of float32.
+    # The solver works in units of the thickness: only the last digit of float32 differs.
     return [
         *sound(little, big, det_f=0.5),
         at_most("force / 1e6", difference(little.force * 1e6, big.force), 1e-5),
@@ -106,7 +106,7 @@ def metres_and_millimetres(solver: Solver) -> list[Law]:
 
 
 def mirror_symmetry(solver: Solver) -> list[Law]:
-    """A centred press is its own mirror image, and its own image with x and y exchanged."""
+    """A centred press is symmetric under reflection, and under exchange of x and y."""
     centred = solver.one(Scene(SPHERE, PRESS))
     return [
         *sound(centred, det_f=0.5),
@@ -116,7 +116,7 @@ def mirror_symmetry(solver: Solver) -> list[Law]:
 
 
 def swap_symmetry(solver: Solver) -> list[Law]:
-    """A 3 x 5 mm box along y answers as the same box along x, with x and y exchanged."""
+    """A 3 x 5 mm box along y gives the result of the same box along x, with x and y exchanged."""
     along_y, along_x = (
         solver.one(Scene(indenter, PRESS))
         for indenter in (_box(3 * MM, 5 * MM), _box(5 * MM, 3 * MM))
@@ -129,12 +129,12 @@ def _box(width: float, length: float) -> Indenter:
 
 
 def shift_by_a_cell(solver: Solver) -> list[Law]:
-    """Pressed one element further, the skin under the indenter moves one node further."""
+    """Pressed one element further, the deformation under the indenter moves by one node."""
     here, there = solver.many(
         [Scene(SPHERE, PRESS, GEL), Scene(SPHERE, press([0.5 * MM, 1 * MM, 1.5 * MM], at=(MM, 0)))]
     )
     near, far = here.surface[-1, 7:14, 7:14], there.surface[-1, 8:15, 7:14]
-    # The sides are 10 and 9 mm away: felt as exp(-0.78 * 9 / 4), some 0.1 %.
+    # The sides are 10 and 9 mm away: an effect of exp(-0.78 * 9 / 4), about 0.1 %.
     return [
         *sound(here, there, det_f=0.5),
         at_most("force", abs(push(there)[-1] / push(here)[-1] - 1), 0.005),
@@ -143,7 +143,7 @@ def shift_by_a_cell(solver: Solver) -> list[Law]:
 
 
 def batch_against_alone(solver: Solver) -> list[Law]:
-    """Different presses solved side by side are, bit for bit, the presses solved alone."""
+    """Different presses solved in one batch equal the presses solved alone, bit for bit."""
     scenes = [
         Scene(SPHERE, PRESS, PAD),
         Scene(shapes.flat_punch(2 * MM, 0.5 * MM), press([0.3 * MM]), PAD),
@@ -156,7 +156,7 @@ def batch_against_alone(solver: Solver) -> list[Law]:
 
 
 def batch_with_friction(solver: Solver) -> list[Law]:
-    """The same with friction, where what each point remembers must not mix between presses."""
+    """The same with friction, where the memory of contact points must not mix between presses."""
     motion = press_shear_return(0.6 * MM, 0.3 * MM, steps=2)
     scenes = [
         Scene(SPHERE, motion, PAD, Effects(friction=Friction(coefficient)))
@@ -169,7 +169,7 @@ def batch_with_friction(solver: Solver) -> list[Law]:
 
 
 def repeats(solver: Solver) -> list[Law]:
-    """The same scene twice gives the same bits."""
+    """The same scene solved twice gives identical bits."""
     scene = Scene(SPHERE, PRESS, PAD)
     return [_alike(solver.one(scene), solver.one(scene))]
 
@@ -179,7 +179,7 @@ def layer_against_fem(solver: Solver) -> list[Law]:
     scene = Scene(SPHERE, press([0.2 * MM, 0.3 * MM]), MAT)
     fem = solver.one(scene, spacing=0.5 * MM)
     layer = simulate(scene, "layer")
-    # Large strain adds 0.7 % at 0.3 mm, elements of 0.5 mm on a contact of 1 mm radius 1 %.
+    # Large strain adds 0.7 % at 0.3 mm, elements of 0.5 mm on a contact of 1 mm radius add 1 %.
     return [
         *sound(fem, det_f=0.5),
         at_most("force", difference(fem.force, layer.force), 0.02),
@@ -187,13 +187,13 @@ def layer_against_fem(solver: Solver) -> list[Law]:
 
 
 def finer_mesh(solver: Solver) -> list[Law]:
-    """Halving the elements from 1 to 0.5 mm moves the force by no more than 2 %."""
+    """Halving the elements from 1 to 0.5 mm changes the force by no more than 2 %."""
     coarse, fine = (
         solver.one(Scene(SPHERE, press([0.75 * MM, 1.5 * MM]), MAT), spacing=spacing)
         for spacing in (1 * MM, 0.5 * MM)
     )
-    # Linear elements: error falls with the square of the spacing; it is 0.4 % at 1 mm and 1.5 mm
-    # deep, more where the contact spans two elements only.
+    # Linear elements: the error decreases with the square of the spacing; it is 0.4 % at 1 mm and
+    # 1.5 mm deep, more where the contact spans only two elements.
     return [
         *sound(coarse, fine, det_f=0.5),
         at_most("force at 1.5 mm", abs(push(fine)[-1] / push(coarse)[-1] - 1), 0.02),

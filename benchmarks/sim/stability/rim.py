@@ -1,4 +1,4 @@
-"""The rim: presses at and beyond the edge of the gel, where it can escape sideways."""
+"""Rim: presses at and beyond the edge of the gel, where it can escape sideways."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def _at(solver: Solver, x: float) -> list[Law]:
     result = solver.one(Scene(SPHERE, press(DEPTHS, at=(x, 0.0))))
     return [
         *sound(result, det_f=0.4),
-        # The gel escapes outwards; on the gel's side of the sphere it is pushed inwards, so that
-        # the indenter's force on the body points inwards: below 0 at x above 0.
+        # The gel escapes outwards; on the gel's side of the sphere it is pushed inwards, so the
+        # indenter's force on the body points inwards: negative at positive x.
         at_least("force inwards / force down", -result.force[-1, 0] / push(result)[-1], 0.02),
         at_most("force along the rim / force", abs(result.force[-1, 1]) / push(result)[-1], 1e-3),
         # Trapezoid rule over 15 steps.
@@ -54,12 +54,12 @@ def rim_11_5_mm(solver: Solver) -> list[Law]:
 
 
 def crossing_the_rim(solver: Solver) -> list[Law]:
-    """From x = 6 to 12.5 mm the force falls evenly: no jump as the contact runs over the rim."""
+    """From x = 6 to 12.5 mm the force decreases smoothly as the contact crosses the rim."""
     places = [6 * MM + 0.5 * MM * step for step in range(14)]
     results = solver.many([Scene(SPHERE, press([1.0 * MM], at=(x, 0.0))) for x in places])
     force = [push(result)[-1] for result in results]
-    # Elements of 1 mm make the force ripple by 2 % from node to node, of which a second difference
-    # shows up to four times as much. Contact lost at once (a third of it) would show as 30 %.
+    # Elements of 1 mm make the force ripple by 2 % from node to node, which is up to four times as
+    # much in a second difference. A sudden loss of contact (a third of it) would be 30 %.
     return [
         *sound(*results, det_f=0.4),
         rises("force falls outwards", -np.asarray(force)),
@@ -68,7 +68,7 @@ def crossing_the_rim(solver: Solver) -> list[Law]:
 
 
 def both_rims_alike(solver: Solver) -> list[Law]:
-    """The rims at +x and -x answer as mirror images, displacement by displacement."""
+    """The rims at +x and -x give mirror images of each displacement."""
     right, left = solver.many(
         [Scene(SPHERE, press([1.5 * MM], at=(x, 0.0))) for x in (9 * MM, -9 * MM)]
     )
@@ -76,7 +76,7 @@ def both_rims_alike(solver: Solver) -> list[Law]:
 
 
 def corner(solver: Solver) -> list[Law]:
-    """On a corner of the gel x and y are alike, and lift-off leaves nothing behind."""
+    """On a corner of the gel x and y are equivalent, and no force remains after lift-off."""
     motion = press([0.75 * MM, 1.5 * MM, 0.75 * MM, 0.0], at=(9.5 * MM, 9.5 * MM))
     result = solver.one(Scene(SPHERE, motion))
     return [*sound(result, det_f=0.4), swapped(result, result, 1e-3), lets_go(result)]

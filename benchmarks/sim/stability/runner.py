@@ -1,4 +1,4 @@
-"""Runs hard cases, several processes side by side, and judges them by their laws alone."""
+"""Run hard cases in several parallel processes, and judge them by their laws alone."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ Outcome = TypeVar("Outcome")
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What came of one case."""
+    """Result of one case."""
 
     name: str
     laws: tuple[Law, ...]
     seconds: float
-    """Time it took."""
+    """Wall time."""
     trouble: str = ""
-    """Why there are no laws to judge: no converged state, or a crash."""
+    """Reason for missing laws: no converged state, or a crash."""
 
     @property
     def passed(self) -> bool:
-        """Whether there are laws, and all hold."""
+        """True if laws were measured and all hold."""
         return bool(self.laws) and not self.trouble and all(law.holds for law in self.laws)
 
     @property
@@ -50,9 +50,9 @@ class Report:
 
 
 def run_case(name: str, device: str, mistake: str | None) -> Report:
-    """Run one case here; whatever goes wrong in it is its failure, not the end of the others.
+    """Run one case in this process; any exception counts as its failure and affects no other case.
 
-    A mistake is planted in this process, which may be a worker, and taken out when the case ends.
+    A bug is injected into this process, which may be a worker, and removed when the case ends.
     """
     began = time.perf_counter()
     laws: tuple[Law, ...] = ()
@@ -61,7 +61,7 @@ def run_case(name: str, device: str, mistake: str | None) -> Report:
         with planted(mistake):
             laws = tuple(BY_NAME[name].run(Solver(device)))
     except SimulationDiverged as diverged:
-        trouble = f"no state was found: {diverged}"
+        trouble = f"no converged state: {diverged}"
     except Exception as error:
         last = traceback.extract_tb(error.__traceback__)[-1]
         trouble = f"{type(error).__name__}: {error} ({last.filename}:{last.lineno})"
@@ -76,9 +76,9 @@ def run_cases(
     processes: int = 2,
     say: Callable[[str], None] = print,
 ) -> list[Report]:
-    """Reports of all cases, in their order; each is told when it is done, with the time left.
+    """Run all cases, reporting each with the time left, and return the reports in order.
 
-    After Ctrl-C, of those that were done.
+    After Ctrl-C, only completed cases are returned.
     """
     reports: dict[str, Report] = {}
     began = time.perf_counter()
@@ -98,7 +98,7 @@ def run_cases(
 def _done(
     cases: Sequence[Case], device: str, mistake: str | None, processes: int
 ) -> Iterator[Report]:
-    """Reports as they come; the longest cases begin first, so that none is left at the end."""
+    """Yield reports as cases complete; the longest start first, so that none is left at the end."""
     order = sorted(cases, key=lambda case: -case.seconds)
     names = [case.name for case in order]
     return side_by_side(partial(_run_case, device, mistake), names, device, processes)
@@ -111,11 +111,11 @@ def _run_case(device: str, mistake: str | None, name: str) -> Report:
 def side_by_side(
     run: Callable[[Item], Outcome], items: Iterable[Item], device: str, processes: int
 ) -> Iterator[Outcome]:
-    """What `run` gives for each item, as they come, by several processes; begun in their order."""
+    """Yield results as they complete, from several processes; items start in their order."""
     if processes == 1:
         yield from map(run, items)
         return
-    # One thread a process: NumPy's own would compete with the other process for the cores.
+    # One thread per process, because NumPy's threads would compete with other processes.
     before = os.environ.get("OMP_NUM_THREADS")
     os.environ["OMP_NUM_THREADS"] = "1"
     try:
@@ -129,21 +129,21 @@ def side_by_side(
             os.environ["OMP_NUM_THREADS"] = before
 
 
-# Exit code of a run that Ctrl-C ended, as of any program.
+# Exit code of a run ended by Ctrl-C, as usual.
 INTERRUPTED = 130
 
 
 @contextmanager
 def done_counts(say: Callable[[str], None]) -> Iterator[None]:
-    """Ctrl-C ends the block and no more: what came out of it until then is kept and told."""
+    """End the block on Ctrl-C, so that completed results are kept and reported."""
     try:
         yield
     except KeyboardInterrupt:
-        say("interrupted; what follows is of those that were done")
+        say("interrupted; only completed results follow")
 
 
 def _begin(device: str) -> None:
-    """Start Warp in a new process without its greeting."""
+    """Start Warp in a new process without its banner."""
     from sim.device import ready_device
 
     ready_device(device)

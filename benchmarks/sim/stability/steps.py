@@ -1,4 +1,4 @@
-"""Steps: one huge, a thousand tiny, there and back, and starts where nothing should start."""
+"""Steps: one huge step, a thousand tiny ones, loops, and unusual starts."""
 
 from __future__ import annotations
 
@@ -24,25 +24,25 @@ from sim.errors import SimulationDiverged
 from sim.indenters import Indenter, named
 from sim.scene import Body, Motion, Scene, press, ramp_hold, through
 
-# A longest step of the tip [m] that limits nothing.
+# Maximum step of the tip [m] that never limits.
 UNLIMITED = 1.0
-# Contact brought up to its answer: by default 15 frames on the way get 0.1 % closer than one.
+# Converged multipliers: by default 15 frames are 0.1 % closer to the solution than one.
 CLOSED = {"penalty": 1000.0, "augmentations": 5}
 
 
-# With rounder edges: under sharper ones the skin creases, or goes through coarse meshes.
+# With rounder edges: under sharper ones the skin creases, or passes through coarse meshes.
 ROUND_PRISM = named("prism", 0.8 * MM)
 
 
 def one_huge_step(solver: Solver) -> list[Law]:
-    """1.5 mm in a single step ends where 15 steps end."""
+    """1.5 mm in a single step gives the force of 15 steps."""
     huge = solver.one(Scene(SPHERE, press([1.5 * MM])), step_travel=UNLIMITED, **CLOSED)
     slow = solver.one(Scene(SPHERE, press([0.1 * MM * step for step in range(1, 16)])), **CLOSED)
     return [*sound(huge, slow, det_f=0.5), same_end("force", slow, huge, SAME)]
 
 
 def thousand_tiny_steps(solver: Solver) -> list[Law]:
-    """1,000 steps of 1 um to 1 mm drift nowhere: all work stored, no jump, as in one step."""
+    """1,000 steps of 1 um to 1 mm do not drift: all work stored, no jump, as in one step."""
     body = Body(size_x=8 * MM, size_y=8 * MM)
     tiny = solver.one(
         Scene(SPHERE, press([1e-6 * step for step in range(1, 1001)]), body), spacing=4 / 3 * MM
@@ -50,10 +50,10 @@ def thousand_tiny_steps(solver: Solver) -> list[Law]:
     huge = solver.one(Scene(SPHERE, press([1 * MM]), body), spacing=4 / 3 * MM)
     return [
         *sound(tiny, huge, det_f=0.5),
-        # 1e-4 of the force is what a state may be out of balance by.
+        # The tolerance of the residual is 1e-4 of the force.
         at_most("work not stored", abs(tiny.quality.energy_gap[-1]), 1e-3),
         smooth("largest second difference / largest force", push(tiny), 1e-3),
-        rises("force rises, but for tolerance", push(tiny), -1e-4),
+        rises("force rises, within the tolerance", push(tiny), -1e-4),
         same_end("force", huge, tiny, SAME),
     ]
 
@@ -80,7 +80,7 @@ def there_and_back(solver: Solver) -> list[Law]:
     points += [(0.2 * MM * step, 0.0, -1.2 * MM) for step in range(1, 6)]
     points += [(1.0 * MM, 0.0, -1.2 * MM + 0.15 * MM * step) for step in range(1, 9)]
     result = solver.one(Scene(SPHERE, through(points, speed=10 * MM), MAT))
-    # Work by the trapezoid rule: its error on the way down is undone on the way up.
+    # Trapezoid rule for work: its error during loading cancels during unloading.
     return [
         *sound(result, det_f=0.5),
         at_most("work left in the loop", abs(result.quality.energy_gap[-1]), 5e-3),
@@ -89,7 +89,7 @@ def there_and_back(solver: Solver) -> list[Law]:
 
 
 def two_ways_to_one_place(solver: Solver) -> list[Law]:
-    """Down and then aside, or slantwise: frictionless, the place decides, not the way."""
+    """Down and then sideways, or diagonally: without friction only the final place matters."""
     top, end = (0.0, 0.0, 0.0), (0.8 * MM, 0.4 * MM, -1.2 * MM)
     corner = solver.one(
         Scene(SPHERE, through([top, (0.0, 0.0, -1.2 * MM), end], speed=10 * MM), MAT)
@@ -112,7 +112,7 @@ def _sunk(
     spacing: float | None = 1 * MM,
     **numerics: object,
 ) -> list[Law]:
-    """Begins so many half millimetres inside: a slow press's state, or a refusal with evidence."""
+    """Start `halves` half millimetres inside: the state of a slow press, or a valid rejection."""
     frames = press([0.5 * MM * step for step in range(1, halves + 1)])
     slow = solver.one(Scene(indenter, frames, MAT), spacing=spacing, **CLOSED)
     try:
@@ -133,10 +133,10 @@ def prism_starts_deep_inside(solver: Solver) -> list[Law]:
 
 
 def prism_where_the_skin_buckles(solver: Solver) -> list[Law]:
-    """A prism 2.5 mm inside at frame 0, where skin has buckled either way: a sound state, or none.
+    """A prism 2.5 mm inside at frame 0, where the skin buckles either way: a valid state, or none.
 
-    Without friction the skin under its edges creases from about 2 mm on, and several states are in
-    balance: 12.99, 13.97 and 15.46 N. Which is found depends on the path and on the last digit.
+    Without friction the skin under its edges creases from about 2 mm on, and there are several
+    equilibria: 12.99, 13.97 and 15.46 N. The result depends on the path and on the last digit.
     """
     try:
         result = solver.one(_begun_inside(named("prism"), 5), **CLOSED)
@@ -151,12 +151,12 @@ def sphere_forced_in_at_once(solver: Solver) -> list[Law]:
 
 
 def prism_forced_in_at_once(solver: Solver) -> list[Law]:
-    """A prism 1 mm inside in one step: the right state, or none."""
+    """A prism 1 mm inside in one step: the correct state, or none."""
     return _sunk(solver, ROUND_PRISM, halves=2, spacing=0.5 * MM, step_travel=UNLIMITED)
 
 
 def starts_at_touch(solver: Solver) -> list[Law]:
-    """Exactly touching: zero force, and the press that follows is like any other."""
+    """Exactly touching: zero force, and the following press is normal."""
     result = solver.one(Scene(SPHERE, Motion(tip=((0.0, 0.0, 0.0),), time=(0.0,)), PAD))
     return [
         at_most("force [N]", float(np.abs(result.wrench).max()), 1e-9),
@@ -179,14 +179,14 @@ def never_touches(solver: Solver) -> list[Law]:
 
 
 def arrives_from_the_air(solver: Solver) -> list[Law]:
-    """From 3 mm above straight to 1 mm deep in one frame: as if it had begun at the surface."""
+    """From 3 mm above to 1 mm deep in one frame: as if started at the surface."""
     air = solver.one(Scene(SPHERE, through([(0.0, 0.0, 3 * MM), (0.0, 0.0, -1 * MM)], speed=1.0)))
     near = solver.one(Scene(SPHERE, press([1 * MM])))
     return [*sound(air, near, det_f=0.5), same_end("force", near, air, SAME)]
 
 
 def arrives_from_the_side(solver: Solver) -> list[Law]:
-    """Into the gel through its side face, 1 mm below the top: as the press from above ends."""
+    """Into the gel through its side face, 1 mm below the top: the same end as from above."""
     end = (3.5 * MM, 0.0, -1 * MM)
     side = solver.one(Scene(SPHERE, through([(14 * MM, 0.0, -1 * MM), end], speed=1.0), PAD))
     above = solver.one(Scene(SPHERE, press([1 * MM], at=(3.5 * MM, 0.0)), PAD))
@@ -194,7 +194,7 @@ def arrives_from_the_side(solver: Solver) -> list[Law]:
 
 
 def phases_without_travel(solver: Solver) -> list[Law]:
-    """Held still for five frames, elastic skin does not creep: the force stays."""
+    """Held for five frames, elastic skin does not creep: the force is constant."""
     result = solver.one(Scene(SPHERE, ramp_hold(1 * MM, ramp=0.1, hold=1.0, steps=5), GEL))
     held = result.force[5:]
     return [

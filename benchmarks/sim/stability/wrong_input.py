@@ -1,4 +1,4 @@
-"""Wrong input: refused by name before anything runs; hopeless numerics: refused with evidence."""
+"""Wrong input is rejected by name before a run; impossible numerics are rejected with evidence."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from sim.indenters import Part, named, shapes
 from sim.scene import Body, Motion, Scene, press, press_shear_return, ramp_hold
 from sim.simulate import simulate, simulate_many
 
-# Puts a number into one field of a scene, which must refuse it.
+# Sets one field of a scene to a number, which must be rejected.
 Make = Callable[[float], object]
 
 
 def _fields() -> Iterator[tuple[str, Make]]:
-    """Every number of a scene: what its refusal must name, and how to set it."""
+    """Yield every number of a scene: the name that its rejection must contain, and its setter."""
     for name in ("size_x", "size_y", "thickness", "modulus", "poisson", "dome_radius", "density"):
         yield name, _body(name)
     yield "coefficient", Friction
@@ -79,7 +79,7 @@ def _tip(axis: int) -> Make:
 
 
 def _refusals(fields: list[tuple[str, Make]], value: float) -> list[Law]:
-    """How many of the fields took the value, and how many refused it without saying their name."""
+    """Count the fields that accepted the value, and those rejected without their name."""
     accepted: list[str] = []
     nameless: list[str] = []
     for name, make in fields:
@@ -93,32 +93,32 @@ def _refusals(fields: list[tuple[str, Make]], value: float) -> list[Law]:
     tail = f" ({', '.join(accepted)})" if accepted else ""
     unnamed = f" ({', '.join(nameless)})" if nameless else ""
     return [
-        at_most(f"fields that took {value:g}{tail}", len(accepted), 0),
-        at_most(f"refusals of {value:g} that do not name the field{unnamed}", len(nameless), 0),
+        at_most(f"fields that accepted {value:g}{tail}", len(accepted), 0),
+        at_most(f"rejections of {value:g} that do not name the field{unnamed}", len(nameless), 0),
     ]
 
 
 def not_a_number(solver: Solver) -> list[Law]:
-    """NaN in any number of a scene is refused by the field's name; no scene comes to be."""
+    """NaN in any number of a scene is rejected by the field's name; no scene is created."""
     del solver
     return _refusals(list(_fields()), math.nan)
 
 
 def infinite(solver: Solver) -> list[Law]:
-    """Infinity likewise, but for the widest wall there is: none."""
+    """Infinity likewise, except for the widest wall, where it means none."""
     del solver
     return _refusals([field for field in _fields() if field[0] != "narrowest"], math.inf)
 
 
 def below_zero(solver: Solver) -> list[Law]:
-    """Lengths, moduli, coefficients and times below zero are refused."""
+    """Negative lengths, moduli, coefficients and times are rejected."""
     del solver
     signed = ("acceleration", "tip", "depths", "motion.at", "shear", "values", "axis", "cosine")
     return _refusals([field for field in _fields() if not field[0].startswith(signed)], -1.0)
 
 
 def millimetres_for_metres(solver: Solver) -> list[Law]:
-    """A body or a depth in millimetres is refused; the message asks about the units."""
+    """A body or a depth in millimetres is rejected; the message asks about the units."""
     del solver
     fields: list[tuple[str, Make]] = [
         ("size_x", lambda value: Body(size_x=20 * value, size_y=20 * value, thickness=4 * value)),
@@ -129,7 +129,7 @@ def millimetres_for_metres(solver: Solver) -> list[Law]:
 
 
 def phases_without_time(solver: Solver) -> list[Law]:
-    """Phases of zero length (no shear, the same depth twice, no ramp) are refused: no time."""
+    """Phases of zero length (no shear, the same depth twice, no ramp) are rejected: no time."""
     del solver
     fields: list[tuple[str, Make]] = [
         ("shear", lambda value: press_shear_return(1 * MM, value)),
@@ -142,7 +142,7 @@ def phases_without_time(solver: Solver) -> list[Law]:
 
 
 def numerics_not_a_number(solver: Solver) -> list[Law]:
-    """NaN in the solver's own numbers is refused by name, before a step is taken."""
+    """NaN in the solver's settings is rejected by name, before a step is taken."""
     steps: list[float] = []
     tiny = Body(size_x=4 * MM, size_y=4 * MM, thickness=3 * MM)
     scene = Scene(SPHERE, press([0.2 * MM]), tiny)
@@ -161,7 +161,7 @@ def numerics_not_a_number(solver: Solver) -> list[Law]:
 
 
 def unlike_bodies_in_a_batch(solver: Solver) -> list[Law]:
-    """Bodies of different size, or effects, in one call: each gets what it gets alone."""
+    """Bodies of different size, or effects, in one call: each gets the same result as alone."""
     base = Scene(SPHERE, press([0.5 * MM]), PAD)
     scenes = [
         base,
@@ -177,7 +177,7 @@ def unlike_bodies_in_a_batch(solver: Solver) -> list[Law]:
             return [at_least("solved", 0, 1)]
         alone = simulate(scene, numerics=numerics, device=solver.device)
         gap = float(np.abs(alone.force - result.force).max() / np.abs(alone.force).max())
-        laws.append(at_most("difference from what it gets alone", gap, 0))
+        laws.append(at_most("difference from the result alone", gap, 0))
     return laws
 
 
@@ -190,18 +190,18 @@ def _gives_up(solver: Solver, scene: Scene, **numerics: object) -> list[Law]:
 
 
 def one_newton_iteration(solver: Solver) -> list[Law]:
-    """Crippled to one Newton iteration and one halving, it says so and leaves its last state."""
+    """Limited to one Newton iteration and one halving, it reports this and its last state."""
     return _gives_up(solver, Scene(SPHERE, press([1 * MM]), PAD), newton_max=1, halvings=1)
 
 
 def out_of_reach(solver: Solver) -> list[Law]:
-    """A tolerance below float32's digits is refused in float32, not passed over."""
+    """A tolerance below float32's digits is rejected in float32, not ignored."""
     scene = Scene(SPHERE, press([1 * MM]), PAD)
     return _gives_up(solver, scene, precision="float32", tolerance=1e-9, halvings=2)
 
 
 def diverges_in_a_batch(solver: Solver) -> list[Law]:
-    """A press that finds no state does not spoil the one beside it."""
+    """A press that does not converge does not affect another in the same batch."""
     good = Scene(SPHERE, press([0.5 * MM]), PAD)
     bad = Scene(named("prism"), press([3.4 * MM]), PAD)
     numerics = solver.numerics(newton_max=20, halvings=0, step_travel=1.0)

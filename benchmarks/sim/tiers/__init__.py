@@ -1,1 +1,1 @@
-"""The `layer` and `mpm` tiers beside closed forms and finite elements."""
+"""The `layer` and `mpm` tiers compared with closed forms and finite elements."""

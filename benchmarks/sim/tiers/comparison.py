@@ -1,4 +1,4 @@
-"""The method beside the finite elements and the authors' settings, on one sphere press."""
+"""`mpm` compared with finite elements and the authors' settings, on one sphere press."""
 
 from __future__ import annotations
 
@@ -25,60 +25,60 @@ RADIUS = 4e-3
 DEPTHS = (0.5e-3, 1.0e-3, 1.5e-3)
 # Force at `DEPTHS` on the paper's gel, frictionless [N]; two element families agree to 0.1 %.
 FORCE = (0.2652, 0.9197, 1.9560)
-# The same on the body that the released parameters make, by elements of 0.5 mm [N].
+# The same on the body of the released parameters, with elements of 0.5 mm [N].
 FORCE_RELEASED = (0.2405, 0.7894, 1.618)
-# At the last depth when nothing slips [N].
+# At the last depth with full stick [N].
 FORCE_STICKING = 2.185
 RADII = (4e-3, 5e-3, 6e-3, 8e-3)
 # Height of the surface at `RADII` around the deepest press [m], from the same elements.
 UP = (0.0001e-3, 0.0439e-3, 0.0424e-3, 0.0097e-3)
+# Tip speed in the paper, and in GenForce's released parameters [m/s].
 SPEED = 10e-3
-# Speed of the tip in the paper, and in GenForce's released parameters [m/s].
 SPEED_RELEASED = 40e-3
-# The body that the released parameters really make.
+# Effective body of the released parameters.
 BODY_RELEASED = Body(size_x=25e-3, size_y=25e-3, thickness=5e-3)
-# Between the particles of the authors' presets [m].
+# Particle spacing of the authors' presets [m].
 SPACINGS = {"authors": 0.2e-3, "authors, as released": 0.25e-3}
-# Where `UP` holds: along the axes. The free sides let the diagonals move more.
+# Directions in which `UP` holds: along the axes. The free sides let the diagonals move more.
 ANGLES = np.arange(4) * np.pi / 2
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One way to press the sphere, what came out, and what it cost."""
+    """One way to solve the press, with its results and cost."""
 
     name: str
     force: tuple[float, ...]
-    """At `DEPTHS`, pushing is positive [N]."""
+    """Force at `DEPTHS`, positive when pushing [N]."""
     reference: tuple[float, ...]
-    """What it should be, frictionless [N]."""
+    """Reference force, frictionless [N]."""
     force_rescaled: tuple[float, ...]
-    """The same, had the volume of a particle been right [N]."""
+    """Force, corrected for the particle volume [N]."""
     up: tuple[float, ...]
     """Height of the surface at `RADII` at the last depth [m]."""
     outward: tuple[float, ...]
-    """How far it moved outwards there [m]."""
+    """Outward displacement there [m]."""
     particles: int
     """0 for finite elements."""
     steps: int
     """0 for finite elements."""
     seconds: float
-    """Wall time, kernels compiled before."""
+    """Wall time, with kernels compiled before."""
     cpu_seconds: float
-    """Processor time of this process."""
+    """CPU time of this process."""
     bytes: int
-    """Of all arrays on the device; 0 where it is not counted."""
+    """Size of all arrays on the device; 0 if not counted."""
     device: str
     warnings: tuple[str, ...] = ()
 
 
 def sphere_scene(body: Body | None = None, *, speed: float = SPEED) -> Scene:
-    """The press that all rows share, frictionless; `speed` in [m/s]."""
+    """Return the press shared by all rows, frictionless; `speed` in [m/s]."""
     return Scene(sphere(RADIUS), press(DEPTHS, speed=speed), body=body or Body())
 
 
 def choices(*, fine: bool = False) -> dict[str, tuple[Scene, MpmNumerics]]:
-    """What is compared, by name: the authors' two presets, then ours from coarse to fine."""
+    """Return the settings to compare by name: two presets of the authors, then ours by fineness."""
     paper = sphere_scene()
     found = {
         "authors": (paper, MpmNumerics.authors()),
@@ -104,12 +104,12 @@ def measure(
     device: str = "cpu",
     progress: Progress | None = None,
 ) -> Row:
-    """The row of one choice.
+    """Return the row of one choice.
 
     Raises:
-        SimulationDiverged: There is none.
+        SimulationDiverged: No solution.
     """
-    # The same kernels on a handful of particles, so that none is compiled while time is taken.
+    # Run the same kernels on a few particles first, so that compilation is not timed.
     tiny = Scene(sphere(RADIUS), press([1e-6], speed=SPEED), body=Body(4e-3, 4e-3, 4e-3))
     simulate_mpm([tiny], _coarse(numerics), device=device)
     wall, cpu = time.perf_counter(), time.process_time()
@@ -120,7 +120,7 @@ def measure(
     record = outcome.record
     volume = 1.0
     if numerics.particle_volume is not None:
-        # What a particle of the lattice stands for, over what it was given.
+        # Volume per particle of the lattice, over the volume that was set.
         volume = (AUTHORS_CELL / numerics.per_cell) ** 3 / numerics.particle_volume
     return _row(
         name,
@@ -137,7 +137,7 @@ def measure(
 
 
 def measure_elements(*, device: str = "cpu", progress: Progress | None = None) -> Row:
-    """The row of the finite elements, with their own settings."""
+    """Return the row of the finite elements, with their default settings."""
     scene = sphere_scene()
     simulate(Scene(sphere(RADIUS), press([1e-6]), body=Body(4e-3, 4e-3, 4e-3)), device=device)
     wall, cpu = time.perf_counter(), time.process_time()
@@ -158,7 +158,7 @@ def measure_elements(*, device: str = "cpu", progress: Progress | None = None) -
 
 
 def around(result: Result, radius: float) -> tuple[float, float]:
-    """Height and outward way of the surface at this distance [m], last frame, mean over 4 sides."""
+    """Return height and outward motion of the surface at this radius [m], mean over 4 sides."""
     axes = (result.surface_x, result.surface_y)
     field = RegularGridInterpolator(axes, result.surface[-1].astype(float))
     spokes = np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1)
@@ -181,7 +181,7 @@ def _row(name: str, result: Result, *, volume: float, **cost: object) -> Row:
 
 
 def _coarse(numerics: MpmNumerics) -> MpmNumerics:
-    """The same kernels on the coarsest grid."""
+    """Return settings with the same kernels on the coarsest grid."""
     return MpmNumerics(
         cell=1e-3,
         contact=numerics.contact,

@@ -1,4 +1,4 @@
-"""How exact and how fast the `layer` tier is, on one grid: `python -m benchmarks layer`."""
+"""Accuracy and speed of the `layer` tier, on one grid: `python -m benchmarks layer`."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from sim.layer.solver import GRID, TOLERANCE, Press, simulate_layer
 from sim.layer.spectral import Grid
 from sim.scene import Body, Motion, Scene, press, through
 
-# Where spheres are pressed [m]: on a corner of four pixels, and off it.
+# Places of the spheres [m]: on a corner of four pixels, and off it.
 PLACES = ((0.0, 0.0), (0.13e-3, -0.21e-3), (1.037e-3, 0.512e-3))
 RADII = (2e-3, 4e-3, 10e-3)
 DEPTHS = (0.5e-3, 1.0e-3, 1.5e-3)
-# Of the tip [m/s].
+# Speed of the tip [m/s].
 SPEED = 10e-3
-# Frames in a second of the motion.
+# Frames per second of the motion.
 RATE = 60.0
 DEPTH, SHEAR = 1.2e-3, 1.0e-3
 EFFECTS = {
@@ -36,7 +36,7 @@ EFFECTS = {
 
 
 def errors(grid: int, tolerance: float) -> list[str]:
-    """A line for each sphere and depth: force, and its error where it is worst of all places."""
+    """Return a line for each sphere and depth: force, and its largest error over all places."""
     body = Body()
     lines = ["sphere mm  depth mm  exact N   layer N   worst error"]
     for radius in RADII:
@@ -62,7 +62,7 @@ def errors(grid: int, tolerance: float) -> list[str]:
 
 
 def rates(grid: int, tolerance: float, repeats: int) -> list[str]:
-    """A line for each set of effects: CPU time of a frame on the way down, aside, back and up."""
+    """Return a line for each set of effects: CPU time per frame of a press, shear and return."""
     lines = ["effects                frames  steps  mean ms  worst ms  frames/s  worst frames/s"]
     motion = down_aside_back_up()
     for name, effects in EFFECTS.items():
@@ -81,7 +81,7 @@ def rates(grid: int, tolerance: float, repeats: int) -> list[str]:
 
 
 def down_aside_back_up() -> Motion:
-    """The motion that is timed: `RATE` frames a second at `SPEED`, from touch to lift."""
+    """Return the motion that is timed: `RATE` frames a second at `SPEED`, from touch to lift."""
     corners = np.array([(0, 0, 0), (0, 0, -DEPTH), (SHEAR, 0, -DEPTH), (0, 0, -DEPTH), (0, 0, 0)])
     points = [corners[0]]
     for start, end in pairwise(corners):
@@ -92,7 +92,7 @@ def down_aside_back_up() -> Motion:
 
 
 def _timed(scene: Scene, grid: int, tolerance: float) -> tuple[list[float], int]:
-    """CPU time of each frame [s], and how many steps all of them took."""
+    """Return the CPU time of each frame [s], and the total number of steps."""
     state = Press(scene, Grid(scene.body, grid), tolerance)
     seconds, before = [], 0.0
     for tip, now in zip(scene.motion.tip, scene.motion.time, strict=True):
@@ -119,7 +119,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--repeats",
         type=int,
         default=3,
-        help="runs, of which each frame's fastest counts (default %(default)s)",
+        help="number of runs, of which each frame's fastest counts (default %(default)s)",
     )
     options = parser.parse_args(arguments)
     body = Body()

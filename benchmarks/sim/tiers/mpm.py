@@ -1,4 +1,4 @@
-"""The material-point method beside finite elements on a sphere press.
+"""Material-point method compared with finite elements on a sphere press.
 
 Run with `python -m benchmarks mpm`.
 """
@@ -33,7 +33,7 @@ ELEMENTS = "finite elements"
 
 
 def table(rows: Sequence[Row]) -> list[str]:
-    """Lines of a table: force and its error, surface around the contact, cost."""
+    """Return the lines of a table: force and its error, surface around the contact, cost."""
     names = max([len(row.name) for row in rows] + [len("reference")])
     depths = ", ".join(f"{depth * 1e3:g}" for depth in DEPTHS)
     radii = ", ".join(f"{radius * 1e3:g}" for radius in RADII)
@@ -53,8 +53,8 @@ def table(rows: Sequence[Row]) -> list[str]:
         if row.force_rescaled != row.force:
             lines.append(
                 f"{'':{names}}  {_numbers(row.force_rescaled, 7, 4)} "
-                f"({_numbers(_errors(row, row.force_rescaled), 6, 1)})  had the volume of a "
-                "particle been right"
+                f"({_numbers(_errors(row, row.force_rescaled), 6, 1)})  corrected for the particle "
+                "volume"
             )
     lines.append(
         f"sticking contact: {FORCE_STICKING:g} N at {DEPTHS[-1] * 1e3:g} mm; released parameters: "
@@ -72,17 +72,15 @@ def _numbers(values: Sequence[float], width: int, digits: int, factor: float = 1
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure what is not in the file yet, one row after the other, and print all of it."""
+    """Measure the rows that are not yet in the file, one after the other, and print all rows."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks mpm", description=__doc__)
-    parser.add_argument("--fine", action="store_true", help="cells of 0.25 mm, too: some minutes")
+    parser.add_argument("--fine", action="store_true", help="also cells of 0.25 mm: some minutes")
     parser.add_argument("--device", default="cpu", help="cpu, cuda:0 ... (default %(default)s)")
-    parser.add_argument(
-        "--only", default="", help="rows whose name contains this (default all of them)"
-    )
+    parser.add_argument("--only", default="", help="rows whose name contains this (default: all)")
     parser.add_argument(
         "--file",
         type=Path,
-        help="JSON of the rows measured; those in it already are not measured again",
+        help="JSON file of measured rows; existing rows are not measured again",
     )
     options = parser.parse_args(arguments)
     wanted = choices(fine=options.fine)

@@ -1,1 +1,1 @@
-"""Hard cases nobody chose: scenes drawn by chance, and a referee that is not the solver."""
+"""Randomly drawn hard cases, judged by a referee that is independent of the solver."""

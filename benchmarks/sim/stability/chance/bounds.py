@@ -1,4 +1,4 @@
-"""Bounds of a force from mechanics: what is less or more is wrong by far, whatever the mesh."""
+"""Bounds of a force from mechanics: values outside are wrong by far, on any mesh."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from sim.result import Result
 from sim.scene import Body, Motion, Scene
 from sim.tiers import simulate_many
 
-# Share of the lower bound that must be there: a corner of the gel yields as much as four times as
-# easily as its middle, and large strain softens it further.
+# Required share of the lower bound: a corner of the gel yields up to four times as easily as its
+# middle, and large strain softens it further.
 LOWER = 0.2
-# Multiple of the upper bound that may be there: large strain stiffens, friction adds a third.
+# Allowed multiple of the upper bound: large strain stiffens, friction adds a third.
 UPPER = 3.0
-# Force over that of the spectral layer, which is linear: default meshes are off by 5 to 25 % where
-# contact is a few elements wide, large strain by 10 %.
+# Force over that of the spectral layer, which is linear: the error of default meshes is 5 to 25 %
+# where contact is a few elements wide, that of linearity 10 % at large strain.
 LAYER_LEAST, LAYER_MOST = 0.5, 1.8
-# Depths, in thicknesses, at which a layer of small strain is a fair judge.
+# Depths, in thicknesses, at which a layer of small strain is a reliable reference.
 LAYER_DEPTH = 0.02, 0.15
 
 
 def least_force(scene: Scene, tip: tuple[float, float, float]) -> float:
-    """A lower bound of the push of a frictionless press into an elastic gel [N].
+    """Return a lower bound of the push of a frictionless press into an elastic gel [N].
 
     A flat disc that fits into the indenter at some depth presses less than the indenter, and the
-    half-space under it is softer than a layer on a rigid base: 2 E* a d. In series with it, the
-    whole gel as a column, so that a slim one may yield as such.
+    half-space under it is softer than a layer on a rigid base: 2 E* a d. In series with it is the
+    whole gel as a column, so that a slim gel may yield as such.
     """
     found = footprint(scene, tip)
     body = scene.body
@@ -49,11 +49,11 @@ def least_force(scene: Scene, tip: tuple[float, float, float]) -> float:
 
 
 def most_force(scene: Scene, tip: tuple[float, float, float]) -> float:
-    """An upper bound of the push of a frictionless press into an elastic gel [N].
+    """Return an upper bound of the push of a frictionless press into an elastic gel [N].
 
-    A disc around all that is touched presses more. Under a bonded layer its force is that of the
-    half-space and that of squeezing: the lesser of confined columns and of an incompressible sheet
-    that flows aside. What is left of the thickness is what is squeezed.
+    A disc around the whole contact presses more. Its force on a bonded layer is that on the
+    half-space plus that of squeezing, the lesser of confined columns and of an incompressible sheet
+    that flows sideways. The layer that is squeezed has the remaining thickness.
     """
     found = footprint(scene, tip)
     box, body = found.box, scene.body
@@ -70,7 +70,7 @@ def most_force(scene: Scene, tip: tuple[float, float, float]) -> float:
 
 
 def layer_force(scene: Scene, tip: tuple[float, float, float]) -> float | None:
-    """The push that the spectral layer finds at this place [N]; None where it is no judge."""
+    """Return the push on the spectral layer at this place [N]; None where it is not reliable."""
     body = scene.body
     depth = -tip[2] / body.thickness
     if body.dome_radius is not None or not LAYER_DEPTH[0] <= depth <= LAYER_DEPTH[1]:
@@ -89,7 +89,7 @@ def layer_force(scene: Scene, tip: tuple[float, float, float]) -> float | None:
 
 
 def _inscribed(found: Footprint, depth: float) -> float:
-    """Radius [m] of the largest disc on the gel that is `depth` [m] deep all over."""
+    """Return the radius [m] of the largest disc on the gel that is at least `depth` [m] deep."""
     within = np.pad(found.deep >= depth, 1)
     steps = found.x[1] - found.x[0], found.y[1] - found.y[0]
     radius: float = distance_transform_edt(within, sampling=steps).max()
@@ -97,5 +97,5 @@ def _inscribed(found: Footprint, depth: float) -> float:
 
 
 def reached(result: Result) -> list[tuple[float, float, float]]:
-    """Where the tip is in each frame."""
+    """Return the position of the tip in each frame."""
     return [(float(x), float(y), float(z)) for x, y, z in result.scene.motion.tip]

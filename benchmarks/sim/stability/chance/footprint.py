@@ -1,4 +1,4 @@
-"""What an indenter covers of the untouched gel: geometry alone, nothing of the solver."""
+"""Overlap of an indenter with the undeformed gel, from geometry, without the solver."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from sim.scene import Scene
 
 Array = NDArray[np.float64]
 
-# Places along x and y; the second look covers only where the first has found the indenter.
+# Number of samples along x and y; later passes cover only the region found in the first.
 SAMPLES = 61
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Footprint:
-    """How deep the untouched top lies inside the indenter, on a raster of the gel."""
+    """Depth of the undeformed top inside the indenter, on a raster of the gel."""
 
     x: Array
     """(X,) [m]."""
     y: Array
     """(Y,) [m]."""
     deep: Array
-    """Depth below the untouched top (X, Y) [m]; below 0 where the indenter is above it, -inf where
-    it is not."""
+    """Depth below the undeformed top (X, Y) [m]; below 0 where the indenter is above it, -inf
+    outside the indenter."""
 
     @property
     def deepest(self) -> float:
-        """Largest depth [m]; -inf where nothing of the indenter is above the gel."""
+        """Largest depth [m]; -inf if no part of the indenter is above the gel."""
         return float(self.deep.max())
 
     @property
@@ -41,7 +41,7 @@ class Footprint:
 
     @property
     def box(self) -> tuple[float, float, float, float] | None:
-        """Least and greatest x, least and greatest y of what is touched [m]."""
+        """Least and greatest x, least and greatest y of the touched region [m]."""
         rows, columns = np.nonzero(self.deep > 0)
         if not len(rows):
             return None
@@ -52,14 +52,14 @@ class Footprint:
 
     @property
     def width(self) -> float:
-        """The shorter side of that box [m], 0 where nothing is touched."""
+        """Shorter side of that box [m], 0 without contact."""
         box = self.box
         return 0.0 if box is None else min(box[1] - box[0], box[3] - box[2])
 
 
 @lru_cache(maxsize=64)
 def footprint(scene: Scene, tip: tuple[float, float, float]) -> Footprint:
-    """The footprint with the tip at `tip` [m]."""
+    """Return the footprint with the tip at `tip` [m]."""
     body = scene.body
     depth = max(-tip[2], 1e-2 * body.thickness)
     sides = scene.indenter.bounds_below(1.5 * depth + body.thickness)[:2]
@@ -67,7 +67,7 @@ def footprint(scene: Scene, tip: tuple[float, float, float]) -> Footprint:
     ends = []
     for (low, high), size, at in zip(sides, half, tip[:2], strict=True):
         inside = np.clip([low + at, high + at], -size, size)
-        # A body beside the gel leaves a strip without width at the rim.
+        # An indenter next to the gel leaves a strip without width at the rim.
         ends.append((float(inside[0]), max(float(inside[1]), float(inside[0]) + 1e-9)))
     found = _look(scene, tip, ends[0], ends[1])
     for _ in range(2):
@@ -104,7 +104,7 @@ def _look(
 
 
 def half_wall(scene: Scene) -> float:
-    """Half of the indenter's narrowest wall, or its smallest radius [m]; inf where it has none."""
+    """Return half of the indenter's narrowest wall, or its smallest radius [m]; inf without one."""
     indenter = scene.indenter
     if indenter.solid is not None:
         return max(indenter.edge_radius, indenter.solid.spacing)
@@ -114,7 +114,7 @@ def half_wall(scene: Scene) -> float:
 
 
 def inside_by(scene: Scene, tip: tuple[float, float, float], margin: float) -> bool:
-    """Whether what is touched stays `margin` [m] away from every rim of the gel."""
+    """Return True if the touched region stays `margin` [m] away from every rim of the gel."""
     box = footprint(scene, tip).box
     if box is None:
         return True

@@ -1,8 +1,8 @@
-"""Whether the deformed top lies inside the indenter: dense samples of it, at and between frames.
+"""Overlap of the deformed top with the indenter, from dense samples at and between frames.
 
-Nodes alone do not tell: a blade between two rows of nodes is inside none of them. The top is read
-in two ways, as flat pieces between nodes and as a cubic spline; an overlap counts where both show
-it.
+Nodes are not sufficient: a blade between two rows of nodes contains none of them. The top is
+interpolated in two ways, bilinearly between nodes and by a cubic spline; only overlap present in
+both counts.
 """
 
 from __future__ import annotations
@@ -19,39 +19,39 @@ from sim.result import Result
 
 Array = NDArray[np.float64]
 
-# Samples along half of the narrowest wall.
+# Samples per half of the narrowest wall.
 PER_WALL = 4
-# Samples along an element, at most and at least.
+# Maximum and minimum number of samples along an element.
 MOST, LEAST = 16, 4
-# Overlap that is no overlap [m]; what a mesh rounds off.
+# Overlap that is always allowed [m], due to the mesh.
 SMALL = 10e-6
-# The same as a share of the depth, but not more than a share of half the narrowest wall.
+# Allowed overlap as a share of the depth, limited by a share of half the narrowest wall.
 OF_DEPTH, OF_WALL = 0.05, 0.5
-# Share of the depth that gel may stand above the indenter's lower side, where it is inside of it at
-# all: more, and the indenter has passed through the gel.
+# Allowed height of gel above the indenter's lower side, over the depth, where gel is inside it:
+# above this, the indenter has passed through the gel.
 THROUGH = 0.7
-# Heights at which it is looked how far down the indenter goes.
+# Number of heights sampled to find how far down the indenter goes.
 STANDS = 24
 
 
 @dataclass(frozen=True, slots=True)
 class Overlap:
-    """What one frame shows."""
+    """Overlap in one frame."""
 
     normal: float
-    """Deepest place inside the indenter, to its nearest side [m]."""
+    """Largest distance inside the indenter, to its nearest side [m]."""
     upright: float
-    """Height of the gel above the indenter's lower side there [m], the largest."""
+    """Largest height of the gel above the indenter's lower side there [m]."""
 
 
 def allowed(result: Result, frame: int) -> float:
-    """Overlap that a mesh may leave in a frame [m]."""
+    """Return the overlap that a mesh may leave in a frame [m]."""
     depth = max(-result.scene.motion.tip[frame][2], 0.0)
     return max(SMALL, min(OF_DEPTH * depth, OF_WALL * half_wall(result.scene)))
 
 
 def overlap(result: Result, frame: int) -> Overlap:
-    """The overlap of the deformed top with the indenter in a frame."""
+    """Return the overlap of the deformed top with the indenter in a frame."""
     scene = result.scene
     tip = np.asarray(scene.motion.tip[frame], float)
     top = _top(result, frame)
@@ -76,10 +76,10 @@ def overlap(result: Result, frame: int) -> Overlap:
 
 
 def crossed(result: Result, frame: int) -> float:
-    """Deepest way [m] of a node through a wall, between a frame and the one before it.
+    """Return the deepest path [m] of a node through a wall, from the previous frame to this one.
 
-    Only of a tip that goes straight down or up, and only for nodes that stand beside one side of a
-    wall and then beside the opposite one: such a way can not lead around the wall.
+    Only for a tip that moves straight down or up, and only for nodes that were next to one side of
+    a wall and are then next to the opposite side, because such a path cannot lead around the wall.
     """
     scene = result.scene
     before, after = (np.asarray(scene.motion.tip[index], float) for index in (frame - 1, frame))
@@ -103,7 +103,7 @@ def crossed(result: Result, frame: int) -> float:
 
 
 def _top(result: Result, frame: int) -> Array:
-    """Deformed places of the nodes of the top (X, Y, 3) [m]."""
+    """Return deformed positions of the nodes of the top (X, Y, 3) [m]."""
     x, y = np.meshgrid(result.surface_x, result.surface_y, indexing="ij")
     rest = np.stack([x, y, result.scene.body.heights(result.surface_x, result.surface_y)], axis=-1)
     placed: Array = rest + result.surface[frame].astype(float)
@@ -111,7 +111,7 @@ def _top(result: Result, frame: int) -> Array:
 
 
 def _near(gap: Array, top: Array) -> NDArray[np.int64]:
-    """Cells (C, 2) with a corner nearer to the indenter than their own size."""
+    """Return cells (C, 2) with a corner nearer to the indenter than their size."""
     least = np.minimum.reduce([gap[:-1, :-1], gap[1:, :-1], gap[:-1, 1:], gap[1:, 1:]])
     one = np.linalg.norm(top[1:, 1:] - top[:-1, :-1], axis=-1)
     other = np.linalg.norm(top[1:, :-1] - top[:-1, 1:], axis=-1)
@@ -119,13 +119,13 @@ def _near(gap: Array, top: Array) -> NDArray[np.int64]:
 
 
 def _on_body(result: Result) -> NDArray[np.bool_]:
-    """Cells (X - 1, Y - 1) whose corners all lie on the footprint; others are half air."""
+    """Return True for cells (X - 1, Y - 1) whose corners are all on the footprint."""
     on = result.scene.body.covers(result.surface_x[:, None], result.surface_y)
     return np.asarray(on[:-1, :-1] & on[1:, :-1] & on[:-1, 1:] & on[1:, 1:])
 
 
 def _samples(result: Result, cells: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Places within a cell (P,), from 0 to 1: a quarter of half the wall apart, where it goes."""
+    """Return sample positions within a cell (P,), from 0 to 1, a quarter of half the wall apart."""
     size = max(
         float(np.diff(result.surface_x)[cells[:, 0]].max()),
         float(np.diff(result.surface_y)[cells[:, 1]].max()),
@@ -138,7 +138,7 @@ def _samples(result: Result, cells: NDArray[np.int64]) -> tuple[Array, Array]:
 
 
 def _bilinear(top: Array, cells: NDArray[np.int64], u: Array, v: Array) -> Array:
-    """The top as flat pieces (C, P, 3) [m]."""
+    """Return the top interpolated bilinearly (C, P, 3) [m]."""
     i, j = cells.T
     corners = [top[i, j], top[i + 1, j], top[i, j + 1], top[i + 1, j + 1]]
     weights = [(1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v]
@@ -157,7 +157,7 @@ def _spline(
     v: Array,
     which: NDArray[np.int64],
 ) -> Array:
-    """The top as a cubic spline (W, 3) [m], at samples by their number among all of (C, P)."""
+    """Return the top as a cubic spline (W, 3) [m], at samples by their number in (C, P)."""
     cell, sample = np.divmod(which, len(u))
     i, j = cells[cell].T
     x, y = result.surface_x, result.surface_y
@@ -172,7 +172,7 @@ def _spline(
 
 
 def _standing(result: Result, inside: Array, depth: float) -> float:
-    """How far down from places (N, 3) the indenter goes, at most [m]."""
+    """Return how far down from places (N, 3) the indenter extends, at most [m]."""
     if not len(inside) or depth <= 0:
         return 0.0
     some = inside[np.argsort(-inside[:, 2])[:200]]

@@ -1,4 +1,4 @@
-"""docs/results/stability-random.md, from what came of the scenes."""
+"""Write docs/results/stability-random.md from the results of the scenes."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from benchmarks.sim.stability.laws import escaped
 
 _INTRO = """# Stability, scenes drawn by chance
 
-Scenes that nobody chose: indenters, gels, places, motions and effects drawn by chance, most of them
-sensible, some known to break simulators, some absurd. A referee that is not the solver holds each
-result to laws of mechanics; it reads force, surface and traction, never the solver's own figures.
+Randomly drawn scenes: indenters, gels, places, motions and effects, most of them sensible, some
+known to break simulators, some absurd. A referee that is independent of the solver checks each
+result against laws of mechanics; it reads force, surface and traction, not the solver's metrics.
 
-Repeat it with `make hard-cases RANDOM=300` (`SEED=1` for others; `python -m benchmarks hard-cases
---random 1 --seed 0 --scene 17` for one). It fails when an answer is silently wrong, or on a crash.
-Laws and limits are explained where they stand, in `benchmarks/sim/stability/chance/referee.py`.
+Repeat it with `make hard-cases RANDOM=300` (`SEED=1` for other scenes; `python -m benchmarks
+hard-cases --random 1 --seed 0 --scene 17` for one). It fails on a silently wrong answer, or on a
+crash. Laws and limits are explained in `benchmarks/sim/stability/chance/referee.py`.
 """
 _MEANS = {
     "right": "all laws hold",
-    "refused": "a SceneError names what is wrong and what is allowed",
-    "diverged": "SimulationDiverged says where and what was tried",
-    "warned": "laws are broken, and a warning of the result owns up to them",
-    "silent": "laws are broken, and nothing says so",
+    "refused": "a SceneError names the wrong input and the allowed range",
+    "diverged": "SimulationDiverged states the waypoint and the attempts",
+    "warned": "laws are broken, and a warning of the result covers them",
+    "silent": "laws are broken, without a warning",
     "crash": "any other exception",
     "timeout": "no answer within the time for one solve",
 }
 
 
 def page(told: Sequence[Told], plan: Plan) -> str:
-    """The page as Markdown."""
+    """Return the page as Markdown."""
     passed = sum(one.verdict.passed for one in told)
     seconds = sum(one.seconds for one in told)
     machine = f"{platform.machine()}, {os.cpu_count()} cores, device {plan.settings.device}"
@@ -79,9 +79,9 @@ def _by_law(told: Sequence[Told]) -> list[str]:
 
 def _said(name: str) -> str:
     if name == "finite":
-        return "No number is infinite or none."
+        return "All numbers are finite."
     if name == "symmetric":
-        return "Forces of a scene that is its own mirror image are their own image."
+        return "A mirror-symmetric scene has mirror-symmetric forces."
     return "The twin scene has the same forces."
 
 

@@ -1,7 +1,7 @@
-"""The referee: laws of mechanics measured on what a result shows, none of them by the solver.
+"""Referee: laws of mechanics, measured on a result without using the solver.
 
-Nothing here reads `Result.quality`. A law that a scene does not fit (a closed loop where there is
-none, a force at rest with inertia) is left out for that scene.
+`Result.quality` is not used. A law that does not apply to a scene (for example a closed loop, or a
+static force with inertia) is skipped.
 """
 
 from __future__ import annotations
@@ -22,44 +22,44 @@ from sim.scene import Scene
 
 Array = NDArray[np.float64]
 
-# Force that is none, in modulus times thickness squared: 0.2 uN in the paper's gel.
+# Negligible force, in modulus times thickness squared: 0.2 uN in the paper's gel.
 FLOOR = 1e-7
-# Overlap with the untouched gel that must be answered by a force [m], and in thicknesses.
+# Overlap with the undeformed gel above which a force is required [m], and in thicknesses.
 TOUCH = 1e-6, 2.5e-4
-# Share of the largest force that is none.
+# Negligible share of the largest force.
 NOTHING = 1e-3
-# How exact a solid's surface is, in spacings of its grid.
+# Accuracy of a solid's surface, in spacings of its grid.
 OF_GRID = 0.02
-# Two frames of an elastic gel at one place; or what the result states as the error of either: on a
-# coarse mesh an edge may rest on either side of a node.
+# Allowed difference of two frames of an elastic gel at one place, or the result's error estimate
+# if larger: on a coarse mesh an edge may rest on either side of a node.
 SAME = 0.01
-# Share of the largest force by which a deeper press may give less.
+# Share of the largest force by which the force of a deeper press may be lower.
 DROP = 0.005
-# Work that a closed loop may give back or, elastic, take, over the most put in: without friction,
-# and with it (the trapezoid rule over a few frames).
+# Work that a closed loop may give back or, if elastic, absorb, over the maximum work: without and
+# with friction (trapezoid rule over a few frames).
 RING = 0.02, 0.05
-# Shear over pressure without friction, where so many nodes carry the force: nodal forces gather
-# contact points whose normals differ, which a coarse mesh shows as 0.03 to 0.16, and with friction
-# as a sum of squares.
+# Shear over pressure without friction, and the minimum number of loaded nodes: nodal forces combine
+# contact points with different normals, which gives 0.03 to 0.16 on a coarse mesh, and with
+# friction adds as a sum of squares.
 SHEAR, NODES = 0.2, 9
-# Pull in all over the largest force, and nodes that pull over those that push.
+# Total pull over the largest force, and tension over pressure at nodes.
 PULL, TENSION = 0.05, 0.02
-# Sum of tractions against the force, torque against that of the force: float32 and rounding.
+# Sum of tractions relative to the force, and torque relative to that of the force (rounding).
 SUM, LEVER = 0.02, 0.02
-# How far below the base plane the skin may be, in thicknesses.
+# Maximum depth of the skin below the base plane, in thicknesses.
 BELOW = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class Held:
-    """A law by its name, and how it was kept."""
+    """A law with its name and measurement."""
 
     name: str
     law: Law
 
 
 def held(result: Result) -> list[Held]:
-    """All laws that fit the result, measured."""
+    """Measure all laws that apply to the result."""
     if not _finite(result):
         return [Held("finite", at_most("numbers that are not finite", _not_finite(result), 0))]
     found = [Held("finite", at_most("numbers that are not finite", 0, 0))]
@@ -77,42 +77,42 @@ def _not_finite(result: Result) -> int:
     return int(sum((~np.isfinite(value)).sum() for value in values))
 
 
-# What a scene is.
+# Properties of a scene.
 
 
 def elastic(scene: Scene) -> bool:
-    """Whether the gel forgets: no relaxation, no mass."""
+    """Return True if the gel has no memory: no relaxation, no mass."""
     return scene.effects.viscosity is None and scene.effects.inertia is None
 
 
 def smooth(scene: Scene) -> bool:
-    """Whether there is no friction to speak of."""
+    """Return True if there is no friction."""
     friction = scene.effects.friction
     return friction is None or friction.coefficient == 0
 
 
 def weightless(scene: Scene) -> bool:
-    """Whether nothing but the indenter loads the gel."""
+    """Return True if only the indenter loads the gel."""
     return scene.effects.gravity is None
 
 
 def floor(scene: Scene) -> float:
-    """Force that is none [N]."""
+    """Return the negligible force [N]."""
     return FLOOR * scene.body.modulus * scene.body.thickness**2
 
 
 def pushes(result: Result) -> Array:
-    """How hard the indenter pushes down, by frame (F,) [N]."""
+    """Return the downward push of the indenter by frame (F,) [N]."""
     return -result.force[:, 2]
 
 
 def largest(result: Result) -> float:
-    """Size of the largest force [N], or of none."""
+    """Return the magnitude of the largest force [N], at least the negligible force."""
     return max(float(np.linalg.norm(result.force, axis=1).max()), floor(result.scene))
 
 
 def loading(result: Result) -> list[int]:
-    """Frames that are deeper than all before, the tip straight above where it started."""
+    """Return the frames deeper than all before, with the tip above its starting point."""
     tips = np.asarray(result.scene.motion.tip, float)
     found, deepest = [], 0.0
     for frame, tip in enumerate(tips):
@@ -128,7 +128,7 @@ def loading(result: Result) -> list[int]:
 
 
 def _above_base(result: Result) -> list[Law]:
-    """The skin stays above the plane that the gel is bonded to."""
+    """The skin stays above the base plane to which the gel is bonded."""
     body = result.scene.body
     rest = body.heights(result.surface_x, result.surface_y)
     least = float((rest + result.surface[..., 2]).min()) / body.thickness
@@ -136,14 +136,14 @@ def _above_base(result: Result) -> list[Law]:
 
 
 def _no_pull(result: Result) -> list[Law]:
-    """Contact does not pull; the upper side of a bar that gel has closed over may, a little."""
+    """Contact does not pull, except slightly on a bar whose upper side is closed over by gel."""
     share = float(pushes(result).min()) / largest(result)
     limit = PULL if smooth(result.scene) else 2 * PULL
     return [at_least("least push / largest force", share, -limit)]
 
 
 def _lets_go(result: Result) -> list[Law]:
-    """No force where the indenter is clear of the untouched gel."""
+    """There is no force if the indenter is clear of the undeformed gel."""
     scene = result.scene
     if scene.effects.inertia is not None or not weightless(scene):
         return []
@@ -163,7 +163,7 @@ def _lets_go(result: Result) -> list[Law]:
 
 
 def _touches(result: Result) -> list[Law]:
-    """A force where the indenter overlaps the untouched gel."""
+    """There is a force if the indenter overlaps the undeformed gel."""
     scene = result.scene
     if not (weightless(scene) and scene.effects.inertia is None):
         return []
@@ -180,7 +180,7 @@ def _touches(result: Result) -> list[Law]:
 
 
 def _within_bounds(result: Result) -> list[Law]:
-    """The push is between what a disc within the indenter and one around it would take."""
+    """The push lies between the forces of discs inscribed in and around the indenter."""
     scene = result.scene
     if not weightless(scene) or scene.effects.inertia is not None:
         return []
@@ -200,7 +200,7 @@ def _within_bounds(result: Result) -> list[Law]:
 
 
 def _near_layer(result: Result) -> list[Law]:
-    """A shallow press away from the rim takes the force that the spectral layer finds."""
+    """A shallow press away from the rim has the force of the spectral layer."""
     scene = result.scene
     if not (elastic(scene) and weightless(scene)):
         return []
@@ -217,7 +217,7 @@ def _near_layer(result: Result) -> list[Law]:
 
 
 def _rises(result: Result) -> list[Law]:
-    """A deeper press takes more force: elastic, no friction, away from the rim, up to a third."""
+    """A deeper press has a larger force: elastic, no friction, away from the rim, up to a third."""
     scene = result.scene
     if not (elastic(scene) and smooth(scene) and weightless(scene)):
         return []
@@ -235,7 +235,7 @@ def _rises(result: Result) -> list[Law]:
 
 
 def _same_place(result: Result) -> list[Law]:
-    """Elastic, no friction: one place of the tip, one force, whatever came between."""
+    """Elastic, no friction: equal tip positions have equal forces, on any path."""
     scene = result.scene
     if not (elastic(scene) and smooth(scene)):
         return []
@@ -259,7 +259,7 @@ def _same_place(result: Result) -> list[Law]:
 
 
 def _closed_loop(result: Result) -> list[Law]:
-    """A way out and back gives back no more work than it took; elastic, just as much."""
+    """A closed path returns no more work than it took; an elastic one returns all of it."""
     scene = result.scene
     tips = np.asarray(scene.motion.tip, float)
     if scene.effects.inertia is not None:
@@ -282,9 +282,9 @@ def _closed_loop(result: Result) -> list[Law]:
 
 
 def _coulomb(result: Result) -> list[Law]:
-    """Nodal forces, against the indenter's normals there: shear is friction's at most, none pull.
+    """Nodal forces, resolved along the indenter's normals, obey Coulomb's law and do not pull.
 
-    Only where the mesh shows it: a contact of many nodes with no narrow or sharp part.
+    Only where the mesh resolves it: a contact of many nodes without narrow or sharp parts.
     """
     scene = result.scene
     friction = scene.effects.friction
@@ -308,7 +308,7 @@ def _coulomb(result: Result) -> list[Law]:
         shear = np.linalg.norm(force - pressure[..., None] * normal, axis=-1)
         if pressure.sum() > 0.8 * size / math.hypot(
             1.0, coefficient
-        ):  # the rest is on the sides, which are not shown
+        ):  # the rest is on the sides, which are not in the result
             shears.append(float(shear.sum() / pressure.sum()))
             pulls.append(float(-np.minimum(pressure, 0.0).sum() / pressure.sum()))
     if not shears:
@@ -320,14 +320,14 @@ def _coulomb(result: Result) -> list[Law]:
 
 
 def rounding(scene: Scene) -> float:
-    """Radius of the indenter's edges [m]; inf where it has none."""
+    """Return the radius of the indenter's edges [m]; inf if it has none."""
     indenter = scene.indenter
     edges = len(indenter.parts) > 1 or any(part.figure == "path" for part in indenter.parts)
     return indenter.edge_radius if edges or indenter.solid is not None else math.inf
 
 
 def _areas(result: Result) -> Array:
-    """Untouched area around each node, seen from above (X, Y) [m^2]."""
+    """Return the undeformed area around each node, projected from above (X, Y) [m^2]."""
     sides = [
         np.convolve(np.diff(places), [0.5, 0.5]) for places in (result.surface_x, result.surface_y)
     ]
@@ -335,7 +335,7 @@ def _areas(result: Result) -> Array:
 
 
 def _sums_up(result: Result) -> list[Law]:
-    """Tractions on the top add up to the force, where the contact is all on the top."""
+    """Tractions on the top add up to the force if the whole contact is on the top."""
     scene = result.scene
     gaps = []
     for frame, tip in enumerate(bounds.reached(result)):
@@ -350,7 +350,7 @@ def _sums_up(result: Result) -> list[Law]:
 
 
 def _through_centre(result: Result) -> list[Law]:
-    """Without friction, a sphere's force passes through its centre."""
+    """Without friction, the force on a sphere passes through its centre."""
     scene = result.scene
     parts = scene.indenter.parts
     if not smooth(scene) or len(parts) != 1 or scene.indenter.tilt != (0.0, 0.0):
@@ -375,7 +375,7 @@ def _no_overlap(result: Result) -> list[Law]:
 
 
 def _not_through(result: Result) -> list[Law]:
-    """Nor does the gel stand above the indenter's lower side, the wall having gone through."""
+    """The gel is not above the indenter's lower side, as after a wall has passed through it."""
     shares = [
         overlap.overlap(result, frame).upright / -tip[2]
         for frame, tip in enumerate(bounds.reached(result))
@@ -387,7 +387,7 @@ def _not_through(result: Result) -> list[Law]:
 
 
 def _no_crossing(result: Result) -> list[Law]:
-    """From frame to frame no skin has gone through a wall from one side to the other."""
+    """No skin passes through a wall from one side to the other between frames."""
     ways = [overlap.crossed(result, frame) for frame in range(1, len(result.scene.motion))]
     limit = half_wall(result.scene)
     if not ways or not math.isfinite(limit):

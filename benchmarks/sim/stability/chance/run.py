@@ -1,4 +1,4 @@
-"""Draws scenes, has them judged side by side, shrinks what is wrong, and tells of all of it."""
+"""Draw scenes, judge them in parallel, shrink failures, and report the results."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from benchmarks.sim.stability.planted import planted
 from benchmarks.sim.stability.runner import done_counts, side_by_side
 from sim.progress import duration
 
-# Classes that fail a run.
+# Verdicts that fail a run.
 WRONG = frozenset({"silent", "crash"})
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Which scenes are drawn, and how they are solved."""
+    """Selection of the scenes, and solver settings."""
 
     count: int
     seed: int = 0
@@ -30,28 +30,28 @@ class Plan:
     """Number of the first scene."""
     settings: Settings = field(default_factory=Settings)
     folder: Path = FOLDER
-    """Where counter-examples are written."""
+    """Folder for counter-examples."""
     mistake: str | None = None
-    """Planted in the solver meanwhile."""
+    """Deliberate bug to inject into the solver."""
     shrinks: bool = True
 
 
 @dataclass(frozen=True, slots=True)
 class Told:
-    """What came of one drawn scene."""
+    """Result for one drawn scene."""
 
     name: str
     what: str
     verdict: Verdict
     seconds: float
     plain: Verdict | None = None
-    """The verdict of the counter-example, made plain."""
+    """Verdict of the simplified counter-example."""
     stored: Path | None = None
-    """Where that is."""
+    """Path of the counter-example."""
 
 
 def judge_one(plan: Plan, index: int) -> Told:
-    """Draw a scene, solve and judge it here, and shrink it where it is wrong."""
+    """Draw a scene, solve and judge it in this process, and shrink it if it fails."""
     began = time.perf_counter()
     plain: Verdict | None = None
     path: Path | None = None
@@ -66,9 +66,9 @@ def judge_one(plan: Plan, index: int) -> Told:
 
 
 def judge_all(plan: Plan, *, processes: int = 2, say: Callable[[str], None] = print) -> list[Told]:
-    """What came of all scenes, in their order; each is told when it is done, with the time left.
+    """Judge all scenes, reporting each with the time left, and return the results in order.
 
-    After Ctrl-C, of those that were done.
+    After Ctrl-C, only completed scenes are returned.
     """
     began = time.perf_counter()
     indices = range(plan.first, plan.first + plan.count)
@@ -95,13 +95,13 @@ def _indented(text: str) -> str:
 
 
 def by_class(told: Sequence[Told]) -> dict[str, int]:
-    """How many scenes ended in each class, every class named."""
+    """Return the number of scenes of each class, including empty classes."""
     counts = Counter(one.verdict.kind for one in told)
     return {kind: counts[kind] for kind in CLASSES}
 
 
 def tell(told: Sequence[Told]) -> bool:
-    """Print the count by class and the last line; whether any scene was wrong."""
+    """Print the count by class and the summary; return True if any scene failed."""
     print(", ".join(f"{count} {kind}" for kind, count in by_class(told).items()))
     passed = sum(one.verdict.passed for one in told)
     print(f"{len(told)} cases, {passed} passed")

@@ -1,4 +1,4 @@
-"""Scenes drawn by chance: scene i of a seed is the same forever, whichever others are drawn."""
+"""Randomly drawn scenes: scene i of a seed is reproducible, independently of the others."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from sim.fem.numerics import Grading, Numerics
 from sim.indenters import Indenter, shapes
 from sim.scene import Body, Motion, Scene, through
 
-# Where STL files and counter-examples go unless told otherwise.
+# Default folder of STL files and counter-examples.
 FOLDER = Path("runs/hard-cases")
-# How often, in percent: what a bench does, what is known to break simulators, what is a mistake or
+# Frequencies in percent: typical uses, inputs known to break simulators, and mistakes or values
 # beyond every limit.
 FAMILIES: dict[str, float] = {"sensible": 70, "trap": 20, "absurd": 10}
-# Elements of a scene at most (the paper's gel under a sphere has 6144): gels are drawn smaller
-# until they have so few. Seconds on one core.
+# Maximum number of elements of a scene (the paper's gel under a sphere has 6144), to which gels are
+# reduced in size. Takes seconds on one core.
 ELEMENTS_MAX = 6200
-# Longest way of the tip with friction, in thicknesses: such a way takes steps of a fortieth.
+# Longest tip travel with friction, in thicknesses; its steps are a fortieth of the thickness.
 TRAVEL_MAX = 1.0
-# How often a bench's gel is round, and the stream that says so: other draws stay as they were.
+# Frequency of round gels, and their separate random stream, which leaves other draws unchanged.
 ROUND, ROUND_STREAM = 1 / 6, 2_000_000
 MM = 1e-3
 Point = tuple[float, float, float]
@@ -35,24 +35,24 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """One scene, or how it was refused before it was one."""
+    """One scene, or its rejection before it was created."""
 
     seed: int
     index: int
     what: str
-    """Family, indenter, motion and effects, in words."""
+    """Description: family, indenter, motion and effects."""
     scene: Scene | None = None
     refusal: Exception | None = None
-    """What was raised in place of a scene."""
+    """Exception raised instead of a scene."""
 
     @property
     def name(self) -> str:
-        """Seed and number, as `--seed` and `--scene` take them."""
+        """Seed and number, in the format of `--seed` and `--scene`."""
         return f"{self.seed}/{self.index}"
 
 
 def drawn(seed: int, index: int, folder: Path = FOLDER) -> Drawn:
-    """Scene `index` of `seed`; STL files that it needs are written to `folder`."""
+    """Return scene `index` of `seed`, writing required STL files to `folder`."""
     dice = Dice(seed, index)
     family = dice.weighted(FAMILIES)
     words = [family]
@@ -68,12 +68,12 @@ def drawn(seed: int, index: int, folder: Path = FOLDER) -> Drawn:
 
 
 def within_budget(scene: Scene) -> Scene:
-    """The scene on a gel so small that it has at most `ELEMENTS_MAX` elements of a sixth of it."""
+    """Reduce the gel until the scene has at most `ELEMENTS_MAX` elements of a sixth of it."""
     for _ in range(16):
         try:
             (mesh,) = meshes_of([scene], Numerics(grading=Grading()))
         except SceneError:
-            return scene  # the solver will say the same
+            return scene  # the solver will raise the same error
         if len(mesh.elements) <= ELEMENTS_MAX:
             return scene
         body = scene.body
@@ -86,7 +86,7 @@ def within_budget(scene: Scene) -> Scene:
     return scene
 
 
-# What a bench does.
+# Typical uses.
 
 
 def _sensible(dice: Dice, folder: Path, words: list[str]) -> Scene:
@@ -100,7 +100,7 @@ def _sensible(dice: Dice, folder: Path, words: list[str]) -> Scene:
 
 
 def _sometimes_round(dice: Dice, scene: Scene, words: list[str]) -> Scene:
-    """One in six gels is the ellipse within its sides, half of those with a dome and a thin rim."""
+    """Make one in six gels an ellipse within its sides, half of them domed with a thin rim."""
     if not dice.chance(ROUND):
         return scene
     words.append("round")
@@ -119,7 +119,7 @@ def _sometimes_round(dice: Dice, scene: Scene, words: list[str]) -> Scene:
 
 
 def _body(dice: Dice) -> Body:
-    """A gel 0.5 to 20 mm thick, flat or domed."""
+    """Return a gel 0.5 to 20 mm thick, flat or domed."""
     thickness = dice.one_of([4.0 * MM, 4.0 * MM, rounded(MM * dice.scaled(0.5, 20.0))])
     size_x, size_y = (rounded(thickness * dice.scaled(1.5, 6.0)) for _ in range(2))
     if dice.chance(0.4):
@@ -138,7 +138,7 @@ def _body(dice: Dice) -> Body:
 
 
 def _place(dice: Dice, body: Body, words: list[str]) -> tuple[float, float]:
-    """Where the tip goes down: centre, anywhere, at a rim, over it, or at a corner."""
+    """Return the place of the press: centre, anywhere, at a rim, over it, or at a corner."""
     where = dice.weighted({"centre": 5, "anywhere": 4, "at the rim": 2, "at the corner": 1})
     half = body.size_x / 2, body.size_y / 2
     if where == "centre":
@@ -184,7 +184,7 @@ def _motion(
     effects: Effects,
     words: list[str],
 ) -> Motion:
-    """A press, a cycle, twice the same depth, a shear and its return, or a slide."""
+    """Return a press, a cycle, the same depth twice, a shear and its return, or a slide."""
     kind = dice.weighted({"press": 5, "cycle": 2, "twice": 1, "shear": 3, "slide": 1})
     words.append(kind)
     depth = rounded(min(depth, 0.89 * body.thickness))
@@ -223,7 +223,7 @@ def _over(body: Body, place: tuple[float, float]) -> bool:
     return abs(place[0]) <= body.size_x / 2 and abs(place[1]) <= body.size_y / 2
 
 
-# What is known to break simulators.
+# Inputs known to break simulators.
 
 
 def _trap(dice: Dice, folder: Path, words: list[str]) -> Scene:
@@ -263,7 +263,7 @@ def _trap(dice: Dice, folder: Path, words: list[str]) -> Scene:
         body = replace(body, size_x=12 * MM, size_y=10 * MM)
         depth, aside = MM * dice.even(0.5, 1.2), rounded(MM * dice.even(1.0, 3.0))
         friction = Friction(dice.one_of([0.5, 1.0, 2.0]))
-        # Lifted while it slips, before it lets go.
+        # Lifted during slip, before contact ends.
         lifts = [(aside, 0.0, -rounded(share * depth)) for share in (1.0, 0.6, 0.3)]
         points = [(0.0, 0.0, 0.0), (0.0, 0.0, -depth), *lifts, (aside, 0.0, MM)]
         return Scene(ball, through(points, speed=10e-3), body, Effects(friction=friction))
@@ -296,7 +296,7 @@ def _down(
     speed: float = 10e-3,
     up: bool = False,
 ) -> Scene:
-    """Touch, `depth` [m] in so many steps, and up again if asked for."""
+    """Return a scene that touches, presses to `depth` [m] in equal steps, and optionally lifts."""
     x, y = rounded(at[0]), rounded(at[1])
     points = [(x, y, -rounded(depth * step / steps)) for step in range(steps + 1)]
     if up:
@@ -304,7 +304,7 @@ def _down(
     return Scene(indenter, through(points, speed=speed), body)
 
 
-# Mistakes, and what is beyond every limit.
+# Mistakes, and values beyond every limit.
 
 
 def _absurd(dice: Dice, _folder: Path, words: list[str]) -> Scene:
@@ -322,14 +322,14 @@ def _still(dice: Dice) -> Scene:
 
 
 def _held(dice: Dice) -> Scene:
-    """One waypoint, or the same one at later times."""
+    """Return a scene with one waypoint, or with the same one at later times."""
     tip = (0.0, 0.0, -MM * dice.even(0.0, 1.5))
     count = dice.whole(1, 3)
     return Scene(BALL, Motion((tip,) * count, tuple(float(step) for step in range(count))))
 
 
 def _from_beside(dice: Dice) -> Scene:
-    """From beside the gel into its side, at a depth."""
+    """Return a motion from outside the gel into its side, below the surface."""
     depth = MM * dice.even(0.5, 3.0)
     points = [(x * MM, 0.0, -depth) for x in (15.0, 12.0, 9.0)]
     return Scene(BALL, through(points, speed=10e-3), Body(size_x=16 * MM, size_y=16 * MM))
@@ -367,12 +367,12 @@ def _incompressible(dice: Dice) -> Scene:
 
 
 def _speck(dice: Dice) -> Scene:
-    """A body as small as may be under a large ball."""
+    """Return a body of minimum size under a large ball."""
     return _down(BALL, Body(1e-4, 1e-4, 1e-4), 1e-5 * dice.even(0.1, 8.0))
 
 
 def _column(dice: Dice) -> Scene:
-    """A body many times as tall as wide."""
+    """Return a body many times taller than wide."""
     width = MM * dice.even(1.0, 4.0)
     return _down(BALL, Body(width, width, 20 * MM), MM * dice.even(0.2, 3.0))
 
@@ -382,7 +382,7 @@ def _sheet(dice: Dice) -> Scene:
 
 
 def _pin(dice: Dice) -> Scene:
-    """A needle finer than any element."""
+    """Return a needle smaller than any element."""
     return _down(shapes.sphere(MM * dice.scaled(0.01, 0.3)), Body(), MM * dice.even(0.2, 1.5))
 
 
@@ -396,7 +396,7 @@ def _steep_dome(dice: Dice) -> Scene:
 
 
 def _frozen(dice: Dice) -> Scene:
-    """Branches a hundred times as stiff as the rest."""
+    """Return branches a hundred times stiffer than the equilibrium modulus."""
     viscosity = Viscosity((100.0,), (dice.scaled(1e-6, 1e6),))
     return replace(_down(BALL, Body(), 0.5 * MM), effects=Effects(viscosity=viscosity))
 

@@ -1,4 +1,4 @@
-"""Indenters drawn by chance: all that can be built of parts, and solids from STL files."""
+"""Randomly drawn indenters: all types that can be built of parts, and solids from STL files."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from sim.indenters import NAMES, Indenter, Part, from_stl, named, shapes
 Array = NDArray[np.float64]
 
 MM = 1e-3
-# How often each kind is drawn.
+# Relative frequency of each kind.
 KINDS: dict[str, float] = {
     "sphere": 4, "named": 6, "blade": 3, "box": 2, "punch": 2, "cone": 2, "rounded_cone": 1.5,
     "tube": 1.5, "torus": 1.5, "bar": 2, "needle": 1, "polygon": 1.5, "composed": 2, "stl": 1.5,
     "plane": 0.3,
 }  # fmt: skip
-# Kinds without a recess, round or blunt enough for a mesh to follow.
+# Kinds without a recess, round or blunt enough for the mesh to resolve.
 CONVEX = {"sphere", "box", "punch", "cone", "rounded_cone", "bar"}
-# [rad], just inside of the 30 degrees that are allowed.
+# Maximum tilt [rad], just below the allowed 30 degrees.
 TILT_MAX = 0.5
 
 
 def draw_shape(dice: Dice, unit: float, folder: Path) -> tuple[str, Indenter]:
-    """A kind and an indenter for a body about 4 `unit` [m] thick; STL files go to `folder`."""
+    """Return a kind and an indenter for a body about 4 `unit` [m] thick; STLs go to `folder`."""
     kind = dice.weighted(KINDS)
     indenter = _solid(dice, folder) if kind == "stl" else _of_parts(kind, dice, unit)
     if kind != "plane" and dice.chance(0.25):
@@ -81,7 +81,7 @@ def _of_parts(kind: str, dice: Dice, unit: float) -> Indenter:
 
 
 def blade(dice: Dice, unit: float) -> Indenter:
-    """A narrow box, 0.3 to 1 mm by 6 to 14 mm at a unit of 1 mm, along x or y."""
+    """Return a narrow box, 0.3 to 1 mm by 6 to 14 mm at a unit of 1 mm, along x or y."""
     width, length = unit * dice.even(0.3, 1.0), unit * dice.even(6.0, 14.0)
     edge = rounded(width * dice.one_of([0.1, 0.25, 0.4, 0.48]))
     if dice.chance(0.5):
@@ -90,13 +90,13 @@ def blade(dice: Dice, unit: float) -> Indenter:
 
 
 def _edge(dice: Dice, most: float) -> float:
-    """An edge radius: mostly a fair share of what there is room for, sometimes none or all."""
+    """Return an edge radius: usually a share of the maximum, sometimes zero or the maximum."""
     share = dice.weighted({0.0: 1, 0.1: 2, 0.3: 4, 0.6: 3, 1.0: 1})
     return float(share * min(most, 1.0))
 
 
 def _polygon(dice: Dice, unit: float) -> Indenter:
-    """A flat punch with 3 to 8 corners around its middle, some sharp, some a bay."""
+    """Return a flat punch with 3 to 8 corners around its middle, some sharp, some concave."""
     corners = dice.whole(3, 8)
     values: list[float] = []
     for corner in range(corners):
@@ -108,7 +108,7 @@ def _polygon(dice: Dice, unit: float) -> Indenter:
 
 
 def _composed(dice: Dice, unit: float) -> Indenter:
-    """Spheres on a plate, a box with a bar across it, or a block with a recess."""
+    """Return spheres on a plate, a box with a bar across it, or a block with a recess."""
     which = dice.whole(0, 2)
     if which == 0:
         count, ring = dice.whole(2, 5), unit * dice.even(1.5, 4.0)
@@ -138,7 +138,7 @@ def _composed(dice: Dice, unit: float) -> Indenter:
 
 
 def _solid(dice: Dice, folder: Path) -> Indenter:
-    """A pyramid frustum or a block, as triangles in a file; SI sizes, files are in millimetres."""
+    """Return a pyramid frustum or a block, as an STL file; sizes are SI, the file is in mm."""
     below, above = dice.even(2.0, 6.0), dice.even(5.0, 9.0)
     sides = dice.whole(3, 8)
     edge = dice.one_of([0.32, 0.5]) * MM
@@ -151,7 +151,7 @@ def _solid(dice: Dice, folder: Path) -> Indenter:
 
 
 def frustum(sides: int, below: float, above: float, height: float) -> bytes:
-    """A binary STL file of a frustum: its radii below and above, and its height, in its unit."""
+    """Return a binary STL file of a frustum, from its radii below and above, and its height."""
     angle = np.arange(sides) / sides * math.tau
     ring = np.column_stack([np.cos(angle), np.sin(angle)])
     low = np.column_stack([below * ring, np.zeros(sides)])

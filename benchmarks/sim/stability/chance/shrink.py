@@ -1,4 +1,4 @@
-"""A counter-example made plain: what can be left out of a scene while the same law stays broken."""
+"""Simplify a counter-example while the same law stays broken."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from sim.errors import SceneError
 from sim.result import scene_from_json, scene_to_json
 from sim.scene import Body, Motion, Scene, through
 
-# Simpler scenes that are tried, and how long that may take [s].
+# Maximum number of simplifications to try, and their time limit [s].
 TRIES, SECONDS = 30, 30.0
-# Fields whose numbers are not rounded: they follow from others, or stand close to a limit.
+# Fields whose numbers are not rounded, because they depend on others or are close to a limit.
 EXACT = frozenset({"cosine", "time", "poisson"})
 
 Judge = Callable[[Scene], Verdict]
 
 
 def failure(verdict: Verdict) -> frozenset[str]:
-    """What is wrong: the laws that nothing owns up to, or the kind of crash."""
+    """Return the broken laws that no warning covers, or the kind of crash."""
     if verdict.kind == "crash":
         return frozenset({verdict.said.split(":")[0]})
     if verdict.kind != "silent":
@@ -43,7 +43,7 @@ def shrunk(
     seconds: float = SECONDS,
     judge: Judge | None = None,
 ) -> tuple[Scene, Verdict]:
-    """The simplest scene found that fails in one of the same ways, and its verdict."""
+    """Return the simplest scene found that fails in one of the same ways, and its verdict."""
     judging = judge or (lambda simpler: judge_scene(simpler, settings, verdict.twin or None))
     wanted = failure(verdict)
     end = time.monotonic() + seconds
@@ -65,7 +65,7 @@ def shrunk(
 
 
 def simpler_ones(scene: Scene) -> Iterator[Scene]:
-    """Scenes with a little less in them, the largest cuts first."""
+    """Yield slightly simpler scenes, the largest simplifications first."""
     for change in (_at_once, _bare, _without_each, _fewer, _centred, _upright, _plain_gel, _round):
         try:
             for simpler in change(scene):
@@ -76,7 +76,7 @@ def simpler_ones(scene: Scene) -> Iterator[Scene]:
 
 
 def _at_once(scene: Scene) -> Iterator[Scene]:
-    """Straight down to the deepest place."""
+    """Yield the press straight down to the deepest point."""
     x, y, z = min(scene.motion.tip, key=lambda tip: tip[2])
     if z < 0 and len(scene.motion) > 2:
         yield replace(scene, motion=Motion(((x, y, 0.0), (x, y, z)), (0.0, 1.0)))
@@ -92,7 +92,7 @@ def _without_each(scene: Scene) -> Iterator[Scene]:
 
 
 def _fewer(scene: Scene) -> Iterator[Scene]:
-    """Without the last waypoints, or without one of them."""
+    """Yield scenes without the last waypoints, or without one waypoint."""
     tip, time_ = scene.motion.tip, scene.motion.time
     for count in (len(tip) // 2, len(tip) - 1):
         if count >= 1:
@@ -121,7 +121,7 @@ def _plain_gel(scene: Scene) -> Iterator[Scene]:
 
 
 def _round(scene: Scene) -> Iterator[Scene]:
-    """With one or two digits."""
+    """Yield scenes whose numbers have one or two digits."""
     if scene.indenter.solid is not None:
         return
     for digits in (1, 2):
@@ -143,11 +143,11 @@ def _rounded(value: Any, digits: int) -> Any:
     return rounded(value, digits) if isinstance(value, float) else value
 
 
-# Kept for others: as a file, and as lines to paste.
+# Output for others: a file, and lines to paste.
 
 
 def snippet(scene: Scene) -> str:
-    """Python that solves the scene again."""
+    """Return Python code that solves the scene."""
     return "\n".join(
         [
             "from math import inf",
@@ -161,7 +161,7 @@ def snippet(scene: Scene) -> str:
 
 
 def store(path: Path, scene: Scene, verdict: Verdict, name: str) -> None:
-    """Write the scene as JSON, with the laws that it breaks and where it came from."""
+    """Write the scene as JSON, with the laws that it breaks and its origin."""
     kept = {
         "name": name,
         "broken": sorted(failure(verdict)),
@@ -174,6 +174,6 @@ def store(path: Path, scene: Scene, verdict: Verdict, name: str) -> None:
 
 
 def load(path: Path) -> tuple[Scene, frozenset[str], str]:
-    """A stored scene, the laws that it broke, and its twin's name or nothing."""
+    """Return a stored scene, the laws that it broke, and its twin's name or an empty string."""
     kept = json.loads(path.read_text(encoding="utf-8"))
     return scene_from_json(kept["scene"]), frozenset(kept["broken"]), kept["twin"]

@@ -1,4 +1,4 @@
-"""Twins of a scene: turned, larger, stiffer, or taken in other steps; their forces must agree."""
+"""Twins of a scene: mirrored, larger, stiffer, or with other steps; their forces must agree."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from sim.scene import Body, Motion, Scene
 
 Array = NDArray[np.float64]
 
-# Difference of forces over the largest: what default meshes leave of a symmetry.
+# Allowed difference of forces over the largest: symmetry error of default meshes.
 AGREE = 0.02
-# The same with friction, where a point that slips early or late moves others.
+# The same with friction, where a point that slips early or late affects others.
 AGREE_RUBBING = 0.05
 LARGER = 10.0
 MIRRORS = ("mirror-x", "mirror-y", "swap-xy")
@@ -29,16 +29,16 @@ MIRRORS = ("mirror-x", "mirror-y", "swap-xy")
 
 @dataclass(frozen=True, slots=True)
 class Twin:
-    """Another scene, and what the first one's forces say of its own."""
+    """Another scene, with the forces that the first one predicts for it."""
 
     name: str
     scene: Scene
     forces: Callable[[Array], Array]
-    """Forces (F, 3) [N] of the first scene as those of the twin; NaN for what it does not say."""
+    """Maps forces (F, 3) [N] of the first scene to those of the twin; NaN where unknown."""
 
 
 def agrees(result: Result, twin: Twin, other: Result) -> Held:
-    """The law that both have the same forces."""
+    """Return the law that both scenes have the same forces."""
     expected = twin.forces(result.force)
     scale = largest(result) * _ratio(twin.scene, result.scene)
     gap = float(np.nanmax(np.linalg.norm(other.force - expected, axis=1))) / scale
@@ -47,7 +47,7 @@ def agrees(result: Result, twin: Twin, other: Result) -> Held:
 
 
 def symmetric(result: Result) -> list[Held]:
-    """The laws of a scene that is its own twin in a mirror: its forces are their own image."""
+    """Return the laws of a scene that equals its mirror image: symmetric forces."""
     scene = result.scene
     found = [twin_of(scene, name) for name in MIRRORS]
     return [
@@ -63,7 +63,7 @@ def _ratio(one: Scene, other: Scene) -> float:
 
 
 def twin_of(scene: Scene, name: str) -> Twin | None:
-    """The twin of that name; None where the scene has no such twin."""
+    """Return the twin of that name, or None if the scene has no such twin."""
     try:
         return KINDS[name](scene)
     except SceneError:  # beyond a limit
@@ -83,7 +83,7 @@ def _swapped(scene: Scene) -> Twin | None:
 
 
 def _turned(scene: Scene, name: str, signs: tuple[float, float], *, swap: bool) -> Twin | None:
-    """The scene seen in a mirror that stands upright."""
+    """Return the scene reflected in a vertical mirror."""
 
     def place(x: float, y: float) -> tuple[float, float]:
         x, y = signs[0] * x, signs[1] * y
@@ -111,7 +111,7 @@ def _turned(scene: Scene, name: str, signs: tuple[float, float], *, swap: bool) 
 def _indenter(
     indenter: Indenter, place: Callable[[float, float], tuple[float, float]], *, swap: bool
 ) -> Indenter | None:
-    """The mirrored indenter; None where parts cannot say it."""
+    """Return the mirrored indenter, or None if its parts cannot represent it."""
     if indenter.solid is not None:
         return None
     parts = []
@@ -121,7 +121,7 @@ def _indenter(
             return None
         parts.append(mirrored)
     x, y = place(*indenter.tilt)
-    # An angle turns the other way round in a mirror: its axis is no arrow.
+    # An angle changes sign in a mirror, because its axis is a pseudovector.
     return replace(indenter, parts=tuple(parts), tilt=(-x, -y))
 
 
@@ -145,19 +145,19 @@ def _figure(
 ) -> tuple[float, ...]:
     if part.figure != "path":
         turned = place(part.values[0], part.values[1])
-        if part.figure == "band" and turned < (0.0, 0.0):  # one and the same, said the other way
+        if part.figure == "band" and turned < (0.0, 0.0):  # the same band with opposite sign
             return (0.0 - turned[0], 0.0 - turned[1], 0.0 - part.values[2], *part.values[3:])
         return (*turned, *part.values[2:])
     corners = [part.values[index : index + 3] for index in range(0, len(part.values), 3)]
     if not turns:
         return tuple(value for u, v, turn in corners for value in (*place(u, v), turn))
-    # Backwards, so that the material stays on the left; the arc that led on to a corner now leaves.
+    # Reversed, so that the material stays on the left; an arc now belongs to its other corner.
     backwards = [(*place(u, v), corners[index - 1][2]) for index, (u, v, _) in enumerate(corners)]
     return tuple(value for corner in reversed(backwards) for value in corner)
 
 
 def _larger(scene: Scene) -> Twin | None:
-    """Ten times as large and as stiff: weight over stiffness stays, mass makes it slower."""
+    """Return a twin ten times as large and stiff: weight over stiffness is kept, mass slows it."""
     factor = LARGER
     if scene.indenter.solid is not None or scene.indenter.name == "plane":
         return None
@@ -210,7 +210,7 @@ def _scaled(indenter: Indenter, factor: float) -> Indenter:
 
 
 def _at_once(scene: Scene) -> Twin | None:
-    """Elastic and without friction: the last frame alone, by the straight way."""
+    """Return the last frame alone, reached directly; elastic and without friction."""
     motion = scene.motion
     if not (elastic(scene) and smooth(scene) and weightless(scene)) or len(motion) < 3:
         return None
@@ -222,7 +222,7 @@ def _at_once(scene: Scene) -> Twin | None:
     return Twin("at-once", twin, lambda force: np.stack([force[-1] * np.nan, force[-1]]))
 
 
-# How the twin of each name is made.
+# Constructor of the twin of each name.
 KINDS: dict[str, Callable[[Scene], Twin | None]] = {
     "mirror-x": _mirrored_x,
     "mirror-y": _mirrored_y,

@@ -1,4 +1,4 @@
-"""One scene, solved and judged: exactly one class for what became of it."""
+"""One scene, solved, judged and assigned to exactly one class."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ from sim.tiers import simulate_many
 
 Class = Literal["right", "refused", "diverged", "warned", "silent", "crash", "timeout"]
 CLASSES: tuple[Class, ...] = get_args(Class)
-# What a user can live with: an answer, or a word that there is none.
+# Acceptable for a user: a correct answer, or a message that there is none.
 PASSED: frozenset[Class] = frozenset({"right", "refused", "diverged", "warned"})
-# Longest that one solve may take, unless told otherwise.
+# Default time limit of one solve.
 SECONDS = 60.0
-# Elements of a scene at most, so that it takes seconds; coarser meshes say so.
+# Maximum number of elements, so that a scene takes seconds; coarsened meshes are reported.
 SOLVED_MAX = 12_000
-# Share of the scenes that are solved once more as a twin.
+# Share of the scenes that are also solved as a twin.
 TWINNED = 0.35
 
 AMOUNTS = r"near-layer|rises|same-place|closed-loop|coulomb|symmetric|twin-.*|no-overlap"
-# Words of a warning, and the laws that it owns up to: that a force depends on the mesh does not say
-# that the indenter went through the gel, or that there is no force at all.
+# Words of a warning, and the laws that it covers: a warning that the force depends on the mesh does
+# not cover an indenter that passes through the gel, or a missing force.
 COVERS: tuple[tuple[str, str], ...] = (
     (r"edge radius .* below the element", AMOUNTS),
     (
@@ -53,23 +53,23 @@ COVERS: tuple[tuple[str, str], ...] = (
 
 
 class OutOfTime(Exception):
-    """A solve took longer than it may."""
+    """Raised if a solve takes too long."""
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """How scenes are solved; `numerics` is the default of `simulate_many` but for precision."""
+    """Solver settings; `numerics` is the default of `simulate_many` except for precision."""
 
     device: str = "cpu"
     precision: Literal["auto", "float32", "float64"] = "auto"
     seconds: float = SECONDS
 
     def solve(self, scene: Scene) -> Outcome:
-        """What becomes of a scene.
+        """Solve a scene.
 
         Raises:
             OutOfTime: It took too long.
-            SceneError: It is refused.
+            SceneError: The scene is rejected.
         """
         numerics = Numerics(precision=self.precision, elements_max=SOLVED_MAX)
         with time_limit(self.seconds):
@@ -79,33 +79,33 @@ class Settings:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What became of a scene."""
+    """Outcome of a scene."""
 
     kind: Class
     said: str = ""
-    """What the solver or Python said."""
+    """Message of the solver or of Python."""
     broken: tuple[Held, ...] = ()
     """Laws that do not hold."""
     warnings: tuple[str, ...] = ()
     twin: str = ""
-    """The twin that it was compared with."""
+    """Twin that it was compared with."""
     laws: tuple[str, ...] = ()
     """Names of all laws that were measured."""
     scene: Scene | None = field(default=None, compare=False)
 
     @property
     def passed(self) -> bool:
-        """Whether a user can live with it."""
+        """True if the outcome is acceptable for a user."""
         return self.kind in PASSED
 
     @property
     def why(self) -> str:
-        """In a line: laws that do not hold, or what was said."""
+        """One line with the broken laws, or the message."""
         return "; ".join(f"{each.name}: {each.law}" for each in self.broken) or self.said
 
 
 def judge(drawn: Drawn, settings: Settings) -> Verdict:
-    """Solve a drawn scene, one in three a second time as a twin, and name its class."""
+    """Solve a drawn scene, one in three also as a twin, and return its verdict."""
     if drawn.scene is None:
         return _unsolved(drawn.refusal or RuntimeError("neither a scene nor a refusal"))
     dice = Dice(drawn.seed, -1 - drawn.index)
@@ -116,7 +116,7 @@ def judge(drawn: Drawn, settings: Settings) -> Verdict:
 
 
 def judge_scene(scene: Scene, settings: Settings, twin: str | None = None) -> Verdict:
-    """Solve a scene, and its twin of that name where it has one, and name the class."""
+    """Solve a scene, and its twin of that name if it has one, and return the verdict."""
     try:
         outcome = settings.solve(scene)
         if isinstance(outcome, SimulationDiverged):
@@ -136,12 +136,12 @@ def _compared(result: Result, twin: Twin, settings: Settings) -> list[Held]:
     other = settings.solve(twin.scene)
     if isinstance(other, SimulationDiverged):
         _forget(other)
-        return []  # it says so itself
+        return []  # reported by the twin itself
     return [agrees(result, twin, other)]
 
 
 def of_laws(result: Result, found: Sequence[Held], twin: str = "") -> Verdict:
-    """The class of a result by its laws and its own warnings."""
+    """Return the verdict on a result from its laws and its own warnings."""
     warnings = tuple(str(each) for each in result.record.get("warnings", []))
     broken = tuple(each for each in found if not each.law.holds)
     kind: Class = "right"
@@ -152,7 +152,7 @@ def of_laws(result: Result, found: Sequence[Held], twin: str = "") -> Verdict:
 
 
 def covered(law: str, warnings: Sequence[str]) -> bool:
-    """Whether any warning owns up to breaking this law."""
+    """Return True if any warning covers a violation of this law."""
     return any(
         re.search(words, warning, re.IGNORECASE) and re.fullmatch(laws, law)
         for warning in warnings
@@ -161,7 +161,7 @@ def covered(law: str, warnings: Sequence[str]) -> bool:
 
 
 def _unsolved(error: Exception, scene: Scene | None = None) -> Verdict:
-    """The class of what was raised: it must say what is wrong and what is allowed, or where."""
+    """Return the verdict on an exception, which must state the error and the allowed range."""
     said = str(error)
     kind: Class = "crash"
     if isinstance(error, OutOfTime):
@@ -179,14 +179,14 @@ def _unsolved(error: Exception, scene: Scene | None = None) -> Verdict:
 
 
 def _forget(diverged: SimulationDiverged) -> None:
-    """Remove the dump."""
+    """Remove the dump of a diverged simulation."""
     if diverged.dump is not None:
         shutil.rmtree(diverged.dump.parent, ignore_errors=True)
 
 
 @contextmanager
 def time_limit(seconds: float) -> Iterator[None]:
-    """Raise `OutOfTime` in this thread, the process's main one, when it takes longer."""
+    """Raise `OutOfTime` in the main thread if the block takes longer."""
     began = time.perf_counter()
 
     def ring(_number: int, _frame: FrameType | None) -> None:
