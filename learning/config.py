@@ -16,7 +16,7 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 
 from learning.errors import LearningError
 from recorder import strict_yaml
-from recorder.strict_yaml import YamlError, merged, said
+from recorder.strict_yaml import YamlError, describe, merged
 
 Settings = TypeVar("Settings")
 
@@ -100,7 +100,9 @@ def build(kind: type[Settings], content: Any, where: str) -> Settings:
         LearningError: A key is unknown or missing, or a value has the wrong type or is rejected.
     """
     if not isinstance(content, dict):
-        raise LearningError(f"{where}: found {said(content)}; allowed: a mapping of keys to values")
+        raise LearningError(
+            f"{where}: found {describe(content)}; allowed: a mapping of keys to values"
+        )
     content = dict(content)
     word = getattr(kind, "KIND", None)
     if word is not None and (found := content.pop("kind", word)) != word:
@@ -131,7 +133,7 @@ def build_one_of(kinds: Sequence[Any], content: Any, where: str) -> Any:
     by_kind = {kind.KIND: kind for kind in kinds}
     if not isinstance(content, dict):
         allowed = f"a mapping with kind {' or '.join(by_kind)}"
-        raise LearningError(f"{where}: found {said(content)}; allowed: {allowed}")
+        raise LearningError(f"{where}: found {describe(content)}; allowed: {allowed}")
     if (kind := content.get("kind")) not in by_kind:
         raise LearningError(f"{where}.kind: found {kind!r}; allowed: {', '.join(by_kind)}")
     return build(by_kind[kind], content, where)
@@ -166,7 +168,7 @@ def _value(hint: Any, value: Any, where: str) -> Any:
         # Python equates True with 1 and 1.0 with 1; readers of the file do not.
         if not any(type(value) is type(each) and value == each for each in inner):
             allowed = ", ".join(map(str, inner))
-            raise LearningError(f"{where}: found {said(value)}; allowed: {allowed}")
+            raise LearningError(f"{where}: found {describe(value)}; allowed: {allowed}")
         return value
     if origin is tuple:
         return _tuple(inner, value, where)
@@ -174,13 +176,13 @@ def _value(hint: Any, value: Any, where: str) -> Any:
         return build(hint, value, where)  # type: ignore[arg-type]
     if hint is float:
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise LearningError(f"{where}: found {said(value)}; allowed: a number")
+            raise LearningError(f"{where}: found {describe(value)}; allowed: a number")
         if not math.isfinite(value):
             raise LearningError(f"{where}: found {value}; allowed: a finite number")
         return float(value)
     if hint in (int, str, bool):
         if type(value) is not hint:
-            raise LearningError(f"{where}: found {said(value)}; allowed: {hint.__name__}")
+            raise LearningError(f"{where}: found {describe(value)}; allowed: {hint.__name__}")
         return value
     raise TypeError(f"{where}: unsupported type {hint!r}")
 
@@ -204,12 +206,12 @@ def _either(options: tuple[Any, ...], value: Any, where: str) -> Any:
             return _value(option, value, where)
         except LearningError as error:
             refused.append(str(error).rpartition("allowed: ")[2])
-    raise LearningError(f"{where}: found {said(value)}; allowed: {', or '.join(refused)}")
+    raise LearningError(f"{where}: found {describe(value)}; allowed: {', or '.join(refused)}")
 
 
 def _tuple(inner: tuple[Any, ...], value: Any, where: str) -> tuple[Any, ...]:
     if not isinstance(value, list):
-        raise LearningError(f"{where}: found {said(value)}; allowed: a list")
+        raise LearningError(f"{where}: found {describe(value)}; allowed: a list")
     each = inner[:1] * len(value) if inner[-1] is Ellipsis else inner
     if len(each) != len(value):
         raise LearningError(f"{where}: found {len(value)} values; allowed: {len(each)}")

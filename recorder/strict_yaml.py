@@ -98,12 +98,12 @@ def read_mapping(
     except UnicodeDecodeError as error:
         raise YamlError(f"{path}: not YAML: {error}") from None
     if not isinstance(content, dict):
-        raise YamlError(f"{path}: found {said(content)}; allowed: a mapping of keys to values")
+        raise YamlError(f"{path}: found {describe(content)}; allowed: a mapping of keys to values")
     parent = content.pop("extends", None)
     if parent is None:
         return content
     if not isinstance(parent, str):
-        raise YamlError(f"{path}.extends: found {said(parent)}; allowed: the name of a file")
+        raise YamlError(f"{path}.extends: found {describe(parent)}; allowed: the name of a file")
     extended = path.parent / parent
     if library is not None and not extended.exists() and set(Path(parent).parts[:-1]) <= {".."}:
         shared = library / Path(parent).name
@@ -127,7 +127,7 @@ def merged(below: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     return result
 
 
-def said(value: Any) -> str:
+def describe(value: Any) -> str:
     """Return a value's type and repr for error messages."""
     return f"{type(value).__name__} {value!r}"
 

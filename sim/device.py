@@ -41,14 +41,14 @@ def _without_driver_warning(*, asked: bool) -> Iterator[None]:
     sys.stderr.flush()
     kept = os.dup(2)
     try:
-        with tempfile.TemporaryFile() as said:
-            os.dup2(said.fileno(), 2)
+        with tempfile.TemporaryFile() as message:
+            os.dup2(message.fileno(), 2)
             try:
                 yield
             finally:
                 os.dup2(kept, 2)
-            said.seek(0)
-            for line in said.read().splitlines(keepends=True):
+            message.seek(0)
+            for line in message.read().splitlines(keepends=True):
                 if b"CUDA warning" not in line:
                     os.write(2, line)
     finally:

@@ -201,7 +201,7 @@ def _told(result: Result, status: str, share: Array, by: str) -> dict[str, Any]:
     }
 
 
-def said(error: dict[str, Any]) -> str:
+def describe_error(error: dict[str, Any]) -> str:
     """Return an error in words for the user."""
     if error["status"] == "none":
         return f"error of the force: not known; {error['why']}"

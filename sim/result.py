@@ -118,7 +118,7 @@ def with_beginning(whole: Result, beginning: Result) -> Result:
         spent = own[:count] if name in ("newton", "cg", "steps") else 0
         return np.concatenate([other + spent, own[count:]])
 
-    said = beginning.record["warnings"]
+    message = beginning.record["warnings"]
     stage = {"waypoints": count, "mesh": beginning.record["mesh"]}
     return dataclasses.replace(
         whole,
@@ -129,7 +129,7 @@ def with_beginning(whole: Result, beginning: Result) -> Result:
         record={
             **whole.record,
             "stages": [*whole.record.get("stages", []), stage],
-            "warnings": list(dict.fromkeys([*whole.record["warnings"], *said])),
+            "warnings": list(dict.fromkeys([*whole.record["warnings"], *message])),
         },
     )
 

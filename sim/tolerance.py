@@ -229,21 +229,21 @@ def _of_layer(
     if device != "cpu":
         ready_device(device)  # rejects an unknown device, as meshes would
     try:
-        found, error, said = solved_by_layer(scene, wanted, progress=progress)
+        found, error, message = solved_by_layer(scene, wanted, progress=progress)
     except SimulationDiverged as diverged:
         if tier == "layer":
             raise
         tried.append(f"layer: {diverged}")
         return None
     unfit = None if tier == "layer" else not_shown(found)
-    tried.append(unfit or said)
+    tried.append(unfit or message)
     if unfit is None and error <= wanted.value:
         return found
     if tier == "layer":
         allowed = "tier 'fem'"
         if np.isfinite(error):
             allowed = f"{with_unit(wanted.kind, 1.001 * error)} or more, or {allowed}"
-        raise SceneError(f"tolerance: '{wanted}' with tier 'layer'; {said}; allowed: {allowed}")
+        raise SceneError(f"tolerance: '{wanted}' with tier 'layer'; {message}; allowed: {allowed}")
     return None
 
 

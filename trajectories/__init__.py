@@ -4,7 +4,7 @@ A spec is stored as JSON in the session recorded with it; its moves are derived 
 """
 
 from trajectories.force_depth import ForceDepth
-from trajectories.limits import Limits, Rehearsal, rehearse
+from trajectories.limits import DryRun, Limits, dry_run
 from trajectories.moves import PHASES, Move, Plan, Point, Target
 from trajectories.press_shear import PressShear
 from trajectories.profile import move_duration
@@ -14,18 +14,18 @@ from trajectories.touch import Touch
 
 __all__ = [
     "PHASES",
+    "DryRun",
     "ForceDepth",
     "Limits",
     "Move",
     "Plan",
     "Point",
     "PressShear",
-    "Rehearsal",
     "Taps",
     "Target",
     "Touch",
+    "dry_run",
     "move_duration",
     "plan_from_json",
     "plan_to_json",
-    "rehearse",
 ]

@@ -29,7 +29,7 @@ class Limits:
 
 
 @dataclass(frozen=True, slots=True)
-class Rehearsal:
+class DryRun:
     """Result of a dry run of a plan."""
 
     targets: int
@@ -54,7 +54,7 @@ class Rehearsal:
     """Description of each limit that would be exceeded; empty if the plan may run."""
 
 
-def rehearse(plan: Plan, limits: Limits, *, speed: float, acceleration: float) -> Rehearsal:
+def dry_run(plan: Plan, limits: Limits, *, speed: float, acceleration: float) -> DryRun:
     """Dry-run `plan` and compare every point with `limits`.
 
     Args:
@@ -96,7 +96,7 @@ def rehearse(plan: Plan, limits: Limits, *, speed: float, acceleration: float) -
         broken.append(f"force: {force:.1f} N expected; allowed: {limits.force_rating:.1f}")
     if duration > limits.duration_max:
         broken.append(f"duration: {duration:.0f} s; allowed: {limits.duration_max:.0f}")
-    return Rehearsal(
+    return DryRun(
         targets=len(plan),
         moves=moves,
         x=(low[0], high[0]),

@@ -16,7 +16,7 @@ from recorder.strict_yaml import yaml_text
 from rig.bench.bench import load_bench
 from rig.core.clock import SECOND_NS, SystemClock
 from rig.core.errors import ConfigError
-from trajectories import PressShear, rehearse
+from trajectories import PressShear, dry_run
 
 # Interval between observations [s].
 _EVERY = 5.0
@@ -55,7 +55,7 @@ def long_bench(bench_file: Path, seconds: float, folder: Path) -> tuple[Path, in
 
     def length(directions: int) -> float:
         longer = replace(plan, angle_step=2 * pi / directions)
-        return rehearse(
+        return dry_run(
             longer, bench.limits.plan, speed=bench.arm.speed, acceleration=bench.arm.acceleration
         ).duration
 

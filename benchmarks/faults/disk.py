@@ -8,11 +8,11 @@ import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
-from benchmarks.faults.judge import Judgement
+from benchmarks.faults.collection_run import CollectionRun, Hangs
+from benchmarks.faults.judge import FaultResult
 from benchmarks.faults.one_row import judge
 from benchmarks.faults.quick import quick_bench
 from benchmarks.faults.rows import Row
-from benchmarks.faults.trial import Hangs, Trial
 from rig.core.clock import SECOND_NS, SystemClock
 from rig.core.errors import EXIT_DEVICE_LOST
 
@@ -29,7 +29,7 @@ class CannotMount(Exception):
     """Raised if no tmpfs can be mounted, with the reason."""
 
 
-def fill_disk(folder: Path, benches: Path) -> Judgement:
+def fill_disk(folder: Path, benches: Path) -> FaultResult:
     """Record onto a tmpfs until it is full, then judge the session once there is space again.
 
     Args:
@@ -42,23 +42,23 @@ def fill_disk(folder: Path, benches: Path) -> Judgement:
     disk = folder / "disk"
     disk.mkdir()
     bench = quick_bench(folder, ROW.sensor, benches)
-    with _tmpfs(disk), Trial(disk / "s.zarr", *_arguments(bench)) as trial:
+    with _tmpfs(disk), CollectionRun(disk / "s.zarr", *_arguments(bench)) as collection:
         try:
-            trial.until_pressing()
-            trial.until(lambda: shutil.disk_usage(disk).free < _FULL, "a full disk", _FILLING)
-            trial.injected_ns = SystemClock().now_ns()
-            code = trial.wait()
+            collection.until_pressing()
+            collection.until(lambda: shutil.disk_usage(disk).free < _FULL, "a full disk", _FILLING)
+            collection.injected_ns = SystemClock().now_ns()
+            code = collection.wait()
         except Hangs as error:
-            if trial.process.poll() is None:
+            if collection.process.poll() is None:
                 words = ("did not end", *str(error).splitlines()[-3:])
-                return Judgement(None, trial.last_line, None, None, 0, 0, "not known", words)
-            code = trial.wait()
-        trial.seen()
+                return FaultResult(None, collection.last_line, None, None, 0, 0, "not known", words)
+            code = collection.wait()
+        collection.seen()
         # A technician would make space, then recover.
         roomy = folder / "s.zarr"
-        shutil.copytree(trial.session, roomy)
-        trial.session = roomy
-        return judge(ROW, trial, code)
+        shutil.copytree(collection.session, roomy)
+        collection.session = roomy
+        return judge(ROW, collection, code)
 
 
 def _arguments(bench: Path) -> tuple[str, ...]:

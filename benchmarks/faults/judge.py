@@ -35,12 +35,12 @@ class Left:
     """Number of rows whose number does not exceed the one before, by stream."""
     findings: tuple[str, ...]
     """Codes that `recorder check` reports."""
-    refused: Mapping[str, Mapping[str, int]]
+    rejected: Mapping[str, Mapping[str, int]]
     """Number of rejected samples recorded in the session, by stream and reason."""
 
 
 @dataclass(frozen=True, slots=True)
-class Judgement:
+class FaultResult:
     """One row of the page."""
 
     code: int | None
@@ -84,7 +84,7 @@ def left_in(path: Path) -> Left:
         missing=missing,
         disorder=disorder,
         findings=tuple(sorted({finding.code for finding in check(path)})),
-        refused={name: found.get("refused", {}) for name, found in summary.items()},
+        rejected={name: found.get("refused", {}) for name, found in summary.items()},
     )
 
 

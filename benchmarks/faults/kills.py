@@ -15,10 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.faults.collection_run import EMULATORS, CollectionRun, Hangs
 from benchmarks.faults.judge import arm_in_words, complaints, left_in, losses
 from benchmarks.faults.processes import kill, wait_gone
 from benchmarks.faults.quick import quick_bench
-from benchmarks.faults.trial import EMULATORS, Hangs, Trial
 from recorder import Session, SessionError
 from recorder.session.recover import recover
 from rig.core.clock import SECOND_NS, SystemClock
@@ -116,8 +116,8 @@ def _chain(place: _Place, kills: int, rng: random.Random, found: Kills, report: 
         begun = session.exists()
         arguments = ("--resume", str(session)) if begun else ("--targets", str(place.targets))
         try:
-            with Trial(session, "--bench", str(bench), *arguments) as trial:
-                report(_killed(trial, rng, found))
+            with CollectionRun(session, "--bench", str(bench), *arguments) as collection:
+                report(_killed(collection, rng, found))
                 found.resumed += begun
         except (Hangs, LookupError, SessionError, OSError) as error:
             found.wrong.append(f"kill {found.victims.total()}: {error}")
@@ -126,18 +126,18 @@ def _chain(place: _Place, kills: int, rng: random.Random, found: Kills, report: 
     report(_brought_to_its_end(session, bench, found))
 
 
-def _killed(trial: Trial, rng: random.Random, found: Kills) -> str:
+def _killed(collection: CollectionRun, rng: random.Random, found: Kills) -> str:
     """Kill one victim, check the session and recover it."""
-    trial.until_recording()
+    collection.until_recording()
     # Damage by later runs can be detected in sealed rows only.
-    before = _times(trial.session)
+    before = _times(collection.session)
     clock = SystemClock()
     wait = rng.uniform(0.0, _LONGEST)
     clock.sleep_until(clock.now_ns() + round(wait * SECOND_NS))
     victim = rng.choice(VICTIMS)
-    everybody = trial.processes()
-    trial.kill(*_pids(trial, victim))
-    code = trial.wait(_ENDING)
+    everybody = collection.processes()
+    collection.kill(*_pids(collection, victim))
+    code = collection.wait(_ENDING)
     left = wait_gone(everybody, _ENDING)
     kill(left)
     found.victims[victim] += 1
@@ -147,14 +147,14 @@ def _killed(trial: Trial, rng: random.Random, found: Kills) -> str:
         found.wrong.append(f"{where}: did not end within {_ENDING:g} s: {commands}")
     if victim not in _BENCH_GOES_TOO:
         gone = victim == "the arm emulator"
-        arm, standing = arm_in_words(trial.seen().arm, trial.ended_ns, gone)
+        arm, standing = arm_in_words(collection.seen().arm, collection.ended_ns, gone)
         if not standing:
             found.wrong.append(f"{where}: the arm: {arm}")
-    if trial.folder is not None:
-        shutil.rmtree(trial.folder, ignore_errors=True)
-    recover(trial.session)
-    compared, lost = losses(trial.session, trial.seen())
-    after = _times(trial.session)
+    if collection.folder is not None:
+        shutil.rmtree(collection.folder, ignore_errors=True)
+    recover(collection.session)
+    compared, lost = losses(collection.session, collection.seen())
+    after = _times(collection.session)
     lost += sum(
         int(not np.array_equal(after[name][: len(times)], times)) for name, times in before.items()
     )
@@ -163,29 +163,29 @@ def _killed(trial: Trial, rng: random.Random, found: Kills) -> str:
     if lost:
         found.wrong.append(f"{where}: {lost} accepted samples are missing")
     found.wrong += [
-        f"{where}: {what}" for what in complaints(trial.session, left_in(trial.session))
+        f"{where}: {what}" for what in complaints(collection.session, left_in(collection.session))
     ]
     return f"{where}: exit {code}, {compared} samples looked for, {lost} lost"
 
 
-def _pids(trial: Trial, victim: str) -> tuple[int, ...]:
+def _pids(collection: CollectionRun, victim: str) -> tuple[int, ...]:
     """Return the process ids of a victim.
 
     Raises:
         LookupError: It does not run.
     """
-    processes = trial.processes()
-    main = trial.process.pid
+    processes = collection.processes()
+    main = collection.process.pid
     if victim == VICTIMS[0]:
         return (*(pid for pid in processes if pid != main), main)
     if victim == VICTIMS[1]:
         return (main,)
     name = victim.split()[1].removesuffix("'s")
     if victim.endswith("stream"):
-        return (trial.stream(name),)
+        return (collection.stream(name),)
     if name in EMULATORS and victim.endswith("emulator"):
-        return (trial.emulator(name),)
-    streams = {trial.stream(stream) for stream in _STREAMS}
+        return (collection.emulator(name),)
+    streams = {collection.stream(stream) for stream in _STREAMS}
     spawned = {pid for pid, command in processes.items() if "multiprocessing.spawn" in command}
     return tuple(spawned - streams)
 
@@ -199,14 +199,14 @@ def _brought_to_its_end(session: Path, bench: Path, found: Kills) -> str:
     """Resume a session until its plan is complete."""
     if Session(session).status != "complete":
         before = _times(session)
-        with Trial(session, "--bench", str(bench), "--resume", str(session)) as trial:
+        with CollectionRun(session, "--bench", str(bench), "--resume", str(session)) as collection:
             try:
-                code = trial.wait(_WHOLE)
+                code = collection.wait(_WHOLE)
             except Hangs as error:
                 found.wrong.append(str(error))
                 return found.wrong[-1]
             if code != 0:
-                found.wrong.append(f"resume: exit {code}: {trial.last_line}")
+                found.wrong.append(f"resume: exit {code}: {collection.last_line}")
         found.resumed += 1
         after = _times(session)
         for name, times in before.items():

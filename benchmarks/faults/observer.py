@@ -21,7 +21,7 @@ from rig.acquire.stream_process import COUNTERS
 from rig.bench.stream_kinds import KINDS
 from rig.core.clock import SECOND_NS, SystemClock
 from rig.core.geometry import compose, invert
-from rig.core.shared_memory import LatestRecord
+from rig.core.shared_memory import SharedLatest
 from rig.devices.arm import emulator_faults
 
 _PERIOD = 0.02
@@ -79,7 +79,7 @@ class Observer:
         self._host = host
         self._frame = _contact_frame(folder)
         self._clock = SystemClock()
-        self._records: dict[str, tuple[LatestRecord, LatestRecord]] = {}
+        self._records: dict[str, tuple[SharedLatest, SharedLatest]] = {}
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="observer", daemon=True)
         self._thread.start()
@@ -116,14 +116,14 @@ class Observer:
             if newest is not None and self.seen.rows.get(name, 0) > 0:
                 self.seen.shown.setdefault(name, set()).add(int(newest["t_ns"]))
 
-    def _open_records(self) -> Iterator[tuple[str, tuple[LatestRecord, LatestRecord]]]:
+    def _open_records(self) -> Iterator[tuple[str, tuple[SharedLatest, SharedLatest]]]:
         for name, kind in KINDS.items():
             if name not in self._records:
                 # A file that is missing or incomplete is tried again at the next poll.
                 with contextlib.suppress(OSError, ValueError):
-                    latest = LatestRecord.attach(self._folder / f"{name}.latest", kind.latest)
+                    latest = SharedLatest.attach(self._folder / f"{name}.latest", kind.latest)
                     path = self._folder / f"{name}.counters"
-                    self._records[name] = latest, LatestRecord.attach(path, COUNTERS)
+                    self._records[name] = latest, SharedLatest.attach(path, COUNTERS)
             if name in self._records:
                 yield name, self._records[name]
 

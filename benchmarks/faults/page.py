@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from dataclasses import fields
 from pathlib import Path
 
-from benchmarks.faults.judge import Judgement, Left
+from benchmarks.faults.judge import FaultResult, Left
 from benchmarks.faults.kills import VICTIMS, Kills
 from benchmarks.faults.rows import Row
 from benchmarks.faults.run import Results
@@ -97,7 +97,7 @@ def _measured(results: Results) -> str:
     )
 
 
-def _table(rows: Iterable[tuple[Row, Judgement]]) -> str:
+def _table(rows: Iterable[tuple[Row, FaultResult]]) -> str:
     lines = [f"| {' | '.join(_HEAD)} |", f"|{'---|' * len(_HEAD)}"]
     notes = []
     for row, judged in rows:
@@ -107,7 +107,7 @@ def _table(rows: Iterable[tuple[Row, Judgement]]) -> str:
     return "\n".join(lines) + "\n" + "".join(notes)
 
 
-def _cells(row: Row, judged: Judgement) -> tuple[str, ...]:
+def _cells(row: Row, judged: FaultResult) -> tuple[str, ...]:
     left = judged.left
     return (
         row.fault,
@@ -152,14 +152,14 @@ def _counted(numbers: dict[str, int] | object) -> str:
 def _left_out(left: Left) -> str:
     found = [
         f"{count} {name} {reason}"
-        for name, refused in left.refused.items()
-        for reason, count in refused.items()
+        for name, rejected in left.rejected.items()
+        for reason, count in rejected.items()
         if count
     ]
     return ", ".join(found) or "0"
 
 
-def _disordered(judged: Judgement) -> str:
+def _disordered(judged: FaultResult) -> str:
     count = sum(judged.left.disorder.values()) if judged.left is not None else 0
     return f"Stored in order of arrival: {count} frames, known only from the emulator's JPEG stamp."
 

@@ -7,7 +7,7 @@ import signal
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from benchmarks.faults.trial import Trial
+from benchmarks.faults.collection_run import CollectionRun
 from rig.core.errors import EXIT_DEVICE_LOST, EXIT_DONE, EXIT_INTERRUPTED, EXIT_SAFETY_STOP
 
 _STOPS = (EXIT_DEVICE_LOST,)
@@ -43,7 +43,7 @@ class Row:
     """The fault."""
     codes: tuple[int, ...]
     """Expected exit codes."""
-    act: Callable[[Trial], None] | None
+    act: Callable[[CollectionRun], None] | None
     """Injects the fault into a pressing collection; None: it is present from the start."""
     sensor: str = "tacpalm"
     """Bench of the trial."""
@@ -51,7 +51,7 @@ class Row:
     """Limits that differ from the bench's, as YAML."""
     more: str = ""
     """YAML to add to the bench, in which BENCHES is replaced by the folder of the bench files."""
-    before: Callable[[Trial], None] | None = None
+    before: Callable[[CollectionRun], None] | None = None
     """Operator's action after recording starts, without which nothing is pressed."""
     pedal: bool = False
     """True if the bench has a foot pedal, for which the hidraw shim is preloaded."""
@@ -73,23 +73,23 @@ class Row:
         return f"{self.device} {self.fault}".replace(" ", "-")
 
 
-def _line(fault: str, **values: float) -> Callable[[str], Callable[[Trial], None]]:
-    def of_device(device: str) -> Callable[[Trial], None]:
-        return lambda trial: _inject(trial, device, fault, values)
+def _line(fault: str, **values: float) -> Callable[[str], Callable[[CollectionRun], None]]:
+    def of_device(device: str) -> Callable[[CollectionRun], None]:
+        return lambda collection: _inject(collection, device, fault, values)
 
     return of_device
 
 
-def _inject(trial: Trial, device: str, fault: str, values: dict[str, float]) -> None:
-    trial.inject(device, fault, **values)
+def _inject(collection: CollectionRun, device: str, fault: str, values: dict[str, float]) -> None:
+    collection.inject(device, fault, **values)
 
 
-def _killed(device: str) -> Callable[[Trial], None]:
-    return lambda trial: trial.kill(trial.emulator(device))
+def _killed(device: str) -> Callable[[CollectionRun], None]:
+    return lambda collection: collection.kill(collection.emulator(device))
 
 
 _FAULTS: tuple[
-    tuple[str, Callable[[str], Callable[[Trial], None]], tuple[int, ...], str | None], ...
+    tuple[str, Callable[[str], Callable[[CollectionRun], None]], tuple[int, ...], str | None], ...
 ] = (
     ("killed", _killed, _STOPS, None),
     ("unplugged", _line("unplug"), _STOPS, None),
@@ -141,8 +141,8 @@ def _matrix() -> list[Row]:
     return rows
 
 
-def _arm(fault: str) -> Callable[[Trial], None]:
-    return lambda trial: _inject(trial, "arm", fault, {})
+def _arm(fault: str) -> Callable[[CollectionRun], None]:
+    return lambda collection: _inject(collection, "arm", fault, {})
 
 
 NIDAQ = "force: {kind: nidaq, grpc: 'loopback:31763', calibration: BENCHES/mock-nano17.cal}"
@@ -175,15 +175,15 @@ def _other_force() -> list[Row]:
     ]
 
 
-def _hold(trial: Trial) -> None:
-    trial.until_said(_WAITS)
-    trial.tell("pedal", "press")
+def _hold(collection: CollectionRun) -> None:
+    collection.until_said(_WAITS)
+    collection.tell("pedal", "press")
 
 
-def _let_go_and_press_again(trial: Trial) -> None:
-    trial.inject("pedal", "release")
-    trial.until_said(_WAITS, after=_HALTED)
-    trial.tell("pedal", "press")
+def _let_go_and_press_again(collection: CollectionRun) -> None:
+    collection.inject("pedal", "release")
+    collection.until_said(_WAITS, after=_HALTED)
+    collection.tell("pedal", "press")
 
 
 # All rows that are one collection; the kills and the full disk are run separately.
@@ -211,12 +211,17 @@ ROWS: tuple[Row, ...] = (
     Row("arm", "protective stop", (EXIT_SAFETY_STOP,), _arm("protective_stop")),
     Row("arm", "emergency stop", (EXIT_SAFETY_STOP,), _arm("emergency_stop")),
     Row("force", "overload", (EXIT_SAFETY_STOP,), None, limits=json.dumps(OVERLOAD)),
-    Row("operator", "Ctrl-C", (EXIT_INTERRUPTED,), lambda trial: trial.signal(signal.SIGINT)),
+    Row(
+        "operator",
+        "Ctrl-C",
+        (EXIT_INTERRUPTED,),
+        lambda collection: collection.signal(signal.SIGINT),
+    ),
     Row(
         "rig",
         "stream process killed",
         _STOPS,
-        lambda trial: trial.kill(trial.stream("camera")),
+        lambda collection: collection.kill(collection.stream("camera")),
         needs_recover=True,
     ),
 )

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from benchmarks.faults import disk
-from benchmarks.faults.judge import Judgement
+from benchmarks.faults.judge import FaultResult
 from benchmarks.faults.kills import Kills, kill_often
 from benchmarks.faults.one_row import run_row
 from benchmarks.faults.rows import ROWS, Row
@@ -31,7 +31,7 @@ def names() -> list[str]:
 class Results:
     """Results of all rows."""
 
-    rows: list[tuple[Row, Judgement]] = field(default_factory=list)
+    rows: list[tuple[Row, FaultResult]] = field(default_factory=list)
     """Rows that were run, in order."""
     skipped: list[tuple[str, str]] = field(default_factory=list)
     """Name and reason of each skipped row."""
@@ -107,7 +107,7 @@ class Campaign:
         print(f"{'all passed' if not wrong else f'{len(wrong)} failures'}")
         return not wrong
 
-    def _note(self, row: Row, judged: Judgement, folder: Path) -> None:
+    def _note(self, row: Row, judged: FaultResult, folder: Path) -> None:
         self.results.rows.append((row, judged))
         noticed = "" if judged.noticed is None else f", noticed after {judged.noticed:.2f} s"
         self._say(

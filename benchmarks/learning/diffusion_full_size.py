@@ -206,8 +206,8 @@ def table(found: dict[str, Any]) -> str:
             f"{row['batch']:>5} {row['training_images_per_s']:>10.1f} "
             f"{row['inference_images_per_s']:>10.1f} {memory:>8}"
         )
-    said = ", ".join(f"{step}: {square:.3f}" for step, square in found["square"].items())
-    return "\n".join([*lines, f"mean square on {SAME} pairs, as the only loss, by step: {said}"])
+    message = ", ".join(f"{step}: {square:.3f}" for step, square in found["square"].items())
+    return "\n".join([*lines, f"mean square on {SAME} pairs, as the only loss, by step: {message}"])
 
 
 def _full_size(device: torch.device) -> Pretrained:

@@ -55,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
     """
     from benchmarks.recording import run as cost
     from benchmarks.recording.measure import FULL, QUICK
-    from benchmarks.recording.page import render, verdict
+    from benchmarks.recording.page import criteria_of, render
 
     scale = QUICK if options.quick else FULL
     bench = find_bench("tacpalm", options.benches) if scale.targets else options.benches
@@ -65,8 +65,10 @@ def run(options: argparse.Namespace) -> int:
         raise ConfigError(f"--scratch {options.scratch}: {error.strerror}") from error
     only = options.only or cost.PARTS
     results = cost.measure(scale, options.scratch, bench, only, quick=options.quick)
-    for claim in verdict(results):
-        print(f"{'reached' if claim.met else 'MISSED ':<8} {claim.text}: {claim.measured}")
+    for criterion in criteria_of(results):
+        print(
+            f"{'reached' if criterion.met else 'MISSED ':<8} {criterion.text}: {criterion.measured}"
+        )
     # A partial page must not replace the complete one, nor a quick run a full one.
     if options.out is None and (options.only or options.quick):
         print(render(results))

@@ -37,7 +37,7 @@ from recorder import (
 from rig.core.clock import SECOND_NS, Pacer, SystemClock
 from rig.core.driver import Inbox
 from rig.core.errors import ConfigError
-from rig.core.realtime import be_punctual
+from rig.core.realtime import enable_realtime
 
 _READ_TIMEOUT = 0.05
 # Time between the last process being ready and the first tick [s].
@@ -153,7 +153,7 @@ def _answer(feed: Feed, pipe: Connection, timeout: float) -> Any:
 def _run(feed: Feed, path: Path, pipe: Connection) -> None:
     """Run the process of one stream."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    granted = be_punctual()
+    granted = enable_realtime()
     sample = samples(feed)
     targets = {"point": np.zeros(0, np.int16)}
     with SessionWriter.create(path, attrs={}, streams=[feed.spec()], targets=targets) as session:

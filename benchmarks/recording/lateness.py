@@ -14,7 +14,7 @@ from benchmarks.recording.measure import Scale, Spread
 from benchmarks.recording.progress import Progress
 from rig.core.clock import SECOND_NS, Pacer, SystemClock
 from rig.core.errors import ConfigError
-from rig.core.realtime import be_punctual
+from rig.core.realtime import enable_realtime
 
 RATES_HZ = (40.0, 60.0, 500.0)
 LOADS = ("idle", "two busy processes", "encoding thread")
@@ -111,7 +111,7 @@ def _measure(rate_hz: float, load: str, asked: bool, seconds: float) -> Lateness
 
 def _run(rate_hz: float, encoding: bool, asked: bool, seconds: float, pipe: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    given = be_punctual() if asked else {}
+    given = enable_realtime() if asked else {}
     ended = threading.Event()
     thread = threading.Thread(target=_encode, args=(ended,))
     if encoding:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import metadata
 
-from benchmarks.recording import claims
+from benchmarks.recording import criteria
 from benchmarks.recording.alignment import Alignment
 from benchmarks.recording.feed import Fed
 from benchmarks.recording.lateness import Lateness
@@ -15,7 +15,7 @@ from benchmarks.recording.load import Cameras
 from benchmarks.recording.markdown import ms, ratio, table
 from benchmarks.recording.page_alignment import alignment
 from benchmarks.recording.page_stores import stores
-from benchmarks.recording.store_race import StoreRow
+from benchmarks.recording.store_benchmark import StoreRow
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,22 +60,22 @@ def render(results: Results) -> str:
     return "\n".join(parts)
 
 
-def verdict(results: Results) -> list[claims.Claim]:
+def criteria_of(results: Results) -> list[criteria.Criterion]:
     """Return the verdict on the goals that this run measured."""
-    found: list[claims.Claim] = []
+    found: list[criteria.Criterion] = []
     if results.full is not None:
-        found += claims.of_full_load(results.full)
+        found += criteria.of_full_load(results.full)
     if results.cameras is not None:
-        found += claims.of_cameras(results.cameras)
+        found += criteria.of_cameras(results.cameras)
     if results.stores is not None:
-        found += claims.of_stores(results.stores)
+        found += criteria.of_stores(results.stores)
     if results.alignment is not None:
-        found += claims.of_alignment(results.alignment)
+        found += criteria.of_alignment(results.alignment)
     return found
 
 
 def _head(results: Results) -> str:
-    found = verdict(results)
+    found = criteria_of(results)
     lines = [
         "# What recording costs",
         "",
@@ -138,7 +138,7 @@ def _fed_table(fed: Sequence[Fed]) -> str:
 def _lateness(found: Sequence[Lateness]) -> str:
     granted = sorted({name for one in found if one.asked for name in one.granted})
     refused = not any("sched_fifo" in one.granted for one in found if one.asked)
-    said = f"granted: {', '.join(granted) or 'nothing'}"
+    message = f"granted: {', '.join(granted) or 'nothing'}"
     plain = {(one.rate_hz, one.load): one for one in found if not one.asked}
     rows = []
     for one in found:
@@ -160,7 +160,7 @@ def _lateness(found: Sequence[Lateness]) -> str:
             "## How late a loop wakes",
             "",
             "The rig's `Pacer` against absolute deadlines, in a process that does nothing else; as "
-            f"it is, and after `be_punctual` ({said}). Loaded by two busy processes, or "
+            f"it is, and after `enable_realtime` ({message}). Loaded by two busy processes, or "
             "by another thread that compresses a frame 60 times a second, which is why "
             "each stream has its own process.",
             ""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from benchmarks.recording.markdown import ms, table
-from benchmarks.recording.store_race import Kill, StoreRow
+from benchmarks.recording.store_benchmark import Kill, StoreRow
 from recorder import camera_spec
 from recorder.store.layout import CHUNKS_PER_SHARD
 

@@ -10,14 +10,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from benchmarks.recording import alignment, charts, lateness, load, mock_session, store_race
+from benchmarks.recording import alignment, charts, lateness, load, mock_session, store_benchmark
 from benchmarks.recording.alignment import Alignment
 from benchmarks.recording.measure import Scale
 from benchmarks.recording.page import Results, machine, render
 from benchmarks.recording.page_alignment import ALIGNMENT_CHART
 from benchmarks.recording.page_stores import STORES_CHART
 from benchmarks.recording.progress import Progress
-from benchmarks.recording.store_race import StoreRow
+from benchmarks.recording.store_benchmark import StoreRow
 from recorder.errors import SessionError
 from rig.core.clock import SECOND_NS, SystemClock
 from rig.core.errors import ConfigError
@@ -45,7 +45,7 @@ def parts(bench: Path) -> tuple[Part, ...]:
     """
     collect = partial(mock_session.collect, bench)
     return (
-        Part("stores", store_race.estimate, store_race.race),
+        Part("stores", store_benchmark.estimate, store_benchmark.race),
         Part("share", load.estimate_share, load.share),
         Part("lateness", lateness.estimate, lambda scale, _, told: lateness.lateness(scale, told)),
         Part("cameras", load.estimate_cameras, load.cameras),

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from benchmarks.sim.stability.chance.judgement import OutOfTime, time_limit
 from benchmarks.sim.stability.chance.scenes import Drawn, drawn
-from benchmarks.sim.stability.chance.verdict import OutOfTime, time_limit
 from benchmarks.sim.stability.runner import INTERRUPTED, done_counts, side_by_side
 from sim.errors import SceneError, SimulationDiverged
 from sim.extrapolation import left_of_difference
@@ -65,7 +65,7 @@ class Row:
     tier: str = ""
     seconds: float = math.nan
     truth_seconds: float = math.nan
-    said: str = ""
+    reported: str = ""
 
 
 def scenes(count: int, seed: int) -> list[Drawn]:
@@ -91,11 +91,11 @@ def judged(one: Drawn, tolerance: str, device: str, seconds: float) -> Row:
         with time_limit(seconds):
             result = simulate(one.scene, tolerance=tolerance, device=device)
     except SceneError as error:
-        return row("refused", seconds=time.perf_counter() - began, said=str(error))
+        return row("refused", seconds=time.perf_counter() - began, reported=str(error))
     except SimulationDiverged as error:
-        return row("diverged", seconds=time.perf_counter() - began, said=str(error))
+        return row("diverged", seconds=time.perf_counter() - began, reported=str(error))
     except OutOfTime as error:
-        return row("timeout", seconds=time.perf_counter() - began, said=str(error))
+        return row("timeout", seconds=time.perf_counter() - began, reported=str(error))
     took = time.perf_counter() - began
     own = float(result.record["error"]["percent"])
     began = time.perf_counter()
@@ -103,7 +103,7 @@ def judged(one: Drawn, tolerance: str, device: str, seconds: float) -> Row:
         with time_limit(4 * seconds):
             force, unsure = _truth(one.scene, result, device)
     except (SceneError, SimulationDiverged, OutOfTime) as error:
-        return row("no truth", own_percent=own, tier=result.tier, seconds=took, said=str(error))
+        return row("no truth", own_percent=own, tier=result.tier, seconds=took, reported=str(error))
     scale = np.maximum(force_scale(force), 1e-12)
     off = 100 * float((np.abs(result.force - force).max(axis=1) / scale).max())
     kind: Kind = "kept" if off <= 100 * tolerance_of(tolerance).value else "missed"
@@ -145,8 +145,8 @@ def summary(rows: Sequence[Row], tolerance: str) -> str:
 def line(row: Row) -> str:
     """Return a row of the table."""
     text = f"{row.kind:8} {row.name:<8} {row.what:<60} {row.seconds:6.1f} s {row.tier:5}"
-    if row.said:
-        return f"{text}  {row.said[:200]}"
+    if row.reported:
+        return f"{text}  {row.reported[:200]}"
     return (
         f"{text} error {row.error_percent:.2f} %, own {row.own_percent:.2f} %, "
         f"truth {row.truth_percent:.2f} %"

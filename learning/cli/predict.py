@@ -107,20 +107,20 @@ def _run(options: argparse.Namespace) -> int:
 
 def _trained_on(options: argparse.Namespace, sensors: Sequence[str]) -> tuple[str, str]:
     """Return the source of a model's labels and its method, from options and training sensors."""
-    said, between, target = (sensors[0] if len(sensors) == 1 else "").partition("-to-")
-    source = options.source or said
+    message, to, target = (sensors[0] if len(sensors) == 1 else "").partition("-to-")
+    source = options.source or message
     if not source:
         listed = ", ".join(sensors) or "none"
         raise LearningError(
             f"--source: missing; allowed: a name, as the model was trained on {listed}"
         )
-    if between and target != options.sensor:
+    if to and target != options.sensor:
         raise LearningError(
             f"--sensor: found {options.sensor!r}; allowed: {target!r}, as the model was trained on "
             "frames translated to it"
         )
     usual = "target" if source == options.sensor else "source-only"
-    method = str(options.method or ("transferred" if between else usual))
+    method = str(options.method or ("transferred" if to else usual))
     _require_fitting(method, source, options.sensor, options.translator)
     return source, method
 

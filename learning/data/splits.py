@@ -33,7 +33,7 @@ _FORMAT, _VERSION = "tactile-rig split", 1
 
 
 @dataclass(frozen=True, slots=True)
-class Press:
+class PressKey:
     """A press, or one state of it, and its role."""
 
     location: int
@@ -49,7 +49,7 @@ class Press:
 class Split:
     """Roles of locations, and sensors that no model may be trained on."""
 
-    presses: tuple[Press, ...]
+    presses: tuple[PressKey, ...]
     """Ascending by location."""
     held_out_sensors: tuple[str, ...] = ()
     """Names, in alphabetical order."""
@@ -207,7 +207,7 @@ def make_split(
         if number >= sum(counts):
             roles[press] = "train"
     presses = (
-        Press(location, *press, roles[press])
+        PressKey(location, *press, roles[press])
         for press, locations in states.items()
         for location in locations
     )
@@ -238,7 +238,7 @@ def read_split(path: Path) -> Split:
         raise LearningError(f"{path}: found format {found}; allowed: {(_FORMAT, _VERSION)}")
     try:
         presses = [
-            Press(int(location), str(name), int(target), _role(role))
+            PressKey(int(location), str(name), int(target), _role(role))
             for role, indenters in document["presses"].items()
             for name, listed in indenters.items()
             for target, location in listed

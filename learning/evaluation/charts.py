@@ -146,9 +146,9 @@ def embeddings(
     """
     rows = -(-len(panels) // columns)
     figure = Figure(figsize=(3.2 * columns, 3.2 * rows), layout="constrained")
-    for place, ((title, one, other), said) in enumerate(zip(panels, names, strict=True)):
+    for place, ((title, one, other), message) in enumerate(zip(panels, names, strict=True)):
         axes: Any = figure.add_subplot(rows, columns, place + 1)
-        for places, name, colour in zip((one, other), said, COLOURS, strict=False):
+        for places, name, colour in zip((one, other), message, COLOURS, strict=False):
             axes.scatter(places[:, 0], places[:, 1], s=7, color=colour, alpha=0.7, label=name)
         axes.set_title(title, **_TEXT)
         axes.set_xticks([])

@@ -116,9 +116,9 @@ class Predictions:
         Raises:
             OSError: The file is not writable.
         """
-        said = {name: getattr(self, name) for name in _TEXTS}
+        reported = {name: getattr(self, name) for name in _TEXTS}
         arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in _TEXTS}
-        write_results(path, Results(KIND, said, arrays))
+        write_results(path, Results(KIND, reported, arrays))
 
 
 def after(methods: Collection[str]) -> str:
@@ -198,7 +198,7 @@ def predictions_in(results: Results, path: Path) -> Predictions:
     if results.kind != KIND:
         raise LearningError(f"{path}: found {results.kind}; allowed: {KIND}")
     wanted = {f.name for f in fields(Predictions)}
-    found = {**results.said, **results.arrays}
+    found = {**results.reported, **results.arrays}
     if set(found) != wanted:
         different = ", ".join(sorted(set(found) ^ wanted))
         raise LearningError(f"{path}: missing or unexpected: {different}")
@@ -348,11 +348,11 @@ def gain_line(rows: Iterable[ForceRow], role: str = UNSEEN) -> str:
         role: Role of the rows to use.
     """
     some = of_role(rows, role)
-    said = []
+    reported = []
     for variant in variants(some):
         values = [row.errors.r2_mean for row in some if row.variant == variant]
-        said.append(f"{variant_name(variant)} R2 {np.mean(values):.3f}")
-    return "  ".join(said)
+        reported.append(f"{variant_name(variant)} R2 {np.mean(values):.3f}")
+    return "  ".join(reported)
 
 
 def csv_text(lines: Sequence[dict[str, Any]]) -> str:

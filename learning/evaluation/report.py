@@ -138,10 +138,12 @@ def folded(summary: str, content: str) -> str:
     return f"<details><summary>{html.escape(summary)}</summary>\n{content}\n</details>"
 
 
-def picture(png: bytes, said: str) -> str:
+def picture(png: bytes, reported: str) -> str:
     """Return the HTML of an embedded image."""
     data = base64.b64encode(png).decode()
-    return f'<p><img alt="{html.escape(said, quote=True)}" src="data:image/png;base64,{data}"></p>'
+    return (
+        f'<p><img alt="{html.escape(reported, quote=True)}" src="data:image/png;base64,{data}"></p>'
+    )
 
 
 def table(
@@ -407,10 +409,14 @@ def _held(one: Predictions, role: str) -> Any:
 def _every(rows: Sequence[ForceRow]) -> str:
     lines: list[list[Cell | str]] = []
     for row in rows:
-        said = force_line(row)
-        texts = [str(said[name]) for name in ("source", "target", "method", "translator", "role")]
-        values = list(said.values())[len(texts) + 1 :]
-        lines.append([*texts, Cell(f"{said['frames']:,}"), *(number(value, 3) for value in values)])
+        reported = force_line(row)
+        texts = [
+            str(reported[name]) for name in ("source", "target", "method", "translator", "role")
+        ]
+        values = list(reported.values())[len(texts) + 1 :]
+        lines.append(
+            [*texts, Cell(f"{reported['frames']:,}"), *(number(value, 3) for value in values)]
+        )
     names = [_column(name) for name in force_line(rows[0])]
     return table(names, lines)
 
@@ -641,12 +647,12 @@ def write_report(
 
 
 def _summary(predictions: Sequence[Predictions], scores: Sequence[TranslationScores]) -> str:
-    said = []
+    reported = []
     if predictions:
         pairs = {(one.source, one.target) for one in predictions}
         frames = sum(len(one) for one in predictions)
-        said.append(f"{len(pairs)} pairs of sensors by {len(predictions)} force models")
-        said.append(f"{frames:,} predicted forces")
+        reported.append(f"{len(pairs)} pairs of sensors by {len(predictions)} force models")
+        reported.append(f"{frames:,} predicted forces")
     if scores:
-        said.append(f"{len({(one.source, one.target) for one in scores})} pairs translated")
-    return f"{', '.join(said)}."
+        reported.append(f"{len({(one.source, one.target) for one in scores})} pairs translated")
+    return f"{', '.join(reported)}."

@@ -26,7 +26,7 @@ class Results:
 
     kind: str
     """Kind of results."""
-    said: Mapping[str, Any]
+    reported: Mapping[str, Any]
     """JSON header."""
     arrays: Mapping[str, NDArray[Any]]
     """Their arrays, by name."""
@@ -39,7 +39,7 @@ def write_results(path: Path, results: Results) -> None:
         OSError: The file is not writable.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    header = {**results.said, _KIND: results.kind, _VERSION: _NEWEST}
+    header = {**results.reported, _KIND: results.kind, _VERSION: _NEWEST}
     text = np.frombuffer(json.dumps(header, sort_keys=True).encode(), np.uint8)
     arrays: dict[str, Any] = {_HEADER: text, **results.arrays}
     partial = path.with_name(f"{path.name}.{os.getpid()}.tmp")

@@ -343,7 +343,7 @@ class TranslationScores:
         Raises:
             OSError: The file is not writable.
         """
-        said = {
+        reported = {
             "source": self.source,
             "target": self.target,
             "translator": self.translator,
@@ -351,7 +351,7 @@ class TranslationScores:
             "paired": [_said(row) for row in self.paired],
             "distances": [_said(row) for row in self.distances],
         }
-        write_results(path, Results(KIND, said, dict(self.features)))
+        write_results(path, Results(KIND, reported, dict(self.features)))
 
 
 def read_scores(path: Path) -> TranslationScores:
@@ -371,15 +371,15 @@ def scores_in(results: Results, path: Path) -> TranslationScores:
     """
     if results.kind != KIND:
         raise LearningError(f"{path}: found {results.kind}; allowed: {KIND}")
-    said = results.said
+    reported = results.reported
     try:
         return TranslationScores(
-            str(said["source"]),
-            str(said["target"]),
-            str(said["translator"]),
-            str(said["model"]),
-            tuple(PairedScore(**_numbers(row, PairedScore)) for row in said["paired"]),
-            tuple(DistanceScore(**_numbers(row, DistanceScore)) for row in said["distances"]),
+            str(reported["source"]),
+            str(reported["target"]),
+            str(reported["translator"]),
+            str(reported["model"]),
+            tuple(PairedScore(**_numbers(row, PairedScore)) for row in reported["paired"]),
+            tuple(DistanceScore(**_numbers(row, DistanceScore)) for row in reported["distances"]),
             results.arrays,
         )
     except (KeyError, TypeError) as error:

@@ -38,7 +38,7 @@ from learning.progress import Progress
 from learning.training.checkpoint import read_model_folder
 from learning.training.run import RunFolder, Stop
 from learning.translation.archive import Model
-from learning.translation.translator import FLOW, SensorView, aimed
+from learning.translation.translator import FLOW, SensorView, for_pair
 from recorder import MarkerArchive
 
 # Training settings of the force models of an experiment.
@@ -276,7 +276,7 @@ class Forces:
         progress = Progress(f"frames of {pair.source} to {pair.target} by {model.name}", sys.stderr)
         try:
             if model.name != FLOW:
-                translator = aimed(model.translator, *views)
+                translator = for_pair(model.translator, *views)
                 return translate_presses(packed, look, translator, progress=progress)
             scale = (
                 views[1].mm_per_column / views[0].mm_per_column,

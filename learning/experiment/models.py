@@ -18,7 +18,7 @@ from learning.data.presses import Presses
 from learning.errors import LearningError
 from learning.experiment.parts import Pair
 from learning.experiment.settings import ExperimentSettings, ModelChoice
-from learning.experiment.translating import Blind
+from learning.experiment.translating import WithoutSourceReference
 from learning.force.data import Compensation
 from learning.force.model import ForceSettings
 from learning.force.predict import ForcePredictor
@@ -99,7 +99,7 @@ def open_translator(
     folder: str | Path = name if name == FLOW else places.model(name)
     translator = load_translator(folder, device)
     if not settings.source_reference:
-        translator = Blind(translator)
+        translator = WithoutSourceReference(translator)
     return Model(translator, name, hash_of(folder), str(device))
 
 
@@ -110,13 +110,13 @@ def run_command(command: Sequence[str], say: Callable[[str], None]) -> None:
         LearningError: The command failed; it has printed the error.
         KeyboardInterrupt: It was interrupted.
     """
-    said = "python -m learning " + " ".join(command)
-    say(said)
+    message = "python -m learning " + " ".join(command)
+    say(message)
     code = run(_parser(), command)
     if code == EXIT_INTERRUPTED:
         raise KeyboardInterrupt
     if code:
-        raise LearningError(f"`{said}` ended with exit code {code}")
+        raise LearningError(f"`{message}` ended with exit code {code}")
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from learning.data.images import shrink_masks, unpack_masks
 from learning.data.presses import Form, Presses, load_presses
-from learning.data.splits import Press, Role, Split
+from learning.data.splits import PressKey, Role, Split
 from learning.errors import LearningError
 from learning.experiment.settings import ExperimentSettings
-from learning.experiment.translating import Look
+from learning.experiment.translating import TargetView
 from learning.progress import Progress
 from learning.training.run import generator
 from learning.translation.archive import target_references
@@ -117,14 +117,14 @@ def frames_of_a_press(archive: MarkerArchive) -> int:
     return max(1, round(frames / max(1, presses)))
 
 
-def look_of(target: ArchivedSensor, presses: Presses, device: torch.device) -> Look:
+def look_of(target: ArchivedSensor, presses: Presses, device: torch.device) -> TargetView:
     """Return a target's references at the locations of a source's presses.
 
     Raises:
         SessionError: The archive is corrupt.
     """
     of_press = target_references(presses.location.numpy(), target.table).astype(np.int64)
-    return Look(
+    return TargetView(
         target.name,
         SensorView.of(target),
         torch.from_numpy(target.references).to(device),
@@ -134,7 +134,7 @@ def look_of(target: ArchivedSensor, presses: Presses, device: torch.device) -> L
 
 def thinned(split: Split, most: int, seed: int) -> Split:
     """Return a split with at most `most` presses of each tested role; others become validation."""
-    presses: list[Press] = []
+    presses: list[PressKey] = []
     for role in {press.role for press in split.presses}:
         of_role = [press for press in split.presses if press.role == role]
         if role not in TESTED:

@@ -22,7 +22,7 @@ from learning.experiment.forces import BEFORE, TRANSFERRED
 from learning.experiment.models import Places
 from learning.experiment.parts import Pair, pairs_of
 from learning.experiment.settings import ExperimentSettings
-from learning.experiment.worker import Work, do_all
+from learning.experiment.worker import Job, do_all
 from recorder import MarkerArchive
 from recorder.store import replace_file
 
@@ -63,7 +63,7 @@ def run_experiment(
     wanted = pairs_of(archive, pairs)
     _begin(places, settings, archive, wanted)
     _write_split(places, settings, archive)
-    work = Work(archive_path, out, settings, wanted, device, max(1, processes // jobs))
+    work = Job(archive_path, out, settings, wanted, device, max(1, processes // jobs))
     done = do_all(work, jobs, say)
     return write_report(
         [found for each in done for found in each.predictions],
@@ -82,11 +82,11 @@ def gained(rows: Sequence[ForceRow]) -> str:
         rows: Errors of an experiment's pairs.
     """
     unseen = [row for row in rows if row.role == UNSEEN]
-    said = []
+    reported = []
     for name, method in ((BEFORE, BEFORE), (TRANSFERRED, after({row.method for row in unseen}))):
         values = [row.errors.r2_mean for row in unseen if row.method == method]
-        said.append(f"{name} R2 {np.mean(values):.3f}" if values else f"{name} R2 unknown")
-    return "  ".join(said)
+        reported.append(f"{name} R2 {np.mean(values):.3f}" if values else f"{name} R2 unknown")
+    return "  ".join(reported)
 
 
 def _begin(

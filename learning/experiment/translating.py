@@ -27,7 +27,7 @@ Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Look:
+class TargetView:
     """References of the target for the frames of a source."""
 
     sensor: str
@@ -42,7 +42,7 @@ class Look:
 
 def translate_presses(
     presses: Presses,
-    look: Look,
+    look: TargetView,
     translator: Translator,
     *,
     progress: Progress = lambda done, total: None,
@@ -69,7 +69,7 @@ def translate_presses(
 
 def warp_presses(
     presses: Presses,
-    look: Look,
+    look: TargetView,
     fields: Tensor,
     *,
     progress: Progress = lambda done, total: None,
@@ -123,7 +123,10 @@ def flow_fields(
 
 
 def _shown(
-    presses: Presses, look: Look, seen: Callable[[Tensor, int, int], Tensor], progress: Progress
+    presses: Presses,
+    look: TargetView,
+    seen: Callable[[Tensor, int, int], Tensor],
+    progress: Progress,
 ) -> Presses:
     images = torch.empty(presses.frames, 256, 256, dtype=torch.uint8, device=presses.device)
     done = 0
@@ -155,7 +158,7 @@ def _groups(own: Tensor, other: Tensor) -> Iterator[tuple[Tensor, int, int]]:
 # Ablation: a translator without the source's reference.
 
 
-class Blind:
+class WithoutSourceReference:
     """Hides the source's reference from a translator."""
 
     def __init__(self, translator: Translator) -> None:

@@ -33,11 +33,11 @@ from recorder import MarkerArchive
 from recorder.processes import Workers
 
 # Name of a method of `Worker` and its arguments.
-Piece = tuple[str, ...]
+Task = tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Done:
+class TaskResult:
     """Result of a task."""
 
     predictions: list[Predictions] = field(default_factory=list)
@@ -45,7 +45,7 @@ class Done:
 
 
 @dataclass(frozen=True, slots=True)
-class Work:
+class Job:
     """Inputs common to all tasks."""
 
     archive: Path
@@ -62,14 +62,14 @@ class Work:
     """Number of processes that track markers, per task."""
 
     @property
-    def pieces(self) -> dict[Piece, frozenset[Piece]]:
+    def tasks(self) -> dict[Task, frozenset[Task]]:
         """All tasks, the longest first, and the tasks that each depends on."""
         sources = tuple(dict.fromkeys(pair.source for pair in self.pairs))
         sensors = dict.fromkeys([*sources, *(pair.target for pair in self.pairs)])
-        trained: list[Piece] = [("train", name) for name in self.settings.translators]
-        fitted: list[Piece] = [("compensate",)] if self.settings.compensation else []
+        trained: list[Task] = [("train", name) for name in self.settings.translators]
+        fitted: list[Task] = [("compensate",)] if self.settings.compensation else []
         alone = [*trained, *fitted, *(("own", sensor) for sensor in sensors)]
-        return {piece: frozenset() for piece in alone} | {
+        return {task: frozenset() for task in alone} | {
             ("carried", source, name): frozenset([("train", name), *fitted, ("own", source)])
             for source in sources
             for name in self.settings.translators
@@ -79,7 +79,7 @@ class Work:
 class Worker:
     """Executes tasks; caches data that several of them read."""
 
-    def __init__(self, work: Work, say: Callable[[str], None]) -> None:
+    def __init__(self, work: Job, say: Callable[[str], None]) -> None:
         """Open the archive and the split.
 
         Raises:
@@ -100,7 +100,7 @@ class Worker:
             say,
         )
 
-    def do(self, piece: Piece) -> Done:
+    def do(self, task: Task) -> TaskResult:
         """Execute a task and return its result.
 
         Raises:
@@ -108,40 +108,40 @@ class Worker:
             SessionError: The archive is corrupt.
             KeyboardInterrupt: A training was stopped between two steps.
         """
-        name, *arguments = piece
-        done: Done = getattr(self, name)(*arguments)
+        name, *arguments = task
+        done: TaskResult = getattr(self, name)(*arguments)
         return done
 
-    def train(self, name: str) -> Done:
+    def train(self, name: str) -> TaskResult:
         """Train a translator, if it needs training."""
         train_translator(self._places, self._work.settings, name, self._device, self._say)
-        return Done()
+        return TaskResult()
 
-    def compensate(self) -> Done:
+    def compensate(self) -> TaskResult:
         """Fit priors of skins, and choose the compensation of each pair."""
         places, pairs = self._places, self._work.pairs
         if not places.compensation.exists():
             asked = ",".join(f"{pair.source}:{pair.target}" for pair in pairs)
             command = ["compensate", str(places.archive), "--out", str(places.compensation)]
             run_command([*command, "--pairs", asked, "--split", str(places.split)], self._say)
-        return Done()
+        return TaskResult()
 
-    def own(self, sensor: str) -> Done:
+    def own(self, sensor: str) -> TaskResult:
         """Train a sensor's own model; predict its own forces and those of its targets."""
         pairs = [pair for pair in self._work.pairs if pair.source == sensor]
         found = [self._forces.untranslated(pair) for pair in pairs]
         if any(pair.target == sensor for pair in self._work.pairs):
             found.append(self._forces.own(sensor))
-        return Done(found)
+        return TaskResult(found)
 
-    def carried(self, source: str, name: str) -> Done:
+    def carried(self, source: str, name: str) -> TaskResult:
         """Fine-tune models on a source's translated frames; predict targets, score translations."""
         model = open_translator(self._places, self._work.settings, name, self._device)
         pairs = [pair for pair in self._work.pairs if pair.source == source]
         stored = self._places.compensation
         labels = read_stored(stored) if self._work.settings.compensation else None
         found = self._forces.carried_over(pairs, name, model, labels)
-        return Done(found, self._scores(source, pairs, name, model))
+        return TaskResult(found, self._scores(source, pairs, name, model))
 
     def _scores(
         self, source: str, pairs: Sequence[Pair], name: str, model: Model
@@ -186,7 +186,7 @@ class Worker:
 Say = Callable[[str], None]
 
 
-def do_all(work: Work, jobs: int, say: Say) -> list[Done]:
+def do_all(work: Job, jobs: int, say: Say) -> list[TaskResult]:
     """Execute all tasks, each after those that it depends on, and return their results.
 
     Args:
@@ -203,9 +203,9 @@ def do_all(work: Work, jobs: int, say: Say) -> list[Done]:
     """
     if jobs == 1:
         worker = Worker(work, say)
-        return [worker.do(piece) for piece in work.pieces]
+        return [worker.do(task) for task in work.tasks]
     with Workers(jobs, _begin, work, patient=True, fewer="fewer jobs") as workers:
-        return _done(workers, work.pieces, say)
+        return _done(workers, work.tasks, say)
 
 
 # State of a process of the pool.
@@ -216,12 +216,12 @@ _said: list[str] = []
 _stopped = False
 
 
-def _begin(work: Work) -> None:
+def _begin(work: Job) -> None:
     global _worker
     _worker = Worker(work, _said.append)
 
 
-def _do(piece: Piece) -> tuple[Done, list[str]]:
+def _do(task: Task) -> tuple[TaskResult, list[str]]:
     global _stopped
     if _worker is None:
         raise RuntimeError("the pool has not begun")
@@ -229,29 +229,29 @@ def _do(piece: Piece) -> tuple[Done, list[str]]:
         raise KeyboardInterrupt
     _said.clear()
     try:
-        done = _worker.do(piece)
+        done = _worker.do(task)
     except KeyboardInterrupt:
         _stopped = True
         raise
     except torch.OutOfMemoryError as error:
         raise LearningError(
-            f"jobs: found no memory left on the device for {' '.join(piece)} beside the others; "
+            f"jobs: found no memory left on the device for {' '.join(task)} beside the others; "
             "allowed: fewer jobs (repeat the command to continue)"
         ) from error
     return done, [*_said]
 
 
-def _done(pool: Workers | Executor, pieces: Mapping[Piece, Set[Piece]], say: Say) -> list[Done]:
+def _done(pool: Workers | Executor, tasks: Mapping[Task, Set[Task]], say: Say) -> list[TaskResult]:
     """Return results of tasks in order; each task starts when its dependencies are done."""
-    due, found = dict(pieces), dict[Piece, Done]()
-    running: dict[Future[tuple[Done, list[str]]], Piece] = {}
+    due, found = dict(tasks), dict[Task, TaskResult]()
+    running: dict[Future[tuple[TaskResult, list[str]]], Task] = {}
     while due or running:
-        for piece in [piece for piece, needed in due.items() if needed <= found.keys()]:
-            del due[piece]
-            running[pool.submit(_do, piece)] = piece
+        for task in [task for task, needed in due.items() if needed <= found.keys()]:
+            del due[task]
+            running[pool.submit(_do, task)] = task
         for future in wait(running, return_when=FIRST_COMPLETED).done:
-            done, said = future.result()
-            for line in said:
+            done, reported = future.result()
+            for line in reported:
                 say(line)
             found[running.pop(future)] = done
-    return [found[piece] for piece in pieces]
+    return [found[task] for task in tasks]

@@ -155,8 +155,8 @@ def _compensation(options: argparse.Namespace, sensors: list[str]) -> Compensati
         if options.pair is not None:
             raise LearningError("--pair: found without --compensation; allowed: both")
         return None
-    source, between, target = (options.pair or sensors[0]).partition("-to-")
-    if not between or (options.pair is None and len(sensors) > 1):
+    source, to, target = (options.pair or sensors[0]).partition("-to-")
+    if not to or (options.pair is None and len(sensors) > 1):
         raise LearningError(
             f"--pair: found {options.pair or options.sensor}; allowed: A-to-B, of one pair"
         )

@@ -54,8 +54,8 @@ class OneFrame(nn.Module):
         """
         kind = self.model.head.weight.dtype
         prepared = prepare(frame, reference, self.model.inputs)
-        shares, after = self.model.step(prepared.to(kind), state.to(kind))
-        return self.model.newtons(shares), after.float()
+        normalised, after = self.model.step(prepared.to(kind), state.to(kind))
+        return self.model.denormalise(normalised), after.float()
 
 
 def torch_stream(predictor: ForcePredictor) -> ForceStream:

@@ -345,8 +345,8 @@ _NEAREST = 1e-3
 class ForceModel(nn.Module):
     """Recurrent network from frames to three-axis force.
 
-    Outputs are forces normalised to the force range (a box), 0 to 1; `newtons` converts them to N.
-    The box is a buffer, so it is stored with the weights.
+    Outputs are forces normalised to the force range (a box), 0 to 1; `denormalise` converts them to
+    N. The box is a buffer, so it is stored with the weights.
     """
 
     low: Tensor
@@ -420,8 +420,8 @@ class ForceModel(nn.Module):
             hidden = torch.cat((now, hidden[running:])) if running < batch else now
             seen.append(now)
             begin += running
-        shares = torch.sigmoid(self.head(self.tail(torch.cat(seen))).float())
-        forces = shares.new_zeros(batch, steps, len(AXES)).index_put((rows, times), shares)
+        normalised = torch.sigmoid(self.head(self.tail(torch.cat(seen))).float())
+        forces = normalised.new_zeros(batch, steps, len(AXES)).index_put((rows, times), normalised)
         back = sorted(range(batch), key=order.__getitem__)
         return forces, hidden[back]
 
@@ -440,11 +440,11 @@ class ForceModel(nn.Module):
         self.low.copy_(self.low.new_tensor(box.low))
         self.high.copy_(self.high.new_tensor(box.high))
 
-    def newtons(self, shares: Tensor) -> Tensor:
+    def denormalise(self, normalised: Tensor) -> Tensor:
         """Convert forces normalised to the box to forces (..., 3) N."""
-        return self.low + shares * (self.high - self.low)
+        return self.low + normalised * (self.high - self.low)
 
-    def shares(self, forces: Tensor) -> Tensor:
+    def normalised(self, forces: Tensor) -> Tensor:
         """Normalise forces (..., 3) N to the box."""
         return (forces - self.low) / (self.high - self.low)
 

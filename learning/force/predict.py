@@ -51,13 +51,13 @@ class ForcePredictor:
         Raises:
             LearningError: The presses have another form than the model takes.
         """
-        shares = predicted_shares(self.model, presses, progress=progress)
-        forces: NDArray[np.float64] = self.model.newtons(shares).double().cpu().numpy()
+        normalised = predicted_normalised(self.model, presses, progress=progress)
+        forces: NDArray[np.float64] = self.model.denormalise(normalised).double().cpu().numpy()
         return forces
 
 
 @torch.no_grad()
-def predicted_shares(
+def predicted_normalised(
     model: ForceModel, presses: Presses, *, progress: Progress = lambda done, total: None
 ) -> Tensor:
     """Return a model's outputs (N, 3), 0 to 1, for all frames, on its device.
@@ -80,8 +80,8 @@ def predicted_shares(
             running = group[lengths[group] > time]
             rows = (starts[running] + time).to(presses.device)
             frames = prepared_rows(presses, rows, model.inputs).to(device)
-            shares, state = model.step(frames, state[: len(running)])
-            predicted[rows.to(device)] = shares
+            normalised, state = model.step(frames, state[: len(running)])
+            predicted[rows.to(device)] = normalised
             done += len(running)
             progress(done, presses.frames)
     model.train(training)

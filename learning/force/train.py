@@ -36,7 +36,7 @@ from learning.force.data import (
     signs,
 )
 from learning.force.model import AXES, ForceModel, ForceSettings, OptimiserSettings, StageSettings
-from learning.force.predict import ForcePredictor, predicted_shares
+from learning.force.predict import ForcePredictor, predicted_normalised
 from learning.training import run as launch
 from learning.training.checkpoint import load_weights, read_weights
 from learning.training.optim import Constant, Cosine, Ema, InversePower, Schedule, set_rate
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(slots=True)
-class Course:
+class TrainState:
     """Progress of a training."""
 
     stage: int = 0
@@ -119,31 +119,31 @@ def train_force(
     optimiser = accelerator.prepare(optimiser_of(model.parameters(), settings.optimiser))
 
     # Loop
-    course, best = Course(), None
+    state, best = TrainState(), None
     if run is not None and run.latest() is not None:
-        course, best = _resumed(run, model, optimiser, average)
+        state, best = _resumed(run, model, optimiser, average)
     total = sum(
         stage.epochs * epoch_of(groups, stage, settings, 0).steps(ranks)
         for stage in settings.stages
     )
-    while course.stage < len(settings.stages):
-        stage = settings.stages[course.stage]
-        passes = epoch_of(groups, stage, settings, course.epochs)
+    while state.stage < len(settings.stages):
+        stage = settings.stages[state.stage]
+        passes = epoch_of(groups, stage, settings, state.epochs)
         steps = passes.steps(ranks)
         schedule = schedule_of(stage, stage.epochs * steps)
-        summed = torch.tensor(course.summed, dtype=torch.float64, device=device)
+        summed = torch.tensor(state.summed, dtype=torch.float64, device=device)
         network.train()
-        while course.step < steps and not stopped():
-            seed_torch(settings.seed, "force", "step", course.steps, rank)
-            sequences = passes.sequences(course.step, rank, ranks)
+        while state.step < steps and not stopped():
+            seed_torch(settings.seed, "force", "step", state.steps, rank)
+            sequences = passes.sequences(state.step, rank, ranks)
             lengths = sequences.lengths if settings.sequences.padding == "masked" else None
             frames = frames_of(groups, sequences, settings.input, device)  # (b, s, planes, h, w)
-            targets = model.shares(forces_of(labels, sequences, device))  # (b, s, 3)
-            shares, _ = network(
+            targets = model.normalised(forces_of(labels, sequences, device))  # (b, s, 3)
+            normalised, _ = network(
                 frames, lengths=lengths, truncate=settings.sequences.truncate_frames
             )
-            loss = error(shares, targets, lengths)
-            set_rate(optimiser, schedule.at(course.epoch * steps + course.step))
+            loss = error(normalised, targets, lengths)
+            set_rate(optimiser, schedule.at(state.epoch * steps + state.step))
             optimiser.zero_grad()
             accelerator.backward(loss)
             if settings.optimiser.clip is not None:
@@ -152,52 +152,50 @@ def train_force(
             if average is not None:
                 average.update(model)
             summed += loss.detach()
-            course.step += 1
-            course.steps += 1
-            progress(course.steps, total)
-        course.summed = float(summed)
-        if not math.isfinite(course.summed):
+            state.step += 1
+            state.steps += 1
+            progress(state.steps, total)
+        state.summed = float(summed)
+        if not math.isfinite(state.summed):
             raise LearningError(
-                f"loss: found {course.summed} within {course.steps} steps; allowed: finite "
+                f"loss: found {state.summed} within {state.steps} steps; allowed: finite "
                 "(try a smaller learning_rate)"
             )
-        if course.step < steps:
+        if state.step < steps:
             if run is not None:
-                _save(run, course, model, best, optimiser, average)
+                _save(run, state, model, best, optimiser, average)
             return _finished(accelerator, model, settings)
 
         # Evaluation
-        line: dict[str, float] = {"stage": course.stage, "loss": course.summed / steps}
-        course = replace(
-            course, epoch=course.epoch + 1, step=0, summed=0.0, epochs=course.epochs + 1
-        )
+        line: dict[str, float] = {"stage": state.stage, "loss": state.summed / steps}
+        state = replace(state, epoch=state.epoch + 1, step=0, summed=0.0, epochs=state.epochs + 1)
         score = None
-        if held and course.epoch % settings.validate_every_epochs == 0:
+        if held and state.epoch % settings.validate_every_epochs == 0:
             with average.applied(model) if average is not None else nullcontext():
                 # Reduced over processes, so that all of them end a stage at the same time.
                 off = accelerator.reduce(_validated(model, held, wanted), "mean")
                 score = float(off.mean())
-                if score < course.best:
+                if score < state.best:
                     best = {name: value.clone() for name, value in model.state_dict().items()}
-            course.waited = 0 if score < course.best else course.waited + 1
-            course.best = min(score, course.best)
+            state.waited = 0 if score < state.best else state.waited + 1
+            state.best = min(score, state.best)
             newtons = (off * (model.high - model.low)).tolist()
             named = zip(AXES, newtons, strict=True)
             line |= {"validation": score, **{f"mae_{axis}_n": value for axis, value in named}}
         patience = settings.patience_epochs
-        if course.epoch == stage.epochs or (patience is not None and course.waited >= patience):
+        if state.epoch == stage.epochs or (patience is not None and state.waited >= patience):
             if best is not None:
                 model.load_state_dict(best)
             elif average is not None:
                 model.load_state_dict(dict(average.weights))
-            course = Course(stage=course.stage + 1, epochs=course.epochs, steps=course.steps)
+            state = TrainState(stage=state.stage + 1, epochs=state.epochs, steps=state.steps)
             best, average = None, _average(model, settings)
             optimiser = accelerator.prepare(optimiser_of(model.parameters(), settings.optimiser))
         if run is not None:
-            run.log(course.steps, line)
-            _save(run, course, model, best, optimiser, average, score)
+            run.log(state.steps, line)
+            _save(run, state, model, best, optimiser, average, score)
     if run is not None:
-        run.finish(course.steps, {"model": model})
+        run.finish(state.steps, {"model": model})
     return _finished(accelerator, model, settings)
 
 
@@ -222,7 +220,7 @@ def begun_model(
         load_weights(model, start_from.model.state_dict(), "start_from")
     model.set_range(force_range(labels, settings))
     if start_from is None and settings.start_at_mean:
-        means = [model.shares(each.to(device)).mean(dim=0) for each in labels]
+        means = [model.normalised(each.to(device)).mean(dim=0) for each in labels]
         model.start_at(torch.stack(means).mean(dim=0))
     return model
 
@@ -264,7 +262,7 @@ def _average(model: nn.Module, settings: ForceSettings) -> Ema | None:
 def _validated(model: ForceModel, held: Sequence[Presses], wanted: Sequence[Tensor]) -> Tensor:
     """Return the mean absolute error (3,) over all frames, normalised to the force range."""
     off = [
-        (predicted_shares(model, each) - model.shares(labels.to(model.low.device))).abs()
+        (predicted_normalised(model, each) - model.normalised(labels.to(model.low.device))).abs()
         for each, labels in zip(held, wanted, strict=True)
     ]
     return torch.cat(off).mean(dim=0)
@@ -272,7 +270,7 @@ def _validated(model: ForceModel, held: Sequence[Presses], wanted: Sequence[Tens
 
 def _save(
     run: RunFolder,
-    course: Course,
+    state: TrainState,
     model: nn.Module,
     best: State | None,
     optimiser: Any,
@@ -282,15 +280,15 @@ def _save(
     models: dict[str, nn.Module | State] = {"model": model}
     if best is not None:
         models["best"] = best
-    training: dict[str, Any] = {"optimiser": optimiser, "course": asdict(course)}
+    training: dict[str, Any] = {"optimiser": optimiser, "course": asdict(state)}
     if average is not None:
         training["average"] = average
-    run.save(course.steps, models, training, score=score)
+    run.save(state.steps, models, training, score=score)
 
 
 def _resumed(
     run: RunFolder, model: nn.Module, optimiser: Any, average: Ema | None
-) -> tuple[Course, State | None]:
+) -> tuple[TrainState, State | None]:
     """Restore a run's latest checkpoint; return its progress and the best weights of its stage."""
     training: dict[str, Any] = {"optimiser": optimiser}
     if average is not None:
@@ -298,11 +296,11 @@ def _resumed(
     run.restore({"model": model}, training)
     folder = run.latest()
     best = None if folder is None else folder / "best.safetensors"
-    course = Course(**run.training_values()["course"])
+    state = TrainState(**run.training_values()["course"])
     if best is None or not best.exists():
-        return course, None
+        return state, None
     device = next(model.parameters()).device
-    return course, {name: value.to(device) for name, value in read_weights(best).items()}
+    return state, {name: value.to(device) for name, value in read_weights(best).items()}
 
 
 def _finished(
@@ -384,9 +382,9 @@ def train_together(
             seen = mirrored(frames[:, rows], sequences.flips, settings.input)
             wanted = (forces[:, rows] * signs(sequences.flips, device) - low) / (high - low)
             with torch.autocast(device.type, torch.bfloat16, enabled=_in_bf16(settings)):
-                shares = _forward(models[0], weights, buffers, seen, lengths, settings)
+                normalised = _forward(models[0], weights, buffers, seen, lengths, settings)
             losses = torch.vmap(lambda one, other: error(one, other, lengths))(  # noqa: B023
-                shares, wanted
+                normalised, wanted
             )
             set_rate(optimiser, schedule.at(number))
             optimiser.zero_grad()
@@ -462,11 +460,11 @@ def _forward(
 
     def one(own: dict[str, Tensor], fixed: dict[str, Tensor], seen: Tensor) -> Tensor:
         how = {"lengths": lengths, "truncate": settings.sequences.truncate_frames}
-        shares: Tensor = functional_call(model, (own, fixed), (seen,), how)[0]
-        return shares
+        normalised: Tensor = functional_call(model, (own, fixed), (seen,), how)[0]
+        return normalised
 
-    shares: Tensor = torch.vmap(one, randomness="different")(weights, buffers, frames)
-    return shares
+    normalised: Tensor = torch.vmap(one, randomness="different")(weights, buffers, frames)
+    return normalised
 
 
 def _clip(weights: Any, most: float) -> None:

@@ -135,9 +135,9 @@ def told(path: Path) -> tuple[str, ...]:
     lines = []
     for name, sensor in MarkerArchive(path).items():
         of = sensor.table["source"]
-        said = [json.loads(line) for line in sensor.sources]
-        flagged = [row for row, one in enumerate(of) if FLAG in said[one]]
-        invalid = Counter(said[one][INVALID] for one in of if INVALID in said[one])
+        reported = [json.loads(line) for line in sensor.sources]
+        flagged = [row for row, one in enumerate(of) if FLAG in reported[one]]
+        invalid = Counter(reported[one][INVALID] for one in of if INVALID in reported[one])
         text = f"{name}: {len(sensor):,} frames, {len(sensor.references)} references"
         if sensor.attrs["marker_check"] is None:
             text += "; markers are not counted"
@@ -145,7 +145,7 @@ def told(path: Path) -> tuple[str, ...]:
             share = len(flagged) / max(len(sensor), 1)
             text += f"; marker count: {len(flagged)} flagged ({100 * share:.2f} %)"
         lines.append(text)
-        lines += [f"  row {row}: {said[of[row]][FLAG]}" for row in flagged[:NAMED]]
+        lines += [f"  row {row}: {reported[of[row]][FLAG]}" for row in flagged[:NAMED]]
         if len(flagged) > NAMED:
             lines.append(f"  and {len(flagged) - NAMED} more: {FLAG} in their sources")
         lines += [f"  {count} frames are not there: {why}" for why, count in _sorted(invalid)]
@@ -160,10 +160,12 @@ def _left_out(group: Group) -> tuple[str, ...]:
     lines = []
     for sensor in group.sensors:
         for placed in sensor.placed:
-            said = placed.recording.left_out
-            lines += [f"{placed.recording.name}: {text}" for text in said[:NAMED]]
-            if len(said) > NAMED:
-                lines.append(f"{placed.recording.name}: and {len(said) - NAMED} more of the kind")
+            reported = placed.recording.left_out
+            lines += [f"{placed.recording.name}: {text}" for text in reported[:NAMED]]
+            if len(reported) > NAMED:
+                lines.append(
+                    f"{placed.recording.name}: and {len(reported) - NAMED} more of the kind"
+                )
     return tuple(lines)
 
 
@@ -352,8 +354,8 @@ def _chosen(archived: ArchivedSensor, of: range, flagged: list[int]) -> list[int
 
 
 def _said(archived: ArchivedSensor, row: int) -> dict[str, object]:
-    said: dict[str, object] = json.loads(archived.sources[int(archived.table["source"][row])])
-    return said
+    reported: dict[str, object] = json.loads(archived.sources[int(archived.table["source"][row])])
+    return reported
 
 
 def _reference_image(placed: Placed) -> int:

@@ -180,10 +180,10 @@ class RecordedSensor:
         if there.any():
             chosen = np.flatnonzero(there) + rows.start
             masks[there] = self._masks(recording, chosen)
-        said = self._said(recording, rows, invalid)
+        reported = self._said(recording, rows, invalid)
         for row, flag in self._flagger.flags(masks, table["reference"], there).items():
-            said[row][FLAG] = flag
-        lines = [json.dumps(one, ensure_ascii=False) for one in said]
+            reported[row][FLAG] = flag
+        lines = [json.dumps(one, ensure_ascii=False) for one in reported]
         return Frames(pack(masks), table, lines)
 
     def _masks(self, recording: Recording, chosen: NDArray[np.int64]) -> Masks:
@@ -241,7 +241,7 @@ class RecordedSensor:
 
     def _said(self, recording: Recording, rows: slice, invalid: list[str]) -> list[dict[str, Any]]:
         """Return the provenance of each frame, and the reason if it is missing."""
-        said = []
+        reported = []
         run, target = recording.column("run")[rows], recording.column("target")[rows]
         for place, reason in enumerate(invalid):
             line: dict[str, Any] = {
@@ -251,8 +251,8 @@ class RecordedSensor:
             }
             if reason:
                 line[INVALID] = reason
-            said.append(line)
-        return said
+            reported.append(line)
+        return reported
 
 
 def one_thread() -> None:

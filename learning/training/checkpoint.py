@@ -254,7 +254,7 @@ def code_version() -> str:
     # A package installed inside another project's repository does not belong to it.
     if (root / ".git").exists():
         try:
-            said = subprocess.run(
+            message = subprocess.run(
                 ["git", "describe", "--always", "--dirty", "--tags"],
                 cwd=root,
                 capture_output=True,
@@ -262,7 +262,7 @@ def code_version() -> str:
                 timeout=10,
                 check=True,
             )
-            return said.stdout.strip()
+            return message.stdout.strip()
         except (OSError, subprocess.SubprocessError) as error:
             logger.warning("git cannot describe this code: %s", error)
     return _package_version()

@@ -11,7 +11,7 @@ from learning.translation.translator import (
     PairTranslator,
     SensorView,
     Translator,
-    aimed,
+    for_pair,
     require_masks,
 )
 
@@ -21,7 +21,7 @@ __all__ = [
     "PairTranslator",
     "SensorView",
     "Translator",
-    "aimed",
+    "for_pair",
     "load_translator",
     "require_masks",
 ]

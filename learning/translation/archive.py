@@ -21,7 +21,7 @@ from PIL import Image, ImageDraw
 from learning.archive_writer import CHUNK_ROWS, UNIT_ROWS, Frames, archive_fingerprint, fill_archive
 from learning.errors import LearningError
 from learning.training.checkpoint import read_model_folder
-from learning.translation.translator import FLOW, SensorView, Translator, aimed
+from learning.translation.translator import FLOW, SensorView, Translator, for_pair
 from recorder import MarkerArchive
 from recorder.archive import GIVEN, ArchivedSensor, MarkerCount, SensorPlan, location_pairs
 from recorder.markers import PACKED, pack, unpack
@@ -144,7 +144,7 @@ class TranslatedSensor:
         self._rows = _by_press(self._table, rows)
         self._reference = target_references(self._table["location"], self._target.table)
         source, target = SensorView.of(self._source), SensorView.of(self._target)
-        self._translator = aimed(model.translator, source, target)
+        self._translator = for_pair(model.translator, source, target)
         self._device = model.device
         self._made: tuple[tuple[int, ...], Rows, NDArray[np.uint8]] | None = None
         self.plan = SensorPlan(
@@ -384,8 +384,8 @@ def _draw(page: Image.Image, top: int, row: Shown) -> None:
     tiles = [(_plain(row.source), "source"), (_plain(row.made), "translated")]
     if row.true is not None:
         tiles.append((_plain(row.true), "target, pressed there"))
-        said = f"Dice {dice(row.made, row.true):.3f}: orange too much, blue missing"
-        tiles.append((_difference(row.made, row.true), said))
+        message = f"Dice {dice(row.made, row.true):.3f}: orange too much, blue missing"
+        tiles.append((_difference(row.made, row.true), message))
     for place, (pixels, caption) in enumerate(tiles):
         left = GAP + place * (TILE[0] + GAP)
         tile = Image.fromarray(pixels).resize(TILE, Image.Resampling.BOX)

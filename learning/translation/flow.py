@@ -58,7 +58,7 @@ class FlowTranslator:
         """Name in reports."""
         return FLOW
 
-    def between(self, source: SensorView, target: SensorView) -> FlowTranslator:
+    def between_sensors(self, source: SensorView, target: SensorView) -> FlowTranslator:
         """Return the translator for two sensors whose pixels differ in size."""
         return FlowTranslator(source, target, self.smoothing)
 

@@ -91,18 +91,18 @@ class Translator(Protocol):
 class PairTranslator(Protocol):
     """A translator that depends on its two sensors, for instance on their scales.
 
-    If `between` is not called, it assumes equal scales.
+    If `between_sensors` is not called, it assumes equal scales.
     """
 
-    def between(self, source: SensorView, target: SensorView) -> Translator:
+    def between_sensors(self, source: SensorView, target: SensorView) -> Translator:
         """Return the translator for this pair."""
         ...
 
 
-def aimed(translator: Translator, source: SensorView, target: SensorView) -> Translator:
+def for_pair(translator: Translator, source: SensorView, target: SensorView) -> Translator:
     """Return a translator for a pair of sensors; unchanged if it does not depend on them."""
     if isinstance(translator, PairTranslator):
-        return translator.between(source, target)
+        return translator.between_sensors(source, target)
     return translator
 
 

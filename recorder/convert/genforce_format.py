@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from recorder.convert.export import Options, Progress, file_name
-from recorder.convert.runs import Press, need_presses, utc_offset
+from recorder.convert.runs import RecordedPress, need_presses, utc_offset
 from recorder.errors import SessionError
 from recorder.session.reader import Session, Stream
 from recorder.spec import PHASES
@@ -54,7 +54,7 @@ def write(session: Session, path: Path, options: Options, progress: Progress) ->
             progress(done, total)
 
 
-def _whole(session: Session, found: list[Press]) -> list[Press]:
+def _whole(session: Session, found: list[RecordedPress]) -> list[RecordedPress]:
     """Return the presses with all four phases: the scripts read four folders per point."""
     phase = session.frames["phase"]
     whole = [press for press in found if len(np.unique(phase[press.rows])) == len(PHASES)]
@@ -63,7 +63,7 @@ def _whole(session: Session, found: list[Press]) -> list[Press]:
     return whole
 
 
-def _phases(session: Session, press: Press) -> Iterator[tuple[str, Array]]:
+def _phases(session: Session, press: RecordedPress) -> Iterator[tuple[str, Array]]:
     of_row = session.frames["phase"][press.rows]
     for code, phase in enumerate(PHASES):
         rows = press.rows[of_row == code]
@@ -128,7 +128,7 @@ def _resting(session: Session) -> Array:
     return np.asarray(np.rint(resting), np.int64)
 
 
-def _path(session: Session, folder: Path, found: list[Press]) -> None:
+def _path(session: Session, folder: Path, found: list[RecordedPress]) -> None:
     """Write the planned positions (n, 6), one row per point folder, without a header.
 
     The session plans positions but no rotations: those are taken from the first pose of the press.
@@ -153,7 +153,7 @@ def _write_csv(path: Path, names: Sequence[str], rows: Array) -> None:
         out.writerows([repr(float(value)) for value in row] for row in rows)
 
 
-def _stamp(session: Session, press: Press) -> str:
+def _stamp(session: Session, press: RecordedPress) -> str:
     """Return the start of the first press as YYYYmmdd_HHMMSS in UTC."""
     began = int(session.frames["t_ns"][press.rows[0]]) + utc_offset(session, press.run)
     return datetime.fromtimestamp(began // 10**9, UTC).strftime("%Y%m%d_%H%M%S")

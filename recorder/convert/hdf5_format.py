@@ -52,13 +52,13 @@ def _room_to_close(path: Path) -> Iterator[Callable[[], None]]:
 
     If a file cannot be flushed when it is closed, the HDF5 library crashes the interpreter.
     """
-    ballast = path.with_name(path.name + ".ballast")
+    reserved_space = path.with_name(path.name + ".ballast")
     try:
-        with ballast.open("wb") as file:
+        with reserved_space.open("wb") as file:
             os.posix_fallocate(file.fileno(), 0, _BALLAST)
-        yield lambda: ballast.unlink(missing_ok=True)
+        yield lambda: reserved_space.unlink(missing_ok=True)
     finally:
-        ballast.unlink(missing_ok=True)
+        reserved_space.unlink(missing_ok=True)
 
 
 def _fill(file: Any, session: Session, options: Options, progress: Progress) -> None:

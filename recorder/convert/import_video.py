@@ -209,11 +209,11 @@ def open_film(path: Path, fps: float | None) -> Film:
     motion = read_avi(path)
     if motion is None:
         return _decoded(path, fps)
-    return _jpegs(path.name, motion.frames, fps or motion.rate_hz, said=fps is not None)
+    return _jpegs(path.name, motion.frames, fps or motion.rate_hz, message=fps is not None)
 
 
-def _jpegs(name: str, frames: list[bytes], rate_hz: float, *, said: bool) -> Film:
-    assumed = [f"{name}: {rate_hz:g} images/s by {'--fps' if said else 'its header'}"]
+def _jpegs(name: str, frames: list[bytes], rate_hz: float, *, message: bool) -> Film:
+    assumed = [f"{name}: {rate_hz:g} images/s by {'--fps' if message else 'its header'}"]
     places = [place for place, frame in enumerate(frames) if frame]
     if not places:
         raise SessionError(f"{name}: no image in any of its {len(frames)} frames")
@@ -245,7 +245,7 @@ def _folder(path: Path, fps: float | None) -> Film:
     if fps is None:
         raise SessionError(f"{path}: a folder says no rate; say --fps")
     if all(file.suffix.lower() in _JPEG_SUFFIXES for file in files):
-        film = _jpegs(path.name, [file.read_bytes() for file in files], fps, said=True)
+        film = _jpegs(path.name, [file.read_bytes() for file in files], fps, message=True)
         film.assumed.append(f"{path.name}: in order of the names, {files[0].name} first")
         return film
     shape = _same_size([_size(file) for file in files], path.name)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from recorder.convert.export import Options, Progress
-from recorder.convert.runs import Press, need_presses, utc_offset
+from recorder.convert.runs import RecordedPress, need_presses, utc_offset
 from recorder.session.align import NS
 from recorder.session.reader import Session, Stream
 
@@ -388,7 +388,7 @@ _INDEXED = {
 }
 
 
-def _columns(session: Session, press: Press, out: _Dataset) -> dict[str, Any]:
+def _columns(session: Session, press: RecordedPress, out: _Dataset) -> dict[str, Any]:
     frames, rows = session.frames, press.rows
     ticks, age = frames["t_ns"][rows], frames["image_age"][rows]
     capture = ticks - np.round(np.where(np.isfinite(age), age, 0.0) / NS).astype(np.int64)

@@ -172,8 +172,8 @@ def write(session: Session, path: Path, options: Options, progress: Progress) ->
                 done += 1
                 if done % 64 == 0 or done == total:
                     progress(done, total)
-        said = {key: _text(value) for key, value in session.attrs.items()}
-        writer.add_metadata("session", said)
+        reported = {key: _text(value) for key, value in session.attrs.items()}
+        writer.add_metadata("session", reported)
         for name in known:
             attrs = session.streams[name].attrs
             writer.add_metadata(name, {key: _text(value) for key, value in attrs.items()})

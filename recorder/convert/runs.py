@@ -21,7 +21,7 @@ Rows = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
-class Press:
+class RecordedPress:
     """One press of a target."""
 
     target: int
@@ -32,7 +32,7 @@ class Press:
     """Rows of `frames` (n,), ascending in time."""
 
 
-def presses(session: Session, *, valid_only: bool = False) -> list[Press]:
+def presses(session: Session, *, valid_only: bool = False) -> list[RecordedPress]:
     """Return the presses in the order in which they were made; presses without rows are left out.
 
     If the session has a camera, rows without an image are left out.
@@ -53,16 +53,16 @@ def presses(session: Session, *, valid_only: bool = False) -> list[Press]:
     return list(_cut(frames, np.flatnonzero(keep).astype(np.int64)))
 
 
-def _cut(frames: Mapping[str, Any], rows: Rows) -> Iterator[Press]:
+def _cut(frames: Mapping[str, Any], rows: Rows) -> Iterator[RecordedPress]:
     if not len(rows):
         return
     target, run = frames["target"][rows], frames["run"][rows]
     change = np.flatnonzero((np.diff(target) != 0) | (np.diff(run) != 0)) + 1
     for part in np.split(rows, change):
-        yield Press(int(frames["target"][part[0]]), int(frames["run"][part[0]]), part)
+        yield RecordedPress(int(frames["target"][part[0]]), int(frames["run"][part[0]]), part)
 
 
-def need_presses(session: Session, *, valid_only: bool) -> list[Press]:
+def need_presses(session: Session, *, valid_only: bool) -> list[RecordedPress]:
     """Return `presses`, at least one.
 
     Raises:

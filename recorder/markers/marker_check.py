@@ -199,9 +199,9 @@ def _distances(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[
     return np.asarray(np.linalg.norm(one[:, None] - other[None], axis=-1), np.float64)
 
 
-def _places(said: str, blobs: Blobs) -> str:
+def _places(message: str, blobs: Blobs) -> str:
     if not len(blobs):
         return ""
     named = ", ".join(f"({column:.0f}, {row:.0f})" for column, row in blobs.centre[:_NAMED])
     more = len(blobs) - _NAMED
-    return f"{said} {named}" + (f" and {more} more" if more > 0 else "")
+    return f"{message} {named}" + (f" and {more} more" if more > 0 else "")

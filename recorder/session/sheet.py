@@ -121,15 +121,15 @@ def _fitted(pixels: NDArray[np.uint8]) -> Image.Image:
 def _head(draw: ImageDraw.ImageDraw, session: Session, width: int) -> None:
     draw.text((_SPACE, 18), session.path.name, fill=INK, font=font(26))
     attrs = session.attrs
-    said = [str(attrs[key]) for key in ("sensor", "indenter", "operator") if key in attrs]
+    reported = [str(attrs[key]) for key in ("sensor", "indenter", "operator") if key in attrs]
     if attrs.get("mock"):
-        said.append("mock")
+        reported.append("mock")
     frames = session.frames
-    said.append(f"{len(frames['t_ns'])} frames at {session.rate_hz:g} Hz")
+    reported.append(f"{len(frames['t_ns'])} frames at {session.rate_hz:g} Hz")
     targets = np.unique(frames["target"])
-    said.append(f"{int((targets >= 0).sum())} targets")
-    said.append(f"{100 * float(np.mean(frames['valid'])):.1f} % valid")
-    draw.text((_SPACE, 52), "   ·   ".join(said), fill=SOFT, font=font(15))
+    reported.append(f"{int((targets >= 0).sum())} targets")
+    reported.append(f"{100 * float(np.mean(frames['valid'])):.1f} % valid")
+    draw.text((_SPACE, 52), "   ·   ".join(reported), fill=SOFT, font=font(15))
     text = session.status
     color = {"complete": (72, 160, 110), "recording": (220, 92, 84)}.get(text, (214, 150, 60))
     left = width - _SPACE - draw.textlength(text, font(16)) - 28

@@ -309,8 +309,8 @@ class RemoteFiles:
             raise
         except Exception as error:
             # Each store has its own exceptions; this is the only place where they enter.
-            said = _HINTS.get(type(error).__name__, f"{type(error).__name__}: {error}")
-            raise SessionError(f"{self.name(path)}: {said}") from error
+            message = _HINTS.get(type(error).__name__, f"{type(error).__name__}: {error}")
+            raise SessionError(f"{self.name(path)}: {message}") from error
 
 
 _WEB = ("http", "https")

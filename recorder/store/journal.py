@@ -44,7 +44,7 @@ _JOIN_BELOW = 1 << 14  # bytes; below this size one copy is cheaper than a vecto
 
 
 @dataclass(frozen=True, slots=True)
-class Record:
+class JournalRecord:
     """Position of one complete record in a log."""
 
     index: int
@@ -76,7 +76,7 @@ def header(payload: bytes, t_ns: int, index: int) -> bytes:
     return _FRAME.pack(MAGIC, len(payload), crc) + stamp
 
 
-def scan(data: bytes, *, first_index: int, limit: int) -> Iterator[Record]:
+def scan(data: bytes, *, first_index: int, limit: int) -> Iterator[JournalRecord]:
     """Yield the complete records at the start of a log, at most `limit`, from `first_index` on.
 
     Stops at the first record that is torn, corrupt or out of order.
@@ -91,7 +91,7 @@ def scan(data: bytes, *, first_index: int, limit: int) -> Iterator[Record]:
             return
         if checksum(data[start : start + nbytes], t_ns, index) != crc:
             return
-        yield Record(found, t_ns, start, nbytes)
+        yield JournalRecord(found, t_ns, start, nbytes)
         position = start + nbytes
 
 

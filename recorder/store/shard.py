@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from recorder.errors import SessionError
 from recorder.store.durable import TEMPORARY, sync_directory
 from recorder.store.files import LOCAL, Files
-from recorder.store.journal import HEADER, Record, RecordLog, scan
+from recorder.store.journal import HEADER, JournalRecord, RecordLog, scan
 from recorder.store.layout import CHUNKS_PER_SHARD, Layout
 
 MISSING = 0xFFFF_FFFF_FFFF_FFFF
@@ -31,7 +31,7 @@ Index = NDArray[np.uint64]
 class OpenShard:
     """One growing shard of one column."""
 
-    def __init__(self, layout: Layout, number: int, records: list[Record]) -> None:
+    def __init__(self, layout: Layout, number: int, records: list[JournalRecord]) -> None:
         """Open `<key>.partial`, which contains `records`, and drop everything after them."""
         self.number = number
         self._sealed = False
@@ -122,7 +122,7 @@ def chunk_count(index: Index) -> int:
     return int(missing[0]) if missing.size else CHUNKS_PER_SHARD
 
 
-def scan_partial(layout: Layout, number: int) -> tuple[list[Record], int]:
+def scan_partial(layout: Layout, number: int) -> tuple[list[JournalRecord], int]:
     """Return the complete records of a growing shard and the number of torn bytes after them."""
     data = layout.partial(number).read_bytes()
     first = number * CHUNKS_PER_SHARD

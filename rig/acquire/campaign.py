@@ -18,7 +18,7 @@ from rig.bench.bench import Bench, find_bench, load_bench
 from rig.core.config import build, read_yaml
 from rig.core.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_WRONG_INPUT, ConfigError
 from rig.core.packaged import CAMPAIGNS, packaged
-from trajectories import Plan, plan_from_json, rehearse
+from trajectories import Plan, dry_run, plan_from_json
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 
@@ -119,7 +119,7 @@ def _item(entry: Entry, where: str, benches: Path) -> Item:
     total = len(plan) if entry.targets is None else entry.targets
     if total > len(plan):
         raise ConfigError(f"{where}.targets: found {total}; allowed: 1 to {len(plan)}")
-    walked = rehearse(
+    walked = dry_run(
         plan, bench.limits.plan, speed=bench.arm.speed, acceleration=bench.arm.acceleration
     )
     if walked.broken:
@@ -132,7 +132,7 @@ def _item(entry: Entry, where: str, benches: Path) -> Item:
 # Time for preflight, tare, sealing and a smooth swap of the indenter [s].
 _OVERHEAD = 20.0
 
-State = Literal["done", "to resume", "open", "unreadable"]
+ItemState = Literal["done", "to resume", "open", "unreadable"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +141,7 @@ class Progress:
 
     item: Item
     session: Path
-    state: State
+    state: ItemState
     done: int
     """Number of finished targets."""
     note: str = ""

@@ -19,11 +19,11 @@ from recorder import Session, SessionError, SessionWriter
 from recorder.session import clock_lines, contact_sheet, fit_clocks
 from rig.acquire import summary
 from rig.acquire.control import Control, Interrupted, InterruptFlag, Onlooker
-from rig.acquire.interlocks import Sentinels
-from rig.acquire.plan_runner import Walk, require_arrival
+from rig.acquire.interlocks import Interlocks
+from rig.acquire.plan_runner import PlanRunner, require_arrival
 from rig.acquire.preflight import Found, Tare, check_clear, check_devices, take_tare, tip_position
 from rig.acquire.progress_line import LiveLine
-from rig.acquire.request import Order, first_open_target
+from rig.acquire.request import CollectRequest, first_open_target
 from rig.acquire.streams import Streams
 from rig.bench.bench import Bench
 from rig.bench.stream_kinds import stream_names, stream_spec
@@ -82,11 +82,11 @@ class Collector:
         self._clock = SystemClock()
         self._bias = np.zeros(6)
 
-    def run(self, order: Order, plan: Plan, total: int) -> int:
+    def run(self, request: CollectRequest, plan: Plan, total: int) -> int:
         """Collect and return the exit code; recorded data is closed and readable however it ends.
 
         Args:
-            order: Request of the operator.
+            request: Request of the operator.
             plan: Targets to press.
             total: Number of the plan's targets to press.
 
@@ -99,20 +99,20 @@ class Collector:
                 Streams(self._bench, self._folder, self._clock, self._watch)
             )
             found = check_devices(self._bench, streams)
-            sentinels = stack.enter_context(Sentinels(self._bench, self._control, self._clock))
-            found.facts.update(sentinels.open())
+            interlocks = stack.enter_context(Interlocks(self._bench, self._control, self._clock))
+            found.description.update(interlocks.open())
             interrupt.check()
             check_clear(self._bench, streams)
             arm = self._start_arm()
             stack.callback(arm.close)
-            self._rise(arm, streams, sentinels)
+            self._rise(arm, streams, interlocks)
             tare = take_tare(self._bench, streams)
             interrupt.check()
-            writer, first, run = self._open_session(order, plan, total, found, tare)
+            writer, first, run = self._open_session(request, plan, total, found, tare)
             live = LiveLine(streams, total, self._clock)
             if self._page is not None:
-                self._page.begin(self._control, live.progress, order.path, first)
-            walk = Walk(
+                self._page.begin(self._control, live.progress, request.path, first)
+            runner = PlanRunner(
                 self._bench,
                 arm,
                 streams,
@@ -120,7 +120,7 @@ class Collector:
                 live,
                 interrupt,
                 self._control,
-                sentinels,
+                interlocks,
                 self._clock,
                 run=run,
                 zero=tare.mean - self._bias,
@@ -130,7 +130,7 @@ class Collector:
                 streams["force"].set_bias(self._bias)
                 for handle in streams:
                     handle.record(writer.stream_path(handle.name))
-                walk.press(plan, first, total)
+                runner.press(plan, first, total)
             except BaseException as error:
                 # On any error, the arm retracts and the session is closed before anything else.
                 stop = error
@@ -149,16 +149,16 @@ class Collector:
             if stop is not None and not isinstance(stop, tuple(_EXIT_CODES)):
                 raise stop
         seconds = (self._clock.now_ns() - started_ns) / 1e9
-        session = Session(order.path)
+        session = Session(request.path)
         print(summary.cadence(self._bench, session, summaries))
-        self._fit_clocks(order.path)
-        self._picture(order.path)
+        self._fit_clocks(request.path)
+        self._picture(request.path)
         last_line = summary.last_line(
             status,
             reason,
-            order.path,
-            done=first + walk.done,
-            limited=walk.limited,
+            request.path,
+            done=first + runner.done,
+            limited=runner.limited,
             total=total,
             seconds=seconds,
         )
@@ -178,11 +178,11 @@ class Collector:
         arm.start(self._bench.preflight.timeout)
         return arm
 
-    def _rise(self, arm: Arm, streams: Streams, sentinels: Sentinels) -> None:
+    def _rise(self, arm: Arm, streams: Streams, interlocks: Interlocks) -> None:
         """Move up to the safe height with the tool upright; tare and travel happen there."""
 
         def look() -> None:
-            sentinels.check()
+            interlocks.check()
             streams.check()
 
         x, y, z = tip_position(self._bench, streams)
@@ -194,13 +194,13 @@ class Collector:
             acceleration=self._bench.arm.travel_acceleration,
             mode="travel",
             on_wait=look,
-            wake=sentinels.wake,
+            wake=interlocks.wake,
         )
         require_arrival(result, pressing=False)
 
     def _open_session(
         self,
-        order: Order,
+        request: CollectRequest,
         plan: Plan,
         total: int,
         found: Found,
@@ -210,15 +210,15 @@ class Collector:
         anchor = asdict(ClockAnchor.take())
         entry = {
             **anchor,
-            "operator": order.operator or getpass.getuser(),
+            "operator": request.operator or getpass.getuser(),
             "tare": {"mean": tare.mean.tolist(), "std": tare.std.tolist()},
             "rates_hz": found.rates,
             "bench": self._content,
-            "devices": found.facts,
+            "devices": found.description,
         }
-        if order.resume:
-            writer = SessionWriter.resume(order.path)
-            previous = Session(order.path)
+        if request.resume:
+            writer = SessionWriter.resume(request.path)
+            previous = Session(request.path)
             first = first_open_target(plan, previous.segments, total)
             run = len(previous.runs)
             # The whole stream has one bias, so that raw = value + bias holds in every run. Drift of
@@ -227,15 +227,15 @@ class Collector:
         else:
             self._bias = tare.mean
             writer = SessionWriter.create(
-                order.path,
-                attrs=self._attrs(order, plan, total, anchor),
+                request.path,
+                attrs=self._attrs(request, plan, total, anchor),
                 streams=[
                     stream_spec(
                         self._bench,
                         name,
-                        found.facts[name],
+                        found.description[name],
                         found.rates[name],
-                        **_stream_attrs(name, order, tare),
+                        **_stream_attrs(name, request, tare),
                     )
                     for name in stream_names(self._bench)
                 ],
@@ -246,16 +246,16 @@ class Collector:
         return writer, first, run
 
     def _attrs(
-        self, order: Order, plan: Plan, total: int, anchor: dict[str, Any]
+        self, request: CollectRequest, plan: Plan, total: int, anchor: dict[str, Any]
     ) -> dict[str, Any]:
         bench = self._bench
         started = np.datetime64(anchor["utc_ns"], "ns")
         return {
             "mock": bench.mock,
-            "mock_sources": order.mock_facts or {},
+            "mock_sources": request.mock_sources or {},
             "sensor": bench.sensor,
             "indenter": bench.indenter,
-            "operator": order.operator or getpass.getuser(),
+            "operator": request.operator or getpass.getuser(),
             "plan": plan_to_json(plan),
             "targets_wanted": total,
             "bench": self._content,
@@ -265,7 +265,7 @@ class Collector:
             "clock": "CLOCK_MONOTONIC",
             "t0_ns": anchor["t0_ns"],
             "software": software(),
-            "calibration": order.calibration.facts(),
+            "calibration": request.calibration.attrs(),
         }
 
     def _retract(self, arm: Arm) -> bool:
@@ -323,13 +323,13 @@ class Collector:
         return next(code for kind, code in _EXIT_CODES.items() if isinstance(stop, kind))
 
 
-def _stream_attrs(name: str, order: Order, tare: Tare) -> dict[str, Any]:
+def _stream_attrs(name: str, request: CollectRequest, tare: Tare) -> dict[str, Any]:
     """Return a stream's attributes other than the facts of its device."""
     if name == "force":
         return {"bias": tare.mean.tolist()}
-    attrs = order.calibration.stream_attrs(name)
-    if name == "camera" and order.mock_facts and "camera" in order.mock_facts:
-        attrs["source_motion"] = order.mock_facts["camera"]["motion"]
+    attrs = request.calibration.stream_attrs(name)
+    if name == "camera" and request.mock_sources and "camera" in request.mock_sources:
+        attrs["source_motion"] = request.mock_sources["camera"]["motion"]
     return attrs
 
 

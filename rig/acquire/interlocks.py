@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 PEDAL = "foot pedal"
 
 
-class Released(Exception):
+class DeadManReleased(Exception):
     """The dead-man pedal is not held: the arm must not press."""
 
 
-class Sentinels:
+class Interlocks:
     """Interlocks of a bench, its gripper and its pedal, if any; a context manager.
 
     Args:
@@ -62,7 +62,7 @@ class Sentinels:
 
                 self._dead_man = DeadMan()
 
-    def __enter__(self) -> Sentinels:
+    def __enter__(self) -> Interlocks:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -74,12 +74,12 @@ class Sentinels:
         Raises:
             DeviceLost: A device is missing, or the gripper holds nothing.
         """
-        facts = {}
+        description = {}
         if self._grip is not None:
-            facts["gripper"] = self._grip.open(self._timeout)
+            description["gripper"] = self._grip.open(self._timeout)
         if self._pedal is not None:
-            facts["pedal"] = self._pedal.open()
-        return facts
+            description["pedal"] = self._pedal.open()
+        return description
 
     def check(self, *, pressing: bool = False) -> None:
         """Raise if an interlock forbids continuing.
@@ -90,7 +90,7 @@ class Sentinels:
         Raises:
             SafetyStop: The grip is lost.
             DeviceLost: The pedal was unplugged for too long.
-            Released: The dead-man pedal is not held, or was released since `armed` was True.
+            DeadManReleased: The dead-man pedal is not held, or was released since `armed` was True.
         """
         with contextlib.suppress(BlockingIOError):
             while self.wake.recv(64):
@@ -102,7 +102,7 @@ class Sentinels:
             state = self._pedal.state
             if not self._dead_man.held(state):
                 done = "released" if state.out_since_ns is None else "unplugged"
-                raise Released(f"the foot pedal was {done}")
+                raise DeadManReleased(f"the foot pedal was {done}")
 
     def armed(self) -> bool:
         """Return True if the arm may press: no dead-man pedal, or a pedal that is pressed.

@@ -10,7 +10,7 @@ import numpy as np
 
 from recorder import OUTCOMES, SessionError, SessionWriter
 from rig.acquire.control import Control, InterruptFlag
-from rig.acquire.interlocks import Released, Sentinels
+from rig.acquire.interlocks import DeadManReleased, Interlocks
 from rig.acquire.preflight import check_untouched, tip_position
 from rig.acquire.progress_line import LiveLine
 from rig.acquire.streams import Streams
@@ -41,7 +41,7 @@ def require_arrival(result: MoveResult, *, pressing: bool) -> None:
         raise SafetyStop(f"contact where none was expected: {result.reason}")
 
 
-class Walk:
+class PlanRunner:
     """Presses the targets of a plan, starting at a given one.
 
     Args:
@@ -52,7 +52,7 @@ class Walk:
         live: The progress line.
         interrupt: Checked after every row.
         control: Likewise, and for pauses before every target.
-        sentinels: Interlocks, checked while the arm moves.
+        interlocks: Interlocks, checked while the arm moves.
         clock: Clock.
         run: Number of this run.
         zero: Reading of the untouched F/T sensor after the tare (6,) [N, N m].
@@ -67,7 +67,7 @@ class Walk:
         live: LiveLine,
         interrupt: InterruptFlag,
         control: Control,
-        sentinels: Sentinels,
+        interlocks: Interlocks,
         clock: Clock,
         *,
         run: int,
@@ -80,7 +80,7 @@ class Walk:
         self._live = live
         self._interrupt = interrupt
         self._control = control
-        self._sentinels = sentinels
+        self._interlocks = interlocks
         self._clock = clock
         self._run = run
         self._zero = zero
@@ -116,13 +116,13 @@ class Walk:
                 self._go_to_point(target)
                 self._point = target.point
             self._press_target(plan, target)
-        except Released as released:
+        except DeadManReleased as released:
             self._live.end()
             logger.warning("target %d: halted: %s", target.index + 1, released)
             self._point = None
             self._live.at(target, None)
             self._rise(target)
-            self._sentinels.disarm()
+            self._interlocks.disarm()
             return False
         return True
 
@@ -146,7 +146,7 @@ class Walk:
         paused_by = self._control.paused_by
         if paused_by:
             return f"paused by the {' and the '.join(paused_by)}"
-        return None if self._sentinels.armed() else f"waiting: {self._sentinels.wish}"
+        return None if self._interlocks.armed() else f"waiting: {self._interlocks.wish}"
 
     def _asked(self) -> None:
         """Raise Interrupted if the operator requested the end, by signal or abort."""
@@ -223,7 +223,7 @@ class Walk:
     def _move(self, place: Point, *, mode: Mode, record: Move | None = None) -> MoveResult:
         bench, arm = self._bench, self._bench.arm
         travelling, pressing = mode == "travel", mode == "guarded"
-        self._sentinels.check(pressing=pressing)
+        self._interlocks.check(pressing=pressing)
         asked_ns = self._clock.now_ns()
         pose = compose(bench.contact_frame, (*place, *bench.tool_rotation))
         try:
@@ -233,11 +233,11 @@ class Walk:
                 acceleration=arm.travel_acceleration if travelling else arm.acceleration,
                 mode=mode,
                 on_wait=partial(self._wait, pressing=pressing),
-                wake=self._sentinels.wake,
+                wake=self._interlocks.wake,
             )
-        except (SafetyStop, DeviceLost, SessionError, KeyboardInterrupt, Released) as error:
+        except (SafetyStop, DeviceLost, SessionError, KeyboardInterrupt, DeadManReleased) as error:
             ended_ns = self._clock.now_ns()
-            released = isinstance(error, Released)
+            released = isinstance(error, DeadManReleased)
             # A failed halt outweighs a released pedal; any other error came first.
             with contextlib.suppress(*(() if released else (SafetyStop, DeviceLost))):
                 self._arm.halt()
@@ -252,7 +252,7 @@ class Walk:
 
     def _wait(self, *, pressing: bool = False) -> None:
         # The interlocks first: they have to stop the arm soonest.
-        self._sentinels.check(pressing=pressing)
+        self._interlocks.check(pressing=pressing)
         self._streams.check()
         self._live.tick()
 

@@ -24,7 +24,7 @@ _AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 class Found:
     """Facts and rates of the devices, found by the preflight."""
 
-    facts: dict[str, dict[str, Any]]
+    description: dict[str, dict[str, Any]]
     """`Driver.describe()` by stream."""
     rates: dict[str, float]
     """Measured rate by stream [Hz]."""
@@ -46,7 +46,7 @@ def check_devices(bench: Bench, streams: Streams) -> Found:
     Raises:
         ConfigError, DeviceLost: A device rejects its settings, is silent or far too slow.
     """
-    facts = streams.wait_opened()
+    description = streams.wait_opened()
     rates: dict[str, float] = {}
     for name, found in streams.measure(bench.preflight.rate_window).items():
         rate, expected = found["rate_hz"], expected_rate(bench, name)
@@ -65,7 +65,7 @@ def check_devices(bench: Bench, streams: Streams) -> Found:
             )
         if abs(deviation) > bench.preflight.rate_tolerance:
             logger.warning("preflight  %s is %+.0f %% off its expected rate", name, 100 * deviation)
-    return Found(facts, rates)
+    return Found(description, rates)
 
 
 def tip_position(bench: Bench, streams: Streams) -> Point:

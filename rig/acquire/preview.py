@@ -11,7 +11,7 @@ from PIL import Image, ImageDraw, ImageFont
 from rig.acquire.progress_line import minutes
 from rig.bench.bench import Bench
 from rig.core.errors import EXIT_DONE, EXIT_WRONG_INPUT
-from trajectories import Rehearsal, Target, rehearse
+from trajectories import DryRun, Target, dry_run
 
 _SIZE = (1180, 620)
 _PAPER, _INK, _GRID, _WARN = (252, 251, 248), (40, 44, 52), (214, 214, 208), (190, 40, 30)
@@ -31,7 +31,7 @@ def preview(bench: Bench, picture: Path) -> int:
         Exit code of wrong input if the plan breaks a limit, else 0.
     """
     plan, arm = bench.trajectory, bench.arm
-    walked = rehearse(plan, bench.limits.plan, speed=arm.speed, acceleration=arm.acceleration)
+    walked = dry_run(plan, bench.limits.plan, speed=arm.speed, acceleration=arm.acceleration)
     lines = summary(bench, walked)
     draw(bench, list(plan.targets()), lines, bool(walked.broken)).save(picture)
     print("\n".join(lines))
@@ -39,7 +39,7 @@ def preview(bench: Bench, picture: Path) -> int:
     return EXIT_WRONG_INPUT if walked.broken else EXIT_DONE
 
 
-def summary(bench: Bench, walked: Rehearsal) -> list[str]:
+def summary(bench: Bench, walked: DryRun) -> list[str]:
     """Return counts, duration and limits as lines."""
     limits = bench.limits
     settling = walked.moves * bench.arm.settle

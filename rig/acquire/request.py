@@ -13,11 +13,11 @@ from recorder import OUTCOMES, Session
 from rig.acquire.calibration.calibration import Calibration
 from rig.bench.bench import Bench
 from rig.core.errors import ConfigError
-from trajectories import Plan, plan_from_json, rehearse
+from trajectories import Plan, dry_run, plan_from_json
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
+class CollectRequest:
     """Request of the operator."""
 
     path: Path
@@ -28,17 +28,17 @@ class Order:
     """Press only this many targets of the plan; None for all."""
     operator: str = ""
     """Name of the operator; empty: the login name."""
-    mock_facts: dict[str, Any] | None = None
+    mock_sources: dict[str, Any] | None = None
     """Recordings that a mock bench's emulators play, for the session's attributes."""
     calibration: Calibration = field(default_factory=Calibration)
     """Earlier calibration that applies to this session."""
 
 
-def plan_of(order: Order, bench: Bench, plan: Plan | None = None) -> tuple[Plan, int]:
+def plan_of(request: CollectRequest, bench: Bench, plan: Plan | None = None) -> tuple[Plan, int]:
     """Return the plan and its number of targets: the bench's, or the resumed session's.
 
     Args:
-        order: Request of the operator.
+        request: Request of the operator.
         bench: Bench with its limits.
         plan: Replaces the bench's trajectory.
 
@@ -47,19 +47,19 @@ def plan_of(order: Order, bench: Bench, plan: Plan | None = None) -> tuple[Plan,
         SessionError: The session to resume cannot be read.
     """
     plan = bench.trajectory if plan is None else plan
-    total = len(plan) if order.targets is None else order.targets
-    if order.resume:
-        attrs = Session(order.path).attrs
+    total = len(plan) if request.targets is None else request.targets
+    if request.resume:
+        attrs = Session(request.path).attrs
         if attrs["sensor"] != bench.sensor:
             raise ConfigError(
-                f"SENSOR: found {bench.sensor!r}; {order.path} was recorded with "
+                f"SENSOR: found {bench.sensor!r}; {request.path} was recorded with "
                 f"{attrs['sensor']!r}"
             )
         plan = plan_from_json(attrs["plan"])
         total = int(attrs["targets_wanted"])
     if not 1 <= total <= len(plan):
         raise ConfigError(f"TARGETS: found {total}; allowed: 1 to {len(plan)}")
-    walked = rehearse(
+    walked = dry_run(
         plan, bench.limits.plan, speed=bench.arm.speed, acceleration=bench.arm.acceleration
     )
     if walked.broken:

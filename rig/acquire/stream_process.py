@@ -21,10 +21,10 @@ from recorder import SessionError, StreamWriter
 from rig.bench.bench import Bench
 from rig.bench.stream_kinds import KINDS, StreamKind, make_driver
 from rig.core.clock import SECOND_NS, Clock, SystemClock
-from rig.core.driver import Driver, refused
+from rig.core.driver import Driver, rejected
 from rig.core.errors import ConfigError, DeviceLost
-from rig.core.realtime import Sweeper, be_punctual
-from rig.core.shared_memory import LatestRecord
+from rig.core.realtime import Sweeper, enable_realtime
+from rig.core.shared_memory import SharedLatest
 
 logger = logging.getLogger(__name__)
 
@@ -99,10 +99,10 @@ class _StreamLoop:
         self._pipe = pipe
         self._driver = driver
         self._clock = clock
-        self._latest = LatestRecord.attach(
+        self._latest = SharedLatest.attach(
             job.folder / f"{job.name}.latest", self._kind.latest, writable=True
         )
-        self._counters = LatestRecord.attach(
+        self._counters = SharedLatest.attach(
             job.folder / f"{job.name}.counters", COUNTERS, writable=True
         )
         self._sweeper = Sweeper()
@@ -112,7 +112,7 @@ class _StreamLoop:
         self._recent: deque[int] = deque()
         self._samples = self._rows = 0
         self._dropped_before = 0
-        self._refused_before: dict[str, int] = {}
+        self._rejected_before: dict[str, int] = {}
         self._last_ns = self._shown_ns = 0
         self._longest_gap = 0.0
 
@@ -145,7 +145,7 @@ class _StreamLoop:
         self._writer = StreamWriter.open(path)
         self._rows, self._longest_gap, self._last_ns = 0, 0.0, 0
         self._dropped_before = self._driver.dropped
-        self._refused_before = refused(self._driver)
+        self._rejected_before = rejected(self._driver)
         self._pipe.send(("recording", self._writer.rows))
 
     def _take(self, sample: dict[str, Any]) -> None:
@@ -183,8 +183,8 @@ class _StreamLoop:
             "rows": self._rows,
             "dropped": self._driver.dropped - self._dropped_before,
             "refused": {
-                reason: count - self._refused_before.get(reason, 0)
-                for reason, count in refused(self._driver).items()
+                reason: count - self._rejected_before.get(reason, 0)
+                for reason, count in rejected(self._driver).items()
             },
             "longest_gap": self._longest_gap,
         }
@@ -199,7 +199,7 @@ def run_stream(job: StreamJob, pipe: Connection) -> None:
     # Ctrl-C and a closed terminal are handled by the parent, which closes all streams in order.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    granted = be_punctual()
+    granted = enable_realtime()
     clock = SystemClock()
     loop: _StreamLoop | None = None
     driver: Driver | None = None

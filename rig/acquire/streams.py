@@ -15,7 +15,7 @@ from rig.bench.bench import Bench
 from rig.bench.stream_kinds import KINDS, expected_rate, stream_names
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import ConfigError, DeviceLost
-from rig.core.shared_memory import LatestRecord
+from rig.core.shared_memory import SharedLatest
 
 # Side of the collecting process.
 
@@ -38,8 +38,8 @@ class StreamHandle:
     def __init__(self, name: str, bench: Bench, folder: Path) -> None:
         self.name = name
         self._bench = bench
-        self._latest = LatestRecord.create(folder / f"{name}.latest", KINDS[name].latest)
-        self._counters = LatestRecord.create(folder / f"{name}.counters", COUNTERS)
+        self._latest = SharedLatest.create(folder / f"{name}.latest", KINDS[name].latest)
+        self._counters = SharedLatest.create(folder / f"{name}.counters", COUNTERS)
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         job = StreamJob(name, bench, folder)
@@ -62,8 +62,8 @@ class StreamHandle:
         Raises:
             ConfigError, DeviceLost: The driver failed.
         """
-        facts: dict[str, Any] = self._answer("opened", self._bench.preflight.timeout)
-        return facts
+        description: dict[str, Any] = self._answer("opened", self._bench.preflight.timeout)
+        return description
 
     def start_measuring(self, seconds: float) -> None:
         """Begin a time window for measuring rate, mean and spread."""

@@ -42,9 +42,9 @@ def cadence(bench: Bench, session: Session, summaries: Mapping[str, Any]) -> str
     return "\n".join(lines)
 
 
-def left_out(refused: Mapping[str, int]) -> str:
+def left_out(rejected: Mapping[str, int]) -> str:
     """Return the counts of samples that were received but not stored, as text; empty if none."""
-    found = [f"{count} {reason}" for reason, count in refused.items() if count]
+    found = [f"{count} {reason}" for reason, count in rejected.items() if count]
     return f"  left out: {', '.join(found)}" if found else ""
 
 

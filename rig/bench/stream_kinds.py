@@ -136,30 +136,30 @@ def _force_driver(config: ForceConfig, clock: Clock) -> Driver:
 
 
 def stream_spec(
-    bench: Bench, name: str, facts: dict[str, Any], rate_hz: float, **attrs: Any
+    bench: Bench, name: str, description: dict[str, Any], rate_hz: float, **attrs: Any
 ) -> StreamSpec:
     """Return the storage spec of a stream, given the facts of its opened driver.
 
     Args:
         bench: The bench.
         name: Name of the stream.
-        facts: `Driver.describe()`.
+        description: `Driver.describe()`.
         rate_hz: Measured rate.
         **attrs: Further attributes.
     """
     if name == "force":
-        return force_spec(rate_hz, device=facts, **attrs)
+        return force_spec(rate_hz, device=description, **attrs)
     if name == "pose":
-        return pose_spec(rate_hz, device=facts, **attrs)
+        return pose_spec(rate_hz, device=description, **attrs)
     if name == "taxels":
-        return taxels_spec(rate_hz, device=facts, **attrs)
-    codec = "jpeg" if facts["jpeg_bytes_kept"] else "zstd"
+        return taxels_spec(rate_hz, device=description, **attrs)
+    codec = "jpeg" if description["jpeg_bytes_kept"] else "zstd"
     return camera_spec(
         rate_hz,
-        height=facts["height"],
-        width=facts["width"],
+        height=description["height"],
+        width=description["width"],
         codec=codec,
-        device=facts,
-        device_clock=facts.get("device_clock", "none"),
+        device=description,
+        device_clock=description.get("device_clock", "none"),
         **attrs,
     )

@@ -50,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
         ConfigError, DeviceLost, SafetyStop, SessionError: Nothing was stored.
     """
     from rig.acquire.calibration import latency
-    from rig.acquire.request import Order, plan_of
+    from rig.acquire.request import CollectRequest, plan_of
     from rig.cli.recording import record
 
     path, bench, content = chosen_bench(options)
@@ -63,11 +63,11 @@ def run(options: argparse.Namespace) -> int:
     plan = latency.plan_for(bench, depth=depth, count=options.taps)
     stamp = file_stamp()
     session_path = options.out or Path("sessions") / f"{bench.sensor}-latency-{stamp}.zarr"
-    order = Order(path=session_path, operator=options.operator, calibration=home)
-    plan_of(order, home.applied(bench), plan)
+    request = CollectRequest(path=session_path, operator=options.operator, calibration=home)
+    plan_of(request, home.applied(bench), plan)
     session_path.parent.mkdir(parents=True, exist_ok=True)
     log_to(session_path.with_suffix(".log"))
-    code = record(path, content, order, plan, prepared=home.applied)
+    code = record(path, content, request, plan, prepared=home.applied)
     if code != EXIT_DONE:
         print("calibrate-latency: not finished, nothing is stored")
         return code
@@ -79,9 +79,9 @@ def run(options: argparse.Namespace) -> int:
         print(f"{error}; nothing is stored; the taps are in {session_path}")
         return EXIT_SAFETY_STOP
     print("\n".join(latency.lines_of(found, session)))
-    refused = latency.refusal(found)
-    if refused is not None:
-        print(f"calibrate-latency: refused, nothing is stored: {refused}")
+    rejected = latency.refusal(found)
+    if rejected is not None:
+        print(f"calibrate-latency: refused, nothing is stored: {rejected}")
         return EXIT_SAFETY_STOP
     measured = LatencyCalibration(
         date_utc=store.now_utc(),

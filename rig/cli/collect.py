@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         ConfigError, DeviceLost, SafetyStop, SessionError: Before anything was recorded.
     """
-    from rig.acquire.request import Order, plan_of
+    from rig.acquire.request import CollectRequest, plan_of
     from rig.cli.recording import record
 
     path, bench, content = chosen_bench(options)
@@ -59,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
     if options.indenter:
         content = {**content, "indenter": options.indenter}
     sources = sources_of(options)
-    if not bench.mock and (sources.facts() or options.truth):
+    if not bench.mock and (sources.description() or options.truth):
         raise ConfigError(f"{path}: CAMERA, TAXELS and truth need a mock bench; mock: false")
     if options.resume and (options.out or options.targets):
         raise ConfigError("--resume: neither --out nor --targets go with it: the session has both")
@@ -68,25 +68,25 @@ def run(options: argparse.Namespace) -> int:
         indenter = content.get("indenter", bench.indenter)
         session = Path("sessions") / f"{bench.sensor}-{indenter}-{file_stamp()}.zarr"
     calibration = calibration_of(options, bench, content.get("indenter", bench.indenter))
-    order = Order(
+    request = CollectRequest(
         path=session,
         resume=options.resume is not None,
         targets=options.targets,
         operator=options.operator,
-        mock_facts=sources.facts() if bench.mock else None,
+        mock_sources=sources.description() if bench.mock else None,
         calibration=calibration,
     )
-    plan, total = plan_of(order, calibration.applied(bench))
+    plan, total = plan_of(request, calibration.applied(bench))
     session.parent.mkdir(parents=True, exist_ok=True)
     log_to(session.with_suffix(".log"))
     return record(
         path,
         content,
-        order,
+        request,
         plan,
         total=total,
         prepared=calibration.applied,
         sources=sources,
         truth=options.truth,
-        page=lambda ready, folder: opened_page(options, ready, folder, order, plan, total),
+        page=lambda ready, folder: opened_page(options, ready, folder, request, plan, total),
     )

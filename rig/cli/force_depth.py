@@ -43,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         ConfigError, DeviceLost, SafetyStop, SessionError: Before anything was recorded.
     """
-    from rig.acquire.request import Order, plan_of
+    from rig.acquire.request import CollectRequest, plan_of
     from rig.acquire.summary import show_curve
     from rig.cli.recording import record
 
@@ -58,10 +58,10 @@ def run(options: argparse.Namespace) -> int:
     calibration = calibration_of(options, bench, options.indenter)
     name = f"{bench.sensor}-{options.indenter}-force-depth-{file_stamp()}.zarr"
     session = options.out or Path("sessions") / name
-    order = Order(path=session, operator=options.operator, calibration=calibration)
-    plan_of(order, calibration.applied(bench), plan)
+    request = CollectRequest(path=session, operator=options.operator, calibration=calibration)
+    plan_of(request, calibration.applied(bench), plan)
     session.parent.mkdir(parents=True, exist_ok=True)
     log_to(session.with_suffix(".log"))
-    code = record(path, content, order, plan, prepared=calibration.applied)
+    code = record(path, content, request, plan, prepared=calibration.applied)
     show_curve(session)
     return code

@@ -54,7 +54,7 @@ def run(options: argparse.Namespace) -> int:
         ConfigError, DeviceLost, SafetyStop, SessionError: Nothing was stored.
     """
     from rig.acquire.calibration import home
-    from rig.acquire.request import Order, plan_of
+    from rig.acquire.request import CollectRequest, plan_of
     from rig.cli.recording import record
 
     path, bench, content = chosen_bench(options)
@@ -66,15 +66,15 @@ def run(options: argparse.Namespace) -> int:
     plan = home.plan_for(bench, travel=travel, repeats=options.repeats, points=points)
     touching = home.touching_bench(bench, options.force_n)
     session = options.out or home.default_path(bench.sensor, file_stamp())
-    order = Order(path=session, operator=options.operator)
+    request = CollectRequest(path=session, operator=options.operator)
     # Checked against the bench's own limits, since each approach is ended by the lower soft limit.
-    plan_of(order, bench, plan)
+    plan_of(request, bench, plan)
     session.parent.mkdir(parents=True, exist_ok=True)
     log_to(session.with_suffix(".log"))
     code = record(
         path,
         content,
-        order,
+        request,
         plan,
         prepared=lambda ready: home.touching_bench(ready, options.force_n),
     )

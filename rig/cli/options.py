@@ -16,11 +16,11 @@ from rig.bench.bench import Bench, bench_from, find_bench, load_bench, with_simu
 from rig.bench.worlds import SimulatedSpec
 from rig.core.errors import ConfigError
 from rig.core.sources import Sources
-from rig.monitor.page.access import DEFAULT_PORT, LOOPBACK_HOST, Gate, is_loopback
+from rig.monitor.page.access import DEFAULT_PORT, LOOPBACK_HOST, AccessPolicy, is_loopback
 
 if TYPE_CHECKING:
     Verbs = argparse._SubParsersAction[argparse.ArgumentParser]
-    from rig.acquire.request import Order
+    from rig.acquire.request import CollectRequest
     from rig.monitor.page.page import Page
     from trajectories import Plan
 
@@ -157,8 +157,8 @@ def calibration_of(options: argparse.Namespace, bench: Bench, indenter: str) -> 
     resumed: Path | None = getattr(options, "resume", None)
     warnings: list[str] = []
     if resumed is not None:
-        facts = Session(resumed).attrs.get("calibration") or {}
-        calibration = Calibration.from_facts(facts)
+        description = Session(resumed).attrs.get("calibration") or {}
+        calibration = Calibration.from_attrs(description)
     else:
         calibration, warnings = store.load(options.calibrations, bench, indenter)
     for line in (*calibration.lines(), *(f"warning: {warning}" for warning in warnings)):
@@ -190,7 +190,12 @@ def watch_options(parser: argparse.ArgumentParser) -> None:
 
 @contextlib.contextmanager
 def opened_page(
-    options: argparse.Namespace, bench: Bench, folder: Path, order: Order, plan: Plan, total: int
+    options: argparse.Namespace,
+    bench: Bench,
+    folder: Path,
+    request: CollectRequest,
+    plan: Plan,
+    total: int,
 ) -> Iterator[Page | None]:
     """Run the monitoring page during the context; yield None without --watch.
 
@@ -207,10 +212,10 @@ def opened_page(
     from rig.monitor.page.messages import page_job
     from rig.monitor.page.page import Page
 
-    gate = Gate(options.watch_host, options.watch)
-    with Page(page_job(gate, bench, folder, order, plan, total)) as page:
+    access = AccessPolicy(options.watch_host, options.watch)
+    with Page(page_job(access, bench, folder, request, plan, total)) as page:
         print(f"watch it at {page.url}", flush=True)
-        if not is_loopback(gate.host):
+        if not is_loopback(access.host):
             print(
                 "whoever has this address can see, pause and abort: the connection is not encrypted"
             )

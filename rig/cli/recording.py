@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.acquire.collector import Collector
-from rig.acquire.request import Order
+from rig.acquire.request import CollectRequest
 from rig.bench.bench import Bench, bench_from
 from rig.core.sources import Sources
 from trajectories import Plan
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def record(
     path: Path,
     content: dict[str, Any],
-    order: Order,
+    request: CollectRequest,
     plan: Plan,
     *,
     total: int | None = None,
@@ -36,7 +36,7 @@ def record(
     Args:
         path: The bench file.
         content: Content of the bench file.
-        order: Where to record, and with which settings.
+        request: Where to record, and with which settings.
         plan: Targets to press.
         prepared: Returns the final bench: speeds, limits, calibrated frame. The mock's World
             does not see these changes.
@@ -62,4 +62,4 @@ def record(
         bench = prepared(bench_from(content, str(path)))
         shown = None if page is None else stack.enter_context(page(bench, folder))
         collector = Collector(bench, content, folder, watch, shown)
-        return collector.run(order, plan, len(plan) if total is None else total)
+        return collector.run(request, plan, len(plan) if total is None else total)

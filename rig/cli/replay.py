@@ -46,17 +46,19 @@ def run(options: argparse.Namespace) -> int:
         ConfigError, DeviceLost: Before anything was recorded.
     """
     from rig.cli.options import log_to
-    from rig.replay.replay import Replay, ReplayOrder
+    from rig.replay.replay import Replay, ReplayRequest
 
     source: Path = options.session
     out: Path | None = options.out
     if out is None:
         out = Path("sessions") / f"{source.stem}-replay-{file_stamp()}.zarr"
-    order = ReplayOrder(source, out, options.speed, tuple(options.without))
-    replay = Replay(order)
+    request = ReplayRequest(source, out, options.speed, tuple(options.without))
+    replay = Replay(request)
     out.parent.mkdir(parents=True, exist_ok=True)
     log_to(out.with_suffix(".log"))
-    name = order.speed_name if order.speed == 0 else f"{order.speed:g} times the recorded speed"
+    name = (
+        request.speed_name if request.speed == 0 else f"{request.speed:g} times the recorded speed"
+    )
     print(f"REPLAY of {source} ({name}): every device is an emulator, nothing moves", flush=True)
     return replay.run()
 

@@ -14,7 +14,7 @@ import typing
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 
-from recorder.strict_yaml import YamlError, read_mapping, said
+from recorder.strict_yaml import YamlError, describe, read_mapping
 from rig.core.errors import ConfigError
 
 # Unit conversion happens only in this module.
@@ -97,7 +97,7 @@ def build(spec: type[Spec], content: Any, where: str) -> Spec:
         ConfigError: A value is unknown, missing, invalid or of the wrong type.
     """
     if not isinstance(content, dict):
-        raise ConfigError(f"{where}: found {said(content)}; allowed: a mapping")
+        raise ConfigError(f"{where}: found {describe(content)}; allowed: a mapping")
     expected = getattr(spec, "KIND", None)
     if expected is not None and (kind := content.get("kind", expected)) != expected:
         raise ConfigError(f"{where}.kind: found {kind!r}; allowed: [{expected!r}]")
@@ -150,13 +150,13 @@ def _value(hint: Any, value: Any, where: str, unit: str | None) -> Any:
         return build(hint, value, where)  # type: ignore[arg-type]
     if hint is float:
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise ConfigError(f"{where}: found {said(value)}; allowed: a number{_in(unit)}")
+            raise ConfigError(f"{where}: found {describe(value)}; allowed: a number{_in(unit)}")
         if not math.isfinite(value):
             raise ConfigError(f"{where}: found {value!r}; allowed: a finite number{_in(unit)}")
         return to_si(float(value), unit) if unit else float(value)
     if hint in (int, bool, str):
         if type(value) is not hint:
-            raise ConfigError(f"{where}: found {said(value)}; allowed: {hint.__name__}")
+            raise ConfigError(f"{where}: found {describe(value)}; allowed: {hint.__name__}")
         return value
     raise TypeError(f"{where}: the loader does not support {hint!r}")
 
@@ -168,7 +168,7 @@ def _in(unit: str | None) -> str:
 def _tuple(hint: Any, value: Any, where: str, unit: str | None) -> tuple[Any, ...]:
     inner = get_args(hint)
     if not isinstance(value, list):
-        raise ConfigError(f"{where}: found {said(value)}; allowed: a list")
+        raise ConfigError(f"{where}: found {describe(value)}; allowed: a list")
     if inner[-1] is Ellipsis:
         inner = (inner[0],) * len(value)
     if len(inner) != len(value):
@@ -190,7 +190,7 @@ def _union(hint: Any, value: Any, where: str, unit: str | None) -> Any:
         return _value(options[0], value, where, unit)
     kinds = {option.KIND: option for option in options}
     if not isinstance(value, dict):
-        raise ConfigError(f"{where}: found {said(value)}; allowed: a mapping with 'kind'")
+        raise ConfigError(f"{where}: found {describe(value)}; allowed: a mapping with 'kind'")
     kind = value.get("kind")
     if kind not in kinds:
         raise ConfigError(f"{where}.kind: found {kind!r}; allowed: {sorted(kinds)}")

@@ -55,13 +55,13 @@ class Sorting(Protocol):
     """Driver that leaves out samples that are repeated, out of order or corrupt."""
 
     @property
-    def refused(self) -> dict[str, int]:
+    def rejected(self) -> dict[str, int]:
         """Number of samples left out since `open`, by reason: repeated, late, spoilt."""
 
 
-def refused(driver: Driver) -> dict[str, int]:
+def rejected(driver: Driver) -> dict[str, int]:
     """Return the counts of samples `driver` left out, by reason; empty if it keeps none."""
-    return driver.refused if isinstance(driver, Sorting) else {}
+    return driver.rejected if isinstance(driver, Sorting) else {}
 
 
 class Inbox:

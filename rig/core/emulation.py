@@ -25,7 +25,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from rig.core.errors import ConfigError
-from rig.core.realtime import DEVICE_PRIORITY, be_punctual
+from rig.core.realtime import DEVICE_PRIORITY, enable_realtime
 from rig.core.samples import WORLD_STATE
 from rig.core.shared_memory import AwaitedRecord
 
@@ -153,7 +153,7 @@ class _Handler(socketserver.StreamRequestHandler):
 UNTOUCHED_DEPTH = -0.01
 
 
-class World(Protocol):
+class WorldReader(Protocol):
     """Source of the quantities that an emulated device measures."""
 
     def state(self) -> tuple[int, np.void]:
@@ -161,7 +161,7 @@ class World(Protocol):
 
 
 class SharedWorld:
-    """World published by another process in a `LatestRecord` file.
+    """World published by another process in a `SharedLatest` file.
 
     Args:
         path: The file, which may be created later. None: nothing ever touches the sensor.
@@ -326,7 +326,7 @@ def serve(
     Returns:
         Exit code: 0, or 2 if the address cannot be listened on.
     """
-    be_punctual(priority)
+    enable_realtime(priority)
     logging.basicConfig(stream=sys.stderr, format=f"{name}: %(message)s")
     ending = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):

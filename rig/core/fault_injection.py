@@ -53,7 +53,7 @@ class _Active:
     """Messages that arrived while it was active."""
 
 
-def spoilt_bytes(message: bytes, rng: random.Random) -> bytes:
+def corrupted_bytes(message: bytes, rng: random.Random) -> bytes:
     """Return random bytes of the same length."""
     return rng.randbytes(len(message))
 
@@ -63,7 +63,7 @@ def spoilt_text(message: str, rng: random.Random) -> str:
     return "".join(rng.sample(message, len(message)))
 
 
-class Disturbance(Generic[M]):
+class FaultInjector(Generic[M]):
     """Fault injector for one device's connection.
 
     Args:

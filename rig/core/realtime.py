@@ -20,7 +20,7 @@ _PR_SET_TIMERSLACK = 29
 _TIMER_SLACK_NS = 1
 
 
-def be_punctual(priority: int = RIG_PRIORITY) -> dict[str, bool]:
+def enable_realtime(priority: int = RIG_PRIORITY) -> dict[str, bool]:
     """Enable real-time scheduling and disable timer slack and garbage collection in this process.
 
     The default timer slack alone delays every wake-up by 50 us. Garbage collection is disabled
@@ -56,8 +56,8 @@ def _timer_slack() -> bool:
 class Sweeper:
     """Explicit garbage collection, for the cycles left by HTTP requests and chunk encoding.
 
-    Objects from before `be_punctual` are frozen and survivors of earlier sweeps are skipped, so a
-    sweep takes a fraction of a millisecond.
+    Objects from before `enable_realtime` are frozen and survivors of earlier sweeps are skipped, so
+    a sweep takes a fraction of a millisecond.
 
     Args:
         every: Interval between sweeps [s].

@@ -28,7 +28,7 @@ def _layout(dtype: np.dtype[Any]) -> tuple[int, int]:
     return stride, 64 + _SLOTS * stride
 
 
-class LatestRecord:
+class SharedLatest:
     """Structured record with one writer.
 
     Layout: u64 count of records written, then `_SLOTS` times (u64 record number, record).
@@ -62,7 +62,7 @@ class LatestRecord:
         ]
 
     @classmethod
-    def create(cls, path: Path, dtype: np.dtype[Any]) -> LatestRecord:
+    def create(cls, path: Path, dtype: np.dtype[Any]) -> SharedLatest:
         """Create the empty file (count 0) atomically and open it for writing.
 
         Raises:
@@ -80,14 +80,14 @@ class LatestRecord:
         return cls(path, dtype, writable=True)
 
     @classmethod
-    def publish(cls, path: Path, dtype: np.dtype[Any]) -> LatestRecord:
+    def publish(cls, path: Path, dtype: np.dtype[Any]) -> SharedLatest:
         """Open or create the file for writing, for a writer that may start after its readers."""
         if path.exists():
             return cls.attach(path, dtype, writable=True)
         return cls.create(path, dtype)
 
     @classmethod
-    def attach(cls, path: Path, dtype: np.dtype[Any], *, writable: bool = False) -> LatestRecord:
+    def attach(cls, path: Path, dtype: np.dtype[Any], *, writable: bool = False) -> SharedLatest:
         """Open an existing file, read-only unless `writable`."""
         return cls(path, dtype, writable=writable)
 
@@ -130,7 +130,7 @@ class LatestRecord:
 
 
 class AwaitedRecord:
-    """Reads a `LatestRecord` that another process creates, possibly later.
+    """Reads a `SharedLatest` that another process creates, possibly later.
 
     Args:
         path: The file; None: it never exists.
@@ -140,12 +140,12 @@ class AwaitedRecord:
     def __init__(self, path: Path | None, dtype: np.dtype[Any]) -> None:
         self._path = path
         self._dtype = dtype
-        self._record: LatestRecord | None = None
+        self._record: SharedLatest | None = None
 
-    def _attached(self) -> LatestRecord | None:
+    def _attached(self) -> SharedLatest | None:
         if self._record is None and self._path is not None:
             with contextlib.suppress(FileNotFoundError):
-                self._record = LatestRecord.attach(self._path, self._dtype)
+                self._record = SharedLatest.attach(self._path, self._dtype)
         return self._record
 
     @property

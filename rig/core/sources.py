@@ -26,11 +26,11 @@ class Sources:
             if path is not None and not path.exists():
                 raise ConfigError(f"{name}: {path}: no such file or folder")
 
-    def facts(self) -> dict[str, Any]:
+    def description(self) -> dict[str, Any]:
         """Return the entries for the session's metadata: file names without local paths."""
-        facts: dict[str, Any] = {}
+        description: dict[str, Any] = {}
         if self.camera is not None:
-            facts["camera"] = {"name": self.camera.name, "motion": self.camera_motion}
+            description["camera"] = {"name": self.camera.name, "motion": self.camera_motion}
         if self.taxels is not None:
-            facts["taxels"] = {"name": self.taxels.name}
-        return facts
+            description["taxels"] = {"name": self.taxels.name}
+        return description

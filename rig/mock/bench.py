@@ -23,10 +23,10 @@ from rig.bench.worlds import SimulatedSpec
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.samples import ARM_TRUTH, PRESS_STATE, WORLD_STATE
-from rig.core.shared_memory import LatestRecord
+from rig.core.shared_memory import SharedLatest
 from rig.core.sources import Sources
-from rig.mock.emulators import Stage, emulator_commands, world_commands
-from rig.mock.processes import Launched, StartedOrClosed
+from rig.mock.emulators import MockBenchSpec, emulator_commands, world_commands
+from rig.mock.processes import ProcessGroup, StartedOrClosed
 from rig.mock.world.simulated import PRESS_FILE
 
 logger = logging.getLogger(__name__)
@@ -62,7 +62,7 @@ class MockBench(StartedOrClosed):
         self._folder = folder
         self._sources = sources or Sources()
         self._truth = truth
-        self._launched = Launched(folder, SystemClock())
+        self._launched = ProcessGroup(folder, SystemClock())
         self._closed = False
 
     def _start(self) -> None:
@@ -79,11 +79,11 @@ class MockBench(StartedOrClosed):
         )
         self.arm_path = self._folder / "arm.state"
         self.world_path = self._folder / "world.state"
-        LatestRecord.create(self.arm_path, ARM_TRUTH).close()
-        LatestRecord.create(self.world_path, WORLD_STATE).close()
+        SharedLatest.create(self.arm_path, ARM_TRUTH).close()
+        SharedLatest.create(self.world_path, WORLD_STATE).close()
         if isinstance(self.bench.world, SimulatedSpec):
-            LatestRecord.create(self._folder / PRESS_FILE, PRESS_STATE).close()
-        stage = Stage(
+            SharedLatest.create(self._folder / PRESS_FILE, PRESS_STATE).close()
+        bench_spec = MockBenchSpec(
             self.bench,
             self.host,
             self._folder,
@@ -93,7 +93,7 @@ class MockBench(StartedOrClosed):
             sources=self._sources,
             truth=self._truth,
         )
-        commands = {**emulator_commands(stage), **world_commands(stage)}
+        commands = {**emulator_commands(bench_spec), **world_commands(bench_spec)}
         for name, arguments in commands.items():
             self._launched.start(name, arguments)
         self._launched.wait_ready()

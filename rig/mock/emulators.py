@@ -27,7 +27,7 @@ _START_HEIGHT = 0.03
 
 
 @dataclass(frozen=True, slots=True)
-class Stage:
+class MockBenchSpec:
     """Common settings of the emulators of one mock bench."""
 
     bench: Bench
@@ -62,95 +62,95 @@ class Stage:
         return None if self.bench.world is None else self.bench.world.noise
 
 
-def _arm(config: ArmConfig, stage: Stage) -> list[str]:
-    bench = stage.bench
+def _arm(config: ArmConfig, bench_spec: MockBenchSpec) -> list[str]:
+    bench = bench_spec.bench
     start = compose(bench.contact_frame, (0.0, 0.0, _START_HEIGHT, *bench.tool_rotation))
     return [
         "rig.devices.arm.emulator",
-        *stage.common,
-        *("--state", str(stage.arm)),
+        *bench_spec.common,
+        *("--state", str(bench_spec.arm)),
         *("--pose", *(repr(float(value)) for value in start)),
         *("--tcp", *(repr(float(value)) for value in config.tcp)),
     ]
 
 
-def _netft(config: NetFtConfig, stage: Stage) -> list[str]:
+def _netft(config: NetFtConfig, bench_spec: MockBenchSpec) -> list[str]:
     return [
         "rig.devices.force.netft_emulator",
-        *stage.common,
-        *stage.faults("force"),
+        *bench_spec.common,
+        *bench_spec.faults("force"),
         *("--http-port", str(config.http_port)),
         *("--udp-port", str(config.udp_port)),
-        *(("--noise", str(stage.noise.force)) if stage.noise else ()),
+        *(("--noise", str(bench_spec.noise.force)) if bench_spec.noise else ()),
     ]
 
 
-def _nidaq(config: NidaqConfig, stage: Stage) -> list[str]:
+def _nidaq(config: NidaqConfig, bench_spec: MockBenchSpec) -> list[str]:
     if config.grpc is None:
         raise ConfigError(
             "force.grpc: missing; allowed: loopback:31763, the address of a mock bench's NI card"
         )
     return [
         "rig.devices.force.nidaq_emulator",
-        *stage.common,
-        *stage.faults("force"),
+        *bench_spec.common,
+        *bench_spec.faults("force"),
         *("--port", config.grpc.rpartition(":")[2]),
         *("--device", config.device),
         *("--calibration", config.calibration),
-        *(("--noise", str(stage.noise.force)) if stage.noise else ()),
+        *(("--noise", str(bench_spec.noise.force)) if bench_spec.noise else ()),
     ]
 
 
-def _ati_serial(config: AtiSerialConfig, stage: Stage) -> list[str]:
+def _ati_serial(config: AtiSerialConfig, bench_spec: MockBenchSpec) -> list[str]:
     return [
         "rig.devices.force.ati_serial_emulator",
-        *stage.common,
-        *stage.faults("force"),
+        *bench_spec.common,
+        *bench_spec.faults("force"),
         *("--link", config.address),
         *("--counts-per-n", str(config.counts_per_n)),
         *("--counts-per-n-mm", str(config.counts_per_n_mm)),
         *("--baud", str(config.baud)),
         *("--rate-hz", str(config.rate_hz)),
-        *(("--noise", str(stage.noise.force)) if stage.noise else ()),
+        *(("--noise", str(bench_spec.noise.force)) if bench_spec.noise else ()),
     ]
 
 
-def _mjpeg(config: CameraConfig, stage: Stage) -> list[str]:
-    shown = ["--view", str(stage.spec)]
-    if stage.bench.world is not None and (delay := stage.bench.world.camera_delay):
+def _mjpeg(config: CameraConfig, bench_spec: MockBenchSpec) -> list[str]:
+    shown = ["--view", str(bench_spec.spec)]
+    if bench_spec.bench.world is not None and (delay := bench_spec.bench.world.camera_delay):
         shown += ["--delay-ms", repr(from_si(delay, "ms"))]
-    if stage.sources.camera is not None:
-        motion = stage.sources.camera_motion
-        shown = ["--source", str(stage.sources.camera), "--motion", motion]
+    if bench_spec.sources.camera is not None:
+        motion = bench_spec.sources.camera_motion
+        shown = ["--source", str(bench_spec.sources.camera), "--motion", motion]
     return [
         "rig.devices.camera.mjpeg_emulator",
-        *stage.common,
-        *stage.faults("camera"),
+        *bench_spec.common,
+        *bench_spec.faults("camera"),
         *("--port", str(urlsplit(config.address).port)),
         *("--fps", str(config.rate_hz)),
         *shown,
     ]
 
 
-def _xela(config: XelaConfig, stage: Stage) -> list[str]:
-    felt = ["--noise", str(stage.noise.counts)] if stage.noise else []
-    if stage.sources.taxels is not None:
-        felt = ["--source", str(stage.sources.taxels)]
+def _xela(config: XelaConfig, bench_spec: MockBenchSpec) -> list[str]:
+    felt = ["--noise", str(bench_spec.noise.counts)] if bench_spec.noise else []
+    if bench_spec.sources.taxels is not None:
+        felt = ["--source", str(bench_spec.sources.taxels)]
     return [
         "rig.devices.taxels.xela_emulator",
-        *stage.common,
-        *stage.faults("taxels"),
+        *bench_spec.common,
+        *bench_spec.faults("taxels"),
         *("--port", str(urlsplit(config.address).port)),
         *("--rate-hz", str(config.rate_hz)),
         *felt,
     ]
 
 
-def _robotiq(config: RobotiqConfig, stage: Stage) -> list[str]:
+def _robotiq(config: RobotiqConfig, bench_spec: MockBenchSpec) -> list[str]:
     return [
         "rig.devices.gripper.robotiq_emulator",
-        *stage.common,
-        *stage.faults("gripper"),
+        *bench_spec.common,
+        *bench_spec.faults("gripper"),
         *("--link", config.port),
         *("--slave", str(config.slave)),
         *("--object", str(config.object_mock)),
@@ -158,29 +158,29 @@ def _robotiq(config: RobotiqConfig, stage: Stage) -> list[str]:
     ]
 
 
-def _hid(kind: str, device: str, stage: Stage) -> list[str]:
+def _hid(kind: str, device: str, bench_spec: MockBenchSpec) -> list[str]:
     if not device.endswith(".hidraw"):
         raise ConfigError(
             f"{kind}.device: found {device!r}; allowed on a mock bench: runfolder/{kind}.hidraw"
         )
     return [
         "rig.devices.hid.emulator",
-        *stage.common,
-        *stage.faults(kind),
+        *bench_spec.common,
+        *bench_spec.faults(kind),
         *("--kind", kind),
         *("--socket", device),
     ]
 
 
-def _pedal(config: PedalConfig, stage: Stage) -> list[str]:
-    return _hid("pedal", config.device, stage)
+def _pedal(config: PedalConfig, bench_spec: MockBenchSpec) -> list[str]:
+    return _hid("pedal", config.device, bench_spec)
 
 
-def _spacemouse(config: SpaceMouseConfig, stage: Stage) -> list[str]:
-    return _hid("spacemouse", config.device, stage)
+def _spacemouse(config: SpaceMouseConfig, bench_spec: MockBenchSpec) -> list[str]:
+    return _hid("spacemouse", config.device, bench_spec)
 
 
-_EMULATORS: dict[type, Callable[[Any, Stage], list[str]]] = {
+_EMULATORS: dict[type, Callable[[Any, MockBenchSpec], list[str]]] = {
     ArmConfig: _arm,
     NetFtConfig: _netft,
     NidaqConfig: _nidaq,
@@ -193,19 +193,19 @@ _EMULATORS: dict[type, Callable[[Any, Stage], list[str]]] = {
 }
 
 
-def world_commands(stage: Stage) -> dict[str, list[str]]:
+def world_commands(bench_spec: MockBenchSpec) -> dict[str, list[str]]:
     """Return module and arguments of the World's process, and of its solver if it has one."""
-    motion = ["--spec", str(stage.spec), "--arm", str(stage.arm)]
-    truth = ["--truth", str(stage.truth)] if stage.truth else []
-    commands = {"world": ["rig.mock.world.host", *motion, "--world", str(stage.world), *truth]}
-    if isinstance(stage.bench.world, SimulatedSpec):
+    motion = ["--spec", str(bench_spec.spec), "--arm", str(bench_spec.arm)]
+    truth = ["--truth", str(bench_spec.truth)] if bench_spec.truth else []
+    commands = {"world": ["rig.mock.world.host", *motion, "--world", str(bench_spec.world), *truth]}
+    if isinstance(bench_spec.bench.world, SimulatedSpec):
         commands["solver"] = ["rig.mock.world.solver", *motion]
     return commands
 
 
-def emulator_commands(stage: Stage) -> dict[str, list[str]]:
+def emulator_commands(bench_spec: MockBenchSpec) -> dict[str, list[str]]:
     """Return module and arguments of the emulator of every device, by the device's key."""
-    bench = stage.bench
+    bench = bench_spec.bench
     devices = {
         "arm": bench.arm,
         "force": bench.force,
@@ -216,7 +216,7 @@ def emulator_commands(stage: Stage) -> dict[str, list[str]]:
         "spacemouse": bench.jog,
     }
     return {
-        name: _EMULATORS[type(config)](config, stage)
+        name: _EMULATORS[type(config)](config, bench_spec)
         for name, config in devices.items()
         if config is not None
     }

@@ -2,10 +2,10 @@
 
     python -m rig.mock.player --session x.zarr --stream force --folder RUN --host 127.0.0.5
 
-At any speed, a row is sent only while fewer than `Outlet.window` rows are in flight; the reader's
-count of samples is read from shared memory, so no socket or inbox overflows. At maximum speed the
-emulators are also synchronised: none is more than `STEP_NS` of recorded time ahead of the slowest
-reader.
+At any speed, a row is sent only while fewer than `PlaybackDevice.window` rows are in flight; the
+reader's count of samples is read from shared memory, so no socket or inbox overflows. At maximum
+speed the emulators are also synchronised: none is more than `STEP_NS` of recorded time ahead of the
+slowest reader.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ from rig.core.clock import SECOND_NS, Clock, SystemClock
 from rig.core.emulation import loopback, serve
 from rig.core.realtime import CAMERA_PRIORITY, DEVICE_PRIORITY
 from rig.core.samples import CAMERA_LATEST, FORCE_LATEST, POSE_LATEST, TAXELS_LATEST
-from rig.core.shared_memory import LatestRecord
-from rig.devices.playback.wire import Tape, load_tape
-from rig.mock.cue import (
-    CUE,
+from rig.core.shared_memory import SharedLatest
+from rig.devices.playback.wire import RecordedStream, load_recorded_stream
+from rig.mock.playback_sync import (
     ENDED,
     FAILED,
     FAR_NS,
     PLAYING,
     POSITION,
+    SYNC,
     WAITING,
-    cue_path,
     position_path,
+    sync_path,
 )
 
 # Emulated devices, as used for playback: they put rows on the wire.
 
 
-class Outlet(Protocol):
+class PlaybackDevice(Protocol):
     """Plays one stream.
 
     A connecting driver gets everything that it needs to open, but no row.
@@ -71,23 +71,23 @@ class Outlet(Protocol):
         """Stop; may be called twice."""
 
 
-def make_outlet(name: str, tape: Tape, host: str) -> Outlet:
+def make_playback_device(name: str, recorded: RecordedStream, host: str) -> PlaybackDevice:
     """Create the emulated device of one stream; its vendor library is imported only here."""
     if name == "force":
-        from rig.devices.playback.netft_player import NetFtOutlet
+        from rig.devices.playback.netft_player import NetFtPlayback
 
-        return NetFtOutlet(tape, host)
+        return NetFtPlayback(recorded, host)
     if name == "pose":
-        from rig.devices.playback.rtde_player import RtdeOutlet
+        from rig.devices.playback.rtde_player import RtdePlayback
 
-        return RtdeOutlet(tape, host)
+        return RtdePlayback(recorded, host)
     if name == "taxels":
-        from rig.devices.playback.xela_player import XelaOutlet
+        from rig.devices.playback.xela_player import XelaPlayback
 
-        return XelaOutlet(tape, host)
-    from rig.devices.playback.mjpeg_player import MjpegOutlet
+        return XelaPlayback(recorded, host)
+    from rig.devices.playback.mjpeg_player import MjpegPlayback
 
-    return MjpegOutlet(tape, host)
+    return MjpegPlayback(recorded, host)
 
 
 logger = logging.getLogger(__name__)
@@ -110,8 +110,8 @@ class Player:
 
     Args:
         name: Name of the stream.
-        tape: Recorded stream to play.
-        outlet: Emulated device that sends it.
+        recorded: Recorded stream to play.
+        device: Emulated device that sends it.
         folder: Run folder with the shared records.
         clock: Paces the rows.
         speed: Multiple of the recorded speed; 0: as fast as it is read.
@@ -124,8 +124,8 @@ class Player:
     def __init__(
         self,
         name: str,
-        tape: Tape,
-        outlet: Outlet,
+        recorded: RecordedStream,
+        device: PlaybackDevice,
         folder: Path,
         clock: Clock,
         *,
@@ -133,23 +133,23 @@ class Player:
         others: Sequence[str] = (),
     ) -> None:
         self._name = name
-        self._tape = tape
-        self._outlet = outlet
+        self._recorded = recorded
+        self._device = device
         self._folder = folder
         self._clock = clock
         self._speed = speed
         self._others = tuple(others)
         self._ending = threading.Event()
         self._thread: threading.Thread | None = None
-        self._cue = LatestRecord.attach(cue_path(folder), CUE)
+        self._sync = SharedLatest.attach(sync_path(folder), SYNC)
         path = position_path(folder, name)
-        self._position = LatestRecord.attach(path, POSITION, writable=True)
+        self._position = SharedLatest.attach(path, POSITION, writable=True)
         self._sent = 0
 
     @property
     def address(self) -> str:
         """Address for drivers to connect to."""
-        return self._outlet.address
+        return self._device.address
 
     def start(self) -> None:
         """Listen and wait for the cue.
@@ -157,14 +157,14 @@ class Player:
         Raises:
             OSError: The address cannot be bound.
         """
-        self._outlet.start()
+        self._device.start()
         self._thread = threading.Thread(target=self._run, name=f"player-{self._name}")
         self._thread.start()
 
     def close(self) -> None:
         """Stop; may be called twice."""
         self._ending.set()
-        self._outlet.close()
+        self._device.close()
         if self._thread is not None:
             self._thread.join()
             self._thread = None
@@ -188,29 +188,29 @@ class Player:
     @property
     def _over(self) -> bool:
         """True if the replay has ended, as signalled by the second cue."""
-        return self._cue.count > 1 or self._ending.is_set()
+        return self._sync.count > 1 or self._ending.is_set()
 
     def _cued(self) -> int | None:
         while not self._ending.wait(_SLICE_NS / SECOND_NS / 10):
-            cue = self._cue.read()
-            if cue is not None:
-                return None if self._over else int(cue["start_ns"])
-            self._outlet.idle()
+            sync = self._sync.read()
+            if sync is not None:
+                return None if self._over else int(sync["start_ns"])
+            self._device.idle()
         return None
 
     def _stay(self) -> None:
         """Serve the client until the replay has ended, then help it to close."""
         while not self._over:
-            self._outlet.idle()
+            self._device.idle()
             self._ending.wait(_SLICE_NS / SECOND_NS)
         for pause in _WAKE_PAUSES:
             if self._ending.wait(pause):
                 return
-            self._outlet.wake()
+            self._device.wake()
 
     def _play(self, start_ns: int) -> None:
-        times = self._tape.t_ns
-        latest = LatestRecord.attach(self._folder / f"{self._name}.latest", _LATEST[self._name])
+        times = self._recorded.t_ns
+        latest = SharedLatest.attach(self._folder / f"{self._name}.latest", _LATEST[self._name])
         step = _Step(self._folder, self._others if self._speed == 0 else ())
         base = latest.count
         try:
@@ -222,11 +222,11 @@ class Player:
                     taken = latest.count - base
                     self._tell(PLAYING, int(times[min(max(taken, 0), place)]))
                     under_way = place - taken
-                    return under_way < self._outlet.window and step.allows(int(times[place]))
+                    return under_way < self._device.window and step.allows(int(times[place]))
 
                 if not self._waited(turn):
                     return
-                self._outlet.send(place)
+                self._device.send(place)
                 self._sent = place + 1
 
             def drained() -> bool:
@@ -247,7 +247,7 @@ class Player:
                 self._clock.sleep_until(due_ns)
                 return
             self._clock.sleep_until(now_ns + _SLICE_NS)
-            self._outlet.idle()
+            self._device.idle()
 
     def _waited(self, condition: Callable[[], bool]) -> bool:
         """Wait for `condition`; return False if stopped first."""
@@ -257,7 +257,7 @@ class Player:
                 return False
             now_ns = self._clock.now_ns()
             if now_ns >= idle_ns:
-                self._outlet.idle()
+                self._device.idle()
                 idle_ns = now_ns + _SLICE_NS
             self._clock.sleep_until(now_ns + _NAP_NS)
         return not self._over
@@ -268,7 +268,7 @@ class _Step:
 
     def __init__(self, folder: Path, others: Sequence[str]) -> None:
         self._records = [
-            LatestRecord.attach(position_path(folder, name), POSITION) for name in others
+            SharedLatest.attach(position_path(folder, name), POSITION) for name in others
         ]
         self._reached_ns = 0
 
@@ -306,11 +306,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     args = parser.parse_args(argv)
     others = [name for name in args.others.split(",") if name and name != args.stream]
-    tape = load_tape(Session(args.session), (args.stream, *others), args.stream, args.run)
+    recorded = load_recorded_stream(
+        Session(args.session), (args.stream, *others), args.stream, args.run
+    )
     player = Player(
         args.stream,
-        tape,
-        make_outlet(args.stream, tape, args.host),
+        recorded,
+        make_playback_device(args.stream, recorded, args.host),
         args.folder,
         SystemClock(),
         speed=args.speed,

@@ -11,14 +11,14 @@ from recorder import Session
 from rig.bench.bench import Bench, BenchLimits, Preflight
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import DeviceLost
-from rig.core.shared_memory import LatestRecord
+from rig.core.shared_memory import SharedLatest
 from rig.devices.arm.settings import ArmConfig
 from rig.devices.camera.settings import CameraConfig
 from rig.devices.force.settings import NetFtConfig
 from rig.devices.playback.wire import force_page, stated_rate
 from rig.devices.taxels.settings import XelaConfig
-from rig.mock.cue import CUE, FAILED, POSITION, cue_path, position_path
-from rig.mock.processes import Launched, StartedOrClosed
+from rig.mock.playback_sync import FAILED, POSITION, SYNC, position_path, sync_path
+from rig.mock.processes import ProcessGroup, StartedOrClosed
 from trajectories import ForceDepth
 
 
@@ -46,10 +46,10 @@ class Players(StartedOrClosed):
         *,
         speed: float,
     ) -> None:
-        self._launched = Launched(folder, clock)
-        self._cue = LatestRecord.create(cue_path(folder), CUE)
+        self._launched = ProcessGroup(folder, clock)
+        self._sync = SharedLatest.create(sync_path(folder), SYNC)
         self._positions = {
-            name: LatestRecord.create(position_path(folder, name), POSITION) for name in names
+            name: SharedLatest.create(position_path(folder, name), POSITION) for name in names
         }
         self._options = [
             *("--session", str(session), "--run", str(run), "--folder", str(folder)),
@@ -61,14 +61,14 @@ class Players(StartedOrClosed):
             self._launched.start(name, ["rig.mock.player", "--stream", name, *self._options])
         self._launched.wait_ready()
 
-    def cue(self, start_ns: int) -> None:
+    def start_playback(self, start_ns: int) -> None:
         """Start playback at `start_ns`; every driver must be open and every writer recording."""
-        self._cue.write((start_ns,))
+        self._sync.write((start_ns,))
 
     def wake(self) -> None:
         """Give the second cue: no more rows are sent, and waiting readers are woken."""
-        while self._cue.count < 2:
-            self._cue.write((0,))
+        while self._sync.count < 2:
+            self._sync.write((0,))
 
     def positions(self) -> Mapping[str, np.void | None]:
         """Return the POSITION of each emulator, None before its first."""
@@ -89,7 +89,7 @@ class Players(StartedOrClosed):
     def close(self) -> None:
         """End every emulator; may be called twice."""
         self._launched.close()
-        for record in (self._cue, *self._positions.values()):
+        for record in (self._sync, *self._positions.values()):
             record.close()
         self._positions = {}
 

@@ -21,10 +21,10 @@ from rig.core.clock import SECOND_NS, Clock, Pacer, SystemClock
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.geometry import transform
 from rig.core.samples import ARM_TRUTH, PRESS_STATE, WORLD_STATE
-from rig.core.shared_memory import LatestRecord
+from rig.core.shared_memory import SharedLatest
 from rig.mock.bench import free_loopback
-from rig.mock.emulators import Stage, emulator_commands, world_commands
-from rig.mock.processes import Launched, StartedOrClosed
+from rig.mock.emulators import MockBenchSpec, emulator_commands, world_commands
+from rig.mock.processes import ProcessGroup, StartedOrClosed
 from rig.mock.world.simulated import PRESS_FILE
 from rig.mock.world.truth import Truth
 from trajectories import Point
@@ -60,9 +60,9 @@ class TouchedMock(StartedOrClosed):
             raise ConfigError(f"{where}.world: missing; allowed: a world, on a mock bench")
         self._folder = folder
         self._truth_path = folder / "truth.log"
-        self._launched = Launched(folder, SystemClock())
-        self._arm: LatestRecord | None = None
-        self._published: LatestRecord | None = None
+        self._launched = ProcessGroup(folder, SystemClock())
+        self._arm: SharedLatest | None = None
+        self._published: SharedLatest | None = None
         self._finger: _Finger | None = None
 
     def press(self) -> None:
@@ -107,14 +107,16 @@ class TouchedMock(StartedOrClosed):
             "indenter": bench.indenter,
         }
         spec.write_text(json.dumps(told))
-        published = self._published = LatestRecord.create(world, WORLD_STATE)
+        published = self._published = SharedLatest.create(world, WORLD_STATE)
         if isinstance(bench.world, SimulatedSpec):
-            LatestRecord.create(folder / PRESS_FILE, PRESS_STATE).close()
-        self._arm = LatestRecord.create(arm, ARM_TRUTH)
-        stage = Stage(bench, self.host, folder, spec, arm=arm, world=world, truth=self._truth_path)
-        emulators = emulator_commands(stage)
+            SharedLatest.create(folder / PRESS_FILE, PRESS_STATE).close()
+        self._arm = SharedLatest.create(arm, ARM_TRUTH)
+        bench_spec = MockBenchSpec(
+            bench, self.host, folder, spec, arm=arm, world=world, truth=self._truth_path
+        )
+        emulators = emulator_commands(bench_spec)
         commands = {name: emulators[name] for name in _SENSORS if name in emulators}
-        for name, arguments in {**commands, **world_commands(stage)}.items():
+        for name, arguments in {**commands, **world_commands(bench_spec)}.items():
             self._launched.start(name, arguments)
         clock = SystemClock()
         self._finger = _Finger(self._arm, bench, clock)
@@ -131,7 +133,7 @@ class TouchedMock(StartedOrClosed):
 class _Finger:
     """Writes the tip's position in place of the emulated arm."""
 
-    def __init__(self, arm: LatestRecord, bench: Bench, clock: Clock) -> None:
+    def __init__(self, arm: SharedLatest, bench: Bench, clock: Clock) -> None:
         self.go = threading.Event()
         """Set to start the finger."""
         self._arm, self._bench, self._clock = arm, bench, clock

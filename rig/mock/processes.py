@@ -21,7 +21,7 @@ _END_TIMEOUT = 5.0
 _ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
-class Launched:
+class ProcessGroup:
     """Group of processes, each running `rig.core.emulation.serve`.
 
     Args:

@@ -12,10 +12,10 @@ from recorder.session import linear
 from rig.bench.stream_kinds import KINDS, make_driver
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.driver import Driver
-from rig.core.shared_memory import LatestRecord
-from rig.devices.playback.wire import load_tape
+from rig.core.shared_memory import SharedLatest
+from rig.devices.playback.wire import load_recorded_stream
 from rig.mock.bench import free_loopback
-from rig.mock.cue import ENDED
+from rig.mock.playback_sync import ENDED
 from rig.mock.players import Players, replay_bench
 from rig.mock.processes import StartedOrClosed
 
@@ -44,16 +44,16 @@ class ReplayedSensor(StartedOrClosed):
         self._clock = clock
         self._start_ns = 0
         self._closed = False
-        tape = load_tape(self._session, (self.stream,), self.stream, _RUN)
-        if not len(tape.t_ns):
+        recording = load_recorded_stream(self._session, (self.stream,), self.stream, _RUN)
+        if not len(recording.t_ns):
             raise SessionError(f"{path}: no {self.stream} rows in its first run")
-        self._origin_ns = int(tape.stream.t_ns[tape.rows.start]) - int(tape.t_ns[0])
+        self._origin_ns = int(recording.stream.t_ns[recording.rows.start]) - int(recording.t_ns[0])
         names, host = (self.stream,), free_loopback()
         bench = replay_bench(self._session, names, host, 1.0)
         self._timeout = bench.preflight.timeout
         kind = KINDS[self.stream]
         # The player reads the number of rows taken here, to wait for a slow reader.
-        self._latest = LatestRecord.create(folder / f"{self.stream}.latest", kind.latest)
+        self._latest = SharedLatest.create(folder / f"{self.stream}.latest", kind.latest)
         self._players = Players(path, names, _RUN, host, folder, clock, speed=1.0)
         self.driver: Driver = _Counted(make_driver(bench, self.stream, clock), self._latest, kind)
 
@@ -64,7 +64,7 @@ class ReplayedSensor(StartedOrClosed):
     def play(self) -> None:
         """Start playback."""
         self._start_ns = self._clock.now_ns() + _LEAD_NS
-        self._players.cue(self._start_ns)
+        self._players.start_playback(self._start_ns)
 
     def over(self) -> bool:
         """Return True if the last row was sent."""
@@ -126,7 +126,7 @@ class ReplayedSensor(StartedOrClosed):
 class _Counted:
     """Driver that publishes its count of samples for the player."""
 
-    def __init__(self, driver: Driver, latest: LatestRecord, kind: Any) -> None:
+    def __init__(self, driver: Driver, latest: SharedLatest, kind: Any) -> None:
         self._driver, self._latest, self._kind = driver, latest, kind
         self._row = -1
 

@@ -92,17 +92,17 @@ def replayed(path: Path, folder: Path, clock: Clock) -> Iterator[Watched]:
     Raises:
         SessionError, DeviceLost: The session cannot be played.
     """
-    with ReplayedSensor(path, folder, clock) as tape:
-        untouched = tape.untouched()
-        tape.play()
+    with ReplayedSensor(path, folder, clock) as source:
+        untouched = source.untouched()
+        source.play()
         yield Watched(
-            tape.sensor,
-            tape.stream,
-            tape.driver,
+            source.sensor,
+            source.stream,
+            source.driver,
             untouched,
-            over=tape.over,
-            check=tape.check,
-            wrench=tape.wrench,
+            over=source.over,
+            check=source.check,
+            wrench=source.wrench,
         )
 
 

@@ -44,7 +44,7 @@ _OWN_ATTRS = {"columns", "rate_hz", "sync_interval", "device", "device_clock", "
 
 
 @dataclass(frozen=True, slots=True)
-class ReplayOrder:
+class ReplayRequest:
     """Request of the operator."""
 
     source: Path
@@ -65,10 +65,10 @@ class ReplayOrder:
 class Replay:
     """One replay, from checking the source to the final summary."""
 
-    def __init__(self, order: ReplayOrder) -> None:
-        self._order = order
+    def __init__(self, request: ReplayRequest) -> None:
+        self._request = request
         self._clock = SystemClock()
-        self._source = Session(order.source)
+        self._source = Session(request.source)
         self._writer: SessionWriter | None = None
         self._maps: dict[int, Retiming] = {}
         self._start_ns: dict[int, int] = {}
@@ -79,10 +79,10 @@ class Replay:
         Raises:
             SessionError, DeviceLost, Interrupted: Before anything was recorded.
         """
-        order, source = self._order, self._source
-        if order.out.exists():
-            raise SessionError(f"{order.out}: exists already; choose another name")
-        names = replayable(source, order.without, ReadingProgress("checking", self._clock))
+        request, source = self._request, self._source
+        if request.out.exists():
+            raise SessionError(f"{request.out}: exists already; choose another name")
+        names = replayable(source, request.without, ReadingProgress("checking", self._clock))
         progress = ReadingProgress("reading", self._clock)
         hashes = {name: stream_digest(source.streams[name], progress) for name in names}
         stop: BaseException | None = None
@@ -95,12 +95,12 @@ class Replay:
             if self._writer is None:
                 if stop is not None:
                     raise stop
-                raise SessionError(f"{order.source}: no rows to replay")
+                raise SessionError(f"{request.source}: no rows to replay")
             interrupt.ignore()
             try:
                 self._finish(self._writer, names, stop)
             except (SessionError, OSError) as error:
-                out = order.out
+                out = request.out
                 print(
                     f"{out}: could not be finished ({error}); its samples are kept: make room, "
                     f"then run: python -m recorder recover {out}",
@@ -114,36 +114,36 @@ class Replay:
     def _replay_runs(
         self, names: tuple[str, ...], hashes: dict[str, str], interrupt: InterruptFlag
     ) -> None:
-        order, source = self._order, self._source
+        request, source = self._request, self._source
         for run in range(max(len(source.runs), 1)):
             with contextlib.ExitStack() as stack:
                 folder = Path(
                     stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-"))
                 )
-                bench = replay_bench(source, names, free_loopback(), order.speed)
+                bench = replay_bench(source, names, free_loopback(), request.speed)
                 replayed = ReplayedRun(
-                    source, names, run, bench, folder, self._clock, speed=order.speed
+                    source, names, run, bench, folder, self._clock, speed=request.speed
                 )
                 if not replayed.seconds and not any(replayed.totals.values()):
                     continue
                 stack.enter_context(replayed)
-                facts = replayed.open(interrupt)
+                description = replayed.open(interrupt)
                 if self._writer is None:
-                    self._writer = self._create(names, hashes, facts, replayed)
-                self._writer.begin_run({**asdict(ClockAnchor.take()), "devices": facts})
+                    self._writer = self._create(names, hashes, description, replayed)
+                self._writer.begin_run({**asdict(ClockAnchor.take()), "devices": description})
                 for name in names:
                     replayed.record(name, self._writer.stream_path(name))
-                self._start_ns[run] = replayed.cue()
+                self._start_ns[run] = replayed.start_playback()
                 replayed.watch(interrupt)
 
     def _create(
         self,
         names: tuple[str, ...],
         hashes: dict[str, str],
-        facts: dict[str, Any],
+        description: dict[str, Any],
         replayed: ReplayedRun,
     ) -> SessionWriter:
-        source, order = self._source, self._order
+        source, request = self._source, self._request
         attrs = source.attrs
         anchor = ClockAnchor.take()
         own = {
@@ -157,7 +157,7 @@ class Replay:
                 "sha256": session_digest(hashes),
                 "streams": hashes,
                 "left_out": sorted(set(source.streams) - set(names)),
-                "speed": order.speed_name,
+                "speed": request.speed_name,
                 "status": source.status,
                 "mock": attrs.get("mock"),
                 "started_utc": attrs.get("started_utc"),
@@ -167,13 +167,13 @@ class Replay:
         specs = [
             replayed.spec(
                 name,
-                facts[name],
+                description[name],
                 {k: v for k, v in source.streams[name].attrs.items() if k not in _OWN_ATTRS},
             )
             for name in names
         ]
         return SessionWriter.create(
-            order.out,
+            request.out,
             attrs={**{key: attrs[key] for key in _COPIED if key in attrs}, **own},
             streams=specs,
             targets=dict(source.targets),
@@ -194,7 +194,7 @@ class Replay:
             if place != run:
                 logger.warning("run %d of the source is run %d of the replay", run, place)
             self._maps[run] = retiming(
-                self._source, replay, names, run, start_ns, self._order.speed
+                self._source, replay, names, run, start_ns, self._request.speed
             )
         covered = {run: covered_ns(replay, names, place) for place, run in enumerate(runs)}
         numbers = {run: place for place, run in enumerate(runs)}
@@ -223,20 +223,20 @@ class Replay:
         if stop is not None:
             status, reason = "stopped", f"replay: {str(stop) or type(stop).__name__}"
         writer.finish(status, reason, rate_hz=self._source.rate_hz * self._faster(replay, names))
-        if self._order.speed == 1.0:
+        if self._request.speed == 1.0:
             # At another speed the devices' clocks are slower than the host's by that factor.
             fit_clocks(writer.path)
 
     def _faster(self, replay: Session, names: tuple[str, ...]) -> float:
         """Return the playback speed relative to the recording."""
-        if self._order.speed > 0:
-            return self._order.speed
+        if self._request.speed > 0:
+            return self._request.speed
         recorded = sum(span(self._source, names, run) for run in self._start_ns)
         replayed = sum(span(replay, names, place) for place in range(len(self._start_ns)))
         return recorded / replayed if recorded > 0 and replayed > 0 else 1.0
 
     def _stopped(self, stop: BaseException) -> int:
-        out = self._order.out
+        out = self._request.out
         print(f"stopped ({str(stop) or type(stop).__name__}); readable at {out}", file=sys.stderr)
         if isinstance(stop, Interrupted | KeyboardInterrupt):
             return EXIT_INTERRUPTED
@@ -245,8 +245,8 @@ class Replay:
         raise stop
 
     def _report(self, names: tuple[str, ...], hashes: dict[str, str]) -> int:
-        order = self._order
-        replay = Session(order.out)
+        request = self._request
+        replay = Session(request.out)
         progress = ReadingProgress("comparing", self._clock)
         again = {name: stream_digest(replay.streams[name], progress) for name in names}
         rows = {name: len(replay.streams[name]) for name in names}
@@ -257,13 +257,13 @@ class Replay:
             f"{minutes(recorded)} ({recorded:.1f} s) recorded, replayed in {took:.1f} s "
             f"({recorded / took if took > 0 else 1.0:.1f} times as fast)"
         )
-        if order.speed > 0:
+        if request.speed > 0:
             for name in names:
                 error = timing(self._source, replay, name, self._maps)
                 if error is not None:
                     lines.append(timing_line(name, error))
         verdict = "equal" if equal else "DIFFERENT"
-        lines.append(f"{verdict}: {order.source} and its replay; readable at {order.out}")
+        lines.append(f"{verdict}: {request.source} and its replay; readable at {request.out}")
         print("\n".join(lines), flush=True)
         return EXIT_DONE if equal else EXIT_DIFFERENT
 

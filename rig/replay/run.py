@@ -17,9 +17,9 @@ from rig.bench.bench import Bench
 from rig.bench.stream_kinds import KINDS, stream_spec
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import DeviceLost
-from rig.core.shared_memory import LatestRecord
-from rig.devices.playback.wire import force_bias, load_tape
-from rig.mock.cue import ENDED
+from rig.core.shared_memory import SharedLatest
+from rig.devices.playback.wire import force_bias, load_recorded_stream
+from rig.mock.playback_sync import ENDED
 from rig.mock.players import Players
 
 logger = logging.getLogger(__name__)
@@ -156,16 +156,20 @@ class ReplayedRun:
         self._folder = folder
         self._clock = clock
         self._speed = speed
-        tapes = {name: load_tape(source, names, name, run) for name in names}
-        self.totals = {name: len(tape.rows) for name, tape in tapes.items()}
-        ends = [int(tape.t_ns.max()) for tape in tapes.values() if len(tape.t_ns)]
+        recorded_streams = {name: load_recorded_stream(source, names, name, run) for name in names}
+        self.totals = {name: len(recorded.rows) for name, recorded in recorded_streams.items()}
+        ends = [
+            int(recorded.t_ns.max()) for recorded in recorded_streams.values() if len(recorded.t_ns)
+        ]
         self.seconds = max(ends, default=0) / SECOND_NS
         """Recorded duration of the run [s]."""
-        times = np.sort(np.concatenate([[0], *(tape.t_ns for tape in tapes.values())]))
+        times = np.sort(
+            np.concatenate([[0], *(recorded.t_ns for recorded in recorded_streams.values())])
+        )
         self._gap = float(np.diff(times).max(initial=0)) / SECOND_NS / (speed or 1.0)
         self._players: Players | None = None
         self._handles: dict[str, StreamHandle] = {}
-        self._latest: dict[str, LatestRecord] = {}
+        self._latest: dict[str, SharedLatest] = {}
         self._base: dict[str, int] = {}
 
     def __enter__(self) -> ReplayedRun:
@@ -202,36 +206,36 @@ class ReplayedRun:
         Raises:
             ConfigError, DeviceLost, Interrupted: A driver failed; the first failure is raised.
         """
-        facts = {}
+        description = {}
         early = [name for name in self._names if name != "camera"]
         for names in (early, [name for name in self._names if name == "camera"]):
             for name in names:
                 self._handles[name] = StreamHandle(name, self._bench, self._folder)
                 path = self._folder / f"{name}.latest"
-                self._latest[name] = LatestRecord.attach(path, KINDS[name].latest)
+                self._latest[name] = SharedLatest.attach(path, KINDS[name].latest)
             for name in names:
                 interrupt.check()
-                facts[name] = self._handles[name].wait_opened()
+                description[name] = self._handles[name].wait_opened()
         if "force" in self._handles:
             self._handles["force"].set_bias(force_bias(self._source.streams["force"]))
         self._settle(interrupt)
-        return facts
+        return description
 
-    def spec(self, name: str, facts: dict[str, Any], attrs: dict[str, Any]) -> StreamSpec:
+    def spec(self, name: str, description: dict[str, Any], attrs: dict[str, Any]) -> StreamSpec:
         """Return a stream's storage spec: device as found by the driver, rest from the source."""
         rate_hz = self._source.streams[name].rate_hz
-        return stream_spec(self._bench, name, facts, rate_hz, **attrs)
+        return stream_spec(self._bench, name, description, rate_hz, **attrs)
 
     def record(self, name: str, path: Path) -> None:
         """Append the stream's samples to the group at `path` from now on."""
         self._handles[name].record(path)
 
-    def cue(self) -> int:
+    def start_playback(self) -> int:
         """Start playback and return the time at which its first row is due [ns]."""
         players = self._started()
         self._base = {name: record.count for name, record in self._latest.items()}
         start_ns = self._clock.now_ns() + _LEAD_NS
-        players.cue(start_ns)
+        players.start_playback(start_ns)
         return start_ns
 
     def watch(self, interrupt: InterruptFlag) -> None:

@@ -15,7 +15,7 @@ from sim.errors import SceneError
 
 if TYPE_CHECKING:
     from sim.cli.options import Verbs
-    from sim.dataset import Begun, Made, Plan, Solving, Stop, Unit
+    from sim.dataset import DatasetPlan, OpenArchive, Solving, Stop, Unit, UnitStats
     from sim.sensors import SimulatedSensor
 
 EXIT_STOPPED, EXIT_INTERRUPTED = 2, 130
@@ -111,10 +111,10 @@ def _add_run_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _states(options: argparse.Namespace) -> int:
-    from sim.dataset import Plan, gel
+    from sim.dataset import DatasetPlan, gel
 
     patterns = None if options.patterns is None else tuple(options.patterns.split(","))
-    plan = Plan(
+    plan = DatasetPlan(
         "states",
         (gel(patterns),),
         indenters=_indenters(options.indenters, smoke=options.smoke),
@@ -125,7 +125,7 @@ def _states(options: argparse.Namespace) -> int:
 
 
 def _sensors(options: argparse.Namespace) -> int:
-    from sim.dataset import Plan
+    from sim.dataset import DatasetPlan
 
     smoke, share = _share(options.scale)
     chosen = _chosen_sensors(options)
@@ -133,7 +133,7 @@ def _sensors(options: argparse.Namespace) -> int:
     if out is None:
         out = Path(f"data/{options.group or 'sensors'}.markers.zarr")
     steps = options.steps or (SMOKE_STEPS if smoke else 10)
-    plan = Plan(
+    plan = DatasetPlan(
         "targets",
         chosen,
         indenters=_indenters(options.indenters, smoke=smoke),
@@ -148,8 +148,8 @@ def _sensors(options: argparse.Namespace) -> int:
 def _resume(options: argparse.Namespace) -> int:
     from sim.dataset import found
 
-    begun = found(options.path)
-    return _fill(options, begun)
+    opened = found(options.path)
+    return _fill(options, opened)
 
 
 def _sheet(options: argparse.Namespace) -> int:
@@ -164,7 +164,7 @@ def _sheet(options: argparse.Namespace) -> int:
     return 0
 
 
-def _make(options: argparse.Namespace, out: Path, plan: Plan) -> int:
+def _make(options: argparse.Namespace, out: Path, plan: DatasetPlan) -> int:
     from sim.dataset import begin
     from sim.device import ready_device
 
@@ -175,17 +175,17 @@ def _make(options: argparse.Namespace, out: Path, plan: Plan) -> int:
     return _fill(options, begin(out, plan, "cpu" if options.scheduler else options.device))
 
 
-def _fill(options: argparse.Namespace, begun: Begun) -> int:
+def _fill(options: argparse.Namespace, opened: OpenArchive) -> int:
     """Make the missing units with progress and a summary, and return the exit code."""
     from recorder import SessionError
 
     try:
-        return _filled(options, begun) or _summed(options, begun)
+        return _filled(options, opened) or _summed(options, opened)
     except SessionError as error:
-        raise SceneError(f"{error}; {_go_on(begun)}") from error
+        raise SceneError(f"{error}; {_go_on(opened)}") from error
 
 
-def _filled(options: argparse.Namespace, begun: Begun) -> int:
+def _filled(options: argparse.Namespace, opened: OpenArchive) -> int:
     """Make the missing units; return 0 if the archive is then complete, else the exit code."""
     from recorder.processes import WorkerLost
     from sim.dataset import Stop, fill
@@ -193,83 +193,85 @@ def _filled(options: argparse.Namespace, begun: Begun) -> int:
     from sim.progress import Progress
 
     kernels = ready_device("cpu" if options.scheduler else options.device)
-    processes = _processes(options, begun)
-    missing = begun.missing()
-    _tell_cost(begun, missing, processes, options)
+    processes = _processes(options, opened)
+    missing = opened.missing()
+    _tell_cost(opened, missing, processes, options)
     with Stop(lambda line: print(f"\n{line}", file=sys.stderr, flush=True)) as stop:
-        maker = _maker(options, begun, processes, stop)
+        maker = _maker(options, opened, processes, stop)
         try:
             with Progress("archive", sys.stderr, kernels=kernels) as progress:
-                filled = fill(begun, maker, stop, progress)
+                run_summary = fill(opened, maker, stop, progress)
         except KeyboardInterrupt:
-            print(f"interrupted; written files are kept; {_go_on(begun)}", file=sys.stderr)
+            print(f"interrupted; written files are kept; {_go_on(opened)}", file=sys.stderr)
             return EXIT_INTERRUPTED
         except (OSError, WorkerLost) as error:
-            print(f"stopped: {error}; written files are kept; {_go_on(begun)}", file=sys.stderr)
+            print(f"stopped: {error}; written files are kept; {_go_on(opened)}", file=sys.stderr)
             return EXIT_STOPPED
-    if not filled.complete:
-        print(f"interrupted, {filled.left} units are missing; {_go_on(begun)}", file=sys.stderr)
-        return EXIT_INTERRUPTED
-    if filled.images:
-        rate = filled.images / max(filled.seconds, 1e-9)
+    if not run_summary.complete:
         print(
-            f"{filled.images:,} images in {filled.seconds:.0f} s, {rate:.0f} images/s; "
-            f"presses {filled.solving:.0f} s, images and writing {filled.seeing:.0f} s"
+            f"interrupted, {run_summary.left} units are missing; {_go_on(opened)}", file=sys.stderr
+        )
+        return EXIT_INTERRUPTED
+    if run_summary.images:
+        rate = run_summary.images / max(run_summary.seconds, 1e-9)
+        print(
+            f"{run_summary.images:,} images in {run_summary.seconds:.0f} s, {rate:.0f} images/s; "
+            f"presses {run_summary.solving:.0f} s, images and writing {run_summary.seeing:.0f} s"
         )
     return 0
 
 
-def _summed(options: argparse.Namespace, begun: Begun) -> int:
+def _summed(options: argparse.Namespace, opened: OpenArchive) -> int:
     """Print the summary of a complete archive and return the exit code."""
     from sim.dataset.summary import summary
     from sim.progress import Progress
 
     try:
         with Progress("counting markers", sys.stderr) as progress:
-            for line in summary(begun.path, check=not options.no_check, progress=progress):
+            for line in summary(opened.path, check=not options.no_check, progress=progress):
                 print(line, flush=True)
     except KeyboardInterrupt:
-        print(f"interrupted while counting; {begun.path} is complete", file=sys.stderr)
+        print(f"interrupted while counting; {opened.path} is complete", file=sys.stderr)
         return EXIT_INTERRUPTED
     return 0
 
 
-def _go_on(begun: Begun) -> str:
-    return f"to continue: python -m sim archive resume {begun.path}"
+def _go_on(opened: OpenArchive) -> str:
+    return f"to continue: python -m sim archive resume {opened.path}"
 
 
 def _maker(
-    options: argparse.Namespace, begun: Begun, processes: int, stop: Stop
-) -> partial[Iterator[Made]]:
+    options: argparse.Namespace, opened: OpenArchive, processes: int, stop: Stop
+) -> partial[Iterator[UnitStats]]:
     """Return the function that makes units: in this process, in several or on a cluster."""
     if options.scheduler:
         from sim.dataset.run import make_on_cluster
 
         return partial(
-            make_on_cluster, begun, address=options.scheduler, device=options.device, stop=stop
+            make_on_cluster, opened, address=options.scheduler, device=options.device, stop=stop
         )
     from sim.dataset.run import make_here, make_in_processes
 
-    if _on_cores(options, begun):
+    if _on_cores(options, opened):
         return partial(
-            make_in_processes, begun, processes=processes, stop=stop, device=options.device
+            make_in_processes, opened, processes=processes, stop=stop, device=options.device
         )
-    return partial(make_here, begun, device=options.device, stop=stop)
+    return partial(make_here, opened, device=options.device, stop=stop)
 
 
 def _tell_cost(
-    begun: Begun, missing: Sequence[Unit], processes: int, options: argparse.Namespace
+    opened: OpenArchive, missing: Sequence[Unit], processes: int, options: argparse.Namespace
 ) -> None:
     from sim.dataset.run import cost
     from sim.progress import duration
 
     device = options.device
     if not missing:
-        print(f"{begun.path}: nothing is missing")
+        print(f"{opened.path}: nothing is missing")
         return
-    taken = cost(begun.plan, missing, "cluster" if options.scheduler else device)
+    taken = cost(opened.plan, missing, "cluster" if options.scheduler else device)
     print(
-        f"{begun.path}: {taken.presses:,} presses ({'; '.join(taken.how)}), "
+        f"{opened.path}: {taken.presses:,} presses ({'; '.join(taken.how)}), "
         f"{taken.frames:,} frames, {taken.images:,} images, about {taken.size / 1e6:,.0f} MB"
     )
     seconds = taken.seconds(processes)
@@ -282,18 +284,18 @@ def _tell_cost(
         )
 
 
-def _on_cores(options: argparse.Namespace, begun: Begun) -> bool:
+def _on_cores(options: argparse.Namespace, opened: OpenArchive) -> bool:
     """Return True if presses are solved on the CPU, wherever images are made."""
-    return bool(options.device == "cpu" or begun.plan.solving.tier == "layer")
+    return bool(options.device == "cpu" or opened.plan.solving.tier == "layer")
 
 
-def _processes(options: argparse.Namespace, begun: Begun) -> int:
+def _processes(options: argparse.Namespace, opened: OpenArchive) -> int:
     from sim.tiers import check_processes
 
     processes: int | None = options.processes
     if options.scheduler and processes is not None:
         raise SceneError(f"--processes: {processes} with --scheduler; allowed: either")
-    on_cores = _on_cores(options, begun)
+    on_cores = _on_cores(options, opened)
     if processes is None:
         processes = 2 if on_cores else 1
     check_processes(processes, "cpu" if on_cores else options.device)

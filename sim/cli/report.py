@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.cli.options import body_of, effects_of, indenter_of, numerics_of
-from sim.error_estimate import said as error_said
+from sim.error_estimate import describe_error
 from sim.errors import SceneError
 from sim.progress import Progress
 from sim.result import Quality, Result
@@ -157,7 +157,7 @@ def stages(result: Result, seconds: float) -> str:
 def notes(result: Result) -> list[str]:
     """Return remarks on the accuracy and validity of the result; may be empty."""
     solid = result.scene.indenter.solid
-    said = [] if solid is None else list(solid.notes)
+    reported = [] if solid is None else list(solid.notes)
     if result.tier == "fem":
         body = result.scene.body
         size = max(
@@ -166,30 +166,30 @@ def notes(result: Result) -> list[str]:
         )
         edge = result.scene.indenter.sharpest
         if edge < EDGE_NOTE_SHARE * size:
-            said.append(
+            reported.append(
                 f"the indenter's sharpest radius, {edge * 1e3:g} mm, is finer than the elements, "
                 f"{size * 1e3:.3g} mm: the force still depends on --mesh"
             )
     if "error" in result.record:
-        said.append(error_said(result.record["error"]))
+        reported.append(describe_error(result.record["error"]))
     if "plan" in result.record:
-        said += [f"taken: {result.record['plan']['why']}", *result.record["plan"]["notes"]]
+        reported += [f"taken: {result.record['plan']['why']}", *result.record["plan"]["notes"]]
     if "error_bar" in result.record:
         bar = result.record["error_bar"]
-        said.append(
+        reported.append(
             f"error bar: {100 * bar['force_share']:.2g} % of the force, {bar['force']:.2g} N, "
             f"markers {bar['marker_rms']:.2g} px"
         )
     if "extrapolated" in result.record:
         how = result.record["extrapolated"]
         coarse, fine = how["cells"]
-        said.append(
+        reported.append(
             f"forces extrapolated from {coarse} and {fine} elements over the depth, which changed "
             f"them by {100 * how['force_share']:.2g} %"
         )
     if "precision_reason" in result.record:
-        said.append(result.record["precision_reason"])
-    return said
+        reported.append(result.record["precision_reason"])
+    return reported
 
 
 def _plain(values: NDArray[Any]) -> list[Any]:

@@ -4,11 +4,11 @@ A plan determines the contents of an archive and is stored in it. Its units can 
 process, by several, or by a cluster, in any order and more than once.
 """
 
-from sim.dataset.generate import Made, make_unit
+from sim.dataset.generate import UnitStats, make_unit
 from sim.dataset.plan import (
     UNSEEN,
+    DatasetPlan,
     Family,
-    Plan,
     Solving,
     Unit,
     chosen_targets,
@@ -17,8 +17,8 @@ from sim.dataset.plan import (
     units,
 )
 from sim.dataset.run import (
-    Begun,
-    Filled,
+    OpenArchive,
+    RunSummary,
     Stop,
     begin,
     cost,
@@ -31,14 +31,14 @@ from sim.dataset.run import (
 
 __all__ = [
     "UNSEEN",
-    "Begun",
+    "DatasetPlan",
     "Family",
-    "Filled",
-    "Made",
-    "Plan",
+    "OpenArchive",
+    "RunSummary",
     "Solving",
     "Stop",
     "Unit",
+    "UnitStats",
     "begin",
     "chosen_targets",
     "cost",

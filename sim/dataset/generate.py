@@ -17,9 +17,9 @@ from recorder.archive import ArchiveWriter
 from recorder.markers import PACKED, Lattice, pack
 from sim.dataset.plan import (
     UNSEEN,
+    DatasetPlan,
     Family,
-    Plan,
-    Press,
+    PlannedPress,
     Recording,
     Solved,
     Unit,
@@ -151,7 +151,7 @@ LATTICE = Lattice()
 
 
 @dataclass(frozen=True, slots=True)
-class Made:
+class UnitStats:
     """Statistics of a finished unit."""
 
     number: int
@@ -176,11 +176,11 @@ class Rows:
 
 def make_unit(
     path: Path,
-    plan: Plan,
+    plan: DatasetPlan,
     unit: Unit,
     device: str = "cpu",
     progress: Callable[[float], None] | None = None,
-) -> Made:
+) -> UnitStats:
     """Solve, render and write one unit; existing files are kept. Reproducible to the byte on a CPU.
 
     Raises:
@@ -197,16 +197,16 @@ def make_unit(
     images = 0
     for sensor in family.sensors:
         images += _write(writer, plan, family, sensor, unit, presses, solved, device)
-    return Made(unit.number, images, pressed - began, clock() - pressed)
+    return UnitStats(unit.number, images, pressed - began, clock() - pressed)
 
 
 def _write(
     writer: ArchiveWriter,
-    plan: Plan,
+    plan: DatasetPlan,
     family: Family,
     sensor: SimulatedSensor,
     unit: Unit,
-    presses: Sequence[Press],
+    presses: Sequence[PlannedPress],
     solved: Sequence[Solved],
     device: str,
 ) -> int:
@@ -239,10 +239,10 @@ def _write(
 
 
 def _rows(
-    plan: Plan,
+    plan: DatasetPlan,
     sensor: SimulatedSensor,
     seen: Reader,
-    press: Press,
+    press: PlannedPress,
     solved: Solved,
     recording: Recording,
 ) -> Rows:

@@ -52,7 +52,7 @@ class Recording:
 
 
 @dataclass(frozen=True, slots=True)
-class Press:
+class PlannedPress:
     """One indenter on one motion, as commanded to the robot."""
 
     indenter: str
@@ -244,7 +244,7 @@ def described(solving: Solving, body: Body) -> str:
     return f"fem, elements {1e3 * (numerics.spacing or 0):.3g} mm high, graded {shape}"
 
 
-Work = Literal["states", "targets"]
+Part = Literal["states", "targets"]
 
 # Held-out indenters: the paper's models are tested but never trained on them.
 UNSEEN = ("sphere_s", "triangle", "pacman", "cone", "wave", "torus")
@@ -254,14 +254,14 @@ UNIT_PRESSES = 9
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class DatasetPlan:
     """Plan that determines every byte of an archive on one kind of machine.
 
     Raises:
         SceneError: A value is out of range.
     """
 
-    work: Work
+    work: Part
     """`states`: presses at nine places to five depths; `targets`: the sensors' recorded presses."""
     sensors: tuple[SimulatedSensor, ...]
     """Rows of `sim.sensors`, with different names."""
@@ -281,8 +281,8 @@ class Plan:
     """Most presses solved in one call, rounded to whole files; a GPU needs many."""
 
     def __post_init__(self) -> None:
-        if self.work not in get_args(Work):
-            raise SceneError(f"plan.work: {self.work!r}; allowed: {get_args(Work)}")
+        if self.work not in get_args(Part):
+            raise SceneError(f"plan.work: {self.work!r}; allowed: {get_args(Part)}")
         _check_names("sensors", [each.name for each in self.sensors])
         _check_names("indenters", list(self.indenters))
         if unknown := [name for name in self.indenters if name not in NAMES]:
@@ -308,7 +308,7 @@ class Plan:
         return to_json(self)
 
     @classmethod
-    def of(cls, document: Any) -> Plan:
+    def of(cls, document: Any) -> DatasetPlan:
         """Return the plan that `document()` stored.
 
         Raises:
@@ -363,7 +363,7 @@ def _check_names(what: str, found: list[str]) -> None:
 FORCE_DEPTH_INDENTER = "prism"
 
 
-def target_presses(plan: Plan, each: SimulatedSensor) -> tuple[Press, ...]:
+def target_presses(plan: DatasetPlan, each: SimulatedSensor) -> tuple[PlannedPress, ...]:
     """Return a sensor's presses: the chosen targets by indenter, then the force-depth presses.
 
     Raises:
@@ -426,8 +426,8 @@ def _often(
 
 
 def _target_press(
-    plan: Plan, each: SimulatedSensor, trajectory: PressShear, indenter: str, target: Target
-) -> Press:
+    plan: DatasetPlan, each: SimulatedSensor, trajectory: PressShear, indenter: str, target: Target
+) -> PlannedPress:
     count = 4 * plan.steps + 1
     phases = (0, *(phase for phase in range(len(PHASES)) for _ in range(plan.steps)))
     location = code(indenter) * len(trajectory) + target.index
@@ -440,7 +440,7 @@ def _target_press(
         locations=(location,) * count,
     )
     motion = _motion(trajectory, target, plan.steps, each.speed)
-    return Press(indenter, motion, (recording,))
+    return PlannedPress(indenter, motion, (recording,))
 
 
 @functools.lru_cache(maxsize=4096)
@@ -450,8 +450,8 @@ def _motion(trajectory: PressShear, target: Target, steps: int, speed: float) ->
 
 
 def _force_depth(
-    plan: Plan, each: SimulatedSensor, trajectory: PressShear, spec: ForceDepth
-) -> Press:
+    plan: DatasetPlan, each: SimulatedSensor, trajectory: PressShear, spec: ForceDepth
+) -> PlannedPress:
     """Return the force-depth press: repeated loading and unloading, `2 steps` frames each."""
     half = 2 * plan.steps
     places: list[Point] = [next(spec.targets()).origin]
@@ -475,7 +475,7 @@ def _force_depth(
                 locations=(NO_LOCATION,) * (2 * half + 1),
             )
         )
-    return Press(FORCE_DEPTH_INDENTER, through(places, speed=each.speed), tuple(recordings))
+    return PlannedPress(FORCE_DEPTH_INDENTER, through(places, speed=each.speed), tuple(recordings))
 
 
 def _along(start: Point, end: Point, steps: int) -> list[Point]:
@@ -520,7 +520,7 @@ def gel(patterns: tuple[str, ...] | None = None) -> SimulatedSensor:
     return replace(each, signal=replace(each.signal, patterns=patterns))
 
 
-def state_presses(plan: Plan, each: SimulatedSensor) -> tuple[Press, ...]:
+def state_presses(plan: DatasetPlan, each: SimulatedSensor) -> tuple[PlannedPress, ...]:
     """Return a sensor's presses by indenter, one per place, each to all depths."""
     return tuple(
         _state_press(each, indenter, target)
@@ -529,7 +529,7 @@ def state_presses(plan: Plan, each: SimulatedSensor) -> tuple[Press, ...]:
     )
 
 
-def _state_press(each: SimulatedSensor, indenter: str, target: int) -> Press:
+def _state_press(each: SimulatedSensor, indenter: str, target: int) -> PlannedPress:
     x, y = PLACES[target]
     motion = press([depth / 1e3 for depth in DEPTHS_MM], at=(x / 1e3, y / 1e3), speed=each.speed)
     count = len(DEPTHS_MM)
@@ -543,7 +543,7 @@ def _state_press(each: SimulatedSensor, indenter: str, target: int) -> Press:
         phases=(NO_PHASE,) * count,
         locations=tuple(number * count + depth for depth in range(count)),
     )
-    return Press(indenter, motion, (recording,))
+    return PlannedPress(indenter, motion, (recording,))
 
 
 # Families of sensors that share deformations, and the division of the work into units.
@@ -561,7 +561,7 @@ class Family:
     """
 
     sensors: tuple[SimulatedSensor, ...]
-    presses: tuple[Press, ...]
+    presses: tuple[PlannedPress, ...]
     unit_presses: int
     """Number of recordings in a unit of files."""
 
@@ -597,7 +597,7 @@ class Unit:
 
 
 @functools.cache
-def families(plan: Plan) -> tuple[Family, ...]:
+def families(plan: DatasetPlan) -> tuple[Family, ...]:
     """Return the sensors of a plan grouped by shared deformations, in order."""
     together: dict[Hashable, list[SimulatedSensor]] = {}
     for each in plan.sensors:
@@ -606,7 +606,7 @@ def families(plan: Plan) -> tuple[Family, ...]:
 
 
 @functools.cache
-def units(plan: Plan) -> tuple[Unit, ...]:
+def units(plan: DatasetPlan) -> tuple[Unit, ...]:
     """Return all units of a plan; they depend on the plan alone, not on finished work."""
     cut: list[Unit] = []
     for index, family in enumerate(families(plan)):
@@ -625,7 +625,7 @@ def units(plan: Plan) -> tuple[Unit, ...]:
     return tuple(cut)
 
 
-def scenes(plan: Plan, family: Family, presses: tuple[Press, ...]) -> list[Scene]:
+def scenes(plan: DatasetPlan, family: Family, presses: tuple[PlannedPress, ...]) -> list[Scene]:
     """Return the scenes to simulate, for the mount of the first sensor and the common modulus."""
     lead = family.sensors[0]
     made = [lead.placed(named(press.indenter), press.motion, seed=plan.seed) for press in presses]
@@ -635,12 +635,12 @@ def scenes(plan: Plan, family: Family, presses: tuple[Press, ...]) -> list[Scene
     return [replace(scene, body=body) for scene in made]
 
 
-def force_scale(plan: Plan, sensor: SimulatedSensor) -> float:
+def force_scale(plan: DatasetPlan, sensor: SimulatedSensor) -> float:
     """Return the factor from forces in a family's scenes to those of one of its sensors."""
     return sensor.body.modulus / MODULUS if _proportional(plan, sensor) else 1.0
 
 
-def _family(plan: Plan, sensors: tuple[SimulatedSensor, ...]) -> Family:
+def _family(plan: DatasetPlan, sensors: tuple[SimulatedSensor, ...]) -> Family:
     made = (state_presses if plan.work == "states" else target_presses)(plan, sensors[0])
     of_one = sum(
         press.indenter == plan.indenters[0] and len(press.recordings) == 1 for press in made
@@ -650,7 +650,7 @@ def _family(plan: Plan, sensors: tuple[SimulatedSensor, ...]) -> Family:
     return Family(sensors, made, size)
 
 
-def _deformation(plan: Plan, each: SimulatedSensor) -> Hashable:
+def _deformation(plan: DatasetPlan, each: SimulatedSensor) -> Hashable:
     """Return a key that is equal for sensors with the same deformations."""
     body = replace(each.body, modulus=MODULUS) if _proportional(plan, each) else each.body
     life = each.life.mount, each.life.grip
@@ -658,7 +658,7 @@ def _deformation(plan: Plan, each: SimulatedSensor) -> Hashable:
     return body, each.effects, each.film, each.speed, each.trajectory, each.force_depth, life, own
 
 
-def _proportional(plan: Plan, each: SimulatedSensor) -> bool:
+def _proportional(plan: DatasetPlan, each: SimulatedSensor) -> bool:
     """Return True if forces are proportional to the modulus at the same deformation."""
     effects = each.effects
     massless = effects.inertia is None and effects.gravity is None

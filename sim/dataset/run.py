@@ -23,10 +23,10 @@ from recorder import SessionError
 from recorder.archive import ArchivePlan, ArchiveWriter, MarkerArchive, MarkerCount, SensorPlan
 from recorder.markers import count_markers, unpack
 from recorder.processes import WorkerLost, Workers
-from sim.dataset.generate import LATTICE, Made, Packed, Reader, make_unit, reader
+from sim.dataset.generate import LATTICE, Packed, Reader, UnitStats, make_unit, reader
 from sim.dataset.plan import (
+    DatasetPlan,
     Family,
-    Plan,
     Solving,
     Unit,
     described,
@@ -55,11 +55,11 @@ LEAST_LIKELY = 1e-5
 
 
 @dataclass(frozen=True, slots=True)
-class Begun:
+class OpenArchive:
     """An archive to fill, with its plan."""
 
     path: Path
-    plan: Plan
+    plan: DatasetPlan
 
     def missing(self) -> tuple[Unit, ...]:
         """Return the units with missing files."""
@@ -75,7 +75,7 @@ class Begun:
         )
 
 
-def begin(path: Path, plan: Plan, device: str = "cpu") -> Begun:
+def begin(path: Path, plan: DatasetPlan, device: str = "cpu") -> OpenArchive:
     """Create the archive of a plan, or reopen the one that the same plan created.
 
     Raises:
@@ -84,23 +84,23 @@ def begin(path: Path, plan: Plan, device: str = "cpu") -> Begun:
         OSError: The disk is full, or the path is not writable.
     """
     if path.exists():
-        begun = found(path)
-        keys = differing(begun.plan.document(), plan.document())
+        opened = found(path)
+        keys = differing(opened.plan.document(), plan.document())
         if keys:
             raise SceneError(
                 f"{path}: was begun with another plan, which differs in {', '.join(keys)}; "
                 f"allowed: the same options, another path, or `python -m sim archive resume {path}`"
             )
-        return begun
+        return opened
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
         ArchiveWriter.begin(path, archive_plan(plan, device))
     except SessionError as error:
         raise SceneError(str(error)) from error
-    return Begun(path, plan)
+    return OpenArchive(path, plan)
 
 
-def found(path: Path) -> Begun:
+def found(path: Path) -> OpenArchive:
     """Open the archive at `path` and the plan in it.
 
     Raises:
@@ -112,7 +112,7 @@ def found(path: Path) -> Begun:
         raise SceneError(str(error)) from error
     if PLAN not in attrs:
         raise SceneError(f"{path}: attribute {PLAN!r} is missing; allowed: a simulated archive")
-    plan = Plan.of(attrs[PLAN])
+    plan = DatasetPlan.of(attrs[PLAN])
     changed = [
         name
         for name, stored in attrs.get("patterns", {}).items()
@@ -123,10 +123,10 @@ def found(path: Path) -> Begun:
             f"{path}: was begun with other definitions of the patterns {', '.join(changed)}; "
             "allowed: the version of this program that began it, or another path"
         )
-    return Begun(path, plan)
+    return OpenArchive(path, plan)
 
 
-def archive_plan(plan: Plan, device: str = "cpu") -> ArchivePlan:
+def archive_plan(plan: DatasetPlan, device: str = "cpu") -> ArchivePlan:
     """Return the recorder's plan of the archive, with rendered references."""
     by_name = {
         made.name: made for family in families(plan) for made in _sensor_plans(plan, family, device)
@@ -148,7 +148,7 @@ def archive_plan(plan: Plan, device: str = "cpu") -> ArchivePlan:
     return ArchivePlan(tuple(by_name[name] for name in order), NAMES, attrs)
 
 
-def _sensor_plans(plan: Plan, family: Family, device: str) -> Iterator[SensorPlan]:
+def _sensor_plans(plan: DatasetPlan, family: Family, device: str) -> Iterator[SensorPlan]:
     rows = family.recordings * family.rows_each
     for each in family.sensors:
         seen = reader(each, plan.seed, device)
@@ -230,11 +230,11 @@ class Stop:
 # Called with the share of the current unit's presses that is solved (units made one at a time).
 Inside = Callable[[float], None]
 # Makes units and yields the statistics of each when it is done.
-Maker = Callable[[Sequence[Unit], Inside], Iterator[Made]]
+Maker = Callable[[Sequence[Unit], Inside], Iterator[UnitStats]]
 
 
 @dataclass(frozen=True, slots=True)
-class Filled:
+class RunSummary:
     """Summary of one run."""
 
     complete: bool
@@ -251,22 +251,24 @@ class Filled:
     """Number of units still missing."""
 
 
-def fill(begun: Begun, maker: Maker, stop: Stop, progress: Callable[[float], None]) -> Filled:
+def fill(
+    opened: OpenArchive, maker: Maker, stop: Stop, progress: Callable[[float], None]
+) -> RunSummary:
     """Make the missing units and close the archive.
 
     Args:
-        begun: The archive.
+        opened: The archive.
         maker: Makes the missing units.
         stop: Request to stop, after which units may be missing on purpose.
         progress: Called with the fraction of all rows that are written.
     """
     began = time.perf_counter()
-    missing = begun.missing()
-    weights = {unit.number: _rows(begun, unit) for unit in units(begun.plan)}
+    missing = opened.missing()
+    weights = {unit.number: _rows(opened, unit) for unit in units(opened.plan)}
     whole = sum(weights.values())
     done = whole - sum(weights[unit.number] for unit in missing)
     progress(done / whole)
-    made: list[Made] = []
+    made: list[UnitStats] = []
 
     def inside(share: float) -> None:
         """Report progress within a unit; presses take most of its time, units come in order."""
@@ -277,10 +279,10 @@ def fill(begun: Begun, maker: Maker, stop: Stop, progress: Callable[[float], Non
         made.append(one)
         done += weights[one.number]
         progress(done / whole)
-    left = begun.missing() if stop.asked else ()
+    left = opened.missing() if stop.asked else ()
     if not left:
-        ArchiveWriter(begun.path).finish()
-    return Filled(
+        ArchiveWriter(opened.path).finish()
+    return RunSummary(
         complete=not left,
         images=sum(one.images for one in made),
         seconds=time.perf_counter() - began,
@@ -290,8 +292,8 @@ def fill(begun: Begun, maker: Maker, stop: Stop, progress: Callable[[float], Non
     )
 
 
-def _rows(begun: Begun, unit: Unit) -> int:
-    family = families(begun.plan)[unit.family]
+def _rows(opened: OpenArchive, unit: Unit) -> int:
+    family = families(opened.plan)[unit.family]
     presses = family.presses[unit.first : unit.last]
     return sum(len(one) for press in presses for one in press.recordings)
 
@@ -303,17 +305,17 @@ ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", 
 
 
 def make_here(
-    begun: Begun,
+    opened: OpenArchive,
     units: Sequence[Unit],
     inside: Callable[[float], None] | None = None,
     *,
     device: str,
     stop: Stop,
-) -> Iterator[Made]:
+) -> Iterator[UnitStats]:
     """Make units one by one in this process, as a GPU needs.
 
     Args:
-        begun: The archive.
+        opened: The archive.
         units: Its missing units.
         inside: Called with the fraction of the unit's presses that are solved.
         device: Device to solve and render on.
@@ -325,22 +327,22 @@ def make_here(
     for unit in units:
         if stop.asked:
             return
-        yield make_unit(begun.path, begun.plan, unit, device, inside)
+        yield make_unit(opened.path, opened.plan, unit, device, inside)
 
 
 def make_in_processes(
-    begun: Begun,
+    opened: OpenArchive,
     units: Sequence[Unit],
     inside: object = None,
     *,
     processes: int,
     stop: Stop,
     device: str = "cpu",
-) -> Iterator[Made]:
+) -> Iterator[UnitStats]:
     """Make units in parallel and yield each when it is done; each process has one thread.
 
     Args:
-        begun: The archive.
+        opened: The archive.
         units: Its missing units.
         inside: Not called, because several units are in progress.
         processes: Most processes to use.
@@ -352,7 +354,7 @@ def make_in_processes(
         WorkerLost: A process was killed, for example for lack of memory.
     """
     rest = iter(units)
-    pending: set[Future[Made]] = set()
+    pending: set[Future[UnitStats]] = set()
     done = 0
     # Warp renders the images of every tier.
     workers = Workers(max(1, min(processes, len(units))), ready_device, device, fewer=FEWER)
@@ -365,7 +367,7 @@ def make_in_processes(
                 if unit is None:
                     break
                 with _one_thread():
-                    pending.add(workers.submit(make_unit, begun.path, begun.plan, unit, device))
+                    pending.add(workers.submit(make_unit, opened.path, opened.plan, unit, device))
             if not pending:
                 return
             ready, pending = wait(pending, return_when=FIRST_COMPLETED)
@@ -402,18 +404,18 @@ _ONE_AT_A_TIME = threading.Lock()
 
 
 def make_on_cluster(
-    begun: Begun,
+    opened: OpenArchive,
     units: Sequence[Unit],
     inside: object = None,
     *,
     address: str,
     device: str,
     stop: Stop,
-) -> Iterator[Made]:
+) -> Iterator[UnitStats]:
     """Make units on a Dask cluster and yield each when it is done.
 
     Args:
-        begun: The archive; its path is the same for every worker.
+        opened: The archive; its path is the same for every worker.
         units: Its missing units.
         inside: Not called, because several units are in progress.
         address: Address of the scheduler, such as `tcp://host:8786`.
@@ -431,7 +433,7 @@ def make_on_cluster(
         client = distributed.Client(address, timeout=WORKERS_WITHIN, set_as_default=False)
     except (OSError, ValueError) as error:
         raise SceneError(f"--scheduler: {address!r}: {error}; allowed: one that runs") from error
-    path, run = begun.path.resolve(), uuid4().hex
+    path, run = opened.path.resolve(), uuid4().hex
     rest = iter(units)
     with client:
         try:
@@ -453,7 +455,7 @@ def make_on_cluster(
                     future = client.submit(
                         make_there,
                         path,
-                        begun.plan,
+                        opened.plan,
                         unit,
                         device,
                         key=f"unit-{run}-{unit.number}",
@@ -470,16 +472,16 @@ def make_on_cluster(
             client.cancel(list(flying.values()), force=True)
 
 
-def make_there(path: Path, plan: Plan, unit: Unit, device: str) -> Made:
+def make_there(path: Path, plan: DatasetPlan, unit: Unit, device: str) -> UnitStats:
     """Make a unit in a worker of the cluster."""
     with _ONE_AT_A_TIME:
         ready_device(device)
         return make_unit(path, plan, unit, device)
 
 
-def _result(distributed: Any, future: Any) -> Made:
+def _result(distributed: Any, future: Any) -> UnitStats:
     try:
-        made: Made = future.result()
+        made: UnitStats = future.result()
     except distributed.KilledWorker as error:
         raise WorkerLost(
             f"{future.key}: every worker that ran it was killed, most likely for lack of memory; "
@@ -538,7 +540,7 @@ class Cost:
         return None if self.solving is None else (self.solving + self.seeing) / processes
 
 
-def cost(plan: Plan, missing: Sequence[Unit], device: str = "cpu") -> Cost:
+def cost(plan: DatasetPlan, missing: Sequence[Unit], device: str = "cpu") -> Cost:
     """Estimate the cost of units; time of presses only on `cpu`, to about a factor of two."""
     presses = frames = images = 0
     size = seeing = 0.0
@@ -575,7 +577,7 @@ def _seconds_seeing(each: SimulatedSensor) -> float:
     return SECONDS_VIEW + len(names(each)) * (SECONDS_MASK + segmented)
 
 
-def _seconds_press(plan: Plan, family: Family, device: str) -> float | None:
+def _seconds_press(plan: DatasetPlan, family: Family, device: str) -> float | None:
     """Return the mean time of a press [s]; None if unknown: on a GPU, or with a tolerance."""
     if device != "cpu" or plan.solving.tolerance is not None:
         return None

@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 from sim.fem.cg import Lines
 from sim.fem.contact import contact_kernels, face_rule
 from sim.fem.element import GAUSS_POINTS, Branches, element_kernels
-from sim.fem.matrix import HALF_POISSON, Stencil
+from sim.fem.matrix import HALF_POISSON, BlockMatrix
 from sim.fem.mesh import Mesh
 from sim.fem.numerics import Numerics
 from sim.fem.overlap import COLUMNS, overlap_kernel
 from sim.fem.vectors import (
     RUN,
     SUMS,
+    axpy,
     blend,
     copy_active,
     extrapolate,
@@ -32,7 +33,6 @@ from sim.fem.vectors import (
     push_kernel,
     reduce_kernel,
     residual_kernel,
-    walk,
     work_kernel,
 )
 from sim.indenters.device import PartTable
@@ -90,7 +90,7 @@ class Sums:
 # An effect that is off has arrays of length zero: no memory, no work.
 
 
-class State:
+class SolverState:
     """Displacements, contact and history of B environments, in units of thickness and modulus."""
 
     def __init__(self, assembly: Assembly, scenes) -> None:
@@ -122,9 +122,9 @@ class State:
         self._u_before = zeros((count, nodes), vec3)
         self.pressure = zeros(points, real)
         """Contact pressure (B, S, P)."""
-        self.carried = zeros(points, real)
+        self.multiplier = zeros(points, real)
         """Multiplier: the part of the pressure that needs no penetration (B, S, P)."""
-        self._carried_old = zeros(points, real)
+        self._multiplier_old = zeros(points, real)
         self.normal = zeros(points, vec3)
         """Unit normal out of the indenter where there is contact (B, S, P)."""
 
@@ -196,7 +196,7 @@ class State:
         """Put the tips at their positions before the first step (B, 3)."""
         self.tip_before[:] = self._tip_after[:] = tip
         self.tip_old.assign(self._array(tip, self.tip.dtype))
-        self.put_tip(np.ones(len(tip), bool))
+        self.set_tip(np.ones(len(tip), bool))
 
     def begin_step(
         self, chosen: np.ndarray, tip: np.ndarray, duration: np.ndarray, guess: np.ndarray
@@ -205,7 +205,7 @@ class State:
 
         Args:
             chosen: Environments whose step begins.
-            tip: Targets of their tips; `put_tip` moves them.
+            tip: Targets of their tips; `set_tip` moves them.
             duration: Time of the current step of each environment, begun now or before (B,) [s].
             guess: Share of the last accepted change of `u` that `u` begins with (B,).
         """
@@ -244,7 +244,7 @@ class State:
         if "inertia" in self._effects:
             self._foresee(active, duration)
             back = self._array(np.full(len(chosen), share - 1.0), self._real)
-            walk(active, back, self.predicted, way, self.predicted)
+            axpy(active, back, self.predicted, way, self.predicted)
 
     def put_weight(self, share: np.ndarray) -> None:
         """Set the share of their weight that bodies have (B,)."""
@@ -255,7 +255,7 @@ class State:
         self._tip_now[chosen] = AWAY
         self.tip.assign(self._array(self._tip_now, self.tip.dtype))
 
-    def put_tip(self, chosen: np.ndarray, *, before: bool = False) -> None:
+    def set_tip(self, chosen: np.ndarray, *, before: bool = False) -> None:
         """Put the tips of the chosen environments (B,) at the end of their step, or its start."""
         if not chosen.any():
             return
@@ -271,13 +271,13 @@ class State:
         """Return `step` on the device (B,); 0 for environments that are not chosen."""
         return self._array(np.where(chosen[:, None], self.step, 0.0), self.tip.dtype)
 
-    def carry(self, active) -> None:
+    def update_multiplier(self, active) -> None:
         """Set the multiplier to the current pressure."""
-        copy_active(active, self.pressure, self.carried)
+        copy_active(active, self.pressure, self.multiplier)
 
-    def give_up(self, active) -> None:
+    def rollback_step(self, active) -> None:
         """Roll back the changes of the step; `begin_step` resets the rest."""
-        copy_active(active, self._carried_old, self.carried)
+        copy_active(active, self._multiplier_old, self.multiplier)
 
     def settle_limit(self, active) -> None:
         """Set the limit of friction to the pressure of the last evaluated state."""
@@ -296,8 +296,8 @@ class State:
         self._duration_old[chosen] = np.maximum(duration, 1e-12)[chosen]
         copy_active(active, self.u_old, self._u_before)
         copy_active(active, self.u, self.u_old)
-        copy_active(active, self.pressure, self.carried)
-        copy_active(active, self.pressure, self._carried_old)
+        copy_active(active, self.pressure, self.multiplier)
+        copy_active(active, self.pressure, self._multiplier_old)
         if "friction" in self._effects:
             copy_active(active, self.traction, self.traction_old)
         self.tip_before[chosen] = self._tip_after[chosen]
@@ -407,7 +407,7 @@ class Assembly:
         self.residual = wp.zeros((environments, count), dtype=vec3, device=device)
         """Out-of-balance force of the last evaluated state (B, N) [E T^2]."""
         poisson = max(scene.body.poisson for scene in scenes)
-        self.stencil = Stencil(
+        self.block_matrix = BlockMatrix(
             mesh,
             real,
             environments,
@@ -420,7 +420,7 @@ class Assembly:
         self.lines = Lines(mesh, real, environments, device)
         """Preconditioner of the tangent."""
         self.coefficients = [getattr(s.effects.friction, "coefficient", 0.0) for s in scenes]
-        self.state = State(self, scenes)
+        self.state = SolverState(self, scenes)
         """State of the batch."""
 
     def evaluate(self, active, u, direction) -> Sums:
@@ -454,7 +454,7 @@ class Assembly:
                 self._table,
                 state.tip,
                 self._penalty,
-                state.carried,
+                state.multiplier,
                 self._convex,
                 *state.friction(self._stick),
                 active,
@@ -608,13 +608,13 @@ class Assembly:
         self._convex.assign(convex.astype(np.int32))
 
     def linearise(self, active, u, damping: np.ndarray, anew=None) -> None:
-        """Fill `stencil` and `lines` with the tangent of the last evaluated state, which is `u`.
+        """Fill `block_matrix` and `lines` with the tangent of the last evaluated state, `u`.
 
         `damping` (B,) [E / T^2] stiffens the tangent against any motion, but not the residual. The
         elastic part is updated to `u` where `anew` (B,) is set, or everywhere; else it is kept.
         """
         self._shift.assign((self.state.rates + damping).astype(numpy_of(self.real)))
-        self.stencil.assemble(
+        self.block_matrix.assemble(
             active,
             u,
             (self._inverse, self._weight, self._node_mass, self._variant),
@@ -624,7 +624,7 @@ class Assembly:
             self._convex,
             anew,
         )
-        self.lines.factor(active, self.stencil.matrix)
+        self.lines.factor(active, self.block_matrix.matrix)
 
     def accept(self, chosen: np.ndarray, duration: np.ndarray) -> None:
         """Make the current state of the chosen environments (B,) the start of their next step."""

@@ -160,12 +160,12 @@ class ConjugateGradient:
         environments: Number of environments, B.
         nodes: Number of nodes, N.
         device: Device of the vectors.
-        stencil: Tangent: `product(which, p, product, sums)` writes tangent p and the partial sums
-            of p . tangent p, (B, `stencil.parts`, 1), for the environments `which` (R,).
-        columns: Preconditioner: `advance` steps along p and writes z and the partial sums of r.z
-            and r.r, (B, `columns.parts`, 2).
+        matrix: Tangent: `product(which, p, product, sums)` writes tangent p and the partial sums
+            of p . tangent p, (B, `matrix.parts`, 1), for the environments `which` (R,).
+        preconditioner: `advance` steps along p and writes z and the partial sums of r.z and r.r,
+            (B, `preconditioner.parts`, 2).
         gather: Launch fewer rows as environments end; by default only on a GPU.
-        record: Record iterations as a graph; `stencil` and `columns` must only launch kernels.
+        record: Record iterations as a graph; both may only launch kernels then.
     """
 
     def __init__(
@@ -174,8 +174,8 @@ class ConjugateGradient:
         environments: int,
         nodes: int,
         device: str,
-        stencil,
-        columns,
+        matrix,
+        preconditioner,
         *,
         gather: bool | None = None,
         record: bool = True,
@@ -184,7 +184,7 @@ class ConjugateGradient:
         shape = (environments, nodes)
         self._real = real
         self._device = wp.get_device(device)
-        self._stencil, self._columns = stencil, columns
+        self._matrix, self._preconditioner = matrix, preconditioner
         self._shape = shape
         self.solution = wp.zeros(shape, dtype=vec3, device=device)
         """Solution (B, N)."""
@@ -192,9 +192,9 @@ class ConjugateGradient:
         self._p = wp.zeros(shape, dtype=vec3, device=device)
         self._z = wp.zeros(shape, dtype=vec3, device=device)
         self._product = wp.zeros(shape, dtype=vec3, device=device)
-        parts = environments, stencil.parts, 1
+        parts = environments, matrix.parts, 1
         self._along = wp.zeros(parts, dtype=wp.float64, device=device)
-        parts = environments, columns.parts, 2
+        parts = environments, preconditioner.parts, 2
         self._sums = wp.zeros(parts, dtype=wp.float64, device=device)
         self._which = self._all_rows = wp.zeros(environments, dtype=wp.int32, device=device)
         self._count = wp.zeros(environments, dtype=wp.int32, device=device)
@@ -231,7 +231,7 @@ class ConjugateGradient:
             self._iterate(look)
         return self._count.numpy().copy()
 
-    def verdict(self) -> tuple[np.ndarray, np.ndarray]:
+    def status(self) -> tuple[np.ndarray, np.ndarray]:
         """Return -(right-hand side) . solution, and True for solves that ended concave (B,).
 
         Those met a direction along which the tangent is not convex.
@@ -260,7 +260,7 @@ class ConjugateGradient:
             for _time in range(times):
                 self._once()
             return
-        rows = len(self._which), self._columns.ways
+        rows = len(self._which), self._preconditioner.ways
         if rows not in self._graphs:
             self._once()  # compiles kernels, which a recording must not
             with wp.ScopedCapture(self._device) as capture:
@@ -272,14 +272,14 @@ class ConjugateGradient:
 
     def _once(self) -> None:
         _start, _begin, step_length, change, turn = _cg_kernels(self._real, self._lanes)
-        self._stencil.product(self._which, self._p, self._product, self._along)
+        self._matrix.product(self._which, self._p, self._product, self._along)
         self._total(step_length, [self._along], [self._which, self._count, self._scalars])
         self._advance()
         self._total(change, [self._sums], [self._which, self._scalars])
         self._launch(turn, [self._scalars, self._z], [self._p])
 
     def _advance(self) -> None:
-        self._columns.advance(
+        self._preconditioner.advance(
             self._which,
             self._scalars,
             (self._p, self._product),
@@ -340,7 +340,7 @@ def _column_kernels(real):
         )
 
     @wp.func
-    def lifted(a: mat33, floor: real):
+    def clamped_eigenvalues(a: mat33, floor: real):
         """Return the symmetric matrix with eigenvalues raised to max(absolute value, `floor`)."""
         vectors, values = wp.eig3(a)
         for i in range(3):
@@ -378,7 +378,7 @@ def _column_kernels(real):
                 pivot = block - below
                 pivot = (pivot + wp.transpose(pivot)) * half
                 if not positive(pivot - wp.identity(n=3, dtype=real) * floor):
-                    pivot = lifted(pivot, floor)
+                    pivot = clamped_eigenvalues(pivot, floor)
                 inverse = wp.inverse(pivot)
                 coupling = matrix[env, n, next_slot]
                 upper = inverse * coupling
@@ -454,10 +454,10 @@ def _column_kernels(real):
             return
         begin = (line // inner) * outer + line % inner
         length = pivot.shape[2]
-        carried = vec3()
+        coupled = vec3()
         for k in range(length):
             n = begin + k * stride
-            carried = eliminated(upper, env, line, k, n, r[env, n] - carried, own_out)
+            coupled = eliminated(upper, env, line, k, n, r[env, n] - coupled, own_out)
         rz, _rr = substituted(pivot, upper, r, env, line, begin, stride, own_out)
         for k in range(length):
             n = begin + k * stride
@@ -503,10 +503,10 @@ def _column_kernels(real):
         rr = wp.float64(0.0)
         if column < pivot.shape[1]:
             levels = pivot.shape[2]
-            carried = vec3()
+            coupled = vec3()
             for k in range(levels):
                 n = column * levels + k
-                carried = eliminated(upper, env, column, k, n, r[env, n] - carried, z_out)
+                coupled = eliminated(upper, env, column, k, n, r[env, n] - coupled, z_out)
             rz, rr = substituted(pivot, upper, r, env, column, column * levels, 1, z_out)
         block_rz = wp.tile_sum(wp.tile(rz))
         block_rr = wp.tile_sum(wp.tile(rr))
@@ -536,13 +536,13 @@ def _column_kernels(real):
             return
         levels = pivot.shape[2]
         length = real(scalars[env, 2])
-        carried = vec3()
+        coupled = vec3()
         for k in range(levels):
             n = column * levels + k
             solution_out[env, n] = solution_out[env, n] + p[env, n] * length
             r = r_out[env, n] - product[env, n] * length
             r_out[env, n] = r
-            carried = eliminated(upper, env, column, k, n, r - carried, z_out)
+            coupled = eliminated(upper, env, column, k, n, r - coupled, z_out)
         rz, rr = substituted(pivot, upper, r_out, env, column, column * levels, 1, z_out)
         sums_out[env, column, 0] = rz
         sums_out[env, column, 1] = rr
@@ -583,7 +583,7 @@ class _Factors:
         self._free = wp.array(mesh.free.astype(np.int32), dtype=wp.int32, device=device)
 
     def make(self, active, matrix) -> None:
-        """Factor the lines of active environments, from the blocks (B, N, 27) of a `Stencil`."""
+        """Factor the lines of active environments, from the blocks (B, N, 27) of the tangent."""
         wp.launch(
             self._kernel,
             dim=(self._environments, self.lines),
@@ -593,7 +593,7 @@ class _Factors:
         )
 
 
-class Columns:
+class ColumnPreconditioner:
     """Preconditioner of vertical columns for B environments on one grid; it owns its factors."""
 
     ways = 1
@@ -621,7 +621,7 @@ class Columns:
         """Number of partial sums that `advance` writes for each sum."""
 
     def factor(self, active, matrix) -> None:
-        """Factor the columns of active environments, from the blocks (B, N, 27) of a `Stencil`."""
+        """Factor the columns of active environments, from the blocks (B, N, 27) of the tangent."""
         self._factors.make(active, matrix)
 
     def advance(self, which, scalars, along, vectors, sums) -> None:
@@ -676,7 +676,7 @@ HARD_FROM = {"cpu": 150, "cuda": 2000}
 
 
 class Lines:
-    """Columns, with lines along x and y for hard environments; interface of `Columns`.
+    """Columns, with lines along x and y for hard environments; interface of `ColumnPreconditioner`.
 
     Args:
         mesh: Grid with its fixed nodes.
@@ -689,13 +689,15 @@ class Lines:
     def __init__(
         self, mesh: Mesh, real, environments: int, device: str, *, parallel: bool | None = None
     ) -> None:
-        self._columns = Columns(mesh, real, environments, device, parallel=parallel)
+        self._column_preconditioner = ColumnPreconditioner(
+            mesh, real, environments, device, parallel=parallel
+        )
         self._mesh, self._real, self._device = mesh, real, device
         self._parallel = wp.get_device(device).is_cuda if parallel is None else parallel
         self._along = _column_kernels(real)[1]
         self._hard_from = HARD_FROM["cuda" if wp.get_device(device).is_cuda else "cpu"]
         x, y, z = (cells + 1 for cells in mesh.cells)
-        self.parts = self._columns.parts + y * z + x * z
+        self.parts = self._column_preconditioner.parts + y * z + x * z
         """Number of partial sums that `advance` writes for each sum."""
         self.hard = np.zeros(environments, bool)
         """True for environments that have lines along all axes (B,)."""
@@ -726,8 +728,8 @@ class Lines:
         self._own = wp.zeros(shape, vector_of(real), device=device)
 
     def factor(self, active, matrix) -> None:
-        """Factor as `Columns.factor` does, with lines along x and y of hard environments."""
-        self._columns.factor(active, matrix)
+        """Factor the columns, and lines along x and y for hard environments."""
+        self._column_preconditioner.factor(active, matrix)
         if not self._factors:
             return
         chosen = (active.numpy().astype(bool) & self.hard).astype(np.int32)
@@ -736,10 +738,10 @@ class Lines:
             factors.make(chosen, matrix)
 
     def advance(self, which, scalars, along, vectors, sums) -> None:
-        """Step as `Columns.advance` does, with lines along x and y of hard environments."""
-        self._columns.advance(which, scalars, along, vectors, sums)
+        """Step along p, and precondition with lines along x and y for hard environments."""
+        self._column_preconditioner.advance(which, scalars, along, vectors, sums)
         _solution, r, z = vectors
-        first = self._columns.parts
+        first = self._column_preconditioner.parts
         for factors in self._factors:
             wp.launch(
                 self._along,

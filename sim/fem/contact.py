@@ -81,7 +81,7 @@ def contact_kernels(real, friction: bool, traits: Traits = PLAIN):
         table: table_type,
         tip: wp.array(dtype=vec3),
         penalty: real,
-        carried: wp.array3d(dtype=real),
+        multiplier: wp.array3d(dtype=real),
         convex: wp.array(dtype=wp.int32),
         # Friction:
         coefficient: wp.array(dtype=real),
@@ -129,7 +129,7 @@ def contact_kernels(real, friction: bool, traits: Traits = PLAIN):
             a3 = shape[p, 3]
             place = x0 * a0 + x1 * a1 + x2 * a2 + x3 * a3
             answer = distance(table, env, place)
-            pressure = carried[env, s, p] - penalty * answer[3]
+            pressure = multiplier[env, s, p] - penalty * answer[3]
             if pressure > zero:
                 touched += 1
                 normal = vec3(answer[0], answer[1], answer[2])

@@ -256,7 +256,7 @@ def _kernels(real, stored, wide: bool):
     return clear, finish, store_blocks, product, block_product
 
 
-class Stencil:
+class BlockMatrix:
     """Tangents of B environments on one grid; it owns the matrix."""
 
     def __init__(

@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from sim.fem.assembly import Assembly, Sums
 from sim.fem.cg import ConjugateGradient
 from sim.fem.numerics import ELASTIC_EVERY, Numerics
-from sim.fem.vectors import copy_active, walk
+from sim.fem.vectors import axpy, copy_active
 from sim.scalars import numpy_of
 from sim.scene import Scene
 
 # Least force by which residuals are divided [E T^2]: 2 mN in the paper's gel in float32, so that a
 # tolerance of 1e-4 requires no more than 0.2 uN, about the limit of its digits.
-FORCE_FLOOR = {"float32": 1e-3, "float64": 1e-5}
+MIN_FORCE_SCALE = {"float32": 1e-3, "float64": 1e-5}
 # Least determinant of the deformation gradient of a trial state.
 DET_TRIAL = 0.02
 # Most step lengths tried along one direction.
@@ -66,7 +66,7 @@ class Newton:
         self._assembly = assembly
         count, nodes = assembly.environments, len(assembly.mesh.nodes)
         self._cg = ConjugateGradient(
-            assembly.real, count, nodes, str(assembly.device), assembly.stencil, assembly.lines
+            assembly.real, count, nodes, str(assembly.device), assembly.block_matrix, assembly.lines
         )
         self._start = wp.zeros_like(assembly.state.u)
         self._friction = "friction" in assembly.effects
@@ -101,8 +101,8 @@ class Newton:
         state = self._assembly.state
         if self._friction:
             state.settle_limit(self.mask(chosen))
-        state.put_tip(chosen & predict, before=True)
-        state.put_tip(chosen & ~predict)
+        state.set_tip(chosen & predict, before=True)
+        state.set_tip(chosen & ~predict)
         self.resume(chosen)
 
     def resume(self, chosen: np.ndarray) -> None:
@@ -117,7 +117,7 @@ class Newton:
         self.converged[chosen], self.failed[chosen] = False, False
         state = self._assembly.state
         self._assembly.evaluate(self.mask(chosen), state.u, self._cg.solution)
-        self._judge(chosen & ~self._predicting)
+        self._check_convergence(chosen & ~self._predicting)
 
     def sweep(self, running: np.ndarray) -> None:
         """Run one iteration of the environments (B,) that are neither converged nor failed."""
@@ -131,7 +131,7 @@ class Newton:
                 state.relax_limit(slow, RELAX_SHARE)
                 assembly.evaluate_contact(slow, state.u, self._cg.solution)
         anew = None
-        if assembly.stencil.keeps:
+        if assembly.block_matrix.keeps:
             due = (self.iterations % ELASTIC_EVERY == 0) | (self._damping > 0)
             anew = self.mask(running & (due | self._convex | self._switched))
         self._switched[running] = False
@@ -149,8 +149,8 @@ class Newton:
         self.cg[running] += used[running]
         assembly.lines.learn(np.where(running, used, 0))
         self.iterations[running] += 1
-        slope, concave = self._cg.verdict()
-        state.put_tip(predicting)
+        slope, concave = self._cg.status()
+        state.set_tip(predicting)
         walked, length = self._search(active, running, predicting, slope)
         self._predicting[running] = False
         hard = ~predicting & (concave | (length < LENGTH_GOOD) | ~walked)
@@ -162,7 +162,7 @@ class Newton:
         damping = np.where(hard, stiffer, self._damping / 4)
         damping[damping < DAMPING_LEAST] = 0.0
         self._damping[running] = damping[running]
-        self._judge(running)
+        self._check_convergence(running)
         eased = self._convex & (self._damping == 0) & (self.residual < self._exact_below)
         eased |= self._convex & ~spared
         self._exact_below[running & eased] *= EXACT_LESS
@@ -185,7 +185,7 @@ class Newton:
             self._assembly.make_convex(self._convex)
         return bool(chosen.any())
 
-    def _judge(self, chosen: np.ndarray) -> None:
+    def _check_convergence(self, chosen: np.ndarray) -> None:
         """Check which of the chosen (B,) have converged and which have failed."""
         if not chosen.any():
             return
@@ -195,13 +195,13 @@ class Newton:
             state.settle_limit(active)
             assembly.evaluate_contact(active, state.u, self._cg.solution)
         sums = assembly.sums
-        force = np.maximum(np.sqrt(sums.applied), FORCE_FLOOR[assembly.precision])
+        force = np.maximum(np.sqrt(sums.applied), MIN_FORCE_SCALE[assembly.precision])
         self.residual[chosen] = (np.sqrt(sums.square) / force)[chosen]
-        sound = np.isfinite(self.residual) & (sums.det > DET_TRIAL)
-        balanced = chosen & sound & (self.residual <= self._tolerance)
+        is_valid = np.isfinite(self.residual) & (sums.det > DET_TRIAL)
+        balanced = chosen & is_valid & (self.residual <= self._tolerance)
         good = sums.det > assembly.numerics.det_floor
         self.converged |= balanced & good
-        self.failed |= (chosen & ~sound) | (balanced & ~good)
+        self.failed |= (chosen & ~is_valid) | (balanced & ~good)
 
     def _search(self, active, running, predicting, slope) -> tuple[np.ndarray, np.ndarray]:
         """Search along the direction; return success (B,) and step length (B,).
@@ -218,10 +218,12 @@ class Newton:
             self._walk(trying, length)
             sums = assembly.evaluate(trying, state.u, direction)
             with np.errstate(invalid="ignore", divide="ignore"):
-                sound = np.isfinite(sums.square) & np.isfinite(sums.slope) & (sums.det > DET_TRIAL)
-                good = sound & self._eased(sums, slope)
-                shrink = np.where(sound, slope / (slope - sums.slope), 0.5)
-            good = np.where(predicting, sound | (length == 0), good)
+                is_valid = (
+                    np.isfinite(sums.square) & np.isfinite(sums.slope) & (sums.det > DET_TRIAL)
+                )
+                good = is_valid & self._eased(sums, slope)
+                shrink = np.where(is_valid, slope / (slope - sums.slope), 0.5)
+            good = np.where(predicting, is_valid | (length == 0), good)
             open_ &= ~good
             if not open_.any():
                 break
@@ -240,7 +242,7 @@ class Newton:
 
     def _walk(self, trying, length: np.ndarray) -> None:
         assembly = self._assembly
-        walk(trying, self._lengths(length), self._start, self._cg.solution, assembly.state.u)
+        axpy(trying, self._lengths(length), self._start, self._cg.solution, assembly.state.u)
 
     def _lengths(self, length: np.ndarray):
         """Return lengths (B,) as an array for the kernels."""
@@ -266,13 +268,13 @@ class Newton:
         if self._friction or not long.any():
             return work
         active, way = self.mask(long), self._cg.solution
-        walk(active, self._lengths(np.full(len(long), -1.0)), state.u, state.u_old, way)
-        walk(active, self._lengths(np.full(len(long), 0.5)), state.u_old, way, self._start)
+        axpy(active, self._lengths(np.full(len(long), -1.0)), state.u, state.u_old, way)
+        axpy(active, self._lengths(np.full(len(long), 0.5)), state.u_old, way, self._start)
         state.put_within(long, 0.5, duration, way)
         state.put_tip_away(long)
         between = assembly.evaluate(active, self._start, way).slope
         state.put_within(long, 1.0, duration, way)
-        state.put_tip(long)
+        state.set_tip(long)
         assembly.evaluate(active, state.u, way)
         return np.where(long, (work + 2 * between) / 3, work)
 
@@ -286,7 +288,7 @@ class Newton:
 Array = NDArray[np.float64]
 
 # Time [s] after which any material has relaxed: how long a body stood before a motion begins.
-REST = 1e9
+FULL_RELAXATION_TIME = 1e9
 # Largest ratio of a step to the last one that was accepted.
 GROWTH = 1.5
 # Steps per shortest relaxation time, but at most `STEPS_MAX` in a segment.
@@ -368,7 +370,7 @@ class Path:
         start, end = self.corners[self.segment], self.corners[self.segment + 1]
         duration = (self.times[self.segment + 1] - self.times[self.segment]) * step
         if self.segment == 0:
-            duration = REST if self.length == 0 else 0.0
+            duration = FULL_RELAXATION_TIME if self.length == 0 else 0.0
         return share, start + (end - start) * share, float(duration)
 
     def load(self, share: float) -> float:
@@ -391,10 +393,10 @@ class Path:
             self.step = max(travel, 0.25 * self.longest) * GROWTH / self.length
         return True
 
-    def refuse(self, share: float, said: str) -> bool:
+    def refuse(self, share: float, message: str) -> bool:
         """Reject the step and halve it; return True if there is a smaller one to try."""
         step = share - self.share
-        self.tried.append(f"segment {self.segment}, step of {step:.3g} of it: {said}")
+        self.tried.append(f"segment {self.segment}, step of {step:.3g} of it: {message}")
         self.ramped |= self.heavy and self.segment == 0 and self.share == 0
         self.step = step / 2
         self.halvings += 1

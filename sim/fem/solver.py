@@ -24,7 +24,7 @@ from sim.contact_size import touched_by, width_of
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem.assembly import Assembly
 from sim.fem.mesh import Mesh, meshes_of
-from sim.fem.newton import FORCE_FLOOR, Newton, Path, path_of
+from sim.fem.newton import MIN_FORCE_SCALE, Newton, Path, path_of
 from sim.fem.numerics import Numerics, Precision
 from sim.fem.self_overlap import self_overlap
 from sim.fem.sizing import (
@@ -86,7 +86,7 @@ class Snapshot:
             "u": state.u,
             "touched": assembly.touched,
             "pressure": state.pressure,
-            "carried": state.carried,
+            "carried": state.multiplier,
             "normal": state.normal,
             "face_force": assembly.face_force,
             "face_overlap": assembly.face_overlap,
@@ -358,7 +358,7 @@ class Collector:
         quality = self._quality
         quality["residual"][frame] = residual
         quality["contact"][frame] = points.penetration.max(initial=0.0) / depth
-        scale = max(size, float(np.linalg.norm(external)), FORCE_FLOOR[assembly.precision])
+        scale = max(size, float(np.linalg.norm(external)), MIN_FORCE_SCALE[assembly.precision])
         quality["balance"][frame] = float(np.linalg.norm(external + held.base(env))) / scale
         stored = stored_energy(held, env, points, u)
         if self._start is None:
@@ -986,17 +986,19 @@ class _Batch:
                 good[i] = True
         if again.any():
             self._augmented[again] += 1
-            assembly.state.carry(newton.mask(again))
+            assembly.state.update_multiplier(newton.mask(again))
             newton.resume(again)
         self._take(good)
         if bad.any():
-            assembly.state.give_up(newton.mask(bad))
+            assembly.state.rollback_step(newton.mask(bad))
         for i in np.flatnonzero(bad).tolist():
             self._spent[i].steps += 1
-            said = f"{newton.iterations[i]} Newton iterations, residual {newton.residual[i]:.2e}"
+            reported = (
+                f"{newton.iterations[i]} Newton iterations, residual {newton.residual[i]:.2e}"
+            )
             self._last[i] = -1
             self._rounded[i] += self._is_rounding(i)
-            more = self._paths[i].refuse(self._share[i], said)
+            more = self._paths[i].refuse(self._share[i], reported)
             if not more or self._rounded[i] >= ROUNDED_MOST:
                 self._failed[i] = self._diverged(i)
         self._busy &= ~(good | bad)
@@ -1119,24 +1121,24 @@ class _Batch:
         scene, mesh, asked = self._scenes[env], self._meshes[env], self._numerics.fineness
         radius = scene.indenter.sharpest
         element = mesh.finest * scene.body.thickness
-        said = []
+        reported = []
         if self._numerics.follows and mesh.fineness < 0.99 * asked:
-            said.append(
+            reported.append(
                 f"the contact is meshed with a fineness of {mesh.fineness:.2g}, not the requested "
                 f"{asked:g}, which needs more than {self._numerics.elements_max} elements"
             )
         if radius < 0.99 * element:
-            said.append(
+            reported.append(
                 f"edge radius {radius * 1e3:.3g} mm is below the element's {element * 1e3:.3g} mm: "
                 "the force depends on the mesh and on the path; allowed without this warning: a "
                 "finer mesh or a rounder edge"
             )
-        said += [
+        reported += [
             f"{SIDES[name]}, at waypoints {frames}"
             for name, frames in self._collectors[env].at_side.items()
             if frames
         ]
-        return said
+        return reported
 
     def _record(self) -> dict:
         assembly = self._assembly

@@ -107,7 +107,7 @@ def extrapolate(active, share, now, before, out) -> None:
 @functools.cache
 def _walk_kernel(real, vec3):
     @wp.kernel(enable_backward=False, module="unique")
-    def walk(
+    def axpy(
         # In:
         active: wp.array(dtype=wp.int32),
         length: wp.array(dtype=real),
@@ -121,10 +121,10 @@ def _walk_kernel(real, vec3):
             return
         u_out[env, n] = start[env, n] + direction[env, n] * length[env]
 
-    return walk
+    return axpy
 
 
-def walk(active, length, start, direction, out) -> None:
+def axpy(active, length, start, direction, out) -> None:
     """Write out = start + length * direction where active; vectors (B, N), length (B,)."""
     wp.launch(
         _walk_kernel(length.dtype, start.dtype),

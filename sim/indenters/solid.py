@@ -229,10 +229,12 @@ def _check_whole(data: bytes, name: str) -> None:
             raise SceneError(f"{name}: no triangles; allowed: a closed body")
         return
     if data.lstrip()[:5].lower() != b"solid" or b"\0" in data:
-        said = f"{count} triangles, {HEADER + RECORD * count} bytes" if len(data) >= HEADER else ""
+        message = (
+            f"{count} triangles, {HEADER + RECORD * count} bytes" if len(data) >= HEADER else ""
+        )
         raise SceneError(
             f"{name}: {len(data)} bytes; allowed: an STL file, "
-            + (f"here of {said} (is it cut short?)" if said else f"of {HEADER} bytes or more")
+            + (f"here of {message} (is it cut short?)" if message else f"of {HEADER} bytes or more")
         )
     words = re.findall(rb"^[ \t]*(solid|facet|vertex|endfacet|endsolid)\b", data.lower(), re.M)
     found = Counter(words)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sim.layer.contact import Clearance
-from sim.layer.solver import GRID, TOLERANCE, History, Press, check_known, simulate_layer
+from sim.layer.solver import GRID, TOLERANCE, History, LayerPress, check_known, simulate_layer
 from sim.layer.spectral import Grid
 
 __all__ = [
@@ -12,7 +12,7 @@ __all__ = [
     "Clearance",
     "Grid",
     "History",
-    "Press",
+    "LayerPress",
     "check_known",
     "simulate_layer",
 ]

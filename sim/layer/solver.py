@@ -127,7 +127,7 @@ class Spent:
     steps: int = 0
 
 
-class Press:
+class LayerPress:
     """Layer of one scene, moved step by step; `traction` and `displacement` are its state."""
 
     def __init__(self, scene: Scene, grid: Grid, tolerance: float) -> None:
@@ -344,7 +344,7 @@ class Frames:
     `balance` stays NaN: base and top are in balance wave by wave, so there is no difference.
     """
 
-    def __init__(self, scene: Scene, press: Press) -> None:
+    def __init__(self, scene: Scene, press: LayerPress) -> None:
         """Allocate a frame for each waypoint."""
         self._scene, self._press = scene, press
         count = len(scene.motion)
@@ -439,7 +439,7 @@ def simulate_layer(
     """
     check_known(scene, tolerance)
     began = time.perf_counter()
-    press = Press(scene, Grid(scene.body, grid), tolerance)
+    press = LayerPress(scene, Grid(scene.body, grid), tolerance)
     frames = Frames(scene, press)
     ready = time.perf_counter()
     moving = 0.0

@@ -15,7 +15,7 @@ from sim.errors import SceneError, SimulationDiverged
 from sim.mpm.kernels import COLLAPSED, LEFT_GRID, SPEED_LIMIT, TOO_FAST
 from sim.mpm.lattice import QUASI_STATIC, Pace, build_lattice, pace_of, same_body
 from sim.mpm.numerics import MpmNumerics
-from sim.mpm.state import ROUND, Means, State, Units
+from sim.mpm.state import ROUND, Means, ParticleState, Units
 from sim.result import Outcome, Quality, Result
 from sim.scene import Scene
 
@@ -47,7 +47,7 @@ class Frames:
     the reaction.
     """
 
-    def __init__(self, scene: Scene, pace: Pace, state: State, env: int) -> None:
+    def __init__(self, scene: Scene, pace: Pace, state: ParticleState, env: int) -> None:
         self._scene, self._pace, self._lattice = scene, pace, state.lattice
         self._units: Units = state.units[env]
         frames = len(scene.motion)
@@ -204,7 +204,7 @@ def simulate_mpm(
     began = time.perf_counter()
     lattice = build_lattice(scenes, numerics)
     paces = [pace_of(scene, numerics, lattice.cell) for scene in scenes]
-    state = State(lattice, scenes, paces, numerics, device)
+    state = ParticleState(lattice, scenes, paces, numerics, device)
     wp.synchronize_device(state.device)
     seconds = {"build": time.perf_counter() - began}
     frames = [

@@ -65,7 +65,7 @@ class Means:
     det_min: float
 
 
-class State:
+class ParticleState:
     """Particles and grids of a batch; environments end with their schedule or with a failure.
 
     Memory per environment: 48 bytes a particle and 44 a node in float32, 96 and 56 in float64.

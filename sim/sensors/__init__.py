@@ -23,10 +23,10 @@ from sim.sensors.sensor import (
 )
 from sim.sensors.taxels import TaxelPad, TaxelSignal
 from sim.sensors.variation import (
+    DeviceVariation,
     Drift,
     Framing,
     Grip,
-    Life,
     Mount,
     Placement,
     Segmentation,
@@ -41,11 +41,11 @@ __all__ = [
     "NAMES",
     "CameraReadout",
     "CameraSignal",
+    "DeviceVariation",
     "Drift",
     "Framing",
     "Grip",
     "Lamp",
-    "Life",
     "Mount",
     "Pins",
     "Placement",

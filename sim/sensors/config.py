@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from recorder import strict_yaml
-from recorder.strict_yaml import YamlError, said
+from recorder.strict_yaml import YamlError, describe
 from sim.effects import Viscosity
 from sim.errors import SceneError
 from sim.scene import Body
@@ -66,7 +66,7 @@ def build(kind: type[Value], content: Any, where: str) -> Value:
         SceneError: A key is unknown or missing, or a value is of the wrong type or rejected.
     """
     if not isinstance(content, dict):
-        raise SceneError(f"{where}: found {said(content)}; allowed: a mapping")
+        raise SceneError(f"{where}: found {describe(content)}; allowed: a mapping")
     content = dict(content)
     word = getattr(kind, "KIND", None)
     if word is not None and (found := content.pop("kind", word)) != word:
@@ -110,7 +110,7 @@ def _value(hint: Any, value: Any, where: str, unit: str | None) -> Any:
         return value
     if origin is tuple:
         if not isinstance(value, list):
-            raise SceneError(f"{where}: found {said(value)}; allowed: a list")
+            raise SceneError(f"{where}: found {describe(value)}; allowed: a list")
         each = inner[:1] * len(value) if inner[-1] is Ellipsis else inner
         if len(each) != len(value):
             raise SceneError(f"{where}: found {len(value)} values; allowed: {len(each)}")
@@ -123,13 +123,13 @@ def _value(hint: Any, value: Any, where: str, unit: str | None) -> Any:
     if hint is float:
         if isinstance(value, bool) or not isinstance(value, int | float):
             text = f" [{unit}]" if unit else ""
-            raise SceneError(f"{where}: found {said(value)}; allowed: a number{text}")
+            raise SceneError(f"{where}: found {describe(value)}; allowed: a number{text}")
         if not math.isfinite(value):
             raise SceneError(f"{where}: found {value!r}; allowed: a finite number")
         return float(value) * (SI_PER_UNIT[unit] if unit else 1.0)
     if hint in (int, str, bool):
         if type(value) is not hint:
-            raise SceneError(f"{where}: found {said(value)}; allowed: {hint.__name__}")
+            raise SceneError(f"{where}: found {describe(value)}; allowed: {hint.__name__}")
         return value
     raise TypeError(f"{where}: unsupported type {hint!r}")
 

@@ -14,7 +14,7 @@ from sim.scene import Body, Motion, Scene
 from sim.sensors.config import build, read_mapping
 from sim.sensors.optics import Pins, Shading
 from sim.sensors.taxels import TaxelPad, TaxelSignal
-from sim.sensors.variation import Life
+from sim.sensors.variation import DeviceVariation
 from trajectories import ForceDepth, PressShear
 
 
@@ -91,7 +91,7 @@ class SimulatedSensor:
     """Recorded presses; None without such a recording."""
     force_depth: ForceDepth | None = None
     """Presses that relate force and depth, for material compensation."""
-    life: Life = field(default_factory=Life)
+    life: DeviceVariation = field(default_factory=DeviceVariation)
     """Deviations of this device from its design; all off by default."""
 
     def __post_init__(self) -> None:

@@ -320,7 +320,7 @@ class Grip:
 
 
 @dataclass(frozen=True, slots=True)
-class Life:
+class DeviceVariation:
     """Deviations of a device in use from its design; None is off."""
 
     mount: Mount | None = None

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sim.errors import SceneError
 from sim.indenters import Indenter
-from sim.layer import Grid, Press
+from sim.layer import Grid, LayerPress
 from sim.layer.contact import Clearance
 from sim.layer.solver import History, check_known
 from sim.scene import Motion, Scene
@@ -35,7 +35,7 @@ class Carried(Clearance):
         return super().at(tip - np.array([*self.drag, 0.0]))
 
 
-class CarriedPress(Press):
+class CarriedPress(LayerPress):
     """Press of tier `layer` whose gap follows the sideways displacement of the contact.
 
     With small strains, the gap is measured above undeformed material. An indenter that drags its
@@ -59,7 +59,7 @@ class CarriedPress(Press):
         return moved
 
     def move(self, tip: Array, duration: float) -> None:
-        """Move the tip straight to `tip` (3,) [m] in `duration` [s], as `Press.move`."""
+        """Move the tip straight to `tip` (3,) [m] in `duration` [s], as `LayerPress.move`."""
         super().move(tip, duration)
         limit = self.grid.body.thickness
         self._carried.drag = np.clip(self.shear, -limit, limit)

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from benchmarks.sim.accuracy import campaign
-from benchmarks.sim.accuracy.campaign import CLOSED_FORM, Plan, measure, measure_here
+from benchmarks.sim.accuracy.campaign import CLOSED_FORM, AccuracyCampaign, measure, measure_here
 from benchmarks.sim.accuracy.cases import CASES, chosen
 from benchmarks.sim.accuracy.chart import Scale
 from benchmarks.sim.accuracy.closed_form import closed_form
@@ -101,8 +101,8 @@ def test_rows_and_floors_come_back_from_their_file(tmp_path):
     assert again.machine == "a machine"
     assert again.rows[0] == kept
     assert math.isnan(again.rows[1].wall)
-    assert again.floors["sphere"]["force"] == 0.001
-    assert math.isnan(again.floors["sphere"]["outside"])
+    assert again.bounds["sphere"]["force"] == 0.001
+    assert math.isnan(again.bounds["sphere"]["outside"])
     (tmp_path / "other.jsonl").write_text("{}\n")
     with pytest.raises(ValueError, match="no measurements"):
         read(tmp_path / "other.jsonl")
@@ -117,9 +117,9 @@ def test_the_page_names_the_cheapest_within_each_error(tmp_path):
         replace(row(label="1 mm", error=0.02, wall=0.1), device="cuda:0"),
         replace(row(case="hold", ladder="mpm"), mean={}, note="refused: viscosity"),
     )
-    floors = {"sphere": dict.fromkeys(MEASURES, 0.0005)}
+    bounds = {"sphere": dict.fromkeys(MEASURES, 0.0005)}
     page = tmp_path / "accuracy.md"
-    write_page(page, tmp_path / "accuracy", [Measured("one core", "cpu", "fem", floors, rows)])
+    write_page(page, tmp_path / "accuracy", [Measured("one core", "cpu", "fem", bounds, rows)])
     text = page.read_text()
     assert "| sphere R 4 mm | CPU | 0.010, layer | 1.00, fem even 1 mm | 9.00, fem" in text
     assert "| sphere R 4 mm | GPU | 0.10, fem even 1 mm |" in text
@@ -160,12 +160,12 @@ def test_what_is_expected_to_take_too_long_is_left_out_and_nothing_is_measured_t
     monkeypatch.setattr(campaign, "references", lambda *_: [known])
     monkeypatch.setattr(campaign, "_measured", pretend)
     steps = tuple(by_name(f"fem even {size} mm") for size in ("1.25", "0.8", "0.5"))
-    plan = Plan("cpu", (SPHERE,), steps, 1.0, 5.0, tmp_path)
+    plan = AccuracyCampaign("cpu", (SPHERE,), steps, 1.0, 5.0, tmp_path)
     lines = []
     for _ in range(2):
         measure(plan, tmp_path / "cpu.jsonl", lines.append)
     assert made == ["fem even 1.25 mm", "fem even 0.8 mm"]
     kept = read(tmp_path / "cpu.jsonl")
     assert [one.name for one in kept.rows] == [CLOSED_FORM, *made]
-    assert kept.floors["sphere"]["force"] == 0.001
+    assert kept.bounds["sphere"]["force"] == 0.001
     assert "sphere done" in lines[-1]

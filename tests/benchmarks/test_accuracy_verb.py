@@ -17,7 +17,7 @@ def run(verb, *words):
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["--case", "ball"], "--case: 'ball'; allowed: sphere"),
         (["--reference", "-1"], "--reference: -1.0; allowed: above 0"),
@@ -25,8 +25,8 @@ def run(verb, *words):
         (["--only", "page"], "--out: no measurements in"),
     ],
 )
-def test_accuracy_refuses_what_means_nothing(tmp_path, words, said):
-    with pytest.raises(SceneError, match=said):
+def test_accuracy_refuses_what_means_nothing(tmp_path, words, message):
+    with pytest.raises(SceneError, match=message):
         run(accuracy, "--out", str(tmp_path), *words)
 
 

@@ -16,13 +16,13 @@ from benchmarks.endurance.report import growth_of, page
 from rig.bench.bench import load_bench
 from rig.core.errors import ConfigError
 from rig.core.packaged import BENCHES
-from trajectories import rehearse
+from trajectories import dry_run
 
 
 def test_the_plan_is_as_long_as_asked_and_no_longer_than_needed(tmp_path: Path) -> None:
     path, targets = long_bench(BENCHES / "tacpalm.yaml", 1800.0, tmp_path)
     bench, _ = load_bench(path)
-    walked = rehearse(
+    walked = dry_run(
         bench.trajectory,
         bench.limits.plan,
         speed=bench.arm.speed,

@@ -106,7 +106,7 @@ def test_an_experiment_may_be_called_otherwise_and_have_come_to_no_end(
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["{experiment}", "--out", "{tmp}/page.html"], "--out: found .*; allowed: a name that"),
         (["{tmp}/nothing", "--out", "{tmp}/page.md"], "nothing: found no results; allowed"),
@@ -122,12 +122,12 @@ def test_what_makes_no_table_is_an_error_and_writes_nothing(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     words: list[str],
-    said: str,
+    message: str,
 ) -> None:
     filled = [word.format(experiment=experiment, tmp=tmp_path) for word in words]
     assert main(["learning-tables", *filled]) == 2
 
-    assert re.search(said, capsys.readouterr().err)
+    assert re.search(message, capsys.readouterr().err)
     assert not (tmp_path / "page.md").exists()
 
 

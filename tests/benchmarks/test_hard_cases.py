@@ -12,7 +12,7 @@ from benchmarks.sim.stability.catalogue import BY_NAME, CASES, chosen
 from benchmarks.sim.stability.divergence import evidence
 from benchmarks.sim.stability.laws import Law, at_least, at_most, difference, rises, smooth
 from benchmarks.sim.stability.page import page
-from benchmarks.sim.stability.planted import CATCHERS, WHAT, fully_integrated, planted
+from benchmarks.sim.stability.planted import DETECTING_CASES, WHAT, fully_integrated, planted
 from benchmarks.sim.stability.runner import Report, run_case, run_cases
 from sim.errors import SimulationDiverged
 from sim.fem import assembly, matrix, solver
@@ -37,9 +37,9 @@ def test_quick_cases_pass(name: str) -> None:
     assert run_case(name, "cpu", None).failures == []
 
 
-@pytest.mark.parametrize("mistake", CATCHERS)
+@pytest.mark.parametrize("mistake", DETECTING_CASES)
 def test_a_planted_mistake_is_caught_by_a_case_that_passes_without_it(mistake: str) -> None:
-    name = CATCHERS[mistake][0]
+    name = DETECTING_CASES[mistake][0]
     assert run_case(name, "cpu", None).failures == []
     assert not run_case(name, "cpu", mistake).passed
 
@@ -57,8 +57,8 @@ def test_there_are_more_than_forty_cases_and_each_says_what_it_asserts() -> None
 
 
 def test_every_mistake_has_a_case_that_must_catch_it() -> None:
-    assert set(CATCHERS) == set(WHAT)
-    assert all(names and set(names) <= set(BY_NAME) for names in CATCHERS.values())
+    assert set(DETECTING_CASES) == set(WHAT)
+    assert all(names and set(names) <= set(BY_NAME) for names in DETECTING_CASES.values())
 
 
 def _solver_parts() -> dict[str, object]:
@@ -118,7 +118,7 @@ def test_nodal_contact_has_its_points_on_the_corners() -> None:
 
 
 def test_a_mistake_is_planted_in_worker_processes() -> None:
-    (name, *_others) = CATCHERS["nodal-contact"]
+    (name, *_others) = DETECTING_CASES["nodal-contact"]
     reports = run_cases(
         chosen([name, "never-touches"]),
         mistake="nodal-contact",
@@ -175,7 +175,7 @@ def _measures_nothing(_solver: Solver) -> list[Law]:
 
 
 @pytest.mark.parametrize(
-    ("run", "said"),
+    ("run", "message"),
     [
         (_diverges, "no converged state: no state"),
         (_crashes, "ZeroDivisionError"),
@@ -183,16 +183,16 @@ def _measures_nothing(_solver: Solver) -> list[Law]:
     ],
 )
 def test_a_case_without_laws_fails_and_says_why(
-    monkeypatch: pytest.MonkeyPatch, run: Run, said: str
+    monkeypatch: pytest.MonkeyPatch, run: Run, message: str
 ) -> None:
     case = Case(run, seconds=1)
     monkeypatch.setitem(BY_NAME, case.name, case)
     lines: list[str] = []
     (report,) = run_cases([case], processes=1, say=lines.append)
     assert not report.passed
-    assert said in report.failures[0]
+    assert message in report.failures[0]
     assert "FAILED" in lines[0]
-    assert said in lines[1]
+    assert message in lines[1]
 
 
 def test_two_processes_report_in_the_order_of_the_cases(capsys: pytest.CaptureFixture[str]) -> None:

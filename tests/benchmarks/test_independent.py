@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from benchmarks.sim.independent.axisymmetric import Layer, Press
+from benchmarks.sim.independent.axisymmetric import AxisymmetricPress, Layer
 from benchmarks.sim.independent.cases import CASES, Case
 from benchmarks.sim.independent.comparison import foreign_scene, own_error, scene_of
 from benchmarks.sim.independent.element import Elastic, Grid
@@ -50,7 +50,7 @@ def test_a_uniform_strain_is_met_by_any_mesh() -> None:
 def test_a_plane_presses_a_sliding_disc_uniaxially() -> None:
     layer = Layer(3 * MM, 2 * MM, MODULUS, POISSON, base="sliding")
     grid = Grid(np.linspace(0, 3 * MM, 4), np.linspace(-2 * MM, 0, 3))
-    press = Press(layer, punch(1.0, 0.1), grid, 0.0, 3 * MM)
+    press = AxisymmetricPress(layer, punch(1.0, 0.1), grid, 0.0, 3 * MM)
     found = press.run([0.4 * MM], [0.2 * MM])[0]
 
     def stress(across: float) -> tuple[float, float]:
@@ -111,7 +111,9 @@ def test_friction_that_never_slips_is_the_limit_of_much_friction() -> None:
     case = Case("sphere", (2,), 2, (0.4,))
     grid = layer_grid(layer.radius, layer.thickness, case.places(10))
     force = [
-        Press(layer, sphere(2 * MM), grid, friction, MM).run([0.4 * MM], case.path(10))[0].force
+        AxisymmetricPress(layer, sphere(2 * MM), grid, friction, MM)
+        .run([0.4 * MM], case.path(10))[0]
+        .force
         for friction in (0.0, 0.5, 5.0, 50.0)
     ]
     assert force[0] < force[1]

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from benchmarks.sim.stability.chance import run
+from benchmarks.sim.stability.chance.judgement import Settings, Verdict, judge_scene
 from benchmarks.sim.stability.chance.scenes import drawn
 from benchmarks.sim.stability.chance.shrink import failure
-from benchmarks.sim.stability.chance.verdict import Settings, Verdict, judge_scene
 from benchmarks.sim.stability.planted import MISTAKES, planted
 
 
@@ -73,7 +73,7 @@ def test_a_mistake_is_planted_while_a_scene_is_judged(
     monkeypatch.setattr(run, "planted", recorded)
     monkeypatch.setattr(run, "judge", judge)
     told = run.judge_one(
-        run.Plan(1, 0, 0, mistake="nodal-contact", folder=tmp_path, shrinks=False), 0
+        run.RandomRun(1, 0, 0, mistake="nodal-contact", folder=tmp_path, shrinks=False), 0
     )
     assert told.name == "0/0"
     assert judged == [["nodal-contact"]]

@@ -12,13 +12,7 @@ import pytest
 from benchmarks.__main__ import main
 from benchmarks.sim.stability.chance import bounds
 from benchmarks.sim.stability.chance.footprint import footprint, half_wall
-from benchmarks.sim.stability.chance.page import page
-from benchmarks.sim.stability.chance.referee import LAWS, held, loading
-from benchmarks.sim.stability.chance.run import Plan, Told, tell
-from benchmarks.sim.stability.chance.scenes import ELEMENTS_MAX, Drawn, drawn
-from benchmarks.sim.stability.chance.shrink import failure, load, shrunk, snippet, store
-from benchmarks.sim.stability.chance.twins import KINDS, symmetric, twin_of
-from benchmarks.sim.stability.chance.verdict import (
+from benchmarks.sim.stability.chance.judgement import (
     OutOfTime,
     Settings,
     Verdict,
@@ -27,6 +21,12 @@ from benchmarks.sim.stability.chance.verdict import (
     of_laws,
     time_limit,
 )
+from benchmarks.sim.stability.chance.page import page
+from benchmarks.sim.stability.chance.referee import LAWS, held, loading
+from benchmarks.sim.stability.chance.run import RandomRun, Told, tell
+from benchmarks.sim.stability.chance.scenes import ELEMENTS_MAX, Drawn, drawn
+from benchmarks.sim.stability.chance.shrink import failure, load, shrunk, snippet, store
+from benchmarks.sim.stability.chance.twins import KINDS, symmetric, twin_of
 from sim.effects import Effects, Friction
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem.mesh import meshes_of
@@ -160,9 +160,9 @@ def test_a_warning_excuses_only_what_it_owns_up_to(good: Result) -> None:
     assert not covered("touches", [edge])
     assert covered("not-through", ["the skin overlaps the indenter by 0.3 mm"])
     less = replace(good, wrench=good.wrench * 0.45, traction=good.traction * np.float32(0.45))
-    said = replace(less, record={"warnings": [edge]})
-    assert of_laws(said, held(said)).kind == "warned"
-    silent = replace(said, record={"warnings": []})
+    message = replace(less, record={"warnings": [edge]})
+    assert of_laws(message, held(message)).kind == "warned"
+    silent = replace(message, record={"warnings": []})
     assert of_laws(silent, held(silent)).kind == "silent"
 
 
@@ -267,7 +267,7 @@ def test_every_exception_has_its_class(monkeypatch: pytest.MonkeyPatch) -> None:
     assert _of(SceneError("body.modulus: 0; allowed: 1")).kind == "refused"
     assert _of(SceneError("no")).kind == "crash"
     assert _of(ZeroDivisionError("1/0")).kind == "crash"
-    assert "ZeroDivisionError: 1/0" in _of(ZeroDivisionError("1/0")).said
+    assert "ZeroDivisionError: 1/0" in _of(ZeroDivisionError("1/0")).message
     assert _of(SimulationDiverged("on the way to waypoint 2", ("a",))).kind == "diverged"
     assert _of(SimulationDiverged("no")).kind == "crash"
     assert _of(OutOfTime("1 s")).kind == "timeout"
@@ -314,7 +314,7 @@ def test_the_page_counts_by_class_and_by_law(good: Result) -> None:
     silent = of_laws(good, held(replace(good, wrench=-good.wrench)))
     right = of_laws(good, held(good))
     told = [Told("0/0", "sensible, x", right, 1.0), Told("0/1", "trap, y|z", silent, 2.0)]
-    text = page(told, Plan(2))
+    text = page(told, RandomRun(2))
     assert "| right | all laws hold | 1 |" in text
     assert "| no-pull | Contact does not pull," in text
     assert "| 0/1 | silent | trap, y\\|z |" in text

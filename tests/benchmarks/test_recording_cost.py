@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from benchmarks.__main__ import main
-from benchmarks.recording import claims, load, page, store_race
+from benchmarks.recording import criteria, load, page, store_benchmark
 from benchmarks.recording.alignment import (
     Error,
     force_error,
@@ -41,8 +41,8 @@ from benchmarks.recording.motion import (
 )
 from benchmarks.recording.page import Results, render
 from benchmarks.recording.progress import Progress
+from benchmarks.recording.store_benchmark import ChildFailed, Kill, StoreRow, Write
 from benchmarks.recording.store_child import inspect, read, write
-from benchmarks.recording.store_race import ChildFailed, Kill, StoreRow, Write
 from benchmarks.recording.stores import STORES, Entry, entry
 from recorder import Session, SessionWriter, StreamWriter
 from rig.core.clock import FakeClock
@@ -124,7 +124,7 @@ def test_frames_that_were_not_sealed_are_counted_after_repair_only(
 
 def test_a_real_kill_loses_at_most_one_frame_of_ours(tmp_path: Path) -> None:
     one = entry("ours-jpeg")
-    found = store_race.kill(sys.executable, one, tmp_path, 0)
+    found = store_benchmark.kill(sys.executable, one, tmp_path, 0)
     assert found.accepted >= 70
     assert found.wrong == 0
     assert found.repaired is not None
@@ -133,26 +133,26 @@ def test_a_real_kill_loses_at_most_one_frame_of_ours(tmp_path: Path) -> None:
 
 def test_zeros_that_a_store_declares_are_wrong_and_not_counted_as_left() -> None:
     numbers: list[int | None] = [0, 1, None, 3]
-    assert store_race._right(numbers, 4) == [0, 1, 3]
-    assert store_race._wrong(numbers) == 1
-    assert store_race._right([0, 1, 2], 2) == [0, 1]  # the third was never accepted
+    assert store_benchmark._right(numbers, 4) == [0, 1, 3]
+    assert store_benchmark._wrong(numbers) == 1
+    assert store_benchmark._right([0, 1, 2], 2) == [0, 1]  # the third was never accepted
 
 
 def test_a_store_whose_library_is_missing_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(store_race, "ask", lambda *_: {"missing": "h5py"})
-    row = store_race.measure(entry("h5py-blosc"), QUICK, tmp_path)
+    monkeypatch.setattr(store_benchmark, "ask", lambda *_: {"missing": "h5py"})
+    row = store_benchmark.measure(entry("h5py-blosc"), QUICK, tmp_path)
     assert row.missing == "h5py not installed: extra bench"
-    monkeypatch.delenv(store_race.INTERPRETER, raising=False)
-    row = store_race.measure(entry("lerobot-image"), QUICK, tmp_path)
+    monkeypatch.delenv(store_benchmark.INTERPRETER, raising=False)
+    row = store_benchmark.measure(entry("lerobot-image"), QUICK, tmp_path)
     text = render(Results("m", quick=False, stores=(row,)))
     assert "LEROBOT_PYTHON is not set; measured in another run: 17 frames/s" in text
 
 
 def test_a_measuring_process_that_fails_gives_its_last_words(tmp_path: Path) -> None:
     with pytest.raises(ChildFailed, match=r"Error.*nowhere"):
-        store_race.ask(
+        store_benchmark.ask(
             sys.executable,
             entry("ours-zstd"),
             "read",
@@ -349,14 +349,14 @@ def test_the_page_has_absolute_figures_and_ratios() -> None:
 
 
 def test_claims_are_missed_when_the_figures_say_so() -> None:
-    lost = claims.of_stores([store_row("ours-zstd", repaired=7)])
-    assert [claim.met for claim in lost] == [False, True]
+    lost = criteria.of_stores([store_row("ours-zstd", repaired=7)])
+    assert [criterion.met for criterion in lost] == [False, True]
     assert "3 lost at most" in lost[0].measured
-    fine = claims.of_full_load([fed(share=0.2), fed(share=0.2)])
-    assert [claim.met for claim in fine] == [True, True, True]
-    bad = claims.of_full_load([fed(share=0.4, dropped=1, p99=0.006), fed(share=0.3)])
-    assert [claim.met for claim in bad] == [False, False, False]
-    failed = claims.of_full_load([fed(failure="no space left")])
+    fine = criteria.of_full_load([fed(share=0.2), fed(share=0.2)])
+    assert [criterion.met for criterion in fine] == [True, True, True]
+    bad = criteria.of_full_load([fed(share=0.4, dropped=1, p99=0.006), fed(share=0.3)])
+    assert [criterion.met for criterion in bad] == [False, False, False]
+    failed = criteria.of_full_load([fed(failure="no space left")])
     assert not failed[0].met
     assert "**no**" in render(Results("m", quick=True, full=(fed(dropped=1),), full_seconds=2.0))
 
@@ -456,22 +456,22 @@ def test_ctrl_c_leaves_nothing_on_the_disk_and_no_process(tmp_path: Path) -> Non
             assert process.poll() is None, process.stderr.read()
             time.sleep(0.02)
         process.send_signal(signal.SIGINT)
-        said = process.communicate(timeout=30)[1]
+        message = process.communicate(timeout=30)[1]
     finally:
         process.kill()
         process.communicate()
     assert first.startswith("stores: ours")
     assert process.returncode == EXIT_INTERRUPTED
-    assert "interrupted" in said
+    assert "interrupted" in message
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("key", ["lerobot-image", "lerobot-video"])
 def test_lerobot_writes_in_its_own_interpreter(key: str, tmp_path: Path) -> None:
-    if not os.environ.get(store_race.INTERPRETER):
+    if not os.environ.get(store_benchmark.INTERPRETER):
         pytest.skip("LEROBOT_PYTHON names no interpreter that has LeRobot")
-    row = store_race.measure(entry(key), QUICK, tmp_path)
+    row = store_benchmark.measure(entry(key), QUICK, tmp_path)
     assert row.missing == ""
     assert row.write is not None
     assert row.write.frames >= 20

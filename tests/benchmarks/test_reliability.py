@@ -14,7 +14,7 @@ from support.sessions import make_session
 
 from benchmarks.__main__ import main
 from benchmarks.faults import disk
-from benchmarks.faults.judge import Judgement, arm_in_words, complaints, left_in, losses
+from benchmarks.faults.judge import FaultResult, arm_in_words, complaints, left_in, losses
 from benchmarks.faults.kills import VICTIMS, Kills
 from benchmarks.faults.observer import ArmState, Seen
 from benchmarks.faults.page import page
@@ -158,7 +158,7 @@ def test_an_arm_nobody_has_seen_standing_does_not_stand(
 
 def test_the_page_says_what_is_wrong_and_what_was_not_run(session: Path) -> None:
     row = next(row for row in ROWS if row.name == "camera-killed")
-    judged = Judgement(
+    judged = FaultResult(
         3, "stopped (camera: gone; check it): 0 of 2", 0.25, left_in(session), 9, 2, "still", ()
     )
     kills = Kills(completed=1, compared=50, resumed=2)

@@ -13,13 +13,12 @@ import pytest
 
 from benchmarks.sim.speed.campaign import (
     REFERENCE_FILE,
-    Plan,
+    SpeedCampaign,
     measure,
     meshes_file,
     presses_file,
     steps_file,
 )
-from benchmarks.sim.speed.floor import floor_of
 from benchmarks.sim.speed.forces import (
     errors,
     forces_of,
@@ -30,10 +29,11 @@ from benchmarks.sim.speed.forces import (
 )
 from benchmarks.sim.speed.machine import copy_rate, flop_rate, machine_name
 from benchmarks.sim.speed.page import write_page
-from benchmarks.sim.speed.record import Machine, Record, Run, read
+from benchmarks.sim.speed.record import Machine, Run, SpeedRecord, read
+from benchmarks.sim.speed.roofline import bound_of
 from benchmarks.sim.speed.steps import AS_IT_IS, STEPS, assembled_gain, steps_on
 from benchmarks.sim.speed.timing import counted, spent_with_workers
-from benchmarks.sim.speed.work import Press, Work, paper_work, smoke_work
+from benchmarks.sim.speed.work import TimedPress, Work, paper_work, smoke_work
 from sim import Body, Result, Scene, SceneError, SimulationDiverged, press, simulate_many
 from sim.device import ready_device
 from sim.effects import Effects, Friction
@@ -72,7 +72,7 @@ def test_a_few_presses_stand_for_all_indenters_and_places() -> None:
 
 
 def test_forces_are_kept_to_seven_digits(tmp_path: Path) -> None:
-    presses = [Press("cone", -4.0, 0.0, (0.3, 0.6)), Press("wave", 0.0, 4.0, (0.3,))]
+    presses = [TimedPress("cone", -4.0, 0.0, (0.3, 0.6)), TimedPress("wave", 0.0, 4.0, (0.3,))]
     outcomes = simulate_many([one.scene() for one in presses], "layer")
     forces = forces_of(presses, outcomes)
     assert list(forces) == [
@@ -114,7 +114,7 @@ def test_errors_are_shares_of_the_reference_where_both_have_a_force() -> None:
 
 def test_a_record_is_read_as_it_was_written(tmp_path: Path) -> None:
     path = tmp_path / "cpu.jsonl"
-    record = Record(path, Machine("a machine", "cpu", copy_rate=1e9))
+    record = SpeedRecord(path, Machine("a machine", "cpu", copy_rate=1e9))
     record.put(Run("presses", "all", presses=4, seconds=2.0))
     record.put(Run("scaling", "1"))
     record.put(Run("presses", "all", presses=4, seconds=3.0, again=1.5))
@@ -156,17 +156,17 @@ def test_a_floor_is_the_larger_of_moving_and_computing() -> None:
     row, half_row = 4 * 27 * 9, 2 * 27 * 9
     cg_bytes = 4 * (2 * 9 + 12 * 3)
     newton_bytes = 2 * row + 4 * (4 * 9 + 4 * 3)
-    near = floor_of(run, machine)
+    near = bound_of(run, machine)
     assert near.cg_bytes == 1000 * (cg_bytes + row)
     assert near.newton_bytes == 10 * 720 + 20 * (newton_bytes + 0.5 * row)
     assert near.byte_seconds == pytest.approx((near.cg_bytes + near.newton_bytes) / 1e9)
     machine = replace(machine, device="cuda:0")
-    floor = floor_of(run, machine)
-    assert floor.cg_bytes == 1000 * (cg_bytes + half_row)
-    assert floor.newton_bytes == 10 * 896 + 20 * (newton_bytes + row + half_row)
-    assert floor.seconds == (floor.cg_bytes + floor.newton_bytes) / 1e6
-    assert floor_of(run, replace(machine, flop_rate=1.0)).seconds == floor.flops
-    assert math.isnan(floor_of(run, Machine("m", "cpu")).seconds)
+    bound = bound_of(run, machine)
+    assert bound.cg_bytes == 1000 * (cg_bytes + half_row)
+    assert bound.newton_bytes == 10 * 896 + 20 * (newton_bytes + row + half_row)
+    assert bound.seconds == (bound.cg_bytes + bound.newton_bytes) / 1e6
+    assert bound_of(run, replace(machine, flop_rate=1.0)).seconds == bound.flops
+    assert math.isnan(bound_of(run, Machine("m", "cpu")).seconds)
 
 
 def test_rates_of_this_machine_are_numbers() -> None:
@@ -222,10 +222,10 @@ def test_without_a_step_the_answer_is_the_same_and_the_next_run_has_it_again(
 
 def test_workers_count_in_time_and_memory() -> None:
     def work() -> int:
-        said = subprocess.run(
+        reported = subprocess.run(
             [sys.executable, "-c", "b = b'1' * 10**8; import time; time.sleep(0.4)"], check=True
         )
-        return said.returncode
+        return reported.returncode
 
     value, spent = spent_with_workers(work, "cpu", 2)
     alone = spent_with_workers(lambda: 0, "cpu", 1)[1]
@@ -235,18 +235,20 @@ def test_workers_count_in_time_and_memory() -> None:
 
 
 def tiny() -> Work:
-    one = (Press("sphere", 0.0, 0.0, (0.05, 0.1)),)
+    one = (TimedPress("sphere", 0.0, 0.0, (0.05, 0.1)),)
     return Work(one, one, one, one, one)
 
 
-def plan_of(folder: Path, parts: tuple[str, ...], *, again: bool = False) -> Plan:
-    return Plan("cpu", tiny(), folder, parts, 1, 4e-3 / 3, (), 4e-3 / 3, again, False, None)
+def plan_of(folder: Path, parts: tuple[str, ...], *, again: bool = False) -> SpeedCampaign:
+    return SpeedCampaign(
+        "cpu", tiny(), folder, parts, 1, 4e-3 / 3, (), 4e-3 / 3, again, False, None
+    )
 
 
 def test_what_is_measured_is_kept_and_not_measured_twice(tmp_path: Path) -> None:
     ready_device("cpu")
-    said: list[str] = []
-    measure(plan_of(tmp_path, ("presses", "reference")), said.append)
+    reported: list[str] = []
+    measure(plan_of(tmp_path, ("presses", "reference")), reported.append)
     record = read(tmp_path / "cpu.jsonl")
     run = record.runs["presses", "all"]
     assert (run.presses, run.failed, run.processes) == (1, 0, 1)
@@ -257,16 +259,16 @@ def test_what_is_measured_is_kept_and_not_measured_twice(tmp_path: Path) -> None
     assert len(forces) == 2
     assert errors(forces, read_forces(tmp_path / REFERENCE_FILE)).presses == 1
     before = (tmp_path / "cpu.jsonl").read_text()
-    said.clear()
-    measure(plan_of(tmp_path, ("presses", "reference")), said.append)
+    reported.clear()
+    measure(plan_of(tmp_path, ("presses", "reference")), reported.append)
     assert (tmp_path / "cpu.jsonl").read_text() == before
-    assert all("already measured" in line for line in said)
-    measure(plan_of(tmp_path, ("presses",), again=True), said.append)
+    assert all("already measured" in line for line in reported)
+    measure(plan_of(tmp_path, ("presses",), again=True), reported.append)
     assert (tmp_path / "cpu.jsonl").read_text() != before
 
 
-def made_up(folder: Path) -> list[Record]:
-    cpu = Record(
+def made_up(folder: Path) -> list[SpeedRecord]:
+    cpu = SpeedRecord(
         folder / "cpu.jsonl",
         Machine("Two Cores", "cpu", 8.0, 21, 2e10, 8e10, 1e11, "made up"),
     )
@@ -297,7 +299,7 @@ def made_up(folder: Path) -> list[Record]:
             Run("reference", "reference", 54, 90.0, spacing_mm=0.33, note="tight"),
         )
     }
-    gpu = Record(folder / "cuda-0.jsonl", Machine("A GPU", "cuda:0"))
+    gpu = SpeedRecord(folder / "cuda-0.jsonl", Machine("A GPU", "cuda:0"))
     gpu.put(replace(whole, seconds=12.0, again=2.5, processes=1, failed=1, memory=2**33))
     cpu.write()
     key = ("sphere", 0.0, 0.0, 0.6)
@@ -340,15 +342,15 @@ def test_the_page_says_what_was_measured_and_what_was_not(tmp_path: Path) -> Non
     assert "| 2.00 | 22 s, 11 s |" in two
     assert sum("6.2 Newton iterations a press more, 5.00 % of all" in line for line in lines) == 1
     assert any(line.startswith("| graph capture |") and "not measured" in line for line in lines)
-    floor = floor_of(records[0].runs["presses", "all"], records[0].machine)
-    assert f"| measured / floor | {420 / floor.seconds:.1f} | not measured |" in lines
+    bound = bound_of(records[0].runs["presses", "all"], records[0].machine)
+    assert f"| measured / floor | {420 / bound.seconds:.1f} | not measured |" in lines
     assert "12.5 s | 12.5 s | 16.9 min (predicted, 2 cores) | 7.0 min |" in text
     assert "| 750 s |" in text
     assert "54 presses with elements 0.33 mm high, tight, 90 s on Two Cores" in text
 
 
 def test_a_page_from_nothing_but_a_machine_is_a_page(tmp_path: Path) -> None:
-    record = Record(tmp_path / "speed" / "cpu.jsonl", Machine("Two Cores", "cpu"))
+    record = SpeedRecord(tmp_path / "speed" / "cpu.jsonl", Machine("Two Cores", "cpu"))
     write_page(tmp_path / "speed.md", [record])
     text = (tmp_path / "speed.md").read_text()
     assert "nan" not in text
@@ -374,8 +376,10 @@ def test_measuring_needs_neither_a_plotter_nor_a_store() -> None:
         "from benchmarks.sim.speed.work import paper_work\npaper_work().presses[0].scene()\n"
         "print([name for name in ('zarr', 'matplotlib', 'PIL') if name in sys.modules])"
     )
-    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert said.stdout.strip() == "[]"
+    reported = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert reported.stdout.strip() == "[]"
 
 
 def test_smoke_presses_are_a_few() -> None:

@@ -20,7 +20,7 @@ def run(*words: str) -> int:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["--only", "presses,drawing"], "--only: 'presses,drawing'; allowed: some of presses"),
         (["--processes", "0"], "processes: 0; allowed: whole numbers from 1 up"),
@@ -31,8 +31,8 @@ def run(*words: str) -> int:
         (["--only", "page"], "--out: no measurements in"),
     ],
 )
-def test_speed_refuses_what_means_nothing(tmp_path: Path, words: list[str], said: str) -> None:
-    with pytest.raises(SceneError, match=said):
+def test_speed_refuses_what_means_nothing(tmp_path: Path, words: list[str], message: str) -> None:
+    with pytest.raises(SceneError, match=message):
         run("--out", str(tmp_path), *words)
 
 

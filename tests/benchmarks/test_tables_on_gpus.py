@@ -30,14 +30,14 @@ def script(code: str) -> tuple[str, ...]:
 
 def test_each_begins_once_what_it_needs_is_done(on_gpus: ModuleType, tmp_path: Path) -> None:
     made, used = tmp_path / "made", tmp_path / "used"
-    pieces = [
-        on_gpus.Piece(
+    tasks = [
+        on_gpus.Task(
             "second",
             script(f"import os; open({str(used)!r}, 'w').write(open({str(made)!r}).read())"),
             ("first",),
             jobs=1,
         ),
-        on_gpus.Piece(
+        on_gpus.Task(
             "first",
             script(
                 f"import os; open({str(made)!r}, 'w').write(os.environ['CUDA_VISIBLE_DEVICES'] + "
@@ -46,11 +46,11 @@ def test_each_begins_once_what_it_needs_is_done(on_gpus: ModuleType, tmp_path: P
             environment=(("JOBS", "5"),),
         ),
     ]
-    said: list[str] = []
-    took = on_gpus.run_all(pieces, on_gpus.Machine(["3"], 1), tmp_path, said.append)
+    reported: list[str] = []
+    took = on_gpus.run_all(tasks, on_gpus.Machine(["3"], 1), tmp_path, reported.append)
     assert list(took) == ["first", "second"]
     assert used.read_text() == "3cuda:05"
-    assert [line.split("  ")[-1] for line in said][::2] == [
+    assert [line.split("  ")[-1] for line in reported][::2] == [
         "first: begins, GPU 3",
         "second: begins, GPU 3",
     ]
@@ -58,16 +58,16 @@ def test_each_begins_once_what_it_needs_is_done(on_gpus: ModuleType, tmp_path: P
 
 
 def test_what_fails_takes_along_only_what_needs_it(on_gpus: ModuleType, tmp_path: Path) -> None:
-    pieces = [
-        on_gpus.Piece("broken", script("raise SystemExit('no such sensor')"), jobs=1),
-        on_gpus.Piece("behind", script(""), ("broken",), jobs=1),
-        on_gpus.Piece("beside", script(""), jobs=1),
+    tasks = [
+        on_gpus.Task("broken", script("raise SystemExit('no such sensor')"), jobs=1),
+        on_gpus.Task("behind", script(""), ("broken",), jobs=1),
+        on_gpus.Task("beside", script(""), jobs=1),
     ]
-    said: list[str] = []
-    took = on_gpus.run_all(pieces, on_gpus.Machine(["0"], 4), tmp_path, said.append)
+    reported: list[str] = []
+    took = on_gpus.run_all(tasks, on_gpus.Machine(["0"], 4), tmp_path, reported.append)
     assert list(took) == ["beside"]
-    assert "    no such sensor" in said
-    assert any("behind: skipped, it needs broken" in line for line in said)
+    assert "    no such sensor" in reported
+    assert any("behind: skipped, it needs broken" in line for line in reported)
 
 
 def test_stopped_it_stops_what_runs_and_waits_for_it(on_gpus: ModuleType, tmp_path: Path) -> None:
@@ -88,7 +88,7 @@ def test_stopped_it_stops_what_runs_and_waits_for_it(on_gpus: ModuleType, tmp_pa
 
     with pytest.raises(KeyboardInterrupt):
         on_gpus.run_all(
-            [on_gpus.Piece("training", script(training), jobs=1)],
+            [on_gpus.Task("training", script(training), jobs=1)],
             on_gpus.Machine(["0"], 4),
             tmp_path,
             stop,
@@ -98,27 +98,27 @@ def test_stopped_it_stops_what_runs_and_waits_for_it(on_gpus: ModuleType, tmp_pa
 
 def test_a_gpu_takes_as_many_models_as_it_has_memory_for(on_gpus: ModuleType) -> None:
     machine = on_gpus.Machine(["0", "1"], 10)
-    table = on_gpus.Piece("table", (), jobs=8)
-    small = on_gpus.Piece("small", (), jobs=2)
+    table = on_gpus.Task("table", (), jobs=8)
+    small = on_gpus.Task("small", (), jobs=2)
     for piece, place in ((table, 0), (table, 1), (small, 0), (small, 1), (small, None)):
         assert machine.place_for(piece) == place
         if place is not None:
             machine.running.append(on_gpus.Running(piece, place, None, 0.0))
-    archive = on_gpus.Piece("archive", ())
+    archive = on_gpus.Task("archive", ())
     assert machine.place_for(archive) is not None
     machine.running += [on_gpus.Running(archive, 0, None, 0.0)] * on_gpus.ARCHIVES_AT_ONCE
     assert machine.place_for(archive) is None
 
 
 def test_a_table_too_large_for_a_gpu_has_one_for_itself(on_gpus: ModuleType) -> None:
-    machine, table = on_gpus.Machine(["0"], 4), on_gpus.Piece("table", (), jobs=8)
+    machine, table = on_gpus.Machine(["0"], 4), on_gpus.Task("table", (), jobs=8)
     assert machine.place_for(table) == 0
     machine.running.append(on_gpus.Running(table, 0, None, 0.0))
     assert machine.place_for(table) is None
 
 
 def test_pieces_by_name_come_with_what_they_need(on_gpus: ModuleType, tmp_path: Path) -> None:
-    known = on_gpus.pieces(tmp_path, 8, 16)
+    known = on_gpus.tasks(tmp_path, 8, 16)
     names = {piece.name for piece in known}
     assert all(set(piece.needs) <= names for piece in known)
     assert [piece.name for piece in on_gpus.chosen(known, "half")] == [

@@ -139,7 +139,7 @@ def _run_together(case: Case, root: Path, places: dict[str, str]) -> list[tuple[
     done = _process([sys.executable, str(HERE / "together.py"), lines], case, root)
     if done.returncode:
         raise RuntimeError(f"{case.name}: {done.stderr[-2000:]}")
-    return [(code, said, erred) for code, said, erred in json.loads(done.stdout)]
+    return [(code, reported, erred) for code, reported, erred in json.loads(done.stdout)]
 
 
 def _process(argv: list[str], case: Case, root: Path) -> subprocess.CompletedProcess[str]:
@@ -220,15 +220,15 @@ def _prepare(step: tuple[Any, ...], places: dict[str, str]) -> None:
 
 
 def _told(
-    case: Case, line: str, code: int, said: str, erred: str, places: dict[str, str]
+    case: Case, line: str, code: int, reported: str, erred: str, places: dict[str, str]
 ) -> dict[str, Any]:
     found: dict[str, Any] = {"argv": line, "exit": code}
     if line.endswith("--help"):
-        return found | _helped(said)
-    if said.lstrip().startswith("{"):
-        found["json"] = json.loads(said)
+        return found | _helped(reported)
+    if reported.lstrip().startswith("{"):
+        found["json"] = json.loads(reported)
     else:
-        text = _lines(said, places, timed=case.timed)
+        text = _lines(reported, places, timed=case.timed)
         if case.loose:
             text = [_NUMBERS.sub(NUMBER, each) for each in (text[:1] + text[1:][-1:])]
         found["text"] = text
@@ -246,26 +246,26 @@ def _told(
     return found
 
 
-def _helped(said: str) -> dict[str, Any]:
+def _helped(reported: str) -> dict[str, Any]:
     """Return the commands and options that a help page lists."""
     found: dict[str, Any] = {}
-    if verbs := re.search(r"^ +\{([\w,-]+)\}", said, re.MULTILINE):
+    if verbs := re.search(r"^ +\{([\w,-]+)\}", reported, re.MULTILINE):
         found["verbs"] = sorted({*verbs.group(1).split(",")} - MEASURING)
     else:
-        names = re.findall(r"^    ([a-z][a-z-]*)  ", said, re.MULTILINE)
-        if "COMMAND" in said:
+        names = re.findall(r"^    ([a-z][a-z-]*)  ", reported, re.MULTILINE)
+        if "COMMAND" in reported:
             found["verbs"] = sorted(names)
-    found["options"] = sorted(set(re.findall(r"(?<![\w-])--[a-z][a-z0-9-]*", said)))
+    found["options"] = sorted(set(re.findall(r"(?<![\w-])--[a-z][a-z0-9-]*", reported)))
     return found
 
 
-def _lines(said: str, places: dict[str, str], *, timed: bool = True) -> list[str]:
+def _lines(reported: str, places: dict[str, str], *, timed: bool = True) -> list[str]:
     """Return the lines with paths and times masked.
 
     If `timed`, durations are masked. Otherwise (errors) they stay, and progress is removed.
     """
     found = []
-    for line in said.splitlines():
+    for line in reported.splitlines():
         line = line.rpartition("\r")[2]
         if not timed and _NOISE.search(line):
             continue

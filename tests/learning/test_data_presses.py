@@ -91,13 +91,13 @@ def test_marker_fields_follow_the_truth(
     assert truth[:, :2].abs().max() > 5
     # Reading a few presses at a time, for large archives, gives the same result.
     monkeypatch.setattr(presses_module, "_FIELDS_AT_ONCE", 6)
-    said: list[int] = []
+    reported: list[int] = []
     again = load_presses(
-        archive["dots"], rows, form="field", progress=lambda done, total: said.append(done)
+        archive["dots"], rows, form="field", progress=lambda done, total: reported.append(done)
     )
     assert torch.equal(again.images, found)
-    assert said[-1] == 14
-    assert said == sorted(said)
+    assert reported[-1] == 14
+    assert reported == sorted(reported)
 
 
 def test_presses_without_labels_are_refused_for_forces_alone(archive: MarkerArchive) -> None:
@@ -108,7 +108,7 @@ def test_presses_without_labels_are_refused_for_forces_alone(archive: MarkerArch
 
 
 @pytest.mark.parametrize(
-    ("rows", "said"),
+    ("rows", "reported"),
     [
         ([7], r"row 7 is not valid \(missing\)"),
         ([3, 3], "rows that repeat"),
@@ -116,8 +116,8 @@ def test_presses_without_labels_are_refused_for_forces_alone(archive: MarkerArch
         ([0.5], "allowed: integers"),
     ],
 )
-def test_wrong_rows_are_refused(archive: MarkerArchive, rows: list[int], said: str) -> None:
-    with pytest.raises(LearningError, match=said):
+def test_wrong_rows_are_refused(archive: MarkerArchive, rows: list[int], reported: str) -> None:
+    with pytest.raises(LearningError, match=reported):
         load_presses(archive["dots"], rows)
 
 
@@ -159,11 +159,11 @@ def test_images_that_do_not_fit_stay_in_the_archive(
 
 
 def test_progress_counts_frames(archive: MarkerArchive) -> None:
-    said: list[tuple[int, int]] = []
+    reported: list[tuple[int, int]] = []
     rows = _rows(archive)
-    load_presses(archive["dots"], rows, progress=lambda done, total: said.append((done, total)))
-    assert said[0] == (0, len(rows))
-    assert said[-1] == (len(rows), len(rows))
+    load_presses(archive["dots"], rows, progress=lambda done, total: reported.append((done, total)))
+    assert reported[0] == (0, len(rows))
+    assert reported[-1] == (len(rows), len(rows))
 
 
 def test_the_fingerprint_changes_with_what_the_archive_says(

@@ -152,7 +152,7 @@ def test_a_location_that_is_another_press_is_refused(
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         ({"validation": 1.0}, "validation: found 1.0; allowed: 0 to less than 1"),
         ({"new_press": -0.1}, "new_press: found -0.1"),
@@ -162,11 +162,11 @@ def test_a_location_that_is_another_press_is_refused(
     ],
 )
 def test_wrong_choices_are_refused(
-    archive: MarkerArchive, options: dict[str, object], said: str
+    archive: MarkerArchive, options: dict[str, object], message: str
 ) -> None:
     with pytest.raises(LearningError) as raised:
         make_split(archive, **options)  # type: ignore[arg-type]
-    assert said in str(raised.value)
+    assert message in str(raised.value)
 
 
 def test_an_unfinished_archive_is_refused(tmp_path: Path) -> None:
@@ -179,7 +179,7 @@ def test_an_unfinished_archive_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "message"),
     [
         ("{", "not JSON"),
         ("[1]", "found format"),
@@ -187,12 +187,12 @@ def test_an_unfinished_archive_is_refused(tmp_path: Path) -> None:
         ('{"format": "tactile-rig split", "format_version": 1}', "not a whole split"),
     ],
 )
-def test_other_files_are_refused(tmp_path: Path, content: str, said: str) -> None:
+def test_other_files_are_refused(tmp_path: Path, content: str, message: str) -> None:
     path = tmp_path / "split.json"
     path.write_text(content)
     with pytest.raises(LearningError) as raised:
         read_split(path)
-    assert said in str(raised.value)
+    assert message in str(raised.value)
 
 
 def test_a_press_with_two_roles_is_refused(archive: MarkerArchive, tmp_path: Path) -> None:
@@ -215,11 +215,11 @@ def test_the_verb_writes_the_split_and_says_what_is_in_it(
     command = ["split", archive.name, "--out", str(path), "--hold-out-sensors", "grid"]
     options = parser.parse_args(command)
     assert options.run(options) == 0
-    said = capsys.readouterr().out
-    assert "held out" in said
+    message = capsys.readouterr().out
+    assert "held out" in message
     assert read_split(path) == make_split(archive, held_out_sensors=("grid",))
     # Frames of presses: 4 for each of 3 indenters with 5 frames, one of which is missing.
-    total = re.findall(r"^dots .*", said, re.MULTILINE)[0]
+    total = re.findall(r"^dots .*", message, re.MULTILINE)[0]
     assert sum(int(count) for count in re.findall(r"(\d+) of", total)) == 59
 
 

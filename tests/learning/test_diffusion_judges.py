@@ -29,8 +29,8 @@ def test_loss_is_the_sum_over_levels_of_mean_cross_entropies() -> None:
     vector = torch.tensor([[3.0], [-3.0]])
 
     def entropy(logit: float, wanted: float) -> float:
-        said = 1 / (1 + math.exp(-logit))
-        return -wanted * math.log(said) - (1 - wanted) * math.log(1 - said)
+        message = 1 / (1 + math.exp(-logit))
+        return -wanted * math.log(message) - (1 - wanted) * math.log(1 - message)
 
     for real, wanted in ((True, 0.8), (False, 0.0)):
         expected = sum(entropy(logit, wanted) for logit in (0.0, 2.0, -1.0, 1.0)) / 4

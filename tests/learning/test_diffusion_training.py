@@ -49,18 +49,24 @@ def _vae_settings(*overrides: str) -> MarkerVaeSettings:
 
 def test_presets_are_what_paper_supplement_and_code_say() -> None:
     assert preset_names(TRANSLATOR_PRESETS) == preset_names(MARKER_VAE_PRESETS) == PRESETS
-    said = {name: read_settings(TranslatorSettings, TRANSLATOR_PRESETS, name) for name in PRESETS}
+    reported = {
+        name: read_settings(TranslatorSettings, TRANSLATOR_PRESETS, name) for name in PRESETS
+    }
     for name, batch in (("paper_main", 16), ("paper_supplement", 4)):
-        assert said[name].optimiser.rate == Constant(5e-6, warm_up=500)
-        assert said[name].losses == LossWeights(adversarial=0.5, perceptual=5.0, square=1.0)
-        assert (said[name].batch, said[name].steps, said[name].train_vae) == (batch, 100_000, True)
-    code = said["authors_code"]
+        assert reported[name].optimiser.rate == Constant(5e-6, warm_up=500)
+        assert reported[name].losses == LossWeights(adversarial=0.5, perceptual=5.0, square=1.0)
+        assert (reported[name].batch, reported[name].steps, reported[name].train_vae) == (
+            batch,
+            100_000,
+            True,
+        )
+    code = reported["authors_code"]
     assert code.optimiser.rate == Constant(5e-5)
     assert code.losses == LossWeights(adversarial=0.5, perceptual=1.0, square=5.0)
     assert (code.pixel_range, code.two_pass, code.train_vae) == ("zero_one", True, False)
     assert all(
         (each.unet_rank, each.vae_rank, each.optimiser.clip_norm) == (8, 4, 1.0)
-        for each in said.values()
+        for each in reported.values()
     )
 
 
@@ -111,10 +117,10 @@ def test_both_ways_of_a_step_follow_the_same_losses() -> None:
     found = {}
     for two_pass in (False, True):
         settings = replace(tiny_settings(), steps=1, two_pass=two_pass)
-        said: list[dict[str, float]] = []
-        run = _Listening(said)
+        reported: list[dict[str, float]] = []
+        run = _Listening(reported)
         train(striped_pairs(), tiny_pretrained(), settings, run=run)  # type: ignore[arg-type]
-        found[two_pass] = said[0]
+        found[two_pass] = reported[0]
     assert found[True].keys() == found[False].keys()
     for name in ("train/square", "train/perceptual"):
         assert found[True][name] == pytest.approx(found[False][name], rel=1e-5)
@@ -123,14 +129,14 @@ def test_both_ways_of_a_step_follow_the_same_losses() -> None:
 class _Listening:
     """A run that stores its log calls and writes nothing."""
 
-    def __init__(self, said: list[dict[str, float]]) -> None:
-        self.said = said
+    def __init__(self, reported: list[dict[str, float]]) -> None:
+        self.reported = reported
 
     def restore(self, models: object, states: object) -> int:
         return 0
 
     def log(self, step: int, values: dict[str, float]) -> None:
-        self.said.append(dict(values))
+        self.reported.append(dict(values))
 
     def save(self, *args: object, **kwargs: object) -> None: ...
 
@@ -199,8 +205,8 @@ def test_the_autoencoder_resumes_exactly_and_only_its_adapter_learns(tmp_path: P
 def test_the_authors_decoder_is_given_scaled_latents() -> None:
     images = torch.rand(1, 1, SIDE, SIDE)
     plain, scaled = (
-        train_vae.MarkerVae(tiny_pretrained().vae, _vae_settings(f"decode_scaled={said}"))
-        for said in ("false", "true")
+        train_vae.MarkerVae(tiny_pretrained().vae, _vae_settings(f"decode_scaled={reported}"))
+        for reported in ("false", "true")
     )
     given = []
     for network in (plain, scaled):

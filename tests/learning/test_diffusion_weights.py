@@ -197,7 +197,7 @@ def test_pickles_that_would_run_code_are_refused_unread(tmp_path: Path, monkeypa
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (lambda theirs: theirs.update(rank_unet=8), "rank_unet: found 8; its tensors have 2"),
         (lambda theirs: theirs.update(vae_lora_target_modules=["conv"]), "vae_lora_target"),
@@ -210,7 +210,7 @@ def test_pickles_that_would_run_code_are_refused_unread(tmp_path: Path, monkeypa
     ],
 )
 def test_files_that_are_not_whole_are_refused_and_nothing_is_written(
-    change: Any, said: str | None, base: Path, tmp_path: Path
+    change: Any, message: str | None, base: Path, tmp_path: Path
 ) -> None:
     theirs = {
         key: dict(value) if isinstance(value, dict) else value
@@ -218,7 +218,7 @@ def test_files_that_are_not_whole_are_refused_and_nothing_is_written(
     }
     change(theirs)
     torch.save(theirs, tmp_path / "model.pkl")
-    with pytest.raises(LearningError, match=said):
+    with pytest.raises(LearningError, match=message):
         import_checkpoint(tmp_path / "model.pkl", str(base), tmp_path / "run")
     assert not (tmp_path / "run").exists()
 

@@ -27,8 +27,13 @@ from learning.experiment.parts import (
     trained_on,
 )
 from learning.experiment.settings import PRESETS, ExperimentSettings
-from learning.experiment.translating import Blind, flow_fields, translate_presses, warp_presses
-from learning.experiment.worker import Done
+from learning.experiment.translating import (
+    WithoutSourceReference,
+    flow_fields,
+    translate_presses,
+    warp_presses,
+)
+from learning.experiment.worker import TaskResult
 from learning.metrics import force_errors
 from learning.translation.flow import FlowTranslator
 from learning.translation.translator import SensorView
@@ -55,11 +60,11 @@ def settings(*changed: str) -> ExperimentSettings:
 
 
 def run(archive: MarkerArchive, out: Path, *changed: str) -> list[str]:
-    said: list[str] = []
+    reported: list[str] = []
     report = running.run_experiment(
-        archive.path, out, settings(*changed), pairs=["dots:grid"], say=said.append
+        archive.path, out, settings(*changed), pairs=["dots:grid"], say=reported.append
     )
-    return [*said, running.gained(report.force)]
+    return [*reported, running.gained(report.force)]
 
 
 @pytest.fixture(scope="module")
@@ -74,12 +79,12 @@ def done(
 def test_an_experiment_goes_from_presses_to_a_report_and_makes_nothing_twice(
     archive: MarkerArchive, done: tuple[Path, list[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out, said = done
-    assert said[-1].startswith("source-only R2 ")
+    out, reported = done
+    assert reported[-1].startswith("source-only R2 ")
     best = read_predictions(out / "results" / "dots-to-grid.priors.flow.npz")
     unseen = best.only(best.role == "new_indenter")
     errors = force_errors(unseen.true, unseen.predicted, unseen.label_std)
-    assert said[-1].endswith(f"transferred R2 {errors.r2_mean:.3f}")
+    assert reported[-1].endswith(f"transferred R2 {errors.r2_mean:.3f}")
     assert (out / "report" / "report.html").is_file()
     found = read_predictions(out / "results" / "dots-to-grid.compensated.flow.npz")
     assert set(found.role) == {"new_press", "new_indenter"}
@@ -89,7 +94,7 @@ def test_an_experiment_goes_from_presses_to_a_report_and_makes_nothing_twice(
         raise AssertionError("trained again")
 
     monkeypatch.setattr(forces, "train_force", refuse)
-    assert run(archive, out) == [line for line in said if not line.startswith("python")]
+    assert run(archive, out) == [line for line in reported if not line.startswith("python")]
     with pytest.raises(LearningError, match=r"experiment\.json\.seed: found 0, asked for 1"):
         run(archive, out, "seed=1")
 
@@ -98,13 +103,13 @@ def test_an_experiment_goes_from_presses_to_a_report_and_makes_nothing_twice(
 def test_pieces_side_by_side_give_what_they_give_one_after_the_other(
     archive: MarkerArchive, done: tuple[Path, list[str]], tmp_path: Path
 ) -> None:
-    out, said = done
+    out, reported = done
     also: list[str] = []
     running.run_experiment(
         archive.path, tmp_path, settings(), pairs=["dots:grid"], jobs=2, say=also.append
     )
     assert sorted(line for line in also if " to " in line) == sorted(
-        line for line in said if " to " in line
+        line for line in reported if " to " in line
     )
     file = Path("results") / "dots-to-grid.compensated.flow.npz"
     alone, together = (read_predictions(place / file) for place in (out, tmp_path))
@@ -126,30 +131,30 @@ def test_a_piece_begins_when_what_it_needs_is_done(monkeypatch: pytest.MonkeyPat
     after_slow, after_quick = ("carried", "slow"), ("carried", "quick")
     begun, went_on = [], threading.Event()
 
-    def do(piece: tuple[str, ...]) -> tuple[Done, list[str]]:
+    def do(piece: tuple[str, ...]) -> tuple[TaskResult, list[str]]:
         begun.append(piece)
         if piece == slow:
             assert went_on.wait(10)
         if piece == after_quick:
             went_on.set()
-        return Done(), [" ".join(piece)]
+        return TaskResult(), [" ".join(piece)]
 
     monkeypatch.setattr(worker, "_do", do)
-    pieces: dict[tuple[str, ...], set[tuple[str, ...]]] = {
+    tasks: dict[tuple[str, ...], set[tuple[str, ...]]] = {
         slow: set(),
         after_slow: {slow},
         quick: set(),
         after_quick: {quick},
     }
-    said: list[str] = []
+    reported: list[str] = []
     with ThreadPoolExecutor(2) as pool:
-        assert len(worker._done(pool, pieces, said.append)) == 4
+        assert len(worker._done(pool, tasks, reported.append)) == 4
     # The slow job ends only when the one that depends on the quick job has begun.
     assert begun[2:] == [after_quick, after_slow]
-    assert set(begun) == set(pieces)
+    assert set(begun) == set(tasks)
     for name in ("slow", "quick"):
-        assert said.index(f"train {name}") < said.index(f"carried {name}")
-    assert len(said) == len(pieces)
+        assert reported.index(f"train {name}") < reported.index(f"carried {name}")
+    assert len(reported) == len(tasks)
 
 
 def test_a_process_that_was_stopped_begins_nothing_that_it_was_already_given(
@@ -240,7 +245,7 @@ def test_a_blind_translator_is_told_nothing_of_the_source() -> None:
             return source
 
     masks = torch.zeros(2, 480, 640, dtype=torch.bool)
-    Blind(Asked()).translate(masks, masks[0], masks[1], ordered=True)
+    WithoutSourceReference(Asked()).translate(masks, masks[0], masks[1], ordered=True)
     assert told == [(None, False)]
 
 
@@ -292,7 +297,7 @@ def test_presets_can_be_read(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("changed", "reported"),
     [
         ("translators=[]", "translators: found"),
         ("translators=[flow, flow]", "each once"),
@@ -302,8 +307,8 @@ def test_presets_can_be_read(name: str) -> None:
         ("scored_presses=-1", "scored_presses: found -1"),
     ],
 )
-def test_senseless_experiments_are_refused(changed: str, said: str) -> None:
-    with pytest.raises(LearningError, match=said):
+def test_senseless_experiments_are_refused(changed: str, reported: str) -> None:
+    with pytest.raises(LearningError, match=reported):
         settings(changed)
 
 
@@ -313,7 +318,7 @@ def test_learned_translators_are_trained_by_their_own_commands(
     archive: MarkerArchive, tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
-    said = run(
+    reported = run(
         archive,
         out,
         "translators=[field, direct]",
@@ -323,7 +328,7 @@ def test_learned_translators_are_trained_by_their_own_commands(
         'autoencoder={preset: cpu_smoke, set: ["steps=2", "warm_up=0"]}',
         'direct={preset: cpu_smoke, set: ["steps=2", "warm_up=0"]}',
     )
-    commands = [line.split()[3] for line in said if line.startswith("python")]
+    commands = [line.split()[3] for line in reported if line.startswith("python")]
     assert commands == ["train-field", "train-autoencoder", "train-direct"]
     for name in ("field", "direct"):
         assert (out / "results" / f"dots-to-grid.transferred.{name}.npz").is_file()

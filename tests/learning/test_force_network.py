@@ -144,8 +144,8 @@ def test_newtons_and_shares_are_inverse() -> None:
     model.low.copy_(torch.tensor([-4.0, -3.0, -18.0]))
     model.high.copy_(torch.tensor([4.0, 5.0, 1.0]))
     forces = torch.tensor([[0.5, -2.0, -9.0]])
-    assert torch.allclose(model.newtons(model.shares(forces)), forces)
-    assert torch.equal(model.newtons(torch.ones(3)), model.high)
+    assert torch.allclose(model.denormalise(model.normalised(forces)), forces)
+    assert torch.equal(model.denormalise(torch.ones(3)), model.high)
 
 
 def test_an_untrained_model_begins_at_the_mean_label() -> None:

@@ -137,10 +137,10 @@ def test_a_frame_that_lost_a_marker_is_flagged_and_kept(folder: Path, tmp_path: 
     np.save(path, pack(mask))
     import_folder(root, tmp_path / "a.markers.zarr")
     sensor = MarkerArchive(tmp_path / "a.markers.zarr")["Array1"]
-    said = [json.loads(sensor.sources[one]) for one in sensor.table["source"]]
-    (row,) = (row for row, one in enumerate(said) if "marker_flag" in one)
-    assert "missing" in said[row]["marker_flag"]
-    assert (said[row]["folder"], sensor.table["frame"][row]) == ("img/npy/Array1/sphere/1", 6)
+    reported = [json.loads(sensor.sources[one]) for one in sensor.table["source"]]
+    (row,) = (row for row, one in enumerate(reported) if "marker_flag" in one)
+    assert "missing" in reported[row]["marker_flag"]
+    assert (reported[row]["folder"], sensor.table["frame"][row]) == ("img/npy/Array1/sphere/1", 6)
     np.testing.assert_array_equal(sensor.masks([row])[0], mask)
     np.save(root / "img" / "npy" / "Array1_ref.npy", np.zeros(38400, np.uint8))
     with pytest.raises(LearningError, match="Array1: reference 0 has no marker of 12 px or more"):

@@ -73,8 +73,8 @@ def test_labels_are_those_of_the_frames(archive: MarkerArchive, camera: Path) ->
     for target in range(TARGETS):
         rows = table["target"] == target
         np.testing.assert_array_equal(table["frame"][rows], np.arange(rows.sum()))
-    said = json.loads(archive["gelsight"].sources[0])
-    assert said == {"session": "sphere.zarr", "run": 0, "target": 0}
+    reported = json.loads(archive["gelsight"].sources[0])
+    assert reported == {"session": "sphere.zarr", "run": 0, "target": 0}
 
 
 def test_masks_show_the_markers_where_the_world_had_them(
@@ -103,11 +103,11 @@ def test_frames_that_lost_markers_are_flagged_and_kept(
     archive: MarkerArchive, camera: Path
 ) -> None:
     sensor = archive["gelsight"]
-    said = [json.loads(sensor.sources[one]) for one in sensor.table["source"]]
-    flagged = np.array([FLAG in one for one in said])
+    reported = [json.loads(sensor.sources[one]) for one in sensor.table["source"]]
+    flagged = np.array([FLAG in one for one in reported])
     np.testing.assert_array_equal(flagged, hidden(camera))
     assert flagged.sum() >= 2
-    assert all("missing" in said[row][FLAG] for row in np.flatnonzero(flagged))
+    assert all("missing" in reported[row][FLAG] for row in np.flatnonzero(flagged))
     assert sensor.masks(np.flatnonzero(flagged)).any(axis=(1, 2)).all()
     assert [finding.code for finding in check(archive.name)] == ["marker-count"]
 
@@ -186,8 +186,8 @@ def test_rows_without_a_sample_near_enough_are_not_there_and_say_why(
     assert not sensor.masks(np.flatnonzero(~valid)).any()
     assert np.isnan(sensor.table["wrench"][~valid]).all()
     assert np.isfinite(sensor.table["wrench"][valid]).all()
-    said = json.loads(sensor.sources[sensor.table["source"][3]])
-    assert said[INVALID] == "a stream has no sample near enough"
+    reported = json.loads(sensor.sources[sensor.table["source"][3]])
+    assert reported[INVALID] == "a stream has no sample near enough"
     assert "3 frames are not there: a stream has no sample near enough" in built.lines[-1]
     assert check(tmp_path / "a.markers.zarr") == []
 

@@ -105,7 +105,7 @@ def test_keys_that_differ_are_named_by_their_path() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("steps: 5\nstep: 3", "unknown step; known: steps, rate"),
         ("rate: 1", "missing steps"),
@@ -132,17 +132,17 @@ def test_keys_that_differ_are_named_by_their_path() -> None:
         ("extends: none.yaml\nsteps: 1", "none.yaml: no such file"),
     ],
 )
-def test_what_is_wrong_is_said_with_file_and_key(tmp_path: Path, text: str, said: str) -> None:
+def test_what_is_wrong_is_said_with_file_and_key(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "it.yaml"
     path.write_text(text)
     with pytest.raises(LearningError) as raised:
         read_settings(Outer, tmp_path, path)
-    assert said in str(raised.value)
+    assert message in str(raised.value)
     assert str(tmp_path) in str(raised.value)
 
 
 @pytest.mark.parametrize(
-    ("override", "said"),
+    ("override", "message"),
     [
         ("steps", "--set: found 'steps'; allowed: key=value"),
         ("a..b=1", "--set: found 'a..b=1'"),
@@ -151,10 +151,10 @@ def test_what_is_wrong_is_said_with_file_and_key(tmp_path: Path, text: str, said
         ("steps=[", "--set steps: not YAML"),
     ],
 )
-def test_wrong_overrides_are_refused(presets: Path, override: str, said: str) -> None:
+def test_wrong_overrides_are_refused(presets: Path, override: str, message: str) -> None:
     with pytest.raises(LearningError) as raised:
         read_settings(Outer, presets, "full", [override])
-    assert said in str(raised.value)
+    assert message in str(raised.value)
 
 
 def test_an_unknown_preset_lists_those_that_there_are(presets: Path) -> None:

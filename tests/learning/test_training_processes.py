@@ -71,8 +71,8 @@ def _run(path: Path, folder: Path, processes: int, stop_at: int) -> str:
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_two_processes_learn_and_stop_as_one(tmp_path: Path) -> None:
-    said = _run(tmp_path / "toy.py", tmp_path / "two", 2, 11)
-    assert "2 processes, cpu" in said
+    message = _run(tmp_path / "toy.py", tmp_path / "two", 2, 11)
+    assert "2 processes, cpu" in message
     _run(tmp_path / "toy.py", tmp_path / "one", 1, 11)
     folders = [read_model_folder(tmp_path / name, "force") for name in ("one", "two")]
     assert [folder.config.step for folder in folders] == [12, 12]

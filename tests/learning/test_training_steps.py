@@ -126,9 +126,9 @@ def test_an_average_follows_and_can_be_put_on() -> None:
 
 def test_the_device_is_the_one_that_there_is() -> None:
     launched = accelerator(LaunchSettings(device="cpu", mixed_precision="bf16"))
-    said = described(launched)
-    assert said.startswith("cpu (CPU)")
-    assert said.endswith("mixed precision bf16")
+    reported = described(launched)
+    assert reported.startswith("cpu (CPU)")
+    assert reported.endswith("mixed precision bf16")
     with pytest.raises(LearningError, match="found fp16 on a CPU"):
         accelerator(LaunchSettings(device="cpu", mixed_precision="fp16"))
 
@@ -140,9 +140,9 @@ def test_a_gpu_that_is_not_there_is_an_error() -> None:
 
 
 def test_ctrl_c_asks_once_and_ends_at_once_the_second_time() -> None:
-    now, said = [0.0], []
+    now, reported = [0.0], []
     before = signal.getsignal(signal.SIGINT)
-    with Stop(said.append, clock=lambda: now[0]) as stop:
+    with Stop(reported.append, clock=lambda: now[0]) as stop:
         assert not stop.asked
         os.kill(os.getpid(), signal.SIGTERM)
         assert stop.asked
@@ -151,7 +151,7 @@ def test_ctrl_c_asks_once_and_ends_at_once_the_second_time() -> None:
         now[0] = 5.0
         with pytest.raises(KeyboardInterrupt):
             os.kill(os.getpid(), signal.SIGINT)
-    assert len(said) == 1
+    assert len(reported) == 1
     assert signal.getsignal(signal.SIGINT) == before
 
 

@@ -18,7 +18,7 @@ from learning.translation import archive as translating
 from learning.translation import load_translator
 from learning.translation.archive import Model, Pair, dice, hash_of, translate_archive
 from learning.translation.flow import FlowTranslator
-from learning.translation.translator import SensorView, aimed
+from learning.translation.translator import SensorView, for_pair
 from recorder import MarkerArchive, SessionError
 from recorder.archive import check_archive, location_pairs
 from recorder.store.files import LOCAL
@@ -71,8 +71,8 @@ def test_labels_are_those_of_the_source_and_references_those_of_the_target(archi
     np.testing.assert_array_equal(made.references, target.references)
     assert made.mm_per_px == target.mm_per_px
     assert translated.indenters == archive.indenters
-    said = {key: made.attrs[key] for key in ("source", "target", "model", "model_sha256")}
-    assert said == {
+    message = {key: made.attrs[key] for key in ("source", "target", "model", "model_sha256")}
+    assert message == {
         "source": "dots",
         "target": "grid",
         "model": "flow",
@@ -175,10 +175,10 @@ def test_the_untouched_press_gives_the_target_reference_back(archive):
 
 def test_a_pair_of_other_scales_is_told_to_those_who_need_it():
     one, other = SensorView("a", 0.02, 0.02), SensorView("b", 0.04, 0.04)
-    told = aimed(FlowTranslator(), one, other)
+    told = for_pair(FlowTranslator(), one, other)
     assert (told.source, told.target) == (one, other)
     same = Same([])
-    assert aimed(same, one, other) is same
+    assert for_pair(same, one, other) is same
 
 
 def folder(path: Path, kind: str) -> Path:
@@ -221,7 +221,7 @@ def test_the_verb_translates_and_draws(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "message"),
     [
         (["--source", "dots"], "--source, --target: missing"),
         (["--source", "dots", "--target", "dots"], "--target: found dots, the source itself"),
@@ -231,9 +231,9 @@ def test_the_verb_translates_and_draws(tmp_path, capsys):
         (["--all", "--model", "nowhere"], "nowhere: found no config.yaml"),
     ],
 )
-def test_wrong_options_are_refused_and_nothing_is_written(archive, tmp_path, given, said):
+def test_wrong_options_are_refused_and_nothing_is_written(archive, tmp_path, given, message):
     out = tmp_path / "x.markers.zarr"
-    with pytest.raises(LearningError, match=said):
+    with pytest.raises(LearningError, match=message):
         run(archive.path, *given, "--out", out)
     assert not out.exists()
 

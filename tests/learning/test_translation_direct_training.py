@@ -17,7 +17,11 @@ from learning.training.run import LaunchSettings, RunFolder, accelerator
 from learning.translation.direct import KIND, DirectNetwork, load_network
 from learning.translation.direct.data import AlignedImages, Augmentation, align
 from learning.translation.direct.losses import LossWeights, perceptual, reconstruction
-from learning.translation.direct.network import PatchDiscriminator, fooling, telling
+from learning.translation.direct.network import (
+    PatchDiscriminator,
+    discriminator_loss,
+    generator_loss,
+)
 from learning.translation.direct.settings import PRESETS, DirectSettings
 from learning.translation.direct.train import new_network, train, validate
 from recorder import MarkerArchive
@@ -104,7 +108,7 @@ def test_the_adversary_learns_to_tell_real_from_made_and_the_network_to_fool_it(
     losses = []
     for _ in range(12):
         verdicts = adversary(torch.cat([real, made]), torch.cat([reference, reference]))
-        loss = telling(*verdicts.chunk(2))
+        loss = discriminator_loss(*verdicts.chunk(2))
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
@@ -113,7 +117,9 @@ def test_the_adversary_learns_to_tell_real_from_made_and_the_network_to_fool_it(
     moved = [not torch.equal(before[name], value) for name, value in adversary.named_parameters()]
     assert all(moved)
     with torch.no_grad():
-        assert fooling(adversary(made, reference)) > fooling(adversary(real, reference))
+        assert generator_loss(adversary(made, reference)) > generator_loss(
+            adversary(real, reference)
+        )
 
 
 def test_stopped_and_resumed_it_ends_in_the_same_weights(

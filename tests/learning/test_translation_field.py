@@ -220,7 +220,9 @@ def test_an_untrained_model_gives_the_targets_reference_back() -> None:
     made = translator.translate(source, grid, mask("dots"))
     assert torch.equal(made, grid[None])
     view = SensorView("a", 0.03, 0.03), SensorView("b", 0.05, 0.06)
-    assert torch.equal(translator.between(*view).translate(source, grid, mask("dots")), grid[None])
+    assert torch.equal(
+        translator.between_sensors(*view).translate(source, grid, mask("dots")), grid[None]
+    )
 
 
 def test_a_translator_takes_the_first_frame_of_a_press_for_its_reference() -> None:
@@ -232,7 +234,7 @@ def test_a_translator_takes_the_first_frame_of_a_press_for_its_reference() -> No
 
 
 @pytest.mark.parametrize(
-    ("source", "target", "reference", "said"),
+    ("source", "target", "reference", "message"),
     [
         (torch.zeros(1, 100, 640, dtype=torch.bool), None, None, "source: found bool"),
         (None, torch.zeros(480, 640), None, "target_reference: found float32"),
@@ -241,10 +243,10 @@ def test_a_translator_takes_the_first_frame_of_a_press_for_its_reference() -> No
     ],
 )
 def test_what_is_no_mask_or_shows_no_marker_is_refused(
-    source: Tensor | None, target: Tensor | None, reference: Tensor | None, said: str
+    source: Tensor | None, target: Tensor | None, reference: Tensor | None, message: str
 ) -> None:
     translator = FieldTranslator("untrained", FieldModel(tiny()).eval())
-    with pytest.raises(LearningError, match=said):
+    with pytest.raises(LearningError, match=message):
         translator.translate(
             mask("dots")[None] if source is None else source,
             mask("grid") if target is None else target,

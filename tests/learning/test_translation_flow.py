@@ -242,10 +242,10 @@ def test_many_presses_at_once_are_the_presses_one_by_one(presses, untouched):
     assert fields.shape == (7, *LATTICE.shape)
     one = FieldReader(untouched["grid"]).displacement(packed[3:], ordered=True)
     np.testing.assert_array_equal(fields[3:], one.astype(np.float16))
-    said: list[tuple[int, int]] = []
-    maps = fields_of_presses(many, "maps", progress=lambda *now: said.append(now))
-    assert said[0] == (0, 7)
-    assert said[-1] == (7, 7)
+    reported: list[tuple[int, int]] = []
+    maps = fields_of_presses(many, "maps", progress=lambda *now: reported.append(now))
+    assert reported[0] == (0, 7)
+    assert reported[-1] == (7, 7)
     alone = FieldReader(unpack(references[0])).maps(packed[:3], ordered=True)
     np.testing.assert_array_equal(maps[:3], alone)
 

@@ -126,7 +126,7 @@ def write_frames_without_offsets(path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def intact(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A session without faults."""
     return make_session(tmp_path_factory.mktemp("sound") / "s.zarr")
 
@@ -269,10 +269,10 @@ def append_all_segments(session: Path) -> None:
 
 
 @pytest.mark.parametrize("fault", ON_DISK)
-def test_a_fault_on_the_disk_is_found_and_only_it(fault: str, sound: Path, tmp_path: Path) -> None:
+def test_a_fault_on_the_disk_is_found_and_only_it(fault: str, intact: Path, tmp_path: Path) -> None:
     code, where, plant = ON_DISK[fault]
     path = tmp_path / "s.zarr"
-    shutil.copytree(sound, path)
+    shutil.copytree(intact, path)
     plant(path)
     assert [(finding.code, finding.where) for finding in check(path)] == [(code, where)]
 
@@ -300,9 +300,9 @@ def test_late_packets_are_no_clock_step(tmp_path: Path) -> None:
     assert [finding.code for finding in check(path)] == ["gap"]
 
 
-def test_reading_a_missing_chunk_is_an_error_not_a_zero(sound: Path, tmp_path: Path) -> None:
+def test_reading_a_missing_chunk_is_an_error_not_a_zero(intact: Path, tmp_path: Path) -> None:
     path = tmp_path / "s.zarr"
-    shutil.copytree(sound, path)
+    shutil.copytree(intact, path)
     (path / FORCE / "value/c/0/0").unlink()
     with pytest.raises(SessionError, match="shard missing"):
         Session(path).streams["force"].array("value")

@@ -214,9 +214,9 @@ def test_lerobot_itself_reads_it(names: tuple[str, ...], tmp_path: Path) -> None
         timeout=55,
     )
     assert done.returncode == 0, done.stderr
-    said = json.loads(done.stdout.splitlines()[-1])
-    assert (said["episodes"], said["fps"]) == (2, 40)
-    assert said["task"] == "press the sphere indenter into the wedge sensor and shear it"
+    reported = json.loads(done.stdout.splitlines()[-1])
+    assert (reported["episodes"], reported["fps"]) == (2, 40)
+    assert reported["task"] == "press the sphere indenter into the wedge sensor and shear it"
     session, seen = Session(path), np.load(tmp_path / "seen.npz")
     frames = session.frames
     np.testing.assert_array_equal(seen["t_ns"], frames["t_ns"])
@@ -229,7 +229,7 @@ def test_lerobot_itself_reads_it(names: tuple[str, ...], tmp_path: Path) -> None
         found = np.round(seen["image"].transpose(0, 2, 3, 1) * 255).astype(int)
         # Two JPEG decoders may differ by a grey level or two.
         assert np.abs(found - pixels).max() <= 4
-        assert said["stats"][IMAGE]["mean"] == [3, 1, 1]
+        assert reported["stats"][IMAGE]["mean"] == [3, 1, 1]
     else:
         taxels = frames["taxels"].reshape(-1, 48).astype(np.float32)
         np.testing.assert_array_equal(seen["observation.taxels"], taxels)

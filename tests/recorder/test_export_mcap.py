@@ -98,9 +98,9 @@ def test_phases_are_events_and_the_rest_is_metadata(both: tuple[Session, Path]) 
         reader = make_reader(file, validate_crcs=True)
         metadata = {record.name: record.metadata for record in reader.iter_metadata()}
         attached = {record.name: record.data for record in reader.iter_attachments()}
-    said = {name: value for name, value in metadata["session"].items() if name != "runs"}
-    assert said["sensor"] == "wedge"
-    assert json.loads(said["contact_frame"]) == session.attrs["contact_frame"]
+    reported = {name: value for name, value in metadata["session"].items() if name != "runs"}
+    assert reported["sensor"] == "wedge"
+    assert json.loads(reported["contact_frame"]) == session.attrs["contact_frame"]
     assert json.loads(attached["targets.json"])["depth"] == session.targets["depth"].tolist()
 
 

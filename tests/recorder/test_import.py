@@ -44,7 +44,7 @@ def avi(
     *,
     codec: bytes = b"MJPG",
     rate: tuple[int, int] = (30, 1),
-    sound_first: bool = False,
+    audio_first: bool = False,
     opendml: bool = False,
 ) -> bytes:
     """Return an AVI file; with audio before the video, or half of it in a second RIFF chunk."""
@@ -52,11 +52,11 @@ def avi(
         "<4s4sIHHIIIIIIII", b"vids", codec, 0, 0, 0, 0, rate[1], rate[0], 0, 0, 0, 0, 0
     )
     video = listed(b"LIST", b"strl", chunk(b"strh", head), chunk(b"strf", bytes(16) + codec))
-    sound = listed(b"LIST", b"strl", chunk(b"strh", b"auds" + bytes(52)), chunk(b"strf", bytes(18)))
-    streams = [sound, video] if sound_first else [video]
-    name = b"01dc" if sound_first else b"00dc"
+    audio = listed(b"LIST", b"strl", chunk(b"strh", b"auds" + bytes(52)), chunk(b"strf", bytes(18)))
+    streams = [audio, video] if audio_first else [video]
+    name = b"01dc" if audio_first else b"00dc"
     content = [chunk(name, frame) for frame in frames]
-    if sound_first:
+    if audio_first:
         content = [part for frame in content for part in (chunk(b"00wb", b"abc"), frame)]
     half = len(content) // 2 if opendml else len(content)
     first = listed(b"LIST", b"movi", listed(b"LIST", b"rec ", *content[:half]))
@@ -90,7 +90,7 @@ def saved(path: Path, content: Any) -> Path:
     return path
 
 
-@pytest.mark.parametrize("options", [{}, {"sound_first": True}, {"opendml": True}])
+@pytest.mark.parametrize("options", [{}, {"audio_first": True}, {"opendml": True}])
 def test_the_cameras_own_bytes_are_taken_out_of_an_avi_file(
     options: dict[str, bool], tmp_path: Path
 ) -> None:
@@ -104,7 +104,7 @@ def test_the_cameras_own_bytes_are_taken_out_of_an_avi_file(
 def test_video_and_force_become_a_sound_session(tmp_path: Path) -> None:
     frames, force = jpegs(40), 3.0 * np.sin(np.arange(40) / 9) + 0.123_456_789
     video = saved(tmp_path / "v.avi", avi(frames))
-    said = import_session(
+    message = import_session(
         order(tmp_path, video=video, force=saved(tmp_path / "f.npy", force), force_hz=30, units="N")
     )
     session = Session(tmp_path / "s.zarr")
@@ -116,8 +116,8 @@ def test_video_and_force_become_a_sound_session(tmp_path: Path) -> None:
     assert session.streams["force"].attrs["axes_measured"] == ["Fz"]
     assert (session.attrs["mock"], session.status) == (False, "complete")
     assert session.attrs["imported"]["files"]["video"]["name"] == "v.avi"
-    assert session.attrs["imported"]["assumed"] == said
-    assert any("not measured, stored as 0" in line for line in said)
+    assert session.attrs["imported"]["assumed"] == message
+    assert any("not measured, stored as 0" in line for line in message)
     assert str(tmp_path) not in json.dumps(session.attrs)
     frames_view = session.frames
     assert len(frames_view["t_ns"]) == 40
@@ -130,10 +130,10 @@ def test_video_and_force_become_a_sound_session(tmp_path: Path) -> None:
 def test_a_dropped_frame_leaves_its_place_in_time(tmp_path: Path) -> None:
     frames = jpegs(5)
     frames[2] = b""
-    said = import_session(order(tmp_path, video=saved(tmp_path / "v.avi", avi(frames))))
+    message = import_session(order(tmp_path, video=saved(tmp_path / "v.avi", avi(frames))))
     times = Session(tmp_path / "s.zarr").streams["camera"].t_ns
     assert times.tolist() == [0, 33_333_333, 100_000_000, 133_333_333]
-    assert any("1 dropped frames" in line for line in said)
+    assert any("1 dropped frames" in line for line in message)
 
 
 def test_missing_huffman_tables_are_put_in_and_change_no_pixel(tmp_path: Path) -> None:
@@ -149,8 +149,8 @@ def test_missing_huffman_tables_are_put_in_and_change_no_pixel(tmp_path: Path) -
     assert changed
     assert np.array_equal(simplejpeg.decode_jpeg(mended), simplejpeg.decode_jpeg(whole))
     assert whole_jpeg(whole, "x") == (whole, False)
-    said = import_session(order(tmp_path, video=saved(tmp_path / "v.avi", avi([bare] * 3))))
-    assert any("Huffman tables put into 3 images" in line for line in said)
+    message = import_session(order(tmp_path, video=saved(tmp_path / "v.avi", avi([bare] * 3))))
+    assert any("Huffman tables put into 3 images" in line for line in message)
 
 
 def test_a_folder_of_images_is_taken_in_the_order_of_its_numbers(tmp_path: Path) -> None:
@@ -183,13 +183,13 @@ def test_taxels_are_rounded_to_the_wires_counts_and_it_says_how_far(tmp_path: Pa
     rng = np.random.default_rng(0)
     counts = (30_000 + rng.normal(0, 50, (90, 48))).astype(np.float32)
     path = saved(tmp_path / "t.npy", counts)
-    said = import_session(order(tmp_path, taxels=path, taxels_hz=60))
+    message = import_session(order(tmp_path, taxels=path, taxels_hz=60))
     session = Session(tmp_path / "s.zarr")
     assert check(tmp_path / "s.zarr") == []
     value = session.streams["taxels"].array("value")
     assert np.array_equal(value.reshape(90, 48), np.rint(counts))
     largest = np.abs(counts - np.rint(counts)).max()
-    assert any(f"largest change {largest:.3g} counts" in line for line in said)
+    assert any(f"largest change {largest:.3g} counts" in line for line in message)
     assert session.streams["taxels"].array("seq").tolist() == list(range(1, 91))
     contact_sheet(session.path, tmp_path / "sheet.png")
 
@@ -264,14 +264,14 @@ def test_forces_are_whole_counts_so_that_a_replay_can_give_them_back(tmp_path: P
     wrench = rng.normal(0, 5, (50, 6)) * [1, 1, 1, 0.1, 0.1, 0.1]
     path = saved(tmp_path / "f.npy", wrench)
     options = {"force": path, "force_hz": 100.0, "units": "N", "torque_units": "N m"}
-    said = import_session(order(tmp_path, **options))
+    message = import_session(order(tmp_path, **options))
     value = Session(tmp_path / "s.zarr").streams["force"].array("value")
     counts = np.rint(value / np.repeat([1e-6, 1e-9], 3)).astype(np.int64)
     scale = np.repeat([1.0 / 1e6, 1e-3 / 1e6], 3)
     assert (counts.astype(float) * scale - 0.0).tobytes() == value.tobytes()
     assert np.abs(value - wrench)[:, :3].max() <= 5.01e-7
     assert np.abs(value - wrench)[:, 3:].max() <= 5.01e-10
-    assert any("largest change" in line for line in said)
+    assert any("largest change" in line for line in message)
 
 
 @pytest.mark.parametrize(

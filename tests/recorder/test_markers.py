@@ -315,8 +315,10 @@ def test_markers_on_a_steep_flank_may_hide_where_the_field_says_so_and_no_others
     assert check.flags(hidden[None], field_of=lambda frame: field, lattice=Lattice()) == []
     lost, _ = with_flank(squares(without=((4, 9),)))
     (flag,) = check.flags(np.stack([hidden, lost]), field_of=lambda frame: field)
-    said = "11 missing, 1 may have left the image, 9 may be hidden on a flank; none near (470, 230)"
-    assert (flag.row, flag.reason) == (1, said)
+    message = (
+        "11 missing, 1 may have left the image, 9 may be hidden on a flank; none near (470, 230)"
+    )
+    assert (flag.row, flag.reason) == (1, message)
     still = np.zeros(Lattice().shape, np.float16)
     assert len(check.flags(hidden[None], field_of=lambda frame: still)) == 1
 

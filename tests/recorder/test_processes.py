@@ -12,16 +12,16 @@ from recorder.processes import WorkerLost, Workers
 
 
 @pytest.mark.parametrize(
-    ("end", "given", "said"),
+    ("end", "given", "message"),
     [
         (signal.raise_signal, signal.SIGKILL, r"SIGKILL, most likely .*, 2 of 3 done; .*fewer"),
         (os._exit, 3, r"ended with exit code 3, 2 of 3 done; .*__main__"),
     ],
 )
-def test_a_lost_process_is_told_of(end, given, said):
+def test_a_lost_process_is_told_of(end, given, message):
     workers = Workers(1)
     workers.done = "2 of 3"
-    with pytest.raises(WorkerLost, match=said), workers:
+    with pytest.raises(WorkerLost, match=message), workers:
         workers.submit(end, given).result()
 
 

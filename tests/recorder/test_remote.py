@@ -102,14 +102,14 @@ def s3(recorded: Path) -> Iterator[str]:
     server = server_module.ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
     server.start()
     host, port = server.get_host_and_port()
-    said = {
+    reported = {
         "AWS_ENDPOINT_URL": f"http://{host}:{port}",
         "AWS_ACCESS_KEY_ID": "key",
         "AWS_SECRET_ACCESS_KEY": "secret",
         "AWS_EC2_METADATA_DISABLED": "true",
     }
     with pytest.MonkeyPatch.context() as patch:
-        for name, value in said.items():
+        for name, value in reported.items():
             patch.setenv(name, value)
         system = fsspec.filesystem("s3")
         system.mkdir("bucket")
@@ -274,10 +274,10 @@ def test_what_cannot_be_opened_says_why(
     }
     for place, message in cases.items():
         assert main(["info", place]) == 2
-        said = capsys.readouterr().err
-        assert said.startswith(f"error: {place}")
-        assert message in said
-        assert said.count("\n") == 1
+        reported = capsys.readouterr().err
+        assert reported.startswith(f"error: {place}")
+        assert message in reported
+        assert reported.count("\n") == 1
     for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
         monkeypatch.delenv(name)
     monkeypatch.setenv("AWS_SHARED_CREDENTIALS_FILE", os.devnull)

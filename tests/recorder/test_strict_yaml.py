@@ -44,7 +44,7 @@ def test_merging_changes_neither() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "describe"),
     [
         ("a: 1\nb: {c: 1,\n  c: 2}\n", r"it\.yaml: line 3: key 'c' is written twice"),
         ("a: [\n", r"it\.yaml: not YAML"),
@@ -54,10 +54,10 @@ def test_merging_changes_neither() -> None:
         ("extends: other.yaml\n", r"other\.yaml: no such file"),
     ],
 )
-def test_what_is_wrong_is_said_with_its_place(tmp_path: Path, text: str, said: str) -> None:
+def test_what_is_wrong_is_said_with_its_place(tmp_path: Path, text: str, describe: str) -> None:
     path = tmp_path / "it.yaml"
     path.write_text(text)
-    with pytest.raises(YamlError, match=said):
+    with pytest.raises(YamlError, match=describe):
         read_mapping(path)
 
 

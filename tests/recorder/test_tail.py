@@ -78,9 +78,9 @@ def test_a_record_that_is_half_written_is_not_there(tmp_path: Path) -> None:
             assert tail.jpeg(1) is None
             place.write_bytes(whole)
             assert tail.jpeg(1) == jpeg(1)
-            spoilt = bytearray(whole)
-            spoilt[-10] ^= 0xFF
-            place.write_bytes(spoilt)
+            corrupt = bytearray(whole)
+            corrupt[-10] ^= 0xFF
+            place.write_bytes(corrupt)
             assert tail.jpeg(1) is None
 
 

@@ -248,8 +248,8 @@ def test_the_ballast_covers_what_closing_writes(
     stream = StreamWriter.open(path, sync_interval=30)
     for row in range(BLOCK - 1):
         stream.append(**camera_row(row))
-    ballast = (path / "t_ns" / "ballast").stat().st_size
-    disk = SmallDisk(monkeypatch, ballast)
+    reserved_space = (path / "t_ns" / "ballast").stat().st_size
+    disk = SmallDisk(monkeypatch, reserved_space)
     stream.close()
     assert disk.room > 0
 

@@ -23,13 +23,13 @@ from support.arms import (
 from rig.core.clock import SECOND_NS
 from rig.core.errors import DeviceLost, SafetyStop
 from rig.core.samples import FORCE_LATEST
-from rig.core.shared_memory import LatestRecord
+from rig.core.shared_memory import SharedLatest
 from rig.devices.arm.arm import Arm
 
 pytest.importorskip("rtde_control", reason="ur-rtde is not installed: pip install -e '.[rig]'")
 
 
-def push(record: LatestRecord, load: float, *, status: int = 0, age: float = 0.0) -> None:
+def push(record: SharedLatest, load: float, *, status: int = 0, age: float = 0.0) -> None:
     record.write((CLOCK.now_ns() - round(age * SECOND_NS), status, (0, 0, -load, 0, 0, 0)))
 
 
@@ -39,22 +39,22 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def force(path: Path) -> Iterator[LatestRecord]:
-    record = LatestRecord.create(path, FORCE_LATEST)
+def force(path: Path) -> Iterator[SharedLatest]:
+    record = SharedLatest.create(path, FORCE_LATEST)
     push(record, 0.0)
     yield record
     record.close()
 
 
 @pytest.fixture(scope="module")
-def shared(force: LatestRecord, path: Path) -> Iterator[Arm]:
+def shared(force: SharedLatest, path: Path) -> Iterator[Arm]:
     """An arm with an F/T sensor whose force the tests set."""
     with emulated(), started(force_path=path) as arm:
         yield arm
 
 
 @pytest.fixture
-def feeling(shared: Arm, force: LatestRecord) -> Arm:
+def feeling(shared: Arm, force: SharedLatest) -> Arm:
     push(force, 0.0)
     back_at_start(shared)
     # The previous test may have left a message of its guard.

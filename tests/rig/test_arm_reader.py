@@ -12,7 +12,7 @@ from rig.core.clock import SystemClock
 from rig.core.emulation import SharedWorld
 from rig.core.errors import DeviceLost
 from rig.core.samples import ARM_TRUTH, WORLD_STATE
-from rig.core.shared_memory import LatestRecord
+from rig.core.shared_memory import SharedLatest
 from rig.devices.arm import emulator_faults, rtde
 from rig.devices.arm.emulated_arm import CYCLE, POSTURE, flange_pose
 from rig.devices.arm.emulated_controller import Controller
@@ -26,7 +26,7 @@ HOST = f"127.{10 + os.getpid() // 250 % 100}.{1 + os.getpid() % 250}.1"
 @pytest.fixture
 def emulator(tmp_path) -> Iterator[ArmEmulator]:
     pose = flange_pose(np.array(POSTURE))
-    state = LatestRecord.create(tmp_path / "arm", ARM_TRUTH)
+    state = SharedLatest.create(tmp_path / "arm", ARM_TRUTH)
     world = SharedWorld(tmp_path / "world")
     controller = Controller(pose, np.zeros(6))
     emulator = ArmEmulator(HOST, controller, SystemClock(), state=state, world=world)
@@ -177,7 +177,7 @@ def test_something_else_on_the_port_is_device_lost(imposter, answer, reason):
 
 def test_the_emulator_publishes_every_cycles_pose(emulator, driver, tmp_path):
     driver.open(5.0)
-    record = LatestRecord.attach(tmp_path / "arm", ARM_TRUTH)
+    record = SharedLatest.attach(tmp_path / "arm", ARM_TRUTH)
     before = record.count
     sample = read(driver, 100)[-1]
     assert record.count >= before + 90
@@ -190,7 +190,7 @@ def test_the_emulator_publishes_every_cycles_pose(emulator, driver, tmp_path):
 def test_the_worlds_contact_force_can_stop_the_arm(emulator, driver, tmp_path):
     driver.open(5.0)
     assert read(driver, 1)[0]["safety_status"] == 1
-    world = LatestRecord.create(tmp_path / "world", WORLD_STATE)
+    world = SharedLatest.create(tmp_path / "world", WORLD_STATE)
     state = np.zeros((), WORLD_STATE)
     state["wrench"][2] = -200.0
     world.write(state)

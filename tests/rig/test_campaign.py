@@ -13,7 +13,7 @@ from support.collecting import ROOT, Collection, faults_of
 
 from recorder import OUTCOMES, Session, SessionWriter, force_spec
 from rig.__main__ import main
-from rig.acquire import campaign as walk
+from rig.acquire import campaign as campaign_module
 from rig.acquire.campaign import (
     Campaign,
     Item,
@@ -106,30 +106,30 @@ def _run(
     keep_going: bool = False,
 ) -> tuple[int, list[list[str]], list[str], list[str]]:
     bench = _Bench(campaign, codes)
-    monkeypatch.setattr(walk, "_record", bench)
+    monkeypatch.setattr(campaign_module, "_record", bench)
     asked: list[str] = []
-    said: list[str] = []
+    reported: list[str] = []
 
     def ask(question: str) -> bool:
         asked.append(question)
         return True
 
     settings = Settings(BENCHES, ROOT / "calibrations", keep_going)
-    code = run_campaign(campaign, settings, ask, said.append)
-    return code, bench.ran, asked, said
+    code = run_campaign(campaign, settings, ask, reported.append)
+    return code, bench.ran, asked, reported
 
 
 def test_everything_is_recorded_in_order_after_a_question_for_each_swap(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     campaign = _campaign(tmp_path)
-    code, ran, asked, said = _run(campaign, [0, 0, 0], monkeypatch)
+    code, ran, asked, reported = _run(campaign, [0, 0, 0], monkeypatch)
     assert code == 0
     assert [arguments[0] for arguments in ran] == ["force-depth", "collect", "collect"]
     assert "indenter prism" in asked[0]
     assert "sensor uskin" in asked[2]
     assert ran[1][ran[1].index("--targets") + 1] == "2"
-    assert said[-1].startswith("3 of 3 sessions done")
+    assert reported[-1].startswith("3 of 3 sessions done")
     code, ran, asked, _ = _run(campaign, [], monkeypatch)
     assert (code, ran, asked) == (0, [], [])
 
@@ -139,10 +139,10 @@ def test_what_stopped_goes_on_from_where_it_was(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failure: int
 ) -> None:
     campaign = _campaign(tmp_path)
-    code, ran, _, said = _run(campaign, [0, failure], monkeypatch)
+    code, ran, _, reported = _run(campaign, [0, failure], monkeypatch)
     assert code == failure
     assert len(ran) == 2
-    assert any("1/2" in line and "to resume" in line for line in said)
+    assert any("1/2" in line and "to resume" in line for line in reported)
     code, ran, _, _ = _run(campaign, [0, 0], monkeypatch)
     assert code == 0
     assert "--resume" in ran[0]
@@ -163,7 +163,7 @@ def test_a_technician_who_says_no_ends_it_before_anything_moves(
 ) -> None:
     campaign = _campaign(tmp_path)
     bench = _Bench(campaign, [])
-    monkeypatch.setattr(walk, "_record", bench)
+    monkeypatch.setattr(campaign_module, "_record", bench)
     settings = Settings(BENCHES, ROOT / "calibrations")
     assert run_campaign(campaign, settings, lambda _: False, lambda _: None) == 130
     assert bench.ran == []
@@ -181,7 +181,7 @@ def test_a_gripper_is_waited_for_and_only_the_sensor_asked_for(
         for item in campaign.items
     )
     campaign = dataclasses.replace(campaign, items=items)
-    monkeypatch.setattr(walk, "_record", _Bench(campaign, [0, 0, 0]))
+    monkeypatch.setattr(campaign_module, "_record", _Bench(campaign, [0, 0, 0]))
     events: list[str] = []
 
     def ask(question: str) -> bool:
@@ -212,9 +212,9 @@ def test_a_session_of_another_sensor_in_its_place_is_not_touched(
     _session(tmp_path / "out" / f"{first.entry.name}.zarr", last, 1, "complete")
     found = progress_of(campaign)
     assert found[0].state == "unreadable"
-    code, ran, _, said = _run(campaign, [0, 0], monkeypatch)
+    code, ran, _, reported = _run(campaign, [0, 0], monkeypatch)
     assert (code, ran) == (2, [])
-    assert "move it away" in said[0]
+    assert "move it away" in reported[0]
     code, ran, _, _ = _run(campaign, [0, 0], monkeypatch, keep_going=True)
     assert (code, len(ran)) == (2, 2)
 

@@ -152,8 +152,8 @@ def wait_until(condition: Callable[[], bool], seconds: float = 10.0) -> None:
 def test_a_watched_grip_is_lost_whatever_way(
     fault: str, values: dict[str, int], why: str, gripper: RobotiqEmulator, watch: GripWatch
 ) -> None:
-    facts = watch.open(2.0)
-    assert facts["position"] == 120
+    description = watch.open(2.0)
+    assert description["position"] == 120
     wait_until(lambda: watch.polls > 3)
     assert watch.lost is None
     gripper.inject(fault, **values)
@@ -179,12 +179,12 @@ def test_a_gripper_that_holds_nothing_does_not_pass_the_preflight(
 
 # The interlocks, with the real hidapi on an emulated pedal.
 
-SENTINELS = """
+INTERLOCKS = """
 import json, select, sys
 from dataclasses import replace
 from pathlib import Path
 from rig.acquire.control import Control
-from rig.acquire.interlocks import Released, Sentinels
+from rig.acquire.interlocks import DeadManReleased, Interlocks
 from rig.bench.bench import load_bench
 from rig.core.clock import SystemClock
 from rig.core.errors import DeviceLost
@@ -201,19 +201,19 @@ seen, delays = [], []
 def look():
     found = []
     try:
-        sentinels.check(pressing=True)
-    except (Released, DeviceLost) as error:
+        interlocks.check(pressing=True)
+    except (DeadManReleased, DeviceLost) as error:
         found.append(f"{type(error).__name__}: {error}")
-    return [*found, sentinels.armed(), sentinels.wish, list(control.paused_by)]
+    return [*found, interlocks.armed(), interlocks.wish, list(control.paused_by)]
 def do(fault):
     began_ns = clock.now_ns()
     emulator.inject(fault)
-    while not select.select([sentinels.wake], [], [], 5.0)[0]:
+    while not select.select([interlocks.wake], [], [], 5.0)[0]:
         raise SystemExit(f"{fault}: nobody was woken")
     delays.append((clock.now_ns() - began_ns) / 1e6)
     seen.append([fault, *look()])
-with Sentinels(bench, control, clock) as sentinels:
-    facts = sentinels.open()
+with Interlocks(bench, control, clock) as interlocks:
+    facts = interlocks.open()
     while not emulator.inject("state")["clients"]:
         clock.sleep_until(clock.now_ns() + 5_000_000)
     seen.append(["begin", *look()])
@@ -229,14 +229,14 @@ emulator.close()
 print(json.dumps({"seen": seen, "delays": delays, "facts": facts}))
 """
 HOLD, LET_GO = "press and hold the foot pedal", "let go of the foot pedal, then press and hold it"
-RELEASED = "Released: the foot pedal was released"
-UNPLUGGED = "Released: the foot pedal was unplugged"
+RELEASED = "DeadManReleased: the foot pedal was released"
+UNPLUGGED = "DeadManReleased: the foot pedal was unplugged"
 
 
 def sentinels_saw(folder: Path, mode: str) -> dict[str, list[object]]:
     bench = BENCHES / "tacpalm.yaml"
     text = hidraw_nodes.run(
-        hidraw_nodes.library(folder), SENTINELS, str(folder / "pedal.hidraw"), mode, str(bench)
+        hidraw_nodes.library(folder), INTERLOCKS, str(folder / "pedal.hidraw"), mode, str(bench)
     )
     found = json.loads(text)
     print(f"from foot to waking the walk: {[round(ms, 1) for ms in found['delays']]} ms")

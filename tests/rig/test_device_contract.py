@@ -357,9 +357,9 @@ def test_times_strictly_increase_and_no_sample_is_repeated(
 
 def test_description_is_json_and_names_the_device(kind: Kind, host: str, images: Path) -> None:
     with running(kind, host, images) as (driver, _):
-        facts = json.loads(json.dumps(driver.describe()))
-        assert facts["device"]
-        assert host in facts["address"]
+        description = json.loads(json.dumps(driver.describe()))
+        assert description["device"]
+        assert host in description["address"]
 
 
 def test_closing_is_safe_twice_and_it_opens_again(kind: Kind, host: str, images: Path) -> None:

@@ -14,7 +14,7 @@ import pytest
 from rig.core.clock import SystemClock
 from rig.core.emulation import UNTOUCHED_DEPTH, SharedWorld
 from rig.core.samples import WORLD_STATE
-from rig.core.shared_memory import LatestRecord
+from rig.core.shared_memory import SharedLatest
 from rig.devices.force.netft import NetFtDriver
 from rig.devices.force.settings import NetFtConfig
 
@@ -35,7 +35,7 @@ def test_before_the_first_state_nothing_is_touched_even_without_a_file(tmp_path:
     world = SharedWorld(path)
     number, untouched = world.state()
     assert (number, untouched["depth"], untouched["t_ns"]) == (0, UNTOUCHED_DEPTH, 0)
-    record = LatestRecord.create(path, WORLD_STATE)
+    record = SharedLatest.create(path, WORLD_STATE)
     assert world.state()[0] == 0
     for k in (1, 2):
         record.write(state(10 * k, -1.0 * k))
@@ -47,7 +47,7 @@ def test_before_the_first_state_nothing_is_touched_even_without_a_file(tmp_path:
 
 
 def test_an_emulator_process_serves_what_the_world_publishes(tmp_path: Path) -> None:
-    record = LatestRecord.create(tmp_path / "world", WORLD_STATE)
+    record = SharedLatest.create(tmp_path / "world", WORLD_STATE)
     with subprocess.Popen(
         [*NETFT, "--world", str(tmp_path / "world"), "--until-stdin-closes"],
         stdin=subprocess.PIPE,

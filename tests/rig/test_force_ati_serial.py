@@ -20,7 +20,7 @@ from rig.core.errors import ConfigError, DeviceLost
 from rig.core.samples import WORLD_STATE
 from rig.devices.force.ati_serial import AtiSerialDriver
 from rig.devices.force.ati_serial_emulator import AtiSerialEmulator, AtiSerialEmulatorConfig
-from rig.devices.force.ati_serial_wire import BinaryFramer, Record, TextFramer, emit, parse
+from rig.devices.force.ati_serial_wire import BinaryFramer, SerialRecord, TextFramer, emit, parse
 from rig.devices.force.sample_clock import LOST_BEFORE
 from rig.devices.force.settings import RECORD_BYTES, AtiSerialConfig
 
@@ -32,7 +32,7 @@ FORMS = ("binary", "ascii")
 WRENCH = (1.0, -2.0, -3.5, 0.01, -0.02, 0.03)
 COUNTS = st.integers(-32767, 32767)
 RECORDS = st.builds(
-    Record, st.integers(0, 9), st.tuples(COUNTS, COUNTS, COUNTS, COUNTS, COUNTS, COUNTS)
+    SerialRecord, st.integers(0, 9), st.tuples(COUNTS, COUNTS, COUNTS, COUNTS, COUNTS, COUNTS)
 )
 
 Fault = Callable[[int, bytes], Iterable[bytes]]
@@ -53,7 +53,7 @@ class FaultyAtiSerial(AtiSerialEmulator):
     """Emulator that passes each record of the stream and its number to `fault`."""
 
     fault: Fault | None = None
-    refused: str | None = None
+    rejected: str | None = None
     number = 0
 
     def records(self, content: bytes) -> Iterable[bytes]:
@@ -61,7 +61,7 @@ class FaultyAtiSerial(AtiSerialEmulator):
         return (content,) if self.fault is None else self.fault(self.number, content)
 
     def answer(self, command: str) -> bytes:
-        return b"?" if command == self.refused else super().answer(command)
+        return b"?" if command == self.rejected else super().answer(command)
 
 
 @pytest.fixture(name="link")
@@ -99,26 +99,26 @@ def collect(driver: AtiSerialDriver, count: int) -> list[dict[str, Any]]:
 
 @pytest.mark.parametrize("form", FORMS)
 @given(record=RECORDS)
-def test_parse_is_the_inverse_of_emit(form: str, record: Record) -> None:
+def test_parse_is_the_inverse_of_emit(form: str, record: SerialRecord) -> None:
     content = emit(record, form)
     assert len(content) == RECORD_BYTES[form]
     assert parse(content, form) == record
 
 
 def test_a_record_looks_as_in_the_manual() -> None:
-    record = Record(0, (-102, -99, -225, -20, 39, -39))
+    record = SerialRecord(0, (-102, -99, -225, -20, 39, -39))
     assert emit(record, "ascii") == b"0,  -102,   -99,  -225,   -20,    39,   -39\r\n"
     assert emit(record, "binary").hex() == "00ff9aff9dff1fffec0027ffd9"
 
 
 @given(record=RECORDS, cut=st.integers(0, 44))
-def test_a_line_that_lacks_a_byte_is_no_record(record: Record, cut: int) -> None:
+def test_a_line_that_lacks_a_byte_is_no_record(record: SerialRecord, cut: int) -> None:
     content = emit(record, "ascii")
     assert parse(content[:cut] + content[cut + 1 :], "ascii") is None
 
 
 @given(records=st.lists(RECORDS, min_size=1, max_size=5), size=st.integers(1, 60))
-def test_text_is_framed_however_it_is_chopped(records: list[Record], size: int) -> None:
+def test_text_is_framed_however_it_is_chopped(records: list[SerialRecord], size: int) -> None:
     content = b"".join(emit(record, "ascii") for record in records)
     framer = TextFramer()
     found = [
@@ -131,9 +131,9 @@ def test_text_is_framed_however_it_is_chopped(records: list[Record], size: int) 
 
 
 def test_the_bytes_that_came_after_a_record_are_told() -> None:
-    lines = emit(Record(0, (1, 2, 3, 4, 5, 6)), "ascii") * 2 + b"0,"
+    lines = emit(SerialRecord(0, (1, 2, 3, 4, 5, 6)), "ascii") * 2 + b"0,"
     assert [each.behind for each in TextFramer().feed(lines)] == [47, 2]
-    records = emit(Record(0, (1, 2, 3, 4, 5, 6)), "binary") * 2 + b"\0"
+    records = emit(SerialRecord(0, (1, 2, 3, 4, 5, 6)), "binary") * 2 + b"\0"
     assert [each.behind for each in BinaryFramer((100.0,) * 6).feed(records)] == [14, 1]
 
 
@@ -142,7 +142,7 @@ def test_a_lost_byte_is_doubted_before_it_errs_by_more_than_a_jump(lost: int, se
     rng = np.random.default_rng(seed)
     steady = np.array([1280, -2560, -4480, 2560, -5120, 7680])
     true = [tuple((steady + rng.integers(-20, 21, 6)).tolist()) for _ in range(30)]
-    content = b"".join(emit(Record(0, counts), "binary") for counts in true)
+    content = b"".join(emit(SerialRecord(0, counts), "binary") for counts in true)
     framer = BinaryFramer((1280.0,) * 6)
     found = framer.feed(content[:lost] + content[lost + 1 :])
     assert framer.doubtful
@@ -152,7 +152,7 @@ def test_a_lost_byte_is_doubted_before_it_errs_by_more_than_a_jump(lost: int, se
 
 def test_the_first_record_of_a_start_counts_once_the_second_fits_it() -> None:
     framer = BinaryFramer((100.0,) * 6)
-    first, strange = Record(0, (0,) * 6), Record(0, (5000, 0, 0, 0, 0, 0))
+    first, strange = SerialRecord(0, (0,) * 6), SerialRecord(0, (5000, 0, 0, 0, 0, 0))
     assert framer.feed(emit(first, "binary")) == []
     assert framer.feed(emit(strange, "binary")) == []
     assert framer.doubtful
@@ -200,7 +200,7 @@ def test_lost_bytes_cost_records_and_never_make_false_ones(link: Path, form: str
             # Noise is 0.01 N; a record combined from two would be off by newtons.
             assert np.abs(values[:, :3] - WRENCH[:3]).max() < 0.25
             assert driver.dropped >= 4
-            assert driver.refused == {"spoilt": driver.corrupt}
+            assert driver.rejected == {"spoilt": driver.corrupt}
             marked = [k for k, sample in enumerate(samples) if sample["status"] & LOST_BEFORE]
             numbers = [sample["seq"] for sample in samples]
             gaps = [k for k in range(1, len(numbers)) if numbers[k] != numbers[k - 1] + 1]
@@ -243,14 +243,14 @@ def test_a_controller_in_mid_stream_is_stopped_and_set_up(link: Path) -> None:
 
 def test_a_controller_that_knows_no_binary_is_refused(link: Path) -> None:
     with emulated(link) as emulator:
-        emulator.refused = "CD B"
+        emulator.rejected = "CD B"
         with pytest.raises(ConfigError, match="asked binary, got 45 bytes"), opened(link):
             pass
 
 
 def test_what_a_setting_answers_is_kept(link: Path) -> None:
     with emulated(link) as emulator:
-        emulator.refused = "SA 4"
+        emulator.rejected = "SA 4"
         with opened(link, average=4) as driver:
             assert driver.describe()["replies"] == {"SA 4": "?"}
 
@@ -300,10 +300,10 @@ def test_an_unplugged_adapter_is_device_lost(link: Path) -> None:
 
 def test_a_pulled_cable_is_silence(link: Path) -> None:
     with emulated(link) as emulator:
-        emulator.fault = lambda number, content: emulator.disturbance.passed(content)
+        emulator.fault = lambda number, content: emulator.faults.passed(content)
         with opened(link, silence=0.3) as driver:
             collect(driver, 3)
-            emulator.disturbance.inject("unplug")
+            emulator.faults.inject("unplug")
             with pytest.raises(DeviceLost, match=r"no record for 0\.3 s"):
                 collect(driver, 100_000)
 

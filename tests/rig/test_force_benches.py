@@ -21,7 +21,7 @@ from rig.devices.force.netft_wire import ERROR_MASK, SATURATION_MASK
 from rig.devices.force.nidaq import NidaqDriver
 from rig.devices.force.sample_clock import BEYOND_RATING, LOST_BEFORE, SATURATED
 from rig.devices.force.settings import AtiSerialConfig, NetFtConfig, NidaqConfig
-from rig.mock.emulators import Stage, emulator_commands
+from rig.mock.emulators import MockBenchSpec, emulator_commands
 from rig.mock.world.truth import Truth
 
 pytestmark = pytest.mark.serial
@@ -67,8 +67,8 @@ def test_one_word_picks_the_device(tmp_path: Path, kind: str, config: type, driv
 @pytest.mark.parametrize("kind", FORCES)
 def test_every_kind_has_an_emulator_for_the_mock_bench(tmp_path: Path, kind: str) -> None:
     bench = loaded(tmp_path, FORCES[kind])
-    stage = Stage(bench, "127.0.0.9", tmp_path, tmp_path, arm=tmp_path, world=tmp_path)
-    module, *options = emulator_commands(stage)["force"]
+    bench_spec = MockBenchSpec(bench, "127.0.0.9", tmp_path, tmp_path, arm=tmp_path, world=tmp_path)
+    module, *options = emulator_commands(bench_spec)["force"]
     assert module == f"rig.devices.force.{kind}_emulator"
     assert "--world" in options
 
@@ -85,9 +85,9 @@ def test_a_key_of_another_kind_is_refused(tmp_path: Path) -> None:
 
 def test_a_mock_bench_without_a_device_server_is_refused(tmp_path: Path) -> None:
     bench = loaded(tmp_path, f"{{kind: nidaq, calibration: {CALIBRATION}}}")
-    stage = Stage(bench, "127.0.0.9", tmp_path, tmp_path, arm=tmp_path, world=tmp_path)
+    bench_spec = MockBenchSpec(bench, "127.0.0.9", tmp_path, tmp_path, arm=tmp_path, world=tmp_path)
     with pytest.raises(ConfigError, match=r"force\.grpc: missing; allowed: loopback"):
-        emulator_commands(stage)
+        emulator_commands(bench_spec)
 
 
 def test_units_of_the_file_become_si(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from rig.core.packaged import BENCHES
 from rig.devices.force.calibration import (
     FORCE_UNITS,
     TORQUE_UNITS,
-    Calibration,
+    TransducerCalibration,
     emit_calibration,
     parse_calibration,
     read_calibration,
@@ -28,10 +28,10 @@ RATED = (12.0, 12.0, 17.0, 0.12, 0.12, 0.12)
 Edit = Callable[[ET.Element], None]
 
 
-def synthetic(seed: int = 1) -> Calibration:
+def synthetic(seed: int = 1) -> TransducerCalibration:
     """Return a fictitious transducer: random, scaled like a Nano17."""
     matrix = np.diag(RATED) @ np.random.default_rng(seed).normal(size=(6, 6)) / 5
-    return Calibration("FT00000", "SI-12-0.12", matrix, RATED)
+    return TransducerCalibration("FT00000", "SI-12-0.12", matrix, RATED)
 
 
 def edited(edit: Edit) -> bytes:

@@ -96,9 +96,9 @@ def test_the_wrench_is_in_newton_and_newton_metre_whatever_the_box_counts_in(
     page = Page(force_unit=force_unit, torque_unit=torque_unit)
     with emulated(host, page), opened(host) as driver:
         sample = collect(driver, 1)[0]
-        facts = driver.describe()
+        description = driver.describe()
         assert sample["value"] == pytest.approx(WRENCH, rel=1e-3)
-        assert (facts["force_unit"], facts["torque_unit"]) == (force_unit, torque_unit)
+        assert (description["force_unit"], description["torque_unit"]) == (force_unit, torque_unit)
 
 
 def test_counts_per_unit_are_honoured(host: str) -> None:

@@ -125,12 +125,12 @@ def test_samples_are_numbered_without_a_gap_and_spaced_by_the_sample_clock(host:
 
 def test_the_settings_are_read_back_and_described(host: str) -> None:
     with emulated(host), opened(host, rate_hz=500.0) as driver:
-        facts = driver.describe()
-        assert facts["rate_hz"] == 500.0
-        assert facts["volts_range"] == [-10.0, 10.0]
-        assert facts["inputs"] == "differential"
-        assert facts["transducer"] == "FT00000"
-        np.testing.assert_allclose(facts["matrix"], read_calibration(CALIBRATION).matrix)
+        description = driver.describe()
+        assert description["rate_hz"] == 500.0
+        assert description["volts_range"] == [-10.0, 10.0]
+        assert description["inputs"] == "differential"
+        assert description["transducer"] == "FT00000"
+        np.testing.assert_allclose(description["matrix"], read_calibration(CALIBRATION).matrix)
 
 
 def test_a_saturated_gauge_is_flagged_and_the_wrench_is_wrong_then(host: str) -> None:
@@ -220,12 +220,12 @@ def test_an_unplugged_card_is_device_lost_and_can_be_plugged_in_again(host: str)
         emulator.fault = lambda volts: NidaqEmulator.samples(emulator, volts)
         with opened(host) as driver:
             collect(driver, 5)
-            emulator.disturbance.inject("unplug")
+            emulator.faults.inject("unplug")
             with pytest.raises(DeviceLost, match=r"cannot be accessed.*cable"):
                 collect(driver, 100_000)
         with pytest.raises(DeviceLost, match="cable"), opened(host):
             pass
-        emulator.disturbance.inject("replug")
+        emulator.faults.inject("replug")
         with opened(host) as driver:
             assert collect(driver, 5)
 

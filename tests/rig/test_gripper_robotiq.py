@@ -300,20 +300,20 @@ def test_a_bench_file_that_makes_no_sense_is_refused() -> None:
 def test_a_swap_waits_until_something_is_between_the_fingers(
     emulator: RobotiqEmulator, driver: RobotiqDriver
 ) -> None:
-    said: list[str] = []
+    reported: list[str] = []
 
     def say(line: str) -> None:
-        said.append(line)
-        if len(said) == 1:
+        reported.append(line)
+        if len(reported) == 1:
             emulator.inject("lose_grip")
-        if len(said) == 3:
+        if len(reported) == 3:
             emulator.inject("insert", at=60)
 
     status = swap_held(driver, "indenter prism", SystemClock(), say, pause=0.01, speed=255)
     assert status.holding
     assert status.position == 60
-    assert said[0].startswith("gripper: opens in")
-    assert [line.startswith("gripper: put indenter prism between") for line in said[1:3]] == [
+    assert reported[0].startswith("gripper: opens in")
+    assert [line.startswith("gripper: put indenter prism between") for line in reported[1:3]] == [
         True,
         True,
     ]

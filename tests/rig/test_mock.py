@@ -47,8 +47,8 @@ def test_sources_that_are_not_there_are_refused_by_name(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="TAXELS"):
         Sources(taxels=tmp_path / "none.npy")
     # The session names the content served, not its path.
-    facts = Sources(camera=tmp_path, camera_motion="still").facts()
-    assert facts == {"camera": {"name": tmp_path.name, "motion": "still"}}
+    description = Sources(camera=tmp_path, camera_motion="still").description()
+    assert description == {"camera": {"name": tmp_path.name, "motion": "still"}}
 
 
 def test_an_emulator_that_does_not_start_is_named_with_its_last_word(tmp_path: Path) -> None:

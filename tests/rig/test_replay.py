@@ -24,9 +24,9 @@ from rig.core.clock import SECOND_NS
 from rig.core.errors import DeviceLost
 from rig.devices.force.netft_wire import Page
 from rig.devices.playback.wire import force_counts, replayable
-from rig.mock.cue import ENDED, PLAYING, POSITION
+from rig.mock.playback_sync import ENDED, PLAYING, POSITION
 from rig.replay import replay as module
-from rig.replay.replay import EXIT_DIFFERENT, Replay, ReplayOrder
+from rig.replay.replay import EXIT_DIFFERENT, Replay, ReplayRequest
 from rig.replay.result import Retiming, compared
 from rig.replay.run import MISSING_TIMEOUT, STALL_TIMEOUT, EndOfTape
 
@@ -52,7 +52,7 @@ def small_session(path: Path, **options: Any) -> Path:
 
 
 def replayed(source: Path, out: Path, speed: float = 0.0, **options: Any) -> Session:
-    assert Replay(ReplayOrder(source, out, speed, **options)).run() == 0
+    assert Replay(ReplayRequest(source, out, speed, **options)).run() == 0
     return Session(out)
 
 
@@ -161,7 +161,7 @@ def test_a_stream_that_is_left_out_is_named(tmp_path: Path) -> None:
         tmp_path / "s.zarr", seconds=0.5, codec="zstd", names=("camera", "force")
     )
     with pytest.raises(SessionError, match=r"streams/camera: stored as pixels.*--without camera"):
-        Replay(ReplayOrder(source, tmp_path / "r.zarr", 0.0)).run()
+        Replay(ReplayRequest(source, tmp_path / "r.zarr", 0.0)).run()
     assert not (tmp_path / "r.zarr").exists()
     replay = replayed(source, tmp_path / "r.zarr", without=("camera",))
     assert set(replay.streams) == {"force"}
@@ -216,7 +216,7 @@ def test_a_truncated_source_is_refused_before_anything_is_made(tmp_path: Path) -
     shard = next(path for path in source.glob("streams/camera/value/c/**/*") if path.is_file())
     shard.write_bytes(shard.read_bytes()[: shard.stat().st_size // 2])
     with pytest.raises(SessionError):
-        Replay(ReplayOrder(source, tmp_path / "r.zarr", 0.0)).run()
+        Replay(ReplayRequest(source, tmp_path / "r.zarr", 0.0)).run()
     assert not (tmp_path / "r.zarr").exists()
 
 
@@ -368,5 +368,5 @@ def test_a_driver_that_cannot_open_ends_the_replay_before_a_session_is_made(
     _bench = module.replay_bench
     monkeypatch.setattr(module, "replay_bench", deaf)
     with pytest.raises(DeviceLost, match="8079"):
-        Replay(ReplayOrder(source, tmp_path / "r.zarr", 0.0)).run()
+        Replay(ReplayRequest(source, tmp_path / "r.zarr", 0.0)).run()
     assert not (tmp_path / "r.zarr").exists()

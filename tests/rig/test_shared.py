@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.core.shared_memory import LatestRecord
+from rig.core.shared_memory import SharedLatest
 
 PAIR = np.dtype([("a", "<i8"), ("value", "<f8", (40,))])
 
 
 def test_the_latest_record_is_read_whole(tmp_path: Path) -> None:
-    writer = LatestRecord.create(tmp_path / "x", PAIR)
-    reader = LatestRecord.attach(tmp_path / "x", PAIR)
+    writer = SharedLatest.create(tmp_path / "x", PAIR)
+    reader = SharedLatest.attach(tmp_path / "x", PAIR)
     assert reader.read() is None
     for k in range(30):
         writer.write((k, np.full(40, k)))
@@ -33,15 +33,15 @@ def test_the_latest_record_is_read_whole(tmp_path: Path) -> None:
 
 def test_a_reader_never_sees_half_a_record_of_a_busy_writer(tmp_path: Path) -> None:
     path = tmp_path / "x"
-    writer = LatestRecord.create(path, PAIR)
+    writer = SharedLatest.create(path, PAIR)
     code = textwrap.dedent(
         f"""
         import sys
         import numpy as np
         from pathlib import Path
-        from rig.core.shared_memory import LatestRecord
+        from rig.core.shared_memory import SharedLatest
         dtype = np.dtype([("a", "<i8"), ("value", "<f8", (40,))])
-        record = LatestRecord.attach(Path({str(path)!r}), dtype, writable=True)
+        record = SharedLatest.attach(Path({str(path)!r}), dtype, writable=True)
         k = 0
         while True:
             k += 1
@@ -71,20 +71,20 @@ def test_a_reader_never_sees_half_a_record_of_a_busy_writer(tmp_path: Path) -> N
 
 def test_a_writer_that_starts_after_its_readers_leaves_their_mapping_alone(tmp_path: Path) -> None:
     path = tmp_path / "x"
-    LatestRecord.create(path, PAIR).close()
-    reader = LatestRecord.attach(path, PAIR)
+    SharedLatest.create(path, PAIR).close()
+    reader = SharedLatest.attach(path, PAIR)
     with pytest.raises(FileExistsError):
-        LatestRecord.create(path, PAIR)
-    writer = LatestRecord.publish(path, PAIR)
+        SharedLatest.create(path, PAIR)
+    writer = SharedLatest.publish(path, PAIR)
     writer.write((7, np.zeros(40)))
     found = reader.read()
     assert found is not None
     assert int(found["a"]) == 7
-    fresh = LatestRecord.publish(tmp_path / "y", PAIR)
+    fresh = SharedLatest.publish(tmp_path / "y", PAIR)
     assert fresh.count == 0
 
 
 def test_a_file_of_another_layout_is_refused(tmp_path: Path) -> None:
-    LatestRecord.create(tmp_path / "x", PAIR).close()
+    SharedLatest.create(tmp_path / "x", PAIR).close()
     with pytest.raises(ValueError, match="expected"):
-        LatestRecord.attach(tmp_path / "x", np.dtype([("a", "<i8", (100,))]))
+        SharedLatest.attach(tmp_path / "x", np.dtype([("a", "<i8", (100,))]))

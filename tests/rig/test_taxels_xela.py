@@ -276,7 +276,7 @@ def test_calibrated_may_be_null_or_ints_or_floats_and_raw_counts_are_read_all_th
     scan = parse(frame({"calibrated": calibrated}, time=1.5), "1", 16)
     assert scan is not None
     assert scan.counts.reshape(-1).tolist() == COUNTS
-    assert scan.facts["calibrated"] == calibrated
+    assert scan.description["calibrated"] == calibrated
 
 
 @pytest.mark.parametrize(
@@ -350,9 +350,13 @@ def test_the_old_suites_messages_are_refused_with_words(text: str) -> None:
 
 def test_temperatures_updates_and_times_of_1_8_are_facts_of_the_sensor(host: str) -> None:
     with emulated(host, layout="1.8"), opened(host) as driver:
-        facts = driver.describe()
-        assert (facts["model"], facts["rate_hz"], facts["layout"]) == ("uSPa44", 200.0, "1.8")
-        assert facts["vendor_calibration"] is False
+        description = driver.describe()
+        assert (description["model"], description["rate_hz"], description["layout"]) == (
+            "uSPa44",
+            200.0,
+            "1.8",
+        )
+        assert description["vendor_calibration"] is False
         sample = collect(driver, 1)[0]
         assert math.isfinite(sample["device_t"])
 
@@ -365,7 +369,7 @@ def test_values_that_all_jump_are_refused_and_ten_in_a_row_are_device_lost(host:
 
     with emulated(host, rescaled) as emulator, opened(host) as driver:
         assert all(sample["value"].min() >= 48000 for sample in collect(driver, 60))
-        assert driver.refused["spoilt"] >= 2
+        assert driver.rejected["spoilt"] >= 2
         emulator.fault = lambda number, text: rescaled(5, text)
         with pytest.raises(DeviceLost, match="change its scale"):
             collect(driver, 10_000)
@@ -386,4 +390,4 @@ def test_late_scans_are_left_out_even_without_any_time(host: str) -> None:
     with emulated(host, timeless), opened(host) as driver:
         numbers = [sample["seq"] for sample in collect(driver, 40)]
         assert all(a < b for a, b in itertools.pairwise(numbers))
-        assert driver.refused["late"] >= 5
+        assert driver.rejected["late"] >= 5

@@ -18,7 +18,7 @@ from websockets.sync.client import ClientConnection
 
 from rig.acquire.control import Control
 from rig.core.errors import ConfigError
-from rig.monitor.page.access import Gate
+from rig.monitor.page.access import AccessPolicy
 from rig.monitor.page.messages import Snapshot
 from rig.monitor.page.page import Page
 from rig.monitor.page.server import run_page
@@ -39,10 +39,10 @@ def until(condition: Callable[[], bool], timeout: float = 15.0) -> None:
 
 
 def test_the_end_is_shown_before_the_server_goes(stage: Stage) -> None:
-    gate = Gate(port=0)
-    with Page(stage.job(gate)) as page:
+    access = AccessPolicy(port=0)
+    with Page(stage.job(access)) as page:
         page.begin(Control(), dict, stage.session, 0)
-        with watch(gate, page.port) as client:
+        with watch(access, page.port) as client:
             until(lambda: next_state(client)["status"] == "collecting")
             page.say("complete", "160 of 160 targets")
             page.close()
@@ -50,9 +50,9 @@ def test_the_end_is_shown_before_the_server_goes(stage: Stage) -> None:
 
 
 def test_an_error_before_recording_is_shown_as_the_end(stage: Stage) -> None:
-    gate = Gate(port=0)
-    page = Page(stage.job(gate)).__enter__()
-    with watch(gate, page.port) as client:
+    access = AccessPolicy(port=0)
+    page = Page(stage.job(access)).__enter__()
+    with watch(access, page.port) as client:
         assert next_state(client)["status"] == "preparing"
         page.__exit__(ConfigError, ConfigError("force: not there"), None)
         assert last_words(client) == ("stopped: force: not there", 1001)
@@ -61,16 +61,16 @@ def test_an_error_before_recording_is_shown_as_the_end(stage: Stage) -> None:
 def test_log_lines_reach_the_page_and_the_token_is_in_none(
     stage: Stage, caplog: pytest.LogCaptureFixture
 ) -> None:
-    gate = Gate(host="0.0.0.0", port=0)
+    access = AccessPolicy(host="0.0.0.0", port=0)
     caplog.set_level(logging.DEBUG)
-    with Page(stage.job(gate)) as page, watch(gate, page.port) as client:
+    with Page(stage.job(access)) as page, watch(access, page.port) as client:
         logging.getLogger("rig.test").info("target %d of %d", 3, TARGETS)
         seen: list[str] = []
         while not seen:
             seen += next_state(client)["log"]
     assert seen[0].endswith(f"target 3 of {TARGETS}")
     ours = [r.getMessage() for r in caplog.records if not r.name.startswith("websockets.client")]
-    assert not any(gate.token in line for line in ours)
+    assert not any(access.token in line for line in ours)
 
 
 def test_a_killed_page_is_mentioned_once_and_nothing_else(
@@ -88,10 +88,10 @@ def test_a_killed_page_is_mentioned_once_and_nothing_else(
 def test_a_pause_outlives_the_page_that_asked_for_it(
     stage: Stage, caplog: pytest.LogCaptureFixture
 ) -> None:
-    gate, control = Gate(port=0), Control()
-    with Page(stage.job(gate)) as page:
+    access, control = AccessPolicy(port=0), Control()
+    with Page(stage.job(access)) as page:
         page.begin(control, dict, stage.session, 0)
-        with watch(gate, page.port) as client:
+        with watch(access, page.port) as client:
             client.send('{"command": "pause"}')
             until(lambda: control.paused_by == ("page",))
         os.kill(child(), signal.SIGKILL)
@@ -118,27 +118,27 @@ def test_a_port_in_use_is_wrong_input(stage: Stage) -> None:
         port = taken.getsockname()[1]
         with (
             pytest.raises(ConfigError, match=rf"--watch: found 127\.0\.0\.1:{port}: .*in use"),
-            Page(stage.job(Gate(port=port))),
+            Page(stage.job(AccessPolicy(port=port))),
         ):
             pass
 
 
 def test_an_address_that_is_not_ours_is_wrong_input(stage: Stage) -> None:
-    gate = Gate(host="192.0.2.7", port=0)
-    with pytest.raises(ConfigError, match="--watch"), Page(stage.job(gate)):
+    access = AccessPolicy(host="192.0.2.7", port=0)
+    with pytest.raises(ConfigError, match="--watch"), Page(stage.job(access)):
         pass
 
 
 def test_a_collecting_process_that_vanishes_is_shown_and_the_page_ends(stage: Stage) -> None:
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
-    gate = Gate(port=0)
-    process = context.Process(target=run_page, args=(stage.job(gate), theirs))
+    access = AccessPolicy(port=0)
+    process = context.Process(target=run_page, args=(stage.job(access), theirs))
     process.start()
     theirs.close()
     word, port = ours.recv()
     assert word == "ready"
-    with watch(gate, port) as client:
+    with watch(access, port) as client:
         ours.send(Snapshot(status="collecting", outcomes="d" + "." * (TARGETS - 1)))
         until(lambda: next_state(client)["status"] == "collecting")
         ours.close()
@@ -154,15 +154,15 @@ def test_earlier_runs_are_on_the_map_of_a_resumed_session(stage: Stage) -> None:
             target=target, phase=0, outcome=outcome, run=0, start_ns=1 + target, end_ns=2 + target
         )
     writer.close()
-    gate = Gate(port=0)
-    with Page(stage.job(gate)) as page:
+    access = AccessPolicy(port=0)
+    with Page(stage.job(access)) as page:
         page.begin(Control(), dict, stage.session, 3)
-        with watch(gate, page.port) as client:
+        with watch(access, page.port) as client:
             until(lambda: next_state(client)["outcomes"].startswith("dld."))
 
 
 def test_an_ipv6_address_is_printed_as_one(stage: Stage) -> None:
-    page = Page(stage.job(Gate(host="::1", port=0)))
+    page = Page(stage.job(AccessPolicy(host="::1", port=0)))
     try:
         with page:
             assert page.url == f"http://[::1]:{page.port}/"

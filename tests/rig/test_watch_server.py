@@ -17,7 +17,7 @@ from support.watching import TARGETS, Stage, next_image, next_state, watch
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from rig.acquire.control import Control, Interrupted
-from rig.monitor.page.access import Gate
+from rig.monitor.page.access import AccessPolicy
 from rig.monitor.page.page import Page
 from rig.monitor.page.server import MAX_CONNECTIONS, MAX_MESSAGES, MAX_WATCHERS, parse_command
 
@@ -27,21 +27,21 @@ PRESSED = (0.3, 0.0, -1.7, 0.0, 0.06, 0.0)
 class Running:
     """One page with its mock collection, and the requests it received."""
 
-    def __init__(self, stage: Stage, page: Page, gate: Gate) -> None:
-        self.stage, self.page, self.gate = stage, page, gate
+    def __init__(self, stage: Stage, page: Page, access: AccessPolicy) -> None:
+        self.stage, self.page, self.access = stage, page, access
         self.control = Control()
         self.progress: dict[str, Any] = {}
         page.begin(self.control, lambda: dict(self.progress), stage.session, 0)
 
     def watch(self, **how: Any) -> Any:
-        return watch(self.gate, self.page.port, **how)
+        return watch(self.access, self.page.port, **how)
 
 
 @pytest.fixture(scope="module")
 def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
-    stage, gate = Stage(tmp_path_factory.mktemp("page")), Gate(port=0)
-    with Page(stage.job(gate, patience=0.5)) as page:
-        yield Running(stage, page, gate)
+    stage, access = Stage(tmp_path_factory.mktemp("page")), AccessPolicy(port=0)
+    with Page(stage.job(access, patience=0.5)) as page:
+        yield Running(stage, page, access)
     stage.close()
 
 
@@ -249,7 +249,7 @@ def test_a_slow_reader_is_let_go_and_nobody_waits_for_it(running: Running) -> No
         (
             f"GET /live HTTP/1.1\r\nHost: 127.0.0.1:{running.page.port}\r\n"
             f"Origin: http://127.0.0.1:{running.page.port}\r\n"
-            f"Cookie: rig_watch_{running.page.port}={running.gate.token}\r\n"
+            f"Cookie: rig_watch_{running.page.port}={running.access.token}\r\n"
             "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
             "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
         ).encode()
@@ -280,7 +280,7 @@ def test_garbage_instead_of_http_is_hung_up_on(running: Running) -> None:
 
 def test_the_page_is_served_with_everything_it_names(running: Running) -> None:
     page, headers = fetch(running, "/")
-    assert running.gate.token in headers["Set-Cookie"]
+    assert running.access.token in headers["Set-Cookie"]
     for name in ("page.css", "page.js", "icon.svg"):
         assert name.encode() in page
         assert fetch(running, f"/{name}")[0]
@@ -333,20 +333,20 @@ def closed_with(client: Any) -> int | None:
 
 def test_a_remote_page_needs_its_token_on_the_wire(tmp_path: Path) -> None:
     stage = Stage(tmp_path)
-    gate = Gate(host="0.0.0.0", port=0)
+    access = AccessPolicy(host="0.0.0.0", port=0)
     try:
-        with Page(stage.job(gate)) as page:
-            assert page.url.endswith(f"/?token={gate.token}")
+        with Page(stage.job(access)) as page:
+            assert page.url.endswith(f"/?token={access.token}")
             base = f"http://127.0.0.1:{page.port}"
             for path in ("/", "/page.js", "/?token=wrong"):
                 with pytest.raises(urllib.error.HTTPError, match="403"):
                     urllib.request.urlopen(base + path)
-            with urllib.request.urlopen(f"{base}/?token={gate.token}") as answer:
+            with urllib.request.urlopen(f"{base}/?token={access.token}") as answer:
                 cookie = answer.headers["Set-Cookie"].split(";")[0]
-            assert cookie == f"rig_watch_{page.port}={gate.token}"
-            with pytest.raises(InvalidStatus), watch(gate, page.port, token="wrong"):
+            assert cookie == f"rig_watch_{page.port}={access.token}"
+            with pytest.raises(InvalidStatus), watch(access, page.port, token="wrong"):
                 pass
-            with watch(gate, page.port) as client:
+            with watch(access, page.port) as client:
                 assert next_state(client)["status"] == "preparing"
     finally:
         stage.close()

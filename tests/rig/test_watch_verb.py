@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from support.watching import BENCH, TARGETS
 
-from rig.acquire.request import Order
+from rig.acquire.request import CollectRequest
 from rig.cli.options import opened_page, watch_options
 from rig.core.errors import ConfigError
-from rig.monitor.page.access import Gate
+from rig.monitor.page.access import AccessPolicy
 from rig.monitor.page.messages import page_job
 from rig.monitor.page.page import Page
 from trajectories import ForceDepth
@@ -25,8 +25,8 @@ def parse(*words: str) -> argparse.Namespace:
 
 
 def opened(options: argparse.Namespace, folder: Path, stack: contextlib.ExitStack) -> Page | None:
-    order = Order(folder / "s.zarr", targets=TARGETS)
-    page = opened_page(options, BENCH, folder, order, BENCH.trajectory, TARGETS)
+    request = CollectRequest(folder / "s.zarr", targets=TARGETS)
+    page = opened_page(options, BENCH, folder, request, BENCH.trajectory, TARGETS)
     return stack.enter_context(page)
 
 
@@ -71,6 +71,8 @@ def test_the_address_is_printed_and_a_remote_one_has_the_token(
 
 def test_the_map_of_a_press_without_shear_has_one_direction(tmp_path: Path) -> None:
     plan = ForceDepth(depth_max=1.2e-3, repeats=3)
-    job = page_job(Gate(), BENCH, tmp_path, Order(tmp_path / "s.zarr"), plan, len(plan))
+    job = page_job(
+        AccessPolicy(), BENCH, tmp_path, CollectRequest(tmp_path / "s.zarr"), plan, len(plan)
+    )
     assert job.directions == 1
     assert [(spot.point, spot.depth, spot.direction) for spot in job.spots] == [(1, 1.2e-3, -1)] * 3

@@ -19,8 +19,8 @@ from rig.core.config import build
 from rig.core.errors import ConfigError
 from rig.core.packaged import BENCHES
 from rig.core.samples import ARM_TRUTH, PRESS_STATE, WORLD_STATE, surface_state
-from rig.core.shared_memory import LatestRecord
-from rig.mock.emulators import Stage, world_commands
+from rig.core.shared_memory import SharedLatest
+from rig.mock.emulators import MockBenchSpec, world_commands
 from rig.mock.world import SimulatedSpec, SimulatedWorld, build_world, load_view, read_file
 from rig.mock.world.picture import coverage
 from rig.mock.world.simulated import (
@@ -154,7 +154,7 @@ def test_a_new_solution_comes_in_without_a_jump() -> None:
 
 
 def test_a_state_has_the_wrench_about_the_gauge_and_the_taxels(tmp_path: Path) -> None:
-    presses = LatestRecord.create(tmp_path / PRESS_FILE, PRESS_STATE)
+    presses = SharedLatest.create(tmp_path / PRESS_FILE, PRESS_STATE)
     spec = SimulatedSpec(sensor="uskin", gauge_depth=0.02)
     world = SimulatedWorld(spec, FRAME, tmp_path)
     tip = (1e-3, 2e-3, -1e-3)
@@ -186,15 +186,15 @@ def test_the_solver_is_started_with_the_world_that_needs_it(tmp_path: Path) -> N
     bench, content = load_bench(path)
     there = {"host": "127.0.0.1", "folder": tmp_path, "spec": tmp_path / "world.json"}
     records = {"arm": tmp_path / "arm", "world": tmp_path / "world"}
-    assert set(world_commands(Stage(bench, **there, **records))) == {"world"}
+    assert set(world_commands(MockBenchSpec(bench, **there, **records))) == {"world"}
     simulated = bench_from(with_simulated_world(content, str(path)), str(path))
-    commands = world_commands(Stage(simulated, **there, **records))
+    commands = world_commands(MockBenchSpec(simulated, **there, **records))
     assert commands["solver"][0] == "rig.mock.world.solver"
     spec = {"world": {"kind": "simulated", "sensor": "gelsight"}, "contact_frame": list(FRAME)}
     there["spec"].write_text(json.dumps({**spec, "indenter": "prism"}))
     file = read_file(there["spec"])
     assert (file.indenter, file.folder) == ("prism", tmp_path)
-    LatestRecord.create(tmp_path / PRESS_FILE, PRESS_STATE).close()
+    SharedLatest.create(tmp_path / PRESS_FILE, PRESS_STATE).close()
     assert isinstance(build_world(there["spec"]), SimulatedWorld)
     assert isinstance(load_view(there["spec"]), SimulatedView)
     there["spec"].write_text(json.dumps({**spec, "world": {"kind": "dreamt"}}))
@@ -207,14 +207,14 @@ class Bench:
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir(exist_ok=True)
-        self.arm = LatestRecord.create(folder / "arm", ARM_TRUTH)
-        self.presses = LatestRecord.create(folder / PRESS_FILE, PRESS_STATE)
+        self.arm = SharedLatest.create(folder / "arm", ARM_TRUTH)
+        self.presses = SharedLatest.create(folder / PRESS_FILE, PRESS_STATE)
         self.live = live_sensor(COARSE, "sphere")
         shared = Shared(folder, self.live)
         clock = FakeClock()
         self.solver = Solver(self.live, ContactFrame(FRAME), self.arm, shared, COARSE, clock)
         shape = self.live.press.grid.shape
-        self.surfaces = LatestRecord.attach(folder / SURFACE_FILE, surface_state(shape))
+        self.surfaces = SharedLatest.attach(folder / SURFACE_FILE, surface_state(shape))
 
     def at(self, t_ms: int, tip: tuple[float, float, float]) -> None:
         self.arm.write((t_ms * MS, pose(tip), np.zeros(6)))
@@ -341,8 +341,8 @@ def test_a_solver_that_fails_ends_its_process_with_the_reason(tmp_path: Path) ->
             }
         )
     )
-    arm = LatestRecord.create(tmp_path / "arm", ARM_TRUTH)
-    LatestRecord.create(tmp_path / PRESS_FILE, PRESS_STATE).close()
+    arm = SharedLatest.create(tmp_path / "arm", ARM_TRUTH)
+    SharedLatest.create(tmp_path / PRESS_FILE, PRESS_STATE).close()
     arm.write((MS, np.full(6, np.nan), np.zeros(6)))
     command = ["-m", "rig.mock.world.solver", "--spec", str(spec), "--arm", str(tmp_path / "arm")]
     run = subprocess.run(

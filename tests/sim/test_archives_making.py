@@ -16,7 +16,7 @@ from support.simulated_archives import LAYER, LIVED, SKINS, digests, make, solve
 from recorder import MarkerArchive, check
 from recorder.archive import ArchivedSensor, location_pairs
 from sim import Result, Scene, SceneError, SimulationDiverged, simulate
-from sim.dataset import Plan, Solving, begin, families, found, gel
+from sim.dataset import DatasetPlan, Solving, begin, families, found, gel
 from sim.dataset import plan as solving
 from sim.dataset.generate import crept, reader
 from sim.dataset.summary import summary
@@ -138,7 +138,9 @@ def test_a_part_of_the_indenters_sensors_and_patterns_has_the_rows_of_the_whole(
 
 @pytest.mark.usefixtures("unflushed")
 def test_patterns_of_one_gel_share_its_field(tmp_path: Path) -> None:
-    plan = Plan("states", (gel(("Array4", "Diamond4")),), indenters=("sphere",), solving=LAYER)
+    plan = DatasetPlan(
+        "states", (gel(("Array4", "Diamond4")),), indenters=("sphere",), solving=LAYER
+    )
     make(tmp_path / "two.markers.zarr", plan)
     archive = MarkerArchive(tmp_path / "two.markers.zarr")
     assert list(check(tmp_path / "two.markers.zarr")) == []
@@ -220,8 +222,10 @@ def test_a_press_without_a_solution_is_marked_with_its_reasons_and_in_no_pair(
     ]
     assert len(location_pairs(each.table, each.table)) == 4
     assert list(check(path)) == []
-    said = "\n".join(summary(path))
-    assert "1 presses have no solution, their rows are not valid\n  sphere, target 0 of r6:" in said
+    message = "\n".join(summary(path))
+    assert (
+        "1 presses have no solution, their rows are not valid\n  sphere, target 0 of r6:" in message
+    )
 
 
 @pytest.mark.usefixtures("unflushed")
@@ -235,8 +239,8 @@ def test_a_press_that_another_way_solves_says_which(
     assert each.table["valid"].all()
     made = json.loads(each.sources[0])
     assert made["again"] == "steps of 1/100 of the thickness, float64"
-    said = "\n".join(summary(path, check=False))
-    assert "1 presses were solved again in another way\n  sphere, target 0 of r6: solved" in said
+    message = "\n".join(summary(path, check=False))
+    assert "1 presses were solved again in another way\n  sphere, target 0 of r6: solved" in message
 
 
 @pytest.mark.usefixtures("unflushed")

@@ -13,20 +13,20 @@ import pytest
 from rig.bench.bench import load_bench
 from rig.core.packaged import BENCHES
 from sim import SceneError
-from sim.dataset import Plan, Solving, chosen_targets, families, gel, units
+from sim.dataset import DatasetPlan, Solving, chosen_targets, families, gel, units
 from sim.dataset.plan import STATES, code, differing, force_scale, names, scenes
 from sim.indenters import NAMES
 from sim.sensors import HETEROGENEOUS, HOMOGENEOUS, MATERIAL, sensor
 from trajectories import PressShear
 
-STATES_PLAN = Plan("states", (gel(),))
+STATES_PLAN = DatasetPlan("states", (gel(),))
 
 
-def group(rows: tuple[str, ...], **options: object) -> Plan:
-    return Plan("targets", tuple(sensor(name) for name in rows), **options)  # type: ignore[arg-type]
+def group(rows: tuple[str, ...], **options: object) -> DatasetPlan:
+    return DatasetPlan("targets", tuple(sensor(name) for name in rows), **options)  # type: ignore[arg-type]
 
 
-def locations(plan: Plan) -> list[list[tuple[int, int]]]:
+def locations(plan: DatasetPlan) -> list[list[tuple[int, int]]]:
     """Return location and phase of every row, by family."""
     return [
         [
@@ -143,7 +143,7 @@ def test_sensors_that_are_mounted_or_held_otherwise_share_nothing() -> None:
 @pytest.mark.parametrize(
     "plan", [STATES_PLAN, group((*HETEROGENEOUS, "r6"), share=0.1)], ids=["states", "targets"]
 )
-def test_units_hold_every_press_and_every_file_once(plan: Plan, together: int) -> None:
+def test_units_hold_every_press_and_every_file_once(plan: DatasetPlan, together: int) -> None:
     plan = replace(plan, together=together)
     for index, family in enumerate(families(plan)):
         mine = [unit for unit in units(plan) if unit.family == index]
@@ -181,9 +181,9 @@ def test_a_part_of_the_indenters_keeps_codes_locations_and_draws() -> None:
         group(("r6",), solving=Solving(tolerance="3 %"), share=0.3, steps=4),
     ],
 )
-def test_a_plan_survives_json(plan: Plan) -> None:
+def test_a_plan_survives_json(plan: DatasetPlan) -> None:
     stored = json.loads(json.dumps(plan.document()))
-    assert Plan.of(stored) == plan
+    assert DatasetPlan.of(stored) == plan
     assert differing(stored, plan.document()) == []
 
 
@@ -195,14 +195,14 @@ def test_plans_say_in_which_keys_they_differ() -> None:
     stored = one.document()
     stored["steps"] = 2.5
     with pytest.raises(SceneError, match=r"plan.steps: 2.5; allowed: a whole number"):
-        Plan.of(stored)
+        DatasetPlan.of(stored)
     stored = one.document()
     stored["sensors"][1]["signal"]["kind"] = "ears"
     with pytest.raises(SceneError, match=r"signal.kind: 'ears'; allowed: camera or taxels"):
-        Plan.of(stored)
+        DatasetPlan.of(stored)
     del stored["sensors"]
     with pytest.raises(SceneError, match=r"plan: .*allowed: the fields"):
-        Plan.of(stored)
+        DatasetPlan.of(stored)
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ from support.simulated_archives import SKINS, UNITS, digests, make, solved_once
 from recorder import MarkerArchive, check
 from recorder.processes import WorkerLost
 from sim.__main__ import main
-from sim.dataset import Plan, Stop, Unit, begin, fill, found
+from sim.dataset import DatasetPlan, Stop, Unit, begin, fill, found
 from sim.dataset.plan import UNIT_PRESSES
 from sim.dataset.run import make_here, make_in_processes
 
@@ -33,7 +33,7 @@ __all__ = ["solved_once"]
 ROOT = Path(__file__).parents[2]
 OPTIONS = ("--sensors", "r6,r18,uskin", "--indenters", "sphere,cone", "--scale", "0.01", "--steps",
            "1", "--tier", "layer")  # fmt: skip
-SKINS_OF_THE_VERB: Plan = replace(SKINS, unit_presses=UNIT_PRESSES, together=UNIT_PRESSES)
+SKINS_OF_THE_VERB: DatasetPlan = replace(SKINS, unit_presses=UNIT_PRESSES, together=UNIT_PRESSES)
 
 
 @pytest.fixture(scope="module")
@@ -100,20 +100,20 @@ def test_a_full_disk_is_told_with_how_to_go_on_and_going_on_gives_the_same(
     with monkeypatch.context() as patch:
         patch.setattr(os, "write", write)
         assert main(["archive", "resume", str(path)]) == 2
-    said = capsys.readouterr().err
-    assert "No space left on device" in said
-    assert f"to continue: python -m sim archive resume {path}" in said
+    reported = capsys.readouterr().err
+    assert "No space left on device" in reported
+    assert f"to continue: python -m sim archive resume {path}" in reported
     assert MarkerArchive(path).status == "writing"
     make(path, SKINS)
     assert digests(path) == undisturbed
 
 
 def test_one_ctrl_c_waits_for_the_unit_in_flight_and_a_second_does_not() -> None:
-    said: list[str] = []
-    with Stop(said.append) as stop:
+    reported: list[str] = []
+    with Stop(reported.append) as stop:
         signal.raise_signal(signal.SIGINT)
         assert stop.asked
-        assert said == [
+        assert reported == [
             "stopping: the units in flight are finished first; Ctrl-C again stops at once"
         ]
         with pytest.raises(KeyboardInterrupt):
@@ -132,9 +132,9 @@ def test_a_stop_that_was_asked_for_leaves_units_and_exits_with_130(
     monkeypatch.setattr("sim.dataset.run.make_in_processes", stopped)
     path = tmp_path / "a.markers.zarr"
     assert main(["archive", "sensors", *OPTIONS, "--out", str(path)]) == 130
-    said = capsys.readouterr()
-    assert "7 presses" not in said.out
-    assert "units are missing; to continue: python -m sim archive resume" in said.err
+    reported = capsys.readouterr()
+    assert "7 presses" not in reported.out
+    assert "units are missing; to continue: python -m sim archive resume" in reported.err
 
 
 @pytest.mark.usefixtures("unflushed")
@@ -154,12 +154,12 @@ def test_the_verb_tells_the_cost_before_and_the_sum_after_and_draws_a_sheet(
         "layer",
     )
     assert main([*begun, "--out", str(path)]) == 0
-    said = capsys.readouterr().out
-    assert "9 presses (layer (small strain)), 45 frames, 45 images, about" in said
-    assert "with --processes 2, or half or twice as long" in said
-    assert "1 sensors, 45 images" in said
+    reported = capsys.readouterr().out
+    assert "9 presses (layer (small strain)), 45 frames, 45 images, about" in reported
+    assert "with --processes 2, or half or twice as long" in reported
+    assert "1 sensors, 45 images" in reported
     assert list(MarkerArchive(path)) == ["Array3"]
-    assert "marker count: 0 of 45 images flagged" in said
+    assert "marker count: 0 of 45 images flagged" in reported
     assert list(check(path)) == []
     assert main([*begun, "--out", str(path)]) == 0
     assert "nothing is missing" in capsys.readouterr().out
@@ -286,11 +286,11 @@ def test_ctrl_c_ends_after_the_units_in_flight_with_130(tmp_path: Path) -> None:
         time.sleep(0.02)
         assert process.poll() is None
     os.killpg(process.pid, signal.SIGINT)
-    said = process.communicate(timeout=100)
-    assert process.returncode == 130, said
-    assert "Traceback" not in said[1]
-    assert "stopping: the units in flight are finished first" in said[1]
-    assert "to continue: python -m sim archive resume" in said[1]
+    reported = process.communicate(timeout=100)
+    assert process.returncode == 130, reported
+    assert "Traceback" not in reported[1]
+    assert "stopping: the units in flight are finished first" in reported[1]
+    assert "to continue: python -m sim archive resume" in reported[1]
     assert found(path).plan == SKINS_OF_THE_VERB
     resumed = subprocess.run(
         [sys.executable, "-m", "sim", "archive", "resume", str(path)],
@@ -305,7 +305,7 @@ def test_ctrl_c_ends_after_the_units_in_flight_with_130(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("unflushed")
 @pytest.mark.parametrize(
-    ("options", "processes", "said"),
+    ("options", "processes", "reported"),
     [
         (("--tier", "layer"), 2, None),
         (("--tier", "layer", "--processes", "3"), 3, None),
@@ -318,7 +318,7 @@ def test_presses_of_layer_are_solved_on_cores_for_a_gpus_images(
     capsys: pytest.CaptureFixture[str],
     options: tuple[str, ...],
     processes: int,
-    said: str | None,
+    reported: str | None,
 ) -> None:
     asked: list[tuple[int, str]] = []
 
@@ -332,9 +332,9 @@ def test_presses_of_layer_are_solved_on_cores_for_a_gpus_images(
     small = ("--indenters", "sphere", "--scale", "0.001", "--steps", "1", "--no-check")
     where = ("--device", "cuda:0", "--out", str(path))
     code = main(["archive", "sensors", "--sensors", "uskin", *small, *where, *options])
-    assert code == (2 if said else 0)
-    assert asked == ([] if said else [(processes, "cuda:0")])
-    assert (said or "") in capsys.readouterr().err
+    assert code == (2 if reported else 0)
+    assert asked == ([] if reported else [(processes, "cuda:0")])
+    assert (reported or "") in capsys.readouterr().err
 
 
 def _here(begun: Any, missing: Any, inside: Any, *, processes: int, stop: Stop, device: str) -> Any:

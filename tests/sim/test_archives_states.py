@@ -11,7 +11,7 @@ from support.simulated_archives import make
 from recorder import MarkerArchive
 from recorder.archive import ArchivedSensor
 from recorder.markers import HEIGHT, WIDTH
-from sim.dataset import Plan, gel
+from sim.dataset import DatasetPlan, gel
 
 # Indenters, and the outward motion of the surface 6 to 9 mm from a press 1.5 mm deep [mm]; the
 # small one displaces less.
@@ -22,7 +22,7 @@ SYMMETRIC = ("sphere", "sphere_s", "cylinder_sh")
 @pytest.fixture(scope="module")
 def states(tmp_path_factory: pytest.TempPathFactory) -> MarkerArchive:
     path = tmp_path_factory.mktemp("states") / "states.markers.zarr"
-    assert make(path, Plan("states", (gel(("Array1",)),), SYMMETRIC)).complete
+    assert make(path, DatasetPlan("states", (gel(("Array1",)),), SYMMETRIC)).complete
     return MarkerArchive(path)
 
 

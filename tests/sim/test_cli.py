@@ -171,7 +171,7 @@ def test_a_shape_has_the_measures_it_was_given(
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         ("press --shape bla", r"--shape: 'bla'; allowed: sphere, .*punch"),
         ("press --shape prism --radius 3", r"--radius: given with --shape prism; allowed"),
@@ -201,19 +201,19 @@ def test_a_shape_has_the_measures_it_was_given(
     ],
 )
 def test_wrong_input_is_named_and_nothing_is_written(
-    words: str, said: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+    words: str, message: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     # The last --tier counts: those in the rows are for `fem`.
     verb, *rest = words.split()
     assert main([verb, *QUICK, *rest]) == 2
     captured = capsys.readouterr()
-    assert re.match(f"wrong input: .*{said}", captured.err)
+    assert re.match(f"wrong input: .*{message}", captured.err)
     assert captured.out == ""
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         ("press --depths 1,x", "'1,x'; allowed: numbers between commas"),
         ("press --at 1", "'1'; allowed: 2 numbers between commas"),
@@ -222,12 +222,12 @@ def test_wrong_input_is_named_and_nothing_is_written(
     ],
 )
 def test_what_cannot_be_read_ends_with_the_same_code(
-    words: str, said: str, capsys: pytest.CaptureFixture[str]
+    words: str, message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as ended:
         main(words.split())
     assert ended.value.code == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 def test_results_are_kept_whole_and_never_overwritten(capsys: pytest.CaptureFixture[str]) -> None:
@@ -250,9 +250,9 @@ def test_no_solution_is_told_with_what_was_tried(
 
     monkeypatch.setattr(report, "simulate", diverge)
     assert main(["press", *QUICK]) == 1
-    said = capsys.readouterr().err
-    assert said.startswith("no solution: lost at 1 mm; state: /x/state.npz")
-    assert "tried: attempt 8" in said
+    message = capsys.readouterr().err
+    assert message.startswith("no solution: lost at 1 mm; state: /x/state.npz")
+    assert "tried: attempt 8" in message
     assert list(Path().iterdir()) == []
 
 

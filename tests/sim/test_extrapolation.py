@@ -58,14 +58,14 @@ def test_an_error_that_falls_as_the_square_is_taken_off_whole(
 def test_both_meshes_are_solved_and_the_finer_ones_skin_is_kept(coarse: Result) -> None:
     numerics = Numerics(spacing=1e-3, grading=FOR_EDGES)
     single = simulate(SPHERE, numerics=numerics)
-    said: list[float] = []
-    both = simulate_extrapolated([SPHERE], numerics, progress=said.append)[0]
+    reported: list[float] = []
+    both = simulate_extrapolated([SPHERE], numerics, progress=reported.append)[0]
     assert isinstance(both, Result)
     assert both.record["extrapolated"]["cells"] == [3, 4]
     np.testing.assert_array_equal(both.surface, single.surface)
     assert both.force[-1, 2] > single.force[-1, 2] > coarse.force[-1, 2]
-    assert said == sorted(said)
-    assert said[-1] == 1
+    assert reported == sorted(reported)
+    assert reported[-1] == 1
 
 
 @pytest.mark.slow
@@ -111,7 +111,7 @@ def test_a_press_without_a_solution_on_either_mesh_has_none(
 
 
 @pytest.mark.parametrize(
-    ("scenes", "numerics", "said"),
+    ("scenes", "numerics", "reported"),
     [
         ([SPHERE], Numerics(), r"numerics.grading.finer: 1; allowed where forces are extrapolated"),
         (
@@ -127,22 +127,22 @@ def test_a_press_without_a_solution_on_either_mesh_has_none(
     ],
 )
 def test_what_has_no_second_mesh_is_refused(
-    scenes: list[Scene], numerics: Numerics | None, said: str
+    scenes: list[Scene], numerics: Numerics | None, reported: str
 ) -> None:
-    with pytest.raises(SceneError, match=said):
+    with pytest.raises(SceneError, match=reported):
         simulate_extrapolated(scenes, numerics)
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "reported"),
     [
         ({"tier": "layer"}, "extrapolate: True with tier 'layer'; allowed: 'fem'"),
         ({"tolerance": "2 %"}, "extrapolate: True with tolerance '2 %'; allowed: either"),
         ({"error_bar": True}, "extrapolate: True with an error bar; allowed: either"),
     ],
 )
-def test_it_excludes_what_chooses_meshes_itself(options: dict[str, Any], said: str) -> None:
-    with pytest.raises(SceneError, match=said):
+def test_it_excludes_what_chooses_meshes_itself(options: dict[str, Any], reported: str) -> None:
+    with pytest.raises(SceneError, match=reported):
         simulate(SPHERE, extrapolate=True, **options)
 
 

@@ -84,7 +84,7 @@ class Solved:
             oracle.integers(active), oracle.vectors(right, real), np.full(count, accuracy), most
         )
         self.solution = solver.solution.numpy().astype(float).reshape(count, SIZE)
-        self.slope, self.concave = solver.verdict()
+        self.slope, self.concave = solver.status()
 
 
 def _right(count: int) -> Array:

@@ -12,7 +12,7 @@ from support.fem_tangents import COUNT, FILLED, GRID, Tangents, columns_of, flat
 
 from sim import simulate
 from sim.fem import cg
-from sim.fem.cg import Columns, Lines
+from sim.fem.cg import ColumnPreconditioner, Lines
 from sim.fem.numerics import Numerics
 from sim.indenters import shapes
 from sim.scene import Body, Scene, press
@@ -24,7 +24,7 @@ REALS = [
 ]
 
 
-def _apply(columns: Columns | Lines, active: Any, r: Array, real: Any) -> Array:
+def _apply(columns: ColumnPreconditioner | Lines, active: Any, r: Array, real: Any) -> Array:
     """Return the preconditioner times r (B, N, 3), from a step of zero length."""
     count = len(r)
     nothing, z = (oracle.vectors(np.full(r.shape, value), real) for value in (0.0, FILLED))
@@ -39,9 +39,9 @@ def _apply(columns: Columns | Lines, active: Any, r: Array, real: Any) -> Array:
 
 def _inverse(tangents: Tangents, real: Any, env: int) -> Array:
     """Return the preconditioner as a dense matrix, by applying it to unit vectors."""
-    columns = Columns(GRID, real, 3, "cpu")
+    columns = ColumnPreconditioner(GRID, real, 3, "cpu")
     active = oracle.integers(tangents.active)
-    columns.factor(active, tangents.stencil(real).matrix)
+    columns.factor(active, tangents.block_matrix(real).matrix)
     dense = np.empty((3 * COUNT, 3 * COUNT))
     for unit, row in zip(np.eye(3 * COUNT), dense, strict=True):
         r = np.broadcast_to(unit.reshape(COUNT, 3), (3, COUNT, 3))
@@ -55,10 +55,10 @@ def test_columns_are_solved_as_a_dense_matrix_would_be(
     real: Any, error: float, parallel: bool
 ) -> None:
     tangents = Tangents(strain=0.005, contact=0.0)
-    stencil = tangents.stencil(real)
-    columns = Columns(GRID, real, 3, "cpu", parallel=parallel)
+    block_matrix = tangents.block_matrix(real)
+    columns = ColumnPreconditioner(GRID, real, 3, "cpu", parallel=parallel)
     active = oracle.integers(tangents.active)
-    columns.factor(active, stencil.matrix)
+    columns.factor(active, block_matrix.matrix)
     r = np.random.default_rng(4).normal(0, 1, (3, COUNT, 3))
     z = _apply(columns, active, r, real)
     for env in np.flatnonzero(tangents.active):
@@ -85,15 +85,15 @@ def test_the_preconditioner_is_positive_where_the_tangent_is_not(real: Any) -> N
 def test_lifting_a_pivot_keeps_its_size() -> None:
     """One top node has the pivot -P instead of P: it is replaced by P."""
     tangents = Tangents(strain=0.005, contact=0.0)
-    stencil = tangents.stencil(wp.float64)
-    matrix = stencil.matrix.numpy()
+    block_matrix = tangents.block_matrix(wp.float64)
+    matrix = block_matrix.matrix.numpy()
     levels = GRID.cells[2] + 1
     top = levels - 1
     kept = columns_of(spread_out(matrix[0]))[: 3 * levels, : 3 * levels]
     inside, across = kept[: 3 * top, : 3 * top], kept[: 3 * top, 3 * top :]
     pivot = kept[3 * top :, 3 * top :] - across.T @ np.linalg.solve(inside, across)
     matrix[0, top, 13] -= 2 * pivot
-    columns = Columns(GRID, wp.float64, 3, "cpu")
+    columns = ColumnPreconditioner(GRID, wp.float64, 3, "cpu")
     active = oracle.integers(tangents.active)
     columns.factor(active, oracle.matrices(matrix, wp.float64))
     r = np.zeros((3, COUNT, 3))
@@ -106,11 +106,11 @@ def test_lifting_a_pivot_keeps_its_size() -> None:
 
 def test_flat_elements_need_less_than_half_the_iterations_of_single_nodes() -> None:
     """Elements 6 times as wide as high: the couplings along a column are the strong ones."""
-    stencil = flat_tangent(6.0)
-    columns = Columns(GRID, wp.float64, 1, "cpu")
+    block_matrix = flat_tangent(6.0)
+    columns = ColumnPreconditioner(GRID, wp.float64, 1, "cpu")
     active = oracle.integers([1])
-    columns.factor(active, stencil.matrix)
-    dense = spread_out(stencil.matrix.numpy()[0])
+    columns.factor(active, block_matrix.matrix)
+    dense = spread_out(block_matrix.matrix.numpy()[0])
     nodes = np.zeros((COUNT, 3, 3))
     nodes[GRID.free] = np.linalg.inv(np.einsum("ninj->nij", dense)[GRID.free])
 
@@ -123,9 +123,9 @@ def test_flat_elements_need_less_than_half_the_iterations_of_single_nodes() -> N
 
 def test_a_step_moves_solution_and_residual_and_adds_up_the_products() -> None:
     tangents = Tangents(strain=0.005, contact=0.0)
-    columns = Columns(GRID, wp.float64, 3, "cpu")
+    columns = ColumnPreconditioner(GRID, wp.float64, 3, "cpu")
     active = oracle.integers(tangents.active)
-    columns.factor(active, tangents.stencil(wp.float64).matrix)
+    columns.factor(active, tangents.block_matrix(wp.float64).matrix)
     p, product, solution, r = np.random.default_rng(7).normal(0, 1, (4, 3, COUNT, 3))
     length = np.array([0.5, -2.0, 3.0])
     scalars = wp.array(np.outer(length, [0, 0, 1.0]), dtype=wp.float64, device="cpu")
@@ -149,11 +149,14 @@ def test_lines_along_all_axes_are_added_up_where_it_is_hard(
     real: Any, error: float, parallel: bool
 ) -> None:
     tangents = Tangents(strain=0.005, contact=0.0)
-    stencil, active = tangents.stencil(real), oracle.integers(tangents.active)
-    lines, columns = Lines(GRID, real, 3, "cpu", parallel=parallel), Columns(GRID, real, 3, "cpu")
+    block_matrix, active = tangents.block_matrix(real), oracle.integers(tangents.active)
+    lines, columns = (
+        Lines(GRID, real, 3, "cpu", parallel=parallel),
+        ColumnPreconditioner(GRID, real, 3, "cpu"),
+    )
     lines.learn(np.array([cg.HARD_FROM["cpu"], cg.HARD_FROM["cpu"] - 1, 0]))
     for one in (lines, columns):
-        one.factor(active, stencil.matrix)
+        one.factor(active, block_matrix.matrix)
     r = np.random.default_rng(4).normal(0, 1, (3, COUNT, 3))
     z = _apply(lines, active, r, real)
     held = np.where(FREE, r[0].ravel(), 0.0)
@@ -167,7 +170,7 @@ def test_products_of_lines_are_those_of_what_they_make() -> None:
     tangents = Tangents(strain=0.005, contact=0.0)
     lines, active = Lines(GRID, wp.float64, 3, "cpu"), oracle.integers(tangents.active)
     lines.learn(np.array([cg.HARD_FROM["cpu"], 0, cg.HARD_FROM["cpu"]]))
-    lines.factor(active, tangents.stencil(wp.float64).matrix)
+    lines.factor(active, tangents.block_matrix(wp.float64).matrix)
     p, product, solution, r = np.random.default_rng(7).normal(0, 1, (4, 3, COUNT, 3))
     scalars = wp.array(np.outer([0.5, -2.0, 3.0], [0, 0, 1.0]), dtype=wp.float64, device="cpu")
     sums = wp.zeros((3, lines.parts, 2), dtype=wp.float64, device="cpu")

@@ -43,7 +43,7 @@ def _rubbing(points: int) -> list[Rubbing]:
     ]
 
 
-def _carried(points: int) -> Array:
+def _multiplier(points: int) -> Array:
     """Return multipliers (B, S, P) that close gaps of up to 0.03 thicknesses; half are zero."""
     shape = len(INDENTERS), len(MESH.faces), points
     return np.maximum(np.random.default_rng(17).uniform(-30, 30, shape), 0.0)
@@ -61,7 +61,7 @@ class Contact:
         real: Any,
         friction: list[Rubbing] | None,
         points: int = 2,
-        carried: Array | None = None,
+        multiplier: Array | None = None,
         variant: list[int] = VARIANT,
     ) -> None:
         self.real, self.friction, self.variant = real, friction, variant
@@ -81,7 +81,7 @@ class Contact:
             "matrix": oracle.zeros(many, mat33),
             "energy": oracle.zeros(shape, real),
         }
-        self.carried = np.zeros(many) if carried is None else carried
+        self.multiplier = np.zeros(many) if multiplier is None else multiplier
         self._table = PartTable.pack(INDENTERS, UNIT, real, "cpu").struct
         self._active = oracle.integers(np.ones(len(INDENTERS)))
 
@@ -105,7 +105,7 @@ class Contact:
             self._table,
             oracle.vectors(tips, real),
             real(PENALTY),
-            oracle.scalars(self.carried, real),
+            oracle.scalars(self.multiplier, real),
             oracle.integers(np.full(len(u), self.convex)),
             oracle.scalars([one.coefficient for one in many] or np.zeros(len(u)), real),
             real(STICK),
@@ -144,7 +144,7 @@ def _none() -> tuple[Array, ...]:
 
 
 def _expected(
-    u: Array, friction: list[Rubbing] | None, points: int, carried: Array
+    u: Array, friction: list[Rubbing] | None, points: int, multiplier: Array
 ) -> list[dict[str, Array]]:
     rule = face_rule(points)
     return [
@@ -155,7 +155,7 @@ def _expected(
             UNIT,
             TIPS[env],
             PENALTY,
-            carried[env],
+            multiplier[env],
             u[env],
             friction[env] if friction else None,
         )
@@ -178,11 +178,11 @@ def test_contact_is_that_of_the_hosts_distance_and_a_return_map(
     real: Any, error: float, rubs: bool, points: int, carries: bool
 ) -> None:
     friction = _rubbing(points * points) if rubs else None
-    carried = _carried(points * points) * carries
+    multiplier = _multiplier(points * points) * carries
     u = _displacements()
-    found = Contact(real, friction, points, carried).evaluate(u)
+    found = Contact(real, friction, points, multiplier).evaluate(u)
     slips = touches = 0
-    for env, expected in enumerate(_expected(u, friction, points, carried)):
+    for env, expected in enumerate(_expected(u, friction, points, multiplier)):
         assert expected["touched"].any()
         bridged = (expected["gap"] > 0) & (expected["pressure"] > 0)
         assert bridged.any() == carries, "a gap is bridged by pressure that was carried, only"
@@ -199,7 +199,7 @@ def test_contact_is_that_of_the_hosts_distance_and_a_return_map(
 def test_frictionless_contact_tangent_is_the_derivative_of_the_force(carries: bool) -> None:
     """For points that stay in or out: the normal turns on a sphere, but not on a plane."""
     u = _displacements()
-    contact = Contact(wp.float64, None, carried=_carried(4) * carries)
+    contact = Contact(wp.float64, None, multiplier=_multiplier(4) * carries)
     v = np.random.default_rng(1).normal(0, 1, u.shape)
     step = 1e-7
     slope = (contact.evaluate(u + step * v)["force"] - contact.evaluate(u - step * v)["force"]) / (
@@ -230,7 +230,7 @@ def test_friction_tangent_is_the_derivative_of_the_force_sticking_and_slipping(
     """On a plane, whose normal is constant; the limit is given, as by the Newton loop."""
     friction = _rubbing(4)
     u = _displacements()
-    contact = Contact(wp.float64, friction, carried=_carried(4) * carries)
+    contact = Contact(wp.float64, friction, multiplier=_multiplier(4) * carries)
     v = np.random.default_rng(1).normal(0, 1, u.shape)
     step = 1e-8
     slope = (contact.evaluate(u + step * v)["force"] - contact.evaluate(u - step * v)["force"]) / (
@@ -247,7 +247,9 @@ def test_friction_tangent_is_the_derivative_of_the_force_sticking_and_slipping(
 def test_contact_force_is_the_slope_of_the_energy(rubs: bool, carries: bool) -> None:
     """Normal springs and the Huber potential of friction, on a plane, whose normal is constant."""
     u = _displacements()
-    contact = Contact(wp.float64, _rubbing(4) if rubs else None, carried=_carried(4) * carries)
+    contact = Contact(
+        wp.float64, _rubbing(4) if rubs else None, multiplier=_multiplier(4) * carries
+    )
     v = np.random.default_rng(6).normal(0, 1, u.shape)
     step = 1e-6
     ahead = contact.evaluate(u + step * v)["energy"]
@@ -264,7 +266,7 @@ def test_a_gap_is_bridged_up_to_the_pressure_carried_over_the_penalty_and_then_l
     """Under a plane over the undeformed body: pressure = multiplier - penalty * gap, or none."""
     most = 25.0
     shape = len(INDENTERS), len(MESH.faces), 4
-    contact = Contact(wp.float64, None, carried=np.full(shape, most))
+    contact = Contact(wp.float64, None, multiplier=np.full(shape, most))
     rest = np.zeros((len(INDENTERS), *MESH.nodes.shape))
     top = np.einsum("pa,sa->sp", contact.rule[0], PLACED[3].nodes[MESH.faces][..., 2]).max()
     reach = most / PENALTY
@@ -278,7 +280,7 @@ def test_a_gap_is_bridged_up_to_the_pressure_carried_over_the_penalty_and_then_l
 @RUBS
 def test_contact_that_is_lifted_off_leaves_nothing_behind(rubs: bool) -> None:
     """Lifted further than the multiplier can close, in the same arrays as the previous contact."""
-    contact = Contact(wp.float64, _rubbing(4) if rubs else None, carried=_carried(4))
+    contact = Contact(wp.float64, _rubbing(4) if rubs else None, multiplier=_multiplier(4))
     assert contact.evaluate(_displacements())["touched"].any(axis=1).all()
     state = contact.evaluate(_displacements(), TIPS + np.array([0, 0, 1.0]))
     for name in ("touched", "pressure", "force", "traction", "matrix", "energy"):
@@ -290,10 +292,10 @@ def test_an_environment_gets_in_a_batch_of_two_meshes_what_it_gets_alone(rubs: b
     """Bitwise; on the other mesh the result differs."""
     friction = _rubbing(4) if rubs else None
     u = _displacements()
-    together = Contact(wp.float64, friction, carried=_carried(4)).evaluate(u)
+    together = Contact(wp.float64, friction, multiplier=_multiplier(4)).evaluate(u)
     for mesh in (0, 1):
         one = [mesh] * len(INDENTERS)
-        alone = Contact(wp.float64, friction, carried=_carried(4), variant=one).evaluate(u)
+        alone = Contact(wp.float64, friction, multiplier=_multiplier(4), variant=one).evaluate(u)
         for env, name in itertools.product(range(len(INDENTERS)), ("force", "pressure", "energy")):
             same = np.array_equal(alone[name][env], together[name][env])
             assert same == (VARIANT[env] == mesh), name

@@ -192,7 +192,7 @@ def test_the_mesh_is_a_mirror_image_of_itself() -> None:
 
 
 @pytest.mark.parametrize(
-    ("spacing", "said"),
+    ("spacing", "message"),
     [
         (0.0, "above 0"),
         (float("nan"), "above 0"),
@@ -202,8 +202,8 @@ def test_the_mesh_is_a_mirror_image_of_itself() -> None:
     ],
 )
 def test_spacings_that_make_no_mesh_are_refused_with_what_is_allowed(
-    spacing: float, said: str
+    spacing: float, message: str
 ) -> None:
     with pytest.raises(SceneError, match="mesh") as refused:
         build_mesh(FLAT, spacing)
-    assert said in str(refused.value)
+    assert message in str(refused.value)

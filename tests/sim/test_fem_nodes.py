@@ -12,6 +12,7 @@ from sim.fem.assembly import Sums
 from sim.fem.vectors import (
     RUN,
     SUMS,
+    axpy,
     blend,
     copy_active,
     extrapolate,
@@ -19,7 +20,6 @@ from sim.fem.vectors import (
     push_kernel,
     reduce_kernel,
     residual_kernel,
-    walk,
 )
 from sim.scalars import vector_of
 
@@ -186,7 +186,7 @@ def test_vector_operations_touch_active_environments_only(real: Any) -> None:
 
     lengths = np.array([0.5, 2.0, 1.0])
     target = oracle.vectors(before, real)
-    walk(
+    axpy(
         active,
         oracle.scalars(lengths, real),
         oracle.vectors(now, real),

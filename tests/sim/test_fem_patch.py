@@ -126,8 +126,8 @@ def test_the_tangent_is_the_derivative_of_the_residual(
     _residual(assembly, u)
     assembly.linearise(everyone, state.u, np.zeros(1))
     product = wp.zeros_like(assembly.residual)
-    sums = wp.zeros((1, assembly.stencil.parts, 1), dtype=wp.float64, device="cpu")
-    assembly.stencil.product(oracle.rows([1]), oracle.vectors(v, wp.float64), product, sums)
+    sums = wp.zeros((1, assembly.block_matrix.parts, 1), dtype=wp.float64, device="cpu")
+    assembly.block_matrix.product(oracle.rows([1]), oracle.vectors(v, wp.float64), product, sums)
     found = -product.numpy()
     assert not slope[:, mesh.base].any()
     assert np.linalg.norm(found - slope) < error * np.linalg.norm(slope)
@@ -139,7 +139,7 @@ def _begin(assembly: Assembly, tip: Array) -> None:
     everyone = np.ones(len(tip), bool)
     nothing = np.zeros(len(tip))
     assembly.state.begin_step(everyone, tip, np.full(len(tip), 3e-4), nothing)
-    assembly.state.put_tip(everyone)
+    assembly.state.set_tip(everyone)
 
 
 def _residual(assembly: Assembly, u: Array) -> Array:
@@ -165,7 +165,7 @@ def test_push_is_the_derivative_of_the_nodal_forces_with_the_tip(
     random = np.random.default_rng(5)
     free = assembly.mesh.free[:, None]
     u = random.normal(0, 0.005, (2, *assembly.mesh.nodes.shape)) * free
-    state.carried.assign(random.uniform(0, 2, state.carried.shape))
+    state.multiplier.assign(random.uniform(0, 2, state.multiplier.shape))
     _begin(assembly, tip)
     _residual(assembly, u)
     if friction is not None:
@@ -211,7 +211,7 @@ def test_environments_on_two_graded_meshes_get_in_a_batch_what_they_get_alone() 
         assembly.linearise(everyone, assembly.state.u, np.zeros(len(chosen)))
         assembly.push(everyone, oracle.vectors(travel[chosen], wp.float64))
         pushed = assembly.residual.numpy()
-        return [residual, totals, np.asarray(assembly.stencil.matrix.numpy()), pushed]
+        return [residual, totals, np.asarray(assembly.block_matrix.matrix.numpy()), pushed]
 
     together = answers([0, 1])
     assert (np.abs(together[1][:, 6]) > 0).all(), "both are pressed"

@@ -122,8 +122,8 @@ def test_what_folds_is_a_warning_or_no_result(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(solver, "self_overlap", lambda *_given: (0.05 * depth, 10))
     result = simulate(scene, numerics=numerics)
     assert result.record["self_overlap"]["metres"][1] == pytest.approx(25e-6)
-    said = "25 um inside the skin beside it at waypoint 1, 5 %"
-    assert [one for one in result.record["warnings"] if said in one]
+    message = "25 um inside the skin beside it at waypoint 1, 5 %"
+    assert [one for one in result.record["warnings"] if message in one]
     monkeypatch.setattr(solver, "self_overlap", lambda *_given: (0.3 * depth, 10))
     with pytest.raises(SimulationDiverged, match=r"folds and passes through itself: .*150 um"):
         simulate(scene, numerics=numerics)

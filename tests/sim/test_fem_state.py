@@ -36,7 +36,7 @@ def _pressed() -> Assembly:
     """Return an assembly with both indenters pressed into undeformed bodies."""
     assembly = _assembly()
     assembly.state.begin_step(BOTH, TIP, STEP, np.zeros(2))
-    assembly.state.put_tip(BOTH)
+    assembly.state.set_tip(BOTH)
     return assembly
 
 
@@ -46,11 +46,11 @@ def test_pressure_that_is_carried_is_there_without_penetration_until_it_is_given
     state = assembly.state
     once = _pressure(assembly)
     assert (once.max(axis=(1, 2)) > 0).all()
-    state.carry(oracle.integers(FIRST))
+    state.update_multiplier(oracle.integers(FIRST))
     twice = _pressure(assembly)
     np.testing.assert_allclose(twice[0][once[0] > 0], 2 * once[0][once[0] > 0], rtol=1e-12)
     np.testing.assert_array_equal(twice[1], once[1])
-    state.give_up(state.everyone)
+    state.rollback_step(state.everyone)
     np.testing.assert_array_equal(_pressure(assembly), once)
 
 
@@ -59,14 +59,14 @@ def test_giving_up_returns_to_the_pressure_of_the_step_before() -> None:
     state = assembly.state
     once = _pressure(assembly)
     assembly.accept(FIRST, STEP)
-    np.testing.assert_array_equal(state.carried.numpy()[0], once[0])
-    assert not state.carried.numpy()[1].any()
+    np.testing.assert_array_equal(state.multiplier.numpy()[0], once[0])
+    assert not state.multiplier.numpy()[1].any()
     _pressure(assembly)
-    state.carry(state.everyone)
-    assert not np.array_equal(state.carried.numpy()[0], once[0])
-    state.give_up(state.everyone)
-    np.testing.assert_array_equal(state.carried.numpy()[0], once[0])
-    assert not state.carried.numpy()[1].any()
+    state.update_multiplier(state.everyone)
+    assert not np.array_equal(state.multiplier.numpy()[0], once[0])
+    state.rollback_step(state.everyone)
+    np.testing.assert_array_equal(state.multiplier.numpy()[0], once[0])
+    assert not state.multiplier.numpy()[1].any()
 
 
 def test_tips_go_where_their_step_ends_and_back_to_where_it_began() -> None:
@@ -76,11 +76,11 @@ def test_tips_go_where_their_step_ends_and_back_to_where_it_began() -> None:
     np.testing.assert_array_equal(state.tip.numpy(), start)
     state.begin_step(FIRST, TIP, STEP, np.zeros(2))
     np.testing.assert_array_equal(state.tip.numpy(), start)
-    state.put_tip(BOTH)
+    state.set_tip(BOTH)
     np.testing.assert_array_equal(state.tip.numpy(), [TIP[0], start[1]])
     np.testing.assert_array_equal(state.travel(BOTH).numpy(), [TIP[0] - start[0], [0, 0, 0]])
     np.testing.assert_array_equal(state.travel(~FIRST).numpy(), np.zeros((2, 3)))
-    state.put_tip(FIRST, before=True)
+    state.set_tip(FIRST, before=True)
     np.testing.assert_array_equal(state.tip.numpy(), start)
 
 

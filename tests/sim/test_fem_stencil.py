@@ -12,7 +12,7 @@ from support.fem_tangents import COUNT, FILLED, GRID, Tangents, spread_out
 
 from sim import Body, Effects, Friction, Scene, press, simulate
 from sim.fem import assembly
-from sim.fem.matrix import Stencil
+from sim.fem.matrix import BlockMatrix
 from sim.fem.mesh import SLOTS, colour_order, face_slots, neighbours
 from sim.fem.numerics import Numerics
 from sim.fem.vectors import RUN
@@ -40,7 +40,7 @@ def test_the_matrix_is_the_derivative_of_the_forces(
     variant: str, real: Any, error: float, parallel: bool
 ) -> None:
     tangents = Tangents(variant)
-    matrix = tangents.stencil(real, parallel=parallel).matrix.numpy()
+    matrix = tangents.block_matrix(real, parallel=parallel).matrix.numpy()
     assert matrix.shape == (3, COUNT, SLOTS, 3, 3)
     for env in np.flatnonzero(tangents.active):
         found, expected = spread_out(matrix[env]), tangents.dense(env)
@@ -66,19 +66,19 @@ def test_a_convex_tangent_has_no_negative_stiffness(parallel: bool) -> None:
 
 def test_at_rest_the_convex_tangent_is_the_exact_one() -> None:
     rest = Tangents(strain=0.0)
-    exact = rest.stencil(wp.float64).matrix.numpy()
+    exact = rest.block_matrix(wp.float64).matrix.numpy()
     rest.convex[:] = 1
-    np.testing.assert_allclose(rest.stencil(wp.float64).matrix.numpy(), exact, atol=1e-6)
+    np.testing.assert_allclose(rest.block_matrix(wp.float64).matrix.numpy(), exact, atol=1e-6)
 
 
 def _least_stiffness(tangents: Tangents, parallel: bool) -> float:
-    matrix = tangents.stencil(wp.float64, parallel=parallel).matrix.numpy()
+    matrix = tangents.block_matrix(wp.float64, parallel=parallel).matrix.numpy()
     dense = spread_out(matrix[0]).reshape(3 * len(GRID.nodes), -1)
     return float(np.linalg.eigvalsh(dense).min())
 
 
 def test_a_node_of_the_base_has_neither_row_nor_column() -> None:
-    matrix = Tangents().stencil(wp.float64).matrix.numpy()
+    matrix = Tangents().block_matrix(wp.float64).matrix.numpy()
     dense = spread_out(matrix[0])
     assert not dense[~GRID.free].any()
     assert not dense[:, :, ~GRID.free].any()
@@ -88,18 +88,18 @@ def test_a_node_of_the_base_has_neither_row_nor_column() -> None:
 
 def test_assembling_again_gives_the_same_bits() -> None:
     tangents = Tangents()
-    first = tangents.stencil(wp.float32).matrix.numpy()
-    np.testing.assert_array_equal(first, tangents.stencil(wp.float32).matrix.numpy())
+    first = tangents.block_matrix(wp.float32).matrix.numpy()
+    np.testing.assert_array_equal(first, tangents.block_matrix(wp.float32).matrix.numpy())
 
 
 @pytest.mark.parametrize("keep", [True, False])
 def test_the_elastic_part_is_kept_where_it_is_not_anew(keep: bool) -> None:
     before, now = Tangents(), Tangents(strain=0.05, contact=5.0)
     now.shift = before.shift + 0.2
-    stencil = before.stencil(wp.float64, keep=keep)
-    assert stencil.keeps == keep
-    now.assemble(stencil, wp.float64, anew=[1, 0, 0])
-    found = stencil.matrix.numpy()
+    block_matrix = before.block_matrix(wp.float64, keep=keep)
+    assert block_matrix.keeps == keep
+    now.assemble(block_matrix, wp.float64, anew=[1, 0, 0])
+    found = block_matrix.matrix.numpy()
     assert oracle.relative(spread_out(found[0]), now.dense(0)) < 1e-12
     if keep:  # contact and damping are the current ones
         now.u[1] = before.u[1]
@@ -111,11 +111,11 @@ def test_the_elastic_part_is_kept_where_it_is_not_anew(keep: bool) -> None:
 @pytest.mark.parametrize(("real", "error"), REALS)
 def test_the_product_is_that_of_the_dense_matrix(real: Any, error: float, parallel: bool) -> None:
     tangents = Tangents()
-    stencil = tangents.stencil(real, parallel=parallel)
+    block_matrix = tangents.block_matrix(real, parallel=parallel)
     v = np.random.default_rng(2).normal(0, 1, (3, COUNT, 3))
     product = oracle.vectors(np.full((3, COUNT, 3), FILLED), real)
     sums = oracle.zeros((3, RUNS, 3), wp.float64)
-    stencil.product(oracle.rows(tangents.active), oracle.vectors(v, real), product, sums)
+    block_matrix.product(oracle.rows(tangents.active), oracle.vectors(v, real), product, sums)
     assert product.dtype == vector_of(real)
     for env in np.flatnonzero(tangents.active):
         expected = np.einsum("nimj,mj->ni", tangents.dense(env), v[env])
@@ -132,12 +132,12 @@ def test_the_product_is_that_of_the_dense_matrix(real: Any, error: float, parall
 @pytest.mark.parametrize("parallel", [False, True])
 def test_a_product_of_half_the_bytes_keeps_three_digits(parallel: bool) -> None:
     tangents = Tangents()
-    stencil = tangents.stencil(wp.float32, parallel=parallel, half=True)
+    block_matrix = tangents.block_matrix(wp.float32, parallel=parallel, half=True)
     v = np.random.default_rng(2).normal(0, 1, (3, COUNT, 3))
     product = oracle.vectors(np.full((3, COUNT, 3), FILLED), wp.float32)
     sums = oracle.zeros((3, RUNS, 3), wp.float64)
     which = oracle.rows(tangents.active)
-    stencil.product(which, oracle.vectors(v, wp.float32), product, sums)
+    block_matrix.product(which, oracle.vectors(v, wp.float32), product, sums)
     for env in np.flatnonzero(tangents.active):
         rounded = np.abs(tangents.dense(env)).max() * 2.0**-11
         expected = np.einsum("nimj,mj->ni", tangents.dense(env), v[env])
@@ -155,10 +155,10 @@ def test_a_press_takes_no_more_iterations_with_it(
     numerics = Numerics(spacing=4e-3 / 3, precision="float32", tolerance=1e-3)
     plain = simulate(scene, numerics=numerics)
 
-    def rounded(*arguments: Any, **options: Any) -> Stencil:
-        return Stencil(*arguments, **{**options, "half": True})
+    def rounded(*arguments: Any, **options: Any) -> BlockMatrix:
+        return BlockMatrix(*arguments, **{**options, "half": True})
 
-    monkeypatch.setattr(assembly, "Stencil", rounded)
+    monkeypatch.setattr(assembly, "BlockMatrix", rounded)
     half = simulate(scene, numerics=numerics)
     assert not np.array_equal(half.wrench, plain.wrench), "nothing was rounded"
     np.testing.assert_allclose(half.force[-1, 2], plain.force[-1, 2], rtol=2e-3)

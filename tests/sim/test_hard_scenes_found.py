@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.sim.stability.chance.judgement import Settings, judge_scene
 from benchmarks.sim.stability.chance.shrink import failure, load
-from benchmarks.sim.stability.chance.verdict import Settings, judge_scene
 
 FOUND = sorted((Path(__file__).parent / "found").glob("*.json"))
 # Reason why a result is still silently wrong.

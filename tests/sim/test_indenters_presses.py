@@ -111,7 +111,7 @@ def test_the_command_line_presses_a_file_that_leans(
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         ("--shape nowhere.stl", "cannot read or write: .*nowhere.stl"),
         ("--shape cut.stl", "wrong input: cut.stl: 384 bytes; .*cut short"),
@@ -123,7 +123,7 @@ def test_the_command_line_presses_a_file_that_leans(
 )
 def test_the_command_line_says_what_is_wrong_with_a_file_or_a_tilt(
     words: str,
-    said: str,
+    message: str,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
@@ -132,7 +132,7 @@ def test_the_command_line_says_what_is_wrong_with_a_file_or_a_tilt(
     whole = files.write_binary(tmp_path / "cut.stl", files.block(4, 5, 6))
     whole.write_bytes(whole.read_bytes()[:384])
     assert main(["press", "--tier", "layer", *words.split()]) == 2
-    assert re.search(said, capsys.readouterr().err)
+    assert re.search(message, capsys.readouterr().err)
     assert [path.name for path in tmp_path.iterdir()] == ["cut.stl"]
 
 

@@ -179,7 +179,7 @@ def test_the_surface_at_a_level_keeps_planes_edges_and_corners_exactly() -> None
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         ({"edge_radius": 0.2e-3}, r"edge_radius: 0\.0002 m of block\.stl; allowed: 0, or from"),
         ({"edge_radius": 1.6e-3}, r"edge_radius: 0\.0016 m leaves nothing of block\.stl"),
@@ -195,10 +195,10 @@ def test_the_surface_at_a_level_keeps_planes_edges_and_corners_exactly() -> None
     ],
 )
 def test_what_the_grid_or_the_body_has_no_room_for_is_refused(
-    options: dict[str, object], said: str, make: Make
+    options: dict[str, object], message: str, make: Make
 ) -> None:
     given = {"edge_radius": EDGE, **options}
-    with pytest.raises(SceneError, match=said):
+    with pytest.raises(SceneError, match=message):
         make("block", files.block(3, 4, 5), **given)
 
 
@@ -242,8 +242,10 @@ def test_a_file_that_has_gone_or_changed_is_told_of_only_when_it_is_needed(
         if name == "changed":
             files.write_binary(path, files.block(2, 2.5, 3.1))
         again = scene_from_json(stored)
-        said = "has changed, its SHA-256 is" if name == "changed" else "no such file"
-        with pytest.raises(SceneError, match=f"solid.path: .*{said}.*allowed: the file with SHA"):
+        message = "has changed, its SHA-256 is" if name == "changed" else "no such file"
+        with pytest.raises(
+            SceneError, match=f"solid.path: .*{message}.*allowed: the file with SHA"
+        ):
             again.indenter.distance([(0, 0, 0)])
     with pytest.raises(FileNotFoundError):
         from_stl(tmp_path / "never.stl")

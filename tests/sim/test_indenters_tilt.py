@@ -195,7 +195,7 @@ def test_a_tilt_is_kept_in_stored_scenes_and_one_stored_before_has_none() -> Non
 
 
 @pytest.mark.parametrize(
-    ("make", "said"),
+    ("make", "message"),
     [
         (lambda: sphere(1e-3).tilted(0.6, 0.0), "indenter sphere.tilt about x: 0.6 rad; allowed"),
         (lambda: sphere(1e-3).tilted(0.4, -0.4), r"indenter sphere.tilt: 0\.56\d+ rad"),
@@ -205,6 +205,6 @@ def test_a_tilt_is_kept_in_stored_scenes_and_one_stored_before_has_none() -> Non
         (lambda: cone(math.radians(80), 1e-3).tilted(0.3, 0.0), "it has no lowest point"),
     ],
 )
-def test_tilts_without_meaning_are_refused(make: Callable[[], Indenter], said: str) -> None:
-    with pytest.raises(SceneError, match=said):
+def test_tilts_without_meaning_are_refused(make: Callable[[], Indenter], message: str) -> None:
+    with pytest.raises(SceneError, match=message):
         make()

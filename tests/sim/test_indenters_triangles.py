@@ -123,7 +123,7 @@ NOTHING = PRISM[0], PRISM[1][:0]
 
 
 @pytest.mark.parametrize(
-    ("body", "said"),
+    ("body", "message"),
     [
         (_without(3), "not watertight, 3 open edges; allowed: none"),
         (_without(0, 1), "not watertight, 6 open edges"),
@@ -138,14 +138,14 @@ NOTHING = PRISM[0], PRISM[1][:0]
 )
 @pytest.mark.parametrize("write", [files.write_binary, files.write_text])
 def test_what_is_no_body_is_refused_by_its_name(
-    write: Callable[[Path, files.Body], Path], body: files.Body, said: str, tmp_path: Path
+    write: Callable[[Path, files.Body], Path], body: files.Body, message: str, tmp_path: Path
 ) -> None:
-    with pytest.raises(SceneError, match=r"^tip\.stl: " + said):
+    with pytest.raises(SceneError, match=r"^tip\.stl: " + message):
         _read(write(tmp_path / "tip.stl", body))
 
 
 @pytest.mark.parametrize(
-    ("write", "change", "said"),
+    ("write", "change", "message"),
     [
         (files.write_binary, _cut(1), "483 bytes; .* 8 triangles, 484 bytes .*cut short"),
         (files.write_binary, _cut(300), "184 bytes; .* 8 triangles"),
@@ -170,10 +170,10 @@ def test_what_is_no_body_is_refused_by_its_name(
 def test_a_file_that_is_cut_short_or_garbled_is_refused(
     write: Callable[[Path, files.Body], Path],
     change: Callable[[Path], None],
-    said: str,
+    message: str,
     tmp_path: Path,
 ) -> None:
     path = write(tmp_path / "tip.stl", PRISM)
     change(path)
-    with pytest.raises(SceneError, match=r"^tip\.stl: .*" + said):
+    with pytest.raises(SceneError, match=r"^tip\.stl: .*" + message):
         _read(path)

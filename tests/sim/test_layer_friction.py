@@ -16,7 +16,7 @@ from benchmarks.sim.reference_solutions import (
 from sim.effects import Effects, Friction
 from sim.errors import SimulationDiverged
 from sim.indenters import flat_punch, sphere
-from sim.layer import Grid, Press, contact, simulate_layer
+from sim.layer import Grid, LayerPress, contact, simulate_layer
 from sim.layer.spectral import Convolutions, compliance
 from sim.result import Result
 from sim.scene import Body, Motion, Scene, press, press_shear_return, through
@@ -31,7 +31,7 @@ def _loop(coefficient: float, *, steps: int = 3, grid: int = 64, angle: float = 
 def test_every_pixel_sticks_or_slips_as_coulomb_says() -> None:
     motion = through([(0, 0, 0), (0, 0, -1e-3), (0.3e-3, 0, -1e-3)], speed=1e-2)
     scene = Scene(sphere(4e-3), motion, effects=Effects(friction=Friction(0.5)))
-    state = Press(scene, Grid(scene.body, 64), 1e-5)
+    state = LayerPress(scene, Grid(scene.body, 64), 1e-5)
     for tip in motion.tip:
         state.move(np.array(tip), 0.1)
     before, steps = state.displacement.astype(float), state.spent.steps
@@ -65,7 +65,7 @@ def test_a_punch_that_sticks_moves_the_body_as_a_bonded_disc_does() -> None:
     depth, shift, grid = 0.2e-3, 0.05e-3, Grid(Body(), 48)
     motion = through([(0, 0, 0), (0, 0, -depth), (shift, 0, -depth)], speed=1e-2)
     effects = Effects(friction=Friction(10.0))
-    state = Press(Scene(flat_punch(2e-3), motion, effects=effects), grid, 1e-6)
+    state = LayerPress(Scene(flat_punch(2e-3), motion, effects=effects), grid, 1e-6)
     state.move(np.array([0, 0, -depth]), 0.1)
     held = state.force
     state.move(np.array([shift, 0, -depth]), 0.1)

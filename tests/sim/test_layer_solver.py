@@ -16,7 +16,7 @@ from sim.scene import Body, Scene, press, press_shear_return, through
 
 
 @pytest.mark.parametrize(
-    ("effects", "said"),
+    ("effects", "message"),
     [
         (Effects(inertia=Inertia()), r"effects\.inertia: .*'fem'"),
         (Effects(gravity=Gravity()), r"effects\.gravity: .*'fem'"),
@@ -26,8 +26,8 @@ from sim.scene import Body, Scene, press, press_shear_return, through
         ),
     ],
 )
-def test_effects_that_the_tier_does_not_have_are_refused(effects: Effects, said: str) -> None:
-    with pytest.raises(SceneError, match=said):
+def test_effects_that_the_tier_does_not_have_are_refused(effects: Effects, message: str) -> None:
+    with pytest.raises(SceneError, match=message):
         simulate_layer(Scene(sphere(4e-3), press([1e-3]), effects=effects))
 
 
@@ -121,7 +121,7 @@ def test_a_flat_tip_just_touching_bears_nothing() -> None:
 
 def test_the_bench_prints_error_and_rate_of_one_grid(capsys: pytest.CaptureFixture[str]) -> None:
     main(["--grid", "32", "--repeats", "1"])
-    said = capsys.readouterr().out
-    assert "grid 32" in said
-    assert "worst error" in said
-    assert "friction 0.8, viscous" in said
+    message = capsys.readouterr().out
+    assert "grid 32" in message
+    assert "worst error" in message
+    assert "friction 0.8, viscous" in message

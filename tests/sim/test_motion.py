@@ -81,7 +81,7 @@ ORIGIN = (0.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize(
-    ("tip", "time", "said"),
+    ("tip", "time", "message"),
     [
         ((), (), r"^motion: 0 positions and 0 times"),
         ((ORIGIN,), (0.0, 1.0), r"^motion: 1 positions and 2 times"),
@@ -96,9 +96,9 @@ ORIGIN = (0.0, 0.0, 0.0)
     ],
 )
 def test_motions_that_mean_nothing_are_refused(
-    tip: tuple[tuple[float, ...], ...], time: tuple[float, ...], said: str
+    tip: tuple[tuple[float, ...], ...], time: tuple[float, ...], message: str
 ) -> None:
-    with pytest.raises(SceneError, match=said):
+    with pytest.raises(SceneError, match=message):
         Motion(tip=tip, time=time)
 
 

@@ -194,10 +194,10 @@ def test_an_unstable_time_step_diverges_and_gives_nothing(monkeypatch: pytest.Mo
 def test_a_press_that_is_not_quasi_static_or_loosely_sampled_says_so(small: Result) -> None:
     assert small.record["warnings"] == []
     fast = replace(SCENE, motion=press([0.1e-3], speed=0.5))
-    said = _one(fast, replace(COARSE, per_cell=0.8, mass_scaling=100.0)).record
-    assert said["speed_ratio"] > 0.03
-    assert "not quasi-static" in said["warnings"][1]
-    assert "loose columns" in said["warnings"][0]
+    reported = _one(fast, replace(COARSE, per_cell=0.8, mass_scaling=100.0)).record
+    assert reported["speed_ratio"] > 0.03
+    assert "not quasi-static" in reported["warnings"][1]
+    assert "loose columns" in reported["warnings"][0]
 
 
 def test_a_result_says_what_ran_and_is_stored(small: Result, tmp_path: Path) -> None:

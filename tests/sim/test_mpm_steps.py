@@ -15,14 +15,14 @@ from sim.indenters import sphere
 from sim.mpm import MpmNumerics
 from sim.mpm.kernels import IMPULSE_UNIT
 from sim.mpm.lattice import wave_speed
-from sim.mpm.state import State
+from sim.mpm.state import ParticleState
 
 SMALL = Body(size_x=1.5e-3, size_y=1e-3, thickness=1e-3)
 SCENE = Scene(sphere(1e-3), press([0.2e-3]), SMALL)
 EXACT = MpmNumerics(cell=0.5e-3, jitter=0.3, precision="float64")
 
 
-def _stirred(scene: Scene, numerics: MpmNumerics) -> tuple[State, Array]:
+def _stirred(scene: Scene, numerics: MpmNumerics) -> tuple[ParticleState, Array]:
     """Return a deformed, moving state and the nodes' velocity (X, Y, Z, 3)."""
     state, lattice, _ = oracle.state_of([scene], numerics)
     random = np.random.default_rng(1)

@@ -107,7 +107,7 @@ def test_effects_of_no_strength_are_left_out_without_a_probe(
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         ({"effects": "some", "tolerance": "2 %"}, "effects: 'some'; allowed: 'needed', or None"),
         ({"effects": "needed"}, "effects: 'needed' without a tolerance; allowed: with one"),
@@ -115,8 +115,8 @@ def test_effects_of_no_strength_are_left_out_without_a_probe(
         ({"effects": "needed", "tolerance": "2 %", "tier": "fem"}, "tier: .fem. with effects"),
     ],
 )
-def test_wrong_words_are_refused(options: dict[str, Any], said: str) -> None:
-    with pytest.raises(SceneError, match=said.replace("(", "\\(")):
+def test_wrong_words_are_refused(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(SceneError, match=message.replace("(", "\\(")):
         sim.simulate(RUBS, **options)
     with pytest.raises(SceneError, match="tolerance: 'some'"):
         sim.plan(RUBS, tolerance="some")

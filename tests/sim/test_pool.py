@@ -104,8 +104,8 @@ def test_a_number_of_processes_is_whole_and_positive(processes: int) -> None:
 
 
 def test_a_gpu_is_not_shared_among_processes() -> None:
-    said = r"processes: 2 on device 'cuda:0'.*allowed: 1, or device 'cpu'"
-    with pytest.raises(SceneError, match=said):
+    message = r"processes: 2 on device 'cuda:0'.*allowed: 1, or device 'cpu'"
+    with pytest.raises(SceneError, match=message):
         simulate_many(SCENES, device="cuda:0", processes=2)
 
 
@@ -223,23 +223,23 @@ def test_workers_do_not_outlive_their_parent(tmp_path: Path, with_signal: signal
         os.killpg(parent.pid, with_signal)
     else:
         parent.kill()
-    said = parent.communicate(timeout=20)[1]
+    message = parent.communicate(timeout=20)[1]
     while group(parent.pid) and time.monotonic() < deadline:
         time.sleep(0.05)
     assert not group(parent.pid)
     if with_signal == signal.SIGINT:
-        assert said.count("Traceback") == 1, said
-        assert said.rstrip().endswith("KeyboardInterrupt")
+        assert message.count("Traceback") == 1, message
+        assert message.rstrip().endswith("KeyboardInterrupt")
 
 
 def test_a_script_without_its_guard_is_told_so(tmp_path: Path) -> None:
     parent = script(tmp_path, "if True:")
-    said = parent.communicate(timeout=40)[1]
+    message = parent.communicate(timeout=40)[1]
     assert parent.returncode == 1
-    assert "ended with exit code 1, 0 of 3 scenes done; a script that starts processes" in said
+    assert "ended with exit code 1, 0 of 3 scenes done; a script that starts processes" in message
 
 
 def test_workers_say_nothing_of_their_own(capfd: pytest.CaptureFixture[str]) -> None:
     simulate_many(SCENES[:2], numerics=NUMERICS, processes=2)
-    said = capfd.readouterr()
-    assert (said.out, said.err) == ("", "")
+    message = capfd.readouterr()
+    assert (message.out, message.err) == ("", "")

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from benchmarks.sim.render.check import lines
 from benchmarks.sim.render.compare import iou, mismatch
 from benchmarks.sim.render.raycast import cast_rays, marked, smooth
-from benchmarks.sim.render.states import State, dent, fold, state_of
+from benchmarks.sim.render.states import RenderState, dent, fold, state_of
 from benchmarks.sim.render.timing import measure
 from recorder.markers import Lattice, count_markers, pack
 from sim.errors import SceneError
@@ -62,7 +62,7 @@ def textures(renderer: Renderer) -> Textures:
     return renderer.textures(PATTERNS)
 
 
-def masks(renderer: Renderer, textures: Textures, state: State) -> np.ndarray:
+def masks(renderer: Renderer, textures: Textures, state: RenderState) -> np.ndarray:
     return renderer.see(state.x, state.y, state.surface[None]).masks(textures)[0]
 
 
@@ -116,7 +116,7 @@ def test_an_axis_that_is_none_is_refused(axis: np.ndarray, message: str) -> None
 
 
 @pytest.mark.parametrize("state", [ASIDE, DOME], ids=["flat", "dome"])
-def test_every_pixel_sees_what_a_ray_through_it_hits(state: State) -> None:
+def test_every_pixel_sees_what_a_ray_through_it_hits(state: RenderState) -> None:
     renderer = Renderer(state.body)
     seen = renderer.see(state.x, state.y, state.surface[None]).material()[0]
     rays = cast_rays(state.body, renderer.camera, state.x, state.y, state.surface)
@@ -177,7 +177,7 @@ def test_two_frames_at_once_are_the_two_frames(renderer: Renderer) -> None:
 
 
 @pytest.mark.parametrize("state", [ASIDE, DOME], ids=["flat", "dome"])
-def test_masks_are_those_of_rays_and_formulas(state: State) -> None:
+def test_masks_are_those_of_rays_and_formulas(state: RenderState) -> None:
     renderer = Renderer(state.body)
     drawn = masks(renderer, renderer.textures(PATTERNS), state)
     rays = cast_rays(state.body, renderer.camera, state.x, state.y, state.surface)
@@ -347,7 +347,7 @@ def test_the_lattice_tells_where_material_went(renderer: Renderer) -> None:
     "camera", [Camera(), Camera(shift=(20.0, -10.0), rotation=-0.1), Camera.of_scale(0.0249)]
 )
 @pytest.mark.parametrize("state", [ASIDE, DOME], ids=["flat", "dome"])
-def test_masks_follow_from_the_stored_displacement(camera: Camera, state: State) -> None:
+def test_masks_follow_from_the_stored_displacement(camera: Camera, state: RenderState) -> None:
     renderer = Renderer(state.body, camera)
     textures = renderer.textures(PATTERNS)
     direct = masks(renderer, textures, state)
@@ -384,7 +384,7 @@ def test_a_field_goes_on_straight_beside_the_gel() -> None:
     ],
 )
 def test_what_is_no_surface_is_refused(
-    renderer: Renderer, change: Callable[[State], State], message: str
+    renderer: Renderer, change: Callable[[RenderState], RenderState], message: str
 ) -> None:
     state = change(ASIDE)
     with pytest.raises(SceneError, match=message):

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.sim.independent.axisymmetric import Layer, Press
+from benchmarks.sim.independent.axisymmetric import AxisymmetricPress, Layer
 from benchmarks.sim.independent.mesh import Fine, layer_grid
 from benchmarks.sim.independent.profile import punch
 from benchmarks.sim.independent.profile import sphere as ball
@@ -150,7 +150,7 @@ def _independent(
     grid = layer_grid(half, body.thickness, places, 0.3, body.dome_radius)
     layer = Layer(half, body.thickness, body.modulus, body.poisson)
     path = [depth * (step / steps) ** 2 for step in range(1, steps + 1)]
-    return Press(layer, ball(radius), grid, 0.0, wide).run([depth], path)[0].force
+    return AxisymmetricPress(layer, ball(radius), grid, 0.0, wide).run([depth], path)[0].force
 
 
 @pytest.mark.parametrize(
@@ -171,7 +171,7 @@ def test_forces_at_the_apex_agree_with_axisymmetric_elements(radius: float, body
 @pytest.mark.slow
 def test_a_plate_on_a_disc_comes_near_to_axisymmetric_elements_as_elements_shrink() -> None:
     grid = layer_grid(6 * MM, 4 * MM, [Fine(6 * MM, 6 * MM, 0.1 * MM)], 0.25)
-    truth = Press(Layer(6 * MM, 4 * MM), punch(18 * MM, 3 * MM), grid, 0.0, 6 * MM)
+    truth = AxisymmetricPress(Layer(6 * MM, 4 * MM), punch(18 * MM, 3 * MM), grid, 0.0, 6 * MM)
     force = truth.run([0.2 * MM], [])[0].force
     errors = [
         _push(simulate(Scene(plane(), press((0.2 * MM,)), DISC), numerics=Numerics(fineness=fine)))

@@ -53,7 +53,7 @@ def test_effects_are_named_in_one_order_however_they_were_given() -> None:
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e9, "1", None], ids=repr)
 @pytest.mark.parametrize(
-    ("make", "said"),
+    ("make", "message"),
     [
         (Friction, r"^friction\.coefficient: "),
         (Inertia, r"^inertia\.scale: "),
@@ -63,13 +63,13 @@ def test_effects_are_named_in_one_order_however_they_were_given() -> None:
     ],
     ids=["friction", "inertia", "gravity", "ratios", "times"],
 )
-def test_every_number_of_an_effect_is_checked(make: object, value: object, said: str) -> None:
-    with pytest.raises(SceneError, match=said + r".*; allowed: "):
+def test_every_number_of_an_effect_is_checked(make: object, value: object, message: str) -> None:
+    with pytest.raises(SceneError, match=message + r".*; allowed: "):
         make(value)
 
 
 @pytest.mark.parametrize(
-    ("make", "said"),
+    ("make", "message"),
     [
         (lambda: Friction(-1e-9), r"^friction\.coefficient"),
         (lambda: Gravity((0.0, 0.0)), r"^gravity\.acceleration: .*3 numbers"),
@@ -81,8 +81,8 @@ def test_every_number_of_an_effect_is_checked(make: object, value: object, said:
         (lambda: Viscosity((1.0,), (1.0,), "bulk"), r"^viscosity\.relaxes: 'bulk'; .*'shear'"),
     ],
 )
-def test_effects_that_mean_nothing_are_refused(make: object, said: str) -> None:
-    with pytest.raises(SceneError, match=said):
+def test_effects_that_mean_nothing_are_refused(make: object, message: str) -> None:
+    with pytest.raises(SceneError, match=message):
         make()
 
 

@@ -97,7 +97,7 @@ def test_an_untouched_top_does_not_move() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"x": X[::-1]}, r"field\.x: .*allowed: 2 or more ascending"),
         ({"y": Y[:-1]}, r"field\.displacement: shape .*24 y"),
@@ -108,7 +108,7 @@ def test_an_untouched_top_does_not_move() -> None:
         ),
     ],
 )
-def test_what_is_no_field_is_refused(change: dict[str, Array], said: str) -> None:
+def test_what_is_no_field_is_refused(change: dict[str, Array], message: str) -> None:
     given = {"x": X, "y": Y, "displacement": np.zeros((1, 30, 25, 3), np.float32), **change}
-    with pytest.raises(SceneError, match=said):
+    with pytest.raises(SceneError, match=message):
         SurfaceField(**given)  # type: ignore[arg-type]

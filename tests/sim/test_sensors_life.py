@@ -9,7 +9,16 @@ import pytest
 
 from sim.errors import SceneError
 from sim.scene import press
-from sim.sensors import Drift, Framing, Grip, Life, Mount, Placement, Segmentation, Segmenter
+from sim.sensors import (
+    DeviceVariation,
+    Drift,
+    Framing,
+    Grip,
+    Mount,
+    Placement,
+    Segmentation,
+    Segmenter,
+)
 from sim.sensors.optics import tip_coverage
 from sim.sensors.variation import generator, softened
 
@@ -70,7 +79,7 @@ def test_a_skin_creeps_as_a_random_walk_that_begins_at_home() -> None:
 
 
 def test_nothing_is_on_unless_asked_for() -> None:
-    life = Life()
+    life = DeviceVariation()
     assert [life.mount, life.grip, life.framing, life.drift, life.segmentation] == [None] * 5
     assert Mount(0.0, 0.0).drawn(0, "a") == Placement()
     assert Grip(0.0).drawn(0, "a", "b") == (0.0, 0.0)
@@ -162,7 +171,7 @@ def test_a_frame_has_the_same_errors_in_any_batch_and_others_in_another_session(
 
 
 @pytest.mark.parametrize(
-    ("make", "said"),
+    ("make", "message"),
     [
         (lambda: Mount(0.02, 0.0), r"mount\.shift: 0\.02 m; allowed: 0 to 0\.01 m"),
         (lambda: Mount(0.0, 2.0), r"mount\.turn: 2\.0 rad"),
@@ -173,8 +182,8 @@ def test_a_frame_has_the_same_errors_in_any_batch_and_others_in_another_session(
         (lambda: Segmentation(missing=1.5), r"segmentation\.missing: 1\.5"),
     ],
 )
-def test_lives_that_mean_nothing_are_refused(make: object, said: str) -> None:
-    with pytest.raises(SceneError, match=said):
+def test_lives_that_mean_nothing_are_refused(make: object, message: str) -> None:
+    with pytest.raises(SceneError, match=message):
         make()  # type: ignore[operator]
 
 

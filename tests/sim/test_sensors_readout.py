@@ -17,7 +17,7 @@ from sim.scene import press
 from sim.sensors import (
     CameraReadout,
     CameraSignal,
-    Life,
+    DeviceVariation,
     Segmentation,
     SimulatedSensor,
     SurfaceField,
@@ -51,7 +51,7 @@ def camera_readout(each: SimulatedSensor, **options: object) -> CameraReadout:
 
 
 def plain(name: str) -> SimulatedSensor:
-    return replace(sensor(name), life=Life())
+    return replace(sensor(name), life=DeviceVariation())
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +106,7 @@ def test_the_displacement_lattice_says_how_far_the_image_moved(gelsight: CameraR
 def test_parameters_of_nothing_give_the_plain_image() -> None:
     each = plain("gelsight")
     # Jitter below a hundredth of a pixel, and zero probabilities.
-    quiet = replace(each, life=Life(segmentation=Segmentation()))
+    quiet = replace(each, life=DeviceVariation(segmentation=Segmentation()))
     top = dent(each)
     np.testing.assert_array_equal(
         camera_readout(quiet, seed=0).coverage(top)[0, 0] >= 128,

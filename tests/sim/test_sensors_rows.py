@@ -117,7 +117,7 @@ def test_a_signal_of_another_kind_replaces_the_whole(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("colour: red\n", r"mine\.yaml: unknown \['colour'\]; allowed: .*'body'"),
         ("name: other\n", r"mine\.yaml: unknown \['name'\]"),
@@ -146,9 +146,9 @@ def test_a_signal_of_another_kind_replaces_the_whole(tmp_path: Path) -> None:
     ],
 )
 def test_errors_name_file_key_value_and_what_is_allowed(
-    tmp_path: Path, text: str, said: str
+    tmp_path: Path, text: str, message: str
 ) -> None:
-    with pytest.raises(SceneError, match=said):
+    with pytest.raises(SceneError, match=message):
         read(tmp_path, BASE + text)
 
 

@@ -62,7 +62,7 @@ def test_markers_are_ink_over_the_lit_skin_and_nothing_is_black() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"lamps": ()}, r"shading\.lamps: 0; allowed: 1 to 8"),
         ({"ambient": -0.1}, r"shading\.ambient: -0\.1"),
@@ -71,8 +71,8 @@ def test_markers_are_ink_over_the_lit_skin_and_nothing_is_black() -> None:
         ({"background": (0.0, 0.0, 300.0)}, r"shading\.background\.colour: 300\.0"),
     ],
 )
-def test_lights_that_mean_nothing_are_refused(change: dict[str, object], said: str) -> None:
-    with pytest.raises(SceneError, match=said):
+def test_lights_that_mean_nothing_are_refused(change: dict[str, object], message: str) -> None:
+    with pytest.raises(SceneError, match=message):
         replace(SHADING, **change)
 
 

@@ -147,7 +147,7 @@ def test_counts_saturate_and_are_whole() -> None:
 
 
 @pytest.mark.parametrize(
-    ("body", "signal", "said"),
+    ("body", "signal", "message"),
     [
         (Body(), {"magnet_depth": 4e-3}, r"taxels\.magnet_depth: 0\.004 m; allowed: less than"),
         (Body(size_x=12e-3), {}, r"taxels\.pitch: 0\.0047 m; allowed: up to 0\.004 m"),
@@ -155,14 +155,14 @@ def test_counts_saturate_and_are_whole() -> None:
     ],
 )
 def test_pads_that_do_not_fit_their_body_are_refused(
-    body: Body, signal: dict[str, float], said: str
+    body: Body, signal: dict[str, float], message: str
 ) -> None:
-    with pytest.raises(SceneError, match=said):
+    with pytest.raises(SceneError, match=message):
         TaxelPad(body, replace(SIGNAL, **signal))
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"pitch": float("nan")}, r"taxels\.pitch: nan m"),
         ({"noise": -1.0}, r"taxels\.noise: -1\.0"),
@@ -170,6 +170,6 @@ def test_pads_that_do_not_fit_their_body_are_refused(
         ({"rest": (0.0, 0.0, 70000.0)}, r"taxels\.rest\[2\]: 70000\.0; allowed: 0 to 65535"),
     ],
 )
-def test_signals_that_mean_nothing_are_refused(change: dict[str, object], said: str) -> None:
-    with pytest.raises(SceneError, match=said):
+def test_signals_that_mean_nothing_are_refused(change: dict[str, object], message: str) -> None:
+    with pytest.raises(SceneError, match=message):
         replace(SIGNAL, **change)

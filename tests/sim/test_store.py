@@ -63,7 +63,7 @@ def test_a_scene_comes_back_equal_through_text(effects: Effects, motion: Motion)
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (lambda stored: stored.pop("motion"), r"^scene: .*allowed: the fields"),
         (lambda stored: stored["body"].update(colour=1), r"^scene\.body: .*colour"),
@@ -76,10 +76,10 @@ def test_a_scene_comes_back_equal_through_text(effects: Effects, motion: Motion)
         (lambda stored: stored.update(effects=[]), r"^scene\.effects: \[\]"),
     ],
 )
-def test_a_scene_that_was_tampered_with_is_refused(change: object, said: str) -> None:
+def test_a_scene_that_was_tampered_with_is_refused(change: object, message: str) -> None:
     stored = json.loads(json.dumps(scene_to_json(Scene(sphere(4e-3), press([1e-4, 2e-4])))))
     change(stored)
-    with pytest.raises(SceneError, match=said):
+    with pytest.raises(SceneError, match=message):
         scene_from_json(stored)
 
 

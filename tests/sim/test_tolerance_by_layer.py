@@ -149,12 +149,12 @@ def test_scenes_that_it_was_not_held_against_are_not_tried(
 def test_answers_that_are_no_such_thing_are_left_to_meshes(
     scene: Scene, tolerance: str, tried: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    said: list[str] = []
+    reported: list[str] = []
     look = module._of_layer
 
     def kept(*arguments: Any) -> Result | None:
         found = look(*arguments)
-        said.extend(arguments[3])
+        reported.extend(arguments[3])
         return found
 
     def mesh(*_arguments: Any, **_options: Any) -> Any:
@@ -164,8 +164,8 @@ def test_answers_that_are_no_such_thing_are_left_to_meshes(
     monkeypatch.setattr(module._Meshes, "solved", mesh)
     with pytest.raises(SimulationDiverged, match="a mesh was tried"):
         simulate(scene, tolerance=tolerance)
-    assert len(said) == 1
-    assert tried in said[0]
+    assert len(reported) == 1
+    assert tried in reported[0]
 
 
 @pytest.mark.usefixtures("no_meshes")
@@ -187,7 +187,7 @@ def test_a_tier_that_is_named_is_taken_or_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "reported"),
     [
         ({"tier": "mpm"}, "tier: 'mpm' with a tolerance; allowed: None, 'layer', 'fem'"),
         ({"tier": "layer", "error_bar": True}, "error_bar: True with tolerance '8 %' and tier"),
@@ -195,6 +195,6 @@ def test_a_tier_that_is_named_is_taken_or_refused() -> None:
         ({"device": "cuda:99"}, "device: 'cuda:99'; allowed"),
     ],
 )
-def test_what_goes_with_no_tolerance_is_refused(options: dict[str, Any], said: str) -> None:
-    with pytest.raises(SceneError, match=said):
+def test_what_goes_with_no_tolerance_is_refused(options: dict[str, Any], reported: str) -> None:
+    with pytest.raises(SceneError, match=reported):
         simulate(WIDE, tolerance="8 %", **options)

@@ -64,9 +64,9 @@ WRONG: dict[str, tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]] = {
 }
 
 
-@pytest.mark.parametrize("said", WRONG)
-def test_what_is_wrong_is_named_with_its_value_and_what_is_allowed(said: str) -> None:
-    call, given, named = WRONG[said]
+@pytest.mark.parametrize("message", WRONG)
+def test_what_is_wrong_is_named_with_its_value_and_what_is_allowed(message: str) -> None:
+    call, given, named = WRONG[message]
     with pytest.raises(SceneError) as told:
         call(*given, **named)
-    assert str(told.value).startswith(said)
+    assert str(told.value).startswith(message)

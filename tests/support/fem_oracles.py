@@ -166,19 +166,19 @@ def contact(
     unit: float,
     tip: Array,
     penalty: float,
-    carried: Array,
+    multiplier: Array,
     u: Array,
     rubbing: Rubbing | None,
 ) -> dict[str, Array]:
     """Return contact by the host's signed distance and a return map: all values that the kernel
-    writes, and the gap. `carried` (S, P) is the multiplier, a pressure without penetration.
+    writes, and the gap. `multiplier` (S, P) is the multiplier, a pressure without penetration.
     """
     shape, weight = rule
     corners = (mesh.nodes + u)[mesh.faces]
     place = np.einsum("pa,saj->spj", shape, corners) - tip
     gap, normal = indenter.distance(place * unit)
     gap = gap / unit
-    pressure = np.maximum(carried - penalty * gap, 0.0)
+    pressure = np.maximum(multiplier - penalty * gap, 0.0)
     touched = pressure > 0
     area = weight * mesh.face_area[:, None]
     traction = np.zeros_like(place)

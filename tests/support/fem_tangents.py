@@ -11,7 +11,7 @@ from support.fem_oracles import Array, Material
 
 from benchmarks.sim.stability.planted import planted
 from sim.fem.contact import face_rule
-from sim.fem.matrix import Stencil
+from sim.fem.matrix import BlockMatrix
 from sim.fem.mesh import SLOTS, Mesh, neighbours
 from sim.scalars import matrix_of
 
@@ -58,12 +58,12 @@ class Tangents:
             bulk_history=random.normal(0, 0.1, len(GRID.elements)),
         )
 
-    def stencil(
+    def block_matrix(
         self, real: Any, *, parallel: bool = False, half: bool = False, keep: bool = True
-    ) -> Stencil:
+    ) -> BlockMatrix:
         """Return the tangent assembled by the kernels over a matrix full of `FILLED`."""
         with planted("full-integration" if self.variant == "full_integration" else None):
-            stencil = Stencil(
+            block_matrix = BlockMatrix(
                 GRID,
                 real,
                 3,
@@ -73,11 +73,11 @@ class Tangents:
                 half=half,
                 keep=keep,
             )
-        stencil.matrix.fill_(FILLED)
-        self.assemble(stencil, real)
-        return stencil
+        block_matrix.matrix.fill_(FILLED)
+        self.assemble(block_matrix, real)
+        return block_matrix
 
-    def assemble(self, stencil: Stencil, real: Any, anew: list[int] | None = None) -> None:
+    def assemble(self, block_matrix: BlockMatrix, real: Any, anew: list[int] | None = None) -> None:
         """Assemble again for the current state, the elastic part where `anew` is set."""
         geometry = (
             oracle.matrices(np.stack([mesh.inverse for mesh in MESHES]), real),
@@ -90,7 +90,7 @@ class Tangents:
             oracle.integers(self.touched),
             oracle.matrices(self.contact, real),
         )
-        stencil.assemble(
+        block_matrix.assemble(
             oracle.integers(self.active),
             oracle.vectors(self.u, real),
             geometry,
@@ -143,12 +143,12 @@ def _stiffness(mesh: Mesh, u: Array, material: Material) -> Array:
     return dense
 
 
-def flat_tangent(by: float) -> Stencil:
+def flat_tangent(by: float) -> BlockMatrix:
     """Return the undeformed tangent of a body whose elements are `by` times as wide as high."""
     nodes = GRID.nodes * np.array([by, by, 1.0])
     jacobian = np.einsum("eai,qaj->eqij", nodes[GRID.elements], oracle.local_gradients())
     one, real = [1.0], wp.float64
-    stencil = Stencil(GRID, real, 1, "cpu")
+    block_matrix = BlockMatrix(GRID, real, 1, "cpu")
     geometry = (
         oracle.matrices(np.linalg.inv(jacobian)[None], real),
         oracle.scalars(np.linalg.det(jacobian)[None], real),
@@ -162,7 +162,7 @@ def flat_tangent(by: float) -> Stencil:
     )
     material = Tangents().inputs(real, [Material(0.35, 1.0)])
     u = oracle.vectors(np.zeros((1, COUNT, 3)), real)
-    stencil.assemble(
+    block_matrix.assemble(
         oracle.integers(one),
         u,
         geometry,
@@ -171,7 +171,7 @@ def flat_tangent(by: float) -> Stencil:
         oracle.scalars([0.0], real),
         oracle.integers([0]),
     )
-    return stencil
+    return block_matrix
 
 
 def spread_out(matrix: Array) -> Array:

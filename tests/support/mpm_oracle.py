@@ -14,14 +14,14 @@ from sim import Scene
 from sim.mpm import MpmNumerics
 from sim.mpm.kernels import FIXED_POINT
 from sim.mpm.lattice import Lattice, Pace, build_lattice, pace_of
-from sim.mpm.state import State
+from sim.mpm.state import ParticleState
 
 Array = NDArray[np.float64]
 
 
 def state_of(
     scenes: Sequence[Scene], numerics: MpmNumerics, *, free: bool = False, settle: bool = True
-) -> tuple[State, Lattice, list[Pace]]:
+) -> tuple[ParticleState, Lattice, list[Pace]]:
     """Return a batch before its first step; `free` releases every held particle."""
     lattice = build_lattice(scenes, numerics)
     if free:
@@ -29,7 +29,7 @@ def state_of(
     paces = [pace_of(scene, numerics, lattice.cell) for scene in scenes]
     if not settle:
         paces = [replace(pace, at=pace.at - pace.at[0]) for pace in paces]
-    return State(lattice, scenes, paces, numerics, "cpu"), lattice, paces
+    return ParticleState(lattice, scenes, paces, numerics, "cpu"), lattice, paces
 
 
 def put(array: Any, values: Array) -> None:
@@ -91,6 +91,6 @@ def move(
     return shift, gradient, sums
 
 
-def sums_of(state: State, env: int = 0) -> Array:
+def sums_of(state: ParticleState, env: int = 0) -> Array:
     """Return mass and momentum at the nodes of an environment (X, Y, Z, 4)."""
     return np.asarray(state.sums.numpy()[env] / FIXED_POINT).reshape(*state.lattice.nodes, 4)

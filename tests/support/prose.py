@@ -1,4 +1,4 @@
-"""Check the prose of the repository: `make check` runs it, `python tests/support/prose.py PATH...` too.
+"""Check the prose of the repository, or of paths: `python tests/support/prose.py PATH...`.
 
 Prose is the text of Markdown files, docstrings and comments; code in backticks is left out. Every
 finding is one line, `file:line: found; use ...`. The exit code is 1 if there is any.

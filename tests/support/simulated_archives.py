@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from sim.dataset import Begun, Filled, Plan, Solving, Stop, Unit, begin, fill, run
+from sim.dataset import DatasetPlan, OpenArchive, RunSummary, Solving, Stop, Unit, begin, fill, run
 from sim.dataset import plan as solving
 from sim.dataset.run import make_here
 from sim.scene import Scene
@@ -20,7 +20,7 @@ from sim.simulate import Tier, simulate_many
 
 LAYER = Solving(tier="layer")
 # A family of two skins and one of taxels: 5 units, two of them force-depth.
-SKINS = Plan(
+SKINS = DatasetPlan(
     "targets",
     (sensor("r6"), sensor("r18"), sensor("uskin")),
     indenters=("sphere", "cone"),
@@ -48,9 +48,11 @@ LIVED = replace(
 )
 
 
-def make(path: Path, plan: Plan, units: Callable[[Sequence[Unit]], Any] = tuple) -> Filled:
+def make(
+    path: Path, plan: DatasetPlan, units: Callable[[Sequence[Unit]], Any] = tuple
+) -> RunSummary:
     """Make an archive's missing units in this process; `units` chooses and orders them."""
-    begun: Begun = begin(path, plan)
+    begun: OpenArchive = begin(path, plan)
     stop = Stop()
     stop.asked = False
     return fill(

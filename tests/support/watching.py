@@ -13,14 +13,14 @@ import simplejpeg
 from websockets.sync.client import ClientConnection, connect
 
 from recorder import SessionWriter, StreamWriter, camera_spec
-from rig.acquire.request import Order
+from rig.acquire.request import CollectRequest
 from rig.acquire.stream_process import COUNTERS
 from rig.bench.bench import load_bench
 from rig.core.clock import SystemClock
 from rig.core.packaged import BENCHES
 from rig.core.samples import CAMERA_LATEST, FORCE_LATEST, POSE_LATEST
-from rig.core.shared_memory import LatestRecord
-from rig.monitor.page.access import Gate
+from rig.core.shared_memory import SharedLatest
+from rig.monitor.page.access import AccessPolicy
 from rig.monitor.page.messages import PageJob, page_job
 
 BENCH, _ = load_bench(BENCHES / "tacpalm.yaml")
@@ -46,7 +46,7 @@ class Stage:
         self.clock = SystemClock()
         self.session = self.folder / "s.zarr"
         self.records = {
-            name: LatestRecord.create(self.folder / f"{name}.latest", kind)
+            name: SharedLatest.create(self.folder / f"{name}.latest", kind)
             for name, kind in (
                 ("force", FORCE_LATEST),
                 ("pose", POSE_LATEST),
@@ -54,7 +54,7 @@ class Stage:
             )
         }
         self.counters = {
-            name: LatestRecord.create(self.folder / f"{name}.counters", COUNTERS)
+            name: SharedLatest.create(self.folder / f"{name}.counters", COUNTERS)
             for name in self.records
         }
         SessionWriter.create(
@@ -65,12 +65,12 @@ class Stage:
         ).close()
         self.camera = StreamWriter.open(self.session / "streams" / "camera")
 
-    def job(self, gate: Gate | None = None, **fields: Any) -> PageJob:
-        order = Order(self.session, targets=TARGETS)
-        gate = gate or Gate(port=0)
-        job = page_job(gate, BENCH, self.folder, order, BENCH.trajectory, TARGETS)
+    def job(self, access: AccessPolicy | None = None, **fields: Any) -> PageJob:
+        request = CollectRequest(self.session, targets=TARGETS)
+        access = access or AccessPolicy(port=0)
+        job = page_job(access, BENCH, self.folder, request, BENCH.trajectory, TARGETS)
         return PageJob(
-            job.gate,
+            job.access,
             job.bench,
             job.folder,
             job.session,
@@ -109,14 +109,14 @@ class Stage:
 
 
 def watch(
-    gate: Gate, port: int, *, token: str | None = None, origin: str | None = None
+    access: AccessPolicy, port: int, *, token: str | None = None, origin: str | None = None
 ) -> ClientConnection:
     """Connect a client like the page's script."""
     where = f"127.0.0.1:{port}"
     return connect(
         f"ws://{where}/live",
         origin=origin if origin is not None else f"http://{where}",  # type: ignore[arg-type]
-        additional_headers={"Cookie": f"rig_watch_{port}={token or gate.token}"},
+        additional_headers={"Cookie": f"rig_watch_{port}={token or access.token}"},
         compression=None,
         open_timeout=10,
     )

@@ -118,13 +118,13 @@ def test_an_unknown_command_is_refused_and_the_nearest_are_named(
     words: list[str], near: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(words) == 2
-    said = capsys.readouterr()
-    assert near in said.err
-    assert not said.out
+    message = capsys.readouterr()
+    assert near in message.err
+    assert not message.out
 
 
 @pytest.mark.parametrize(
-    ("words", "code", "said"),
+    ("words", "code", "message"),
     [
         ("session info nosuch.zarr", 2, "no such session"),
         ("collect --sensor nosuch", 2, "known in benches/ or packaged"),
@@ -134,10 +134,10 @@ def test_an_unknown_command_is_refused_and_the_nearest_are_named(
     ],
 )
 def test_messages_and_exit_codes_are_those_of_the_verb(
-    words: str, code: int, said: str, capsys: pytest.CaptureFixture[str]
+    words: str, code: int, message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(words.split()) == code
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 def test_a_wrong_option_ends_with_the_usage_of_the_command(

@@ -94,8 +94,8 @@ def test_a_lab_works_from_the_wheel_alone(tmp_path: Path) -> None:
     _run(tactile, "--help", cwd=tmp_path)
     _run(tactile, "init", "lab", cwd=tmp_path)
     lab = tmp_path / "lab"
-    said = _run(tactile, "collect", "--sensor", "tacpalm", "--targets", "2", cwd=lab)
-    assert said.startswith("MOCK BENCH (")
+    message = _run(tactile, "collect", "--sensor", "tacpalm", "--targets", "2", cwd=lab)
+    assert message.startswith("MOCK BENCH (")
     (session,) = lab.glob("sessions/*.zarr")
     _run(tactile, "session", "info", str(session), cwd=lab)
     press = ("--shape", "sphere", "--radius", "4", "--depths", "1")

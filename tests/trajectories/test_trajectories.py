@@ -17,10 +17,10 @@ from trajectories import (
     Limits,
     Plan,
     PressShear,
+    dry_run,
     move_duration,
     plan_from_json,
     plan_to_json,
-    rehearse,
 )
 
 MM = 1e-3
@@ -170,7 +170,7 @@ WIDE = Limits(
 
 
 def test_a_plan_within_its_limits_breaks_none() -> None:
-    walked = rehearse(HOMOGENEOUS, WIDE, speed=0.005, acceleration=0.05)
+    walked = dry_run(HOMOGENEOUS, WIDE, speed=0.005, acceleration=0.05)
     assert walked.broken == ()
     assert walked.depth == pytest.approx(1.2e-3)
     assert walked.x == pytest.approx((-4e-3, 4e-3))
@@ -195,6 +195,6 @@ def test_each_limit_alone_is_found_broken(limit: str, value: Any, word: str) -> 
     import dataclasses
 
     limits = dataclasses.replace(WIDE, **{limit: value})
-    walked = rehearse(HOMOGENEOUS, limits, speed=0.005, acceleration=0.05)
+    walked = dry_run(HOMOGENEOUS, limits, speed=0.005, acceleration=0.05)
     assert len(walked.broken) == 1
     assert word in walked.broken[0]

@@ -47,9 +47,9 @@ def _run(options: argparse.Namespace) -> int:
             raise LearningError(f"--intro: found no {options.intro}; allowed: a file of text")
         intro = options.intro.read_text(encoding="utf-8")
     groups = []
-    for said in options.experiments:
-        name, found, folder = said.partition("=")
-        path = Path(folder if found else said)
+    for message in options.experiments:
+        name, found, folder = message.partition("=")
+        path = Path(folder if found else message)
         groups.append(read_group(name if found else path.name, path))
     if len({group.name for group in groups}) < len(groups):
         raise LearningError(f"experiments: found {options.experiments}; allowed: different names")

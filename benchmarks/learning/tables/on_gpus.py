@@ -39,7 +39,7 @@ SAID_LINES = 15
 
 
 @dataclass(frozen=True)
-class Piece:
+class Task:
     """A task: a table, an ablation or an archive."""
 
     name: str
@@ -60,7 +60,7 @@ class Piece:
 class Running:
     """A running task."""
 
-    piece: Piece
+    task: Task
     gpu: int
     """Index of the GPU, from 0."""
     process: subprocess.Popen[bytes]
@@ -77,22 +77,22 @@ class Machine:
     """Number of models that fit into a GPU's memory."""
     running: list[Running] = field(default_factory=list)
 
-    def place_for(self, piece: Piece) -> int | None:
+    def place_for(self, task: Task) -> int | None:
         """Return the GPU that trains the fewest models; None: no GPU has space."""
 
         def held(gpu: int) -> tuple[int, int]:
-            jobs = [run.piece.jobs for run in self.running if run.gpu == gpu]
+            jobs = [run.task.jobs for run in self.running if run.gpu == gpu]
             return sum(jobs), len(jobs)
 
         gpu = min(range(len(self.gpus)), key=held)
-        if piece.jobs == 0:
-            archives = sum(run.piece.jobs == 0 for run in self.running)
+        if task.jobs == 0:
+            archives = sum(run.task.jobs == 0 for run in self.running)
             return gpu if archives < ARCHIVES_AT_ONCE else None
         models, _ = held(gpu)
-        return gpu if models == 0 or models + piece.jobs <= self.room else None
+        return gpu if models == 0 or models + task.jobs <= self.room else None
 
 
-def pieces(out: Path, jobs: int, cores: int) -> list[Piece]:
+def tasks(out: Path, jobs: int, cores: int) -> list[Task]:
     """Return all tasks, the most urgent first.
 
     Args:
@@ -101,23 +101,23 @@ def pieces(out: Path, jobs: int, cores: int) -> list[Piece]:
         cores: Number of CPU cores.
     """
 
-    def archive(name: str) -> Piece:
+    def archive(name: str) -> Task:
         made = (("ONLY", "archive"), ("PROCESSES", str(max(1, cores // ARCHIVES_AT_ONCE))))
-        return Piece(f"archive {name}", ("bash", str(HERE / "run.sh"), str(out), name), (), made)
+        return Task(f"archive {name}", ("bash", str(HERE / "run.sh"), str(out), name), (), made)
 
-    def trained(name: str, script: str, needs: str, at_once: int) -> Piece:
+    def trained(name: str, script: str, needs: str, at_once: int) -> Task:
         command = ("bash", str(HERE / script), str(out), name.removeprefix(ABLATION))
-        said = (
+        reported = (
             ("ONLY", "experiment"),  # all pages are written at the end
             ("JOBS", str(at_once)),
             ("PROCESSES", str(max(at_once, cores // 4))),
         )
-        return Piece(name, command, (needs,), said, at_once)
+        return Task(name, command, (needs,), reported, at_once)
 
-    def table(name: str) -> Piece:
+    def table(name: str) -> Task:
         return trained(name, "run.sh", f"archive {name}", jobs)
 
-    def ablation(name: str, needs: str) -> Piece:
+    def ablation(name: str, needs: str) -> Task:
         return trained(ABLATION + name, "ablations.sh", needs, max(1, jobs // 2))
 
     return [
@@ -131,7 +131,7 @@ def pieces(out: Path, jobs: int, cores: int) -> list[Piece]:
 
 
 def run_all(
-    due: Iterable[Piece], machine: Machine, out: Path, say: Callable[[str], None]
+    due: Iterable[Task], machine: Machine, out: Path, say: Callable[[str], None]
 ) -> dict[str, float]:
     """Run each task once its dependencies are done; return the seconds of those that succeeded.
 
@@ -152,28 +152,28 @@ def run_all(
 
     try:
         while waiting or machine.running:
-            for piece in [piece for piece in waiting if piece.can_begin(took)]:
-                gpu = machine.place_for(piece)
+            for task in [task for task in waiting if task.can_begin(took)]:
+                gpu = machine.place_for(task)
                 if gpu is not None:
-                    waiting.remove(piece)
-                    machine.running.append(_start(piece, gpu, machine, out))
-                    say(f"{now()}{piece.name}: begins, GPU {machine.gpus[gpu]}")
+                    waiting.remove(task)
+                    machine.running.append(_start(task, gpu, machine, out))
+                    say(f"{now()}{task.name}: begins, GPU {machine.gpus[gpu]}")
             ended = [run for run in machine.running if run.process.poll() is not None]
             for run in ended:
                 machine.running.remove(run)
                 seconds = time.monotonic() - run.since
                 if run.process.returncode == 0:
-                    took[run.piece.name] = seconds
+                    took[run.task.name] = seconds
                     _write(out / "times.csv", took)
-                    say(f"{now()}{run.piece.name}: done in {seconds:.0f} s")
+                    say(f"{now()}{run.task.name}: done in {seconds:.0f} s")
                     continue
-                say(f"{now()}{run.piece.name}: failed after {seconds:.0f} s, with this output:")
-                said = _log(out, run.piece).read_text(errors="replace").splitlines()
-                for line in said[-SAID_LINES:]:
+                say(f"{now()}{run.task.name}: failed after {seconds:.0f} s, with this output:")
+                reported = _log(out, run.task).read_text(errors="replace").splitlines()
+                for line in reported[-SAID_LINES:]:
                     say(f"    {line}")
-            if not machine.running and not any(piece.can_begin(took) for piece in waiting):
-                for piece in waiting:
-                    say(f"{now()}{piece.name}: skipped, it needs {', '.join(piece.needs)}")
+            if not machine.running and not any(task.can_begin(took) for task in waiting):
+                for task in waiting:
+                    say(f"{now()}{task.name}: skipped, it needs {', '.join(task.needs)}")
                 break
             if not ended:
                 time.sleep(LOOK_EVERY)
@@ -186,20 +186,20 @@ def run_all(
     return took
 
 
-def _start(piece: Piece, gpu: int, machine: Machine, out: Path) -> Running:
-    environment = os.environ | dict(piece.environment)
+def _start(task: Task, gpu: int, machine: Machine, out: Path) -> Running:
+    environment = os.environ | dict(task.environment)
     environment |= {"CUDA_VISIBLE_DEVICES": machine.gpus[gpu], "DEVICE": "cuda:0"}
     environment.setdefault("PYTHON", sys.executable)
-    behind = () if piece.jobs else ("nice", "-n", "10")
-    with _log(out, piece).open("wb") as log:
+    behind = () if task.jobs else ("nice", "-n", "10")
+    with _log(out, task).open("wb") as log:
         process = subprocess.Popen(
-            [*behind, *piece.command], stdout=log, stderr=subprocess.STDOUT, env=environment
+            [*behind, *task.command], stdout=log, stderr=subprocess.STDOUT, env=environment
         )
-    return Running(piece, gpu, process, time.monotonic())
+    return Running(task, gpu, process, time.monotonic())
 
 
-def _log(out: Path, piece: Piece) -> Path:
-    return out / "log" / f"{piece.name.replace(' ', '-')}.log"
+def _log(out: Path, task: Task) -> Path:
+    return out / "log" / f"{task.name.replace(' ', '-')}.log"
 
 
 def _write(path: Path, took: dict[str, float]) -> None:
@@ -211,10 +211,10 @@ def _gpus() -> tuple[list[str], int]:
     """Return the GPUs of this machine by number, and the memory of the smallest [B]."""
     asked = ["nvidia-smi", "--query-gpu=index,memory.total", "--format=csv,noheader,nounits"]
     try:
-        said = subprocess.run(asked, check=True, capture_output=True, text=True).stdout
+        reported = subprocess.run(asked, check=True, capture_output=True, text=True).stdout
     except (OSError, subprocess.CalledProcessError):
         sys.exit("no GPU: nvidia-smi does not answer; run.sh makes tables on a CPU, in days")
-    found = [line.split(", ") for line in said.splitlines()]
+    found = [line.split(", ") for line in reported.splitlines()]
     return [index for index, _ in found], min(int(mebibytes) for _, mebibytes in found) * 2**20
 
 
@@ -238,7 +238,7 @@ def main() -> int:
     gpus, memory = _gpus()
     gpus = options.gpus.split(",") if options.gpus else gpus
     cores = len(os.sched_getaffinity(0))
-    due = chosen(pieces(options.out, options.jobs, cores), options.only)
+    due = chosen(tasks(options.out, options.jobs, cores), options.only)
     machine = Machine(gpus, memory // JOB_BYTES)
     took = run_all(due, machine, options.out, lambda line: print(line, flush=True))
     tables = [options.out / name for name in (*GROUPS, *FULL) if name in took]
@@ -248,11 +248,11 @@ def main() -> int:
     return int(len(took) < len(due))
 
 
-def chosen(known: Sequence[Piece], only: str | None) -> list[Piece]:
+def chosen(known: Sequence[Task], only: str | None) -> list[Task]:
     """Return the named tasks and all their dependencies; None: all tasks."""
     if only is None:
         return list(known)
-    by_name = {piece.name: piece for piece in known}
+    by_name = {task.name: task for task in known}
     named = [ABLATION + name if name in ABLATIONS else name for name in only.split(",")]
     wrong = [name for name in named if name not in by_name]
     if wrong:
@@ -261,7 +261,7 @@ def chosen(known: Sequence[Piece], only: str | None) -> list[Piece]:
     while named:
         kept.add(name := named.pop())
         named += by_name[name].needs
-    return [piece for piece in known if piece.name in kept]
+    return [task for task in known if task.name in kept]
 
 
 if __name__ == "__main__":

@@ -107,7 +107,10 @@ def _overview(groups: Sequence[Group]) -> list[str]:
         best = group.best
         rows = group.rows(group.after, best)
         fits = _fits(rows)
-        newtons = mean(row.errors.shear for row in rows), mean(row.errors.mae[2] for row in rows)
+        denormalise = (
+            mean(row.errors.shear for row in rows),
+            mean(row.errors.mae[2] for row in rows),
+        )
         shares = (100 * mean(label_share(row, axes) for row in rows) for axes in (SHEAR, NORMAL))
         lines.append(
             _line(
@@ -120,7 +123,7 @@ def _overview(groups: Sequence[Group]) -> list[str]:
                 _but_for_one(group, best),
                 _or_dash(mean(_fits(group.rows(TARGET))), ".3f"),
                 _or_dash(mean(group.label_fits()), ".3f"),
-                ", ".join(f"{value:.3f}" for value in newtons),
+                ", ".join(f"{value:.3f}" for value in denormalise),
                 ", ".join(f"{value:.1f}" for value in shares),
                 _or_dash(mean(group.dice(best).values()), ".3f"),
             )
@@ -198,10 +201,10 @@ def _models(group: Group) -> list[str]:
     for variant in variants(group.force):
         rows = group.rows(*variant)
         errors = [row.errors for row in rows]
-        newtons = (f"{mean(each.mae[axis] for each in errors):.3f}" for axis in range(3))
+        denormalise = (f"{mean(each.mae[axis] for each in errors):.3f}" for axis in range(3))
         relative = (f"{mean(each.relative[axis] for each in errors):.2f}" for axis in range(3))
         fit = (f"{mean(each.r2[axis] for each in errors):.2f}" for axis in range(3))
-        cells = (", ".join(newtons), ", ".join(relative), ", ".join(fit))
+        cells = (", ".join(denormalise), ", ".join(relative), ", ".join(fit))
         whole = f"{mean(each.r2_mean for each in errors):.3f}"
         lines.append(_line(variant_name(variant), str(len(rows)), *cells, whole))
     return lines

@@ -35,7 +35,7 @@ CLOSED_FORM = "closed form"
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class AccuracyCampaign:
     """Selection and limits of the measurements."""
 
     device: str
@@ -49,7 +49,7 @@ class Plan:
     """Folder of the cached references."""
 
 
-def measure(plan: Plan, path: Path, say: Callable[[str], None]) -> None:
+def measure(plan: AccuracyCampaign, path: Path, say: Callable[[str], None]) -> None:
     """Run the measurements that are missing from the file at `path`, and append each as a line."""
     begin(path, machine(plan.device), plan.device, _reference_text(plan))
     known = read(path)
@@ -57,7 +57,7 @@ def measure(plan: Plan, path: Path, say: Callable[[str], None]) -> None:
     began = time.perf_counter()
     for index, case in enumerate(plan.cases):
         truth = references(case.name, case.scenes, plan.fineness, plan.device, plan.cache, say)
-        if case.name not in known.floors:
+        if case.name not in known.bounds:
             append(path, {"case": case.name, "floor": _floor(truth)})
         for row in _case_rows(plan, case, truth, done):
             append(path, row)
@@ -80,7 +80,7 @@ def machine(device: str) -> str:
 
 
 def _case_rows(
-    plan: Plan,
+    plan: AccuracyCampaign,
     case: Case,
     truth: Sequence[Reference | None],
     done: dict[tuple[str, str, str], Row],
@@ -222,7 +222,7 @@ def _elements(result: Result) -> int:
     return int(mesh["elements"] if "elements" in mesh else np.prod(mesh["grid"]))
 
 
-def _reference_text(plan: Plan) -> str:
+def _reference_text(plan: AccuracyCampaign) -> str:
     return f"fem float64, fineness {plan.fineness:g}, 5 augmentations, tolerance 1e-5"
 
 
@@ -230,11 +230,11 @@ def _line(row: Row) -> str:
     name = f"{row.case:>10} {row.name:<22} {row.device}:"
     if not row.mean:
         return f"{name} {row.note or 'nothing'}"
-    said = [f"force {100 * row.mean['force_share']:.2f} %"]
+    reported = [f"force {100 * row.mean['force_share']:.2f} %"]
     if np.isfinite(row.mean["surface_rms"]):
-        said.append(f"surface {row.mean['surface_rms'] * 1e6:.1f} um")
-        said.append(f"markers {row.mean['marker_rms']:.3f} px")
-        said.append(f"{row.wall:.3f} s, {row.memory / 2**20:.0f} MiB")
+        reported.append(f"surface {row.mean['surface_rms'] * 1e6:.1f} um")
+        reported.append(f"markers {row.mean['marker_rms']:.3f} px")
+        reported.append(f"{row.wall:.3f} s, {row.memory / 2**20:.0f} MiB")
     if row.failed:
-        said.append(f"{row.failed} without a solution")
-    return f"{name} {', '.join(said)}"
+        reported.append(f"{row.failed} without a solution")
+    return f"{name} {', '.join(reported)}"

@@ -43,7 +43,7 @@ class Panel:
 
     title: str
     series: tuple[Series, ...]
-    floor: float = math.nan
+    bound: float = math.nan
     """Uncertainty of the reference, below which errors are unknown; NaN: not available."""
 
 
@@ -106,8 +106,8 @@ def _panel(
     to_x = Scale(*limits[0], left + 8, right)
     to_y = Scale(*limits[1], bottom, top)
     _box(pen, (left, top, right, bottom), PANEL)
-    if math.isfinite(panel.floor) and panel.floor > limits[1][0]:
-        _box(pen, (left, to_y(panel.floor), right, bottom), BAND)
+    if math.isfinite(panel.bound) and panel.bound > limits[1][0]:
+        _box(pen, (left, to_y(panel.bound), right, bottom), BAND)
         _text(pen, (right - 4, bottom - 4), "below the reference's accuracy", SOFT, 11, "rs")
     for tick in _powers(*limits[0]):
         x = to_x(tick)

@@ -82,7 +82,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _measure(options: argparse.Namespace) -> None:
-    from benchmarks.sim.accuracy.campaign import Plan, measure
+    from benchmarks.sim.accuracy.campaign import AccuracyCampaign, measure
     from benchmarks.sim.accuracy.cases import chosen
     from benchmarks.sim.accuracy.competitors import competitors
     from sim.device import ready_device
@@ -100,7 +100,7 @@ def _measure(options: argparse.Namespace) -> None:
     if options.smoke:
         chosen_competitors = [one for one in chosen_competitors if one.name in SMOKE_COMPETITORS]
         fineness = SMOKE_REFERENCE
-    plan = Plan(
+    plan = AccuracyCampaign(
         device=options.device,
         cases=cases,
         competitors=tuple(chosen_competitors),

@@ -173,12 +173,12 @@ def _panel(case: Case, chart: Chart, measured: Sequence[Measured]) -> Panel:
                     reach=tuple(_reach(row, chart) for row in chosen),
                 )
             )
-    floors = [
-        one.floors[case.name].get(chart.measure, math.nan)
+    bounds = [
+        one.bounds[case.name].get(chart.measure, math.nan)
         for one in measured
-        if case.name in one.floors
+        if case.name in one.bounds
     ]
-    known = [floor * chart.unit for floor in floors if math.isfinite(floor)]
+    known = [bound * chart.unit for bound in bounds if math.isfinite(bound)]
     return Panel(case.title, tuple(series), min(known, default=math.nan))
 
 

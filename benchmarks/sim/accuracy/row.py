@@ -67,7 +67,7 @@ class Measured:
     machine: str
     device: str
     reference: str
-    floors: dict[str, dict[str, float]]
+    bounds: dict[str, dict[str, float]]
     """Uncertainty of the reference in each error, by case."""
     rows: tuple[Row, ...]
 
@@ -98,10 +98,10 @@ def read(path: Path) -> Measured:
     lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
     if not lines or "machine" not in lines[0]:
         raise ValueError(f"{path}: no measurements of accuracy")
-    rows, floors = [], {}
+    rows, bounds = [], {}
     for line in lines[1:]:
         if "floor" in line:
-            floors[line["case"]] = {key: _number(value) for key, value in line["floor"].items()}
+            bounds[line["case"]] = {key: _number(value) for key, value in line["floor"].items()}
             continue
         for name in ("mean", "worst"):
             line[name] = {key: _number(value) for key, value in line[name].items()}
@@ -109,7 +109,7 @@ def read(path: Path) -> Measured:
         line |= {name: _number(line[name]) for name in ("wall", "cpu")}
         rows.append(Row(**line))
     head = lines[0]
-    return Measured(head["machine"], head["device"], head["reference"], floors, tuple(rows))
+    return Measured(head["machine"], head["device"], head["reference"], bounds, tuple(rows))
 
 
 def _without_nan(value: Any) -> Any:

@@ -90,7 +90,7 @@ class Answer:
 
 
 @dataclass
-class State:
+class RingState:
     """Displacements and contact state."""
 
     tip: float
@@ -104,7 +104,7 @@ class State:
     """Derivative of `u` by the tip position in the last step, (2 N,)."""
 
 
-class Press:
+class AxisymmetricPress:
     """One indenter on one layer with one mesh.
 
     Args:
@@ -141,10 +141,10 @@ class Press:
         self.free = np.flatnonzero(~held.ravel())
         self.base = 2 * np.flatnonzero(low) + 1
 
-    def start(self) -> State:
+    def start(self) -> RingState:
         """Return the undeformed layer, with the tip at its top."""
         none, still = np.zeros_like(self.r), np.zeros(2 * len(self.nodes))
-        return State(0.0, still, none, none, still)
+        return RingState(0.0, still, none, none, still)
 
     def run(self, depths: Sequence[float], path: Sequence[float]) -> list[Answer]:
         """Return the results at `depths` [m], passing through the depths of `path` [m].
@@ -165,7 +165,7 @@ class Press:
             before = depth
         return answers
 
-    def _moved(self, state: State, target: float) -> State:
+    def _moved(self, state: RingState, target: float) -> RingState:
         """Apply Newton's method to a tip at z = `target`, in smaller steps where needed."""
         step, failed = target - state.tip, 0
         while state.tip != target:
@@ -179,7 +179,7 @@ class Press:
                 state, step = found, 2 * step
         return state
 
-    def _settled(self, state: State) -> State:
+    def _settled(self, state: RingState) -> RingState:
         """Return the state with updated multipliers, as far as Newton's method converges."""
         force, share = self._tractions(state, state.u, state.tip).force, 1.0
         for _ in range(AUGMENTATIONS):
@@ -195,7 +195,7 @@ class Press:
                 break
         return state
 
-    def _balanced(self, old: State, tip: float) -> State | None:
+    def _balanced(self, old: RingState, tip: float) -> RingState | None:
         """Return the equilibrium with the tip at `tip`, or None if Newton's method fails."""
         u = old.u + old.rate * (tip - old.tip)
         if self._inverted(u):
@@ -206,7 +206,7 @@ class Press:
             if np.linalg.norm(residual) < max(CONVERGED * size, self.rounding):
                 travel = tip - old.tip
                 rate = (u - old.u) / travel if travel else old.rate
-                return State(tip, u, old.carried, contact.shear, rate)
+                return RingState(tip, u, old.carried, contact.shear, rate)
             tangent = self.elastic.tangent(u)
             matrix = (tangent + self._tangent(contact))[self.free][:, self.free]
             factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
@@ -226,7 +226,7 @@ class Press:
             u -= share * change
         return None
 
-    def _residual(self, old: State, u: Array, tip: float) -> tuple[Contact, Array, float]:
+    def _residual(self, old: RingState, u: Array, tip: float) -> tuple[Contact, Array, float]:
         """Return the contact, the residual, and the merit function of a Newton step.
 
         The merit function is the potential energy, which is minimal in equilibrium, if there is no
@@ -243,7 +243,7 @@ class Press:
     def _inverted(self, u: Array) -> bool:
         return bool(min(values.min() for values in self.elastic.dilatation(u)) < DET_MIN)
 
-    def _tractions(self, old: State, u: Array, tip: float) -> Contact:
+    def _tractions(self, old: RingState, u: Array, tip: float) -> Contact:
         """Return the tractions of the indenter on the top, and their derivative."""
         moved = u[self.unknowns].reshape(-1, 3, 2)
         place = self.shape @ moved
@@ -287,7 +287,7 @@ class Press:
         reach = float((r * touching).max(initial=0.0))
         return Contact(pressure, shear, nodal, stiff, force, reach)
 
-    def _touched(self, old: State, before: Array, gap: Array) -> tuple[Array, Array]:
+    def _touched(self, old: RingState, before: Array, gap: Array) -> tuple[Array, Array]:
         """Return the share of the step in contact (S, P), and its derivative by the gap [1/m].
 
         Without it, friction is exact only to first order in the step: a point that has just come
@@ -308,7 +308,7 @@ class Press:
         count = 2 * len(self.nodes)
         return csc_matrix((local.ravel(), (rows, columns)), shape=(count, count))
 
-    def _answer(self, state: State, depth: float) -> Answer:
+    def _answer(self, state: RingState, depth: float) -> Answer:
         contact = self._tractions(state, state.u, state.tip)
         force = self.elastic.force(state.u)
         balance = abs(contact.force - float(force[self.base].sum())) / contact.force

@@ -73,7 +73,7 @@ class Row:
     """Error estimate of the result; NaN without one."""
     seconds: float
     """Wall time of the whole press."""
-    said: str = ""
+    reported: str = ""
     """Reason why it was not solved."""
 
 
@@ -174,14 +174,14 @@ def compared(task: Task, settings: Settings) -> list[Row]:
     from time import perf_counter
 
     start = perf_counter()
-    said, own = "", math.nan
+    reported, own = "", math.nan
     forces = [(math.nan, math.nan, math.nan)] * len(task.frames)
     try:
         result = simulate(task.scene, settings.tier, tolerance=settings.tolerance)
         forces = [tuple(result.force[frame]) for frame in task.frames]
         own = own_error(result.record)
     except (SceneError, SimulationDiverged) as error:
-        said = str(error)
+        reported = str(error)
     seconds = perf_counter() - start
     rows = []
     for frame, force, truth, truth_error in zip(
@@ -194,7 +194,9 @@ def compared(task: Task, settings: Settings) -> list[Row]:
         if len(known) == 1:
             off = ours / right - 1
         depth = -task.scene.motion.tip[frame][2] / MM
-        rows.append(Row(task.name, depth, right, ours, 100 * off, truth_error, own, seconds, said))
+        rows.append(
+            Row(task.name, depth, right, ours, 100 * off, truth_error, own, seconds, reported)
+        )
     return rows
 
 
@@ -203,14 +205,14 @@ def own_error(record: dict[str, object]) -> float:
 
     `record["error"]` may be a share, or a mapping with `force` or `percent`.
     """
-    said = record.get("error")
-    if isinstance(said, dict):
-        if isinstance(said.get("percent"), int | float):
-            return float(said["percent"])
-        said = said.get("force", said.get("relative"))
-    if isinstance(said, Sequence) and not isinstance(said, str) and len(said):
-        said = max(said)
-    return 100 * float(said) if isinstance(said, int | float) else math.nan
+    reported = record.get("error")
+    if isinstance(reported, dict):
+        if isinstance(reported.get("percent"), int | float):
+            return float(reported["percent"])
+        reported = reported.get("force", reported.get("relative"))
+    if isinstance(reported, Sequence) and not isinstance(reported, str) and len(reported):
+        reported = max(reported)
+    return 100 * float(reported) if isinstance(reported, int | float) else math.nan
 
 
 def all_compared(tasks: Sequence[Task], settings: Settings, processes: int) -> Iterator[list[Row]]:
@@ -259,8 +261,8 @@ HEAD = f"{'case':<44} {'depth mm':>8} {'truth N':>10} {'ours N':>10} {'error %':
 
 def line(row: Row) -> str:
     """Return a row as a line of the table."""
-    if row.said:
-        return f"{row.case:<44} {row.depth_mm:8.4g} {row.truth_n:10.4g} not solved: {row.said}"
+    if row.reported:
+        return f"{row.case:<44} {row.depth_mm:8.4g} {row.truth_n:10.4g} not solved: {row.reported}"
     own = "" if math.isnan(row.own_percent) else f"{row.own_percent:7.2f}"
     return (
         f"{row.case:<44} {row.depth_mm:8.4g} {row.truth_n:10.4g} {row.ours_n:10.4g} "

@@ -106,12 +106,12 @@ def make(
             continue
         rows = _rows(case, coarse, fine)
         _write(path, [*load(path), *rows])
-        said = ", ".join(
+        message = ", ".join(
             f"({row.force_x_n:.4g}, {row.force_y_n:.4g}, {row.force_z_n:.4g}) N "
             f"+- {row.error_percent:.2f} %"
             for row in rows
         )
-        say(f"{head}: {said}; {perf_counter() - start:.0f} s")
+        say(f"{head}: {message}; {perf_counter() - start:.0f} s")
     return failed
 
 

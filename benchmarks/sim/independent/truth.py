@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
-from benchmarks.sim.independent.axisymmetric import Answer, Press
+from benchmarks.sim.independent.axisymmetric import Answer, AxisymmetricPress
 from benchmarks.sim.independent.cases import CASES, MM, Case
 from benchmarks.sim.independent.mesh import layer_grid
 
@@ -73,7 +73,7 @@ def solved(case: Case, radius: float, fineness: Fineness) -> list[Answer]:
     )
     low, high = case.touched(max(case.depths))
     wide = (high - low) / (1 if low == 0 else 2) * MM
-    press = Press(layer, case.profile, grid, case.friction, wide)
+    press = AxisymmetricPress(layer, case.profile, grid, case.friction, wide)
     steps = fineness.steps if case.friction else fineness.steps // 2
     return press.run([depth * MM for depth in case.depths], case.path(steps))
 
@@ -155,10 +155,10 @@ def make(
             say(f"{head}: not solved {error}")
             continue
         _write(path, [*load(path), *rows])
-        said = ", ".join(
+        message = ", ".join(
             f"{row.depth_mm:g} mm {row.force_n:.5g} N +- {row.error_percent:.2f} %" for row in rows
         )
-        say(f"{head}: {said}; {perf_counter() - start:.0f} s")
+        say(f"{head}: {message}; {perf_counter() - start:.0f} s")
     return failed
 
 

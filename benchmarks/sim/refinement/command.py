@@ -72,8 +72,8 @@ def run(options: argparse.Namespace) -> int:
         for spacing, seconds, rows in shape_rows(sizes, options.device):
             shapes.append((spacing, seconds, rows))
             failed = [shape.name for shape in rows if shape.diverged]
-            said = f"no solution for {', '.join(failed)}" if failed else "all solved"
-            print(f"{spacing / MM:.3g} mm, shapes: {said}, {seconds:.0f} s", file=sys.stderr)
+            message = f"no solution for {', '.join(failed)}" if failed else "all solved"
+            print(f"{spacing / MM:.3g} mm, shapes: {message}, {seconds:.0f} s", file=sys.stderr)
             for shape in rows:
                 if shape.diverged:
                     print(f"  {shape.name}: {shape.diverged}", file=sys.stderr)

@@ -20,7 +20,7 @@ from PIL import Image
 
 from benchmarks.sim.render.compare import iou, mismatch
 from benchmarks.sim.render.raycast import smooth
-from benchmarks.sim.render.states import State, dent, solved
+from benchmarks.sim.render.states import RenderState, dent, solved
 from sim.device import ready_device
 from sim.markers import HEIGHT, WIDTH, Camera, named
 from sim.markers.camera import FILM, LENS
@@ -38,7 +38,7 @@ SAMPLES = 256
 MM = 1e3
 
 
-def render(state: State, texture: Path, out: Path) -> np.ndarray:
+def render(state: RenderState, texture: Path, out: Path) -> np.ndarray:
     """Return the marker share (480, 640) of each pixel, rendered by Blender from a texture."""
     import bpy
 
@@ -70,7 +70,7 @@ def render(state: State, texture: Path, out: Path) -> np.ndarray:
     return grey[::-1]
 
 
-def _gel(state: State, texture: Path):
+def _gel(state: RenderState, texture: Path):
     """Return the Blender object: the deformed top in mm, textured by material points."""
     import bpy
 
@@ -106,7 +106,7 @@ def _gel(state: State, texture: Path):
     return bpy.data.objects.new("gel", mesh)
 
 
-def draw_texture(name: str, state: State, path: Path) -> None:
+def draw_texture(name: str, state: RenderState, path: Path) -> None:
     """Write a pattern over the whole gel as a PNG, with white markers and anti-aliased edges."""
     body, pattern = state.body, named(name)
     pixels = [(np.arange(TEXTURE) + 0.5) / TEXTURE - 0.5] * 2

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from benchmarks.sim.render.compare import iou, mismatch
 from benchmarks.sim.render.raycast import cast_rays, marked
-from benchmarks.sim.render.states import State, dent, fold, solved
+from benchmarks.sim.render.states import RenderState, dent, fold, solved
 from recorder.markers import Lattice
 from sim.device import ready_device
 from sim.markers import Camera, named
@@ -49,7 +49,7 @@ class Line:
         return f"| {self.state} | {self.what} | {self.overlap:.5f} | {shares} |"
 
 
-def lines(states: Sequence[State], *, ray_samples: int, device: str) -> Iterator[Line]:
+def lines(states: Sequence[RenderState], *, ray_samples: int, device: str) -> Iterator[Line]:
     """Yield every comparison of every state."""
     camera = Camera.paper()
     patterns = [named(name) for name in PATTERNS]
@@ -61,7 +61,7 @@ def lines(states: Sequence[State], *, ray_samples: int, device: str) -> Iterator
         truth = np.stack([marked(pattern, rays, ray_samples) for pattern in patterns])
 
         def view(
-            samples: int = 1, spacing: float = SPACING, state: State = state
+            samples: int = 1, spacing: float = SPACING, state: RenderState = state
         ) -> tuple[Renderer, View]:
             renderer = Renderer(state.body, camera, spacing=spacing, samples=samples, device=device)
             return renderer, renderer.see(state.x, state.y, state.surface[None])
@@ -93,7 +93,7 @@ def lines(states: Sequence[State], *, ray_samples: int, device: str) -> Iterator
                 yield _line(state, f"from displacement every {step} px, {told}", back, truth)
 
 
-def _line(state: State, what: str, one: Masks, other: Masks) -> Line:
+def _line(state: RenderState, what: str, one: Masks, other: Masks) -> Line:
     pairs = list(zip(one, other, strict=True))
     differ = [mismatch(*pair) for pair in pairs]
     return Line(

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from benchmarks.sim.render.states import State, solved
+from benchmarks.sim.render.states import RenderState, solved
 from recorder.plot import INK, PANEL, PAPER, SOFT, font
 from sim.device import ready_device
 from sim.markers import Camera, named
@@ -28,7 +28,7 @@ MARKER = np.array([40.0, 44.0, 54.0])
 BEFORE = np.array([232.0, 150.0, 120.0])
 
 
-def draw(path: str | PathLike[str], states: Sequence[State]) -> None:
+def draw(path: str | PathLike[str], states: Sequence[RenderState]) -> None:
     """Write a PNG: a row for each state, a column for each pattern.
 
     Markers are dark; places with markers only on the undeformed gel are red.

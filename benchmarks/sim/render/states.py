@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class State:
+class RenderState:
     """One deformed surface."""
 
     name: str
@@ -39,7 +39,7 @@ def dent(
     aside: tuple[float, float] = (0.0, 0.0),
     radius: float = 3e-3,
     points: int = 61,
-) -> State:
+) -> RenderState:
     """Return a smooth dent of `depth` [m], with the skin pushed outwards and dragged `aside` [m].
 
     Points are denser at the dent, as in a mesh.
@@ -55,19 +55,19 @@ def dent(
         outwards * off_y + aside[1] * bell,
         -depth * bell,
     ]
-    return State("dent", body, x, y, np.stack(surface, axis=-1).astype(np.float32))
+    return RenderState("dent", body, x, y, np.stack(surface, axis=-1).astype(np.float32))
 
 
-def fold(*, points: int = 121) -> State:
+def fold(*, points: int = 121) -> RenderState:
     """Return a sheet dragged over itself so far that part of it is behind another part."""
     body = Body()
     x = np.linspace(-body.size_x / 2, body.size_x / 2, points)
     bell = np.exp(-((x / 2.5e-3) ** 2))[:, None] * np.ones(points)
     surface = np.stack([4.5e-3 * bell, 0 * bell, -1.5e-3 * bell], axis=-1)
-    return State("fold", body, x, x.copy(), surface.astype(np.float32))
+    return RenderState("fold", body, x, x.copy(), surface.astype(np.float32))
 
 
-def solved(*, spacing: float | None = None, device: str = "cpu") -> list[State]:
+def solved(*, spacing: float | None = None, device: str = "cpu") -> list[RenderState]:
     """Solve a deep sphere, an off-centre prism, and a sheared cylinder with friction, by `fem`.
 
     `spacing` is the element size [m].
@@ -90,10 +90,10 @@ def solved(*, spacing: float | None = None, device: str = "cpu") -> list[State]:
     return states
 
 
-def state_of(name: str, result: Result, frame: int) -> State:
+def state_of(name: str, result: Result, frame: int) -> RenderState:
     """Return one frame of a result."""
     body = result.scene.body
-    return State(name, body, result.surface_x, result.surface_y, result.surface[frame])
+    return RenderState(name, body, result.surface_x, result.surface_y, result.surface[frame])
 
 
 def _graded(half: float, middle: float, points: int) -> Array:

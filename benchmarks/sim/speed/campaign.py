@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from benchmarks.sim.speed.floor import ROW_BYTES
 from benchmarks.sim.speed.forces import (
     Forces,
     errors,
@@ -18,10 +17,11 @@ from benchmarks.sim.speed.forces import (
     write_runs,
 )
 from benchmarks.sim.speed.machine import FAR_BYTES, copy_rate, flop_rate, machine_name
-from benchmarks.sim.speed.record import Machine, Record, Run, read
+from benchmarks.sim.speed.record import Machine, Run, SpeedRecord, read
+from benchmarks.sim.speed.roofline import ROW_BYTES
 from benchmarks.sim.speed.steps import AS_IT_IS, steps_on
 from benchmarks.sim.speed.timing import Solve, fem, mpm, timed, warm_up, warm_up_mpm
-from benchmarks.sim.speed.work import Press, Work
+from benchmarks.sim.speed.work import TimedPress, Work
 
 if TYPE_CHECKING:
     from sim.fem.numerics import Numerics
@@ -42,7 +42,7 @@ REFERENCE_FILE = "reference.csv"
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class SpeedCampaign:
     """Selection and settings of the measurements."""
 
     device: str
@@ -104,11 +104,11 @@ def meshes_file(record: Path) -> Path:
     return record.with_name(f"{record.stem}-meshes.csv")
 
 
-def measure(plan: Plan, say: Callable[[str], None]) -> None:
+def measure(plan: SpeedCampaign, say: Callable[[str], None]) -> None:
     """Measure the requested parts that are not yet in the file, and store each run."""
     record = read(plan.file) if plan.file.exists() else None
     if record is None:
-        record = Record(plan.file, Machine(machine_name(plan.device), plan.device))
+        record = SpeedRecord(plan.file, Machine(machine_name(plan.device), plan.device))
     campaign = _Campaign(plan, record, say)
     known = {
         "presses": campaign.presses,
@@ -125,7 +125,9 @@ def measure(plan: Plan, say: Callable[[str], None]) -> None:
 class _Campaign:
     """Measurement of the parts, with their shared state."""
 
-    def __init__(self, plan: Plan, record: Record, say: Callable[[str], None]) -> None:
+    def __init__(
+        self, plan: SpeedCampaign, record: SpeedRecord, say: Callable[[str], None]
+    ) -> None:
         self._plan, self._record, self._say = plan, record, say
         self._warm: tuple[float, int] | None = None
 
@@ -242,13 +244,15 @@ class _Campaign:
         self._say(f"{run.part}, {run.name}: already measured; --again measures it again")
         return False
 
-    def _timed(self, part: str, name: str, presses: Sequence[Press], *, processes: int) -> None:
+    def _timed(
+        self, part: str, name: str, presses: Sequence[TimedPress], *, processes: int
+    ) -> None:
         run = self._run(part, name, processes)
         if self._due(run):
             solve = fem(self._plan.numerics, self._plan.device, processes)
             self._keep(self._solved(run, presses, solve)[0])
 
-    def _solved(self, run: Run, presses: Sequence[Press], solve: Solve) -> tuple[Run, Forces]:
+    def _solved(self, run: Run, presses: Sequence[TimedPress], solve: Solve) -> tuple[Run, Forces]:
         """Solve presses by finite elements and return the measured `run` and their forces."""
         plan = self._plan
         if self._warm is None:
@@ -263,7 +267,7 @@ class _Campaign:
         return measured, forces_of(presses, outcomes)
 
     def _mpm(
-        self, name: str, presses: Sequence[Press], numerics: MpmNumerics, speed: float
+        self, name: str, presses: Sequence[TimedPress], numerics: MpmNumerics, speed: float
     ) -> None:
         plan = self._plan
         spacing = (numerics.cell or 0.5e-3) * 1e3
@@ -294,5 +298,5 @@ class _Campaign:
         self._say(f"{run.part}, {run.name}: {count} in {run.seconds:.3g} s{failed}")
 
 
-def _place_of(presses: Sequence[Press], indenter: str) -> int:
+def _place_of(presses: Sequence[TimedPress], indenter: str) -> int:
     return [press.indenter for press in presses].index(indenter)

@@ -104,7 +104,7 @@ def _cpu(options: argparse.Namespace) -> bool:
 
 
 def _measure(options: argparse.Namespace, parts: tuple[str, ...]) -> None:
-    from benchmarks.sim.speed.campaign import Plan, measure
+    from benchmarks.sim.speed.campaign import SpeedCampaign, measure
     from benchmarks.sim.speed.work import paper_work, smoke_work
     from sim.device import ready_device
     from sim.tiers import check_processes
@@ -118,7 +118,7 @@ def _measure(options: argparse.Namespace, parts: tuple[str, ...]) -> None:
         value = getattr(options, name)
         if not (math.isfinite(value) and value > 0):
             raise SceneError(f"--{name}: {value!r} mm; allowed: above 0")
-    plan = Plan(
+    plan = SpeedCampaign(
         device=options.device,
         work=smoke_work() if options.smoke else paper_work(),
         folder=options.out,

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.sim.speed.work import Press
+from benchmarks.sim.speed.work import TimedPress
 from sim.errors import SimulationDiverged
 from sim.result import Result
 
@@ -39,7 +39,9 @@ class Errors:
     """Mean of |Fz - Fzref| / |Fzref|."""
 
 
-def forces_of(presses: Sequence[Press], outcomes: Sequence[Result | SimulationDiverged]) -> Forces:
+def forces_of(
+    presses: Sequence[TimedPress], outcomes: Sequence[Result | SimulationDiverged]
+) -> Forces:
     """Return the forces of the presses that have a solution."""
     found: Forces = {}
     for press, outcome in zip(presses, outcomes, strict=True):

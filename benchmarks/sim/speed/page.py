@@ -16,10 +16,16 @@ from benchmarks.sim.speed.campaign import (
     TOLERANCE,
     presses_file,
 )
+from benchmarks.sim.speed.candidates import (
+    Candidate,
+    cheapest,
+    offer_table,
+    offers_of,
+    save_offer_chart,
+)
 from benchmarks.sim.speed.cells import MISSING, memory, or_missing, percent, row, seconds
 from benchmarks.sim.speed.forces import SHALLOW_MM, Errors, errors, read_forces
-from benchmarks.sim.speed.offers import Offer, cheapest, offer_table, offers_of, save_offer_chart
-from benchmarks.sim.speed.record import Record, Run
+from benchmarks.sim.speed.record import Run, SpeedRecord
 from benchmarks.sim.speed.step_tables import floor_section, steps_section
 from benchmarks.sim.speed.tacchi import CITED, SOURCE
 from benchmarks.sim.speed.work import DENSE_X, DENSE_Y
@@ -94,7 +100,7 @@ Runs in `{folder}` are not measured again unless `--again` is given; `--long` al
 """
 
 
-def write_page(path: Path, records: Sequence[Record]) -> None:
+def write_page(path: Path, records: Sequence[SpeedRecord]) -> None:
     """Write the page at `path` from the records of one folder."""
     folder = records[0].path.parent
     reference = read_forces(folder / REFERENCE_FILE)
@@ -117,16 +123,16 @@ def write_page(path: Path, records: Sequence[Record]) -> None:
         (errors(forces, reference, from_mm=SHALLOW_MM), errors(forces, reference))
         for forces in (read_forces(presses_file(record.path)) for record in records)
     ]
-    offers = [offers_of(record, reference) for record in records]
-    lines += _headline(records, found, offers)
+    candidates = [offers_of(record, reference) for record in records]
+    lines += _headline(records, found, candidates)
     lines += _machine_lines(records)
     lines += [_ERRORS + _reference_text(records)]
     lines += _error_table(records, found)
-    left = _left_in_reference(records, offers)
-    save_offer_chart(path.parent / "images" / CHART, records, offers, left)
+    left = _left_in_reference(records, candidates)
+    save_offer_chart(path.parent / "images" / CHART, records, candidates, left)
     lines += [
         _MESHES.format(whole=WHOLE, deep=SHALLOW_MM, left=percent(left), chart=CHART),
-        *offer_table(records, offers),
+        *offer_table(records, candidates),
     ]
     lines += [_SCALING.format(dense=DENSE, x=DENSE_X, y=DENSE_Y)]
     lines += _scaling_table(records)
@@ -141,16 +147,16 @@ def write_page(path: Path, records: Sequence[Record]) -> None:
 
 
 def _headline(
-    records: Sequence[Record],
+    records: Sequence[SpeedRecord],
     found: Sequence[tuple[Errors, Errors]],
-    offers: Sequence[Sequence[Offer]],
+    candidates: Sequence[Sequence[Candidate]],
 ) -> list[str]:
     lines = [
         f"| machine | elements | {WHOLE} presses | a press | without a solution | error, mean | "
         "memory | goal | reached | hoped for | reached |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
-    for record, (deep, _all), some in zip(records, found, offers, strict=True):
+    for record, (deep, _all), some in zip(records, found, candidates, strict=True):
         run = record.get("presses", "all") or Run("presses", "all")
         goals = GOALS["cpu" if record.machine.device == "cpu" else "gpu"]
         cells = [
@@ -169,9 +175,9 @@ def _headline(
     return lines
 
 
-def _reached(offers: Sequence[Offer], limit: float, error: float) -> str:
+def _reached(candidates: Sequence[Candidate], limit: float, error: float) -> str:
     """Return whether a goal was reached and by which mesh, or the nearest result."""
-    whole = [one for one in offers if one.presses >= WHOLE and math.isfinite(one.errors.mean)]
+    whole = [one for one in candidates if one.presses >= WHOLE and math.isfinite(one.errors.mean)]
     if not whole:
         return MISSING
     best = cheapest(whole, error)
@@ -183,7 +189,7 @@ def _reached(offers: Sequence[Offer], limit: float, error: float) -> str:
     return f"{answer}: {seconds(best.seconds)}, {percent(best.errors.mean)} ({best.elements})"
 
 
-def _machine_lines(records: Sequence[Record]) -> list[str]:
+def _machine_lines(records: Sequence[SpeedRecord]) -> list[str]:
     lines = [""]
     for record in records:
         machine, run = record.machine, record.get("presses", "all")
@@ -200,7 +206,7 @@ def _machine_lines(records: Sequence[Record]) -> list[str]:
     return lines
 
 
-def _reference_text(records: Sequence[Record]) -> str:
+def _reference_text(records: Sequence[SpeedRecord]) -> str:
     for record in records:
         run = record.get("reference", "reference")
         if run is not None:
@@ -211,13 +217,15 @@ def _reference_text(records: Sequence[Record]) -> str:
     return f"Reference: {MISSING}."
 
 
-def _left_in_reference(records: Sequence[Record], offers: Sequence[Sequence[Offer]]) -> float:
+def _left_in_reference(
+    records: Sequence[SpeedRecord], candidates: Sequence[Sequence[Candidate]]
+) -> float:
     """Return the mean error of the reference, by the law of `sim.extrapolation`."""
     run = next((found for each in records if (found := each.get("reference", "reference"))), None)
     finest = min(
         (
             one
-            for each, some in zip(records, offers, strict=True)
+            for each, some in zip(records, candidates, strict=True)
             if each.machine.device != "cpu"
             for one in some
             if one.coarser_mm is None and math.isfinite(one.errors.mean)
@@ -230,7 +238,9 @@ def _left_in_reference(records: Sequence[Record], offers: Sequence[Sequence[Offe
     return finest.errors.mean * left_of_difference(finest.spacing_mm / run.spacing_mm)
 
 
-def _error_table(records: Sequence[Record], found: Sequence[tuple[Errors, Errors]]) -> list[str]:
+def _error_table(
+    records: Sequence[SpeedRecord], found: Sequence[tuple[Errors, Errors]]
+) -> list[str]:
     lines = [
         "",
         "| machine | depths | presses | mean | 95 % below | worst | where | mean of Fz alone |",
@@ -245,7 +255,7 @@ def _error_table(records: Sequence[Record], found: Sequence[tuple[Errors, Errors
     return lines
 
 
-def _scaling_table(records: Sequence[Record]) -> list[str]:
+def _scaling_table(records: Sequence[SpeedRecord]) -> list[str]:
     lines = [
         "| machine | presses | processes | seconds | ms a press | memory |",
         "|---|---|---|---|---|---|",
@@ -275,7 +285,7 @@ def _scaling_table(records: Sequence[Record]) -> list[str]:
     return lines
 
 
-def _mpm_table(records: Sequence[Record]) -> list[str]:
+def _mpm_table(records: Sequence[SpeedRecord]) -> list[str]:
     lines = [
         f"| machine | preset | particles | time steps | seconds | a press | {WHOLE} presses | "
         f"`fem`, {WHOLE} presses |",
@@ -307,7 +317,7 @@ def _mpm_table(records: Sequence[Record]) -> list[str]:
     return lines
 
 
-def _where(record: Record, run: Run) -> str:
+def _where(record: SpeedRecord, run: Run) -> str:
     processes = f", {run.processes} processes" if run.processes > 1 else ""
     return record.machine.name + processes
 

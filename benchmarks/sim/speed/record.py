@@ -87,7 +87,7 @@ class Run:
 
 
 @dataclass(slots=True)
-class Record:
+class SpeedRecord:
     """File of one device; every change is written immediately and atomically."""
 
     path: Path
@@ -117,7 +117,7 @@ class Record:
         return [run for run in self.runs.values() if run.part == part]
 
 
-def read(path: Path) -> Record:
+def read(path: Path) -> SpeedRecord:
     """Read the record in a file.
 
     Raises:
@@ -128,7 +128,7 @@ def read(path: Path) -> Record:
     if not lines or "copy_rate" not in lines[0]:
         raise ValueError(f"{path}: no measurements of speed")
     runs = [Run(**_measured(line)) for line in lines[1:]]
-    return Record(path, Machine(**_measured(lines[0])), {run.key: run for run in runs})
+    return SpeedRecord(path, Machine(**_measured(lines[0])), {run.key: run for run in runs})
 
 
 def _plain(line: dict[str, Any]) -> dict[str, Any]:

@@ -7,16 +7,16 @@ from collections.abc import Sequence
 
 from benchmarks.sim.speed.campaign import steps_file
 from benchmarks.sim.speed.cells import MISSING, or_missing, percent, row, seconds
-from benchmarks.sim.speed.floor import (
+from benchmarks.sim.speed.forces import SHALLOW_MM, Forces, errors, read_runs
+from benchmarks.sim.speed.record import Run, SpeedRecord
+from benchmarks.sim.speed.roofline import (
     CG_BYTES,
     HALF_ROW_BYTES,
     WHOLE_CG_BYTES,
-    floor_of,
+    bound_of,
     newton_element_bytes,
     newton_element_flops,
 )
-from benchmarks.sim.speed.forces import SHALLOW_MM, Forces, errors, read_runs
-from benchmarks.sim.speed.record import Record, Run
 from benchmarks.sim.speed.steps import AS_IT_IS, REPLACED, Step, assembled_gain, steps_on
 
 _STEPS = """
@@ -40,7 +40,7 @@ than any cache or, on a CPU where that is faster, for one as large as the tangen
 """
 
 
-def steps_section(records: Sequence[Record], reference: Forces) -> list[str]:
+def steps_section(records: Sequence[SpeedRecord], reference: Forces) -> list[str]:
     """Return the predicted and measured gain of each step, a table for each device."""
     lines = [_STEPS.format(deep=SHALLOW_MM)]
     for record in records:
@@ -72,7 +72,7 @@ def steps_section(records: Sequence[Record], reference: Forces) -> list[str]:
     return lines
 
 
-def _warm_start(record: Record) -> list[str]:
+def _warm_start(record: SpeedRecord) -> list[str]:
     """Return the upper bound on the gain of a start from `layer`."""
     run = record.get("presses", "all")
     if run is None or not run.newton or not math.isfinite(run.newton_first):
@@ -86,7 +86,7 @@ def _warm_start(record: Record) -> list[str]:
     ]
 
 
-def _once(measured: str, record: Record, tangent: bool) -> str:
+def _once(measured: str, record: SpeedRecord, tangent: bool) -> str:
     """Return the gain measured when both variants existed, and its value for the present run."""
     run = record.get("presses", "all")
     text = f"measured once: {measured}"
@@ -96,7 +96,7 @@ def _once(measured: str, record: Record, tangent: bool) -> str:
     return text
 
 
-def _step_line(step: Step, record: Record, base: Run | None, off: dict[str, float]) -> str:
+def _step_line(step: Step, record: SpeedRecord, base: Run | None, off: dict[str, float]) -> str:
     run = record.get("steps", step.name)
     cells = [step.name, step.predicted, step.reason]
     if run is None or base is None:
@@ -114,7 +114,7 @@ def _step_line(step: Step, record: Record, base: Run | None, off: dict[str, floa
     return row(cells)
 
 
-def floor_section(records: Sequence[Record]) -> list[str]:
+def floor_section(records: Sequence[SpeedRecord]) -> list[str]:
     """Return the roofline bound of the timed presses, one column per device."""
     lines = [
         _FLOOR.format(
@@ -147,24 +147,24 @@ def floor_section(records: Sequence[Record]) -> list[str]:
     return lines
 
 
-def _floor_column(record: Record) -> list[str]:
+def _floor_column(record: SpeedRecord) -> list[str]:
     run, machine = record.get("presses", "all"), record.machine
     if run is None:
         return [MISSING] * 10
-    floor = floor_of(run, machine)
+    bound = bound_of(run, machine)
     rate = or_missing(machine.flop_rate, f"{machine.flop_rate:.3g} ({machine.flop_source})")
     return [
         f"{run.newton:,}, {run.cg:,}",
         f"{run.elements:,}, {run.nodes:,}, {run.groups}",
-        f"{floor.newton_bytes / 1e9:.3g} GB, {floor.cg_bytes / 1e9:.3g} GB",
-        f"{floor.flops / 1e9:.3g} G",
+        f"{bound.newton_bytes / 1e9:.3g} GB, {bound.cg_bytes / 1e9:.3g} GB",
+        f"{bound.flops / 1e9:.3g} G",
         or_missing(
             machine.copy_rate,
             f"{machine.copy_rate / 1e9:.3g} GB/s, {machine.near_rate / 1e9:.3g} GB/s",
         ),
         rate,
-        f"{seconds(floor.byte_seconds)}, {seconds(floor.flop_seconds)}",
-        seconds(floor.seconds),
+        f"{seconds(bound.byte_seconds)}, {seconds(bound.flop_seconds)}",
+        seconds(bound.seconds),
         seconds(run.best),
-        or_missing(floor.seconds, f"{run.best / floor.seconds:.1f}" if floor.seconds else MISSING),
+        or_missing(bound.seconds, f"{run.best / bound.seconds:.1f}" if bound.seconds else MISSING),
     ]

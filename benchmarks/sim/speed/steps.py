@@ -7,14 +7,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
-from benchmarks.sim.speed.floor import CG_BYTES, WHOLE_CG_BYTES
-from benchmarks.sim.speed.left_out import (
+from benchmarks.sim.speed.ablation import (
     without_gathering,
     without_graphs,
     without_keeping,
     without_prediction,
     without_rounding,
 )
+from benchmarks.sim.speed.roofline import CG_BYTES, WHOLE_CG_BYTES
 from benchmarks.sim.speed.timing import Solve, fem
 from sim.result import Outcome
 from sim.scene import Scene

@@ -22,7 +22,7 @@ SMOKE_SHAPES = ("sphere", "prism")
 
 
 @dataclass(frozen=True, slots=True)
-class Press:
+class TimedPress:
     """One indenter at one place, to all depths, in millimetres as in the files."""
 
     indenter: str
@@ -47,17 +47,17 @@ class Press:
 class Work:
     """Presses of each part of the measurement."""
 
-    presses: tuple[Press, ...]
+    presses: tuple[TimedPress, ...]
     """All presses: each indenter at all its places."""
-    dense: tuple[Press, ...]
+    dense: tuple[TimedPress, ...]
     """Presses at five times as many places."""
-    reference: tuple[Press, ...]
-    centred: tuple[Press, ...]
+    reference: tuple[TimedPress, ...]
+    centred: tuple[TimedPress, ...]
     """Every indenter in the middle."""
-    sample: tuple[Press, ...]
+    sample: tuple[TimedPress, ...]
     """Some of the centred presses."""
 
-    def some(self, count: int) -> tuple[Press, ...]:
+    def some(self, count: int) -> tuple[TimedPress, ...]:
         """Return `count` of all presses, spread over indenters and places; the first is centred."""
         places = len(PLACES_MM) ** 2
         stride = max(1, len(self.presses) // count)
@@ -73,19 +73,19 @@ def paper_work() -> Work:
     return Work(
         presses=_grid(NAMES, PLACES_MM, PLACES_MM),
         dense=_grid(NAMES, dense_x.tolist(), dense_y.tolist()),
-        reference=tuple(Press(name, x, y) for name in NAMES for x, y in REFERENCE_AT),
-        centred=tuple(Press(name, 0.0, 0.0) for name in NAMES),
-        sample=tuple(Press(name, 0.0, 0.0) for name in SAMPLE_SHAPES),
+        reference=tuple(TimedPress(name, x, y) for name in NAMES for x, y in REFERENCE_AT),
+        centred=tuple(TimedPress(name, 0.0, 0.0) for name in NAMES),
+        sample=tuple(TimedPress(name, 0.0, 0.0) for name in SAMPLE_SHAPES),
     )
 
 
 def smoke_work() -> Work:
     """Return a few shallow presses, to test that everything runs."""
     depths = (0.1, 0.6)
-    centred = tuple(Press(name, 0.0, 0.0, depths) for name in SMOKE_SHAPES)
-    aside = tuple(Press(name, 4.0, 4.0, depths) for name in SMOKE_SHAPES)
+    centred = tuple(TimedPress(name, 0.0, 0.0, depths) for name in SMOKE_SHAPES)
+    aside = tuple(TimedPress(name, 4.0, 4.0, depths) for name in SMOKE_SHAPES)
     return Work(centred + aside, 2 * (centred + aside), centred, centred, centred)
 
 
-def _grid(names: Sequence[str], xs: Sequence[float], ys: Sequence[float]) -> tuple[Press, ...]:
-    return tuple(Press(name, x, y) for name in names for x in xs for y in ys)
+def _grid(names: Sequence[str], xs: Sequence[float], ys: Sequence[float]) -> tuple[TimedPress, ...]:
+    return tuple(TimedPress(name, x, y) for name in names for x in xs for y in ys)

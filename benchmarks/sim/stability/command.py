@@ -139,9 +139,9 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _run_random(options: argparse.Namespace, processes: int) -> int:
+    from benchmarks.sim.stability.chance.judgement import Settings
     from benchmarks.sim.stability.chance.page import page
-    from benchmarks.sim.stability.chance.run import Plan, judge_all, tell
-    from benchmarks.sim.stability.chance.verdict import Settings
+    from benchmarks.sim.stability.chance.run import RandomRun, judge_all, tell
     from benchmarks.sim.stability.runner import INTERRUPTED
     from sim.device import ready_device
 
@@ -151,7 +151,7 @@ def _run_random(options: argparse.Namespace, processes: int) -> int:
     if options.only or options.planted == "all":
         raise SceneError("--random: with --only or --planted all; allowed: without them")
     ready_device(options.device)
-    plan = Plan(
+    plan = RandomRun(
         options.random,
         options.seed,
         options.scene,
@@ -191,12 +191,12 @@ def _catch(mistake: str, cases: Sequence[Case], device: str, processes: int) -> 
 def _catch_all(device: str, processes: int) -> tuple[dict[str, Sequence[Report]], bool]:
     """Run each bug on the cases that must detect it; return reports, and True if all were found."""
     from benchmarks.sim.stability.catalogue import BY_NAME
-    from benchmarks.sim.stability.planted import CATCHERS
+    from benchmarks.sim.stability.planted import DETECTING_CASES
     from benchmarks.sim.stability.runner import run_cases
 
     caught: dict[str, Sequence[Report]] = {}
     every = True
-    for mistake, names in CATCHERS.items():
+    for mistake, names in DETECTING_CASES.items():
         cases = [BY_NAME[name] for name in names]
         sane = run_cases(cases, device=device, processes=processes, say=_silent)
         caught[mistake] = run_cases(

@@ -22,8 +22,8 @@ from benchmarks.sim.stability.laws import (
     same_end,
     same_force,
     slides,
-    sound,
     swapped,
+    validity_laws,
 )
 from sim.effects import Effects, Friction
 from sim.result import Result
@@ -48,7 +48,7 @@ def _drag(result: Result, frame: int) -> float:
 def _loop(solver: Solver, coefficient: float, least: float, pull: float = 1e-6) -> list[Law]:
     result = solver.one(_rubbed(coefficient))
     return [
-        *sound(result, det_f=0.3, pull=pull),
+        *validity_laws(result, det_f=0.3, pull=pull),
         slides(result),
         dissipates(result, QUADRATURE),
         lets_go(result),
@@ -66,7 +66,7 @@ def shear_friction_0(solver: Solver) -> list[Law]:
     rubbed = solver.one(_rubbed(0.0), penalty=1000.0)
     free = solver.one(Scene(SPHERE, LOOP, MAT), penalty=1000.0)
     return [
-        *sound(rubbed, free, det_f=0.4),
+        *validity_laws(rubbed, free, det_f=0.4),
         slides(rubbed),
         same_force("against no friction at all", free, rubbed, SAME),
         at_most("lost around the loop", abs(rubbed.quality.energy_gap[-1]), QUADRATURE),
@@ -98,7 +98,7 @@ def lifted_while_it_slips(solver: Solver) -> list[Law]:
     scene = Scene(SPHERE, through(points, speed=10 * MM), PAD, Effects(friction=Friction(0.3)))
     result = solver.one(scene)
     return [
-        *sound(result, det_f=0.5),
+        *validity_laws(result, det_f=0.5),
         slides(result),
         dissipates(result, QUADRATURE),
         lets_go(result),
@@ -146,7 +146,7 @@ def stick_slip_reversals(solver: Solver) -> list[Law]:
     x = np.array(sway) * MM
     lost = [_area(np.append(x, x[0]), np.append(one[:, 0], one[0, 0])) for one in rounds[1:]]
     return [
-        *sound(result, det_f=0.5),
+        *validity_laws(result, det_f=0.5),
         slides(result),
         dissipates(result, QUADRATURE),
         # Masing: a steady cycle forgets the first loading. Points at the rim of the contact come
@@ -171,7 +171,7 @@ def light_press_long_slide(solver: Solver) -> list[Law]:
     # A light press ploughs little: its flank is 0.15 mm high on a contact of 0.7 mm, and points
     # enter in front and leave behind, which tilts the mean normal by a few degrees.
     return [
-        *sound(result, det_f=0.5),
+        *validity_laws(result, det_f=0.5),
         slides(result),
         dissipates(result, QUADRATURE),
         at_most("|shear / push - mu|", np.abs(ratio - 0.4).max(), 0.05),
@@ -233,7 +233,7 @@ def full_stick_stiffens(solver: Solver) -> list[Law]:
     ratio = float(push(stuck)[-1] / push(free)[-1])
     # Two independent element families give 2.18 to 2.19 N against 1.956 N on the 20 mm gel: 1.117.
     return [
-        *sound(stuck, free, det_f=0.4),
+        *validity_laws(stuck, free, det_f=0.4),
         slides(stuck),
         at_least("stiffening", ratio, 1.05),
         at_most("stiffening", ratio, 1.18),
@@ -247,7 +247,7 @@ def slides_off_the_rim(solver: Solver) -> list[Law]:
     scene = Scene(SPHERE, through(points, speed=10 * MM), PAD, Effects(friction=Friction(0.5)))
     result = solver.one(scene)
     return [
-        *sound(result, det_f=0.3),
+        *validity_laws(result, det_f=0.3),
         slides(result),
         dissipates(result, QUADRATURE),
         lets_go(result),

@@ -23,7 +23,7 @@ from benchmarks.sim.stability.laws import (
     same_end,
     same_force,
     slides,
-    sound,
+    validity_laws,
 )
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.scene import Body, Motion, Scene, press, press_shear_return, ramp_hold
@@ -49,7 +49,7 @@ def ramp_and_hold_relaxes(solver: Solver) -> list[Law]:
     # A share of exp(-10) of the branch remains after 10 relaxation times; 1e-4 of the force is the
     # solver's tolerance, 1e-3 of its largest decrease between frames.
     return [
-        *sound(viscous, det_f=0.5),
+        *validity_laws(viscous, det_f=0.5),
         rises("force decreases while held", -force, -1e-4),
         rises("ever more slowly", np.diff(force), -5e-3),
         at_most("end / elastic - 1", abs(force[-1] / rest - 1), 1e-3),
@@ -63,7 +63,7 @@ def loading_above_unloading(solver: Solver) -> list[Law]:
     force = push(result)
     down, up = force[1:4], force[7:4:-1]
     return [
-        *sound(result, det_f=0.5),
+        *validity_laws(result, det_f=0.5),
         at_least(
             "loading / unloading - 1, least", float((down / np.maximum(up, 1e-9)).min() - 1), 0.05
         ),
@@ -84,7 +84,7 @@ def fast_and_slow_presses(solver: Solver) -> list[Law]:
     # 10 s is 50 relaxation times: a ramp lags by 1/50 times ratio. In 10 us, 1/20,000 relaxes; but
     # the contact springs do not stiffen with the material: 2/1000 of the force.
     return [
-        *sound(*results, det_f=0.5),
+        *validity_laws(*results, det_f=0.5),
         rises("force rises with speed", force),
         at_most("slow / elastic - 1", abs(force[0] - 1), 0.03),
         at_most("fast / (elastic (1 + ratio)) - 1", abs(force[-1] / (1 + RATIO) - 1), 5e-3),
@@ -106,7 +106,7 @@ def four_branches(solver: Solver) -> list[Law]:
         ratios=(1.0, 0.5, 0.3, 0.2), times=(1e-3, 0.05, 0.5, 10.0), relaxes="shear"
     )
     result = solver.one(Scene(SPHERE, _cycle(10 * MM), PAD, Effects(viscosity=viscosity)))
-    return [*sound(result, det_f=0.3), dissipates(result, 0.01), lets_go(result)]
+    return [*validity_laws(result, det_f=0.3), dissipates(result, 0.01), lets_go(result)]
 
 
 def slow_press_with_mass(solver: Solver) -> list[Law]:
@@ -114,7 +114,10 @@ def slow_press_with_mass(solver: Solver) -> list[Law]:
     motion = press([0.5 * MM, 1 * MM], speed=1 * MM)
     moving = solver.one(Scene(SPHERE, motion, PAD, Effects(inertia=Inertia())))
     still = solver.one(Scene(SPHERE, motion, PAD))
-    return [*sound(moving, det_f=0.5), same_force("against quasi-static", still, moving, SAME)]
+    return [
+        *validity_laws(moving, det_f=0.5),
+        same_force("against quasi-static", still, moving, SAME),
+    ]
 
 
 def fast_press_with_mass(solver: Solver) -> list[Law]:
@@ -123,7 +126,7 @@ def fast_press_with_mass(solver: Solver) -> list[Law]:
     moving = solver.one(Scene(SPHERE, motion, PAD, Effects(inertia=Inertia())))
     still = solver.one(Scene(SPHERE, motion, PAD))
     return [
-        *sound(moving, det_f=0.3),
+        *validity_laws(moving, det_f=0.3),
         at_least("force / quasi-static, at 1/4 mm", push(moving)[1] / push(still)[1], 1.2),
     ]
 
@@ -198,7 +201,7 @@ def gravity_upside_down(solver: Solver) -> list[Law]:
     force = [push(result)[-1] for result in (down, none, up)]
     middle = (force[0] + force[2]) / 2
     return [
-        *sound(up, none, down, det_f=0.4),
+        *validity_laws(up, none, down, det_f=0.4),
         rises("a skin that sags outwards is pressed deeper", force),
         at_most("mean of both / without - 1", abs(middle / force[1] - 1), 0.01),
     ]
@@ -216,7 +219,7 @@ def all_effects_at_once(solver: Solver) -> list[Law]:
     together = solver.one(Scene(SPHERE, motion, PAD, effects))
     rubbed = solver.one(Scene(SPHERE, motion, PAD, Effects(friction=Friction(0.5))))
     return [
-        *sound(together, det_f=0.3),
+        *validity_laws(together, det_f=0.3),
         slides(together),
         dissipates(together, 0.01),
         at_least("force with all / with friction", push(together)[3] / push(rubbed)[3], 1.1),
@@ -230,7 +233,7 @@ def stays_elastic_when_rested(solver: Solver) -> list[Law]:
     viscous = solver.one(Scene(SPHERE, inside, PAD, VISCOUS))
     elastic = solver.one(Scene(SPHERE, press([DEPTH]), PAD))
     return [
-        *sound(viscous, det_f=0.5),
+        *validity_laws(viscous, det_f=0.5),
         same_end("after 50 relaxation times", elastic, viscous, SAME),
     ]
 
@@ -243,7 +246,7 @@ def oscillation_turns_steady(solver: Solver) -> list[Law]:
     result = solver.one(Scene(SPHERE, motion, PAD, Effects(viscosity=viscosity)))
     rounds = push(result)[2:].reshape(3, 4)
     return [
-        *sound(result, det_f=0.5),
+        *validity_laws(result, det_f=0.5),
         dissipates(result, 0.01),
         at_most("third round against second", difference(rounds[1], rounds[2]), 1e-3),
     ]

@@ -70,7 +70,7 @@ def at_least(says: str, measured: float, limit: float) -> Law:
     return Law(says, float(measured), ">=", limit)
 
 
-def sound(*results: Result, det_f: float = 0.1, pull: float = 1e-6) -> list[Law]:
+def validity_laws(*results: Result, det_f: float = 0.1, pull: float = 1e-6) -> list[Law]:
     """Return the laws of every press: no inverted element, forces in balance, and no pull.
 
     `det_f` is the smallest determinant of the deformation gradient; the solver's own limit is 0.05.

@@ -13,14 +13,14 @@ import numpy as np
 from benchmarks.sim.substitute import in_place_of, rebuilt
 
 # The fastest cases that detect each bug, which `--planted all` runs.
-CATCHERS: dict[str, tuple[str, ...]] = {
+DETECTING_CASES: dict[str, tuple[str, ...]] = {
     "full-integration": ("poisson-0-49",),
     "nodal-contact": ("flat-punch-between-bounds", "flat-punch-off-the-grid"),
     "lagged-friction": ("lifted-while-it-slips", "full-stick-stiffens"),
     "energy-line-search": ("float32-reaches-its-tolerance",),
 }
 
-MISTAKES = tuple(CATCHERS)
+MISTAKES = tuple(DETECTING_CASES)
 
 WHAT: dict[str, str] = {
     "full-integration": "volume change at every Gauss point, so elements lock near nu = 0.5",

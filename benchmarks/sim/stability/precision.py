@@ -18,8 +18,8 @@ from benchmarks.sim.stability.laws import (
     mirrored,
     push,
     same_force,
-    sound,
     swapped,
+    validity_laws,
 )
 from sim.effects import Effects, Friction
 from sim.indenters import Indenter, shapes
@@ -49,7 +49,7 @@ def float32_against_float64(solver: Solver) -> list[Law]:
         for precision in ("float32", "float64")
     )
     return [
-        *sound(single, double, det_f=0.5),
+        *validity_laws(single, double, det_f=0.5),
         same_force("force", double, single, SAME),
         at_most("surface: |du| / |u|", difference(double.surface, single.surface), 1e-3),
     ]
@@ -68,7 +68,7 @@ def float32_reaches_its_tolerance(solver: Solver) -> list[Law]:
     spent, needed = (int(result.quality.newton.sum()) for result in (single, double))
     cut = int(single.quality.steps.sum() - double.quality.steps.sum())
     return [
-        *sound(single, double, det_f=0.5),
+        *validity_laws(single, double, det_f=0.5),
         at_most("Newton iterations / those in float64", spent / needed, 1.5),
         at_most("steps beyond those in float64", cut, 0),
     ]
@@ -98,7 +98,7 @@ def metres_and_millimetres(solver: Solver) -> list[Law]:
     )
     # The solver works in units of the thickness: only the last digit of float32 differs.
     return [
-        *sound(little, big, det_f=0.5),
+        *validity_laws(little, big, det_f=0.5),
         at_most("force / 1e6", difference(little.force * 1e6, big.force), 1e-5),
         at_most("torque / 1e9", difference(little.wrench[:, 3:] * 1e9, big.wrench[:, 3:]), 1e-4),
         at_most("surface / 1e3", difference(little.surface * 1e3, big.surface), 1e-5),
@@ -109,7 +109,7 @@ def mirror_symmetry(solver: Solver) -> list[Law]:
     """A centred press is symmetric under reflection, and under exchange of x and y."""
     centred = solver.one(Scene(SPHERE, PRESS))
     return [
-        *sound(centred, det_f=0.5),
+        *validity_laws(centred, det_f=0.5),
         mirrored(centred, centred, LAST_DIGITS),
         swapped(centred, centred, LAST_DIGITS),
     ]
@@ -121,7 +121,7 @@ def swap_symmetry(solver: Solver) -> list[Law]:
         solver.one(Scene(indenter, PRESS))
         for indenter in (_box(3 * MM, 5 * MM), _box(5 * MM, 3 * MM))
     )
-    return [*sound(along_y, along_x), swapped(along_y, along_x, SAME)]
+    return [*validity_laws(along_y, along_x), swapped(along_y, along_x, SAME)]
 
 
 def _box(width: float, length: float) -> Indenter:
@@ -136,7 +136,7 @@ def shift_by_a_cell(solver: Solver) -> list[Law]:
     near, far = here.surface[-1, 7:14, 7:14], there.surface[-1, 8:15, 7:14]
     # The sides are 10 and 9 mm away: an effect of exp(-0.78 * 9 / 4), about 0.1 %.
     return [
-        *sound(here, there, det_f=0.5),
+        *validity_laws(here, there, det_f=0.5),
         at_most("force", abs(push(there)[-1] / push(here)[-1] - 1), 0.005),
         at_most("surface: |du| / |u|", difference(near, far), 0.01),
     ]
@@ -181,7 +181,7 @@ def layer_against_fem(solver: Solver) -> list[Law]:
     layer = simulate(scene, "layer")
     # Large strain adds 0.7 % at 0.3 mm, elements of 0.5 mm on a contact of 1 mm radius add 1 %.
     return [
-        *sound(fem, det_f=0.5),
+        *validity_laws(fem, det_f=0.5),
         at_most("force", difference(fem.force, layer.force), 0.02),
     ]
 
@@ -195,7 +195,7 @@ def finer_mesh(solver: Solver) -> list[Law]:
     # Linear elements: the error decreases with the square of the spacing; it is 0.4 % at 1 mm and
     # 1.5 mm deep, more where the contact spans only two elements.
     return [
-        *sound(coarse, fine, det_f=0.5),
+        *validity_laws(coarse, fine, det_f=0.5),
         at_most("force at 1.5 mm", abs(push(fine)[-1] / push(coarse)[-1] - 1), 0.02),
         at_least("layers of the fine mesh", fine.record["mesh"]["cells"][2], 8),
     ]
@@ -206,7 +206,7 @@ def torque_of_a_centred_press(solver: Solver) -> list[Law]:
     result = solver.one(Scene(SPHERE, PRESS))
     lever = np.abs(result.wrench[:, 3:]).max() / push(result).max()
     # A lever of a thousandth of the contact radius (3 mm).
-    return [*sound(result, det_f=0.5), at_most("torque / force [m]", float(lever), 3e-6)]
+    return [*validity_laws(result, det_f=0.5), at_most("torque / force [m]", float(lever), 3e-6)]
 
 
 CASES = (

@@ -16,8 +16,8 @@ from benchmarks.sim.stability.laws import (
     push,
     rises,
     smooth,
-    sound,
     swapped,
+    validity_laws,
 )
 from sim.scene import Scene, press
 
@@ -27,7 +27,7 @@ DEPTHS = [0.1 * MM * step for step in range(1, 16)]
 def _at(solver: Solver, x: float) -> list[Law]:
     result = solver.one(Scene(SPHERE, press(DEPTHS, at=(x, 0.0))))
     return [
-        *sound(result, det_f=0.4),
+        *validity_laws(result, det_f=0.4),
         # The gel escapes outwards; on the gel's side of the sphere it is pushed inwards, so the
         # indenter's force on the body points inwards: negative at positive x.
         at_least("force inwards / force down", -result.force[-1, 0] / push(result)[-1], 0.02),
@@ -61,7 +61,7 @@ def crossing_the_rim(solver: Solver) -> list[Law]:
     # Elements of 1 mm make the force ripple by 2 % from node to node, which is up to four times as
     # much in a second difference. A sudden loss of contact (a third of it) would be 30 %.
     return [
-        *sound(*results, det_f=0.4),
+        *validity_laws(*results, det_f=0.4),
         rises("force falls outwards", -np.asarray(force)),
         smooth("largest second difference / largest force", force, 0.1),
     ]
@@ -72,14 +72,14 @@ def both_rims_alike(solver: Solver) -> list[Law]:
     right, left = solver.many(
         [Scene(SPHERE, press([1.5 * MM], at=(x, 0.0))) for x in (9 * MM, -9 * MM)]
     )
-    return [*sound(right, left, det_f=0.4), mirrored(right, left, 1e-3)]
+    return [*validity_laws(right, left, det_f=0.4), mirrored(right, left, 1e-3)]
 
 
 def corner(solver: Solver) -> list[Law]:
     """On a corner of the gel x and y are equivalent, and no force remains after lift-off."""
     motion = press([0.75 * MM, 1.5 * MM, 0.75 * MM, 0.0], at=(9.5 * MM, 9.5 * MM))
     result = solver.one(Scene(SPHERE, motion))
-    return [*sound(result, det_f=0.4), swapped(result, result, 1e-3), lets_go(result)]
+    return [*validity_laws(result, det_f=0.4), swapped(result, result, 1e-3), lets_go(result)]
 
 
 CASES = (

@@ -44,9 +44,9 @@ class Report:
     @property
     def failures(self) -> list[str]:
         """Each law that does not hold, or the trouble."""
-        said = [self.trouble] if self.trouble else []
-        said += [str(law) for law in self.laws if not law.holds]
-        return said or ([] if self.laws else ["no law was measured"])
+        reported = [self.trouble] if self.trouble else []
+        reported += [str(law) for law in self.laws if not law.holds]
+        return reported or ([] if self.laws else ["no law was measured"])
 
 
 def run_case(name: str, device: str, mistake: str | None) -> Report:

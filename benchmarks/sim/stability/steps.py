@@ -18,7 +18,7 @@ from benchmarks.sim.stability.laws import (
     rises,
     same_end,
     smooth,
-    sound,
+    validity_laws,
 )
 from sim.errors import SimulationDiverged
 from sim.indenters import Indenter, named
@@ -38,7 +38,7 @@ def one_huge_step(solver: Solver) -> list[Law]:
     """1.5 mm in a single step gives the force of 15 steps."""
     huge = solver.one(Scene(SPHERE, press([1.5 * MM])), step_travel=UNLIMITED, **CLOSED)
     slow = solver.one(Scene(SPHERE, press([0.1 * MM * step for step in range(1, 16)])), **CLOSED)
-    return [*sound(huge, slow, det_f=0.5), same_end("force", slow, huge, SAME)]
+    return [*validity_laws(huge, slow, det_f=0.5), same_end("force", slow, huge, SAME)]
 
 
 def thousand_tiny_steps(solver: Solver) -> list[Law]:
@@ -49,7 +49,7 @@ def thousand_tiny_steps(solver: Solver) -> list[Law]:
     )
     huge = solver.one(Scene(SPHERE, press([1 * MM]), body), spacing=4 / 3 * MM)
     return [
-        *sound(tiny, huge, det_f=0.5),
+        *validity_laws(tiny, huge, det_f=0.5),
         # The tolerance of the residual is 1e-4 of the force.
         at_most("work not stored", abs(tiny.quality.energy_gap[-1]), 1e-3),
         smooth("largest second difference / largest force", push(tiny), 1e-3),
@@ -66,7 +66,7 @@ def reload_after_unload(solver: Solver) -> list[Law]:
     force, count = push(result), len(down)
     first, back, again = force[1 : count + 1], force[count + 1 : 2 * count], force[-count:]
     return [
-        *sound(result, det_f=0.5),
+        *validity_laws(result, det_f=0.5),
         at_most("unloading against loading", difference(first[-2::-1], back), SAME),
         at_most("reloading against loading", difference(first, again), SAME),
         at_most("force between / largest", force[2 * count] / force.max(), 1e-6),
@@ -82,7 +82,7 @@ def there_and_back(solver: Solver) -> list[Law]:
     result = solver.one(Scene(SPHERE, through(points, speed=10 * MM), MAT))
     # Trapezoid rule for work: its error during loading cancels during unloading.
     return [
-        *sound(result, det_f=0.5),
+        *validity_laws(result, det_f=0.5),
         at_most("work left in the loop", abs(result.quality.energy_gap[-1]), 5e-3),
         lets_go(result),
     ]
@@ -95,14 +95,14 @@ def two_ways_to_one_place(solver: Solver) -> list[Law]:
         Scene(SPHERE, through([top, (0.0, 0.0, -1.2 * MM), end], speed=10 * MM), MAT)
     )
     slant = solver.one(Scene(SPHERE, through([top, end], speed=10 * MM), MAT))
-    return [*sound(corner, slant, det_f=0.5), same_end("force", corner, slant, SAME)]
+    return [*validity_laws(corner, slant, det_f=0.5), same_end("force", corner, slant, SAME)]
 
 
 def starts_inside(solver: Solver) -> list[Law]:
     """An indenter that is 1.5 mm inside at frame 0 has the force of a slow press."""
     inside = solver.one(Scene(SPHERE, Motion(tip=((0.0, 0.0, -1.5 * MM),), time=(0.0,))))
     slow = solver.one(Scene(SPHERE, press([0.5 * MM, 1.0 * MM, 1.5 * MM])))
-    return [*sound(inside, slow, det_f=0.5), same_end("force", slow, inside, SAME)]
+    return [*validity_laws(inside, slow, det_f=0.5), same_end("force", slow, inside, SAME)]
 
 
 def _sunk(
@@ -118,8 +118,8 @@ def _sunk(
     try:
         result = solver.one(_begun_inside(indenter, halves), spacing=spacing, **CLOSED, **numerics)
     except SimulationDiverged as diverged:
-        return [*sound(slow, det_f=0.05), *evidence(diverged)]
-    return [*sound(slow, result, det_f=0.05), same_end("force", slow, result, SAME)]
+        return [*validity_laws(slow, det_f=0.05), *evidence(diverged)]
+    return [*validity_laws(slow, result, det_f=0.05), same_end("force", slow, result, SAME)]
 
 
 def _begun_inside(indenter: Indenter, halves: int) -> Scene:
@@ -142,7 +142,7 @@ def prism_where_the_skin_buckles(solver: Solver) -> list[Law]:
         result = solver.one(_begun_inside(named("prism"), 5), **CLOSED)
     except SimulationDiverged as diverged:
         return evidence(diverged)
-    return sound(result, det_f=0.05)
+    return validity_laws(result, det_f=0.05)
 
 
 def sphere_forced_in_at_once(solver: Solver) -> list[Law]:
@@ -182,7 +182,7 @@ def arrives_from_the_air(solver: Solver) -> list[Law]:
     """From 3 mm above to 1 mm deep in one frame: as if started at the surface."""
     air = solver.one(Scene(SPHERE, through([(0.0, 0.0, 3 * MM), (0.0, 0.0, -1 * MM)], speed=1.0)))
     near = solver.one(Scene(SPHERE, press([1 * MM])))
-    return [*sound(air, near, det_f=0.5), same_end("force", near, air, SAME)]
+    return [*validity_laws(air, near, det_f=0.5), same_end("force", near, air, SAME)]
 
 
 def arrives_from_the_side(solver: Solver) -> list[Law]:
@@ -190,7 +190,7 @@ def arrives_from_the_side(solver: Solver) -> list[Law]:
     end = (3.5 * MM, 0.0, -1 * MM)
     side = solver.one(Scene(SPHERE, through([(14 * MM, 0.0, -1 * MM), end], speed=1.0), PAD))
     above = solver.one(Scene(SPHERE, press([1 * MM], at=(3.5 * MM, 0.0)), PAD))
-    return [*sound(side, above, det_f=0.3), same_end("force", above, side, 5e-3)]
+    return [*validity_laws(side, above, det_f=0.3), same_end("force", above, side, 5e-3)]
 
 
 def phases_without_travel(solver: Solver) -> list[Law]:
@@ -198,7 +198,7 @@ def phases_without_travel(solver: Solver) -> list[Law]:
     result = solver.one(Scene(SPHERE, ramp_hold(1 * MM, ramp=0.1, hold=1.0, steps=5), GEL))
     held = result.force[5:]
     return [
-        *sound(result, det_f=0.5),
+        *validity_laws(result, det_f=0.5),
         at_most("change while held", difference(held[:1].repeat(len(held), axis=0), held), 1e-4),
     ]
 

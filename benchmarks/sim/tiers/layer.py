@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks.sim.reference_solutions import layer_sphere
 from sim.effects import Effects, Friction, Viscosity
 from sim.indenters import sphere
-from sim.layer.solver import GRID, TOLERANCE, Press, simulate_layer
+from sim.layer.solver import GRID, TOLERANCE, LayerPress, simulate_layer
 from sim.layer.spectral import Grid
 from sim.scene import Body, Motion, Scene, press, through
 
@@ -93,7 +93,7 @@ def down_aside_back_up() -> Motion:
 
 def _timed(scene: Scene, grid: int, tolerance: float) -> tuple[list[float], int]:
     """Return the CPU time of each frame [s], and the total number of steps."""
-    state = Press(scene, Grid(scene.body, grid), tolerance)
+    state = LayerPress(scene, Grid(scene.body, grid), tolerance)
     seconds, before = [], 0.0
     for tip, now in zip(scene.motion.tip, scene.motion.time, strict=True):
         start = time.process_time()

@@ -131,5 +131,5 @@ def _press(
 
 
 def _indenter(sensor: ArchivedSensor, rows: Rows) -> str:
-    said = json.loads(sensor.sources[int(sensor.table["source"][rows[0]])])
-    return str(said.get("folder") or said.get("session") or f"row {rows[0]}")
+    message = json.loads(sensor.sources[int(sensor.table["source"][rows[0]])])
+    return str(message.get("folder") or message.get("session") or f"row {rows[0]}")

@@ -31,7 +31,7 @@ NO_TIME = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Press:
+class GenForcePress:
     """One contact point of one indenter, frame by frame."""
 
     indenter: str
@@ -62,7 +62,7 @@ class PublishedSensor:
     """One sensor of a folder; implements `learning.archive_writer.SensorFrames`."""
 
     name: str
-    presses: tuple[Press, ...]
+    presses: tuple[GenForcePress, ...]
     references: Packed
     """Packed masks of the sensor without contact (K, 38400)."""
     indenters: tuple[str, ...]
@@ -121,7 +121,7 @@ class PublishedSensor:
             lines[row][FLAG] = flag
         return Frames(frames, table, [json.dumps(line, ensure_ascii=False) for line in lines])
 
-    def _table(self, press: Press, first: int, last: int) -> dict[str, NDArray[Any]]:
+    def _table(self, press: GenForcePress, first: int, last: int) -> dict[str, NDArray[Any]]:
         rows, count = slice(first, last), last - first
         return {
             "indenter": np.full(count, self.indenters.index(press.indenter)),

@@ -13,8 +13,8 @@ from learning.archive_writer import SensorFrames, fill_archive
 from learning.data.genforce import raw, states, training
 from learning.data.genforce.format import (
     Compensation,
+    GenForcePress,
     Packed,
-    Press,
     PublishedSensor,
     ReadMask,
     read_mask,
@@ -145,7 +145,7 @@ def _raw(root: Path, indenters: tuple[str, ...], chosen: Choices) -> Iterator[Pu
 def _published(
     root: Path,
     name: str,
-    presses: tuple[Press, ...],
+    presses: tuple[GenForcePress, ...],
     references: Packed,
     indenters: tuple[str, ...],
     chosen: Choices,

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from learning.data.genforce.format import (
     NO_LOCATION,
     Array,
-    Press,
+    GenForcePress,
     read_array,
     read_forces,
     read_poses,
@@ -48,7 +48,7 @@ class RawSensor:
     name: str
     taxels: bool
     """True if frames are taxel counts; else they are pictures."""
-    presses: tuple[Press, ...]
+    presses: tuple[GenForcePress, ...]
     references: tuple[Path, ...]
     """The picture without contact of each run."""
 
@@ -83,7 +83,7 @@ def read_raw(root: Path, codes: Mapping[str, int]) -> Iterator[RawSensor]:
     )
     for sensor in sensors:
         taxels = not (sensor / "image").is_dir()
-        presses: list[Press] = []
+        presses: list[GenForcePress] = []
         references = []
         known: dict[tuple[str, bool], Path] = {}
         for number, run in enumerate(_runs(sensor)):
@@ -139,7 +139,7 @@ def _presses(
     codes: Mapping[str, int],
     targets: int,
     reference: int,
-) -> Iterator[Press]:
+) -> Iterator[GenForcePress]:
     phases = {name: code for code, name in enumerate(PHASES)} if located else FORCE_DEPTH
     origin: Array | None = None
     for point in _points(run):
@@ -162,7 +162,7 @@ def _presses(
         origin = pose[0] if origin is None else origin
         code = codes[_indenter(run)]
         location = code * targets + target if located else NO_LOCATION
-        yield Press(
+        yield GenForcePress(
             indenter=_indenter(run),
             target=target if located else targets + target,
             files=tuple(files),

@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from learning.data.genforce.format import SUFFIXES, Packed, Press, no_phases, read_mask
+from learning.data.genforce.format import SUFFIXES, GenForcePress, Packed, no_phases, read_mask
 from learning.errors import LearningError
 
 _NUMBER = r"-?\d+(?:\.\d+)?"
 _STATE = re.compile(rf"({_NUMBER})_({_NUMBER})_({_NUMBER})")
 
-State = tuple[float, float, float]
+PressState = tuple[float, float, float]
 
 
 def is_states(root: Path) -> bool:
@@ -33,7 +33,7 @@ def indenters_of(root: Path) -> set[str]:
 
 def read_states(
     root: Path, codes: Mapping[str, int]
-) -> Iterator[tuple[str, Packed, tuple[Press, ...]]]:
+) -> Iterator[tuple[str, Packed, tuple[GenForcePress, ...]]]:
     """Yield patterns: name, packed reference (38400,), and a press for each place.
 
     Places are numbered by x, then y, depths in ascending order, over all files; a location is a
@@ -69,9 +69,9 @@ def _press(
     here: list[tuple[float, Path]],
     depths: list[float],
     first_location: int,
-) -> Press:
+) -> GenForcePress:
     count = len(here)
-    return Press(
+    return GenForcePress(
         indenter=shape,
         target=target,
         files=tuple(path for _, path in here),
@@ -83,10 +83,10 @@ def _press(
     )
 
 
-def _states(folder: Path) -> dict[State, Path]:
+def _states(folder: Path) -> dict[PressState, Path]:
     if not folder.is_dir():
         return {}
-    states: dict[State, Path] = {}
+    states: dict[PressState, Path] = {}
     for path in sorted(folder.iterdir()):
         if path.suffix not in SUFFIXES:
             continue

@@ -20,8 +20,8 @@ import numpy as np
 from learning.data.genforce.format import (
     SUFFIXES,
     Array,
+    GenForcePress,
     Packed,
-    Press,
     phases_of,
     read_depths,
     read_forces,
@@ -46,7 +46,7 @@ class TrainingSensor:
 
     name: str
     reference: Packed
-    presses: tuple[Press, ...]
+    presses: tuple[GenForcePress, ...]
     depths: str
     """Description of the source of depths."""
     torques: bool
@@ -131,7 +131,7 @@ def _sensor(
             target = int(point.name) - 1
             count = len(files)
             presses.append(
-                Press(
+                GenForcePress(
                     indenter=indenter.name,
                     target=target,
                     files=files,

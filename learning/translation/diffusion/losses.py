@@ -191,7 +191,7 @@ def merged(
 ) -> dict[str, torch.Tensor]:
     """Train one step on its batches; return the mean of each unweighted loss."""
     share = 1 / len(batches)
-    said: list[dict[str, torch.Tensor]] = []
+    reported: list[dict[str, torch.Tensor]] = []
     shown = []
     for number, batch in enumerate(batches):
         with _synchronised(generator.network, number == len(batches) - 1, runs_on):
@@ -200,7 +200,7 @@ def merged(
             if judges.heads is not None:
                 parts["adversarial"] = _fooling(made, batch, judges, runs_on)
             runs_on.backward(_weighted(parts, judges.losses) * share)
-        said.append({name: part.detach() for name, part in parts.items()})
+        reported.append({name: part.detach() for name, part in parts.items()})
         shown.append(made.detach())
     _advance(generator, runs_on)
     if judges.heads is not None and judges.features is not None:
@@ -212,9 +212,9 @@ def merged(
                 true, fake = zip(*(level.chunk(2) for level in logits), strict=True)
                 loss = multilevel_sigmoid(true, real=True) + multilevel_sigmoid(fake, real=False)
                 runs_on.backward(loss * judges.losses.adversarial * share)
-            said[number]["discriminator"] = loss.detach()
+            reported[number]["discriminator"] = loss.detach()
         _advance(judges.heads, runs_on)
-    return {name: torch.stack([each[name] for each in said]).mean() for name in said[0]}
+    return {name: torch.stack([each[name] for each in reported]).mean() for name in reported[0]}
 
 
 def two_pass(

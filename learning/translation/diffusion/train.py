@@ -158,10 +158,10 @@ def train(
         done = step + 1
         progress(done, settings.steps)
         if done % settings.log_every == 0 or done in (1, settings.steps):
-            said = {f"train/{name}": float(loss) for name, loss in losses.items()}
-            _require_finite(said, done)
+            message = {f"train/{name}": float(loss) for name, loss in losses.items()}
+            _require_finite(message, done)
             if run is not None:
-                run.log(done, {"train/rate": rate, **said})
+                run.log(done, {"train/rate": rate, **message})
         if run is None:
             continue
 

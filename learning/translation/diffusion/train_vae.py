@@ -151,11 +151,11 @@ def train_vae(
         done = step + 1
         progress(done, settings.steps)
         if done % settings.log_every == 0 or done in (1, settings.steps):
-            said = {f"train/{name}": float(loss.detach()) for name, loss in losses.items()}
-            if not math.isfinite(said["train/loss"]):
-                raise LearningError(f"loss: found {said} on step {done}; allowed: finite")
+            reported = {f"train/{name}": float(loss.detach()) for name, loss in losses.items()}
+            if not math.isfinite(reported["train/loss"]):
+                raise LearningError(f"loss: found {reported} on step {done}; allowed: finite")
             if run is not None:
-                run.log(done, said)
+                run.log(done, reported)
         if run is None:
             continue
         stop, last = stopping(), done == settings.steps

@@ -190,18 +190,18 @@ def vae_adapter_of(state: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
     }
 
 
-def base_of(found: ModelFolder, said: str) -> str:
+def base_of(found: ModelFolder, message: str) -> str:
     """Return the folder of the published weights that a run was trained from.
 
     Args:
         found: The run folder.
-        said: Their folder during training.
+        message: Their folder during training.
 
     Raises:
         LearningError: The weights are missing, or differ.
     """
     beside = found.path / BASE
-    folder = str(beside) if beside.exists() else said
+    folder = str(beside) if beside.exists() else message
     if not (Path(folder) / "unet").is_dir():
         raise LearningError(
             f"{found.path}: found no published weights in {folder!r}; link the folder of SD-Turbo "

@@ -253,11 +253,11 @@ class PatchDiscriminator(nn.Module):
         return verdict
 
 
-def fooling(verdicts: Tensor) -> Tensor:
+def generator_loss(verdicts: Tensor) -> Tensor:
     """Return the generator's hinge loss for scores of its images."""
     return -verdicts.float().mean()
 
 
-def telling(real: Tensor, made: Tensor) -> Tensor:
+def discriminator_loss(real: Tensor, made: Tensor) -> Tensor:
     """Return the discriminator's hinge loss for scores of real and generated images."""
     return functional.relu(1 - real.float()).mean() + functional.relu(1 + made.float()).mean()

@@ -30,7 +30,12 @@ from learning.translation.direct.data import (
     examples_at,
 )
 from learning.translation.direct.losses import reconstruction
-from learning.translation.direct.network import DirectNetwork, PatchDiscriminator, fooling, telling
+from learning.translation.direct.network import (
+    DirectNetwork,
+    PatchDiscriminator,
+    discriminator_loss,
+    generator_loss,
+)
 from learning.translation.direct.settings import DirectSettings
 
 if TYPE_CHECKING:
@@ -127,7 +132,7 @@ def train(
         if weights.adversarial:
             # Unwrapped and frozen: its weights do not change here and need no synchronisation.
             adversary.requires_grad_(False)
-            parts["adversarial"] = fooling(adversary(made, batch.reference))
+            parts["adversarial"] = generator_loss(adversary(made, batch.reference))
             loss = loss + weights.adversarial * parts["adversarial"]
 
         # A step of the network
@@ -144,7 +149,7 @@ def train(
             adversary.requires_grad_(True)
             both = torch.cat([batch.target, made.detach()])
             verdicts = judging(both, batch.reference.repeat(2, 1, 1, 1))
-            parts["adversary"] = telling(*verdicts.chunk(2))
+            parts["adversary"] = discriminator_loss(*verdicts.chunk(2))
             set_rate(opponent, rate)
             counter.zero_grad(set_to_none=True)
             launched.backward(parts["adversary"])

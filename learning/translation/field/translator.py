@@ -87,7 +87,7 @@ class FieldTranslator:
     target: SensorView | None = None
     """View of the target; None: likewise."""
 
-    def between(self, source: SensorView, target: SensorView) -> FieldTranslator:
+    def between_sensors(self, source: SensorView, target: SensorView) -> FieldTranslator:
         """Return the translator for two sensors whose pixels differ in size."""
         return replace(self, source=source, target=target)
 

@@ -82,13 +82,13 @@ class Calibration:
         frame = compose(bench.contact_frame, (0.0, 0.0, self.home.shift, 0.0, 0.0, 0.0))
         return dataclasses.replace(bench, contact_frame=tuple(np.asarray(frame).tolist()))
 
-    def facts(self) -> dict[str, Any]:
+    def attrs(self) -> dict[str, Any]:
         """Return the session's attribute `calibration`: SI units, empty without a calibration."""
-        facts: dict[str, Any] = {}
+        attrs: dict[str, Any] = {}
         for name, part in (("home", self.home), ("latency", self.latency)):
             if part is not None:
-                facts[name] = {**dataclasses.asdict(part), "file": self.file}
-        return facts
+                attrs[name] = {**dataclasses.asdict(part), "file": self.file}
+        return attrs
 
     def stream_attrs(self, name: str) -> dict[str, Any]:
         """Return the attributes to add to stream `name`: `latency`, `exposure` and their source."""
@@ -123,14 +123,14 @@ class Calibration:
         return lines
 
     @classmethod
-    def from_facts(cls, facts: dict[str, Any]) -> Calibration:
-        """Restore from the session attribute written by `facts`; a resumed session keeps it."""
+    def from_attrs(cls, attrs: dict[str, Any]) -> Calibration:
+        """Restore from the session attribute written by `attrs`; a resumed session keeps it."""
         parts: dict[str, Any] = {}
         file = ""
         build_part: type[Any]
         for name, build_part in (("home", HomeCalibration), ("latency", LatencyCalibration)):
-            if name in facts:
-                stored = dict(facts[name])
+            if name in attrs:
+                stored = dict(attrs[name])
                 file = str(stored.pop("file", ""))
                 values: dict[str, Any] = {
                     k: tuple(v) if isinstance(v, list) else v for k, v in stored.items()

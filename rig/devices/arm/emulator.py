@@ -25,10 +25,10 @@ import numpy as np
 from rig.core.clock import SECOND_NS, Clock, SystemClock
 from rig.core.emulation import Served, SharedWorld, emulator_parser, run_emulator
 from rig.core.errors import ConfigError
-from rig.core.fault_injection import Disturbance, spoilt_bytes
+from rig.core.fault_injection import FaultInjector, corrupted_bytes
 from rig.core.geometry import compose
 from rig.core.samples import ARM_TRUTH
-from rig.core.shared_memory import LatestRecord
+from rig.core.shared_memory import SharedLatest
 from rig.devices.arm import dashboard, emulator_faults, rtde
 from rig.devices.arm.emulated_arm import CYCLE, POSTURE, flange_pose
 from rig.devices.arm.emulated_controller import VERSION, Controller, dashboard_answer
@@ -137,7 +137,7 @@ class RtdeClient:
         peer: socket.socket,
         controller: Controller,
         owners: dict[str, RtdeClient],
-        line: Disturbance[bytes],
+        line: FaultInjector[bytes],
     ) -> None:
         self.peer = peer
         self._controller = controller
@@ -266,7 +266,7 @@ class ArmEmulator:
         controller: Controller,
         clock: Clock,
         *,
-        state: LatestRecord | None = None,
+        state: SharedLatest | None = None,
         world: SharedWorld | None = None,
     ) -> None:
         self._host = host
@@ -284,7 +284,7 @@ class ArmEmulator:
         self._thread: threading.Thread | None = None
         self._frozen_until_ns = 0
         # For the plug and for future clients; each client's packages have their own injector.
-        self._line = Disturbance[bytes](clock, spoil=spoilt_bytes, on_change=self._on_plug)
+        self._line = FaultInjector[bytes](clock, spoil=corrupted_bytes, on_change=self._on_plug)
         self.missed = 0
         """Cycles of host time for which the emulated controller's clock stood still."""
 
@@ -358,7 +358,7 @@ class ArmEmulator:
             self._owners = {k: owner for k, owner in self._owners.items() if owner is not client}
 
     def _new_rtde(self, peer: socket.socket) -> Client:
-        line = Disturbance[bytes](self._clock, spoil=spoilt_bytes)
+        line = FaultInjector[bytes](self._clock, spoil=corrupted_bytes)
         client = RtdeClient(peer, self._controller, self._owners, line)
         self._clients.append(client)
         return client
@@ -479,7 +479,7 @@ def _make(args: argparse.Namespace, world: SharedWorld) -> Served:
         controller = Controller(np.array(pose), tcp, force_limit=args.force_limit)
     except ValueError as error:
         raise ConfigError(str(error)) from error
-    state = LatestRecord.publish(args.state, ARM_TRUTH) if args.state else None
+    state = SharedLatest.publish(args.state, ARM_TRUTH) if args.state else None
     return Served(
         "arm", ArmEmulator(args.host, controller, SystemClock(), state=state, world=world)
     )

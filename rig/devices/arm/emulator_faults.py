@@ -36,7 +36,7 @@ class Network(Protocol):
         """Suspend RTDE for `seconds` [s], both ways."""
 
     def disturb(self, fault: str, **values: Any) -> dict[str, Any]:
-        """See `rig.core.fault_injection.Disturbance.inject`."""
+        """See `rig.core.fault_injection.FaultInjector.inject`."""
 
 
 def apply(controller: Controller, network: Network, fault: str, **values: Any) -> dict[str, Any]:

@@ -252,7 +252,7 @@ class RtdePoseDriver:
         return self._link.dropped + (self._inbox.overflowed if self._inbox else 0)
 
     @property
-    def refused(self) -> dict[str, int]:
+    def rejected(self) -> dict[str, int]:
         """Rejected packages, by reason."""
         return {"repeated": self._link.duplicates, "late": self._link.late}
 

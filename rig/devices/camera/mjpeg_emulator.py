@@ -35,12 +35,12 @@ from rig.core.emulation import (
     NamelessServer,
     Served,
     SharedWorld,
-    World,
+    WorldReader,
     emulator_parser,
     run_emulator,
 )
 from rig.core.errors import ConfigError
-from rig.core.fault_injection import Disturbance
+from rig.core.fault_injection import FaultInjector
 from rig.core.realtime import CAMERA_PRIORITY
 from rig.devices.camera.jpeg import frame_stamp, is_whole, jpeg_size, stamped, torn
 
@@ -228,7 +228,11 @@ class MjpegEmulator:
     """
 
     def __init__(
-        self, config: MjpegEmulatorConfig, source: FrameSource, world: World | None, clock: Clock
+        self,
+        config: MjpegEmulatorConfig,
+        source: FrameSource,
+        world: WorldReader | None,
+        clock: Clock,
     ) -> None:
         self._config = config
         self._source = source
@@ -241,7 +245,7 @@ class MjpegEmulator:
         self._number = 0
         self.missed = 0
         """Number of frames skipped as too late."""
-        self.disturbance = Disturbance[bytes](
+        self.faults = FaultInjector[bytes](
             clock, spoil=torn, mistake=_halved, on_change=self._on_plug
         )
         self._late: queue.SimpleQueue[tuple[int, tuple[bytes, ...]] | None] = queue.SimpleQueue()
@@ -286,10 +290,10 @@ class MjpegEmulator:
 
     def parts(self, jpeg: bytes) -> Iterable[bytes]:
         """Return the parts sent for one frame; faults and tests corrupt frames here."""
-        return tuple(_part(frame) for frame in self.disturbance.passed(jpeg))
+        return tuple(_part(frame) for frame in self.faults.passed(jpeg))
 
     def _on_plug(self) -> None:
-        if self.disturbance.unplugged and self._server is not None:
+        if self.faults.unplugged and self._server is not None:
             self._server.disconnect_all()
 
     def next_parts(self, sent: int) -> tuple[int, tuple[bytes, ...]] | None:
@@ -357,7 +361,7 @@ class _Server(ThreadingHTTPServer, NamelessServer):
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
         """Reject every client while the camera is unplugged."""
-        return not self.emulator.disturbance.unplugged
+        return not self.emulator.faults.unplugged
 
     def get_request(self) -> tuple[socket.socket, Any]:
         """Accept a client, with a send buffer that holds few frames."""
@@ -440,7 +444,7 @@ def _make(args: argparse.Namespace, world: SharedWorld) -> Served:
         raise ConfigError(str(error)) from error
     config = MjpegEmulatorConfig(args.host, args.port, args.fps, 1e-3 * args.delay_ms)
     emulator = MjpegEmulator(config, source, world if args.view else None, SystemClock())
-    return Served("camera", emulator, emulator.disturbance.inject, CAMERA_PRIORITY)
+    return Served("camera", emulator, emulator.faults.inject, CAMERA_PRIORITY)
 
 
 if __name__ == "__main__":

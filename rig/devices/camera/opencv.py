@@ -127,7 +127,7 @@ class OpenCvDriver:
         return self._inbox.overflowed
 
     @property
-    def refused(self) -> dict[str, int]:
+    def rejected(self) -> dict[str, int]:
         """Rejected frames, by reason."""
         return {"repeated": self.duplicates, "spoilt": self.corrupt}
 
@@ -289,11 +289,11 @@ class OpenCvDriver:
         if self._jpeg:
             value = frame.tobytes()
             if not is_whole(value):
-                self._spoilt("torn frames")
+                self._corrupt("torn frames")
                 return
             size = jpeg_size(value)
             if self._facts is not None and size != (self._config.width, self._config.height):
-                self._spoilt(f"frames of {size[0]}x{size[1]} px")
+                self._corrupt(f"frames of {size[0]}x{size[1]} px")
                 return
             if self._came_before(value):
                 return
@@ -335,7 +335,7 @@ class OpenCvDriver:
         self.duplicates += same
         return same
 
-    def _spoilt(self, what: str) -> None:
+    def _corrupt(self, what: str) -> None:
         self.corrupt += 1
         self._corrupt_in_a_row += 1
         if self._corrupt_in_a_row >= _CORRUPT_IN_A_ROW:

@@ -66,7 +66,7 @@ class AtiSerialDriver:
         return self.corrupt + self._inbox.overflowed
 
     @property
-    def refused(self) -> dict[str, int]:
+    def rejected(self) -> dict[str, int]:
         """Rejected records, by reason."""
         return {"spoilt": self.corrupt}
 

@@ -24,10 +24,10 @@ from pathlib import Path
 import numpy as np
 
 from rig.core.clock import Clock, Pacer, SystemClock
-from rig.core.emulation import Served, SharedWorld, World, emulator_parser, run_emulator
+from rig.core.emulation import Served, SharedWorld, WorldReader, emulator_parser, run_emulator
 from rig.core.errors import ConfigError
-from rig.core.fault_injection import Disturbance, spoilt_bytes
-from rig.devices.force.ati_serial_wire import PROMPT, Record, emit
+from rig.core.fault_injection import FaultInjector, corrupted_bytes
+from rig.devices.force.ati_serial_wire import PROMPT, SerialRecord, emit
 from rig.devices.force.settings import RECORD_BYTES
 
 logger = logging.getLogger(__name__)
@@ -62,9 +62,9 @@ class AtiSerialEmulatorConfig:
 class AtiSerialEmulator:
     """Emulated controller: one thread receives commands and sends records."""
 
-    def __init__(self, config: AtiSerialEmulatorConfig, world: World, clock: Clock) -> None:
+    def __init__(self, config: AtiSerialEmulatorConfig, world: WorldReader, clock: Clock) -> None:
         self._config = config
-        self.disturbance = Disturbance[bytes](clock, spoil=spoilt_bytes, seed=config.seed)
+        self.faults = FaultInjector[bytes](clock, spoil=corrupted_bytes, seed=config.seed)
         self._world = world
         self._clock = clock
         scale = np.repeat([config.counts_per_n, config.counts_per_n_mm * 1e3], 3)
@@ -131,7 +131,7 @@ class AtiSerialEmulator:
 
     def records(self, content: bytes) -> Iterable[bytes]:
         """Return the content sent for one record; faults and tests lose or corrupt bytes here."""
-        return self.disturbance.passed(content)
+        return self.faults.passed(content)
 
     def answer(self, command: str) -> bytes:
         """Return the answer to a command, between echo and prompt; tests reject commands here."""
@@ -157,19 +157,19 @@ class AtiSerialEmulator:
                 for content in self.records(emit(self._record(), self._form)):
                     self._send(content)
 
-    def _record(self) -> Record:
+    def _record(self) -> SerialRecord:
         _, state = self._world.state()
         self._row = (self._row + 1) % _NOISE_ROWS
         counts = np.rint(np.array(state["wrench"]) * self._scale + self._noise[self._row])
         error = _SATURATED if np.abs(counts).max() > _COUNTS_MAX else 0
         shown = counts.clip(-_COUNTS_MAX, _COUNTS_MAX).astype(int).tolist()
-        return Record(error, tuple(shown))
+        return SerialRecord(error, tuple(shown))
 
     def _take_commands(self, timeout: float) -> None:
         if not select.select([self._ours], [], [], timeout)[0]:
             return
         typed = os.read(self._ours, 256)
-        if self.disturbance.unplugged:
+        if self.faults.unplugged:
             return
         *lines, rest = (self._typed + typed).split(b"\r")
         self._typed = rest[-_LINE_MAX:]
@@ -226,7 +226,7 @@ def _make(args: argparse.Namespace, world: SharedWorld) -> Served:
         args.seed,
     )
     emulator = AtiSerialEmulator(config, world, SystemClock())
-    return Served("ati_serial", emulator, emulator.disturbance.inject)
+    return Served("ati_serial", emulator, emulator.faults.inject)
 
 
 if __name__ == "__main__":

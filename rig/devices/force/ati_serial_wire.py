@@ -28,7 +28,7 @@ _TEXT = re.compile(rb"(\d)" + rb",([ \d-]{6})" * 6 + rb"\r\n")
 _TEXT_EMITTED = b"%d" + b",%6d" * 6 + b"\r\n"
 
 
-class Record(NamedTuple):
+class SerialRecord(NamedTuple):
     """One record."""
 
     error: int
@@ -37,20 +37,20 @@ class Record(NamedTuple):
     """Fx Fy Fz Tx Ty Tz."""
 
 
-def emit(record: Record, form: str) -> bytes:
+def emit(record: SerialRecord, form: str) -> bytes:
     """Return the bytes of a record, as text (`ascii`) or `binary`."""
     if form == "binary":
         return BINARY.pack(record.error, *record.counts)
     return _TEXT_EMITTED % (record.error, *record.counts)
 
 
-def parse(content: bytes, form: str) -> Record | None:
+def parse(content: bytes, form: str) -> SerialRecord | None:
     """Return the record if `content` is exactly one record, else None."""
     if len(content) != RECORD_BYTES[form]:
         return None
     if form == "binary":
         error, *counts = BINARY.unpack(content)
-        return Record(error, tuple(counts))
+        return SerialRecord(error, tuple(counts))
     match = _TEXT.fullmatch(content)
     if match is None:
         return None
@@ -58,13 +58,13 @@ def parse(content: bytes, form: str) -> Record | None:
         error, *counts = (int(field) for field in match.groups())
     except ValueError:
         return None
-    return Record(error, tuple(counts))
+    return SerialRecord(error, tuple(counts))
 
 
 class Found(NamedTuple):
     """A record found in a stream."""
 
-    record: Record
+    record: SerialRecord
     behind: int
     """Number of bytes received after it."""
     lost: int
@@ -113,7 +113,7 @@ class BinaryFramer:
     doubtful: bool = False
     """True if a record did not fit the previous one: only a restart shows where records begin."""
     _rest: bytes = b""
-    _before: Record | None = None
+    _before: SerialRecord | None = None
     _confirmed: bool = False
 
     def feed(self, content: bytes) -> list[Found]:
@@ -122,7 +122,7 @@ class BinaryFramer:
         found = []
         while len(self._rest) >= BINARY.size and not self.doubtful:
             error, *counts = BINARY.unpack_from(self._rest)
-            record, before = Record(error, tuple(counts)), self._before
+            record, before = SerialRecord(error, tuple(counts)), self._before
             self._rest, self._before = self._rest[BINARY.size :], record
             if before is None:
                 continue
@@ -136,7 +136,7 @@ class BinaryFramer:
             found.append(Found(record, behind, 0))
         return found
 
-    def _fits(self, before: Record, record: Record) -> bool:
+    def _fits(self, before: SerialRecord, record: SerialRecord) -> bool:
         return record.error == before.error and all(
             abs(new - old) <= most
             for new, old, most in zip(record.counts, before.counts, self.jumps, strict=True)

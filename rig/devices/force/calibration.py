@@ -24,7 +24,7 @@ Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Calibration:
+class TransducerCalibration:
     """Calibration of one transducer, which converts its voltages to a wrench."""
 
     serial: str
@@ -65,7 +65,7 @@ class Calibration:
         beyond = np.abs(np.asarray(wrench, np.float64)) > np.array(self.rated)
         return np.asarray(beyond.any(axis=-1))
 
-    def moved(self, tool: ToolTransform) -> Calibration:
+    def moved(self, tool: ToolTransform) -> TransducerCalibration:
         """Return the calibration of the same transducer in a tool's frame.
 
         The tool's origin is at d from the transducer's, in the transducer's axes; the axes are then
@@ -89,7 +89,7 @@ def _turn(rotation: tuple[float, float, float]) -> Array:
     return turn
 
 
-# An ATI calibration file (`.cal`): XML, one `FTSensor` with one `Calibration` in it.
+# An ATI calibration file (`.cal`): XML, one `FTSensor` with one `TransducerCalibration` in it.
 #
 # According to the file's own header, the matrix to use is the `UserAxis` rows, in `ForceUnits` and
 # `TorqueUnits` per volt, with the rated range of each axis in `max`; the `Axis` rows are the
@@ -132,7 +132,7 @@ _BYTES_MAX = 1 << 20
 _CONDITION_MAX = 1e6
 
 
-def read_calibration(path: Path) -> Calibration:
+def read_calibration(path: Path) -> TransducerCalibration:
     """Read the calibration in a `.cal` file.
 
     Raises:
@@ -149,7 +149,7 @@ def read_calibration(path: Path) -> Calibration:
     return parse_calibration(content, str(path))
 
 
-def parse_calibration(content: bytes, where: str) -> Calibration:
+def parse_calibration(content: bytes, where: str) -> TransducerCalibration:
     """Parse the content of a `.cal` file.
 
     Args:
@@ -193,7 +193,7 @@ def parse_calibration(content: bytes, where: str) -> Calibration:
     bipolar = element.get("OutputBipolar", "True").strip().lower()
     if bipolar not in ("true", "false"):
         raise ConfigError(f"{where}.OutputBipolar: found {bipolar!r}; allowed: True, False")
-    return Calibration(
+    return TransducerCalibration(
         serial=_attribute(root, "Serial", where),
         part=element.get("PartNumber", ""),
         matrix=matrix,
@@ -203,7 +203,7 @@ def parse_calibration(content: bytes, where: str) -> Calibration:
 
 
 def emit_calibration(
-    calibration: Calibration,
+    calibration: TransducerCalibration,
     *,
     body: str = "Nano17",
     force_unit: str = "N",

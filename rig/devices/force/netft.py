@@ -202,7 +202,7 @@ class NetFtDriver:
         return self._gaps + self._inbox.overflowed
 
     @property
-    def refused(self) -> dict[str, int]:
+    def rejected(self) -> dict[str, int]:
         """Rejected packets, by reason."""
         return {"repeated": self.duplicates, "late": self.late, "spoilt": self.corrupt}
 

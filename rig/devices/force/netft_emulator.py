@@ -28,11 +28,11 @@ from rig.core.emulation import (
     NamelessServer,
     Served,
     SharedWorld,
-    World,
+    WorldReader,
     emulator_parser,
     run_emulator,
 )
-from rig.core.fault_injection import Disturbance, spoilt_bytes
+from rig.core.fault_injection import FaultInjector, corrupted_bytes
 from rig.devices.force.netft_wire import (
     COMMAND_BIAS,
     COMMAND_REALTIME,
@@ -69,12 +69,12 @@ class NetFtEmulatorConfig:
 class NetFtEmulator:
     """Emulated box: one thread sends records and receives commands, others answer HTTP."""
 
-    def __init__(self, config: NetFtEmulatorConfig, world: World, clock: Clock) -> None:
+    def __init__(self, config: NetFtEmulatorConfig, world: WorldReader, clock: Clock) -> None:
         self.page = config.page
         self._config = config
         self._scale = np.repeat(config.page.scale(), 3)
-        self.disturbance = Disturbance[bytes](
-            clock, spoil=spoilt_bytes, on_change=self._on_disturbance, seed=config.seed
+        self.faults = FaultInjector[bytes](
+            clock, spoil=corrupted_bytes, on_change=self._on_disturbance, seed=config.seed
         )
         self._world = world
         self._clock = clock
@@ -136,10 +136,10 @@ class NetFtEmulator:
 
     def packets(self, packet: bytes) -> Iterable[bytes]:
         """Return the packets sent for one record; faults and tests corrupt packets here."""
-        return self.disturbance.passed(packet)
+        return self.faults.passed(packet)
 
     def _on_disturbance(self) -> None:
-        wrong, own = self.disturbance.wrong_units, self._config.page
+        wrong, own = self.faults.wrong_units, self._config.page
         units = _WRONG_UNITS if wrong else (own.force_unit, own.torque_unit)
         self.page = replace(self.page, force_unit=units[0], torque_unit=units[1])
         self._scale = np.repeat(self.page.scale(), 3)
@@ -201,7 +201,7 @@ class NetFtEmulator:
             except OSError:
                 return
             request = parse_request(packet)
-            if request is None or self.disturbance.unplugged:
+            if request is None or self.faults.unplugged:
                 continue
             command, samples = request
             if command == COMMAND_REALTIME:
@@ -223,7 +223,7 @@ class _HttpServer(ThreadingHTTPServer, NamelessServer):
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
         """Reject every client while the box is unplugged."""
-        return not self.emulator.disturbance.unplugged
+        return not self.emulator.faults.unplugged
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Log at debug level: a client that leaves before its answer is no error."""
@@ -279,7 +279,7 @@ def _make(args: argparse.Namespace, world: SharedWorld) -> Served:
         args.host, args.http_port, args.udp_port, page, args.noise, args.seed
     )
     emulator = NetFtEmulator(config, world, SystemClock())
-    return Served("netft", emulator, emulator.disturbance.inject)
+    return Served("netft", emulator, emulator.faults.inject)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from rig.core.clock import Clock, Pacer
 from rig.core.driver import Inbox, Receiver
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.packaged import BENCHES, packaged
-from rig.devices.force.calibration import Calibration, read_calibration
+from rig.devices.force.calibration import TransducerCalibration, read_calibration
 from rig.devices.force.sample_clock import BEYOND_RATING, LOST_BEFORE, SATURATED, SampleTimeline
 from rig.devices.force.settings import NidaqConfig
 
@@ -48,7 +48,7 @@ class NidaqDriver:
         self._inbox = Inbox(clock, _CAPACITY)
         self._receiver: Receiver | None = None
         self._task: AnalogTask | None = None
-        self._calibration: Calibration | None = None
+        self._calibration: TransducerCalibration | None = None
         self._pacer = Pacer(clock, _POLL_HZ)
         self._timeline = SampleTimeline(config.rate_hz)
         self._taken = 0

@@ -29,10 +29,10 @@ from nidaqmx._stubs import nidaqmx_pb2 as pb
 from nidaqmx._stubs import nidaqmx_pb2_grpc as stubs
 
 from rig.core.clock import Clock, Pacer, SystemClock
-from rig.core.emulation import Served, SharedWorld, World, emulator_parser, run_emulator
-from rig.core.fault_injection import Disturbance
+from rig.core.emulation import Served, SharedWorld, WorldReader, emulator_parser, run_emulator
+from rig.core.fault_injection import FaultInjector
 from rig.core.packaged import BENCHES, packaged
-from rig.devices.force.calibration import Calibration, read_calibration
+from rig.devices.force.calibration import TransducerCalibration, read_calibration
 
 # Inputs of an emulated task of an NI card, and the buffer filled by its sample clock.
 
@@ -357,7 +357,7 @@ _BITS = 16
 class NidaqEmulatorConfig:
     """Address of the emulated card, and the transducer connected to it."""
 
-    calibration: Calibration
+    calibration: TransducerCalibration
     host: str = "127.0.0.1"
     port: int = 31763
     device: str = "Dev1"
@@ -374,9 +374,9 @@ class NidaqEmulatorConfig:
 class NidaqEmulator:
     """Emulated card: one thread is its sample clock, others answer calls."""
 
-    def __init__(self, config: NidaqEmulatorConfig, world: World, clock: Clock) -> None:
+    def __init__(self, config: NidaqEmulatorConfig, world: WorldReader, clock: Clock) -> None:
         self.config = config
-        self.disturbance = Disturbance[Array](clock, spoil=_spoilt, seed=config.seed)
+        self.faults = FaultInjector[Array](clock, spoil=_corrupt, seed=config.seed)
         self._world = world
         self._clock = clock
         self.missed = 0
@@ -399,7 +399,7 @@ class NidaqEmulator:
     @property
     def unplugged(self) -> bool:
         """True if the card is out of the computer that serves it."""
-        return self.disturbance.unplugged
+        return self.faults.unplugged
 
     def start(self) -> None:
         """Start serving.
@@ -433,7 +433,7 @@ class NidaqEmulator:
 
         Faults and tests stop the sample clock (no row) and corrupt voltages here.
         """
-        passed = self.disturbance.passed(volts)
+        passed = self.faults.passed(volts)
         return np.concatenate(passed) if passed else volts[:0]
 
     def converted(self, channels: Sequence[Channel]) -> Array:
@@ -467,7 +467,7 @@ class NidaqEmulator:
                 buffer.put(rows)
 
 
-def _spoilt(volts: Array, rng: random.Random) -> Array:
+def _corrupt(volts: Array, rng: random.Random) -> Array:
     """Return random voltages of the same shape."""
     low, high = -10.0, 10.0
     return np.array([[rng.uniform(low, high) for _ in row] for row in volts])
@@ -495,7 +495,7 @@ def _make(args: argparse.Namespace, world: SharedWorld) -> Served:
         seed=args.seed,
     )
     emulator = NidaqEmulator(config, world, SystemClock())
-    return Served("nidaq", emulator, emulator.disturbance.inject)
+    return Served("nidaq", emulator, emulator.faults.inject)
 
 
 if __name__ == "__main__":

@@ -378,11 +378,11 @@ class GripWatch:
                 f"gripper at {self._config.port}: does not hold the indenter: {why} "
                 f"({status.text}); put it between the fingers, then run: make grip"
             )
-        facts = self._driver.describe()
+        description = self._driver.describe()
         logger.info("preflight  gripper %s", status.text)
         self._thread = threading.Thread(target=self._run, args=(status,), name="grip")
         self._thread.start()
-        return facts
+        return description
 
     def close(self) -> None:
         """Stop polling; the gripper keeps holding. May be called twice."""

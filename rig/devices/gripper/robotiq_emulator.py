@@ -26,7 +26,7 @@ from typing import Any
 
 from rig.core.clock import SECOND_NS, Clock, SystemClock
 from rig.core.emulation import Served, SharedWorld, emulator_parser, run_emulator
-from rig.core.fault_injection import Disturbance, spoilt_bytes
+from rig.core.fault_injection import FaultInjector, corrupted_bytes
 from rig.devices.gripper.robotiq_wire import (
     ACTIVATING,
     ACTIVE,
@@ -207,7 +207,7 @@ class RobotiqEmulator:
         self, fingers: Fingers, link: Path, clock: Clock, *, slave: int = 9, seed: int = 0
     ) -> None:
         self.fingers = fingers
-        self.disturbance = Disturbance[bytes](clock, spoil=spoilt_bytes, seed=seed)
+        self.faults = FaultInjector[bytes](clock, spoil=corrupted_bytes, seed=seed)
         self.requests = 0
         """Number of requests answered so far."""
         self._link = link
@@ -255,9 +255,9 @@ class RobotiqEmulator:
         if fault in own:
             with self._lock:
                 own[fault]()
-            line = self.disturbance.inject("state")
+            line = self.faults.inject("state")
         else:
-            line = self.disturbance.inject(fault, **values)
+            line = self.faults.inject(fault, **values)
         return {**line, "requests": self.requests}
 
     def _plug(self) -> None:
@@ -282,7 +282,7 @@ class RobotiqEmulator:
         pending = b""
         while not self._ending.is_set():
             # Only this thread opens and closes the pty, so that no reused descriptor is read.
-            if self.disturbance.unplugged:
+            if self.faults.unplugged:
                 self._unplug()
                 self._ending.wait(0.01)
                 continue
@@ -311,7 +311,7 @@ class RobotiqEmulator:
             with self._lock:
                 reply = self._answer(request)
             self.requests += 1
-            for message in self.disturbance.passed(reply):
+            for message in self.faults.passed(reply):
                 os.write(fd, message)
         return pending
 

@@ -27,7 +27,7 @@ from typing import Any
 from rig.core.clock import SECOND_NS, Clock, Pacer, SystemClock
 from rig.core.emulation import Served, SharedWorld, emulator_parser, run_emulator
 from rig.core.errors import ConfigError
-from rig.core.fault_injection import Disturbance, spoilt_bytes
+from rig.core.fault_injection import FaultInjector, corrupted_bytes
 from rig.devices.hid.reports import Axes, CapReport, emit_cap, emit_keys
 
 _RATE_HZ = 60.0
@@ -95,7 +95,7 @@ class HidEmulator:
             raise ConfigError(f"kind: found {kind!r}; allowed: {', '.join(KINDS)}")
         if path.suffix != ".hidraw":
             raise ConfigError(f"{path}: allowed: a name that ends with .hidraw")
-        self.disturbance = Disturbance[bytes](clock, spoil=spoilt_bytes, seed=seed)
+        self.faults = FaultInjector[bytes](clock, spoil=corrupted_bytes, seed=seed)
         self._kind = kind
         self._path = path
         self._clock = clock
@@ -146,14 +146,14 @@ class HidEmulator:
         }
         if fault in own:
             own[fault]()
-            line = self.disturbance.inject("state")
+            line = self.faults.inject("state")
         else:
-            line = self.disturbance.inject(fault, **values)
+            line = self.faults.inject(fault, **values)
         return {**line, "clients": len(self._clients)}
 
     def send(self, report: bytes) -> None:
         """Send one report to every client that has the node open."""
-        for message in self.disturbance.passed(report):
+        for message in self.faults.passed(report):
             with self._lock:
                 for client in tuple(self._clients):
                     try:
@@ -208,7 +208,7 @@ class HidEmulator:
         while not self._ending.is_set():
             pacer.wait()
             self.missed = pacer.missed
-            if self.disturbance.unplugged:
+            if self.faults.unplugged:
                 self._unplug()
                 continue
             if self._listener is None:

@@ -139,11 +139,11 @@ class PedalWatch:
             DeviceLost: The pedal is missing, or may not be read.
         """
         self._driver.open()
-        facts = self._driver.describe()
-        logger.info("preflight  foot pedal at %s (%s)", facts["path"], self._config.mode)
+        description = self._driver.describe()
+        logger.info("preflight  foot pedal at %s (%s)", description["path"], self._config.mode)
         self._thread = threading.Thread(target=self._run, name="pedal")
         self._thread.start()
-        return facts
+        return description
 
     @property
     def out_for(self) -> float | None:

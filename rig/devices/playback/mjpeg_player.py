@@ -9,7 +9,7 @@ from __future__ import annotations
 import socket
 
 from recorder import SessionError
-from rig.devices.playback.wire import Listener, Tape
+from rig.devices.playback.wire import Listener, RecordedStream
 
 PORT = 8081
 _BOUNDARY = "tactile-rig-frame"
@@ -18,19 +18,19 @@ _REQUEST_BYTES_MAX = 1 << 16
 _TORN = b"\xff\xd8"
 
 
-class MjpegOutlet:
+class MjpegPlayback:
     """Emulated camera that sends MJPEG over HTTP.
 
     Args:
-        tape: A camera stream that holds JPEG files.
+        recorded: A camera stream that holds JPEG files.
         host: Address to listen on.
     """
 
     window = 32
     """The driver keeps 120 frames for a late recorder."""
 
-    def __init__(self, tape: Tape, host: str) -> None:
-        self._tape = tape
+    def __init__(self, recorded: RecordedStream, host: str) -> None:
+        self._recorded = recorded
         self._listener = Listener(host, PORT, self._greet)
 
     @property
@@ -52,7 +52,7 @@ class MjpegOutlet:
         Raises:
             OSError: The client is gone.
         """
-        self._listener.send(_part(self._jpeg(self._tape.rows[place])))
+        self._listener.send(_part(self._jpeg(self._recorded.rows[place])))
 
     def idle(self) -> None:
         """Do nothing: a camera sends only frames."""
@@ -67,7 +67,7 @@ class MjpegOutlet:
         self._listener.close()
 
     def _jpeg(self, row: int) -> bytes:
-        jpeg = self._tape.stream.jpeg(row)
+        jpeg = self._recorded.stream.jpeg(row)
         if jpeg is None:
             raise SessionError("streams/camera: stored as pixels, not as JPEG")
         return jpeg
@@ -83,7 +83,7 @@ class MjpegOutlet:
             b"HTTP/1.0 200 OK\r\nCache-Control: no-store\r\n"
             b"Content-Type: multipart/x-mixed-replace; boundary=" + _BOUNDARY.encode() + b"\r\n\r\n"
         )
-        first = min(self._tape.rows.start, len(self._tape.stream) - 1)
+        first = min(self._recorded.rows.start, len(self._recorded.stream) - 1)
         for _ in range(_LEAD_IN):
             client.sendall(_part(self._jpeg(first)))
         return True

@@ -21,32 +21,32 @@ from rig.devices.force.netft_wire import (
     emit_page,
     parse_request,
 )
-from rig.devices.playback.wire import Tape, force_bias, force_counts, force_page
+from rig.devices.playback.wire import RecordedStream, force_bias, force_counts, force_page
 
 HTTP_PORT, UDP_PORT = 8080, 49152
 _POLL = 0.1
 
 
-class NetFtOutlet:
+class NetFtPlayback:
     """Emulated box that serves its settings page and its records.
 
     Args:
-        tape: A force stream.
+        recorded: A force stream.
         host: Address to listen on.
     """
 
     window = 128
     """A socket of the default size holds 250 packets."""
 
-    def __init__(self, tape: Tape, host: str) -> None:
+    def __init__(self, recorded: RecordedStream, host: str) -> None:
         self._host = host
-        self._page = emit_page(force_page(tape.stream))
-        rows = slice(tape.rows.start, tape.rows.stop)
-        value = tape.stream.array("value")[rows]
-        counts = force_counts(value, force_bias(tape.stream), force_page(tape.stream))
+        self._page = emit_page(force_page(recorded.stream))
+        rows = slice(recorded.rows.start, recorded.rows.stop)
+        value = recorded.stream.array("value")[rows]
+        counts = force_counts(value, force_bias(recorded.stream), force_page(recorded.stream))
         self._counts = counts if len(counts) else np.zeros((1, 6), np.int64)
-        self._seq = (tape.stream.array("seq")[rows] & 0xFFFFFFFF).tolist() or [1]
-        self._status = tape.stream.array("status")[rows].tolist() or [0]
+        self._seq = (recorded.stream.array("seq")[rows] & 0xFFFFFFFF).tolist() or [1]
+        self._status = recorded.stream.array("status")[rows].tolist() or [0]
         self._udp: socket.socket | None = None
         self._http: HTTPServer | None = None
         self._peer: tuple[str, int] | None = None

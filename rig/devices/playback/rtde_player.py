@@ -11,7 +11,7 @@ import socket
 
 from rig.devices.arm import rtde
 from rig.devices.arm.emulated_controller import VERSION
-from rig.devices.playback.wire import Listener, Tape
+from rig.devices.playback.wire import Listener, RecordedStream
 
 _RECIPE = 1
 _TEXT = b"replay: no pose is due"
@@ -26,22 +26,22 @@ _NORMAL = 1
 _RUNNING = 7
 
 
-class RtdeOutlet:
+class RtdePlayback:
     """Emulated controller that sends RTDE data packages.
 
     Args:
-        tape: A pose stream.
+        recorded: A pose stream.
         host: Address to listen on.
     """
 
     window = 500
     """The reader keeps 10 000 packages for a late recorder."""
 
-    def __init__(self, tape: Tape, host: str) -> None:
-        rows = slice(tape.rows.start, tape.rows.stop)
-        self._pose = tape.stream.array("value")[rows].tolist()
-        self._device_t = tape.stream.array("device_t")[rows].tolist()
-        self._scaling = tape.stream.array("speed_scaling")[rows].tolist()
+    def __init__(self, recorded: RecordedStream, host: str) -> None:
+        rows = slice(recorded.rows.start, recorded.rows.stop)
+        self._pose = recorded.stream.array("value")[rows].tolist()
+        self._device_t = recorded.stream.array("device_t")[rows].tolist()
+        self._scaling = recorded.stream.array("speed_scaling")[rows].tolist()
         self._names: list[str] = []
         self._types: tuple[str, ...] = ()
         self._listener = Listener(host, rtde.PORT, self._greet)

@@ -238,7 +238,7 @@ def _refuse(name: str, rows: slice, bad: npt.NDArray[Any], what: str) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class Tape:
+class RecordedStream:
     """Rows of one stream in one run."""
 
     stream: Stream
@@ -249,7 +249,9 @@ class Tape:
     """Times of the rows since the run's first sample in any stream [ns]."""
 
 
-def load_tape(session: Session, names: tuple[str, ...], name: str, run: int) -> Tape:
+def load_recorded_stream(
+    session: Session, names: tuple[str, ...], name: str, run: int
+) -> RecordedStream:
     """Return the rows of stream `name` in a run, timed from the first sample of any of `names`.
 
     Raises:
@@ -258,7 +260,7 @@ def load_tape(session: Session, names: tuple[str, ...], name: str, run: int) -> 
     stream = session.streams[name]
     rows = session.rows_of_run(name, run)
     start = origin_ns(session, names, run) or 0
-    return Tape(stream, range(*rows.indices(len(stream))), stream.t_ns[rows] - start)
+    return RecordedStream(stream, range(*rows.indices(len(stream))), stream.t_ns[rows] - start)
 
 
 # TCP port whose clients are greeted one after the other; the latest one is kept.

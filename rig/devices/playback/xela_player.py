@@ -16,27 +16,27 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.server import Server, ServerConnection
 from websockets.sync.server import serve as listen
 
-from rig.devices.playback.wire import Tape, stated_rate
+from rig.devices.playback.wire import RecordedStream, stated_rate
 from rig.devices.taxels.xela_emulator import emit
 
 PORT = 5000
 
 
-class XelaOutlet:
+class XelaPlayback:
     """Emulated server that sends scans over WebSocket.
 
     Args:
-        tape: A taxel stream.
+        recorded: A taxel stream.
         host: Address to listen on.
     """
 
     window = 128
     """The driver keeps 10 000 scans for a late recorder."""
 
-    def __init__(self, tape: Tape, host: str) -> None:
+    def __init__(self, recorded: RecordedStream, host: str) -> None:
         self._host = host
-        rows = slice(tape.rows.start, tape.rows.stop)
-        stream = tape.stream
+        rows = slice(recorded.rows.start, recorded.rows.stop)
+        stream = recorded.stream
         counts = stream.array("value")[rows].reshape(-1, 48)
         self._counts = counts if len(counts) else np.zeros((1, 48), np.int32)
         self._seq = stream.array("seq")[rows].tolist() or [1]

@@ -68,7 +68,7 @@ class XelaDriver:
         return self._gaps + self._inbox.overflowed
 
     @property
-    def refused(self) -> dict[str, int]:
+    def rejected(self) -> dict[str, int]:
         """Rejected scans, by reason."""
         return {"repeated": self.duplicates, "late": self.late, "spoilt": self.corrupt}
 
@@ -131,18 +131,18 @@ class XelaDriver:
         """Return model, layout and the rate that the server stated in its first scan."""
         if self._first is None:
             raise DeviceLost(f"{self._config.address}: not open")
-        facts = self._first.facts
-        ups = facts.get("ups")
+        description = self._first.description
+        ups = description.get("ups")
         return {
             "device": "XELA uSkin",
             "address": self._config.address,
             "sensor": self._config.sensor,
-            "model": facts.get("model"),
+            "model": description.get("model"),
             "taxels": self._config.taxels,
             "unit": "counts",
-            "layout": "1.8" if "time" in facts else "1.7",
+            "layout": "1.8" if "time" in description else "1.7",
             "rate_hz": float(ups[0]) if isinstance(ups, list) and ups else None,
-            "vendor_calibration": isinstance(facts.get("calibrated"), list),
+            "vendor_calibration": isinstance(description.get("calibrated"), list),
             "device_clock": "utc" if np.isfinite(self._first.device_t) else "none",
         }
 

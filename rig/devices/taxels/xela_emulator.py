@@ -30,9 +30,9 @@ from websockets.sync.server import Server, ServerConnection
 from websockets.sync.server import serve as listen
 
 from rig.core.clock import SECOND_NS, Clock, ClockAnchor, Pacer, SystemClock
-from rig.core.emulation import Served, SharedWorld, World, emulator_parser, run_emulator
+from rig.core.emulation import Served, SharedWorld, WorldReader, emulator_parser, run_emulator
 from rig.core.errors import ConfigError
-from rig.core.fault_injection import Disturbance, spoilt_text
+from rig.core.fault_injection import FaultInjector, spoilt_text
 
 Log = npt.NDArray[np.float64]
 
@@ -88,7 +88,7 @@ class XelaEmulator:
         clock: Paces the scans.
     """
 
-    def __init__(self, config: XelaEmulatorConfig, source: World | Log, clock: Clock) -> None:
+    def __init__(self, config: XelaEmulatorConfig, source: WorldReader | Log, clock: Clock) -> None:
         self._config = config
         self._source = source
         self._clock = clock
@@ -102,7 +102,7 @@ class XelaEmulator:
         self._number = 0
         self.missed = 0
         """Number of scans skipped as too late."""
-        self.disturbance = Disturbance[str](
+        self.faults = FaultInjector[str](
             clock,
             spoil=spoilt_text,
             mistake=_shortened,
@@ -153,10 +153,10 @@ class XelaEmulator:
 
     def messages(self, message: str) -> Iterable[str]:
         """Return the messages sent for one scan; faults and tests corrupt messages here."""
-        return self.disturbance.passed(message)
+        return self.faults.passed(message)
 
     def _on_plug(self) -> None:
-        if not self.disturbance.unplugged:
+        if not self.faults.unplugged:
             return
         with self._changed:
             clients = tuple(self._clients)
@@ -196,7 +196,7 @@ class XelaEmulator:
         return whole
 
     def _serve_client(self, connection: ServerConnection) -> None:
-        if self.disturbance.unplugged:
+        if self.faults.unplugged:
             _cut(connection)
             return
         with self._changed:
@@ -280,7 +280,7 @@ def _make(args: argparse.Namespace, world: SharedWorld) -> Served:
     except (OSError, ValueError) as error:
         raise ConfigError(f"--source: {error}") from error
     emulator = XelaEmulator(config, world if log is None else log, SystemClock())
-    return Served("xela", emulator, emulator.disturbance.inject)
+    return Served("xela", emulator, emulator.faults.inject)
 
 
 if __name__ == "__main__":

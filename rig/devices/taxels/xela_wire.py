@@ -41,7 +41,7 @@ class Scan(NamedTuple):
     """The server's time of the scan, seconds since 1970; NaN if not given."""
     counts: npt.NDArray[np.int32]
     """Raw counts, (taxels, 3)."""
-    facts: dict[str, Any]
+    description: dict[str, Any]
     """Other entries of the sensor's part, without the data."""
 
 
@@ -75,7 +75,7 @@ def parse(text: str | bytes, sensor: str, taxels: int) -> Scan | None:
         message=number,
         device_t=_time(part, message),
         counts=np.array(_values(part, taxels), np.int32).reshape(taxels, 3),
-        facts={key: value for key, value in part.items() if key != "data"},
+        description={key: value for key, value in part.items() if key != "data"},
     )
 
 

@@ -18,7 +18,7 @@ from rig.core.clock import SystemClock
 from rig.core.emulation import Served, SharedWorld, emulator_parser, run_emulator
 from rig.core.errors import ConfigError
 from rig.core.samples import ARM_TRUTH, WORLD_STATE
-from rig.core.shared_memory import LatestRecord
+from rig.core.shared_memory import SharedLatest
 from rig.mock.world import build_world
 from rig.mock.world.analytic import World
 from rig.mock.world.truth import TruthLog
@@ -38,7 +38,7 @@ class WorldHost:
     """
 
     def __init__(
-        self, world: World, arm: LatestRecord, states: LatestRecord, truth: TruthLog | None
+        self, world: World, arm: SharedLatest, states: SharedLatest, truth: TruthLog | None
     ) -> None:
         self._world = world
         self._arm = arm
@@ -99,8 +99,8 @@ def _make(args: argparse.Namespace, _: SharedWorld) -> Served:
         raise ConfigError("--world: missing; allowed: the file to publish states to")
     host = WorldHost(
         build_world(args.spec),
-        LatestRecord.attach(args.arm, ARM_TRUTH),
-        LatestRecord.attach(args.world, WORLD_STATE, writable=True),
+        SharedLatest.attach(args.arm, ARM_TRUTH),
+        SharedLatest.attach(args.world, WORLD_STATE, writable=True),
         TruthLog(args.truth) if args.truth else None,
     )
     return Served("world", host)

@@ -18,7 +18,7 @@ from rig.core.clock import SECOND_NS
 from rig.core.errors import ConfigError
 from rig.core.geometry import matrix_from_vector
 from rig.core.samples import PRESS_STATE, WORLD_STATE, surface_state
-from rig.core.shared_memory import AwaitedRecord, LatestRecord
+from rig.core.shared_memory import AwaitedRecord, SharedLatest
 from rig.mock.world.picture import MarkerPicture
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ class SimulatedWorld:
     def __init__(self, spec: SimulatedSpec, contact_frame: tuple[float, ...], folder: Path) -> None:
         self._spec = spec
         self._frame = ContactFrame(contact_frame)
-        self._presses = LatestRecord.attach(folder / PRESS_FILE, PRESS_STATE)
+        self._presses = SharedLatest.attach(folder / PRESS_FILE, PRESS_STATE)
         self._count = 0
         self._between = Between(round(SECOND_NS / spec.rate_hz))
 

@@ -24,7 +24,7 @@ from rig.core.emulation import emulator_parser, serve
 from rig.core.errors import EXIT_DEVICE_LOST, ConfigError
 from rig.core.realtime import SOLVER_PRIORITY
 from rig.core.samples import ARM_TRUTH, PRESS_STATE, surface_state
-from rig.core.shared_memory import LatestRecord
+from rig.core.shared_memory import SharedLatest
 from rig.mock.world import read_file
 from rig.mock.world.simulated import PRESS_FILE, SURFACE_FILE, ContactFrame, live_sensor
 
@@ -44,9 +44,9 @@ class Shared:
 
     def __init__(self, folder: Path, live: LiveSensor) -> None:
         self._live = live
-        self._presses = LatestRecord.attach(folder / PRESS_FILE, PRESS_STATE, writable=True)
+        self._presses = SharedLatest.attach(folder / PRESS_FILE, PRESS_STATE, writable=True)
         shape = live.press.grid.shape
-        self._surfaces = LatestRecord.create(folder / SURFACE_FILE, surface_state(shape))
+        self._surfaces = SharedLatest.create(folder / SURFACE_FILE, surface_state(shape))
         self._press: np.void = np.zeros(1, PRESS_STATE)[0]
         effects = live.press.scene.effects
         self._press["friction"] = effects.friction.coefficient if effects.friction else 0.0
@@ -89,7 +89,7 @@ class Solver:
         self,
         live: LiveSensor,
         frame: ContactFrame,
-        arm: LatestRecord,
+        arm: SharedLatest,
         shared: Shared,
         spec: SimulatedSpec,
         clock: Clock,
@@ -195,7 +195,7 @@ def main(argv: list[str] | None = None) -> int:
     except ConfigError as error:
         parser.error(str(error))
     shared = Shared(file.folder, live)
-    arm = LatestRecord.attach(options.arm, ARM_TRUTH)
+    arm = SharedLatest.attach(options.arm, ARM_TRUTH)
     clock = SystemClock()
     frame = ContactFrame(file.contact_frame)
     solver = Solver(live, frame, arm, shared, file.world, clock)

@@ -31,7 +31,7 @@ def is_loopback(host: str) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class Gate:
+class AccessPolicy:
     """Access policy of the page."""
 
     host: str = LOOPBACK_HOST

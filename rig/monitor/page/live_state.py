@@ -31,7 +31,7 @@ TRACE_SECONDS = 20.0
 Point = tuple[float, float | None, float | None, float | None]
 
 
-class Look:
+class LiveState:
     """Newest samples of all streams.
 
     Args:

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from rig.acquire.request import Order
+from rig.acquire.request import CollectRequest
 from rig.bench.bench import Bench
-from rig.monitor.page.access import Gate
+from rig.monitor.page.access import AccessPolicy
 from trajectories import Plan, PressShear
 
 Outcome = Literal["open", "done", "limited"]
@@ -41,7 +41,7 @@ class Spot:
 class PageJob:
     """Settings of the page's process."""
 
-    gate: Gate
+    access: AccessPolicy
     """Address to listen on, and access policy."""
     bench: Bench
     """Bench whose streams and limits are shown."""
@@ -84,7 +84,12 @@ class Snapshot:
 
 
 def page_job(
-    gate: Gate, bench: Bench, folder: Path, order: Order, plan: Plan, total: int
+    access: AccessPolicy,
+    bench: Bench,
+    folder: Path,
+    request: CollectRequest,
+    plan: Plan,
+    total: int,
 ) -> PageJob:
     """Return the page's settings for a collection of the first `total` targets of `plan`."""
     spots = tuple(
@@ -93,4 +98,4 @@ def page_job(
         if target.index < total
     )
     directions = plan.direction_count if isinstance(plan, PressShear) else 1
-    return PageJob(gate, bench, folder, order.path, spots, directions, bench.indenter)
+    return PageJob(access, bench, folder, request.path, spots, directions, bench.indenter)

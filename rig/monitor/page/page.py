@@ -72,7 +72,7 @@ class Page:
         self._control: Control | None = None
         self._ending = threading.Event()
         self._log = _LogLines()
-        self.port = job.gate.port
+        self.port = job.access.port
         """Port of the server, once started."""
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
@@ -83,11 +83,11 @@ class Page:
     @property
     def url(self) -> str:
         """Address to open, with the token if it is required. Printed, never logged."""
-        gate = self._job.gate
-        host = f"[{gate.host}]" if ":" in gate.host else gate.host
-        if gate.host in ("0.0.0.0", "::"):
+        access = self._job.access
+        host = f"[{access.host}]" if ":" in access.host else access.host
+        if access.host in ("0.0.0.0", "::"):
             host = socket.gethostname()
-        token = "" if is_loopback(gate.host) else f"?token={gate.token}"
+        token = "" if is_loopback(access.host) else f"?token={access.token}"
         return f"http://{host}:{self.port}/{token}"
 
     def __enter__(self) -> Page:

@@ -27,8 +27,8 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from rig.core.clock import SECOND_NS, Clock, SystemClock
-from rig.monitor.page.access import Gate
-from rig.monitor.page.live_state import TRACE_RATE_HZ, TRACE_SECONDS, Look
+from rig.monitor.page.access import AccessPolicy
+from rig.monitor.page.live_state import TRACE_RATE_HZ, TRACE_SECONDS, LiveState
 from rig.monitor.page.messages import COMMANDS, ENDED, LETTERS, PageJob, Snapshot
 
 # HTTP part: a few known files, and the headers that protect them from other sites.
@@ -52,11 +52,11 @@ class Site:
     The files are read once, here: no path sent by a client ever reaches the disk.
 
     Args:
-        gate: Access policy.
+        access: Access policy.
     """
 
-    def __init__(self, gate: Gate) -> None:
-        self._gate = gate
+    def __init__(self, access: AccessPolicy) -> None:
+        self._access = access
         folder = resources.files("rig.monitor.page") / "static"
         self._files = {
             path: ((folder / name).read_bytes(), kind) for path, (name, kind) in _FILES.items()
@@ -70,7 +70,7 @@ class Site:
             full: True if the limit of watchers is reached.
         """
         host = _single(request.headers, "Host")
-        if not self._gate.knows_host(host):
+        if not self._access.knows_host(host):
             return _text(http.HTTPStatus.FORBIDDEN, "This name is not one of this bench's.\n")
         cookies = _single(request.headers, "Cookie")
         try:
@@ -79,7 +79,7 @@ class Site:
             return _text(http.HTTPStatus.BAD_REQUEST, "This is not a valid address.\n")
         if path == LIVE:
             return self._refuse_live(request, host, cookies, full=full)
-        if not self._gate.may_open(request.path, cookies):
+        if not self._access.may_open(request.path, cookies):
             return _text(
                 http.HTTPStatus.FORBIDDEN,
                 "This page requires the token in the address that the collection printed.\n",
@@ -89,15 +89,15 @@ class Site:
         body, kind = self._files[path]
         headers = _headers(kind, len(body), host or "")
         if path == "/":
-            headers["Set-Cookie"] = self._gate.set_cookie
+            headers["Set-Cookie"] = self._access.set_cookie
         return Response(http.HTTPStatus.OK, "OK", headers, body)
 
     def _refuse_live(
         self, request: Request, host: str | None, cookies: str | None, *, full: bool
     ) -> Response | None:
-        if not self._gate.same_origin(_single(request.headers, "Origin"), host):
+        if not self._access.same_origin(_single(request.headers, "Origin"), host):
             return _text(http.HTTPStatus.FORBIDDEN, "Another site's page may not watch.\n")
-        if not self._gate.has_cookie(cookies):
+        if not self._access.has_cookie(cookies):
             return _text(http.HTTPStatus.FORBIDDEN, "Open the page first; it brings the token.\n")
         if full:
             return _text(http.HTTPStatus.SERVICE_UNAVAILABLE, "Enough people are watching.\n")
@@ -191,8 +191,8 @@ class PageServer:
         self._job = job
         self._pipe = pipe
         self._clock = clock
-        self._look = Look(job.bench, job.folder, job.session, clock.now_ns())
-        self._site = Site(job.gate)
+        self._look = LiveState(job.bench, job.folder, job.session, clock.now_ns())
+        self._site = Site(job.access)
         self._snapshot = Snapshot(outcomes=LETTERS["open"] * len(job.spots))
         self._log: list[str] = []
         self._logged = 0
@@ -202,14 +202,14 @@ class PageServer:
 
     async def run(self) -> None:
         """Serve until the collection has ended and all clients have the final state."""
-        gate = self._job.gate
+        access = self._job.access
         try:
             server = await self._listen()
         except OSError as error:
-            self._pipe.send(("failed", f"{gate.host}:{gate.port}: {error.strerror or error}"))
+            self._pipe.send(("failed", f"{access.host}:{access.port}: {error.strerror or error}"))
             return
         port = server.sockets[0].getsockname()[1]
-        self._site = Site(replace(gate, port=port))
+        self._site = Site(replace(access, port=port))
         loop = asyncio.get_running_loop()
         loop.add_reader(self._pipe.fileno(), self._hear)
         self._pipe.send(("ready", port))
@@ -231,8 +231,8 @@ class PageServer:
     async def _listen(self) -> Server:
         return await serve(
             self._serve,
-            self._job.gate.host,
-            self._job.gate.port,
+            self._job.access.host,
+            self._job.access.port,
             process_request=self._on_request,
             create_connection=_Connection,
             compression=None,

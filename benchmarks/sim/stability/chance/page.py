@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Sequence
 
 from benchmarks.sim.stability.chance.referee import LAWS
-from benchmarks.sim.stability.chance.run import WRONG, Plan, Told, by_class
+from benchmarks.sim.stability.chance.run import WRONG, RandomRun, Told, by_class
 from benchmarks.sim.stability.chance.shrink import failure
 from benchmarks.sim.stability.laws import escaped
 
@@ -33,7 +33,7 @@ _MEANS = {
 }
 
 
-def page(told: Sequence[Told], plan: Plan) -> str:
+def page(told: Sequence[Told], plan: RandomRun) -> str:
     """Return the page as Markdown."""
     passed = sum(one.verdict.passed for one in told)
     seconds = sum(one.seconds for one in told)

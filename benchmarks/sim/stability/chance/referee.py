@@ -96,7 +96,7 @@ def weightless(scene: Scene) -> bool:
     return scene.effects.gravity is None
 
 
-def floor(scene: Scene) -> float:
+def no_force(scene: Scene) -> float:
     """Return the negligible force [N]."""
     return FLOOR * scene.body.modulus * scene.body.thickness**2
 
@@ -108,7 +108,7 @@ def pushes(result: Result) -> Array:
 
 def largest(result: Result) -> float:
     """Return the magnitude of the largest force [N], at least the negligible force."""
-    return max(float(np.linalg.norm(result.force, axis=1).max()), floor(result.scene))
+    return max(float(np.linalg.norm(result.force, axis=1).max()), no_force(result.scene))
 
 
 def loading(result: Result) -> list[int]:
@@ -171,11 +171,11 @@ def _touches(result: Result) -> list[Law]:
     some = [
         frame for frame in loading(result)
         if footprint(scene, bounds.reached(result)[frame]).deepest > least
-        and bounds.least_force(scene, bounds.reached(result)[frame]) > floor(scene)
+        and bounds.least_force(scene, bounds.reached(result)[frame]) > no_force(scene)
     ]  # fmt: skip
     if not some:
         return []
-    least_push = float(pushes(result)[some].min()) / floor(scene)
+    least_push = float(pushes(result)[some].min()) / no_force(scene)
     return [at_least("push where gel is overlapped / none", least_push, 1.0)]
 
 
@@ -191,9 +191,9 @@ def _within_bounds(result: Result) -> list[Law]:
         tip = bounds.reached(result)[frame]
         push = float(pushes(result)[frame])
         least, most = bounds.least_force(scene, tip), bounds.most_force(scene, tip)
-        if least > floor(scene):
+        if least > no_force(scene):
             low.append(push / least)
-        if most > floor(scene) and half_wall(scene) > 0:
+        if most > no_force(scene) and half_wall(scene) > 0:
             high.append(push / (most * stiffer))
     laws = [at_least("push / lower bound", min(low), bounds.LOWER)] if low else []
     return laws + ([at_most("push / upper bound", max(high), bounds.UPPER)] if high else [])
@@ -207,7 +207,7 @@ def _near_layer(result: Result) -> list[Law]:
     for frame in reversed(loading(result)):
         tip = bounds.reached(result)[frame]
         layer = bounds.layer_force(scene, tip)
-        if layer is not None and layer > floor(scene):
+        if layer is not None and layer > no_force(scene):
             share = float(pushes(result)[frame]) / layer
             return [
                 at_least("push / layer's", share, bounds.LAYER_LEAST),
@@ -230,7 +230,7 @@ def _rises(result: Result) -> list[Law]:
     if len(some) < 2:
         return []
     force = pushes(result)[some]
-    top = max(float(np.abs(force).max()), floor(scene))
+    top = max(float(np.abs(force).max()), no_force(scene))
     return [at_least("least rise with depth / largest", float(np.diff(force).min()) / top, -DROP)]
 
 
@@ -272,7 +272,7 @@ def _closed_loop(result: Result) -> list[Law]:
         return []
     force = result.force[:end]
     parts = np.einsum("ij,ij->i", (force[1:] + force[:-1]) / 2, np.diff(way, axis=0))
-    most = max(float(np.cumsum(parts).max()), floor(scene) * scene.body.thickness)
+    most = max(float(np.cumsum(parts).max()), no_force(scene) * scene.body.thickness)
     share = float(parts.sum()) / most
     limit = RING[0] if smooth(scene) else RING[1]
     laws = [at_least("work in a closed loop / most", share, -limit)]
@@ -299,7 +299,7 @@ def _coulomb(result: Result) -> list[Law]:
         force = result.traction[frame].astype(float) * _areas(result)[..., None]
         loaded = np.linalg.norm(force, axis=-1)
         many = (loaded > 0.2 * loaded.max()).sum() >= NODES
-        if size < 0.05 * largest(result) or size <= floor(scene) or not many:
+        if size < 0.05 * largest(result) or size <= no_force(scene) or not many:
             continue
         x, y = np.meshgrid(result.surface_x, result.surface_y, indexing="ij")
         rest = np.stack([x, y, scene.body.heights(result.surface_x, result.surface_y)], axis=-1)
@@ -342,7 +342,7 @@ def _sums_up(result: Result) -> list[Law]:
         size = float(np.linalg.norm(result.force[frame]))
         if scene.body.dome_radius is not None or size < 0.02 * largest(result):
             continue
-        if not inside_by(scene, tip, 0.5 * scene.body.thickness) or size <= floor(scene):
+        if not inside_by(scene, tip, 0.5 * scene.body.thickness) or size <= no_force(scene):
             continue
         total = np.einsum("ijk,ij->k", result.traction[frame].astype(float), _areas(result))
         gaps.append(float(np.linalg.norm(total - result.force[frame])) / size)

@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
+from benchmarks.sim.stability.chance.judgement import CLASSES, Settings, Verdict, judge
 from benchmarks.sim.stability.chance.scenes import FOLDER, drawn
 from benchmarks.sim.stability.chance.shrink import failure, shrunk, snippet, store
-from benchmarks.sim.stability.chance.verdict import CLASSES, Settings, Verdict, judge
 from benchmarks.sim.stability.planted import planted
 from benchmarks.sim.stability.runner import done_counts, side_by_side
 from sim.progress import duration
@@ -21,7 +21,7 @@ WRONG = frozenset({"silent", "crash"})
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class RandomRun:
     """Selection of the scenes, and solver settings."""
 
     count: int
@@ -50,7 +50,7 @@ class Told:
     """Path of the counter-example."""
 
 
-def judge_one(plan: Plan, index: int) -> Told:
+def judge_one(plan: RandomRun, index: int) -> Told:
     """Draw a scene, solve and judge it in this process, and shrink it if it fails."""
     began = time.perf_counter()
     plain: Verdict | None = None
@@ -65,7 +65,9 @@ def judge_one(plan: Plan, index: int) -> Told:
     return Told(one.name, one.what, verdict, time.perf_counter() - began, plain, path)
 
 
-def judge_all(plan: Plan, *, processes: int = 2, say: Callable[[str], None] = print) -> list[Told]:
+def judge_all(
+    plan: RandomRun, *, processes: int = 2, say: Callable[[str], None] = print
+) -> list[Told]:
     """Judge all scenes, reporting each with the time left, and return the results in order.
 
     After Ctrl-C, only completed scenes are returned.

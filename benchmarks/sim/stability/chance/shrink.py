@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.sim.stability.chance.dice import rounded
-from benchmarks.sim.stability.chance.verdict import Settings, Verdict, covered, judge_scene
+from benchmarks.sim.stability.chance.judgement import Settings, Verdict, covered, judge_scene
 from sim.effects import Effects
 from sim.errors import SceneError
 from sim.result import scene_from_json, scene_to_json
@@ -27,7 +27,7 @@ Judge = Callable[[Scene], Verdict]
 def failure(verdict: Verdict) -> frozenset[str]:
     """Return the broken laws that no warning covers, or the kind of crash."""
     if verdict.kind == "crash":
-        return frozenset({verdict.said.split(":")[0]})
+        return frozenset({verdict.message.split(":")[0]})
     if verdict.kind != "silent":
         return frozenset()
     return frozenset(

@@ -6,22 +6,22 @@ import pytest
 from websockets.datastructures import Headers
 from websockets.http11 import Request
 
-from rig.monitor.page.access import Gate, is_loopback
+from rig.monitor.page.access import AccessPolicy, is_loopback
 from rig.monitor.page.server import Site
 
-LOCAL = Gate("127.0.0.1", 8765, "local-token")
-REMOTE = Gate("0.0.0.0", 8765, "remote-token")
+LOCAL = AccessPolicy("127.0.0.1", 8765, "local-token")
+REMOTE = AccessPolicy("0.0.0.0", 8765, "remote-token")
 
 
-def ask(gate: Gate, path: str, *, full: bool = False, **headers: str) -> int:
+def ask(access: AccessPolicy, path: str, *, full: bool = False, **headers: str) -> int:
     """Return the status of the answer; 101 if the WebSocket would be opened."""
     named = {name.replace("_", "-"): value for name, value in headers.items()}
-    response = Site(gate).answer(Request(path, Headers(named)), full=full)
+    response = Site(access).answer(Request(path, Headers(named)), full=full)
     return 101 if response is None else response.status_code
 
 
-def cookie(gate: Gate) -> str:
-    return f"{gate.cookie}={gate.token}"
+def cookie(access: AccessPolicy) -> str:
+    return f"{access.cookie}={access.token}"
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "127.8.9.10", "localhost", "::1"])
@@ -64,19 +64,19 @@ def test_a_remote_client_sees_nothing_without_the_token(path: str) -> None:
     assert ask(REMOTE, path, Host=host, Cookie=cookie(REMOTE)) == expected
 
 
-@pytest.mark.parametrize("gate", [LOCAL, REMOTE], ids=["local", "remote"])
-def test_live_data_ask_for_our_origin_and_the_cookie(gate: Gate) -> None:
+@pytest.mark.parametrize("access", [LOCAL, REMOTE], ids=["local", "remote"])
+def test_live_data_ask_for_our_origin_and_the_cookie(access: AccessPolicy) -> None:
     host = "127.0.0.1:8765"
-    good = {"Host": host, "Origin": f"http://{host}", "Cookie": cookie(gate)}
-    assert ask(gate, "/live", **good) == 101
-    assert ask(gate, "/live", full=True, **good) == 503
+    good = {"Host": host, "Origin": f"http://{host}", "Cookie": cookie(access)}
+    assert ask(access, "/live", **good) == 101
+    assert ask(access, "/live", full=True, **good) == 503
     for origin in ("http://evil.example", "null", f"https://{host}", "http://127.0.0.1:9"):
-        assert ask(gate, "/live", **{**good, "Origin": origin}) == 403
+        assert ask(access, "/live", **{**good, "Origin": origin}) == 403
     for missing in ("Host", "Origin", "Cookie"):
-        assert ask(gate, "/live", **{k: v for k, v in good.items() if k != missing}) == 403
-    assert ask(gate, "/live", **{**good, "Cookie": f"{gate.cookie}={gate.token}x"}) == 403
+        assert ask(access, "/live", **{k: v for k, v in good.items() if k != missing}) == 403
+    assert ask(access, "/live", **{**good, "Cookie": f"{access.cookie}={access.token}x"}) == 403
     # The token in the address gives access to the page, not to the data.
-    assert ask(gate, f"/live?token={gate.token}", Host=host, Origin=f"http://{host}") == 403
+    assert ask(access, f"/live?token={access.token}", Host=host, Origin=f"http://{host}") == 403
 
 
 def test_a_header_sent_twice_counts_as_not_sent() -> None:
@@ -129,7 +129,7 @@ def test_scripts_come_without_the_cookie() -> None:
 
 
 def test_tokens_differ_and_do_not_show() -> None:
-    first, second = Gate(), Gate()
+    first, second = AccessPolicy(), AccessPolicy()
     assert first.token != second.token
     assert len(first.token) >= 24
     assert first.token not in repr(first)

@@ -12,7 +12,7 @@ from benchmarks.sim.accuracy.chart import Colour, Mark, Panel, Series, save_char
 from benchmarks.sim.speed.campaign import meshes_file, presses_file
 from benchmarks.sim.speed.cells import memory, percent, row, seconds
 from benchmarks.sim.speed.forces import SHALLOW_MM, Errors, Forces, errors, read_forces, read_runs
-from benchmarks.sim.speed.record import Record, Run
+from benchmarks.sim.speed.record import Run, SpeedRecord
 from sim.extrapolation import COARSER, left_of_difference
 
 # Minimum ratio of the element sizes of two meshes; closer meshes amplify random errors.
@@ -27,7 +27,7 @@ KINDS: tuple[tuple[bool, Mark, str], ...] = (
 
 
 @dataclass(frozen=True, slots=True)
-class Offer:
+class Candidate:
     """One way to solve all presses, with its cost and errors."""
 
     spacing_mm: float
@@ -49,7 +49,7 @@ class Offer:
         return f"{self.coarser_mm:.3g} and {self.spacing_mm:.3g} mm, extrapolated"
 
 
-def offers_of(record: Record, reference: Forces) -> list[Offer]:
+def offers_of(record: SpeedRecord, reference: Forces) -> list[Candidate]:
     """Return all meshes of a device from coarse to fine, then all pairs that differ enough.
 
     Two meshes take the time of both; their forces are extrapolated by `sim.extrapolation`.
@@ -58,25 +58,25 @@ def offers_of(record: Record, reference: Forces) -> list[Offer]:
     forces["all"] = read_forces(presses_file(record.path))
     runs = [*record.of("presses"), *record.of("meshes")]
     runs = sorted((run for run in runs if run.presses), key=lambda run: -run.spacing_mm)
-    offers = [_single(run, forces.get(run.name, {}), reference) for run in runs]
+    candidates = [_single(run, forces.get(run.name, {}), reference) for run in runs]
     for coarse, fine in combinations(runs, 2):
         if APART <= coarse.spacing_mm / fine.spacing_mm <= COARSER + 1e-3:
             both = forces.get(coarse.name, {}), forces.get(fine.name, {})
-            offers.append(_pair(coarse, fine, *both, reference))
-    return offers
+            candidates.append(_pair(coarse, fine, *both, reference))
+    return candidates
 
 
-def _single(run: Run, forces: Forces, reference: Forces) -> Offer:
+def _single(run: Run, forces: Forces, reference: Forces) -> Candidate:
     off = errors(forces, reference, from_mm=SHALLOW_MM)
-    return Offer(run.spacing_mm, None, run.best, run.presses, run.failed, run.memory, off)
+    return Candidate(run.spacing_mm, None, run.best, run.presses, run.failed, run.memory, off)
 
 
-def _pair(coarse: Run, fine: Run, first: Forces, second: Forces, reference: Forces) -> Offer:
+def _pair(coarse: Run, fine: Run, first: Forces, second: Forces, reference: Forces) -> Candidate:
     more = left_of_difference(coarse.spacing_mm / fine.spacing_mm)
     both = {
         key: force + more * (force - first[key]) for key, force in second.items() if key in first
     }
-    return Offer(
+    return Candidate(
         spacing_mm=fine.spacing_mm,
         coarser_mm=coarse.spacing_mm,
         seconds=coarse.best + fine.best,
@@ -87,20 +87,22 @@ def _pair(coarse: Run, fine: Run, first: Forces, second: Forces, reference: Forc
     )
 
 
-def cheapest(offers: Sequence[Offer], error: float) -> Offer | None:
+def cheapest(candidates: Sequence[Candidate], error: float) -> Candidate | None:
     """Return the fastest of the offers that solve every press with mean error up to `error`."""
-    good = [one for one in offers if not one.failed and one.errors.mean <= error]
+    good = [one for one in candidates if not one.failed and one.errors.mean <= error]
     return min(good, key=lambda one: one.seconds, default=None)
 
 
-def offer_table(records: Sequence[Record], offers: Sequence[Sequence[Offer]]) -> list[str]:
+def offer_table(
+    records: Sequence[SpeedRecord], candidates: Sequence[Sequence[Candidate]]
+) -> list[str]:
     """Return the table of all offers of all devices."""
     lines = [
         "| machine | elements | seconds | a press | without a solution | error, mean | "
         "95 % below | worst | where | memory |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
-    for record, some in zip(records, offers, strict=True):
+    for record, some in zip(records, candidates, strict=True):
         for one in some:
             off = one.errors
             cells = [record.machine.name, one.elements, seconds(one.seconds)]
@@ -111,20 +113,23 @@ def offer_table(records: Sequence[Record], offers: Sequence[Sequence[Offer]]) ->
 
 
 def save_offer_chart(
-    path: Path, records: Sequence[Record], offers: Sequence[Sequence[Offer]], floor: float
+    path: Path,
+    records: Sequence[SpeedRecord],
+    candidates: Sequence[Sequence[Candidate]],
+    bound: float,
 ) -> None:
     """Draw error against seconds of all offers, one panel per summary of the errors.
 
     Args:
         path: Path of the picture.
         records: Records of all devices.
-        offers: Offers of each device.
-        floor: Error of the reference, as a share; NaN if unknown.
+        candidates: Offers of each device.
+        bound: Error of the reference, as a share; NaN if unknown.
     """
     panels = []
     for title, measure in (("mean", "mean"), ("95 % below", "most"), ("worst", "worst")):
         series = []
-        for record, some, colour in zip(records, offers, COLOURS, strict=False):
+        for record, some, colour in zip(records, candidates, COLOURS, strict=False):
             for two, mark, kind in KINDS:
                 points = [
                     (one.seconds, 100 * getattr(one.errors, measure))
@@ -134,7 +139,7 @@ def save_offer_chart(
                 if points:
                     name = f"{record.machine.name}: {kind}"
                     series.append(Series(name, colour, mark, tuple(sorted(points))))
-        panels.append(Panel(title, tuple(series), 100 * floor if measure == "mean" else math.nan))
+        panels.append(Panel(title, tuple(series), 100 * bound if measure == "mean" else math.nan))
     save_chart(
         path,
         "What accuracy costs on the paper's 162 presses",

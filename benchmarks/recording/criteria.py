@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from benchmarks.recording.alignment import Alignment
 from benchmarks.recording.feed import Fed
 from benchmarks.recording.load import Cameras
-from benchmarks.recording.store_race import StoreRow
+from benchmarks.recording.store_benchmark import StoreRow
 
 # Maximum time to append a frame, p99 [s].
 APPEND_P99 = 5e-3
@@ -26,7 +26,7 @@ _KINDS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Claim:
+class Criterion:
     """One row of the verdict."""
 
     text: str
@@ -34,16 +34,16 @@ class Claim:
     met: bool
 
 
-def of_stores(rows: Sequence[StoreRow]) -> list[Claim]:
+def of_stores(rows: Sequence[StoreRow]) -> list[Criterion]:
     """Check kills and window reads of our own stores."""
     ours = {row.key: row for row in rows if row.key.startswith("ours")}
-    claims = []
+    criteria = []
     kills = [kill for row in ours.values() for kill in row.kills]
     if kills:
         lost = [kill.accepted - (kill.repaired or 0) for kill in kills]
         wrong = sum(kill.wrong for kill in kills)
-        claims.append(
-            Claim(
+        criteria.append(
+            Criterion(
                 f"kill -9: at most {LOST} frame lost, none invented",
                 f"{max(lost)} lost at most, {wrong} invented, in {len(kills)} kills",
                 max(lost) <= LOST and not wrong,
@@ -51,35 +51,35 @@ def of_stores(rows: Sequence[StoreRow]) -> list[Claim]:
         )
     for row in ours.values():
         if row.read_two:
-            claims.append(
-                Claim(
+            criteria.append(
+                Criterion(
                     f"random windows of 16, {_KINDS[row.key]}, warm: {WINDOW_IMAGES:,.0f} images/s "
                     "or more with two processes",
                     f"{row.read_two:,.0f} images/s ({row.read:,.0f} with one)",
                     row.read_two >= WINDOW_IMAGES,
                 )
             )
-    return claims
+    return criteria
 
 
-def of_full_load(fed: Sequence[Fed]) -> list[Claim]:
+def of_full_load(fed: Sequence[Fed]) -> list[Criterion]:
     """Check drops, append times and CPU share of all streams at once."""
     dropped = sum(one.dropped for one in fed)
     failed = [one.failure for one in fed if one.failure]
     p99 = max(one.append.p99 for one in fed)
     share = sum(one.share for one in fed)
     return [
-        Claim(
+        Criterion(
             "two lossless cameras at 60 Hz, force 1 kHz, pose 500 Hz, uSkin 60 Hz: nothing dropped",
             f"{dropped} dropped" + (f"; {failed[0]}" if failed else ""),
             not dropped and not failed,
         ),
-        Claim(
+        Criterion(
             f"the same: append p99 below {1e3 * APPEND_P99:g} ms",
             f"{1e3 * p99:.2f} ms (worst stream)",
             p99 < APPEND_P99,
         ),
-        Claim(
+        Criterion(
             f"the same: less than {100 * CORE:.0f} % of one core",
             f"{100 * share:.0f} % of one core, all processes together",
             share < CORE,
@@ -87,10 +87,10 @@ def of_full_load(fed: Sequence[Fed]) -> list[Claim]:
     ]
 
 
-def of_cameras(found: Sequence[Cameras]) -> list[Claim]:
+def of_cameras(found: Sequence[Cameras]) -> list[Criterion]:
     """Check that the two cameras of the full load can be recorded with margin."""
     return [
-        Claim(
+        Criterion(
             "two lossless 640x480 cameras at 60 Hz without a drop",
             f"{one.held} hold" if one.held < one.most else f"{one.held} or more hold",
             one.held >= 2,
@@ -100,9 +100,9 @@ def of_cameras(found: Sequence[Cameras]) -> list[Claim]:
     ]
 
 
-def of_alignment(found: Alignment) -> list[Claim]:
+def of_alignment(found: Alignment) -> list[Criterion]:
     """Check that the default methods are the most accurate ones."""
-    claims = []
+    criteria = []
     for stream, default, unit in (("force", "mean_exposure", "N"), ("pose", "slerp", "deg")):
         errors = {
             one.method: one.errors[unit].rms
@@ -112,12 +112,12 @@ def of_alignment(found: Alignment) -> list[Claim]:
         if default not in errors:
             continue
         best = min(errors, key=lambda name: errors[name])
-        claims.append(
-            Claim(
+        criteria.append(
+            Criterion(
                 f"the default for {stream} (`{default}`) is as accurate as any",
                 f"{errors[default]:.3g} {unit} rms; best: {best}, {errors[best]:.3g} {unit}",
                 # Methods that differ by less than 5 % count as equally good.
                 errors[default] <= 1.05 * errors[best],
             )
         )
-    return claims
+    return criteria

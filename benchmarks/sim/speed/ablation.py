@@ -19,10 +19,10 @@ def without_prediction() -> Iterator[None]:
     Both are arguments of methods that the solver calls, but that a caller cannot reach.
     """
     from sim.fem import assembly, solver
-    from sim.fem.assembly import State
+    from sim.fem.assembly import SolverState
     from sim.fem.newton import Newton
 
-    class FromLast(State):
+    class FromLast(SolverState):
         """State that begins each step with the displacement at the end of the last one."""
 
         def begin_step(self, chosen: Any, tip: Any, duration: Any, guess: Any) -> None:
@@ -34,7 +34,7 @@ def without_prediction() -> Iterator[None]:
         def begin(self, chosen: Any, tolerance: Any, *, predict: Any) -> None:
             super().begin(chosen, tolerance, predict=np.zeros_like(predict))
 
-    with in_place_of(assembly, "State", FromLast), in_place_of(solver, "Newton", WithTheTip):
+    with in_place_of(assembly, "SolverState", FromLast), in_place_of(solver, "Newton", WithTheTip):
         yield
 
 
@@ -42,7 +42,7 @@ def without_keeping() -> contextlib.AbstractContextManager[None]:
     """Assemble the elastic part of the tangent in every Newton iteration."""
     from sim.fem import assembly
 
-    return _made_with(assembly, "Stencil", keep=False)
+    return _made_with(assembly, "BlockMatrix", keep=False)
 
 
 def without_graphs() -> contextlib.AbstractContextManager[None]:
@@ -63,7 +63,7 @@ def without_rounding() -> contextlib.AbstractContextManager[None]:
     """Compute products with the tangent as it was assembled."""
     from sim.fem import assembly
 
-    return _made_with(assembly, "Stencil", half=False)
+    return _made_with(assembly, "BlockMatrix", half=False)
 
 
 def _made_with(

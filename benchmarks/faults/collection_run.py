@@ -44,7 +44,7 @@ class Hangs(Exception):
     """Raised if a collection does not end or reach a stage, with its output."""
 
 
-class Trial:
+class CollectionRun:
     """Context manager of a running collection, which ends all its processes on exit.
 
     Args:
@@ -82,7 +82,7 @@ class Trial:
         self._reader = threading.Thread(target=self._read, name="trial-output", daemon=True)
         self._reader.start()
 
-    def __enter__(self) -> Trial:
+    def __enter__(self) -> CollectionRun:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -136,7 +136,7 @@ class Trial:
         observer = self._observer = Observer(self.folder, self.host)
         self.until(lambda: min(observer.rows(name) for name in ("force", "pose")) > 0, "recording")
 
-    def until_pressing(self, before: Callable[[Trial], None] | None = None) -> None:
+    def until_pressing(self, before: Callable[[CollectionRun], None] | None = None) -> None:
         """Wait until the first phase of this session has ended and the next one has begun.
 
         Args:
@@ -256,8 +256,8 @@ class Trial:
         segments = Session(self.session).segments
         ended = [OUTCOMES.index(outcome) for outcome in ("stopped", "interrupted")]
         stopped = segments["end_ns"][np.isin(segments["outcome"], ended)]
-        said = [t_ns for t_ns, line in self.lines if "stopping: " in line]
-        after = [int(t_ns) for t_ns in (*stopped, *said) if t_ns >= self.injected_ns]
+        reported = [t_ns for t_ns, line in self.lines if "stopping: " in line]
+        after = [int(t_ns) for t_ns in (*stopped, *reported) if t_ns >= self.injected_ns]
         return (min(after) - self.injected_ns) / SECOND_NS if after else None
 
     def kill_all(self) -> None:

@@ -77,7 +77,7 @@ class Floor:
         return max(known, default=math.nan)
 
 
-def floor_of(run: Run, machine: Machine) -> Floor:
+def bound_of(run: Run, machine: Machine) -> Floor:
     """Return the bound for a run in float32, with products in float16 on a GPU."""
     cpu = machine.device == "cpu"
     of_node = NEWTON_NODE_BYTES + anew(cpu=cpu) * ROW_BYTES + (0 if cpu else HALF_ROW_BYTES)

@@ -17,7 +17,7 @@ from rig.core import emulation
 from rig.core.clock import FakeClock, SystemClock
 from rig.core.emulation import FaultPort
 from rig.core.errors import DeviceLost
-from rig.core.fault_injection import FAULTS, Disturbance, spoilt_bytes, spoilt_text
+from rig.core.fault_injection import FAULTS, FaultInjector, corrupted_bytes, spoilt_text
 from rig.core.samples import WORLD_STATE
 from rig.devices.arm import emulator_faults
 from rig.devices.arm.emulated_arm import POSTURE, flange_pose
@@ -48,11 +48,11 @@ def clock_of_its_own() -> FakeClock:
     return FakeClock(10**9)
 
 
-def text_line(clock: FakeClock, **options: Any) -> Disturbance[str]:
-    return Disturbance[str](clock, spoil=spoilt_text, **options)
+def text_line(clock: FakeClock, **options: Any) -> FaultInjector[str]:
+    return FaultInjector[str](clock, spoil=spoilt_text, **options)
 
 
-def sent(line: Disturbance[str], clock: FakeClock, count: int) -> list[str]:
+def sent(line: FaultInjector[str], clock: FakeClock, count: int) -> list[str]:
     """Return the output for `count` messages, 0.1 s apart."""
     out: list[str] = []
     for number in range(1, count + 1):
@@ -100,7 +100,7 @@ def test_a_slow_line_delays_and_keeps_the_order(clock: FakeClock) -> None:
 
 
 def test_garbage_is_as_long_as_what_it_replaces(clock: FakeClock) -> None:
-    line = Disturbance[bytes](clock, spoil=spoilt_bytes)
+    line = FaultInjector[bytes](clock, spoil=corrupted_bytes)
     line.inject("garbage", messages=3)
     message = bytes(range(36))
     out = [line.passed(message) for _ in range(5)]
@@ -142,7 +142,7 @@ def test_units_are_the_devices_own_affair(clock: FakeClock) -> None:
 
 def test_pulling_the_plug_is_told_and_so_is_its_end(clock: FakeClock) -> None:
     told: list[bool] = []
-    line: Disturbance[str] = text_line(clock, on_change=lambda: told.append(line.unplugged))
+    line: FaultInjector[str] = text_line(clock, on_change=lambda: told.append(line.unplugged))
     line.inject("unplug", seconds=1.0)
     assert line.passed("m1") == ()
     clock.advance(1.0)
@@ -222,13 +222,13 @@ class FixedWorld:
 def _netft(host: str) -> tuple[Any, Any, Callable[..., Any]]:
     emulator = NetFtEmulator(NetFtEmulatorConfig(host), FixedWorld(), CLOCK)
     driver = NetFtDriver(NetFtConfig(host, 8080, silence=0.3), CLOCK)
-    return emulator, driver, emulator.disturbance.inject
+    return emulator, driver, emulator.faults.inject
 
 
 def _xela(host: str) -> tuple[Any, Any, Callable[..., Any]]:
     emulator = XelaEmulator(XelaEmulatorConfig(host, rate_hz=200.0), FixedWorld(), CLOCK)
     driver = XelaDriver(XelaConfig(f"ws://{host}:5000", silence=0.3), CLOCK)
-    return emulator, driver, emulator.disturbance.inject
+    return emulator, driver, emulator.faults.inject
 
 
 def _mjpeg(host: str) -> tuple[Any, Any, Callable[..., Any]]:
@@ -237,7 +237,7 @@ def _mjpeg(host: str) -> tuple[Any, Any, Callable[..., Any]]:
     source = WorldSource(lambda state: image)
     emulator = MjpegEmulator(MjpegEmulatorConfig(host, rate_hz=60.0), source, None, CLOCK)
     config = CameraConfig(f"http://{host}:8090/", rate_hz=60.0, silence=0.3)
-    return emulator, OpenCvDriver(config, CLOCK), emulator.disturbance.inject
+    return emulator, OpenCvDriver(config, CLOCK), emulator.faults.inject
 
 
 def _arm(host: str) -> tuple[Any, Any, Callable[..., Any]]:
@@ -317,8 +317,8 @@ def test_late_messages_are_left_out_counted_and_missing(device: str, host: str) 
         inject("reorder", every=5)
         numbers = [number_of(device, sample) for sample in collect(driver, 60)]
         assert all(a < b for a, b in itertools.pairwise(numbers))
-        assert driver.refused["late"] >= 5
-        assert driver.dropped >= driver.refused["late"]
+        assert driver.rejected["late"] >= 5
+        assert driver.dropped >= driver.rejected["late"]
 
 
 @pytest.mark.parametrize("device", sorted(DEVICES))
@@ -326,7 +326,7 @@ def test_repeated_messages_are_left_out_and_counted(device: str, host: str) -> N
     with streaming(device, host) as (driver, inject):
         inject("duplicate", every=5)
         samples = collect(driver, 60)
-        assert driver.refused["repeated"] >= 5
+        assert driver.rejected["repeated"] >= 5
         if device == "camera":
             assert len({sample["value"] for sample in samples}) == len(samples)
         else:
@@ -340,7 +340,7 @@ def test_three_bad_messages_are_counted_and_the_stream_goes_on(device: str, host
     with streaming(device, host) as (driver, inject):
         inject("garbage", messages=3)
         collect(driver, 20)
-        assert driver.refused["spoilt"] == 3
+        assert driver.rejected["spoilt"] == 3
 
 
 def number_of(device: str, sample: dict[str, Any]) -> float:

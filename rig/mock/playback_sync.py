@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 # Start time of playback [ns], written once all drivers are open and all writers record.
-CUE = np.dtype([("start_ns", "<i8")])
+SYNC = np.dtype([("start_ns", "<i8")])
 
 # Codes of `POSITION.state`.
 WAITING, PLAYING, ENDED, FAILED = range(4)
@@ -20,7 +20,7 @@ POSITION = np.dtype([("state", "<i8"), ("sent", "<i8"), ("t_ns", "<i8")])
 FAR_NS = np.iinfo(np.int64).max // 2
 
 
-def cue_path(folder: Path) -> Path:
+def sync_path(folder: Path) -> Path:
     """Return the path of a run folder's CUE record."""
     return folder / "replay.cue"
 

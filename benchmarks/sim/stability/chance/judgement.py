@@ -82,7 +82,7 @@ class Verdict:
     """Outcome of a scene."""
 
     kind: Class
-    said: str = ""
+    message: str = ""
     """Message of the solver or of Python."""
     broken: tuple[Held, ...] = ()
     """Laws that do not hold."""
@@ -101,7 +101,7 @@ class Verdict:
     @property
     def why(self) -> str:
         """One line with the broken laws, or the message."""
-        return "; ".join(f"{each.name}: {each.law}" for each in self.broken) or self.said
+        return "; ".join(f"{each.name}: {each.law}" for each in self.broken) or self.message
 
 
 def judge(drawn: Drawn, settings: Settings) -> Verdict:
@@ -162,20 +162,20 @@ def covered(law: str, warnings: Sequence[str]) -> bool:
 
 def _unsolved(error: Exception, scene: Scene | None = None) -> Verdict:
     """Return the verdict on an exception, which must state the error and the allowed range."""
-    said = str(error)
+    message = str(error)
     kind: Class = "crash"
     if isinstance(error, OutOfTime):
         kind = "timeout"
-    elif isinstance(error, SceneError) and "allowed" in said:
+    elif isinstance(error, SceneError) and "allowed" in message:
         kind = "refused"
     elif isinstance(error, SimulationDiverged):
         _forget(error)
-        kind = "diverged" if "waypoint" in said else "crash"
+        kind = "diverged" if "waypoint" in message else "crash"
     if kind == "crash":
         frames = traceback.extract_tb(error.__traceback__)
         where = f" ({frames[-1].name}, line {frames[-1].lineno})" if frames else ""
-        said = f"{type(error).__name__}: {said}{where}"
-    return Verdict(kind, said, scene=scene)
+        message = f"{type(error).__name__}: {message}{where}"
+    return Verdict(kind, message, scene=scene)
 
 
 def _forget(diverged: SimulationDiverged) -> None:
