@@ -190,7 +190,7 @@ def test_frames_that_do_not_fit_are_refused(frames: torch.Tensor, message: str) 
     [
         ("input.side_px=100", "side_px: found 100"),
         ("network.memory=30", "multiples of 4"),
-        ("input.channels=3", "where form is image or difference"),
+        ("input.channels=3", "3 if form is image or difference"),
         ("stages=[]", "stages: found none"),
         ("sequences.batch=0", "batch: found 0"),
     ],

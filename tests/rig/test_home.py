@@ -159,7 +159,7 @@ def test_what_is_stored_is_read_again_and_shifts_the_frame(tmp_path: Path) -> No
     assert found.home.shift == pytest.approx(-0.3e-3)
     moved = found.applied(bench).contact_frame
     assert np.subtract(moved, bench.contact_frame) == pytest.approx([0, 0, -0.3e-3, 0, 0, 0])
-    assert Calibration.from_attrs(found.description()) == found
+    assert Calibration.from_attrs(found.attrs()) == found
     # A second indenter is stored next to the first.
     store.store(tmp_path, "gelsight", home={"sphere": _home(bench, shift=1e-4)})
     assert store.load(tmp_path, bench, "prism")[0].home == found.home
