@@ -1,4 +1,4 @@
-# A checkout's front door: sets up the venv, then calls `python -m ...`. `make` lists the targets.
+# Targets set up the venv if needed, then call `python -m ...`. `make` lists them.
 SENSOR   ?= tacpalm
 VENV     := .venv
 PY       := $(VENV)/bin/python
@@ -16,7 +16,7 @@ PIP      := $(PY) -m pip install --quiet --disable-pip-version-check -c constrai
 
 .PHONY: help accuracy speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip preview compare mock replay check-session split train-field train-autoencoder train-direct train-marker-vae train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning learning-tables learning-ablations learning-on-gpus live endurance faults bench-recorder test golden test-all check format reference setup clean
 
-# Above a target: `##@` begins a group of the list, `#:` are the options of the target.
+# Above a target: `##@` starts a group of the list, `#:` gives the options of the target.
 help:
 	@echo 'make TARGET; make help-TARGET shows its options'
 	@awk '/^##@ / {printf "\n%s\n", substr($$0, 5)} \
@@ -49,23 +49,23 @@ resume: $(VENV)/.rig $(WORLDDEP)  ## Continue a stopped session
 	@$(PY) -m rig collect $(if $(BENCH),--bench $(BENCH)) $(WORLDARG) $(SOURCES) --resume $(SESSION) $(WATCHARG)
 
 #: SENSOR=tacpalm [INDENTER=] [CORNERS=1] [BENCH=file] [WORLD=sim]
-home: $(VENV)/.rig $(WORLDDEP)  ## Find the surface by touch, keep it in calibrations/
+home: $(VENV)/.rig $(WORLDDEP)  ## Find the surface by touch and store it in calibrations/
 	@$(PY) -m rig home $(BENCHARG) $(if $(INDENTER),--indenter $(INDENTER)) $(if $(CORNERS),--corners)
 
 #: SENSOR=tacpalm [INDENTER=] [BENCH=file] [WORLD=sim]
-calibrate-latency: $(VENV)/.rig $(WORLDDEP)  ## Tap lightly, keep how late the camera is
+calibrate-latency: $(VENV)/.rig $(WORLDDEP)  ## Measure and store the camera's latency by light taps
 	@$(PY) -m rig calibrate-latency $(BENCHARG) $(if $(INDENTER),--indenter $(INDENTER))
 
 #: SENSOR=tacpalm [INDENTER=prism] [OUT=] [BENCH=file] [WORLD=sim]
-force-depth: $(VENV)/.rig $(WORLDDEP)  ## Press and release 3 times, table and curve
+force-depth: $(VENV)/.rig $(WORLDDEP)  ## Press and release 3 times, write a table and the curve
 	@$(PY) -m rig force-depth $(BENCHARG) $(if $(INDENTER),--indenter $(INDENTER)) $(if $(OUT),--out $(OUT))
 
 #: FILE=campaigns/day.yaml [LIST=1] [YES=1] [KEEP_GOING=1]
-campaign: $(VENV)/.rig  ## Record what is left of a day
+campaign: $(VENV)/.rig  ## Record the remaining sessions of a campaign file
 	@$(PY) -m rig campaign --file $(FILE) $(if $(LIST),--list) $(if $(YES),--yes) $(if $(KEEP_GOING),--keep-going)
 
 #: SENSOR=tacpalm [BENCH=file]
-jog: $(VENV)/.rig $(WORLDDEP)  ## Move the arm by a SpaceMouse, take the contact origin
+jog: $(VENV)/.rig $(WORLDDEP)  ## Move the arm with a SpaceMouse and set the contact origin
 	@$(PY) -m rig jog $(BENCHARG)
 
 #: SENSOR=tacpalm [OPEN=1] [BENCH=file]
@@ -85,39 +85,39 @@ replay: $(VENV)/.rig  ## Play a session through mock hardware and record it agai
 	@$(PY) -m rig replay --session $(SESSION) $(if $(SPEED),--speed $(SPEED)) $(if $(OUT),--out $(OUT)) $(foreach name,$(WITHOUT),--without $(name))
 
 #: SESSION= TRUTH=
-compare: $(VENV)/.rig  ## Hold a mock session against the World's truth
+compare: $(VENV)/.rig  ## Compare a mock session with the World's ground truth
 	@$(PY) -m rig compare --session $(SESSION) --truth $(TRUTH)
 
 #: SESSION=sessions/x.zarr
-check-session: $(VENV)/.rig  ## Look for faults in a session
+check-session: $(VENV)/.rig  ## Check a session for problems
 	@$(PY) -m recorder check $(SESSION)
 
 #: MODEL=runs/x SENSOR=tacpalm [BENCH=file] [SESSION=replayed.zarr] [ARGS="--seconds 10"]
-live: $(VENV)/.live  ## Forces from the sensor as it is pressed
+live: $(VENV)/.live  ## Show forces as the sensor is pressed
 	@$(PY) -m rig live --model $(MODEL) $(if $(SESSION),--session $(SESSION),$(BENCHARG)) $(ARGS)
 
 ##@ Simulate
 
 #: [SHAPE=sphere] [DEPTHS=0.5,1,1.5] [TIER=layer] [OUT=press.png] [ARGS="--friction 0.5 --mesh 1"]
-press: $(VENV)/.sim  ## Simulate a press, table and picture
+press: $(VENV)/.sim  ## Simulate a press, write a table and a picture
 	@$(PY) -m sim press $(if $(SHAPE),--shape $(SHAPE)) $(if $(DEPTHS),--depths $(DEPTHS)) $(if $(TIER),--tier $(TIER)) $(if $(OUT),--out $(OUT)) $(ARGS)
 
 #: [INDENTERS=sphere,cone] [PATTERNS=Array1,Circle1] [OUT=path] [DEVICE=cuda:0] [ARGS="--smoke"]
-simulate: $(VENV)/.sim  ## The paper's 810 states under 12 patterns, a marker archive
+simulate: $(VENV)/.sim  ## Write a marker archive of the paper's 810 states under 12 patterns
 	@$(PY) -m sim archive states $(if $(INDENTERS),--indenters $(INDENTERS)) $(if $(PATTERNS),--patterns $(PATTERNS)) $(if $(OUT),--out $(OUT)) $(if $(DEVICE),--device $(DEVICE)) $(ARGS)
 
 #: [GROUP=homogeneous|material|heterogeneous] [SCALE=smoke|0.1|full] [OUT=path] [DEVICE=cuda:0] [ARGS="--tier layer"]
-simulate-sensors: $(VENV)/.sim  ## Real trajectories with forces on simulated sensors
+simulate-sensors: $(VENV)/.sim  ## Write an archive of real trajectories with forces on simulated sensors
 	@$(PY) -m sim archive sensors --group $(or $(GROUP),homogeneous) --scale $(or $(SCALE),0.1) $(if $(INDENTERS),--indenters $(INDENTERS)) $(if $(OUT),--out $(OUT)) $(if $(DEVICE),--device $(DEVICE)) $(ARGS)
 
 ##@ Learn
 
 #: SESSIONS="a.zarr b.zarr" OUT=x.markers.zarr [ARGS="--preset NAME --rate"]
-markers: $(VENV)/.markers  ## Marker archive of sessions
+markers: $(VENV)/.markers  ## Make a marker archive of recorded sessions
 	@$(PY) -m learning markers $(SESSIONS) --out $(OUT) --sheet $(OUT:.zarr=.png) $(ARGS)
 
 #: ARCHIVE=x.markers.zarr [OUT=split.json] [ARGS="--new-press 0.2"]
-split: $(VENV)/.learning  ## Say which presses train and which test
+split: $(VENV)/.learning  ## Assign presses to training or to a held-out part
 	@$(PY) -m learning split $(ARCHIVE) --out $(or $(OUT),$(ARCHIVE:.markers.zarr=.split.json)) $(ARGS)
 
 #: ARCHIVE= SPLIT= OUT=runs/x [PRESET=ours] [GPUS=4] [ARGS="--resume --set key=value"]
@@ -125,11 +125,11 @@ train-field train-autoencoder train-direct train-marker-vae train-diffusion: $(V
 	@$(LAUNCH) -m learning $@ $(ARCHIVE) --split $(SPLIT) --out $(OUT) $(if $(PRESET),--preset $(PRESET)) $(ARGS)
 
 #: ARCHIVE= SOURCE=a TARGET=b MODEL=flow|runs/x OUT=x.markers.zarr [ARGS="--sheet x.png"]
-translate: $(VENV)/.learning  ## Show frames of a sensor as another's
+translate: $(VENV)/.learning  ## Translate frames of one sensor into frames of another
 	@$(PY) -m learning translate $(ARCHIVE) --source $(SOURCE) --target $(TARGET) --model $(or $(MODEL),flow) --out $(OUT) $(ARGS)
 
 #: ARCHIVE= OUT=file.json [ARGS="--split split.json"]
-compensate: $(VENV)/.learning  ## Priors of skins, and how labels are brought from one to another
+compensate: $(VENV)/.learning  ## Fit material priors and choose how labels are scaled between skins
 	@$(PY) -m learning compensate $(ARCHIVE) --out $(OUT) $(ARGS)
 
 #: ARCHIVE= SENSOR= SPLIT= OUT=runs/x [PRESET=half] [GPUS=4] [ARGS="--compensation file.json"]
@@ -137,62 +137,62 @@ train-force: $(VENV)/.learning  ## Train a force model
 	@$(LAUNCH) -m learning train-force $(ARCHIVE) --sensor $(SENSOR) --split $(SPLIT) --out $(OUT) $(if $(PRESET),--preset $(PRESET)) $(ARGS)
 
 #: FOLDER=results OUT=report
-evaluate: $(VENV)/.learning  ## Report of predictions and translations
+evaluate: $(VENV)/.learning  ## Write the report of predictions and translations
 	@$(PY) -m learning evaluate $(FOLDER) --out $(OUT) $(ARGS)
 
 #: ARCHIVE= OUT=dir [PRESET=demo] [ARGS="--pairs a:b --device cuda:0"]
-experiment: $(VENV)/.learning  ## Translate, train, compensate, evaluate, all pairs
+experiment: $(VENV)/.learning  ## Translate, train, compensate and evaluate all pairs
 	@$(PY) -m learning experiment $(ARCHIVE) --out $(OUT) $(if $(PRESET),--preset $(PRESET)) $(ARGS)
 
 #: [OUT=runs/demo-learning]
-demo-learning: $(VENV)/.demo  ## Three simulated sensors, from press to report, on two cores (10 minutes)
+demo-learning: $(VENV)/.demo  ## Run three simulated sensors from press to report on two cores (10 minutes)
 	@$(PY) -m sim archive sensors --sensors $(DEMO)/array-hard.yaml,$(DEMO)/circle.yaml,$(DEMO)/diamond-soft.yaml --tier layer --scale 0.025 --steps 4 --no-check --out $(or $(OUT),runs/demo-learning)/demo.markers.zarr
 	@$(PY) -m learning experiment $(or $(OUT),runs/demo-learning)/demo.markers.zarr --out $(or $(OUT),runs/demo-learning) --preset demo --pairs array-hard:circle,array-hard:diamond-soft
 
 ##@ Measure (pages are in docs/results/)
 
 #: [QUICK=1] [ONLY=row] [KILLS=100]
-faults: $(VENV)/.nidaq  ## Break a mock bench in every way: reliability.md (half an hour)
+faults: $(VENV)/.nidaq  ## Inject every fault into a mock bench: reliability.md (half an hour)
 	@$(PY) -m benchmarks faults $(if $(QUICK),--quick) $(if $(ONLY),--only $(ONLY)) $(if $(KILLS),--kills $(KILLS))
 
 #: SENSOR=tacpalm [MINUTES=30] [OUT=docs/results/endurance.md]
-endurance: $(VENV)/.rig  ## A long mock collection, watched: endurance.md (half an hour)
+endurance: $(VENV)/.rig  ## Monitor a long mock collection: endurance.md (half an hour)
 	@$(PY) -m benchmarks endurance $(BENCHARG) $(if $(MINUTES),--minutes $(MINUTES)) $(if $(OUT),--out $(OUT))
 
 #: [QUICK=1] [ONLY=part] [OUT=page.md]
-bench-recorder: $(VENV)/.bench  ## Measure what recording costs: recording.md (12 minutes)
+bench-recorder: $(VENV)/.bench  ## Measure the cost of recording: recording.md (12 minutes)
 	@$(PY) -m benchmarks recording $(if $(QUICK),--quick) $(foreach part,$(ONLY),--only $(part)) $(if $(OUT),--out $(OUT))
 
 #: [ONLY=case] [PLANTED=all] [RANDOM=300 [SEED=1]] [DEVICE=cuda:0] [OUT=page.md] [ARGS="--scene 17"]
-hard-cases: $(VENV)/.sim  ## Simulate what breaks simulators: stability.md (10 minutes)
+hard-cases: $(VENV)/.sim  ## Simulate cases that break simulators: stability.md (10 minutes)
 	@$(PY) -m benchmarks hard-cases $(foreach case,$(ONLY),--only '$(case)') $(if $(PLANTED),--planted $(PLANTED)) $(if $(RANDOM),--random $(RANDOM)) $(if $(SEED),--seed $(SEED)) $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT)) $(ARGS)
 
 #: [ONLY=bench|shapes] [DEVICE=cuda:0] [OUT=page.md]
-refine: $(VENV)/.sim  ## Coarse to fine meshes, all 18 shapes: refinement.md (hours on a CPU)
+refine: $(VENV)/.sim  ## Refine the meshes of all 18 shapes: refinement.md (hours on a CPU)
 	@$(PY) -m benchmarks refine $(if $(ONLY),--only $(ONLY)) $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT))
 
 #: [ONLY=measure|page] [DEVICE=cuda:0] [OUT=docs/results/accuracy] [ARGS="--case sphere --smoke"]
-accuracy: $(VENV)/.sim  ## Error, time and memory of every tier and mesh: accuracy.md (15 minutes)
+accuracy: $(VENV)/.sim  ## Measure error, time, memory of all tiers and meshes: accuracy.md (15 minutes)
 	@$(PY) -m benchmarks accuracy $(if $(ONLY),--only $(ONLY)) $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT)) $(ARGS)
 
 #: [ONLY=presses,steps,page] [DEVICE=cuda:0] [OUT=docs/results/speed] [ARGS="--again --smoke"]
-speed: $(VENV)/.sim  ## The paper's 162 presses timed, what each step is worth: speed.md (20 minutes)
+speed: $(VENV)/.sim  ## Time the paper's 162 presses and each optimisation: speed.md (20 minutes)
 	@$(PY) -m benchmarks speed $(if $(ONLY),--only $(ONLY)) $(if $(DEVICE),--device $(DEVICE)) $(if $(OUT),--out $(OUT)) $(ARGS)
 
 #: [ARGS="--model runs/x --archive x.markers.zarr"]
-bench-learning: $(VENV)/.learning  ## Time force models, a frame at a time
+bench-learning: $(VENV)/.learning  ## Time force models, one frame at a time
 	@$(PY) -m benchmarks latency $(ARGS)
 
 #: [OUT=runs/tables] [TABLES="material homogeneous-full"] [DEVICE=cuda:0] [JOBS=8]
-learning-tables: $(VENV)/.demo  ## The paper's tables on simulated groups of sensors, for a GPU
+learning-tables: $(VENV)/.demo  ## Write the paper's tables for simulated groups of sensors, on a GPU
 	@PYTHON=$(PY) DEVICE=$(DEVICE) JOBS=$(JOBS) bash benchmarks/learning/tables/run.sh $(or $(OUT),runs/tables) $(TABLES)
 
 #: [OUT=runs/tables] [NAMES="half single-frame"] [DEVICE=cuda:0] [JOBS=8]
-learning-ablations: $(VENV)/.demo  ## What limits them, one thing changed at a time; after learning-tables
+learning-ablations: $(VENV)/.demo  ## Write the ablations of these tables; run after learning-tables
 	@PYTHON=$(PY) DEVICE=$(DEVICE) JOBS=$(JOBS) bash benchmarks/learning/tables/ablations.sh $(or $(OUT),runs/tables) $(NAMES)
 
 #: [OUT=runs/tables] [ARGS="--only material,half --gpus 0,1"]
-learning-on-gpus: $(VENV)/.demo  ## All of these tables and ablations side by side, on all GPUs
+learning-on-gpus: $(VENV)/.demo  ## Run all of these tables and ablations in parallel on all GPUs
 	@$(PY) benchmarks/learning/tables/on_gpus.py $(or $(OUT),runs/tables) $(ARGS)
 
 ##@ Develop
@@ -202,13 +202,13 @@ test: $(VENV)/.dev  ## Run the default tests (about 6 minutes on 2 cores)
 	@$(PY) -m pytest -q -m serial --ignore tests/golden
 
 #: [ARGS="--slow | --only NAME"]
-golden: $(VENV)/.dev  ## Replay what every command did before (3 minutes)
+golden: $(VENV)/.dev  ## Compare every command with its recorded results (3 minutes)
 	@$(PY) tests/golden/replay.py -j 2 $(ARGS)
 
-test-all: $(VENV)/.dev  ## Run all tests, the slow ones too
+test-all: $(VENV)/.dev  ## Run all tests, including the slow ones
 	@RUN_SLOW=1 $(PY) -m pytest -q --durations=10
 
-check: $(VENV)/.dev  ## Lint, format check, types, who may import whom
+check: $(VENV)/.dev  ## Check lint, format, types and layers of imports
 	@$(PY) -m ruff check . && $(PY) -m ruff format --check . && $(PY) -m mypy && $(VENV)/bin/lint-imports --no-logo
 
 reference: $(VENV)/.rig  ## Write docs/reference from the commands and packages
@@ -217,10 +217,10 @@ reference: $(VENV)/.rig  ## Write docs/reference from the commands and packages
 format: $(VENV)/.dev  ## Format the code
 	@$(PY) -m ruff format . && $(PY) -m ruff check --fix .
 
-setup: $(VENV)/.rig  ## Make the venv and install what recording needs
+setup: $(VENV)/.rig  ## Create the venv and install the dependencies of recording
 
 
-clean:  ## Remove the venv and caches (sessions stay)
+clean:  ## Remove the venv and caches, keep sessions
 	rm -rf $(VENV) build *.egg-info .mypy_cache .pytest_cache .ruff_cache
 
 $(VENV)/bin/python:

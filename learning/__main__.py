@@ -28,7 +28,7 @@ _VERBS = {
     ),
     "train-autoencoder": (
         "translation.direct.autoencoder_command",
-        "train the marker autoencoder on any archives",
+        "train the marker autoencoder, from which the direct translator starts",
     ),
     "train-direct": (
         "translation.direct.command",
@@ -40,17 +40,17 @@ _VERBS = {
     ),
     "train-diffusion": (
         "translation.diffusion.command",
-        "train the paper's translator on SD-Turbo",
+        "train the paper's translator from SD-Turbo's weights",
     ),
     "import-weights": (
         "translation.diffusion.weights_command",
-        "make the authors' published checkpoints usable",
+        "convert the authors' published checkpoints",
     ),
-    "translate": ("cli.translate", "translate frames of a sensor into frames of another"),
+    "translate": ("cli.translate", "translate frames of one sensor into frames of another"),
     # Forces
     "compensate": (
         "compensation.command",
-        "fit material priors and choose how labels are transferred between skins",
+        "fit material priors and choose how labels are scaled between skins",
     ),
     "train-force": ("force.command", "train a force model on labelled presses"),
     "export-onnx": ("cli.export_onnx", "write one step of a force model as ONNX"),
@@ -59,7 +59,7 @@ _VERBS = {
     "evaluate": ("cli.evaluate", "write the report of predictions and translations"),
     "experiment": (
         "cli.experiment",
-        "translate, train, compensate, evaluate: all pairs of an archive, one report",
+        "translate, train, compensate and evaluate all pairs of an archive",
     ),
 }
 

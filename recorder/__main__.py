@@ -161,7 +161,8 @@ def _directory(text: str) -> Path:
 def parser() -> argparse.ArgumentParser:
     """Return the parser of all commands and their options."""
     made = argparse.ArgumentParser(
-        prog="python -m recorder", description="Look after recorded sessions and marker archives."
+        prog="python -m recorder",
+        description="Inspect, check and convert sessions and marker archives.",
     )
     add_to(made.add_subparsers(required=True, metavar="COMMAND"))
     return made
@@ -180,11 +181,11 @@ def add_to(commands: Verbs) -> None:
         added.set_defaults(run=run)
         return added
 
-    command("info", _info, "Show what a session or a marker archive holds.", remote=True)
+    command("info", _info, "Show the contents of a session or a marker archive.", remote=True)
     command(
         "check",
         _check,
-        "Check a session or a marker archive for every known problem; exit 1 if any is found.",
+        "Check a session or a marker archive for problems; exit 1 if any is found.",
         remote=True,
     )
     command("recover", _recover, "Close a session whose recording was killed.")
@@ -197,7 +198,9 @@ def add_to(commands: Verbs) -> None:
         help="portable: lossless pixels for every Zarr reader; camera: the camera's JPEG bytes "
         "(default: %(default)s)",
     )
-    outward = command("export", _export, "Write a session in another format.", remote=True)
+    outward = command(
+        "export", _export, "Write a session as LeRobot, MCAP, HDF5 or GenForce.", remote=True
+    )
     outward.add_argument("destination", type=Path, help="file or folder to make; must not exist")
     known = "; ".join(f"{name}: {what}" for name, what in FORMATS.items())
     outward.add_argument("--to", choices=FORMATS, required=True, help=known)
@@ -210,7 +213,7 @@ def add_to(commands: Verbs) -> None:
         help="lerobot, genforce: leave out rows without a sample of every stream near enough "
         "(docs/data-format.md: max_age [s])",
     )
-    add_options(command("import", _import, "Wrap a recording made elsewhere into a session."))
+    add_options(command("import", _import, "Convert a recording made elsewhere into a session."))
     viewer = command("view", _view, "View a session in Rerun.")
     viewer.add_argument("--save", type=Path, help="write this .rrd file and open no viewer")
     viewer.add_argument(

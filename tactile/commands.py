@@ -1,8 +1,8 @@
-"""Every command of `tactile`: its words, what it does, and the module that does it.
+"""Table of all commands of `tactile`: name, help text and implementing module.
 
-Nothing is imported here: `tactile --help` reads this table alone. A module has
-`add_to(verbs)`, which adds the parser of the verb; `docs/reference/commands.md` is made from the
-table (`make reference`).
+Nothing is imported here: `tactile --help` needs only this table. Each module has
+`add_to(verbs)`, which adds the parser of the command. `docs/reference/commands.md` is generated
+from the table (`make reference`).
 """
 
 from __future__ import annotations
@@ -12,124 +12,186 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A row of the table."""
+    """One row of the table."""
 
     words: str
-    """What is typed after `tactile`: one word or two."""
+    """Words typed after `tactile`: one or two."""
     module: str
-    """Whose `add_to` adds the verb."""
+    """Module whose `add_to` adds the command."""
     help: str
-    """What it does, in a line."""
+    """One-line help text."""
     verb: str = ""
-    """Its name in `python -m PACKAGE VERB`, where that is not the last word."""
+    """Name in `python -m PACKAGE VERB`, if different from the last word."""
     extra: str = ""
-    """What to install for it, where that is not the extra of its package."""
+    """Required extra, if different from the package's."""
 
     @property
     def package(self) -> str:
-        """The package that it belongs to."""
+        """Package of the command."""
         return self.module.partition(".")[0]
 
     @property
     def name(self) -> str:
-        """Of the verb in its package."""
+        """Name of the command within its package."""
         return self.verb or self.words.split()[-1]
 
     @property
     def door(self) -> str:
-        """The same command as a verb of its package."""
+        """Equivalent `python -m` command of its package."""
         return f"python -m {self.package} {self.name}"
 
 
 RECORD = (
-    Command("collect", "rig.cli.collect", "record one session along the bench's plan"),
-    Command("home", "rig.cli.home", "find the sensor's surface by touch"),
-    Command("calibrate-latency", "rig.cli.calibrate_latency", "find how late the camera is"),
-    Command("force-depth", "rig.cli.force_depth", "press and release; table and curve"),
-    Command("campaign", "rig.cli.campaign", "record what is left of a day of sessions"),
-    Command("preview", "rig.cli.preview", "draw the plan and check its limits"),
-    Command("jog", "rig.cli.jog", "move the arm by a SpaceMouse, take the contact origin"),
-    Command("grip", "rig.cli.grip", "close the gripper on the indenter"),
-    Command("mock", "rig.cli.mock", "run the emulators of a bench until Ctrl-C"),
-    Command("replay", "rig.cli.replay", "play a session through the emulators, record it again"),
-    Command("compare", "rig.cli.compare", "hold a mock session against the World's truth"),
+    Command("collect", "rig.cli.collect", "record one session with the bench's plan"),
     Command(
-        "live", "rig.cli.live", "forces from the sensor as it is pressed", extra="rig,learning"
+        "home", "rig.cli.home", "find the sensor's surface by touch (1 mm/s) and store its position"
+    ),
+    Command(
+        "calibrate-latency",
+        "rig.cli.calibrate_latency",
+        "measure and store the latency of the camera or taxels by light taps",
+    ),
+    Command(
+        "force-depth",
+        "rig.cli.force_depth",
+        "press and release along the bench's force_depth and plot the curve",
+    ),
+    Command("campaign", "rig.cli.campaign", "record the remaining sessions of a campaign file"),
+    Command("preview", "rig.cli.preview", "draw the plan and check its limits"),
+    Command(
+        "jog",
+        "rig.cli.jog",
+        "move the arm with a SpaceMouse; its first button sets the contact origin",
+    ),
+    Command("grip", "rig.cli.grip", "open the gripper, then close it on the indenter"),
+    Command("mock", "rig.cli.mock", "run the emulators of a bench until Ctrl-C"),
+    Command(
+        "replay",
+        "rig.cli.replay",
+        "play a session through the emulators and record it again; nothing moves",
+    ),
+    Command("compare", "rig.cli.compare", "compare a mock session with the World's ground truth"),
+    Command(
+        "live",
+        "rig.cli.live",
+        "predict forces with a trained model as the sensor is touched; nothing moves",
+        extra="rig,learning",
     ),
 )
 SESSIONS = (
-    Command("session info", "recorder.__main__", "show what a session or an archive holds"),
-    Command("session check", "recorder.__main__", "look for faults; exit 1 if there are any"),
+    Command(
+        "session info", "recorder.__main__", "show the contents of a session or a marker archive"
+    ),
+    Command(
+        "session check",
+        "recorder.__main__",
+        "check a session or a marker archive for problems; exit 1 if any is found",
+    ),
     Command("session recover", "recorder.__main__", "close a session whose recording was killed"),
-    Command("session repack", "recorder.__main__", "copy it, images stored in another way"),
+    Command(
+        "session repack",
+        "recorder.__main__",
+        "copy a session, storing its images in another encoding",
+    ),
     Command(
         "session export",
         "recorder.__main__",
-        "write it as LeRobot, MCAP, HDF5 or GenForce",
+        "write a session as LeRobot, MCAP, HDF5 or GenForce",
         extra="export",
     ),
-    Command("session sheet", "recorder.__main__", "draw it on one page"),
-    Command("session view", "recorder.__main__", "look at it in Rerun", extra="view"),
-    Command("import", "recorder.__main__", "wrap a recording made elsewhere into a session"),
+    Command("session sheet", "recorder.__main__", "draw a session on one page"),
+    Command("session view", "recorder.__main__", "view a session in Rerun", extra="view"),
+    Command("import", "recorder.__main__", "convert a recording made elsewhere into a session"),
 )
 SIMULATE = (
     Command("sim press", "sim.cli.press", "press straight down: force, surface, pressure"),
-    Command("sim loop", "sim.cli.loop", "press, shear, return and release"),
-    Command("sim hold", "sim.cli.hold", "press within a time and hold: relaxation"),
-    Command("sim archive", "sim.cli.archive", "marker archives of simulated sensors"),
+    Command("sim loop", "sim.cli.loop", "press, shear, return and lift: hysteresis and slip"),
+    Command("sim hold", "sim.cli.hold", "press within a given time and hold: relaxation"),
+    Command("sim archive", "sim.cli.archive", "write or draw marker archives of simulated sensors"),
 )
 LEARN = (
     Command("markers", "learning.cli.markers", "make a marker archive of recorded sessions"),
-    Command("split", "learning.cli.split", "say which presses train and which test"),
+    Command(
+        "split",
+        "learning.cli.split",
+        "assign each press of an archive to training or to a held-out part",
+    ),
     Command(
         "train field",
         "learning.translation.field.command",
-        "train the field translator",
+        "train the field translator on a group of sensors",
         "train-field",
     ),
     Command(
         "train direct",
         "learning.translation.direct.command",
-        "train the direct translator",
+        "train the direct translator on a group of sensors",
         "train-direct",
     ),
     Command(
         "train autoencoder",
         "learning.translation.direct.autoencoder_command",
-        "train the images' autoencoder, which the direct translator builds on",
+        "train the marker autoencoder, from which the direct translator starts",
         "train-autoencoder",
     ),
     Command(
         "train diffusion",
         "learning.translation.diffusion.command",
-        "train the paper's translator",
+        "train the paper's translator from SD-Turbo's weights",
         "train-diffusion",
         "diffusion",
     ),
     Command(
         "train marker-vae",
         "learning.translation.diffusion.vae_command",
-        "train the autoencoder that the paper's translator builds on",
+        "train the autoencoder that the paper's translator needs",
         "train-marker-vae",
         "diffusion",
     ),
-    Command("train force", "learning.force.command", "train a force model", "train-force"),
-    Command("translate", "learning.cli.translate", "show frames of a sensor as another's"),
-    Command("compensate", "learning.compensation.command", "bring labels from skin to skin"),
+    Command(
+        "train force",
+        "learning.force.command",
+        "train a force model on labelled presses",
+        "train-force",
+    ),
+    Command(
+        "translate",
+        "learning.cli.translate",
+        "translate frames of one sensor into frames of another",
+    ),
+    Command(
+        "compensate",
+        "learning.compensation.command",
+        "fit material priors and choose how labels are scaled between skins",
+    ),
     Command("predict", "learning.cli.predict", "predict the forces of frames"),
-    Command("evaluate", "learning.cli.evaluate", "report of predictions and translations"),
-    Command("experiment", "learning.cli.experiment", "translate, train, evaluate: all pairs"),
-    Command("import-genforce", "learning.cli.import_genforce", "published folders to an archive"),
-    Command("export-genforce", "learning.cli.export_genforce", "an archive to a training folder"),
+    Command(
+        "evaluate", "learning.cli.evaluate", "write the report of predictions and translations"
+    ),
+    Command(
+        "experiment",
+        "learning.cli.experiment",
+        "translate, train, compensate and evaluate all pairs of an archive",
+    ),
+    Command(
+        "import-genforce",
+        "learning.cli.import_genforce",
+        "make a marker archive of the published GenForce folders",
+    ),
+    Command(
+        "export-genforce",
+        "learning.cli.export_genforce",
+        "write a marker archive as a GenForce training folder",
+    ),
     Command(
         "import-weights",
         "learning.translation.diffusion.weights_command",
-        "take published weights of the paper's translator",
+        "convert the authors' published checkpoints",
         extra="diffusion",
     ),
-    Command("export-onnx", "learning.cli.export_onnx", "write a force model as ONNX"),
+    Command("export-onnx", "learning.cli.export_onnx", "write one step of a force model as ONNX"),
 )
-LAB = (Command("init", "tactile.init", "lay out the folder of a lab"),)
+LAB = (Command("init", "tactile.init", "create the folder of a lab"),)
 
 GROUPS = {
     "Record": RECORD,
@@ -139,13 +201,13 @@ GROUPS = {
     "Lab": LAB,
 }
 COMMANDS = {command.words: command for group in GROUPS.values() for command in group}
-# First words that are followed by a second one.
+# First words of two-word commands.
 FAMILIES = {
-    "session": "look after recorded sessions and marker archives",
+    "session": "inspect, check and convert sessions and marker archives",
     "sim": "press rigid indenters into a soft layer; lengths in mm, forces in N",
     "train": "train translators and force models",
 }
-# Whose `run(parser, argv)` runs the verbs of a package: its errors, its exit codes.
+# Modules whose `run(parser, argv)` runs a package's commands, with its errors and exit codes.
 FRONTS = {
     "rig": "rig.cli.ending",
     "recorder": "recorder.__main__",
@@ -153,5 +215,5 @@ FRONTS = {
     "learning": "learning.command",
     "tactile": "tactile.init",
 }
-# What has to be installed for the verbs of a package.
+# Extras that the commands of a package need.
 EXTRAS = {"rig": "rig", "recorder": "", "sim": "sim", "learning": "learning", "tactile": ""}

@@ -30,7 +30,7 @@ def add_to(verbs: Verbs) -> None:
     parser = verbs.add_parser(
         "calibrate-latency",
         parents=[bench_options()],
-        help="measure and store the latency of the camera (or the taxels) by light taps",
+        help="measure and store the latency of the camera or taxels by light taps",
     )
     parser.add_argument("--indenter", help="name of the indenter on the arm")
     parser.add_argument("--taps", type=int, default=16, help="number of taps (%(default)s)")

@@ -12,7 +12,9 @@ if TYPE_CHECKING:
 
 def add_to(verbs: Verbs) -> None:
     """Add the verb and its options."""
-    parser = verbs.add_parser("compare", help="compare a mock session with the World's truth")
+    parser = verbs.add_parser(
+        "compare", help="compare a mock session with the World's ground truth"
+    )
     parser.add_argument("--session", type=Path, required=True, help="a session")
     parser.add_argument("--truth", type=Path, required=True, help="file from collect --truth")
     parser.set_defaults(run=run)

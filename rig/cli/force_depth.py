@@ -26,7 +26,7 @@ def add_to(verbs: Verbs) -> None:
     parser = verbs.add_parser(
         "force-depth",
         parents=[bench_options()],
-        help="record loading and unloading along the bench's force_depth and draw the curve",
+        help="press and release along the bench's force_depth and plot the curve",
     )
     parser.add_argument(
         "--indenter", default="prism", help="name of the indenter on the arm (%(default)s)"

@@ -22,7 +22,7 @@ def add_to(verbs: Verbs) -> None:
     parser = verbs.add_parser(
         "home",
         parents=[bench_options()],
-        help="find the surface by touch (1 mm/s) and store its position",
+        help="find the sensor's surface by touch (1 mm/s) and store its position",
     )
     parser.add_argument("--indenter", help="name of the indenter on the arm")
     parser.add_argument("--repeats", type=int, default=4, help="approaches per point (%(default)s)")

@@ -27,7 +27,7 @@ def add_to(verbs: Verbs) -> None:
     parser = verbs.add_parser(
         "jog",
         parents=[bench_options()],
-        help="move the arm with a SpaceMouse; its first button sets the contact origin [mm]",
+        help="move the arm with a SpaceMouse; its first button sets the contact origin",
     )
     parser.set_defaults(run=run)
 

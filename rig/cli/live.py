@@ -27,7 +27,7 @@ def add_to(verbs: Verbs) -> None:
     parser = verbs.add_parser(
         "live",
         parents=[bench_options()],
-        help="predict the sensor's forces with a trained model as it is touched; moves nothing",
+        help="predict forces with a trained model as the sensor is touched; nothing moves",
         description="Read the sensor, print Fx, Fy, Fz for every frame, and finally the latency. "
         "No arm moves; on a mock bench an emulated finger presses along its trajectory. "
         "Start with the sensor untouched: its first frames are the reference.",

@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 def add_to(verbs: Verbs) -> None:
     """Add the verb and its options."""
     parser = verbs.add_parser(
-        "mock", parents=[bench_options(), source_options()], help="run the emulators until Ctrl-C"
+        "mock",
+        parents=[bench_options(), source_options()],
+        help="run the emulators of a bench until Ctrl-C",
     )
     parser.set_defaults(run=run)
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 def add_to(verbs: Verbs) -> None:
     """Add the verb and its options."""
     parser = verbs.add_parser(
-        "preview", parents=[bench_options()], help="draw the plan, check its limits"
+        "preview", parents=[bench_options()], help="draw the plan and check its limits"
     )
     parser.add_argument("--out", type=Path, help="PNG to write (default: in sessions/)")
     parser.set_defaults(run=run)

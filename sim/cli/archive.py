@@ -31,7 +31,7 @@ def add_to(verbs: Verbs) -> None:
     """Add the subcommand and its kinds of archive."""
     parser = verbs.add_parser(
         "archive",
-        help="marker archives: the paper's states, its trajectories on our sensors; pictures",
+        help="write or draw marker archives of simulated sensors",
         description="Makes archives of binary marker images with forces and displacement. Started "
         "again with the same options, it continues where it stopped; so does `resume PATH`.",
     )

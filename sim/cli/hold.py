@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 def add_to(verbs: Verbs) -> None:
     """Add the subcommand and its options."""
-    parser = verbs.add_parser("hold", help="press within a time and hold: relaxation")
+    parser = verbs.add_parser("hold", help="press within a given time and hold: relaxation")
     group = parser.add_argument_group("motion")
     group.add_argument(
         "--depth", type=float, default=1.0, metavar="MM", help="depth [mm] (%(default)s)"
