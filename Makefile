@@ -208,8 +208,9 @@ golden: $(VENV)/.dev  ## Compare every command with its recorded results (3 minu
 test-all: $(VENV)/.dev  ## Run all tests, including the slow ones
 	@RUN_SLOW=1 $(PY) -m pytest -q --durations=10
 
-check: $(VENV)/.dev  ## Check lint, format, types and layers of imports
+check: $(VENV)/.dev  ## Check lint, format, types, layers of imports, spelling and prose
 	@$(PY) -m ruff check . && $(PY) -m ruff format --check . && $(PY) -m mypy && $(VENV)/bin/lint-imports --no-logo
+	@$(VENV)/bin/codespell && $(PY) tests/support/prose.py
 
 reference: $(VENV)/.rig  ## Write docs/reference from the commands and packages
 	@$(PY) tests/support/reference.py

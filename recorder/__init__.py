@@ -1,6 +1,6 @@
 """Dataset store: record, read, align, check and export sessions; read marker archives.
 
-The format is specified in `docs/data-format.md`; this package is its only implementation.
+The format is specified in `docs/reference/data-format.md`; this package is its only implementation.
 """
 
 from recorder.archive import MarkerArchive

@@ -211,7 +211,7 @@ def add_to(commands: Verbs) -> None:
         "--valid-only",
         action="store_true",
         help="lerobot, genforce: leave out rows without a sample of every stream near enough "
-        "(docs/data-format.md: max_age [s])",
+        "(docs/reference/data-format.md: max_age [s])",
     )
     add_options(command("import", _import, "Convert a recording made elsewhere into a session."))
     viewer = command("view", _view, "View a session in Rerun.")

@@ -133,7 +133,8 @@ def camera_spec(
         height: Rows of an image [px].
         width: Columns of an image [px].
         codec: `jpeg` keeps the camera's own bytes, `zstd` stores decoded images losslessly.
-        attrs: Stored with the stream; see docs/data-format.md for those that alignment reads.
+        attrs: Stored with the stream; docs/reference/data-format.md lists those that alignment
+            reads.
     """
     value = Column(
         "value",

@@ -191,7 +191,10 @@ LEARN = (
     ),
     Command("export-onnx", "learning.cli.export_onnx", "write one step of a force model as ONNX"),
 )
-LAB = (Command("init", "tactile.init", "create the folder of a lab"),)
+LAB = (
+    Command("init", "tactile.init", "create the folder of a lab"),
+    Command("schema", "tactile.schema", "write the JSON Schema of bench, campaign or sensor files"),
+)
 
 GROUPS = {
     "Record": RECORD,

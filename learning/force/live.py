@@ -311,7 +311,8 @@ def open_live(
     chosen = preset_name or (None if sensor is None else preset_of_sensor(sensor))
     if chosen is None:
         raise LearningError(
-            f"preset: none is meant for sensor {sensor}; allowed: name a preset (docs/markers.md)"
+            f"preset: none is meant for sensor {sensor}; allowed: name a preset "
+            "(docs/how-to/make-marker-archives.md)"
         )
     one_thread()
     return LivePredictor(_stream(model, runtime, threads), preset(chosen))

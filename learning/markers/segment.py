@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.config import build_one_of, preset_names, preset_path, read_mapping
+from learning.config import READER, preset_names, preset_path
 from learning.errors import LearningError
 from recorder.markers import HEIGHT, SMALLEST_PX, WIDTH, find_blobs
 
@@ -427,7 +427,7 @@ def read_preset(path: Path) -> Preset:
     Raises:
         LearningError: The file is missing, is not YAML, or has an invalid key or value.
     """
-    made: Preset = build_one_of(get_args(Preset), read_mapping(path), str(path))
+    made: Preset = READER.build_one_of(get_args(Preset), READER.read(path), str(path))
     return made
 
 

@@ -24,7 +24,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 from torch import Tensor, nn
 
-from learning.config import build, read_mapping
+from learning.config import READER
 from learning.errors import LearningError
 from recorder.store import replace_file
 from recorder.strict_yaml import yaml_text
@@ -175,7 +175,7 @@ class ModelFolder:
         Raises:
             LearningError: They do not fit that class.
         """
-        return build(kind, dict(self.config.settings), f"{self.path / CONFIG}.settings")
+        return READER.build(kind, dict(self.config.settings), f"{self.path / CONFIG}.settings")
 
     def weights(self, name: str = MODEL) -> dict[str, Tensor]:
         """Read the weights of one of its networks.
@@ -236,7 +236,7 @@ def read_config(folder: Path) -> Config:
     path = folder / CONFIG
     if not path.is_file():
         raise LearningError(f"{folder}: found no {CONFIG}; allowed: the folder of a training run")
-    content = read_mapping(path)
+    content = READER.read(path)
     known = Config.__dataclass_fields__
     if unknown := sorted(set(content) - set(known)):
         raise LearningError(f"{path}: unknown {', '.join(unknown)}; known: {', '.join(known)}")

@@ -1,6 +1,6 @@
 """Marker archives: binary images, references and labels of many sensors, for training.
 
-The format is specified in `docs/data-format.md`; this package is its only implementation.
+The format is specified in `docs/reference/data-format.md`; this package is its only implementation.
 """
 
 from recorder.archive.array import Rows

@@ -1,7 +1,7 @@
 """Import of other recordings and export of sessions: one file per format.
 
-The library of a format is imported only when the format is used; docs/exporting.md describes the
-content of each format.
+The library of a format is imported only when the format is used;
+docs/how-to/export-and-import.md describes the content of each format.
 """
 
 from recorder.convert.export import FORMATS, Options, building, export, file_name

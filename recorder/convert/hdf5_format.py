@@ -1,7 +1,8 @@
 """HDF5: the whole session, under the same names as in Zarr.
 
-Groups, arrays and attributes are those of docs/data-format.md. Attributes that are lists or objects
-are stored as JSON text. JPEG images are variable-length rows with the camera's unchanged bytes.
+Groups, arrays and attributes are those of docs/reference/data-format.md. Attributes that are lists
+or objects are stored as JSON text. JPEG images are variable-length rows with the camera's unchanged
+bytes.
 """
 
 from __future__ import annotations

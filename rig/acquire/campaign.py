@@ -53,6 +53,22 @@ class Entry:
 
 
 @dataclass(frozen=True, slots=True)
+class CampaignFile:
+    """Content of a campaign file."""
+
+    sessions: tuple[Entry, ...]
+    """At least one."""
+    out: str = ""
+    """Folder of the sessions; empty: `sessions/` and the name of the file."""
+    operator: str = ""
+
+    def __post_init__(self) -> None:
+        """Reject an empty list."""
+        if not self.sessions:
+            raise ValueError("sessions: found none; allowed: a list of sessions")
+
+
+@dataclass(frozen=True, slots=True)
 class Item:
     """An entry with the bench that records it."""
 
@@ -88,23 +104,14 @@ def load_campaign(path: Path, benches: Path) -> Campaign:
     Raises:
         ConfigError: The file, or a bench in it, is invalid.
     """
-    content = read_yaml(packaged(path, CAMPAIGNS))
-    if unknown := sorted(set(content) - {"out", "operator", "sessions"}):
-        raise ConfigError(f"{path}: unknown {unknown}; known: ['operator', 'out', 'sessions']")
-    listed = content.get("sessions")
-    if not isinstance(listed, list) or not listed:
-        raise ConfigError(f"{path}.sessions: found {listed!r}; allowed: a list of sessions")
-    entries = [build(Entry, item, f"{path}.sessions[{k}]") for k, item in enumerate(listed)]
+    file = build(CampaignFile, read_yaml(packaged(path, CAMPAIGNS)), str(path))
+    entries = file.sessions
     names = [entry.name for entry in entries]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise ConfigError(f"{path}.sessions: {', '.join(twice)}: listed twice; allowed: once")
     items = tuple(_item(entry, f"{path}.sessions[{k}]", benches) for k, entry in enumerate(entries))
-    out = content.get("out", f"sessions/{path.stem}")
-    operator = content.get("operator", "")
-    for key, value in (("out", out), ("operator", operator)):
-        if not isinstance(value, str):
-            raise ConfigError(f"{path}.{key}: found {value!r}; allowed: text")
-    return Campaign(path.stem, items, operator, Path(out))
+    out = Path(file.out or f"sessions/{path.stem}")
+    return Campaign(path.stem, items, file.operator, out)
 
 
 def _item(entry: Entry, where: str, benches: Path) -> Item:

@@ -51,7 +51,8 @@ def run(options: argparse.Namespace) -> int:
     print(banner(bench.mock, path), flush=True)
     if bench.force_depth is None:
         raise ConfigError(
-            f"{path}.force_depth: missing; allowed: depth_max_mm, repeats (see docs/bench-guide.md)"
+            f"{path}.force_depth: missing; allowed: depth_max_mm, repeats "
+            "(see docs/how-to/set-up-a-bench.md)"
         )
     plan = bench.force_depth
     content = {**content, "indenter": options.indenter}

@@ -56,7 +56,7 @@ class Sorting(Protocol):
 
     @property
     def rejected(self) -> dict[str, int]:
-        """Number of samples left out since `open`, by reason: repeated, late, spoilt."""
+        """Number of samples left out since `open`, by reason: `repeated`, `late`, `spoilt`."""
 
 
 def rejected(driver: Driver) -> dict[str, int]:

@@ -607,11 +607,11 @@ class Assembly:
         """
         self._convex.assign(convex.astype(np.int32))
 
-    def linearise(self, active, u, damping: np.ndarray, anew=None) -> None:
+    def linearise(self, active, u, damping: np.ndarray, renew=None) -> None:
         """Fill `block_matrix` and `lines` with the tangent of the last evaluated state, `u`.
 
         `damping` (B,) [E / T^2] stiffens the tangent against any motion, but not the residual. The
-        elastic part is updated to `u` where `anew` (B,) is set, or everywhere; else it is kept.
+        elastic part is updated to `u` where `renew` (B,) is set, or everywhere; else it is kept.
         """
         self._shift.assign((self.state.rates + damping).astype(numpy_of(self.real)))
         self.block_matrix.assemble(
@@ -622,7 +622,7 @@ class Assembly:
             (self.shape, self.touched, self._matrix),
             self._shift,
             self._convex,
-            anew,
+            renew,
         )
         self.lines.factor(active, self.block_matrix.matrix)
 

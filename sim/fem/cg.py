@@ -214,7 +214,7 @@ class ConjugateGradient:
             most: Most iterations; the graph in which this is reached is completed.
         """
         start, begin, _step_length, _change, turn = _cg_kernels(self._real, self._lanes)
-        self._gather(np.flatnonzero(active.numpy()), anew=True)
+        self._gather(np.flatnonzero(active.numpy()), renew=True)
         self._accuracy.assign(accuracy)
         self._count.zero_()
         self._scalars.zero_()
@@ -239,17 +239,17 @@ class ConjugateGradient:
         scalars = self._scalars.numpy()
         return scalars[:, 4].copy(), scalars[:, 1] >= CONCAVE
 
-    def _gather(self, running: np.ndarray, *, anew: bool = False) -> None:
+    def _gather(self, running: np.ndarray, *, renew: bool = False) -> None:
         """Launch at most twice as many rows as are running, if rows are gathered at all.
 
         Args:
             running: Indices of environments.
-            anew: True if they are not those of the previous call.
+            renew: True if they are not those of the previous call.
         """
         rows = self._shape[0]
         while self._gathers and rows > 1 and len(running) <= rows // 2:
             rows //= 2
-        if anew or rows < len(self._which):
+        if renew or rows < len(self._which):
             found = np.full(rows, -1, np.int32)
             found[: len(running)] = running
             self._which = self._all_rows[:rows]

@@ -319,7 +319,7 @@ class BlockMatrix:
         self._offsets = self._integers(slot_offsets(mesh.cells))
         self._free = self._integers(mesh.free)
 
-    def assemble(self, active, u, geometry, material, contact, shift, convex, anew=None) -> None:
+    def assemble(self, active, u, geometry, material, contact, shift, convex, renew=None) -> None:
         """Fill `matrix` of active environments with the tangent at `u`.
 
         Args:
@@ -333,15 +333,15 @@ class BlockMatrix:
                 stiffness of each point (B, S, P), as written by the contact kernel.
             shift: Stiffness of a unit volume against any motion (B,).
             convex: Environments whose elements must have no negative stiffness, int32 (B,).
-            anew: Active environments whose elastic part is updated to `u`, int32 (B,); others keep
+            renew: Active environments whose elastic part is updated to `u`, int32 (B,); others keep
                 theirs, if the stencil `keeps` it. None: all.
         """
         inverse, weight, node_mass, variant = geometry
-        if anew is None or not self.keeps:
-            anew = active
+        if renew is None or not self.keeps:
+            renew = active
         by_node = self._environments, self._nodes
         wp.launch(
-            self._clear, dim=by_node, inputs=[anew], outputs=[self._elastic], device=self._device
+            self._clear, dim=by_node, inputs=[renew], outputs=[self._elastic], device=self._device
         )
         rows = (len(CORNERS),) if self._parallel else ()
         for first, past in pairwise(self._begins):
@@ -358,7 +358,7 @@ class BlockMatrix:
                     self._free,
                     len(CORNERS),
                     *material,
-                    anew,
+                    renew,
                     u,
                     convex,
                 ],

@@ -130,12 +130,12 @@ class Newton:
                 slow = self.mask(late)
                 state.relax_limit(slow, RELAX_SHARE)
                 assembly.evaluate_contact(slow, state.u, self._cg.solution)
-        anew = None
+        renew = None
         if assembly.block_matrix.keeps:
             due = (self.iterations % ELASTIC_EVERY == 0) | (self._damping > 0)
-            anew = self.mask(running & (due | self._convex | self._switched))
+            renew = self.mask(running & (due | self._convex | self._switched))
         self._switched[running] = False
-        assembly.linearise(active, state.u, self._damping, anew)
+        assembly.linearise(active, state.u, self._damping, renew)
         if predicting.any():
             assembly.push(self.mask(predicting), state.travel(predicting))
         accuracy = np.clip(0.3 * self.residual, ACCURACY_LEAST, ACCURACY)

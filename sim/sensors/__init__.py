@@ -5,7 +5,7 @@
     masks = readout(each).masks(SurfaceField.of(result))
 
 Every signal is computed from the displacement of the top alone, so that sensors can share a
-deformation. Assumptions and sources are in docs/sensors.md.
+deformation. Assumptions and sources are in docs/reference/sensors.md.
 """
 
 from sim.sensors.field import EVEN_STEP, SurfaceField, cubic_weights

@@ -11,7 +11,7 @@ from sim.errors import SceneError, check_range
 from sim.indenters import Indenter
 from sim.markers import Camera, Pattern, named
 from sim.scene import Body, Motion, Scene
-from sim.sensors.config import build, read_mapping
+from sim.sensors.config import READER
 from sim.sensors.optics import Pins, Shading
 from sim.sensors.taxels import TaxelPad, TaxelSignal
 from sim.sensors.variation import DeviceVariation
@@ -182,7 +182,7 @@ def read_sensor(path: Path) -> SimulatedSensor:
     Raises:
         SceneError: The file is invalid; the message names the file and the key.
     """
-    content = read_mapping(path)
+    content = READER.read(path)
     if "name" in content:
         raise SceneError(f"{path}: unknown ['name']; a sensor is named as its file is")
-    return build(SimulatedSensor, {"name": path.stem, **content}, str(path))
+    return READER.build(SimulatedSensor, {"name": path.stem, **content}, str(path))

@@ -92,10 +92,10 @@ def test_words_that_begin_like_a_number_stay_words(presets: Path, text: str) -> 
 
 
 def test_plain_values_make_the_same_settings_again(presets: Path) -> None:
-    from learning.config import build
+    from learning.config import READER
 
     read = read_settings(Outer, presets, "full")
-    assert build(Outer, settings_to_dict(read), "again") == read
+    assert READER.build(Outer, settings_to_dict(read), "again") == read
 
 
 def test_keys_that_differ_are_named_by_their_path() -> None:
@@ -107,7 +107,7 @@ def test_keys_that_differ_are_named_by_their_path() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("steps: 5\nstep: 3", "unknown step; known: steps, rate"),
+        ("steps: 5\nstep: 3", "unknown step; did you mean steps? known: steps, rate"),
         ("rate: 1", "missing steps"),
         ("steps: 5\nsteps: 6", "key 'steps' is written twice"),
         ("steps: 5.0", ".steps: found float 5.0; allowed: int"),

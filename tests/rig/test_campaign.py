@@ -235,7 +235,7 @@ def test_time_left_shrinks_with_what_is_done(tmp_path: Path) -> None:
     [
         ("sessions: []\n", "a list of sessions"),
         ("session: []\n", "unknown"),
-        ("sessions: [{{sensor: gelsight}}]\n", "missing 'indenter'"),
+        ("sessions: [{{sensor: gelsight}}]\n", "missing indenter"),
         ("sessions: [{{sensor: nosuch, indenter: a}}]\n", "known in"),
         ("sessions: [{{sensor: gelsight, indenter: ../x}}]\n", "letters, digits"),
         ("sessions: [{{sensor: gelsight, indenter: a, plan: wave}}]\n", "allowed"),

@@ -82,7 +82,7 @@ def test_a_bench_without_a_simulated_sensor_says_so() -> None:
         ({"sensor": "gelsight", "rate_hz": 0.0}, "rate_hz"),
         ({"sensor": "gelsight", "grid": 8}, "grid"),
         ({"sensor": "gelsight", "depth_mm": 8.0}, "unknown"),
-        ({}, "missing 'sensor'"),
+        ({}, "missing sensor"),
     ],
 )
 def test_a_simulated_world_is_read_strictly(values: dict[str, Any], word: str) -> None:

@@ -22,7 +22,7 @@ from sim.errors import SimulationDiverged
 from sim.store import load_result
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "simulation.md").read_text()
+PAGE = (ROOT / "docs" / "reference" / "simulation.md").read_text()
 QUICK = ["--tier", "layer"]
 
 
@@ -320,7 +320,7 @@ def test_the_commands_of_the_readme_are_understood() -> None:
 def test_the_python_of_the_documentation_runs() -> None:
     names: dict[str, object] = {}
     for block in _blocks("python"):
-        exec(compile(block, "docs/simulation.md", "exec"), names)
+        exec(compile(block, "docs/reference/simulation.md", "exec"), names)
     assert len(COMMANDS) >= 4
     assert Path("presses.zarr").is_dir()
 

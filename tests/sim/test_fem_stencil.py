@@ -98,7 +98,7 @@ def test_the_elastic_part_is_kept_where_it_is_not_anew(keep: bool) -> None:
     now.shift = before.shift + 0.2
     block_matrix = before.block_matrix(wp.float64, keep=keep)
     assert block_matrix.keeps == keep
-    now.assemble(block_matrix, wp.float64, anew=[1, 0, 0])
+    now.assemble(block_matrix, wp.float64, renew=[1, 0, 0])
     found = block_matrix.matrix.numpy()
     assert oracle.relative(spread_out(found[0]), now.dense(0)) < 1e-12
     if keep:  # contact and damping are the current ones

@@ -77,8 +77,10 @@ class Tangents:
         self.assemble(block_matrix, real)
         return block_matrix
 
-    def assemble(self, block_matrix: BlockMatrix, real: Any, anew: list[int] | None = None) -> None:
-        """Assemble again for the current state, the elastic part where `anew` is set."""
+    def assemble(
+        self, block_matrix: BlockMatrix, real: Any, renew: list[int] | None = None
+    ) -> None:
+        """Assemble again for the current state, the elastic part where `renew` is set."""
         geometry = (
             oracle.matrices(np.stack([mesh.inverse for mesh in MESHES]), real),
             oracle.scalars(np.stack([mesh.weight for mesh in MESHES]), real),
@@ -98,7 +100,7 @@ class Tangents:
             contact,
             oracle.scalars(self.shift, real),
             oracle.integers(self.convex),
-            None if anew is None else oracle.integers(anew),
+            None if renew is None else oracle.integers(renew),
         )
 
     def inputs(self, real: Any, materials: list[Material]) -> tuple[Any, ...]:

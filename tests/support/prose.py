@@ -46,9 +46,16 @@ LEFT_OUT = ("docs/reference/", "docs/results/", "CHANGELOG.md")
 
 _WORDS = {re.compile(rf"\b{word}", re.IGNORECASE): instead for word, instead in WORDS.items()}
 _OPENERS = re.compile(r"\s*(What|Whether|How)\b")
-_CODE = re.compile(r"```.*?```|`[^`]*`|<!--.*?-->|https?://\S+", re.DOTALL)
+# Code, comments, addresses and the names of arguments, which are no prose.
+_CODE = re.compile(
+    r"```.*?```|`[^`]*`|<!--.*?-->|https?://\S+|\]\([^)]*\)|^ {4,}\w+(?=: )",
+    re.DOTALL | re.MULTILINE,
+)
 _WORD = re.compile(r"[A-Za-z][A-Za-z'-]*")
-_ENDS = re.compile(r"(?<=[.!?:;])\s+|\n\s*\n|\n\s*[-*|#>]|\n\s*\d+\.\s|\|")
+# Words of one letter are mostly symbols of formulae.
+_LONG_WORD = re.compile(r"[A-Za-z][A-Za-z'-]+")
+# Ends of sentences, of paragraphs, items and cells, and gaps between columns.
+_ENDS = re.compile(r"(?<=[.!?:;])\s+|\n\s*\n|\n\s*[-*|#>]|\n\s*\d+\.\s|\||(?<=\S) {2,}")
 
 
 class Text(NamedTuple):
@@ -99,7 +106,7 @@ def findings_of(text: Text) -> Iterator[str]:
             line = text.line + plain.count("\n", 0, found.start())
             yield f"{line}: {found[0]!r}; use {instead}"
     for sentence in _ENDS.split(plain):
-        if (count := len(_WORD.findall(sentence))) > SENTENCE_MOST:
+        if (count := len(_LONG_WORD.findall(sentence))) > SENTENCE_MOST:
             line = text.line + plain.count("\n", 0, plain.find(sentence))
             yield f"{line}: a sentence of {count} words; at most {SENTENCE_MOST}"
 

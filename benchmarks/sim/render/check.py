@@ -1,4 +1,4 @@
-"""Comparison of rendering with ray casting, for docs/rendering.md.
+"""Comparison of rendering with ray casting, for docs/reference/rendering.md.
 
 Run with `python -m benchmarks render-check`.
 """

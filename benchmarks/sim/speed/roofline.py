@@ -43,19 +43,19 @@ _FORCES_BYTES = 2 * 8 * VECTOR
 _TANGENT_FLOPS, _FORCES_FLOPS = 14_000, 3_500
 
 
-def anew(*, cpu: bool) -> float:
+def renewed_share(*, cpu: bool) -> float:
     """Return the share of Newton iterations that assemble the elastic part."""
     return 1 / ELASTIC_EVERY if cpu else 1.0
 
 
 def newton_element_bytes(*, cpu: bool) -> float:
     """Return the bytes read per Newton iteration and element, for the tangent and the forces."""
-    return (1 + anew(cpu=cpu)) * _GEOMETRY_BYTES + _FORCES_BYTES
+    return (1 + renewed_share(cpu=cpu)) * _GEOMETRY_BYTES + _FORCES_BYTES
 
 
 def newton_element_flops(*, cpu: bool) -> float:
     """Return the operations per Newton iteration and element."""
-    return anew(cpu=cpu) * _TANGENT_FLOPS + _FORCES_FLOPS
+    return renewed_share(cpu=cpu) * _TANGENT_FLOPS + _FORCES_FLOPS
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +80,9 @@ class Floor:
 def bound_of(run: Run, machine: Machine) -> Floor:
     """Return the bound for a run in float32, with products in float16 on a GPU."""
     cpu = machine.device == "cpu"
-    of_node = NEWTON_NODE_BYTES + anew(cpu=cpu) * ROW_BYTES + (0 if cpu else HALF_ROW_BYTES)
+    of_node = (
+        NEWTON_NODE_BYTES + renewed_share(cpu=cpu) * ROW_BYTES + (0 if cpu else HALF_ROW_BYTES)
+    )
     newton_bytes = run.newton_elements * newton_element_bytes(cpu=cpu) + run.newton_nodes * of_node
     cg_bytes = run.cg_nodes * (WHOLE_CG_BYTES if cpu else CG_BYTES)
     flops = run.newton_elements * newton_element_flops(cpu=cpu) + run.cg_nodes * CG_FLOPS

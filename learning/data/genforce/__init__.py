@@ -1,7 +1,8 @@
 """Import and export of the published GenForce folders.
 
 There are three layouts: `training` (packed masks by contact point), `states` (simulated pictures)
-and `raw` (a collection run). No file has times: docs/markers.md describes the numbering of frames.
+and `raw` (a collection run). No file has times: docs/how-to/make-marker-archives.md describes the
+numbering of frames.
 """
 
 from learning.data.genforce.exporting import export_training

@@ -20,7 +20,7 @@ from recorder.strict_yaml import yaml_text
 from rig.acquire.calibration.calibration import Calibration, HomeCalibration, LatencyCalibration
 from rig.bench.bench import Bench
 from rig.core.clock import ClockAnchor
-from rig.core.config import build, from_si, key_of, read_yaml
+from rig.core.config import READER, build, from_si, read_yaml
 from rig.core.errors import ConfigError
 
 # Default folder.
@@ -141,14 +141,15 @@ def _plain(spec: Any) -> dict[str, Any]:
     out: dict[str, Any] = {}
     for item in dataclasses.fields(spec):
         value, unit = getattr(spec, item.name), item.metadata.get("unit")
+        key = READER.key_of(type(spec), item)
         if item.metadata.get("pose"):
             position = [round(1e3 * number, 9) for number in value[:3]]
             rotation = [round(math.degrees(number), 9) for number in value[3:]]
-            out[item.name] = {"position_mm": position, "rotation_deg": rotation}
+            out[key] = {"position_mm": position, "rotation_deg": rotation}
         elif isinstance(value, tuple):
-            out[key_of(item)] = [round(from_si(n, unit), 9) if unit else n for n in value]
+            out[key] = [round(from_si(n, unit), 9) if unit else n for n in value]
         else:
-            out[key_of(item)] = round(from_si(value, unit), 9) if unit else value
+            out[key] = round(from_si(value, unit), 9) if unit else value
     return out
 
 

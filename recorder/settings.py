@@ -1,0 +1,297 @@
+"""Settings: frozen dataclasses from the mappings of strict YAML, and their JSON Schemas.
+
+A field whose metadata has a `unit` is written in that unit in files, under a key that ends with
+it: `depth_max` with unit mm is `depth_max_mm`. Values in memory are SI. A field with metadata
+`pose` is written as a `Pose`. Where a field may be one of several dataclasses, the key `kind` names
+one by its `KIND`. Every error states file, key, the value found, and the allowed ones.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+import types
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from recorder.strict_yaml import YamlError, describe, parse, read_mapping
+
+Value = TypeVar("Value")
+
+# SI value of one of each unit, by the suffix of a key. `n_mm` is a torque, `n_per_mm` a stiffness.
+SI_PER_UNIT = {
+    "um": 1e-6,
+    "mm": 1e-3,
+    "mm_s": 1e-3,
+    "mm_s2": 1e-3,
+    "mm_per_px": 1e-3,
+    "deg": math.pi / 180,
+    "deg_s": math.pi / 180,
+    "ms": 1e-3,
+    "s": 1.0,
+    "min": 60.0,
+    "hz": 1.0,
+    "kg": 1.0,
+    "n": 1.0,
+    "n_mm": 1e-3,
+    "n_per_mm": 1e3,
+    "kpa": 1e3,
+    "ma_m2": 1e-3,
+    "counts_per_mt": 1e3,
+}
+# JSON types of the plain values.
+_JSON = {float: "number", int: "integer", bool: "boolean", str: "string"}
+_NONE = type(None)
+
+
+def to_si(value: float, unit: str) -> float:
+    """Return `value` in `unit` as SI."""
+    return value * SI_PER_UNIT[unit]
+
+
+def from_si(value: float, unit: str) -> float:
+    """Return the SI `value` in `unit`."""
+    return value / SI_PER_UNIT[unit]
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """A pose in a file, of which a field with metadata `pose` keeps the six numbers."""
+
+    position: tuple[float, float, float] = field(metadata={"unit": "mm"})
+    """Origin [m]."""
+    rotation: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0), metadata={"unit": "deg"})
+    """UR rotation vector, axis times angle [rad]."""
+
+    @property
+    def vector(self) -> tuple[float, ...]:
+        """Position and rotation as one (6,) [m, rad]."""
+        return (*self.position, *self.rotation)
+
+
+@dataclass(frozen=True, slots=True)
+class Reader:
+    """Builds dataclasses from mappings, and describes the mappings as JSON Schemas."""
+
+    error: type[ValueError]
+    """Raised for every invalid key or value."""
+    units: Mapping[type, Mapping[str, str]] = field(default_factory=dict)
+    """Units of fields whose metadata do not have them, by class and name."""
+
+    def read(self, path: Path, library: Path | None = None) -> dict[str, Any]:
+        """Return the mapping in a YAML file, merged over the file that its `extends` names.
+
+        Args:
+            path: The file.
+            library: Folder in which a file named by `extends` is also looked for.
+
+        Raises:
+            ValueError: Of type `error`: no such file, not YAML, not a mapping, or a circle.
+        """
+        try:
+            return read_mapping(path, library=library)
+        except YamlError as error:
+            raise self.error(str(error)) from None
+
+    def parse(self, text: str, where: str) -> Any:
+        """Return the value of a piece of YAML.
+
+        Raises:
+            ValueError: Of type `error`: not YAML.
+        """
+        try:
+            return parse(text, where)
+        except YamlError as error:
+            raise self.error(str(error)) from None
+
+    def build(self, kind: type[Value], content: Any, where: str) -> Value:
+        """Return the dataclass `kind` that a mapping describes.
+
+        Args:
+            kind: Frozen dataclass.
+            content: The mapping, as YAML gives it.
+            where: File and dotted path, for errors.
+
+        Raises:
+            ValueError: Of type `error`: a key is unknown or missing, or a value has the wrong type
+                or is rejected by the dataclass.
+        """
+        if not isinstance(content, dict):
+            raise self.error(
+                f"{where}: found {describe(content)}; allowed: a mapping of keys to values"
+            )
+        content = dict(content)
+        word = getattr(kind, "KIND", None)
+        if word is not None and (found := content.pop("kind", word)) != word:
+            raise self.error(f"{where}.kind: found {found!r}; allowed: {word}")
+        hints = get_type_hints(kind)
+        fields = dict(self._fields(kind))
+        if unknown := sorted(str(key) for key in content.keys() - fields.keys()):
+            raise self.error(f"{where}: unknown {', '.join(unknown)}; {_known(unknown, fields)}")
+        for key, each in fields.items():
+            if key not in content and not _has_default(each):
+                raise self.error(f"{where}: missing {key}; known: {', '.join(fields)}")
+        values = {
+            fields[key].name: self._field(kind, fields[key], hints, value, f"{where}.{key}")
+            for key, value in content.items()
+        }
+        try:
+            return kind(**values)
+        except ValueError as error:
+            raise self.error(f"{where}: {error}") from None
+
+    def build_one_of(self, kinds: Sequence[Any], content: Any, where: str) -> Any:
+        """Return the one of several dataclasses whose `KIND` a mapping names as its `kind`.
+
+        Raises:
+            ValueError: Of type `error`: the kind is unknown, or as for `build`.
+        """
+        by_kind = {kind.KIND: kind for kind in kinds}
+        if not isinstance(content, dict):
+            allowed = f"a mapping with kind {' or '.join(by_kind)}"
+            raise self.error(f"{where}: found {describe(content)}; allowed: {allowed}")
+        if (kind := content.get("kind")) not in by_kind:
+            raise self.error(f"{where}.kind: found {kind!r}; allowed: {', '.join(by_kind)}")
+        return self.build(by_kind[kind], content, where)
+
+    def key_of(self, kind: type, each: dataclasses.Field[Any]) -> str:
+        """Return the key of a field in files: its name, and its unit unless that is SI."""
+        unit = self._unit(kind, each)
+        return f"{each.name}_{unit}" if unit else each.name
+
+    def schema(self, kind: type, *, title: str = "") -> dict[str, Any]:
+        """Return the JSON Schema of the mappings that `build` takes, for editors.
+
+        No key is required, since files may extend others; `extends` is allowed at the top.
+        """
+        found = self._mapping_schema(kind)
+        found["properties"] = {"extends": {"type": "string"}, **found["properties"]}
+        head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": title}
+        return {**head, **found}
+
+    def _fields(self, kind: type) -> Iterator[tuple[str, dataclasses.Field[Any]]]:
+        for each in dataclasses.fields(kind):
+            if each.init:
+                yield self.key_of(kind, each), each
+
+    def _unit(self, kind: type, each: dataclasses.Field[Any]) -> str | None:
+        unit: str | None = each.metadata.get("unit") or self.units.get(kind, {}).get(each.name)
+        return unit
+
+    def _field(
+        self,
+        kind: type,
+        each: dataclasses.Field[Any],
+        hints: Mapping[str, Any],
+        value: Any,
+        at: str,
+    ) -> Any:
+        if each.metadata.get("pose"):
+            return None if value is None else self.build(Pose, value, at).vector
+        return self._value(hints[each.name], value, at, self._unit(kind, each))
+
+    def _value(self, hint: Any, value: Any, where: str, unit: str | None) -> Any:
+        origin, inner = get_origin(hint), get_args(hint)
+        if origin in (Union, types.UnionType):
+            return self._union(inner, value, where, unit)
+        if origin is Literal:
+            # True is 1 and 1.0 is 1 for Python, not for whoever reads the file.
+            if not any(type(value) is type(each) and value == each for each in inner):
+                allowed = ", ".join(map(str, inner))
+                raise self.error(f"{where}: found {describe(value)}; allowed: {allowed}")
+            return value
+        if origin is tuple:
+            return self._tuple(inner, value, where, unit)
+        if dataclasses.is_dataclass(hint):
+            return self.build(hint, value, where)  # type: ignore[arg-type]
+        if hint is float:
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise self.error(f"{where}: found {describe(value)}; allowed: a number{_in(unit)}")
+            if not math.isfinite(value):
+                raise self.error(f"{where}: found {value}; allowed: a finite number{_in(unit)}")
+            return to_si(float(value), unit) if unit else float(value)
+        if hint in (int, str, bool):
+            if type(value) is not hint:
+                raise self.error(f"{where}: found {describe(value)}; allowed: {hint.__name__}")
+            return value
+        raise TypeError(f"{where}: the reader knows no {hint!r}")
+
+    def _tuple(
+        self, inner: tuple[Any, ...], value: Any, where: str, unit: str | None
+    ) -> tuple[Any, ...]:
+        if not isinstance(value, list):
+            raise self.error(f"{where}: found {describe(value)}; allowed: a list")
+        each = inner[:1] * len(value) if inner[-1] is Ellipsis else inner
+        if len(each) != len(value):
+            raise self.error(f"{where}: found {len(value)} values; allowed: {len(each)}{_in(unit)}")
+        return tuple(
+            self._value(one, item, f"{where}[{place}]", unit)
+            for place, (one, item) in enumerate(zip(each, value, strict=True))
+        )
+
+    def _union(self, options: tuple[Any, ...], value: Any, where: str, unit: str | None) -> Any:
+        if value is None and _NONE in options:
+            return None
+        options = tuple(option for option in options if option is not _NONE)
+        if len(options) == 1:
+            return self._value(options[0], value, where, unit)
+        if all(hasattr(option, "KIND") for option in options):
+            return self.build_one_of(options, value, where)
+        allowed = []
+        for option in options:
+            try:
+                return self._value(option, value, where, unit)
+            except self.error as error:
+                allowed.append(str(error).rpartition("allowed: ")[2])
+        raise self.error(f"{where}: found {describe(value)}; allowed: {', or '.join(allowed)}")
+
+    def _mapping_schema(self, kind: type) -> dict[str, Any]:
+        hints = get_type_hints(kind)
+        properties: dict[str, Any] = {}
+        if (word := getattr(kind, "KIND", None)) is not None:
+            properties["kind"] = {"const": word}
+        for key, each in self._fields(kind):
+            hint: Any = (Pose | None) if each.metadata.get("pose") else hints[each.name]
+            properties[key] = self._schema(hint)
+            if unit := self._unit(kind, each):
+                properties[key]["description"] = f"[{unit}]"
+        return {"type": "object", "additionalProperties": False, "properties": properties}
+
+    def _schema(self, hint: Any) -> dict[str, Any]:
+        origin, inner = get_origin(hint), get_args(hint)
+        if origin in (Union, types.UnionType):
+            return {"anyOf": [self._schema(option) for option in inner]}
+        if origin is Literal:
+            return {"enum": list(inner)}
+        if origin is tuple:
+            if inner[-1] is Ellipsis:
+                return {"type": "array", "items": self._schema(inner[0])}
+            items = [self._schema(each) for each in inner]
+            return {
+                "type": "array",
+                "prefixItems": items,
+                "minItems": len(items),
+                "maxItems": len(items),
+            }
+        if dataclasses.is_dataclass(hint):
+            return self._mapping_schema(hint)  # type: ignore[arg-type]
+        return {"type": "null" if hint is _NONE else _JSON[hint]}
+
+
+def _has_default(each: dataclasses.Field[Any]) -> bool:
+    missing = dataclasses.MISSING
+    return each.default is not missing or each.default_factory is not missing
+
+
+def _known(unknown: Sequence[str], fields: Mapping[str, Any]) -> str:
+    """Return the likely key for the first unknown one, and all keys."""
+    likely = difflib.get_close_matches(unknown[0], fields, n=1)
+    meant = f"did you mean {likely[0]}? " if likely else ""
+    return f"{meant}known: {', '.join(fields)}"
+
+
+def _in(unit: str | None) -> str:
+    return f" [{unit}]" if unit else ""
