@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.cli.options import (
+    MOCK_ONLY,
     banner,
     bench_options,
     calibration_of,
@@ -27,19 +28,35 @@ if TYPE_CHECKING:
 
 def add_to(verbs: Verbs) -> None:
     """Add the verb and its options."""
+    truth = argparse.ArgumentParser(add_help=False)
+    truth.add_argument_group(MOCK_ONLY).add_argument(
+        "--truth", type=Path, metavar="FILE", help="log the World's truth here"
+    )
     parser = verbs.add_parser(
         "collect",
-        parents=[bench_options(), source_options()],
+        parents=[bench_options(), source_options(), truth],
         help="record one session with the bench's plan",
+        description="Records one session: checks the rates of all streams, tares the gauge, and "
+        "presses the targets of the bench's plan. Ctrl-C stops after the current move and loses "
+        "nothing; --resume continues. Exit code 0 done, 2 wrong input, 3 device lost, 4 safety "
+        "stop, 130 interrupted.",
+        epilog="Example: tactile collect --sensor tacpalm --targets 8",
     )
-    parser.add_argument("--out", type=Path, help="session to write (default: in sessions/)")
-    parser.add_argument(
-        "--resume", type=Path, help="continue this stopped session (which names its sensor)"
+    group = parser.add_argument_group("session")
+    group.add_argument(
+        "--out", type=Path, metavar="PATH", help="session to write (default: in sessions/)"
     )
-    parser.add_argument("--targets", type=int, help="press only the first N targets")
-    parser.add_argument("--indenter", help="name of the indenter on the arm")
-    parser.add_argument("--operator", default="", help="operator's name (default: the login name)")
-    parser.add_argument("--truth", type=Path, help="mock bench: log the World's truth here")
+    group.add_argument(
+        "--resume",
+        type=Path,
+        metavar="PATH",
+        help="continue this stopped session (which names its sensor)",
+    )
+    group.add_argument("--targets", type=int, metavar="N", help="press only the first N targets")
+    group.add_argument("--indenter", metavar="NAME", help="name of the indenter on the arm")
+    group.add_argument(
+        "--operator", default="", metavar="NAME", help="operator's name (default: the login name)"
+    )
     watch_options(parser)
     calibration_options(parser)
     parser.set_defaults(run=run)

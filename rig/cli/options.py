@@ -25,17 +25,31 @@ if TYPE_CHECKING:
     from trajectories import Plan
 
 
+# Title of the options that a lab bench rejects.
+MOCK_ONLY = "mock bench only"
+
+
 def bench_options() -> argparse.ArgumentParser:
     """Return a parser of the options that select a bench: --sensor or --bench, and --benches."""
     parser = argparse.ArgumentParser(add_help=False)
     chosen = parser.add_mutually_exclusive_group()
-    chosen.add_argument("--sensor", help="name of a bench file: benches/lab/, benches/, packaged")
-    chosen.add_argument("--bench", type=Path, help="path of a bench file")
-    parser.add_argument("--benches", type=Path, default=Path("benches"), help="folder of benches")
+    chosen.add_argument(
+        "--sensor",
+        metavar="NAME",
+        help="name of a bench file, searched in benches/lab/, benches/ and the package",
+    )
+    chosen.add_argument("--bench", type=Path, metavar="FILE", help="path of a bench file")
     parser.add_argument(
+        "--benches",
+        type=Path,
+        default=Path("benches"),
+        metavar="DIR",
+        help="folder of bench files (%(default)s)",
+    )
+    parser.add_argument_group(MOCK_ONLY).add_argument(
         "--world",
         choices=("sim",),
-        help="mock bench: use the simulator in place of the bench file's world",
+        help="use the simulator in place of the bench file's world",
     )
     return parser
 
@@ -43,17 +57,21 @@ def bench_options() -> argparse.ArgumentParser:
 def source_options() -> argparse.ArgumentParser:
     """Return a parser of the options for real recordings that a mock bench plays."""
     parser = argparse.ArgumentParser(add_help=False)
-    parser.add_argument(
+    group = parser.add_argument_group(MOCK_ONLY)
+    group.add_argument(
         "--camera",
         type=Path,
-        help="mock bench: play this folder of images or video file in place of the World's view",
+        metavar="PATH",
+        help="play this folder of images or video file in place of the World's view",
     )
-    parser.add_argument(
+    group.add_argument(
         "--still",
         action="store_true",
         help="declare --camera a still scene: each image is held for seconds",
     )
-    parser.add_argument("--taxels", type=Path, help="mock bench: play this (T,48) .npy of counts")
+    group.add_argument(
+        "--taxels", type=Path, metavar="FILE", help="play this .npy file of raw counts (T, 48)"
+    )
     return parser
 
 
