@@ -82,10 +82,10 @@ def page(run: LongRun) -> str:
     total = sum(growth.slope for growth in growths)
     size = sum(path.stat().st_size for path in run.session.rglob("*") if path.is_file())
     lines = [
-        "# Half an hour and more",
+        "# Endurance",
         "",
-        f"One mock collection of {run.targets} targets in {run.seconds / 60:.1f} minutes, watched "
-        "from outside every 5 s. Made by `make endurance`.",
+        f"One mock collection of {run.targets} targets in {run.seconds / 60:.1f} minutes, its "
+        "processes observed every 5 s. Made by `make endurance`.",
         "",
         f"Python {platform.python_version()}, {os.cpu_count()} cores. The session ended "
         f"`{session.attrs['status']}`, exit code {run.exit_code}, {size / 1e6:.0f} MB.",
@@ -98,13 +98,13 @@ def page(run: LongRun) -> str:
             for name, count in rows.items()
         ),
         "",
-        f"`recorder check`: {'nothing found' if not findings else ''}",
+        "`recorder check`:\n" if findings else "`recorder check`: nothing found",
         *(f"- {finding}" for finding in findings),
         "",
         f"Private memory of each process, from {_WARM_UP / 60:.0f} minutes after the start to "
         f"the end of recording. The total grows by {total / _MIB:+.2f} MiB an hour.",
         "",
-        "| process | first minute | last minute | slope | around it | open files | CPU |",
+        "| process | first minute | last minute | slope | std around it | open files | CPU |",
         "|---|---|---|---|---|---|---|",
         *(
             f"| {growth.role} | {growth.first / _MIB:.1f} MiB | {growth.last / _MIB:.1f} MiB | "

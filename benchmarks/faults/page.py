@@ -23,16 +23,19 @@ _LONGEST = 150
 
 _HEAD = (
     "fault",
-    "what the rig did",
+    "reaction of the rig",
     "noticed",
     "exit",
     "readable",
     "lost",
     "missing",
-    "left out",
+    "rejected",
     "arm",
     "check",
 )
+
+# Reasons of rejection as shown, where the key of the session differs.
+_SHOWN = {"spoilt": "corrupt"}
 
 _INTRO = """# Reliability
 
@@ -58,7 +61,7 @@ Reading the tables: *noticed* is the time from the fault to the end of the phase
 *Exit* is 0 done, 3 device lost, 4 safety stop, 130 interrupted. *Readable* counts rows in the
 session. *Lost* is the number of accepted samples missing from it, of those looked for. *Missing*
 counts samples that the device sent, by its own numbers, and that never reached the rig: the gaps
-are in the session, and counted there. *Left out* counts samples that arrived and were rejected.
+are in the session, and counted there. *Rejected* counts samples that arrived and were not stored.
 *Check* lists the findings of `recorder check` in the session as the fault left it. Times are
 those of the mock bench (its limits are looser than a lab's, see below).
 """
@@ -103,7 +106,7 @@ def _table(rows: Iterable[tuple[Row, FaultResult]]) -> str:
     for row, judged in rows:
         lines.append(f"| {' | '.join(_cells(row, judged))} |")
         if row.disorder:
-            notes.append(f"\n{row.fault}: {row.disorder} do this. {_disordered(judged)}\n")
+            notes.append(f"\n{row.fault}: {row.disorder} {_disordered(judged)}\n")
     return "\n".join(lines) + "\n" + "".join(notes)
 
 
@@ -151,7 +154,7 @@ def _counted(numbers: dict[str, int] | object) -> str:
 
 def _left_out(left: Left) -> str:
     found = [
-        f"{count} {name} {reason}"
+        f"{count} {name} {_SHOWN.get(reason, reason)}"
         for name, rejected in left.rejected.items()
         for reason, count in rejected.items()
         if count
@@ -201,7 +204,7 @@ def _limits(benches: Path) -> str:
         for what, in_lab, on_mock in rows
     )
     return f"""
-## Limits in the lab and here
+## Limits in the lab and on the mock bench
 
 | stops the arm | lab | mock bench |
 |---|---|---|

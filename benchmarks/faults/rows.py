@@ -101,7 +101,10 @@ _FAULTS: tuple[
     ("duplicated", _line("duplicate", seconds=_SHORT, every=10), _GOES_ON, "repeated"),
 )
 _STREAM_OF = {"arm": "pose"}
-_UNNUMBERED = "MJPEG over HTTP numbers no frames; TCP keeps their order, so only a camera could"
+_UNNUMBERED = (
+    "MJPEG over HTTP does not number frames, and TCP keeps their order, so only a camera could "
+    "reorder them."
+)
 
 
 def _matrix() -> list[Row]:

@@ -92,7 +92,7 @@ def of_cameras(found: Sequence[Cameras]) -> list[Criterion]:
     return [
         Criterion(
             "two lossless 640x480 cameras at 60 Hz without a drop",
-            f"{one.held} hold" if one.held < one.most else f"{one.held} or more hold",
+            f"{one.held} cameras" if one.held < one.most else f"{one.held} cameras or more",
             one.held >= 2,
         )
         for one in found

@@ -77,7 +77,7 @@ def criteria_of(results: Results) -> list[criteria.Criterion]:
 def _head(results: Results) -> str:
     found = criteria_of(results)
     lines = [
-        "# What recording costs",
+        "# Cost of recording",
         "",
         "Made by `make bench-recorder`; run it on another machine to get that machine's numbers. "
         f"{results.machine}. The run took {results.seconds / 60:.1f} min.",
@@ -88,7 +88,7 @@ def _head(results: Results) -> str:
     if found:
         lines.append(
             table(
-                ("what was set out to be reached", "measured", "reached"),
+                ("goal", "measured", "reached"),
                 [(one.text, one.measured, "yes" if one.met else "**no**") for one in found],
             )
         )
@@ -157,24 +157,24 @@ def _lateness(found: Sequence[Lateness]) -> str:
             )
     return "\n".join(
         [
-            "## How late a loop wakes",
+            "## Wake-up latency of a loop",
             "",
-            "The rig's `Pacer` against absolute deadlines, in a process that does nothing else; as "
-            f"it is, and after `enable_realtime` ({message}). Loaded by two busy processes, or "
+            "The rig's `Pacer` against absolute deadlines, in a process that does nothing else; by "
+            f"default, and after `enable_realtime` ({message}). Loaded by two busy processes, or "
             "by another thread that compresses a frame 60 times a second, which is why "
             "each stream has its own process.",
             ""
             if not refused
-            else "\n**SCHED_FIFO was refused: the tail is the operating system's.**\n",
+            else "\n**SCHED_FIFO was refused: the tail is due to the operating system.**\n",
             table(
                 (
                     "load",
                     "loop",
-                    "as it is: p50 / p99 / max [ms]",
+                    "default: p50 / p99 / max [ms]",
                     "missed",
-                    "punctual: p50 / p99 / max [ms]",
+                    "real-time: p50 / p99 / max [ms]",
                     "missed",
-                    "p99 as it is : punctual",
+                    "p99 default : real-time",
                 ),
                 rows,
             ),
@@ -184,7 +184,7 @@ def _lateness(found: Sequence[Lateness]) -> str:
 
 def _cameras(found: Sequence[Cameras]) -> str:
     lines = [
-        "## How many cameras fit",
+        "## Number of cameras",
         "",
         "640x480 at 60 Hz, each in its own process with the rig's inbox of 120 frames. A frame is "
         "dropped if the inbox was full, or if its tick had passed before the receiver waited for "

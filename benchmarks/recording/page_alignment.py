@@ -15,7 +15,7 @@ ALIGNMENT_CHART = "recording-alignment.png"
 def alignment(found: Alignment) -> str:
     """Return the section as Markdown."""
     lines = [
-        "## What alignment accuracy costs",
+        "## Cost of alignment accuracy",
         "",
         f"A motion with known ground truth: {PRESS_HZ:g} presses a second up to {PEAK:g} N with "
         "shear, the tool straight down half the time and tilting up to 5 deg in between, applied "
@@ -42,11 +42,11 @@ def alignment(found: Alignment) -> str:
         f"{1e6 * found.windows_align:.0f} us without: the cost of the method is negligible next to "
         "decoding.",
         "",
-        "### What an uncorrected camera latency costs",
+        "### Effect of an uncorrected camera latency",
         "",
         table(
             (
-                "latency nobody told the session",
+                "uncorrected latency",
                 "force rms / max [N]",
                 "position rms / max [mm]",
                 "angle rms / max [deg]",

@@ -38,7 +38,7 @@ def test_accuracy_measures_and_draws(tmp_path):
     names = [row.name for row in kept.rows]
     assert names == ["closed form", "layer", "fem fineness 0.5", "fem even 1.25 mm"]
     assert all(row.memory > 2**26 for row in kept.rows[1:])
-    assert (tmp_path / "accuracy.md").read_text().startswith("# What accuracy costs")
+    assert (tmp_path / "accuracy.md").read_text().startswith("# Cost of accuracy")
     assert (tmp_path / "images" / "accuracy.png").exists()
     before = (tmp_path / "accuracy" / "cpu.jsonl").read_text()
     assert run(accuracy, *words) == 0

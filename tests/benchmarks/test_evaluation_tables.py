@@ -100,7 +100,7 @@ def test_an_experiment_may_be_called_otherwise_and_have_come_to_no_end(
     text = page.read_text()
     assert "## Mine" in text
     assert text.startswith("# Forces on sensors that never saw a force gauge")
-    assert "hoped for (transferred, flow)" in text
+    assert "| goal (transferred, flow) |" in text
     assert "Translated images" not in text
     assert not (tmp_path / "tables" / "translation.csv").exists()
 
@@ -157,7 +157,7 @@ def test_what_needs_no_label_of_the_target_is_told_of_and_how_far_its_labels_wer
     page = tmp_path / "tables.md"
     write_tables([read_group("homogeneous", experiment)], page)
     lines = page.read_text().splitlines()
-    assert any(line.startswith("| hoped for (priors, flow) |") for line in lines)
+    assert any(line.startswith("| goal (priors, flow) |") for line in lines)
     assert any(line.startswith("| oracle, flow | 2 | 0.125,") for line in lines)
     before_line = "| as they are | 0.250 | 0.250 (array-i to circle-i) | 2.000 |"
     assert any(line.startswith(before_line) for line in lines)

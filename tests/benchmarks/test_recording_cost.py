@@ -417,7 +417,7 @@ def test_one_quick_part_from_the_command_line_writes_its_page(
     arguments = ["recording", "--quick", "--only", "alignment"]
     assert main([*arguments, "--scratch", str(scratch), "--out", str(out)]) == EXIT_DONE
     text = out.read_text()
-    assert "## What alignment accuracy costs" in text
+    assert "## Cost of alignment accuracy" in text
     assert "## Stores side by side" not in text
     assert (out.parent / "images" / "recording-alignment.png").stat().st_size > 1000
     assert not list(scratch.iterdir())
@@ -484,6 +484,6 @@ def test_the_whole_quick_run_writes_every_part(tmp_path: Path) -> None:
     arguments = ["recording", "--quick", "--scratch", str(tmp_path), "--out", str(out)]
     assert main(arguments) == EXIT_DONE
     text = out.read_text()
-    for heading in ("Stores", "CPU of one", "How late", "How many", "Everything", "What alignment"):
+    for heading in ("Stores", "CPU of one", "Wake-up", "Number of", "Everything", "Cost of"):
         assert f"## {heading}" in text
     assert str(tmp_path) not in text

@@ -31,7 +31,7 @@ from benchmarks.sim.speed.machine import copy_rate, flop_rate, machine_name
 from benchmarks.sim.speed.page import write_page
 from benchmarks.sim.speed.record import Machine, Run, SpeedRecord, read
 from benchmarks.sim.speed.roofline import bound_of
-from benchmarks.sim.speed.steps import AS_IT_IS, STEPS, assembled_gain, steps_on
+from benchmarks.sim.speed.steps import AS_IT_IS, READ_HALF, STEPS, assembled_gain, steps_on
 from benchmarks.sim.speed.timing import counted, spent_with_workers
 from benchmarks.sim.speed.work import TimedPress, Work, paper_work, smoke_work
 from sim import Body, Result, Scene, SceneError, SimulationDiverged, press, simulate_many
@@ -156,17 +156,17 @@ def test_a_floor_is_the_larger_of_moving_and_computing() -> None:
     row, half_row = 4 * 27 * 9, 2 * 27 * 9
     cg_bytes = 4 * (2 * 9 + 12 * 3)
     newton_bytes = 2 * row + 4 * (4 * 9 + 4 * 3)
-    near = bound_of(run, machine)
+    near = bound_of(run, machine, half=False)
     assert near.cg_bytes == 1000 * (cg_bytes + row)
     assert near.newton_bytes == 10 * 720 + 20 * (newton_bytes + 0.5 * row)
     assert near.byte_seconds == pytest.approx((near.cg_bytes + near.newton_bytes) / 1e9)
     machine = replace(machine, device="cuda:0")
-    bound = bound_of(run, machine)
+    bound = bound_of(run, machine, half=True)
     assert bound.cg_bytes == 1000 * (cg_bytes + half_row)
     assert bound.newton_bytes == 10 * 896 + 20 * (newton_bytes + row + half_row)
     assert bound.seconds == (bound.cg_bytes + bound.newton_bytes) / 1e6
-    assert bound_of(run, replace(machine, flop_rate=1.0)).seconds == bound.flops
-    assert math.isnan(bound_of(run, Machine("m", "cpu")).seconds)
+    assert bound_of(run, replace(machine, flop_rate=1.0), half=True).seconds == bound.flops
+    assert math.isnan(bound_of(run, Machine("m", "cpu"), half=False).seconds)
 
 
 def test_rates_of_this_machine_are_numbers() -> None:
@@ -342,11 +342,23 @@ def test_the_page_says_what_was_measured_and_what_was_not(tmp_path: Path) -> Non
     assert "| 2.00 | 22 s, 11 s |" in two
     assert sum("6.2 Newton iterations a press more, 5.00 % of all" in line for line in lines) == 1
     assert any(line.startswith("| graph capture |") and "not measured" in line for line in lines)
-    bound = bound_of(records[0].runs["presses", "all"], records[0].machine)
-    assert f"| measured / floor | {420 / bound.seconds:.1f} | not measured |" in lines
+    bound = bound_of(records[0].runs["presses", "all"], records[0].machine, half=False)
+    assert f"| measured / bound | {420 / bound.seconds:.1f} | not measured |" in lines
     assert "12.5 s | 12.5 s | 16.9 min (predicted, 2 cores) | 7.0 min |" in text
+    assert "| tangent read in | float32 | float16 |" in lines
     assert "| 750 s |" in text
     assert "54 presses with elements 0.33 mm high, tight, 90 s on Two Cores" in text
+
+
+def test_a_cpu_that_was_measured_with_float16_keeps_its_row_and_its_bound(tmp_path: Path) -> None:
+    records = made_up(tmp_path / "speed")
+    records[0].put(Run("steps", READ_HALF, 4, 21.0, against=20.0, newton=410, cg=9500))
+    write_page(tmp_path / "speed.md", records)
+    lines = (tmp_path / "speed.md").read_text().splitlines()
+    assert any(line.startswith(f"| {READ_HALF} |") and "| 1.05 |" in line for line in lines)
+    bound = bound_of(records[0].runs["presses", "all"], records[0].machine, half=True)
+    assert f"| measured / bound | {420 / bound.seconds:.1f} | not measured |" in lines
+    assert "| tangent read in | float16 | float16 |" in lines
 
 
 def test_a_page_from_nothing_but_a_machine_is_a_page(tmp_path: Path) -> None:

@@ -1,15 +1,15 @@
 #!/usr/bin/env bash
-# What limits the transfer of the heterogeneous table: one thing changed at a time, for two pairs.
+# Limits of the transfer of the heterogeneous table: one change at a time, for two pairs.
 #
 #   [PYTHON=.venv/bin/python] [DEVICE=cuda:0] [PROCESSES=16] [JOBS=8] [SCALE=0.15] [PRESET=NAME] \
 #     [PAIRS=uskin:gelsight,gelsight:tacpalm] [ONLY=experiment] \
 #     bash benchmarks/learning/tables/ablations.sh OUT [NAME...]
 #
-# OUT is the folder of run.sh with its heterogeneous table, whose translators are taken over. Names:
-# whole: as it is; half, quarter: of the presses that force models learn from; single-frame: every
-# frame as if nothing had been before it; direct, and direct-blind, which is not told how the source
-# looks untouched; clean: sensors without errors of segmentation, translators trained anew.
-# ONLY=experiment: no page of them at the end.
+# OUT is the folder of run.sh with its heterogeneous table, whose translators are reused. Names:
+# whole: unchanged; half, quarter: of the presses that force models are trained on; single-frame: each
+# frame without its predecessors; direct; direct-blind: without the undeformed frame of the source;
+# clean: sensors without segmentation errors, with newly trained translators.
+# ONLY=experiment: write no page at the end.
 set -euo pipefail
 out=${1:?where the heterogeneous table is, for instance runs/tables}
 shift

@@ -35,7 +35,7 @@ GOAL_SHARE = 0.5
 # Text above the table of all groups.
 TOLD = """\
 Means over pairs, on unseen indenters. `before`: the source's model on the target's own frames;
-`after`: the model named, trained without any label of the target; `but for one`: the same without
+`after`: the model named, trained without any label of the target; `without one`: the same without
 the indenter that costs most; `own labels`: the target's model. `labels alone`: R2 of the training
 labels of the model named, compared with the target's own labels, on the presses that it was
 trained on."""
@@ -96,7 +96,7 @@ def _overview(groups: Sequence[Group]) -> list[str]:
         "R2 before",
         "after",
         "worst pair",
-        "but for one",
+        "without one",
         "own labels",
         "labels alone",
         "MAE of shear, Fz [N]",
@@ -167,7 +167,7 @@ def _section(group: Group, picture: str) -> list[str]:
 
 def _goals(group: Group, best: str) -> list[str]:
     rows = group.rows(group.after, best)
-    lines = _head(f"hoped for ({variant_name((group.after, best))})", "asked", "mean", "worst pair")
+    lines = _head(f"goal ({variant_name((group.after, best))})", "required", "mean", "worst pair")
     kind = group.name.removesuffix("-full")
     if kind in GOAL_R2:
         values = {_pair(row): _r2(row) for row in rows}
@@ -213,7 +213,7 @@ def _models(group: Group) -> list[str]:
 def _indenters(group: Group, best: str) -> list[str]:
     found = group.indenters[group.after, best]
     lines = ["", f"By indenter, {variant_name((group.after, best))}:", ""]
-    lines += _head("indenter", "reaches [N]", "MAE of shear, Fz [N]", "R2 of all others")
+    lines += _head("indenter", "largest force [N]", "MAE of shear, Fz [N]", "R2 of all others")
     for one in found:
         errors = f"{one.shear:.3f}, {one.normal:.3f}"
         others = _or_dash(one.r2_of_others, ".3f")

@@ -6,10 +6,10 @@
 #
 # Tables: homogeneous, material, heterogeneous: all pairs on a sample of each group;
 # homogeneous-full, material-full, heterogeneous-full: one pair of each with all its targets;
-# heterogeneous-clean: sensors without errors of segmentation, for ablations.sh.
-# ONLY: no more than the archives; or no page of the tables at the end.
-# Presses are simulated on PROCESSES cores; images are made, and JOBS models side by side trained, on
-# DEVICE. Stopped at any moment, the same command goes on.
+# heterogeneous-clean: sensors without segmentation errors, for ablations.sh.
+# ONLY=archive: make the archives only; ONLY=experiment: write no page at the end.
+# Presses are simulated on PROCESSES cores; images are made, and JOBS models in parallel trained, on
+# DEVICE. After a stop, the same command continues.
 set -euo pipefail
 out=${1:?where to, for instance runs/tables}
 shift

@@ -55,7 +55,7 @@ CHARTS = (
 # Force errors in the first table.
 GOALS = (0.1, 0.03, 0.01, 0.003)
 
-_INTRO = """# What accuracy costs
+_INTRO = """# Cost of accuracy
 
 Every solver on {count} presses: its error, time and memory. Lines join the meshes of one solver,
 coarse to fine; discs were measured on a CPU, diamonds on a GPU; in the grey band errors are below
@@ -68,7 +68,7 @@ device, and `python -m benchmarks accuracy --only page` draws them again.{unmeas
 """
 
 _METHOD = """
-## What is compared
+## Method
 
 The body is the paper's gel, 20 x 20 x 4 mm, 0.145 MPa, nu 0.45. Plain presses have frames at 0.5,
 1.0 and 1.5 mm (the 18 indenters: 0.5 and 1.0), the loop goes 1 mm down and 1 mm aside, the viscous

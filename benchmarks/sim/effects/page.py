@@ -11,7 +11,7 @@ from benchmarks.sim.effects.measure import PARTS, Combination, Cost
 from benchmarks.sim.effects.scenes import TRIALS
 from benchmarks.sim.effects.without import EFFECTS
 
-_PREFACE = """# What effects cost
+_PREFACE = """# Cost of effects
 
 Made by `python -m benchmarks effects`; run it on another machine to get that machine's numbers.
 {machine}.
@@ -42,7 +42,7 @@ or relaxation need them, more iterations, and the arithmetic itself.
 """
 
 _LIMIT = """
-## Weaker and weaker
+## Limit of weak effects
 
 Change of the force on the last frame, over the force, when the effect is weak: half the parameter
 gives half the change and a tenth gives a tenth, so it vanishes with the parameter. Solved to a
@@ -68,7 +68,7 @@ def render(costs: Sequence[Cost], combinations: Sequence[Combination], repeats: 
     parts = (
             _PREFACE.format(machine=machine),
             _table(
-                ("effect", "kernels with lines of it", "same machine code", "same results",
+                ("effect", "kernels that contain it", "same machine code", "same results",
                  "numbers of state", "time"),
                 (_off(cost) for cost in costs),
             ),
@@ -80,7 +80,7 @@ def render(costs: Sequence[Cost], combinations: Sequence[Combination], repeats: 
             _LIMIT,
             _table(
                 ("effect", "full strength", "weak: share of it",
-                 *(f"change at {part:g} of that" for part in PARTS)),
+                 *(f"change at {part:g} x weak" for part in PARTS)),
                 (_limit(cost) for cost in costs),
             ),
             _KERNELS,

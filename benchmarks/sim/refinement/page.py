@@ -19,7 +19,7 @@ def write_page(
     shapes: Sequence[tuple[float, float, Sequence[ShapeRow]]],
 ) -> None:
     """Write the page; an empty part is skipped."""
-    lines = ["# From coarse to fine", ""]
+    lines = ["# Mesh refinement", ""]
     lines.append(
         "Results of the `fem` tier on a series of meshes. Made by "
         f"`python -m benchmarks refine`, on {device}."
@@ -36,7 +36,7 @@ def _bench_lines(rows: Sequence[BenchRow]) -> list[str]:
     rows = sorted(rows, key=lambda row: -row.spacing)
     numerics = Numerics()
     lines = [
-        "## A sphere, and its converged figures",
+        "## Sphere, compared with converged values",
         "",
         "R 4 mm into 20x20x4 mm, E 0.145 MPa, nu 0.45, no friction; against 0.2652, 0.9197, "
         "1.9560 N at 0.5, 1.0, 1.5 mm, on which two",

@@ -142,8 +142,8 @@ def save_offer_chart(
         panels.append(Panel(title, tuple(series), 100 * bound if measure == "mean" else math.nan))
     save_chart(
         path,
-        "What accuracy costs on the paper's 162 presses",
+        "Cost of accuracy on the paper's 162 presses",
         panels,
         "error of the force, %",
-        note="Two meshes: their forces extrapolated to elements of no size.",
+        note="Two meshes: their forces extrapolated to zero element size.",
     )

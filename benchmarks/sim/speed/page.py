@@ -33,7 +33,7 @@ from sim.extrapolation import left_of_difference
 from sim.fem.numerics import FOR_EDGES
 from sim.paper_presses import DEPTHS_MM, FRICTION, PLACES_MM
 
-# Goals for total seconds and force error, by kind of device: required, and hoped for.
+# Goals for total seconds and force error, by kind of device: required, and stretch goals.
 GOALS = {"cpu": ((600.0, 0.03), (300.0, 0.01)), "gpu": ((10.0, 0.01), (3.0, 0.01))}
 WHOLE, DENSE = 162, 810
 # Chart, in the folder `images` next to the page.
@@ -47,18 +47,18 @@ tier with the element height given in the table. Elements are {finer:g} times as
 indenter and grow outwards. Tolerances match these meshes (`Numerics(tolerance={tolerance:g},
 path_tolerance={path:g}, augmentations={augmentations})`). Seconds are wall time from scenes to
 results, with kernels compiled; compile time is given separately. Shared machines vary from day to
-day: the rates of each, measured next to its presses, are under "The floor", and material points
-were timed in the same run. Made by `make speed`.
+day: the rates of each, measured next to its presses, are under "Roofline bound", and material
+points were timed in the same run. Made by `make speed`.
 """
 _ERRORS = """
 Error: |F - Fref| / |Fref| of every press and depth in the reference: all 18 indenters in the
 middle, at a corner and at a side.
 """
 _MESHES = """
-## What accuracy costs
+## Cost of accuracy
 
 The same {whole} presses with coarser and finer elements, and with two meshes whose forces are
-extrapolated to elements of no size (`simulate(..., extrapolate=True)`, `--extrapolate`); errors
+extrapolated to zero element size (`simulate(..., extrapolate=True)`, `--extrapolate`); errors
 from {deep:g} mm on. Errors of a mesh fall about as the square of its elements' size, and all forces
 are too large. By that law the reference is still about {left} too large, which affects every
 row: a mesh is worse by this amount, and two meshes are better than shown.
@@ -153,7 +153,7 @@ def _headline(
 ) -> list[str]:
     lines = [
         f"| machine | elements | {WHOLE} presses | a press | without a solution | error, mean | "
-        "memory | goal | reached | hoped for | reached |",
+        "memory | goal | reached | stretch goal | reached |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for record, (deep, _all), some in zip(records, found, candidates, strict=True):

@@ -23,8 +23,8 @@ PRECONDITIONER_BYTES = 2 * BLOCK
 # Search direction, product, solution and residual read, the last two and the preconditioned
 # residual written; then that residual and the direction read, and the direction written.
 VECTORS_BYTES = 10 * VECTOR
-# Per node and iteration of conjugate gradients on a GPU; in the product one vector, which stays in
-# cache, is read and one written.
+# Per node and iteration of conjugate gradients with products in float16; in the product one vector,
+# which stays in cache, is read and one written.
 CG_BYTES = HALF_ROW_BYTES + 2 * VECTOR + PRECONDITIONER_BYTES + VECTORS_BYTES
 # The same with products that read the tangent as it was assembled, as on a CPU.
 WHOLE_CG_BYTES = CG_BYTES - HALF_ROW_BYTES + ROW_BYTES
@@ -77,14 +77,14 @@ class Floor:
         return max(known, default=math.nan)
 
 
-def bound_of(run: Run, machine: Machine) -> Floor:
-    """Return the bound for a run in float32, with products in float16 on a GPU."""
+def bound_of(run: Run, machine: Machine, *, half: bool) -> Floor:
+    """Return the bound for a run in float32; `half`: products read the tangent in float16."""
     cpu = machine.device == "cpu"
     of_node = (
-        NEWTON_NODE_BYTES + renewed_share(cpu=cpu) * ROW_BYTES + (0 if cpu else HALF_ROW_BYTES)
+        NEWTON_NODE_BYTES + renewed_share(cpu=cpu) * ROW_BYTES + (HALF_ROW_BYTES if half else 0)
     )
     newton_bytes = run.newton_elements * newton_element_bytes(cpu=cpu) + run.newton_nodes * of_node
-    cg_bytes = run.cg_nodes * (WHOLE_CG_BYTES if cpu else CG_BYTES)
+    cg_bytes = run.cg_nodes * (CG_BYTES if half else WHOLE_CG_BYTES)
     flops = run.newton_elements * newton_element_flops(cpu=cpu) + run.cg_nodes * CG_FLOPS
     rate = machine.copy_rate
     if cpu and machine.near_rate > rate:

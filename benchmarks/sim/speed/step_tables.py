@@ -17,26 +17,34 @@ from benchmarks.sim.speed.roofline import (
     newton_element_bytes,
     newton_element_flops,
 )
-from benchmarks.sim.speed.steps import AS_IT_IS, REPLACED, Step, assembled_gain, steps_on
+from benchmarks.sim.speed.steps import (
+    AS_IT_IS,
+    READ_HALF,
+    REPLACED,
+    STEPS,
+    Step,
+    assembled_gain,
+    steps_on,
+)
 
 _STEPS = """
-## What each step is worth
+## Gain of each step
 
 Ablation: one step left out at a time, on presses in the middle: all indenters on a GPU, four on a
 CPU, in one process. Gain: time without the step over time with it. Forces: mean distance from those
 with all steps. Error: relative to the reference, mean over depths from {deep:g} mm on.
 """
 _FLOOR = """
-## The floor
+## Roofline bound
 
 The roofline bound counts Newton iterations, elements, nodes and CG iterations of each press of the
-timed run. A CG iteration moves at least {cg} bytes per node on a GPU ({row} for the tangent's row,
-which products read in float16, the rest for vectors and preconditioner in float32) and {whole} on a
-CPU, which reads it in float32. A Newton iteration moves {element:g} bytes per element besides
-writing and copying the tangent, and computes {flops:,.0f} operations per element, counted in the
-kernels' source; on a CPU, where every second one assembles the elastic part, {cpu_element:g} and
-{cpu_flops:,.0f}. Bytes are moved at the copy rate measured next to the run, for an array larger
-than any cache or, on a CPU where that is faster, for one as large as the tangent of one press.
+timed run. A CG iteration moves at least {cg} bytes per node if products read the tangent in float16
+({row} for its row, the rest for vectors and preconditioner in float32), and {whole} if they read it
+in float32. A Newton iteration moves {element:g} bytes per element besides writing and copying the
+tangent, and computes {flops:,.0f} operations per element, counted in the kernels' source; on a CPU,
+where every second one assembles the elastic part, {cpu_element:g} and {cpu_flops:,.0f}. Bytes are
+moved at the copy rate measured next to the run, for an array larger than any cache or, on a CPU
+where that is faster, for one as large as the tangent of one press.
 """
 
 
@@ -59,7 +67,7 @@ def steps_section(records: Sequence[SpeedRecord], reference: Forces) -> list[str
             "Newton, CG without (with) | elements without (with) | forces | error without (with) |",
             "|---|---|---|---|---|---|---|---|---|",
         ]
-        lines += [_step_line(step, record, base, off) for step in steps_on(record.machine.device)]
+        lines += [_step_line(step, record, base, off) for step in STEPS if _shown(step, record)]
         if record.machine.device != "cpu":
             lines += _warm_start(record)
             continue
@@ -70,6 +78,16 @@ def steps_section(records: Sequence[SpeedRecord], reference: Forces) -> list[str
             )
         lines += _warm_start(record)
     return lines
+
+
+def _shown(step: Step, record: SpeedRecord) -> bool:
+    """Return True if the device has the step, or had it when it was measured."""
+    return step in steps_on(record.machine.device) or record.get("steps", step.name) is not None
+
+
+def _read_half(record: SpeedRecord) -> bool:
+    """Return True if products of the measured runs read the tangent in float16."""
+    return record.machine.device != "cpu" or record.get("steps", READ_HALF) is not None
 
 
 def _warm_start(record: SpeedRecord) -> list[str]:
@@ -98,7 +116,7 @@ def _once(measured: str, record: SpeedRecord, tangent: bool) -> str:
 
 def _step_line(step: Step, record: SpeedRecord, base: Run | None, off: dict[str, float]) -> str:
     run = record.get("steps", step.name)
-    cells = [step.name, step.predicted, step.reason]
+    cells = [step.title or step.name, step.predicted, step.reason]
     if run is None or base is None:
         return row([*cells, *[MISSING] * 6])
     pair = (run.against, run.seconds) if step.put_in else (run.seconds, run.against)
@@ -133,14 +151,15 @@ def floor_section(records: Sequence[SpeedRecord]) -> list[str]:
     names = (
         "Newton, CG iterations",
         "elements, nodes, mesh groups",
+        "tangent read in",
         "bytes: Newton, CG",
         "operations",
         "copy: far, near",
         "float32 operations a second",
         "seconds for bytes, operations",
-        "floor",
+        "bound",
         "measured",
-        "measured / floor",
+        "measured / bound",
     )
     for index, name in enumerate(names):
         lines.append(row([name, *(column[index] for column in columns)]))
@@ -150,12 +169,14 @@ def floor_section(records: Sequence[SpeedRecord]) -> list[str]:
 def _floor_column(record: SpeedRecord) -> list[str]:
     run, machine = record.get("presses", "all"), record.machine
     if run is None:
-        return [MISSING] * 10
-    bound = bound_of(run, machine)
+        return [MISSING] * 11
+    half = _read_half(record)
+    bound = bound_of(run, machine, half=half)
     rate = or_missing(machine.flop_rate, f"{machine.flop_rate:.3g} ({machine.flop_source})")
     return [
         f"{run.newton:,}, {run.cg:,}",
         f"{run.elements:,}, {run.nodes:,}, {run.groups}",
+        "float16" if half else "float32",
         f"{bound.newton_bytes / 1e9:.3g} GB, {bound.cg_bytes / 1e9:.3g} GB",
         f"{bound.flops / 1e9:.3g} G",
         or_missing(

@@ -28,6 +28,8 @@ Where = Literal["cpu", "gpu", "both"]
 EVEN = 0.6
 # Name of the baseline run.
 AS_IT_IS = "as it is"
+# Name of a step that CPUs once had too (docs/decisions/0025-whole-tangents-in-products.md).
+READ_HALF = "products read the tangent in float16"
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +45,8 @@ class Step:
     """Returns the solver without it (with it: see `put_in`) for numerics, device and processes."""
     put_in: bool = False
     """True if the run `AS_IT_IS` is the one without the step."""
+    title: str = ""
+    """Name on the page, if it differs from the name in the records."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +131,7 @@ STEPS = (
         "2-3 with prediction",
         "fewer Newton iterations: a stiff contact changes its set of touching points each time",
         _changed(penalty=1000.0, augmentations=0),
+        title="augmented-Lagrangian contact",
     ),
     Step(
         "states as exact as meshes are",
@@ -135,6 +140,7 @@ STEPS = (
         "tolerances of 1.5 % where they are kept, 10 % on the way, not 0.1 % and 1 %; one "
         "multiplier update, not two: the remaining residual is far below the mesh's error",
         _changed(tolerance=1e-3, path_tolerance=1e-2, augmentations=2),
+        title="tolerances matched to the mesh error",
     ),
     Step(
         "prediction of the next state",
@@ -166,6 +172,7 @@ STEPS = (
         "one press does not fill a GPU; each advances with its own steps, so the total is the "
         "slowest press, not the sum of the slowest steps",
         _one_by_one,
+        title="presses in one batch",
     ),
     Step(
         "one mesh topology for all",
@@ -187,9 +194,10 @@ STEPS = (
         "1.1-1.2",
         "an iteration in which few presses run is some 100 us of empty threads for all others",
         _without(without_gathering),
+        title="no threads launched for finished presses",
     ),
     Step(
-        "products read the tangent in float16",
+        READ_HALF,
         "gpu",
         "1.1-1.3",
         f"{CG_BYTES} bytes per node and iteration instead of {WHOLE_CG_BYTES}; as many iterations",
@@ -215,7 +223,7 @@ REPLACED = (
         "2-4 in products",
         "27 blocks of 3x3 compile to one multiplication at a time; eight lanes at once are near "
         "the memory bandwidth",
-        "63 against 28 ns a node, one core, float32",
+        "63 against 28 ns a node, one core, float32; 26 in float16",
     ),
     Replaced(
         "on a GPU: an element's tangent a row a thread, not whole",

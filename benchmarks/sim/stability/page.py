@@ -76,17 +76,17 @@ def _cell(law: Law) -> str:
 
 def _planted(caught: Mapping[str, Sequence[Report]]) -> list[str]:
     lines = [
-        "## Planted mistakes",
+        "## Deliberate bugs",
         "",
         "Deliberate bugs can be injected into the solver (`--planted NAME`, or `all`). The cases "
         "must detect each; these are the fastest that do, with the law that fails.",
         "",
-        "| mistake | what it is | caught by | law that fails |",
+        "| bug | description | detected by | law that fails |",
         "|---|---|---|---|",
     ]
     for mistake, reports in caught.items():
         failing = [report for report in reports if not report.passed]
-        names = "<br>".join(f"`{report.name}`" for report in failing) or "**not caught**"
+        names = "<br>".join(f"`{report.name}`" for report in failing) or "**not detected**"
         laws = "<br>".join(escaped(report.failures[0]) for report in failing)
         lines.append(f"| {mistake} | {WHAT[mistake]} | {names} | {laws} |")
     return lines

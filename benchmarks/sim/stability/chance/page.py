@@ -12,7 +12,7 @@ from benchmarks.sim.stability.chance.run import WRONG, RandomRun, Told, by_class
 from benchmarks.sim.stability.chance.shrink import failure
 from benchmarks.sim.stability.laws import escaped
 
-_INTRO = """# Stability, scenes drawn by chance
+_INTRO = """# Stability, random scenes
 
 Randomly drawn scenes: indenters, gels, places, motions and effects, most of them sensible, some
 known to break simulators, some absurd. A referee that is independent of the solver checks each
@@ -47,14 +47,17 @@ def page(told: Sequence[Told], plan: RandomRun) -> str:
     ]  # fmt: skip
     lines += [f"| {kind} | {_MEANS[kind]} | {count} |" for kind, count in by_class(told).items()]
     lines += ["", "## By law", ""]
-    lines += ["| law | says | measured | broken | of these, silently |", "|---|---|---|---|---|"]
+    lines += [
+        "| law | statement | measured | broken | of these, without warning |",
+        "|---|---|---|---|---|",
+    ]
     lines += _by_law(told)
     lines += ["", "## By family", "", "| family | " + " | ".join(by_class(told)) + " |"]
     lines += ["|---" * (len(by_class(told)) + 1) + "|", *_by_family(told)]
     wrong = [one for one in told if one.verdict.kind in WRONG or one.verdict.kind == "timeout"]
     if wrong:
         lines += ["", "## Silently wrong, crashed, or without an answer in time", ""]
-        lines += ["| seed/scene | class | what | laws or words | s |", "|---|---|---|---|---|"]
+        lines += ["| seed/scene | class | scene | laws or message | s |", "|---|---|---|---|---|"]
         lines += [
             f"| {one.name} | {one.verdict.kind} | {escaped(one.what)} | "
             f"{escaped(one.verdict.why)} | {one.seconds:.1f} |"
