@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from learning.data.splits import Split, read_split
-from learning.progress import Progress
 from learning.training.run import EXIT_INTERRUPTED, RunFolder, Stop, accelerator, described
 from recorder import MarkerArchive
+from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
     import torch
@@ -28,9 +28,9 @@ class Training:
     """Device and precision, as set up by Accelerate."""
     stop: Stop
     """Ctrl-C handler; enter it only where the current step can be completed first."""
-    reading: Progress
+    reading: ItemProgress
     """Called as data is read."""
-    steps: Progress
+    steps: ItemProgress
     """Called as steps are done."""
 
     @property
@@ -104,14 +104,11 @@ def run_training(
             return 0
         print(described(launched), file=sys.stderr)
         stop = Stop(lambda line: print(line, file=sys.stderr))
-        training = Training(
-            run, launched, stop, Progress(reading, sys.stderr), Progress("steps", sys.stderr)
-        )
-        try:
-            told = train(training)
-        finally:
-            training.reading.close()
-            training.steps.close()
+        with (
+            ItemProgress(reading, sys.stderr) as frames,
+            ItemProgress("steps", sys.stderr) as steps,
+        ):
+            told = train(Training(run, launched, stop, frames, steps))
         if stop.agreed(launched) and not run.finished:
             print(f"{options.out}: stopped; continue with --resume", file=sys.stderr)
             return EXIT_INTERRUPTED

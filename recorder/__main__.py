@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,14 +18,13 @@ from recorder.convert.repack import PROFILES, repack
 from recorder.convert.rerun_view import view
 from recorder.errors import SessionError
 from recorder.info import describe
+from recorder.progress import ItemProgress
 from recorder.session.recover import recover
 from recorder.session.sheet import contact_sheet
 from recorder.store.files import is_url
 
 if TYPE_CHECKING:
     Verbs = argparse._SubParsersAction[argparse.ArgumentParser]
-
-_QUIET = 2.0  # shorter work shows no progress [s]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -82,7 +80,8 @@ def _recover(options: argparse.Namespace) -> int:
 
 
 def _repack(options: argparse.Namespace) -> int:
-    repack(options.session, options.destination, options.profile, progress=_Progress())
+    with ItemProgress("images", sys.stderr) as progress:
+        repack(options.session, options.destination, options.profile, progress=progress)
     print(f"{options.destination}: written, profile {options.profile}")
     return 0
 
@@ -98,41 +97,19 @@ def _sheet(options: argparse.Namespace) -> int:
 
 def _export(options: argparse.Namespace) -> int:
     choices = Options(decode=options.decode, valid_only=options.valid_only)
-    export(
-        options.session,
-        options.destination,
-        options.to,
-        options=choices,
-        progress=_Progress("rows"),
-    )
+    with ItemProgress("rows", sys.stderr) as progress:
+        export(options.session, options.destination, options.to, options=choices, progress=progress)
     print(f"{options.destination}: written, {options.to}")
     return 0
 
 
 def _import(options: argparse.Namespace) -> int:
-    for line in import_session(order_of(options), _Progress("rows")):
+    with ItemProgress("rows", sys.stderr) as progress:
+        lines = import_session(order_of(options), progress)
+    for line in lines:
         print(line)
     print(f"{options.session}: imported")
     return 0
-
-
-class _Progress:
-    """One-line progress display for work longer than `_QUIET`."""
-
-    def __init__(self, what: str = "images") -> None:
-        self._what = what
-        self._start = self._shown = time.monotonic()
-
-    def __call__(self, done: int, total: int) -> None:
-        """Show the progress and the time left."""
-        now = time.monotonic()
-        last = done == total and self._shown > self._start
-        if now - self._start < _QUIET or (now - self._shown < 0.5 and not last):
-            return
-        self._shown = now
-        left = (now - self._start) * (total - done) / done
-        line = f"\r{done}/{total} {self._what}  {int(left // 60)}:{int(left % 60):02d} left "
-        print(line, end="\n" if last else "", file=sys.stderr, flush=True)
 
 
 def _place(text: str) -> str | Path:
@@ -140,13 +117,14 @@ def _place(text: str) -> str | Path:
 
 
 def _view(options: argparse.Namespace) -> int:
-    view(
-        options.session,
-        save=options.save,
-        start=options.start,
-        seconds=options.seconds,
-        progress=_Progress("samples"),
-    )
+    with ItemProgress("samples", sys.stderr) as progress:
+        view(
+            options.session,
+            save=options.save,
+            start=options.start,
+            seconds=options.seconds,
+            progress=progress,
+        )
     if options.save is not None:
         print(f"{options.save}: written")
     return 0

@@ -8,6 +8,7 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from recorder.progress import Progress
 from rig.cli.options import bench_options, bench_path
 from rig.core.errors import ConfigError
 
@@ -51,18 +52,11 @@ def run(options: argparse.Namespace) -> int:
         folder = Path(scratch)
         bench_file, targets = long_bench(bench_path(options), seconds, folder)
         session = options.session or folder / "long.zarr"
-
-        def progress(so_far: float) -> None:
-            if sys.stderr.isatty():
-                left = max(seconds - so_far, 0)
-                print(
-                    f"\r{so_far / 60:.1f} min, about {left / 60:.0f} min left ",
-                    end="",
-                    file=sys.stderr,
-                )
-
         print(f"{targets} targets, at least {options.minutes:g} minutes", flush=True)
-        found = run_long(bench_file, session, targets, progress)
+        with Progress("endurance", sys.stderr) as progress:
+            found = run_long(
+                bench_file, session, targets, lambda so_far: progress(min(so_far / seconds, 1.0))
+            )
         print(found.output)
         if found.exit_code == 0:
             options.out.write_text(page(found))

@@ -13,7 +13,7 @@ from benchmarks.faults.judge import FaultResult, Left
 from benchmarks.faults.kills import VICTIMS, Kills
 from benchmarks.faults.rows import Row
 from benchmarks.faults.run import Results
-from rig.acquire.progress_line import minutes
+from recorder.progress import duration
 from rig.acquire.streams import SILENT, SLOW, SLOW_FRACTION
 from rig.bench.bench import BenchLimits, load_bench
 from rig.devices.arm.settings import ArmConfig
@@ -96,7 +96,7 @@ def page(results: Results, benches: Path) -> str:
 def _measured(results: Results) -> str:
     return (
         f"Measured with Python {platform.python_version()} on {os.cpu_count()} cores, "
-        f"{platform.system()} {platform.machine()}, in {minutes(results.seconds)} (min:s)."
+        f"{platform.system()} {platform.machine()}, in {duration(results.seconds)}."
     )
 
 

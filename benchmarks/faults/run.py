@@ -12,7 +12,7 @@ from benchmarks.faults.judge import FaultResult
 from benchmarks.faults.kills import Kills, kill_often
 from benchmarks.faults.one_row import run_row
 from benchmarks.faults.rows import ROWS, Row
-from rig.acquire.progress_line import minutes
+from recorder.progress import duration
 from rig.core.clock import SECOND_NS, SystemClock
 from rig.core.errors import ConfigError
 
@@ -145,4 +145,4 @@ class Campaign:
         self._done = min(self._done + weight, self._total)
         passed = (self._clock.now_ns() - self._start_ns) / SECOND_NS
         left = passed * (self._total - self._done) / self._done
-        print(f"[{self._done / self._total:4.0%}, {minutes(left)} left] {line}", flush=True)
+        print(f"[{self._done / self._total:4.0%}, {duration(left)} left] {line}", flush=True)

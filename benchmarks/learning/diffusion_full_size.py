@@ -27,7 +27,6 @@ from learning.config import read_settings, settings_to_dict
 from learning.data.images import SIDE, enlarge_images
 from learning.data.synthetic import before, random_fields, sample_patterns, untouched
 from learning.errors import LearningError
-from learning.progress import Progress
 from learning.training.run import METRICS, RunFolder, described, generator
 from learning.training.run import accelerator as launched
 from learning.translation.diffusion.data import ImagePairs
@@ -40,6 +39,7 @@ from learning.translation.diffusion.settings import (
 from learning.translation.diffusion.train import Pretrained, train
 from learning.translation.diffusion.translator import KIND, DiffusionTranslator
 from learning.translation.diffusion.weights import WIDTHS, PerceptualDistance, vendor
+from recorder.progress import ItemProgress
 from recorder.store.durable import replace_file
 
 if TYPE_CHECKING:
@@ -336,11 +336,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         batches = [int(text) for text in options.batches.split(",")]
     except ValueError:
         parser.error(f"--batches: found {options.batches!r}; allowed: N,...")
-    steps = Progress("steps", sys.stderr)
-    try:
+    with ItemProgress("steps", sys.stderr) as steps:
         found = check(batches, options.out, overrides=options.set, progress=steps)
-    finally:
-        steps.close()
     print(table(found))
     print(f"{options.out}: written")
     return 0

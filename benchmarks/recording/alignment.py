@@ -19,7 +19,7 @@ from benchmarks.recording.motion import (
     record_motion,
     ticks,
 )
-from benchmarks.recording.progress import Progress
+from benchmarks.recording.steps import Steps
 from recorder import Session, Window
 from recorder.session import align
 from recorder.session.align import Sources
@@ -107,21 +107,21 @@ def estimate(scale: Scale) -> float:
 
 
 def alignment(
-    scale: Scale, place: Path, progress: Progress, collect: Callable[[int, Path], tuple[Path, Path]]
+    scale: Scale, place: Path, steps: Steps, collect: Callable[[int, Path], tuple[Path, Path]]
 ) -> Alignment:
     """Measure errors and times of all methods.
 
     Args:
         scale: Durations of the measurements.
         place: Folder for sessions.
-        progress: Progress display.
+        steps: Display of the current step.
         collect: Collects a number of targets on the mock bench; returns session and ground truth.
     """
-    progress.step("alignment: a motion with known ground truth", 0.2 * scale.alignment + 2.0)
+    steps.step("alignment: a motion with known ground truth", 0.2 * scale.alignment + 2.0)
     motion = Motion(scale.alignment)
     recorded = record_motion(motion, scale.alignment, place / "motion.zarr")
     session = Session(recorded.path)
-    progress.step("alignment: methods", 0.05 * scale.alignment + 2.0 + _WINDOWS_SECONDS)
+    steps.step("alignment: methods", 0.05 * scale.alignment + 2.0 + _WINDOWS_SECONDS)
     methods = measure_methods(session, motion, recorded)
     latencies = tuple(
         measure_latency(session, motion, recorded, late) for late in (0.0, *UNCORRECTED)
@@ -132,7 +132,7 @@ def alignment(
     if scale.targets:
         from benchmarks.recording.mock_session import compare_mock
 
-        progress.step("alignment: a session on the mock bench", _mock_seconds(scale))
+        steps.step("alignment: a session on the mock bench", _mock_seconds(scale))
         mock, missing = compare_mock(collect, scale.targets, place)
     return Alignment(methods, latencies, with_images, without, mock, missing)
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
 from benchmarks.recording.measure import Scale, Spread
-from benchmarks.recording.progress import Progress
+from benchmarks.recording.steps import Steps
 from rig.core.clock import SECOND_NS, Pacer, SystemClock
 from rig.core.errors import ConfigError
 from rig.core.realtime import enable_realtime
@@ -46,7 +46,7 @@ def estimate(scale: Scale) -> float:
     return len(LOADS) * 2 * len(RATES_HZ) * (scale.lateness + _START)
 
 
-def lateness(scale: Scale, progress: Progress) -> tuple[Lateness, ...]:
+def lateness(scale: Scale, steps: Steps) -> tuple[Lateness, ...]:
     """Measure every rate under every load, with and without real-time scheduling."""
     found = []
     for load in LOADS:
@@ -54,7 +54,7 @@ def lateness(scale: Scale, progress: Progress) -> tuple[Lateness, ...]:
             for asked in (False, True):
                 for rate_hz in RATES_HZ:
                     title = f"lateness: {rate_hz:g} Hz, {load}{', punctual' if asked else ''}"
-                    progress.step(title, scale.lateness + _START)
+                    steps.step(title, scale.lateness + _START)
                     found.append(_measure(rate_hz, load, asked, scale.lateness))
     return tuple(found)
 

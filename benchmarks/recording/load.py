@@ -9,7 +9,7 @@ from pathlib import Path
 
 from benchmarks.recording.feed import Fed, Feed, record
 from benchmarks.recording.measure import Scale
-from benchmarks.recording.progress import Progress
+from benchmarks.recording.steps import Steps
 from rig.core.errors import ConfigError
 
 # Time to start and close one process [s].
@@ -69,11 +69,11 @@ def estimate_share(scale: Scale) -> float:
     return len(SINGLE) * (scale.share + _START)
 
 
-def share(scale: Scale, place: Path, progress: Progress) -> tuple[Fed, ...]:
+def share(scale: Scale, place: Path, steps: Steps) -> tuple[Fed, ...]:
     """Record each stream separately at its real rate."""
     found: list[Fed] = []
     for number, feed in enumerate(SINGLE):
-        progress.step(f"CPU share: {feed.title}", scale.share + _START)
+        steps.step(f"CPU share: {feed.title}", scale.share + _START)
         found += record([feed], scale.share, place / f"share-{number}")
     return tuple(found)
 
@@ -83,14 +83,14 @@ def estimate_cameras(scale: Scale) -> float:
     return len(CODECS) * _trials(scale) * (scale.cameras + 4 * _START)
 
 
-def cameras(scale: Scale, place: Path, progress: Progress) -> tuple[Cameras, ...]:
+def cameras(scale: Scale, place: Path, steps: Steps) -> tuple[Cameras, ...]:
     """Record more and more 640x480 cameras at 60 Hz until a frame is lost, lossless and as JPEG."""
     found = []
     for codec in CODECS:
         trials: list[Trial] = []
 
         def attempt(count: int, codec: str = codec, trials: list[Trial] = trials) -> bool:
-            progress.step(f"cameras: {count} at 60 Hz, {codec}", scale.cameras + 4 * _START)
+            steps.step(f"cameras: {count} at 60 Hz, {codec}", scale.cameras + 4 * _START)
             need = count * scale.cameras * 60.0 * (1.0e6 if codec == "zstd" else 1.0e5)
             _require_room(place, need)
             fed = record(
@@ -146,13 +146,13 @@ def estimate_full(scale: Scale) -> float:
     return scale.full_load + len(TOGETHER) * _START
 
 
-def full_load(scale: Scale, place: Path, progress: Progress) -> tuple[Fed, ...]:
+def full_load(scale: Scale, place: Path, steps: Steps) -> tuple[Fed, ...]:
     """Record two lossless cameras and every other stream at the same time.
 
     Raises:
         ConfigError: Too little disk space.
     """
-    progress.step("everything at once", estimate_full(scale))
+    steps.step("everything at once", estimate_full(scale))
     _require_room(place, scale.full_load * 2 * 60 * 0.8e6)
     return record(TOGETHER, scale.full_load, place / "full")
 

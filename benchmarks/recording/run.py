@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,9 +17,10 @@ from benchmarks.recording.measure import Scale
 from benchmarks.recording.page import Results, machine, render
 from benchmarks.recording.page_alignment import ALIGNMENT_CHART
 from benchmarks.recording.page_stores import STORES_CHART
-from benchmarks.recording.progress import Progress
+from benchmarks.recording.steps import Steps
 from benchmarks.recording.store_benchmark import StoreRow
 from recorder.errors import SessionError
+from recorder.progress import Progress
 from rig.core.clock import SECOND_NS, SystemClock
 from rig.core.errors import ConfigError
 
@@ -33,7 +35,7 @@ class Part:
     """Name for `--only`, and the field of `Results`."""
     estimate: Callable[[Scale], float]
     """Returns the expected duration [s]."""
-    measure: Callable[[Scale, Path, Progress], Any]
+    measure: Callable[[Scale, Path, Steps], Any]
     """Measures the part in a folder."""
 
 
@@ -73,15 +75,18 @@ def measure(
     chosen = [part for part in parts(bench) if part.name in only]
     clock = SystemClock()
     start = clock.now_ns()
-    progress = Progress(clock, sum(part.estimate(scale) for part in chosen))
     found: dict[str, Any] = {}
     try:
-        with tempfile.TemporaryDirectory(prefix="bench-recorder-", dir=scratch) as folder:
+        # No thread, which would disturb the measurements.
+        with (
+            Progress("bench", sys.stderr, threaded=False) as progress,
+            tempfile.TemporaryDirectory(prefix="bench-recorder-", dir=scratch) as folder,
+        ):
+            steps = Steps(progress, sum(part.estimate(scale) for part in chosen))
             for part in chosen:
-                found[part.name] = part.measure(scale, Path(folder), progress)
+                found[part.name] = part.measure(scale, Path(folder), steps)
     except (OSError, SessionError) as error:
         raise ConfigError(f"--scratch {scratch}: {error}") from error
-    progress.finish()
     return Results(
         machine=machine(os.cpu_count() or 1),
         quick=quick,

@@ -17,7 +17,7 @@ import numpy as np
 
 import rig
 from benchmarks.recording.measure import Scale, Spread
-from benchmarks.recording.progress import Progress
+from benchmarks.recording.steps import Steps
 from benchmarks.recording.store_child import RESULT
 from benchmarks.recording.stores import STORES, Entry
 from rig.core.clock import SECOND_NS, SystemClock
@@ -92,12 +92,12 @@ def estimate(scale: Scale, entries: Sequence[Entry] = STORES) -> float:
 
 
 def race(
-    scale: Scale, place: Path, progress: Progress, entries: Sequence[Entry] = STORES
+    scale: Scale, place: Path, steps: Steps, entries: Sequence[Entry] = STORES
 ) -> tuple[StoreRow, ...]:
     """Measure every store in a separate folder below `place`, which is removed afterwards."""
     rows = []
     for entry in entries:
-        progress.step(f"stores: {entry.title.replace('*', '')}", _row_seconds(scale))
+        steps.step(f"stores: {entry.title.replace('*', '')}", _row_seconds(scale))
         folder = place / entry.key
         folder.mkdir(parents=True)
         try:

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 from benchmarks.sim.stability.chance.dice import Dice
 from benchmarks.sim.stability.chance.scenes import drawn
 from benchmarks.sim.stability.runner import INTERRUPTED, done_counts, side_by_side
+from recorder.progress import duration
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError
 from sim.fem.mesh import meshes_of
@@ -28,7 +29,6 @@ from sim.fem.numerics import Numerics
 from sim.fem.sizing import stages_of
 from sim.metrics import Kind, outcome_of, tolerance_of, with_unit, worst_errors
 from sim.needed import FINENESS, EffectsPlan, plan_many
-from sim.progress import duration
 from sim.result import Outcome, Result
 from sim.scene import Scene
 from sim.tiers import simulate_many

@@ -22,11 +22,11 @@ import numpy as np
 from benchmarks.sim.stability.chance.judgement import OutOfTime, time_limit
 from benchmarks.sim.stability.chance.scenes import Drawn, drawn
 from benchmarks.sim.stability.runner import INTERRUPTED, done_counts, side_by_side
+from recorder.progress import duration
 from sim.errors import SceneError, SimulationDiverged
 from sim.extrapolation import left_of_difference
 from sim.fem.numerics import Numerics
 from sim.metrics import force_scale, tolerance_of
-from sim.progress import duration
 from sim.result import Result
 from sim.scene import Scene
 from sim.simulate import simulate

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from learning.errors import LearningError
-from learning.progress import Progress
+from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
     from learning.command import Verbs
@@ -62,8 +62,7 @@ def _run(options: argparse.Namespace) -> int:
     if not options.folder.is_dir():
         raise LearningError(f"{options.folder}: is no folder; allowed: one of what `predict` wrote")
     predictions, scores = read_folder(options.folder)
-    progress = Progress("parts", sys.stderr)
-    try:
+    with ItemProgress("parts", sys.stderr) as progress:
         report = write_report(
             predictions,
             scores,
@@ -72,8 +71,6 @@ def _run(options: argparse.Namespace) -> int:
             seed=options.seed,
             progress=progress,
         )
-    finally:
-        progress.close()
     for line in report.lines:
         print(line)
     print(f"{report.files[0]}: written, beside {len(report.files) - 1} tables")
@@ -99,8 +96,7 @@ def _score(options: argparse.Namespace) -> None:
     for path in options.translated:
         for name, sensor in MarkerArchive(path).items():
             print(f"scoring {name} of {path.name}", file=sys.stderr)
-            progress = Progress("frames", sys.stderr)
-            try:
+            with ItemProgress("frames", sys.stderr) as progress:
                 scores = score_translation(
                     archive,
                     sensor,
@@ -111,7 +107,5 @@ def _score(options: argparse.Namespace) -> None:
                     seed=options.seed,
                     progress=progress,
                 )
-            finally:
-                progress.close()
             features = extractor.name.split(":")[-1].split(",")[0]
             scores.write(options.folder / f"{name}.{scores.translator}.{features}.npz")

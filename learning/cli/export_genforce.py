@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from learning.progress import Progress
+from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
     from learning.command import Verbs
@@ -28,11 +28,8 @@ def add_to(verbs: Verbs) -> None:
 def _run(options: argparse.Namespace) -> int:
     from learning.data.genforce import export_training
 
-    progress = Progress("frames", sys.stderr)
-    try:
+    with ItemProgress("frames", sys.stderr) as progress:
         left_out = export_training(options.archive, options.out, progress=progress)
-    finally:
-        progress.close()
     for line in left_out:
         print(f"left out: {line}")
     print(f"{options.out}: written")

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from learning.command import add_unseen, by_name, unseen
-from learning.progress import Progress
+from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
     from learning.command import Verbs
@@ -62,11 +62,8 @@ def _run(options: argparse.Namespace) -> int:
         if options.compensation is None
         else read_compensation(options.compensation),
     )
-    progress = Progress("frames", sys.stderr)
-    try:
+    with ItemProgress("frames", sys.stderr) as progress:
         made = import_folder(options.folder, options.out, choices=choices, progress=progress)
-    finally:
-        progress.close()
     for line in told(options.out):
         print(line)
     print(f"{options.out}: {made:,} frames read")

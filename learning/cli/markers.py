@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from learning.command import add_unseen, unseen
 from learning.errors import LearningError
-from learning.progress import Progress
+from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
     from learning.command import Verbs
@@ -54,8 +54,7 @@ def _run(options: argparse.Namespace) -> int:
         return 0
     if options.out is None:
         raise LearningError("--out: missing; allowed: where the archive goes, or --rate")
-    progress = Progress("frames", sys.stderr)
-    try:
+    with ItemProgress("frames", sys.stderr) as progress:
         built = archive_sessions(
             options.sessions,
             options.out,
@@ -66,8 +65,6 @@ def _run(options: argparse.Namespace) -> int:
             sam=sam,
             progress=progress,
         )
-    finally:
-        progress.close()
     for line in built.lines:
         print(line)
     if options.sheet is not None:

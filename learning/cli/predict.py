@@ -12,7 +12,7 @@ import numpy as np
 
 from learning.errors import LearningError
 from learning.evaluation.predictions import METHODS, TRANSLATED
-from learning.progress import Progress
+from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
     from learning.command import Verbs
@@ -79,13 +79,10 @@ def _run(options: argparse.Namespace) -> int:
         )
     predictor = load_force_model(options.model, options.device)
     form: Form = "field" if predictor.model.inputs.form == "field" else "images"
-    reading, saying = Progress("frames", sys.stderr), Progress("forces", sys.stderr)
-    try:
-        presses = load_presses(sensor, rows, device=options.device, form=form, progress=reading)
-        predicted = predictor.predict(presses, progress=saying)
-    finally:
-        reading.close()
-        saying.close()
+    with ItemProgress("frames", sys.stderr) as progress:
+        presses = load_presses(sensor, rows, device=options.device, form=form, progress=progress)
+    with ItemProgress("forces", sys.stderr) as progress:
+        predicted = predictor.predict(presses, progress=progress)
     rows = presses.rows.numpy()
     made = predictions_of(
         sensor,

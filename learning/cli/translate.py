@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from learning.errors import LearningError
-from learning.progress import Progress
+from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
     from learning.command import Verbs
@@ -58,8 +58,7 @@ def _run(options: argparse.Namespace) -> int:
     pairs = _pairs(archive, options)
     translator = load_translator(options.model, options.device)
     model = Model(translator, Path(options.model).name, hash_of(options.model), options.device)
-    progress = Progress("frames", sys.stderr)
-    try:
+    with ItemProgress("frames", sys.stderr) as progress:
         made = translate_archive(
             archive,
             options.out,
@@ -69,8 +68,6 @@ def _run(options: argparse.Namespace) -> int:
             roles=[] if options.role is None else options.role.split(","),
             progress=progress,
         )
-    finally:
-        progress.close()
     if options.sheet is not None:
         draw_sheet(archive, MarkerArchive(options.out), options.sheet)
         print(f"{options.sheet}: written")

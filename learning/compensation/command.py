@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from learning.command import by_name
 from learning.errors import LearningError
-from learning.progress import Progress
+from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
     from learning.command import Verbs
@@ -95,8 +95,7 @@ def _run(options: argparse.Namespace) -> int:
         per_mm=options.coefficients_of == "mm",
         ranges_mm=by_name(options.range_mm, "--range-mm"),
     )
-    progress = Progress("pairs", sys.stderr)
-    try:
+    with ItemProgress("pairs", sys.stderr) as progress:
         found, gathered = find_compensation(
             archive,
             pairs=_pairs(options.pairs),
@@ -104,8 +103,6 @@ def _run(options: argparse.Namespace) -> int:
             search=_search(options),
             progress=progress,
         )
-    finally:
-        progress.close()
     found.write(options.out)
     for line in tables(found, gathered):
         print(line)

@@ -34,12 +34,12 @@ from learning.force.model import PRESETS, ForceSettings
 from learning.force.predict import KIND, ForcePredictor, load_force_model
 from learning.force.train import train_force
 from learning.metrics import force_errors
-from learning.progress import Progress
 from learning.training.checkpoint import read_model_folder
 from learning.training.run import RunFolder, Stop
 from learning.translation.archive import Model
 from learning.translation.translator import FLOW, SensorView, for_pair
 from recorder import MarkerArchive
+from recorder.progress import ItemProgress
 
 # Training settings of the force models of an experiment.
 
@@ -236,21 +236,20 @@ class Forces:
             if not run.finished:
                 presses, held = frames()
                 validation = () if held is None else self._as_seen(held)
-                steps = Progress(f"steps of {name}", sys.stderr)
-                try:
-                    with Stop(partial(print, file=sys.stderr)) as stop:
-                        train_force(
-                            self._as_seen(presses),
-                            settings,
-                            run,
-                            validation=validation,
-                            start_from=start_from,
-                            compensation=compensation,
-                            stopped=lambda: stop.asked,
-                            progress=steps,
-                        )
-                finally:
-                    steps.close()
+                with (
+                    ItemProgress(f"steps of {name}", sys.stderr) as steps,
+                    Stop(partial(print, file=sys.stderr)) as stop,
+                ):
+                    train_force(
+                        self._as_seen(presses),
+                        settings,
+                        run,
+                        validation=validation,
+                        start_from=start_from,
+                        compensation=compensation,
+                        stopped=lambda: stop.asked,
+                        progress=steps,
+                    )
                 if stop.asked and not run.finished:
                     raise KeyboardInterrupt
         return folder, load_force_model(folder, self.device)
@@ -273,8 +272,8 @@ class Forces:
         source, target = self.archive[pair.source], self.archive[pair.target]
         views = SensorView.of(source), SensorView.of(target)
         look = look_of(target, packed, self.device)
-        progress = Progress(f"frames of {pair.source} to {pair.target} by {model.name}", sys.stderr)
-        try:
+        name = f"frames of {pair.source} to {pair.target} by {model.name}"
+        with ItemProgress(name, sys.stderr) as progress:
             if model.name != FLOW:
                 translator = for_pair(model.translator, *views)
                 return translate_presses(packed, look, translator, progress=progress)
@@ -287,8 +286,6 @@ class Forces:
                     packed, *views, processes=self.processes, progress=progress
                 )
             return warp_presses(packed, look, known[scale], progress=progress)
-        finally:
-            progress.close()
 
     def _frames(self, sensor: str) -> tuple[Presses, Presses | None]:
         """Return a source's presses for training, packed, and those for validation."""

@@ -23,7 +23,6 @@ from learning.force.data import Compensation
 from learning.force.model import ForceSettings
 from learning.force.predict import ForcePredictor
 from learning.force.train import train_together
-from learning.progress import Progress
 from learning.training.run import EXIT_INTERRUPTED, RunFolder, Stop
 from learning.translation.archive import Model, hash_of
 from learning.translation.direct import autoencoder_command as train_autoencoder
@@ -31,6 +30,7 @@ from learning.translation.direct import command as train_direct
 from learning.translation.field import command as train_field
 from learning.translation.loading import load_translator
 from learning.translation.translator import FLOW
+from recorder.progress import ItemProgress
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +194,7 @@ def tune_together(
         due = [number for number, run in enumerate(runs) if not run.finished]
         if not due:
             return
-        steps = Progress(f"steps of {len(due)} models, {tunings[due[0]].name} first", sys.stderr)
+        name = f"steps of {len(due)} models, {tunings[due[0]].name} first"
         taken = 0
 
         def passed(done: int, total: int) -> None:
@@ -202,18 +202,18 @@ def tune_together(
             taken = done
             steps(done, total)
 
-        try:
-            with Stop(partial(print, file=sys.stderr)) as stop:
-                trained = train_together(
-                    [shown[tunings[number].pair] for number in due],
-                    settings,
-                    start_from=start_from,
-                    compensation=[tunings[number].labels for number in due],
-                    stopped=lambda: stop.asked,
-                    progress=passed,
-                )
-        finally:
-            steps.close()
+        with (
+            ItemProgress(name, sys.stderr) as steps,
+            Stop(partial(print, file=sys.stderr)) as stop,
+        ):
+            trained = train_together(
+                [shown[tunings[number].pair] for number in due],
+                settings,
+                start_from=start_from,
+                compensation=[tunings[number].labels for number in due],
+                stopped=lambda: stop.asked,
+                progress=passed,
+            )
         if trained is None:
             raise KeyboardInterrupt
         for number, predictor in zip(due, trained, strict=True):

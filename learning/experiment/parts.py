@@ -16,12 +16,12 @@ from learning.data.splits import PressKey, Role, Split
 from learning.errors import LearningError
 from learning.experiment.settings import ExperimentSettings
 from learning.experiment.translating import TargetView
-from learning.progress import Progress
 from learning.training.run import generator
 from learning.translation.archive import target_references
 from learning.translation.translator import SensorView
 from recorder import MarkerArchive
 from recorder.archive import ArchivedSensor
+from recorder.progress import ItemProgress
 
 # Roles of presses whose forces are predicted.
 TESTED: tuple[Role, ...] = ("new_press", "new_indenter")
@@ -164,9 +164,6 @@ def _some(
 def _loaded(
     sensor: ArchivedSensor, rows: NDArray[np.int64], device: torch.device, *, packed: bool
 ) -> Presses:
-    progress = Progress(f"frames of {sensor.name}", sys.stderr)
-    try:
+    with ItemProgress(f"frames of {sensor.name}", sys.stderr) as progress:
         form: Form = "packed" if packed else "images"
         return load_presses(sensor, rows, device=device, form=form, progress=progress)
-    finally:
-        progress.close()

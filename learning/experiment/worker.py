@@ -26,11 +26,11 @@ from learning.experiment.forces import Forces
 from learning.experiment.models import Places, open_translator, run_command, train_translator
 from learning.experiment.parts import TESTED, Pair, thinned
 from learning.experiment.settings import ExperimentSettings
-from learning.progress import Progress
 from learning.translation import archive as translated
 from learning.translation.archive import Model
 from recorder import MarkerArchive
 from recorder.processes import Workers
+from recorder.progress import ItemProgress
 
 # Name of a method of `Worker` and its arguments.
 Task = tuple[str, ...]
@@ -153,8 +153,7 @@ class Worker:
         few = thinned(self._split, settings.scored_presses, settings.seed)
         roles = [role for role in TESTED if len(few.locations(role))]
         path = self._places.translated(source, name)
-        progress = Progress(f"frames of {source} by {name}", sys.stderr)
-        try:
+        with ItemProgress(f"frames of {source} by {name}", sys.stderr) as progress:
             translated.translate_archive(
                 self._archive,
                 path,
@@ -164,8 +163,6 @@ class Worker:
                 roles=roles,
                 progress=progress,
             )
-        finally:
-            progress.close()
         scores = []
         for sensor in MarkerArchive(path).values():
             file = self._places.predictions / f"{sensor.name}.{name}.scores.npz"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from learning.command import add_resume, add_settings
 from learning.errors import LearningError
-from learning.progress import Progress
+from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
     import torch
@@ -138,14 +138,11 @@ def _presses(
 ) -> Presses:
     from learning.data.presses import load_presses
 
-    frames = Progress("frames", sys.stderr)
     rows = split.rows(sensor.table, role)
-    try:
+    with ItemProgress("frames", sys.stderr) as frames:
         return load_presses(
             sensor, rows, device=device, form=settings.input.stored_form, progress=frames
         )
-    finally:
-        frames.close()
 
 
 def _compensation(options: argparse.Namespace, sensors: list[str]) -> Compensation | None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Literal
 
 from recorder import Session, SessionError
-from rig.acquire.progress_line import minutes
+from recorder.progress import duration
 from rig.acquire.request import first_open_target
 from rig.acquire.summary import show_curve
 from rig.bench.bench import Bench, find_bench, load_bench
@@ -193,14 +193,14 @@ def table(found: list[Progress]) -> list[str]:
         entry = progress.item.entry
         count = f"{progress.done}/{progress.item.total}"
         note = f" ({progress.note})" if progress.note else ""
-        more = f", about {minutes(progress.left)} left" if progress.state != "done" else ""
+        more = f", about {duration(progress.left)} left" if progress.state != "done" else ""
         lines.append(
             f"{number:<3}{entry.sensor:<18}{entry.indenter:<14}{entry.plan:<13}{count:>10}  "
             f"{progress.state}{more}{note}"
         )
     done = sum(progress.state == "done" for progress in found)
     left = sum(progress.left for progress in found)
-    lines.append(f"{done} of {len(found)} sessions done, about {minutes(left)} left")
+    lines.append(f"{done} of {len(found)} sessions done, about {duration(left)} left")
     return lines
 
 

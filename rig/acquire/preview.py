@@ -8,7 +8,7 @@ from pathlib import Path
 
 from PIL import Image, ImageDraw, ImageFont
 
-from rig.acquire.progress_line import minutes
+from recorder.progress import duration
 from rig.bench.bench import Bench
 from rig.core.errors import EXIT_DONE, EXIT_WRONG_INPUT
 from trajectories import DryRun, Target, dry_run
@@ -53,8 +53,8 @@ def summary(bench: Bench, walked: DryRun) -> list[str]:
         f"depth {1e3 * walked.depth:.3f} mm  (limit {1e3 * limits.depth_max:.3f})",
         f"force about {walked.force:.1f} N  (soft limit {limits.plan.force_rating:.1f} N of "
         f"{limits.force_rating[2]:.0f} N rated)",
-        f"speed {1e3 * bench.arm.speed:.1f} mm/s, about {minutes(walked.duration + settling)} min "
-        f"(limit {minutes(limits.duration_max)})",
+        f"speed {1e3 * bench.arm.speed:.1f} mm/s, about {duration(walked.duration + settling)} "
+        f"(limit {duration(limits.duration_max)})",
         f"about {frames:.0f} frames per target at {bench.rate_hz:.0f} Hz (paper: 20 to 60)",
     ]
     return lines + [f"BREAKS A LIMIT: {text}" for text in walked.broken]

@@ -1,4 +1,8 @@
-"""Progress line of a collection: rewritten in place on a terminal, else logged periodically."""
+"""Progress line of a collection: rewritten in place on a terminal, else logged periodically.
+
+It is not drawn by `recorder.progress`: the thread that moves the robot writes it, in about 2 us,
+for which rich takes about 0.4 ms (500 redraws, 5 runs).
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,7 @@ import logging
 import sys
 from typing import Any, TextIO
 
+from recorder.progress import duration
 from rig.acquire.streams import Streams
 from rig.core.clock import SECOND_NS, Clock
 from trajectories import PHASES, Move, Target
@@ -15,12 +20,6 @@ logger = logging.getLogger(__name__)
 _ON_TERMINAL_NS = SECOND_NS // 5
 _IN_LOG_NS = 10 * SECOND_NS
 _CLEAR = "\x1b[K"
-
-
-def minutes(seconds: float) -> str:
-    """Format `seconds` as m:ss."""
-    whole = max(round(seconds), 0)
-    return f"{whole // 60}:{whole % 60:02d}"
 
 
 class LiveLine:
@@ -122,7 +121,7 @@ class LiveLine:
 
     def _left(self, target: Target, now_ns: int) -> str:
         seconds = self._seconds_left(target, now_ns)
-        return "?:??" if seconds is None else minutes(seconds)
+        return "?" if seconds is None else duration(seconds)
 
     def _seconds_left(self, target: Target, now_ns: int) -> float | None:
         done = target.index - (self._first or 0)

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from recorder import Session, SessionError
+from recorder.progress import duration
 from recorder.session import press_curves, save_curves
-from rig.acquire.progress_line import minutes
 from rig.bench.bench import Bench
 from rig.bench.stream_kinds import expected_rate
 
@@ -80,9 +80,8 @@ def last_line(
     """
     why = f" ({reason})" if reason else ""
     ended = f", {limited} of them at the force limit," if limited else ""
-    return (
-        f"{status}{why}: {done} of {total} targets{ended} in {minutes(seconds)}; readable at {path}"
-    )
+    took = duration(seconds)
+    return f"{status}{why}: {done} of {total} targets{ended} in {took}; readable at {path}"
 
 
 # Display of a force-depth session after it is recorded.

@@ -19,17 +19,17 @@ import numpy as np
 
 from recorder import Session, SessionError, SessionWriter, StreamWriter
 from recorder.info import session_digest, stream_digest
+from recorder.progress import ItemProgress
 from recorder.session import fit_clocks
 from rig.acquire.collector import software
 from rig.acquire.control import Interrupted, InterruptFlag
-from rig.acquire.progress_line import minutes
 from rig.core.clock import ClockAnchor, SystemClock
 from rig.core.errors import EXIT_DEVICE_LOST, EXIT_DONE, EXIT_INTERRUPTED, DeviceLost
 from rig.devices.playback.wire import replayable
 from rig.mock.bench import free_loopback
 from rig.mock.players import replay_bench
 from rig.replay.result import Retiming, compared, covered_ns, retiming, span, timing, timing_line
-from rig.replay.run import ReadingProgress, ReplayedRun
+from rig.replay.run import ReplayedRun
 
 logger = logging.getLogger(__name__)
 
@@ -82,9 +82,9 @@ class Replay:
         request, source = self._request, self._source
         if request.out.exists():
             raise SessionError(f"{request.out}: exists already; choose another name")
-        names = replayable(source, request.without, ReadingProgress("checking", self._clock))
-        progress = ReadingProgress("reading", self._clock)
-        hashes = {name: stream_digest(source.streams[name], progress) for name in names}
+        with ItemProgress("images checked", sys.stderr) as progress:
+            names = replayable(source, request.without, progress)
+        hashes = _digests("images read", source, names)
         stop: BaseException | None = None
         with InterruptFlag() as interrupt:
             try:
@@ -247,14 +247,13 @@ class Replay:
     def _report(self, names: tuple[str, ...], hashes: dict[str, str]) -> int:
         request = self._request
         replay = Session(request.out)
-        progress = ReadingProgress("comparing", self._clock)
-        again = {name: stream_digest(replay.streams[name], progress) for name in names}
+        again = _digests("images compared", replay, names)
         rows = {name: len(replay.streams[name]) for name in names}
         equal, lines = compared(hashes, again, rows)
         recorded = sum(span(self._source, names, run) for run in self._start_ns)
         took = sum(span(replay, names, place) for place in range(len(self._start_ns)))
         lines.append(
-            f"{minutes(recorded)} ({recorded:.1f} s) recorded, replayed in {took:.1f} s "
+            f"{recorded:.1f} s recorded, replayed in {took:.1f} s "
             f"({recorded / took if took > 0 else 1.0:.1f} times as fast)"
         )
         if request.speed > 0:
@@ -272,3 +271,8 @@ def _rows(table: Any) -> list[dict[str, Any]]:
     names = list(table)
     count = len(table[names[0]])
     return [{name: table[name][row] for name in names} for row in range(count)]
+
+
+def _digests(title: str, session: Session, names: tuple[str, ...]) -> dict[str, str]:
+    with ItemProgress(title, sys.stderr) as progress:
+        return {name: stream_digest(session.streams[name], progress) for name in names}

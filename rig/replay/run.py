@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from recorder import Session, StreamSpec
+from recorder.progress import duration
 from rig.acquire.control import InterruptFlag
-from rig.acquire.progress_line import minutes
 from rig.acquire.streams import StreamHandle
 from rig.bench.bench import Bench
 from rig.bench.stream_kinds import KINDS, stream_spec
@@ -30,7 +30,6 @@ logger = logging.getLogger(__name__)
 MISSING_TIMEOUT = 5.0
 # Longest time without progress while rows are left, added to the longest recorded gap [s].
 STALL_TIMEOUT = 30.0
-_SAY_PROGRESS_NS = 2 * SECOND_NS
 
 
 class EndOfTape:
@@ -89,30 +88,6 @@ class EndOfTape:
             left = {name: total - taken[name] for name, total in self._totals.items()}
             raise DeviceLost(f"replay: no progress for {stalled:.0f} s; rows missing: {left}")
         return False
-
-
-class ReadingProgress:
-    """Logs the progress of reading images, every other second.
-
-    Args:
-        what: Verb for the log line.
-        clock: Clock.
-    """
-
-    def __init__(self, what: str, clock: Clock) -> None:
-        self._what = what
-        self._clock = clock
-        self._start_ns = clock.now_ns()
-        self._due_ns = self._start_ns + _SAY_PROGRESS_NS
-
-    def __call__(self, done: int, total: int) -> None:
-        """Log that `done` of `total` images are read, if a line is due."""
-        now_ns = self._clock.now_ns()
-        if now_ns < self._due_ns:
-            return
-        self._due_ns = now_ns + _SAY_PROGRESS_NS
-        left = (now_ns - self._start_ns) / SECOND_NS * (total - done) / done
-        logger.info("%s: image %d of %d, %s left", self._what, done, total, minutes(left))
 
 
 # Samples that a driver delivers before playback starts, because it needs them to open.
@@ -289,7 +264,7 @@ class ReplayedRun:
         done = sum(taken.values()) / total if total else 1.0
         left = seconds * (1 - done) / done if done > 0 else self.seconds
         rows = "  ".join(f"{name} {taken[name]}/{self.totals[name]}" for name in self._names)
-        logger.info("replay %3.0f %%  %s  %s left", 100 * done, rows, minutes(left))
+        logger.info("replay %3.0f %%  %s  %s left", 100 * done, rows, duration(left))
 
     def _started(self) -> Players:
         if self._players is None:

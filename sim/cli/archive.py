@@ -188,9 +188,9 @@ def _fill(options: argparse.Namespace, opened: OpenArchive) -> int:
 def _filled(options: argparse.Namespace, opened: OpenArchive) -> int:
     """Make the missing units; return 0 if the archive is then complete, else the exit code."""
     from recorder.processes import WorkerLost
+    from recorder.progress import Progress
     from sim.dataset import Stop, fill
     from sim.device import ready_device
-    from sim.progress import Progress
 
     kernels = ready_device("cpu" if options.scheduler else options.device)
     processes = _processes(options, opened)
@@ -223,8 +223,8 @@ def _filled(options: argparse.Namespace, opened: OpenArchive) -> int:
 
 def _summed(options: argparse.Namespace, opened: OpenArchive) -> int:
     """Print the summary of a complete archive and return the exit code."""
+    from recorder.progress import Progress
     from sim.dataset.summary import summary
-    from sim.progress import Progress
 
     try:
         with Progress("counting markers", sys.stderr) as progress:
@@ -262,8 +262,8 @@ def _maker(
 def _tell_cost(
     opened: OpenArchive, missing: Sequence[Unit], processes: int, options: argparse.Namespace
 ) -> None:
+    from recorder.progress import duration
     from sim.dataset.run import cost
-    from sim.progress import duration
 
     device = options.device
     if not missing:

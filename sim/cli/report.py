@@ -16,10 +16,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from recorder.progress import Progress
 from sim.cli.options import body_of, effects_of, indenter_of, numerics_of
 from sim.error_estimate import describe_error
 from sim.errors import SceneError
-from sim.progress import Progress
 from sim.result import Quality, Result
 from sim.scene import Motion, Scene
 from sim.simulate import plan, simulate

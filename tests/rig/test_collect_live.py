@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.acquire.progress_line import LiveLine, minutes
+from rig.acquire.progress_line import LiveLine
 from rig.acquire.stream_process import COUNTERS
 from rig.core.clock import FakeClock
 from rig.core.samples import FORCE_LATEST
@@ -58,7 +58,7 @@ def test_the_line_says_all_a_technician_asks() -> None:
     for word in words:
         assert word in text
     # 36 targets in 36 s; 204 remain, including the current one.
-    assert "3:24 left" in text
+    assert "3:24 min left" in text
     assert "\n" not in text
     line.end()
     assert out.getvalue().endswith("\n")
@@ -86,8 +86,3 @@ def test_without_a_terminal_it_is_a_log_line_every_ten_seconds(
             clock.advance(0.1)
     assert out.getvalue() == ""
     assert len(caplog.records) == 4
-
-
-@pytest.mark.parametrize(("seconds", "text"), [(0, "0:00"), (59.6, "1:00"), (3661, "61:01")])
-def test_minutes(seconds: float, text: str) -> None:
-    assert minutes(seconds) == text

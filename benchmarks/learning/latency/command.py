@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from learning.errors import LearningError
-from learning.progress import Progress
+from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
     from benchmarks.learning.latency.costs import Cost, Sample
@@ -76,9 +76,10 @@ def _run(options: argparse.Namespace) -> int:
             raise LearningError(f"--{name}: found {getattr(options, name)}; allowed: 1 and more")
     variants = [variant for variant in VARIANTS if variant.runtime in wanted]
     rows: list[Cost] = []
-    progress = Progress("variants", sys.stderr)
+    # No thread, which would disturb the measurements.
+    progress = ItemProgress("variants", sys.stderr, threaded=False)
     for name, predictor in _models(options).items():
-        with tempfile.TemporaryDirectory() as folder:
+        with tempfile.TemporaryDirectory() as folder, progress:
             rows += costs(
                 name,
                 predictor,
@@ -89,7 +90,6 @@ def _run(options: argparse.Namespace) -> int:
                 variants=variants,
                 progress=progress,
             )
-        progress.close()
     print(markdown(rows), end="")
     if options.out is not None:
         options.out.mkdir(parents=True, exist_ok=True)

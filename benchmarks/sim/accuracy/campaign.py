@@ -20,9 +20,9 @@ from benchmarks.sim.accuracy.reference import Reference, references
 from benchmarks.sim.accuracy.row import MEASURES, Row, append, begin, read
 from benchmarks.sim.launches import in_launches
 from benchmarks.sim.spent import spent_by
+from recorder.progress import duration
 from sim.errors import SceneError, SimulationDiverged
 from sim.metrics import WEAK, compare, outcome_of
-from sim.progress import duration
 from sim.result import Result
 from sim.scene import Scene, press
 

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from benchmarks.sim.speed.record import Run
 from benchmarks.sim.spent import Spent, peak_memory, spent_by
+from recorder.progress import Progress
 from sim.errors import SimulationDiverged
-from sim.progress import Progress
 from sim.result import Outcome, Result
 from sim.scene import Body, Scene, press
 from sim.simulate import simulate_many

@@ -18,8 +18,8 @@ from benchmarks.sim.stability.catalogue import BY_NAME
 from benchmarks.sim.stability.laws import Law
 from benchmarks.sim.stability.planted import planted
 from recorder.processes import Workers
+from recorder.progress import duration
 from sim.errors import SimulationDiverged
-from sim.progress import duration
 
 Item = TypeVar("Item")
 Outcome = TypeVar("Outcome")

@@ -25,9 +25,9 @@ from benchmarks.sim.tiers.comparison import (
     measure,
     measure_elements,
 )
+from recorder.progress import Progress
 from sim.device import ready_device
 from sim.errors import SceneError, SimulationDiverged
-from sim.progress import Progress
 
 ELEMENTS = "finite elements"
 

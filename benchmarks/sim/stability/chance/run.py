@@ -14,7 +14,7 @@ from benchmarks.sim.stability.chance.scenes import FOLDER, drawn
 from benchmarks.sim.stability.chance.shrink import failure, shrunk, snippet, store
 from benchmarks.sim.stability.planted import planted
 from benchmarks.sim.stability.runner import done_counts, side_by_side
-from sim.progress import duration
+from recorder.progress import duration
 
 # Verdicts that fail a run.
 WRONG = frozenset({"silent", "crash"})

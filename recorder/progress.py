@@ -1,0 +1,239 @@
+"""Progress of long work: one bar on a terminal, elsewhere a line every 10 s.
+
+rich draws the bar. It is imported when a bar is first drawn, so that no command starts slower.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Self, TextIO
+
+if TYPE_CHECKING:
+    from rich.progress import Progress as Bar
+
+# Nothing is shown in the first seconds [s].
+QUIET = 2.0
+# Time between lines, and between looks of the thread that draws [s].
+LINE_EVERY, LOOK_EVERY = 10.0, 0.25
+# Share that must be done before the remaining time is estimated from it.
+ESTIMATE_FROM = 0.01
+
+
+class Progress:
+    """Context manager that is called with the share done, 0 to 1, and shows it while it is open.
+
+    A daemon thread draws, so the elapsed time advances while the caller computes; without it
+    (`threaded=False`, for measurements) calls draw. The bar is wiped at the end. Standard output is
+    not touched.
+    """
+
+    _wiped = True
+
+    def __init__(
+        self,
+        name: str,
+        stream: TextIO,
+        *,
+        kernels: Path | None = None,
+        threaded: bool = True,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Show the progress of `name` on `stream`.
+
+        `kernels` is the cache folder of compiled kernels: while nothing is done and new entries
+        appear there, kernels are being compiled.
+        """
+        self.name = name
+        self._stream, self._clock, self._kernels = stream, clock, kernels
+        self._known = self._compiled()
+        # A dumb terminal cannot move its cursor.
+        self._terminal = stream.isatty() and os.environ.get("TERM") not in ("dumb", "unknown")
+        self._begun = clock()
+        self._said = -math.inf
+        self._share = 0.0
+        self._origin: tuple[float, float] | None = None
+        self._bar: Bar | None = None
+        self._lock = threading.Lock()
+        self._closed = threading.Event()
+        self._thread = (
+            threading.Thread(target=self._watch, name="progress", daemon=True) if threaded else None
+        )
+
+    def __call__(self, share: float) -> None:
+        """Store the share done, 0 to 1; a smaller share than before restarts the estimate."""
+        if self._origin is None or share < self._share:
+            self._origin = self._clock(), share
+        self._share = share
+        if self._thread is None:
+            self.look()
+
+    def __enter__(self) -> Self:
+        if self._thread is not None:
+            self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._closed.set()
+        if self._thread is not None:
+            self._thread.join()
+        self._end_bar()
+
+    def look(self) -> None:
+        """Draw the bar, or print a line, if it is due."""
+        with self._lock:
+            now = self._clock()
+            if now - self._begun < QUIET:
+                return
+            if self._terminal:
+                self._draw()
+            elif now - self._said >= LINE_EVERY:
+                self._said = now
+                self._stream.write(self.line() + "\n")
+                self._stream.flush()
+
+    def line(self) -> str:
+        """Return the line printed if there is no terminal."""
+        return f"{self.name}: {self._state(f'{self._spent():.0f} s')}"
+
+    def _head(self) -> str:
+        """Return the text before the bar."""
+        return self.name
+
+    def _state(self, spent: str) -> str:
+        """Return the share done, the elapsed and the remaining time."""
+        if self._origin is not None:
+            return f"{100 * self._share:.0f} %, {spent}{self._left()}"
+        if self._compiled() > self._known:
+            return f"compiling kernels, once ... {spent}"
+        return spent
+
+    def _left(self) -> str:
+        since, before = self._origin or (0.0, 0.0)
+        passed, done = self._clock() - since, self._share - before
+        if done < ESTIMATE_FROM or self._share >= 1 or passed <= 0:
+            return ""
+        return f", {duration((1 - self._share) / done * passed)} left"
+
+    def _spent(self) -> float:
+        return self._clock() - self._begun
+
+    def _draw(self) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, TextColumn
+        from rich.progress import Progress as Bar
+
+        if self._bar is None:
+            console = Console(file=self._stream, force_terminal=True, force_interactive=True)
+            # The cursor stays visible: a killed process would not show it again.
+            console.show_cursor = lambda show=True: False  # type: ignore[method-assign]
+            self._bar = Bar(
+                TextColumn("{task.description}", markup=False),
+                BarColumn(),
+                TextColumn("{task.fields[state]}", markup=False),
+                console=console,
+                auto_refresh=False,
+                transient=self._wiped,
+                redirect_stdout=False,
+                redirect_stderr=False,
+            )
+            self._bar.add_task("", total=None, state="")
+            self._bar.start()
+        self._bar.update(
+            self._bar.task_ids[0],
+            total=None if self._origin is None else 1.0,
+            completed=self._share,
+            description=self._head(),
+            state=self._state(duration(self._spent())),
+        )
+        self._bar.refresh()
+
+    def _end_bar(self) -> None:
+        with self._lock:
+            if self._bar is not None:
+                if not self._wiped:
+                    self._draw()
+                self._bar.stop()
+                self._bar = None
+            # Nothing more is shown.
+            self._begun = math.inf
+
+    def _watch(self) -> None:
+        while not self._closed.wait(LOOK_EVERY):
+            self.look()
+
+    def _compiled(self) -> int:
+        if self._kernels is None or not self._kernels.is_dir():
+            return 0
+        return sum(1 for _ in self._kernels.iterdir())
+
+
+class ItemProgress(Progress):
+    """Progress that is called with the number of items done and in total, and shows their rate.
+
+    `name` is that of the items, e.g. `frames`. Time counts from the first call. The bar ends, and
+    stays on the terminal, when all items are done; a later call starts again.
+    """
+
+    _wiped = False
+
+    def __init__(
+        self,
+        name: str,
+        stream: TextIO,
+        *,
+        threaded: bool = True,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        super().__init__(name, stream, threaded=threaded, clock=clock)
+        self._begun = math.inf
+        self._done = self._total = 0
+
+    def __call__(self, done: int, total: int) -> None:  # type: ignore[override]
+        """Store the counts."""
+        if self._begun == math.inf:
+            self._begun, self._origin = self._clock(), None
+        self._done, self._total = done, total
+        super().__call__(done / total if total else 1.0)
+        if done >= total:
+            self._end_bar()
+
+    def line(self) -> str:
+        """Return the line printed if there is no terminal."""
+        return self._head() + self._left()
+
+    def _head(self) -> str:
+        text = f"{self._done:,} of {self._total:,} {self.name}"
+        rate = self._rate()
+        return f"{text}, {rate:.0f} a second" if rate else text
+
+    def _left(self) -> str:
+        rate = self._rate()
+        left = self._total - self._done
+        return f", {duration(left / rate)} left" if rate and left else ""
+
+    def _rate(self) -> float:
+        """Return the items per second since the first call; 0: unknown."""
+        since, before = self._origin or (0.0, 0.0)
+        passed = self._clock() - since
+        return (self._done - round(before * self._total)) / passed if passed > 0 else 0.0
+
+
+def duration(seconds: float) -> str:
+    """Format a duration [s] as 12 s, 3:05 min or 2:10 h."""
+    whole = max(round(seconds), 0)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60}:{whole % 60:02} min"
+    return f"{whole // 3600}:{whole % 3600 // 60:02} h"
