@@ -22,7 +22,7 @@ def add_to(verbs: Verbs) -> None:
         "evaluate",
         description="Collects results of `predict`, and scores of translated frames, in one HTML "
         "page with CSV tables. With --archive and --translated, translated frames are scored first "
-        "(Dice, markers [px, mm], distances) and the scores are kept in FOLDER.",
+        "(Dice, SSIM, markers [px, mm], distances) and the scores are kept in FOLDER.",
     )
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder of .npz results")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="report folder")

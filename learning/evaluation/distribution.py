@@ -447,7 +447,9 @@ def frechet_distance(one: Floats, other: Floats) -> float:
     """Return the Frechet distance of two sets of features (n, d), (m, d), taken as Gaussian.
 
     |mean1 - mean2|^2 + tr(C1 + C2 - 2 (C1 C2)^(1/2)), covariances with n - 1 (Heusel et al., 2017).
-    With few samples of many dimensions it is biased upwards: compare it with the distance of two
+    The last trace is computed as the sum of the singular values of A B', where A' A = C1 and
+    B' B = C2: with fewer samples than features, roots of eigenvalues would lose half the digits.
+    With few samples of many dimensions the distance is biased upwards: compare it with that of two
     sets of the same kind and size.
 
     Raises:
@@ -455,13 +457,13 @@ def frechet_distance(one: Floats, other: Floats) -> float:
     """
     _require_samples(one, other, least=2)
     apart = one.mean(axis=0) - other.mean(axis=0)
-    first, second = (np.atleast_2d(np.cov(samples, rowvar=False)) for samples in (one, other))
-    # tr (C1 C2)^(1/2) = tr (S C2 S)^(1/2) with S = C1^(1/2), which is symmetric.
-    root = _root(first)
-    values = np.linalg.eigvalsh(root @ second @ root)
-    cross = np.sqrt(np.clip(values, 0, None)).sum()
+    first, second = (
+        np.linalg.qr(samples - samples.mean(axis=0), mode="r") / np.sqrt(len(samples) - 1)
+        for samples in (one, other)
+    )
+    spread = np.square(first).sum() + np.square(second).sum()
     # Rounding can make a zero distance negative.
-    return max(float(apart @ apart + np.trace(first) + np.trace(second) - 2 * cross), 0.0)
+    return max(float(apart @ apart + spread - 2 * np.linalg.norm(first @ second.T, "nuc")), 0.0)
 
 
 def kernel_distance(
@@ -513,12 +515,6 @@ def squared_kernel_distance(one: Floats, other: Floats) -> float:
 
 def _kernel(one: Floats, other: Floats) -> Floats:
     return np.asarray((one @ other.T / one.shape[1] + 1) ** DEGREE, np.float64)
-
-
-def _root(matrix: Floats) -> Floats:
-    """Return the symmetric square root of a positive semidefinite matrix (d, d)."""
-    values, vectors = np.linalg.eigh(matrix)
-    return np.asarray((vectors * np.sqrt(np.clip(values, 0, None))) @ vectors.T, np.float64)
 
 
 def _require_samples(one: Floats, other: Floats, least: int) -> None:

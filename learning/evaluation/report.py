@@ -432,7 +432,8 @@ def _column(name: str) -> str:
 DRAWN = 4
 
 _PAIRED = """Each frame beside the target's real frame of the same press and phase (location
-pairs: the last frame of each phase, so that a quarter of them are nearly unloaded). Markers:
+pairs: the last frame of each phase, so that a quarter of them are nearly unloaded). SSIM:
+structural similarity of the images of 256 x 256 that networks see. Markers:
 median and 95th percentile of the distance of markers that are each other's nearest. Count:
 share of frames with more or fewer markers. Area: mean of |marker area / true area - 1|. EPE:
 mean distance of markers from where the simulator's displacement takes them; of real frames it
@@ -469,8 +470,9 @@ def translation_parts(scores: Sequence[TranslationScores], *, seed: int) -> list
 
 
 def _paired(scores: Sequence[TranslationScores]) -> str:
-    columns = ["pair", "translator", "role", "frames of", "pairs", "Dice", "IoU", "markers [px]"]
-    columns += ["95 % [px]", "markers [mm]", "count [%]", "area [%]", "EPE [px]", "EPE [mm]"]
+    columns = ["pair", "translator", "role", "frames of", "pairs", "Dice", "IoU", "SSIM"]
+    columns += ["markers [px]", "95 % [px]", "markers [mm]", "count [%]", "area [%]"]
+    columns += ["EPE [px]", "EPE [mm]"]
     lines: list[list[Cell | str]] = []
     for one, row in sorted(paired_rows(scores), key=lambda each: (_name(each[0]), _order(each[1]))):
         if row.method != FLOOR or not math.isnan(row.epe_px):
@@ -480,12 +482,13 @@ def _paired(scores: Sequence[TranslationScores]) -> str:
 
 def _paired_cells(row: PairedScore) -> list[Cell]:
     if row.method == FLOOR:  # compared with itself: only the EPE is meaningful
-        blank = [Cell("")] * 7
+        blank = [Cell("")] * 8
         return [*blank, number(row.epe_px), number(row.epe_mm, 3)]
     # Below 0.8, a Dice is no better than that of the reference without contact in most pairs.
     return [
         graded(row.dice, (row.dice - 0.8) / 0.2, 3),
         number(row.iou, 3),
+        number(row.ssim, 3),
         number(row.centroid_px),
         number(row.centroid_p95_px),
         number(row.centroid_mm, 3),

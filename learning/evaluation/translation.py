@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from learning.data.splits import Role, Split
 
 
-# Overlap of masks, of numpy or of torch: Dice, intersection over union, area.
+# Overlap of masks, of numpy or of torch: Dice, intersection over union, area. Similarity of images.
 
 Floats = NDArray[np.float64]
 
@@ -90,6 +90,21 @@ def _pixels(masks: Any) -> NDArray[np.int64]:
 
 def _share(part: NDArray[np.int64], whole: NDArray[np.int64]) -> Floats:
     return np.where(whole == 0, 1.0, part / np.where(whole == 0, 1, whole))
+
+
+def structural_similarity(found: NDArray[np.uint8], true: NDArray[np.uint8]) -> Floats:
+    """Return the structural similarity (n,) of images (n, h, w); 1 if they are equal.
+
+    SSIM as defined by Wang et al. (2004), with Gaussian windows of 1.5 px.
+
+    Raises:
+        ValueError: The shapes differ, or images are smaller than the window of 11 px.
+    """
+    from skimage import metrics
+
+    window = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
+    pairs = zip(found, true, strict=True)
+    return np.array([metrics.structural_similarity(*pair, **window) for pair in pairs])
 
 
 # Errors of marker positions and counts.
@@ -274,6 +289,8 @@ class PairedScore:
     """Mean Dice of the masks."""
     iou: float
     """Mean intersection over union of the masks."""
+    ssim: float
+    """Mean structural similarity of the images of 256 x 256 that networks see; NaN if unknown."""
     centroid_px: float
     """Median distance of matching markers [px]."""
     centroid_p95_px: float
@@ -378,7 +395,11 @@ def scores_in(results: Results, path: Path) -> TranslationScores:
             str(reported["target"]),
             str(reported["translator"]),
             str(reported["model"]),
-            tuple(PairedScore(**_numbers(row, PairedScore)) for row in reported["paired"]),
+            # Files of earlier versions have no SSIM.
+            tuple(
+                PairedScore(**_numbers({"ssim": None, **row}, PairedScore))
+                for row in reported["paired"]
+            ),
             tuple(DistanceScore(**_numbers(row, DistanceScore)) for row in reported["distances"]),
             results.arrays,
         )
@@ -481,12 +502,14 @@ def paired_score(packed: Packed, real: Real, role: str, method: str) -> PairedSc
         LearningError: The numbers of frames differ.
         SessionError: A chunk of the displacement is missing or corrupt.
     """
+    from learning.data.images import shrink
+
     if packed.shape != real.packed.shape:
         raise LearningError(
             f"{real.sensor.name}: found {packed.shape} frames of {real.packed.shape}; allowed: "
             "as many, packed"
         )
-    dice, iou, area, apart, wrong, missed = [], [], [], [], [], []
+    dice, iou, ssim, area, apart, wrong, missed = [], [], [], [], [], [], []
     sensor = real.sensor
     for first in range(0, len(packed), _AT_ONCE):
         part = slice(first, first + _AT_ONCE)
@@ -494,6 +517,7 @@ def paired_score(packed: Packed, real: Real, role: str, method: str) -> PairedSc
         covered = overlap(found, true)
         dice.append(covered.dice)
         iou.append(covered.iou)
+        ssim.append(structural_similarity(shrink(packed[part]), shrink(real.packed[part])))
         area.append(covered.area_ratio_error)
         markers = marker_errors(found, true, real.smallest_px)
         apart.append(markers.apart)
@@ -509,6 +533,7 @@ def paired_score(packed: Packed, real: Real, role: str, method: str) -> PairedSc
         frames=len(packed),
         dice=float(np.concatenate(dice).mean()),
         iou=float(np.concatenate(iou).mean()),
+        ssim=float(np.concatenate(ssim).mean()),
         centroid_px=_quantile(distance, 0.5),
         centroid_p95_px=_quantile(distance, 0.95),
         centroid_mm=_quantile(np.linalg.norm(np.concatenate(apart) * real.mm, axis=1), 0.5),

@@ -21,7 +21,8 @@ PAIRS = (("array-i", "circle-i"), ("circle-i", "array-i"))
 
 
 def score(method: str, dice: float, role: str = "new_indenter") -> PairedScore:
-    return PairedScore(role, method, 48, dice, 0.9, 0.25, 1.0, 0.02, 0.125, 0.1, np.nan, np.nan)
+    ssim, nan = 0.8, np.nan
+    return PairedScore(role, method, 48, dice, 0.9, ssim, 0.25, 1.0, 0.02, 0.125, 0.1, nan, nan)
 
 
 @pytest.fixture

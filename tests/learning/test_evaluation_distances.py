@@ -51,9 +51,12 @@ def test_frechet_of_gaussians_in_a_plane_is_the_closed_form() -> None:
     assert found == pytest.approx(expected)
 
 
-def test_frechet_of_a_set_to_itself_is_nothing_even_of_few_samples() -> None:
+def test_frechet_keeps_its_digits_with_fewer_samples_than_features() -> None:
     few = np.random.default_rng(0).normal(size=(8, 50))
-    assert frechet_distance(few, few) == pytest.approx(0, abs=1e-8)
+    assert frechet_distance(few, few) == pytest.approx(0, abs=1e-12)
+    middle, spread = few.mean(axis=0), few.var(axis=0, ddof=1).sum()
+    wider = middle + 1.001 * (few - middle)
+    assert frechet_distance(few, wider) == pytest.approx(1e-6 * spread, rel=1e-6)
 
 
 def test_the_kernel_distance_is_the_unbiased_sum_over_pairs() -> None:

@@ -8,7 +8,13 @@ import torch
 from numpy.typing import NDArray
 
 from learning.errors import LearningError
-from learning.evaluation.translation import endpoint_errors, marker_errors, nearest_frames, overlap
+from learning.evaluation.translation import (
+    endpoint_errors,
+    marker_errors,
+    nearest_frames,
+    overlap,
+    structural_similarity,
+)
 from recorder.markers import HEIGHT, WIDTH, Lattice
 
 
@@ -54,6 +60,18 @@ def test_masks_of_other_shapes_or_types_are_refused() -> None:
         overlap(squares(), np.concatenate([squares(), squares()]))
     with pytest.raises(LearningError, match="found uint8"):
         overlap(squares().astype(np.uint8), squares())  # type: ignore[arg-type]
+
+
+def test_structural_similarity_is_that_of_each_pair_and_its_definition() -> None:
+    level = np.full((1, 40, 40), 100, np.uint8)
+    drawn = np.random.default_rng(3).integers(0, 255, (1, 40, 40), np.uint8)
+    true = np.concatenate([level, drawn, drawn])
+    found = np.concatenate([2 * level, drawn, np.roll(drawn, 3, axis=2)])
+    same_level, same, shifted = structural_similarity(found, true)
+    # Of uniform images only the comparison of means differs from 1.
+    means = (2 * 100 * 200 + 2.55**2) / (100**2 + 200**2 + 2.55**2)
+    assert (same_level, same) == pytest.approx((means, 1))
+    assert abs(shifted) < 0.1
 
 
 def test_markers_are_as_far_off_as_they_were_moved() -> None:

@@ -21,6 +21,7 @@ from learning.evaluation.distribution import MarkerGrid
 from learning.evaluation.paper_figures import PAPER, beside_the_paper, group_of
 from learning.evaluation.predictions import force_rows
 from learning.evaluation.report import write_report
+from learning.evaluation.results_file import read_results
 from learning.evaluation.translation import (
     FLOOR,
     NEAREST,
@@ -33,6 +34,7 @@ from learning.evaluation.translation import (
     read_scores,
     require_alone,
     score_translation,
+    scores_in,
 )
 from learning.translation.archive import Model, Pair, translate_archive
 from recorder import MarkerArchive
@@ -93,7 +95,7 @@ def test_a_translator_that_shows_the_reference_scores_as_the_reference(
 
 def test_real_frames_beside_themselves_are_perfect(scores: TranslationScores) -> None:
     (floor,) = [row for row in scores.paired if row.method == FLOOR]
-    assert (floor.dice, floor.iou, floor.count_mismatch) == (1, 1, 0)
+    assert (floor.dice, floor.iou, floor.ssim, floor.count_mismatch) == (1, 1, 1, 0)
     assert floor.centroid_px == 0
     # For bent markers the moved centre differs slightly from the centre of the moved marker.
     others = [row.epe_px for row in scores.paired if row.method in (REFERENCE, NEAREST)]
@@ -131,6 +133,22 @@ def test_scores_come_back_as_they_were_written(tmp_path: Path, scores: Translati
     assert back.features.keys() == {SOURCE, TRANSLATED, FLOOR}
 
 
+def test_scores_without_a_structural_similarity_still_open(
+    tmp_path: Path, scores: TranslationScores
+) -> None:
+    scores.write(tmp_path / "x.npz")
+    results = read_results(tmp_path / "x.npz")
+    for row in results.reported["paired"]:
+        del row["ssim"]
+    back = scores_in(results, tmp_path / "x.npz")
+    assert np.isnan([row.ssim for row in back.paired]).all()
+    assert [row.iou for row in back.paired] == [row.iou for row in scores.paired]
+    for row in results.reported["paired"]:
+        del row["iou"]
+    with pytest.raises(LearningError, match="found no translation scores"):
+        scores_in(results, tmp_path / "x.npz")
+
+
 def test_other_features_add_distances_and_no_paired_rows(scores: TranslationScores) -> None:
     others = [replace(row, extractor="marker-ae@sha256:0") for row in scores.distances]
     again = replace(scores, distances=tuple(others))
@@ -162,6 +180,10 @@ def test_a_report_tells_before_and_after_in_one_page_and_in_tables(
     assert "FID, KID [" not in page
     assert page.count("data:image/png;base64,") >= 6
     assert "http" not in page  # no external resources
+    assert "<th>SSIM</th>" in page
+    with (tmp_path / "report/translation.csv").open() as file:
+        ssim = {line["method"]: float(line["ssim"]) for line in csv.DictReader(file)}
+    assert ssim[SOURCE] < ssim[TRANSLATED] < ssim[FLOOR] == 1
     with (tmp_path / "report/force.csv").open() as file:
         lines = list(csv.DictReader(file))
     (line,) = [
