@@ -9,7 +9,7 @@ from importlib import import_module
 from learning.command import EXIT_WRONG_INPUT, run
 
 # The module of each command, below `learning`, and its line in the list of commands.
-_VERBS = {
+_COMMANDS = {
     # Data
     "markers": ("cli.markers", "make a marker archive of recorded sessions"),
     "import-genforce": (
@@ -75,12 +75,12 @@ def arguments(verb: str = "") -> argparse.ArgumentParser:
         description="Force sensing on sensors without force labels, from recordings: marker "
         "archives, translators between sensors, force models, reports.",
     )
-    verbs = parser.add_subparsers(dest="verb", required=True)
-    for name, (module, line) in _VERBS.items():
+    subcommands = parser.add_subparsers(dest="verb", required=True)
+    for name, (module, line) in _COMMANDS.items():
         if name == verb:
-            import_module(f"learning.{module}").add_to(verbs)
+            import_module(f"learning.{module}").add_to(subcommands)
         else:
-            verbs.add_parser(name, help=line)
+            subcommands.add_parser(name, help=line)
     return parser
 
 

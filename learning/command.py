@@ -14,7 +14,7 @@ from recorder.errors import SessionError
 from recorder.processes import WorkerLost
 
 if TYPE_CHECKING:
-    Verbs = argparse._SubParsersAction[argparse.ArgumentParser]
+    Subcommands = argparse._SubParsersAction[argparse.ArgumentParser]
 
 
 EXIT_WRONG_INPUT = 2

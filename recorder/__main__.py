@@ -24,7 +24,7 @@ from recorder.session.sheet import contact_sheet
 from recorder.store.files import is_url
 
 if TYPE_CHECKING:
-    Verbs = argparse._SubParsersAction[argparse.ArgumentParser]
+    Subcommands = argparse._SubParsersAction[argparse.ArgumentParser]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -146,7 +146,7 @@ def parser() -> argparse.ArgumentParser:
     return made
 
 
-def add_to(commands: Verbs) -> None:
+def add_to(commands: Subcommands) -> None:
     """Add the commands and their options."""
 
     def command(

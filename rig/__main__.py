@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from rig.cli.ending import run
 from rig.core.errors import EXIT_WRONG_INPUT
 
-_VERBS = (
+_COMMANDS = (
     "collect",
     "home",
     "calibrate-latency",
@@ -29,14 +29,14 @@ _VERBS = (
 def _arguments(words: Sequence[str]) -> argparse.ArgumentParser:
     """Return the parser of the verb in `words` (importing only its module), else of all verbs."""
     parser = argparse.ArgumentParser(prog="python -m rig", description="The tactile bench.")
-    verbs = parser.add_subparsers(dest="verb", required=True)
-    chosen: Sequence[str] = _VERBS
-    if words and words[0] in _VERBS:
+    subcommands = parser.add_subparsers(dest="verb", required=True)
+    chosen: Sequence[str] = _COMMANDS
+    if words and words[0] in _COMMANDS:
         chosen = words[:1]
         # The usage line still lists all verbs.
-        verbs.metavar = f"{{{','.join(_VERBS)}}}"
+        subcommands.metavar = f"{{{','.join(_COMMANDS)}}}"
     for verb in chosen:
-        importlib.import_module(f"rig.cli.{verb.replace('-', '_')}").add_to(verbs)
+        importlib.import_module(f"rig.cli.{verb.replace('-', '_')}").add_to(subcommands)
     return parser
 
 

@@ -8,7 +8,7 @@ import sys
 from sim.cli import archive, hold, loop, press
 from sim.cli.ending import EXIT_WRONG_INPUT, run
 
-_VERBS = (press, loop, hold, archive)
+_COMMANDS = (press, loop, hold, archive)
 
 
 def arguments() -> argparse.ArgumentParser:
@@ -17,9 +17,9 @@ def arguments() -> argparse.ArgumentParser:
         prog="python -m sim",
         description="Presses rigid indenters into a soft layer. Lengths in mm, forces in N.",
     )
-    verbs = parser.add_subparsers(dest="verb", required=True)
-    for verb in _VERBS:
-        verb.add_to(verbs)
+    subcommands = parser.add_subparsers(dest="verb", required=True)
+    for verb in _COMMANDS:
+        verb.add_to(subcommands)
     return parser
 
 

@@ -71,7 +71,7 @@ class EffectWorth:
     """Share of the run's time that the effect takes: 1 - work without it / work with it. Work is
     iterations of the linear solver and 50 for each Newton iteration of the probes. Negative if the
     scene is harder without it; None if no probe ran without it."""
-    left_out: bool = False
+    omitted: bool = False
     """True if the tolerance allows leaving it out."""
 
 
@@ -97,27 +97,27 @@ class EffectsPlan:
     """Time for bounds and probes [s]."""
 
     @property
-    def left_out(self) -> tuple[str, ...]:
+    def omitted(self) -> tuple[str, ...]:
         """Names of the effects that are left out."""
-        return tuple(one.name for one in self.effects if one.left_out)
+        return tuple(one.name for one in self.effects if one.omitted)
 
     @property
     def needed(self) -> Scene:
         """Scene without the effects that are left out."""
-        return without(self.scene, self.left_out)
+        return without(self.scene, self.omitted)
 
     def record(self) -> dict[str, Any]:
         """Return the plan as plain JSON values; shares of force and time are in percent."""
         return {
             "asked": to_json(self.scene.effects),
             "kept": list(self.needed.effects.key),
-            "left_out": list(self.left_out),
+            "left_out": list(self.omitted),
             "tolerance": None if self.tolerance is None else str(self.tolerance),
             "part": None if self.tolerance is None else _in_words(self.tolerance),
             "each": [
                 {
                     "name": one.name,
-                    "left_out": one.left_out,
+                    "left_out": one.omitted,
                     "by": one.by,
                     **(_numbers(one.change) if one.change is not None else {}),
                     "time_percent": None if one.time is None else 100 * one.time,
@@ -147,7 +147,7 @@ class EffectsPlan:
             if one.change is not None:
                 changes = [less + with_unit(kind, one.change.value(kind)) for kind in kinds]
             spent = "" if one.time is None else f"{100 * max(one.time, 0.0):.0f} %"
-            rows.append((one.name, *changes, spent, one.by, "left out" if one.left_out else ""))
+            rows.append((one.name, *changes, spent, one.by, "left out" if one.omitted else ""))
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = [
             "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
@@ -162,11 +162,11 @@ class EffectsPlan:
         if self.tolerance is None:
             return f"changes if one effect is left out; {spent}"
         limit = f"{_in_words(self.tolerance)} of {self.tolerance} is for effects"
-        if not self.left_out:
+        if not self.omitted:
             return f"nothing can be left out: {limit}; {spent}"
         worth = with_unit(self.tolerance.kind, self.joint.value(self.tolerance.kind))
         return (
-            f"left out: {', '.join(self.left_out)}; together {worth} ({self.joint_by}), {limit}; "
+            f"left out: {', '.join(self.omitted)}; together {worth} ({self.joint_by}), {limit}; "
             f"{spent}"
         )
 
@@ -230,7 +230,7 @@ def simulate_needed(
         SimulationDiverged: A mesh found no solution.
     """
     (found,) = plan_many([scene], tolerance=tolerance, device=device, progress=progress)
-    if not found.left_out:
+    if not found.omitted:
         result = simulate_within(scene, tolerance, device=device, progress=progress)
         return replace(result, record={**result.record, "effects": found.record()})
     wanted = tolerance_of(tolerance)
@@ -242,7 +242,7 @@ def simulate_needed(
     except SceneError as refusal:
         raise SceneError(
             f"{refusal} (of {tolerance!r}, {with_unit(wanted.kind, spent)} is for "
-            f"{', '.join(found.left_out)}, left out)"
+            f"{', '.join(found.omitted)}, left out)"
         ) from refusal
     return _with_both_errors(result, found, wanted)
 

@@ -93,9 +93,9 @@ def _run(command: Command, rest: Sequence[str]) -> int:
         front = import_module(FRONTS[command.package])
         *before, _ = command.words.split()
         parser = argparse.ArgumentParser(prog="tactile")
-        verbs = parser.add_subparsers(dest="verb", prog=" ".join(["tactile", *before]))
-        module.add_to(verbs)
-        verbs.choices[command.name].prog = f"tactile {command.words}"
+        subcommands = parser.add_subparsers(dest="verb", prog=" ".join(["tactile", *before]))
+        module.add_to(subcommands)
+        subcommands.choices[command.name].prog = f"tactile {command.words}"
         return int(front.run(parser, [command.name, *rest]))
     except ModuleNotFoundError as error:
         extra = command.extra or EXTRAS[command.package]

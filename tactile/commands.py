@@ -21,7 +21,7 @@ class Command:
     help: str
     """One-line help text."""
     verb: str = ""
-    """Name in `python -m PACKAGE VERB`, if different from the last word."""
+    """Name in `python -m PACKAGE COMMAND`, if different from the last word."""
     extra: str = ""
     """Required extra, if different from the package's."""
 

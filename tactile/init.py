@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    Verbs = argparse._SubParsersAction[argparse.ArgumentParser]
+    Subcommands = argparse._SubParsersAction[argparse.ArgumentParser]
 
 EXIT_WRONG_INPUT = 2
 FOLDERS = ("benches/lab", "calibrations", "campaigns", "sessions")
@@ -18,9 +18,9 @@ FOLDERS = ("benches/lab", "calibrations", "campaigns", "sessions")
 SHOWN = 5
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the command and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "init",
         help="create the folder of a lab",
         description="Creates DIR with benches/lab, calibrations, campaigns (with an example), "

@@ -13,12 +13,12 @@ from rig.cli.options import bench_options, bench_path
 from rig.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from rig.cli.options import Verbs
+    from rig.cli.options import Subcommands
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the subcommand and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "endurance",
         parents=[bench_options()],
         help="memory and dropped samples of a long mock collection",

@@ -13,12 +13,12 @@ from rig.core.errors import ConfigError
 from rig.core.packaged import BENCHES
 
 if TYPE_CHECKING:
-    from rig.cli.options import Verbs
+    from rig.cli.options import Subcommands
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the subcommand and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "faults",
         help="inject faults into mock collections; report losses",
         description="Injects faults into short mock collections, one after the other, and checks "

@@ -11,14 +11,14 @@ from rig.core.errors import EXIT_DONE, ConfigError
 from rig.core.packaged import BENCHES
 
 if TYPE_CHECKING:
-    from rig.cli.options import Verbs
+    from rig.cli.options import Subcommands
 
 _PARTS = ("stores", "share", "lateness", "cameras", "full", "alignment")
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the subcommand and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "recording",
         help="measure the cost of recording and write docs/results/recording.md (about 12 minutes)",
         description="Measures frames/s, MB/s, CPU share [% of a core], lateness [ms] and the error "

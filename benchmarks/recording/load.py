@@ -38,7 +38,7 @@ _FREE = 1.5
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
+class LoadTest:
     """Result of recording a number of cameras at once."""
 
     cameras: int
@@ -61,7 +61,7 @@ class Cameras:
     """Largest number that lost no frame."""
     most: int
     """Largest number that may be tried."""
-    trials: tuple[Trial, ...]
+    trials: tuple[LoadTest, ...]
 
 
 def estimate_share(scale: Scale) -> float:
@@ -87,9 +87,9 @@ def cameras(scale: Scale, place: Path, steps: Steps) -> tuple[Cameras, ...]:
     """Record more and more 640x480 cameras at 60 Hz until a frame is lost, lossless and as JPEG."""
     found = []
     for codec in CODECS:
-        trials: list[Trial] = []
+        trials: list[LoadTest] = []
 
-        def attempt(count: int, codec: str = codec, trials: list[Trial] = trials) -> bool:
+        def attempt(count: int, codec: str = codec, trials: list[LoadTest] = trials) -> bool:
             steps.step(f"cameras: {count} at 60 Hz, {codec}", scale.cameras + 4 * _START)
             need = count * scale.cameras * 60.0 * (1.0e6 if codec == "zstd" else 1.0e5)
             _require_room(place, need)
@@ -98,7 +98,7 @@ def cameras(scale: Scale, place: Path, steps: Steps) -> tuple[Cameras, ...]:
                 scale.cameras,
                 place / f"cameras-{codec}-{count}",
             )
-            trials.append(trial_of(fed))
+            trials.append(load_test_of(fed))
             return trials[-1].dropped == 0
 
         held = largest(attempt, scale.cameras_most)
@@ -107,9 +107,9 @@ def cameras(scale: Scale, place: Path, steps: Steps) -> tuple[Cameras, ...]:
     return tuple(found)
 
 
-def trial_of(fed: tuple[Fed, ...]) -> Trial:
+def load_test_of(fed: tuple[Fed, ...]) -> LoadTest:
     """Return the combined result of cameras that were recorded together."""
-    return Trial(
+    return LoadTest(
         cameras=len(fed),
         dropped=sum(one.dropped for one in fed) + sum(bool(one.failure) for one in fed),
         late=sum(one.late for one in fed),

@@ -34,7 +34,7 @@ from sim.scene import Scene
 from sim.tiers import simulate_many
 
 if TYPE_CHECKING:
-    from sim.cli.options import Verbs
+    from sim.cli.options import Subcommands
 
 # Maximum steps of a motion and elements of a probe's mesh, for scenes that take seconds.
 STEPS_MAX, COARSE_MAX = 15, 700
@@ -65,9 +65,9 @@ class Row:
         return self.true[self.found.tolerance.kind]
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the subcommand and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "needed", help="neglect insignificant effects in random scenes, and check the error"
     )
     parser.add_argument(
@@ -190,7 +190,7 @@ def compared(
     """Return the plans of scenes, compared with both solutions if any effect is neglected."""
     plain = [scene for _name, scene in scenes]
     plans = plan_many(plain, tolerance=tolerance, device=device)
-    lesser = [i for i, one in enumerate(plans) if one.left_out]
+    lesser = [i for i, one in enumerate(plans) if one.omitted]
     full, full_time = _solved([plain[i] for i in lesser], numerics, device)
     less, less_time = _solved([plans[i].needed for i in lesser], numerics, device)
     rows = []
@@ -220,10 +220,10 @@ def line(row: Row) -> str:
     found = row.found
     assert found.tolerance is not None
     text = f"{row.name}: {' '.join(found.scene.effects.key)}; left out: "
-    if not found.left_out:
+    if not found.omitted:
         return f"{text}nothing; probes {found.seconds:.1f} s"
     joint = found.joint
-    text += f"{' '.join(found.left_out)} ({found.joint_by}); stated "
+    text += f"{' '.join(found.omitted)} ({found.joint_by}); stated "
     text += with_unit("share", joint.value("share"))
     text += f" {with_unit('marker', joint.marker)}"
     if row.true is None:
@@ -236,7 +236,7 @@ def line(row: Row) -> str:
 
 def summary(rows: Sequence[Row]) -> list[str]:
     """Return counts of scenes within the tolerance and the stated error, and times."""
-    some = [row for row in rows if row.found.left_out and row.true is not None]
+    some = [row for row in rows if row.found.omitted and row.true is not None]
     within = sum(row.value <= _limit(row) for row in some)
     kept = sum(row.value <= row.found.joint.value(_kind(row)) for row in some)
     saved, full = sum(row.full - row.less for row in some), sum(row.full for row in some)

@@ -34,7 +34,7 @@ from sim.tiers import simulate_one
 from sim.tolerance import elements_ratio
 
 if TYPE_CHECKING:
-    from sim.cli.options import Verbs
+    from sim.cli.options import Subcommands
 
 # Element size of the answer over that of the reference.
 FINER = 1.6
@@ -153,9 +153,9 @@ def line(row: Row) -> str:
     )
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the subcommand and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "tolerance",
         help="are tolerances met on random scenes",
         description="Draws scenes, solves each within a tolerance and again on finer meshes, and "

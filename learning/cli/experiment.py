@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 from learning.command import add_settings
 
 if TYPE_CHECKING:
-    from learning.command import Verbs
+    from learning.command import Subcommands
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the command and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "experiment",
         description="Transfers force sensing between the sensors of an archive: trains the "
         "translators, a force model for each source and one for each pair on translated frames, "

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
-    from learning.command import Verbs
+    from learning.command import Subcommands
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the command and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "export-genforce",
         description="Writes img, force and depth as in the published training folders. The folder "
         "appears only when it is complete.",
@@ -29,8 +29,8 @@ def _run(options: argparse.Namespace) -> int:
     from learning.data.genforce import export_training
 
     with ItemProgress("frames", sys.stderr) as progress:
-        left_out = export_training(options.archive, options.out, progress=progress)
-    for line in left_out:
+        omitted = export_training(options.archive, options.out, progress=progress)
+    for line in omitted:
         print(f"left out: {line}")
     print(f"{options.out}: written")
     return 0

@@ -11,12 +11,12 @@ from learning.command import add_unseen, by_name, unseen
 from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
-    from learning.command import Verbs
+    from learning.command import Subcommands
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the command and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "import-genforce",
         description="Reads a folder of the published recordings: one with img, force and depth, "
         "one of simulated pictures, or a raw collection run. Repeat the command to continue.",

@@ -12,13 +12,13 @@ from learning.errors import LearningError
 from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
-    from learning.command import Verbs
+    from learning.command import Subcommands
     from learning.markers import EfficientSam
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the command and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "markers",
         description="Finds the markers in pictures or taxels of sessions, one session for each "
         "indenter on each sensor. Repeat the command with the same sessions to continue.",

@@ -15,14 +15,14 @@ from learning.evaluation.predictions import METHODS, TRANSLATED
 from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
-    from learning.command import Verbs
+    from learning.command import Subcommands
 
 ROLES = "new_indenter,new_press"
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the command and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "predict",
         description="Runs a force model over whole presses of a sensor and writes its forces [N] "
         "with the labels [N], for `evaluate`.",

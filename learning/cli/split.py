@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from learning.command import Verbs
+    from learning.command import Subcommands
     from learning.data.splits import Split
     from recorder import MarkerArchive
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the command and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "split",
         description="Gives every press of an archive a role, the same for all sensors. A press "
         "is a location; all presses of unseen indenters are in the test.",

@@ -12,14 +12,14 @@ from learning.errors import LearningError
 from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
-    from learning.command import Verbs
+    from learning.command import Subcommands
     from learning.translation.archive import Pair
     from recorder import MarkerArchive
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the command and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "translate",
         description="Writes a marker archive with a sensor A-to-B for each pair: translated frames "
         "and labels of A, references and scale of B. Repeat the command with the same options to "

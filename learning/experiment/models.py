@@ -121,9 +121,9 @@ def run_command(command: Sequence[str], say: Callable[[str], None]) -> None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m learning")
-    verbs = parser.add_subparsers(dest="verb", required=True)
+    subcommands = parser.add_subparsers(dest="verb", required=True)
     for verb in (compensate, train_field, train_autoencoder, train_direct):
-        verb.add_to(verbs)
+        verb.add_to(subcommands)
     return parser
 
 

@@ -15,7 +15,7 @@ from recorder.progress import ItemProgress
 if TYPE_CHECKING:
     import torch
 
-    from learning.command import Verbs
+    from learning.command import Subcommands
     from learning.data.presses import Presses
     from learning.data.splits import Role, Split
     from learning.force.data import Compensation
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from recorder.archive import ArchivedSensor
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the verb and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "train-force",
         description="Trains a model of Fx, Fy, Fz [N] on sequences of marker images of a sensor, "
         "or of a translated one (A-to-B). Ctrl-C saves a checkpoint; --resume continues from it.",

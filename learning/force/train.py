@@ -179,8 +179,8 @@ def train_force(
                     best = {name: value.clone() for name, value in model.state_dict().items()}
             state.waited = 0 if score < state.best else state.waited + 1
             state.best = min(score, state.best)
-            newtons = (off * (model.high - model.low)).tolist()
-            named = zip(AXES, newtons, strict=True)
+            off_in_newtons = (off * (model.high - model.low)).tolist()
+            named = zip(AXES, off_in_newtons, strict=True)
             line |= {"validation": score, **{f"mae_{axis}_n": value for axis, value in named}}
         patience = settings.patience_epochs
         if state.epoch == stage.epochs or (patience is not None and state.waited >= patience):

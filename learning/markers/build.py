@@ -160,7 +160,7 @@ def _left_out(group: Group) -> tuple[str, ...]:
     lines = []
     for sensor in group.sensors:
         for placed in sensor.placed:
-            reported = placed.recording.left_out
+            reported = placed.recording.omitted
             lines += [f"{placed.recording.name}: {text}" for text in reported[:NAMED]]
             if len(reported) > NAMED:
                 lines.append(

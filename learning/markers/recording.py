@@ -42,7 +42,7 @@ class Recording:
     """Rows of the session's `reference` in use (K,)."""
     reference: Integers
     """Index into `references` of each row (n,)."""
-    left_out: tuple[str, ...]
+    omitted: tuple[str, ...]
     """Descriptions of the session's frames that are not in `rows`."""
 
     def __len__(self) -> int:
@@ -106,7 +106,7 @@ def read_recording(path: Path, sensor: str | None = None) -> Recording:
         raise LearningError(session.warning)
     kind = _kind(session, name)
     _require_presses(session, name)
-    rows, number, left_out = _once(session)
+    rows, number, omitted = _once(session)
     if not len(rows):
         raise LearningError(f"{name}: found no frames of a press; allowed: one or more")
     references, reference = _references(session, rows, kind, name)
@@ -120,7 +120,7 @@ def read_recording(path: Path, sensor: str | None = None) -> Recording:
         number=number,
         references=references,
         reference=reference,
-        left_out=tuple(left_out),
+        omitted=tuple(omitted),
     )
 
 
@@ -169,7 +169,7 @@ def _once(session: Session) -> tuple[Integers, Integers, list[str]]:
     another |= np.diff(phase[rows].astype(np.int64)) < 0
     change = np.flatnonzero(another) + 1
     best: dict[int, Integers] = {}
-    left_out = []
+    omitted = []
     for press in np.split(rows, change):
         if not len(press):
             continue
@@ -179,21 +179,21 @@ def _once(session: Session) -> tuple[Integers, Integers, list[str]]:
         if other is not None and len(np.unique(phase[other])) > phases:
             press, other = other, press
         if other is not None:
-            left_out.append(
+            omitted.append(
                 f"target {of} was pressed twice: {len(other)} frames of one press left out"
             )
         best[of] = press.astype(np.int64)
     presses = [best[of] for of in sorted(best)]
     missing = [of for of, press in best.items() if len(np.unique(phase[press])) < len(PHASES)]
     if missing:
-        left_out.append(f"{len(missing)} targets lack a phase, first {min(missing)}; they are kept")
+        omitted.append(f"{len(missing)} targets lack a phase, first {min(missing)}; they are kept")
     unpressed = len(session.targets["point"]) - len(best)
     if unpressed:
-        left_out.append(f"{unpressed} targets have no frames")
+        omitted.append(f"{unpressed} targets have no frames")
     numbers = [np.arange(len(press)) for press in presses]
     if not presses:
-        return np.zeros(0, np.int64), np.zeros(0, np.int64), left_out
-    return np.concatenate(presses), np.concatenate(numbers), left_out
+        return np.zeros(0, np.int64), np.zeros(0, np.int64), omitted
+    return np.concatenate(presses), np.concatenate(numbers), omitted
 
 
 def _references(

@@ -164,9 +164,9 @@ class Jog:
             self._arm.halt()
             raise
         else:
-            self._judge(result)
+            self._check(result)
 
-    def _judge(self, result: MoveResult) -> None:
+    def _check(self, result: MoveResult) -> None:
         if result.outcome == "stopped":
             raise DeviceLost(f"arm: {result.reason}")
         if result.outcome == "force_limited":

@@ -27,7 +27,7 @@ def cadence(bench: Bench, session: Session, summaries: Mapping[str, Any]) -> str
         dropped = str(summary["dropped"]) if summary else "?"
         lines.append(
             f"{name:<8}{expected_rate(bench, name):>7.0f} Hz{rate:>7.1f} Hz{gap:>13}{dropped:>9}"
-            + left_out(summary.get("refused", {}))
+            + omitted(summary.get("refused", {}))
         )
     frames = session.frames
     valid = np.asarray(frames["valid"], dtype=bool) if len(frames) else np.zeros(0, dtype=bool)
@@ -42,7 +42,7 @@ def cadence(bench: Bench, session: Session, summaries: Mapping[str, Any]) -> str
     return "\n".join(lines)
 
 
-def left_out(rejected: Mapping[str, int]) -> str:
+def omitted(rejected: Mapping[str, int]) -> str:
     """Return the counts of samples that were received but not stored, as text; empty if none."""
     found = [f"{count} {reason}" for reason, count in rejected.items() if count]
     return f"  left out: {', '.join(found)}" if found else ""

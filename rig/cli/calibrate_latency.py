@@ -22,12 +22,12 @@ from rig.core.config import to_si
 from rig.core.errors import EXIT_DONE, EXIT_SAFETY_STOP, SafetyStop
 
 if TYPE_CHECKING:
-    from rig.cli.options import Verbs
+    from rig.cli.options import Subcommands
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the verb and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "calibrate-latency",
         parents=[bench_options()],
         help="measure and store the latency of the camera or taxels by light taps",

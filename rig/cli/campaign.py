@@ -12,12 +12,14 @@ from rig.core.errors import EXIT_DONE, ConfigError
 
 if TYPE_CHECKING:
     from rig.acquire.campaign import Item
-    from rig.cli.options import Verbs
+    from rig.cli.options import Subcommands
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the verb and its options."""
-    parser = verbs.add_parser("campaign", help="record the remaining sessions of a campaign file")
+    parser = subcommands.add_parser(
+        "campaign", help="record the remaining sessions of a campaign file"
+    )
     parser.add_argument("--file", type=Path, required=True, help="YAML like campaigns/day.yaml")
     parser.add_argument("--benches", type=Path, default=Path("benches"), help="folder of benches")
     parser.add_argument("--out", type=Path, help="folder of the sessions (default: the file's)")

@@ -23,16 +23,16 @@ from rig.core.clock import file_stamp
 from rig.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from rig.cli.options import Verbs
+    from rig.cli.options import Subcommands
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the verb and its options."""
     truth = argparse.ArgumentParser(add_help=False)
     truth.add_argument_group(MOCK_ONLY).add_argument(
         "--truth", type=Path, metavar="FILE", help="log the World's truth here"
     )
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "collect",
         parents=[bench_options(), source_options(), truth],
         help="record one session with the bench's plan",

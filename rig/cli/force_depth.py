@@ -18,12 +18,12 @@ from rig.core.clock import file_stamp
 from rig.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from rig.cli.options import Verbs
+    from rig.cli.options import Subcommands
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the verb and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "force-depth",
         parents=[bench_options()],
         help="press and release along the bench's force_depth and plot the curve",

@@ -11,15 +11,15 @@ from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError, DeviceLost
 
 if TYPE_CHECKING:
-    from rig.cli.options import Verbs
+    from rig.cli.options import Subcommands
 
 # Activation opens and closes the fingers once; it takes one to two seconds [s].
 _OPENING = 5.0
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the verb and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "grip", parents=[bench_options()], help="open the gripper, then close it on the indenter"
     )
     parser.add_argument("--open", action="store_true", help="only open; a held indenter falls")

@@ -14,12 +14,12 @@ from rig.core.config import to_si
 from rig.core.errors import EXIT_DONE, EXIT_SAFETY_STOP, SafetyStop
 
 if TYPE_CHECKING:
-    from rig.cli.options import Verbs
+    from rig.cli.options import Subcommands
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the verb and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "home",
         parents=[bench_options()],
         help="find the sensor's surface by touch (1 mm/s) and store its position",

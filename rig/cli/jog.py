@@ -17,14 +17,14 @@ from rig.core.errors import ConfigError, SafetyStop
 
 if TYPE_CHECKING:
     from rig.bench.bench import Bench
-    from rig.cli.options import Verbs
+    from rig.cli.options import Subcommands
 
 logger = logging.getLogger(__name__)
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the verb and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "jog",
         parents=[bench_options()],
         help="move the arm with a SpaceMouse; its first button sets the contact origin",

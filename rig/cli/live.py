@@ -18,13 +18,13 @@ from rig.core.clock import Clock, SystemClock
 from rig.core.errors import EXIT_DEVICE_LOST, EXIT_DONE, ConfigError, DeviceLost
 
 if TYPE_CHECKING:
-    from rig.cli.options import Verbs
+    from rig.cli.options import Subcommands
     from rig.monitor.watched import Watched
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the verb and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "live",
         parents=[bench_options()],
         help="predict forces with a trained model as the sensor is touched; nothing moves",

@@ -12,12 +12,12 @@ from rig.cli.options import banner, bench_options, chosen_bench, source_options,
 from rig.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from rig.cli.options import Verbs
+    from rig.cli.options import Subcommands
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the verb and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "mock",
         parents=[bench_options(), source_options()],
         help="run the emulators of a bench until Ctrl-C",

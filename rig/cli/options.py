@@ -19,7 +19,7 @@ from rig.core.sources import Sources
 from rig.monitor.page.access import DEFAULT_PORT, LOOPBACK_HOST, AccessPolicy, is_loopback
 
 if TYPE_CHECKING:
-    Verbs = argparse._SubParsersAction[argparse.ArgumentParser]
+    Subcommands = argparse._SubParsersAction[argparse.ArgumentParser]
     from rig.acquire.request import CollectRequest
     from rig.monitor.page.page import Page
     from trajectories import Plan

@@ -10,12 +10,12 @@ from rig.bench.bench import load_bench
 from rig.cli.options import bench_options, bench_path
 
 if TYPE_CHECKING:
-    from rig.cli.options import Verbs
+    from rig.cli.options import Subcommands
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the verb and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "preview", parents=[bench_options()], help="draw the plan and check its limits"
     )
     parser.add_argument("--out", type=Path, help="PNG to write (default: in sessions/)")

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 from rig.core.clock import file_stamp
 
 if TYPE_CHECKING:
-    from rig.cli.options import Verbs
+    from rig.cli.options import Subcommands
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the verb and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "replay",
         help="play a session through the emulators and record it again; nothing moves",
         description="Play a session through the emulators, record it again with the real drivers, "

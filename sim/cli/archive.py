@@ -14,7 +14,7 @@ from sim.cli.options import metres
 from sim.errors import SceneError
 
 if TYPE_CHECKING:
-    from sim.cli.options import Verbs
+    from sim.cli.options import Subcommands
     from sim.dataset import DatasetPlan, OpenArchive, Solving, Stop, Unit, UnitStats
     from sim.sensors import SimulatedSensor
 
@@ -27,9 +27,9 @@ SMOKE_SHARE, SMOKE_STEPS = 0.01, 3
 TOGETHER_GPU = 162
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the subcommand and its kinds of archive."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "archive",
         help="write or draw marker archives of simulated sensors",
         description="Makes archives of binary marker images with forces and displacement. Started "

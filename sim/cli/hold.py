@@ -9,12 +9,12 @@ from sim.cli.options import add_scene_options, check_motion, metres
 from sim.scene import ramp_hold
 
 if TYPE_CHECKING:
-    from sim.cli.options import Verbs
+    from sim.cli.options import Subcommands
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the subcommand and its options."""
-    parser = verbs.add_parser("hold", help="press within a given time and hold: relaxation")
+    parser = subcommands.add_parser("hold", help="press within a given time and hold: relaxation")
     group = parser.add_argument_group("motion")
     group.add_argument(
         "--depth", type=float, default=1.0, metavar="MM", help="depth [mm] (%(default)s)"

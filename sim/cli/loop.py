@@ -10,12 +10,14 @@ from sim.cli.options import add_scene_options, add_speed, check_motion, metres
 from sim.scene import press_shear_return
 
 if TYPE_CHECKING:
-    from sim.cli.options import Verbs
+    from sim.cli.options import Subcommands
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the subcommand and its options."""
-    parser = verbs.add_parser("loop", help="press, shear, return and lift: hysteresis and slip")
+    parser = subcommands.add_parser(
+        "loop", help="press, shear, return and lift: hysteresis and slip"
+    )
     group = parser.add_argument_group("motion")
     group.add_argument(
         "--depth", type=float, default=1.0, metavar="MM", help="depth [mm] (%(default)s)"

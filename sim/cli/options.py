@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from sim.fem.numerics import Numerics
     from sim.indenters import Indenter
 
-    Verbs = argparse._SubParsersAction[argparse.ArgumentParser]
+    Subcommands = argparse._SubParsersAction[argparse.ArgumentParser]
 
 
 # Readers of option values: numbers, lists of numbers, pairs.

@@ -10,12 +10,12 @@ from sim.errors import SceneError
 from sim.scene import press
 
 if TYPE_CHECKING:
-    from sim.cli.options import Verbs
+    from sim.cli.options import Subcommands
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the subcommand and its options."""
-    parser = verbs.add_parser("press", help="press straight down: force, surface, pressure")
+    parser = subcommands.add_parser("press", help="press straight down: force, surface, pressure")
     group = parser.add_argument_group("motion")
     group.add_argument(
         "--depths",

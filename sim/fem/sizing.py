@@ -346,7 +346,7 @@ SAMPLES, LEVELS, PASSES = 61, 6, 2
 
 
 @dataclass(frozen=True, slots=True)
-class Stage:
+class MotionStage:
     """Waypoints from the beginning of a motion that one mesh resolves."""
 
     waypoints: int
@@ -354,7 +354,7 @@ class Stage:
     sizes: Sizes
 
 
-def stages_of(scene: Scene) -> list[Stage]:
+def stages_of(scene: Scene) -> list[MotionStage]:
     """Return the stages and mesh sizes that a scene needs; the first is for all waypoints.
 
     A motion that begins with contacts much smaller than the later ones gets a separate mesh for its
@@ -365,23 +365,23 @@ def stages_of(scene: Scene) -> list[Stage]:
     found = [look for look in looks if look is not None and look.top < math.inf]
     count = len(scene.motion)
     if not found:
-        return [Stage(count, NOTHING)]
-    stages: list[Stage] = []
+        return [MotionStage(count, NOTHING)]
+    stages: list[MotionStage] = []
     while True:
         seen = [look for look in looks[:count] if look is not None and look.top < math.inf]
         if not seen:
             return stages
-        floor = max(look.top for look in seen) / MANY_SIZES
+        least_size = max(look.top for look in seen) / MANY_SIZES
         joined = NOTHING
         for look in [*seen, *(looks[len(scene.motion) :] if not stages else [])]:
             if look is not None:
-                joined = joined.joined(_no_finer(look, floor))
-        stages.append(Stage(count, replace(joined, x=_least(joined.x), y=_least(joined.y))))
+                joined = joined.joined(_no_finer(look, least_size))
+        stages.append(MotionStage(count, replace(joined, x=_least(joined.x), y=_least(joined.y))))
         before = 0
         for index, look in enumerate(looks[:count]):
             if look is None or look.top >= math.inf:
                 continue
-            if look.top >= floor:
+            if look.top >= least_size:
                 break
             before = index + 1
         if before == 0:
@@ -389,16 +389,16 @@ def stages_of(scene: Scene) -> list[Stage]:
         count = before
 
 
-def _no_finer(sizes: Sizes, floor: float) -> Sizes:
-    """Return sizes with topmost elements at least `floor` high, and those in plan to match."""
-    if sizes.top >= floor:
+def _no_finer(sizes: Sizes, least_size: float) -> Sizes:
+    """Return sizes with topmost elements at least `least_size` high, and those in plan to match."""
+    if sizes.top >= least_size:
         return sizes
-    least = floor / OVER_DEPTH
+    least = least_size / OVER_DEPTH
     x, y = (
         tuple(Span(one.low, one.high, max(one.size, least)) for one in spans)
         for spans in (sizes.x, sizes.y)
     )
-    return replace(sizes, x=x, y=y, top=floor)
+    return replace(sizes, x=x, y=y, top=least_size)
 
 
 def _looks(scene: Scene) -> list[Sizes | None]:

@@ -664,7 +664,7 @@ def _judged(outcome: Outcome) -> Outcome:
         return SimulationDiverged(PASSES.format(where), tried=(), dump=None)
     warnings = list(outcome.record["warnings"])
     own = outcome.record["self_overlap"]
-    for overlap, place, inside, refused in (
+    for overlap, place, inside, rejected in (
         (outcome.quality.overlap, outcome.record["overlap"]["place"], "the indenter", PASSES),
         (np.array(own["metres"]), own.get("place"), "the skin beside it", MEETS_ITSELF),
     ):
@@ -679,7 +679,7 @@ def _judged(outcome: Outcome) -> Outcome:
             f"{100 * shares[worst]:.3g} % of the contact's width or depth"
         )
         if shares[worst] > OVERLAP_MOST and deepest > PASSED * outcome.record["mesh"]["finest"]:
-            return SimulationDiverged(refused.format(where), tried=(), dump=None)
+            return SimulationDiverged(rejected.format(where), tried=(), dump=None)
         warnings.append(where)
     straight, most = _straight_push(outcome), _buckling_load(outcome.scene.body)
     if straight > most:

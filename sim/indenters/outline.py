@@ -29,7 +29,7 @@ _GROWTH = 8
 
 
 @dataclass(frozen=True, slots=True)
-class Piece:
+class OutlinePiece:
     """Line or arc of a path."""
 
     start: Pair
@@ -113,24 +113,24 @@ def check(values: Sequence[float]) -> None:
             raise SceneError(f"part.values: turns back at corner {index}; allowed: an angle")
 
 
-def pieces(values: Sequence[float]) -> list[Piece]:
+def pieces(values: Sequence[float]) -> list[OutlinePiece]:
     """Return the lines and arcs between the corners, closed back to the first."""
     corners = [tuple(values[index : index + 3]) for index in range(0, len(values), 3)]
     return [
-        Piece(start=(u, v), end=(next_u, next_v), bulge=bulge)
+        OutlinePiece(start=(u, v), end=(next_u, next_v), bulge=bulge)
         for (u, v, bulge), (next_u, next_v, _) in zip(
             corners, corners[1:] + corners[:1], strict=True
         )
     ]
 
 
-def rounded(values: Sequence[float], radius: float) -> list[Piece] | None:
+def rounded(values: Sequence[float], radius: float) -> list[OutlinePiece] | None:
     """Return the path with an arc of `radius` in every convex corner; None if they do not fit."""
     sharp = pieces(values)
     if radius == 0:
         return sharp
     first, last = [0.0] * len(sharp), [1.0] * len(sharp)
-    arcs: list[Piece | None] = []
+    arcs: list[OutlinePiece | None] = []
     for index, after in enumerate(sharp):
         before = sharp[index - 1]
         fillet = None
@@ -141,7 +141,7 @@ def rounded(values: Sequence[float], radius: float) -> list[Piece] | None:
             last[index - 1] = before.share(fillet.start)
             first[index] = after.share(fillet.end)
         arcs.append(fillet)
-    path: list[Piece] = []
+    path: list[OutlinePiece] = []
     for index, piece in enumerate(sharp):
         ahead = arcs[index]
         behind = arcs[(index + 1) % len(sharp)]
@@ -153,11 +153,11 @@ def rounded(values: Sequence[float], radius: float) -> list[Piece] | None:
         end = behind.start if behind else piece.end
         if (last[index] - first[index]) * piece.length > POINT:
             bulge = math.tan(piece.angle * (last[index] - first[index]) / 4)
-            path.append(Piece(start, end, bulge))
+            path.append(OutlinePiece(start, end, bulge))
     return path
 
 
-def fitted(values: tuple[float, ...], radius: float) -> list[Piece]:
+def fitted(values: tuple[float, ...], radius: float) -> list[OutlinePiece]:
     """Return the path with an arc of `radius` [m] in every convex corner.
 
     Raises:
@@ -206,12 +206,12 @@ def extent(values: tuple[float, ...], radius: float) -> tuple[Pair, Pair]:
     return (min(first), max(first)), (min(second), max(second))
 
 
-def _turn(before: Piece, after: Piece) -> float:
+def _turn(before: OutlinePiece, after: OutlinePiece) -> float:
     (u, v), (next_u, next_v) = before.tangent(end=True), after.tangent(end=False)
     return math.atan2(u * next_v - v * next_u, u * next_u + v * next_v)
 
 
-def _fillet(before: Piece, after: Piece, radius: float) -> Piece | None:
+def _fillet(before: OutlinePiece, after: OutlinePiece, radius: float) -> OutlinePiece | None:
     """Return the arc of `radius` that touches both pieces inside their corner, or None.
 
     Its centre is `radius` inside both. Newton's method finds it for radii that grow from 0, to
@@ -237,7 +237,7 @@ def _fillet(before: Piece, after: Piece, radius: float) -> Piece | None:
         return None
     start, end = (u + radius * a[0], v + radius * a[1]), (u + radius * b[0], v + radius * b[1])
     angle = math.atan2(a[0] * b[1] - a[1] * b[0], a[0] * b[0] + a[1] * b[1])
-    return Piece(start, end, math.tan(angle / 4)) if angle > 0 else None
+    return OutlinePiece(start, end, math.tan(angle / 4)) if angle > 0 else None
 
 
 # Exact signed distance from a rounded path, by a loop over rows of numbers.

@@ -207,7 +207,9 @@ def test_the_largest_number_of_cameras_is_found(limit: int, most: int) -> None:
 
 
 def test_a_trial_adds_what_was_dropped_and_counts_a_writer_that_failed() -> None:
-    trial = load.trial_of((fed(dropped=2, late=1, share=0.2), fed(failure="disk full", share=0.3)))
+    trial = load.load_test_of(
+        (fed(dropped=2, late=1, share=0.2), fed(failure="disk full", share=0.3))
+    )
     assert (trial.cameras, trial.dropped, trial.late) == (2, 3, 1)
     assert trial.share == pytest.approx(0.5)
 

@@ -33,7 +33,7 @@ from benchmarks.sim.speed.record import Machine, Run, SpeedRecord, read
 from benchmarks.sim.speed.roofline import bound_of
 from benchmarks.sim.speed.steps import AS_IT_IS, READ_HALF, STEPS, assembled_gain, steps_on
 from benchmarks.sim.speed.timing import counted, spent_with_workers
-from benchmarks.sim.speed.work import TimedPress, Work, paper_work, smoke_work
+from benchmarks.sim.speed.work import PaperWork, TimedPress, paper_work, smoke_work
 from sim import Body, Result, Scene, SceneError, SimulationDiverged, press, simulate_many
 from sim.device import ready_device
 from sim.effects import Effects, Friction
@@ -234,9 +234,9 @@ def test_workers_count_in_time_and_memory() -> None:
     assert spent.cpu > 0.01
 
 
-def tiny() -> Work:
+def tiny() -> PaperWork:
     one = (TimedPress("sphere", 0.0, 0.0, (0.05, 0.1)),)
-    return Work(one, one, one, one, one)
+    return PaperWork(one, one, one, one, one)
 
 
 def plan_of(folder: Path, parts: tuple[str, ...], *, again: bool = False) -> SpeedCampaign:

@@ -40,10 +40,10 @@ LEARNING = (
 HELP = tuple(
     Case(
         f"{package}-help",
-        (f"{package} --help", *(f"{package} {verb} --help" for verb in verbs)),
+        (f"{package} --help", *(f"{package} {verb} --help" for verb in subcommands)),
         together=True,
     )
-    for package, verbs in (
+    for package, subcommands in (
         ("rig", RIG),
         ("recorder", RECORDER),
         ("sim", SIM),

@@ -249,8 +249,8 @@ def _told(
 def _helped(reported: str) -> dict[str, Any]:
     """Return the commands and options that a help page lists."""
     found: dict[str, Any] = {}
-    if verbs := re.search(r"^ +\{([\w,-]+)\}", reported, re.MULTILINE):
-        found["verbs"] = sorted({*verbs.group(1).split(",")} - MEASURING)
+    if subcommands := re.search(r"^ +\{([\w,-]+)\}", reported, re.MULTILINE):
+        found["verbs"] = sorted({*subcommands.group(1).split(",")} - MEASURING)
     else:
         names = re.findall(r"^    ([a-z][a-z-]*)  ", reported, re.MULTILINE)
         if "COMMAND" in reported:

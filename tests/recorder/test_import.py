@@ -72,7 +72,7 @@ def order(folder: Path, **options: Any) -> ImportOrder:
     return ImportOrder(out=folder / "s.zarr", sensor="wedge", indenter="ball", **options)
 
 
-def refused(folder: Path, match: str, **options: Any) -> None:
+def rejected(folder: Path, match: str, **options: Any) -> None:
     """Check that the import raises and leaves nothing behind."""
     before = set(folder.iterdir())
     with pytest.raises(SessionError, match=match):
@@ -203,14 +203,14 @@ def test_a_count_that_no_taxel_gives_is_named_with_its_row(
     counts = np.full((20, 48), 100.0)
     counts[13, 5] = bad
     path = saved(tmp_path / "t.npy", counts)
-    refused(tmp_path, f"row 13: found {found}; allowed: 0 to 65535", taxels=path, taxels_hz=60)
+    rejected(tmp_path, f"row 13: found {found}; allowed: 0 to 65535", taxels=path, taxels_hz=60)
 
 
 def test_a_csv_is_read_by_its_header(tmp_path: Path) -> None:
     text = "time (ms),Fx(N),Fy [N],Fz_N,Tx(Nmm),Ty (N-mm),Tz [N mm],X(m)\n"
     text += "".join(f"{5 * k},{k},0,-{k}.5,1000,0,{2 * k},9\n" for k in range(30))
     path = saved(tmp_path / "f.csv", text)
-    refused(tmp_path, r"column 'X\(m\)': not known; allowed: Fx, .*--ignore NAME", force=path)
+    rejected(tmp_path, r"column 'X\(m\)': not known; allowed: Fx, .*--ignore NAME", force=path)
     import_session(order(tmp_path, force=path, ignore=("X(m)",)))
     force = Session(tmp_path / "s.zarr").streams["force"]
     assert force.array("value")[3] == pytest.approx([3, 0, -3.5, 1, 0, 0.006], abs=1e-12)
@@ -256,7 +256,7 @@ def test_units_are_read_however_they_are_set_apart() -> None:
 )
 def test_a_broken_csv_is_refused_with_its_line(text: str, match: str, tmp_path: Path) -> None:
     rate = {} if "t_s" in text else {"force_hz": 100.0}
-    refused(tmp_path, match, force=saved(tmp_path / "f.csv", text), **rate)
+    rejected(tmp_path, match, force=saved(tmp_path / "f.csv", text), **rate)
 
 
 def test_forces_are_whole_counts_so_that_a_replay_can_give_them_back(tmp_path: Path) -> None:
@@ -284,19 +284,19 @@ def test_forces_are_whole_counts_so_that_a_replay_can_give_them_back(tmp_path: P
     ],
 )
 def test_a_damaged_video_leaves_nothing(spoil: Any, match: str, tmp_path: Path) -> None:
-    refused(tmp_path, match, video=saved(tmp_path / "v.avi", spoil(avi(jpegs(5)))))
+    rejected(tmp_path, match, video=saved(tmp_path / "v.avi", spoil(avi(jpegs(5)))))
 
 
 def test_images_of_unequal_size_are_refused(tmp_path: Path) -> None:
     other = simplejpeg.encode_jpeg(np.zeros((32, 32, 3), np.uint8))
-    refused(tmp_path, "image 2 is 32x32", video=saved(tmp_path / "v.avi", avi([*jpegs(2), other])))
+    rejected(tmp_path, "image 2 is 32x32", video=saved(tmp_path / "v.avi", avi([*jpegs(2), other])))
 
 
 def test_recordings_of_unequal_length_are_refused_unless_trimmed(tmp_path: Path) -> None:
     video = saved(tmp_path / "v.avi", avi(jpegs(60)))
     force = saved(tmp_path / "f.npy", np.arange(300.0) / 100)
     options = {"video": video, "force": force, "force_hz": 300.0, "units": "N"}
-    refused(tmp_path, r"unequal length: video 2.000 s, force 1.000 s.*--trim", **options)
+    rejected(tmp_path, r"unequal length: video 2.000 s, force 1.000 s.*--trim", **options)
     import_session(order(tmp_path, trim=True, **options))
     session = Session(tmp_path / "s.zarr")
     assert len(session.streams["camera"]) == 30
@@ -320,7 +320,7 @@ def test_an_order_that_makes_no_sense_is_refused(options: Any, match: str, tmp_p
 @pytest.mark.parametrize("content", [b"", b"no numpy", b"\x93NUMPY\1\0"])
 def test_a_file_that_is_no_npy_is_refused(content: bytes, tmp_path: Path) -> None:
     path = saved(tmp_path / "t.npy", content)
-    refused(tmp_path, "no whole .npy file", taxels=path, taxels_hz=60.0)
+    rejected(tmp_path, "no whole .npy file", taxels=path, taxels_hz=60.0)
 
 
 def test_the_command_line_says_what_was_assumed(

@@ -91,7 +91,7 @@ def collect(driver: NidaqDriver, count: int) -> list[dict[str, Any]]:
     return samples
 
 
-def refused(host: str, **options: Any) -> str:
+def rejected(host: str, **options: Any) -> str:
     with pytest.raises(ConfigError) as caught, opened(host, **options):
         pass
     return str(caught.value)
@@ -241,18 +241,18 @@ def test_a_name_that_no_card_has_is_device_lost(host: str) -> None:
 
 def test_inputs_that_the_card_does_not_have_are_refused(host: str) -> None:
     with emulated(host):
-        assert "Physical channel" in refused(host, channels="ai12:17")
-        assert "Physical channel" in refused(host, channels="strain0")
+        assert "Physical channel" in rejected(host, channels="ai12:17")
+        assert "Physical channel" in rejected(host, channels="strain0")
 
 
 def test_other_than_six_inputs_are_refused(host: str) -> None:
     with emulated(host):
-        assert "channels: found 5; allowed: 6" in refused(host, channels="ai0:4")
+        assert "channels: found 5; allowed: 6" in rejected(host, channels="ai0:4")
 
 
 def test_a_rate_the_card_does_not_have_is_refused(host: str) -> None:
     with emulated(host, rate_max_hz=500.0):
-        assert "not a supported value" in refused(host)
+        assert "not a supported value" in rejected(host)
 
 
 class CoercingNidaq(NidaqEmulator):
@@ -291,7 +291,7 @@ def test_a_setting_that_reads_back_otherwise_is_refused(
     setattr(emulator, setting, value)
     emulator.start()
     try:
-        assert message in refused(host)
+        assert message in rejected(host)
     finally:
         emulator.close()
 
@@ -299,7 +299,7 @@ def test_a_setting_that_reads_back_otherwise_is_refused(
 def test_without_the_library_the_extra_is_named(host: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(sys.modules, "rig.devices.force.nidaq_task")
     monkeypatch.setitem(sys.modules, "nidaqmx", None)
-    assert "install the extra: pip install 'tactile-rig[nidaq]'" in refused(host)
+    assert "install the extra: pip install 'tactile-rig[nidaq]'" in rejected(host)
 
 
 def test_without_the_driver_of_the_card_it_is_said_so() -> None:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from support.watching import TARGETS, Stage, next_state, watch
+from support.watching import TARGETS, WatchedBench, next_state, watch
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection
 
@@ -25,8 +25,8 @@ from rig.monitor.page.server import run_page
 
 
 @pytest.fixture
-def stage(tmp_path: Path) -> Iterator[Stage]:
-    made = Stage(tmp_path)
+def watched_bench(tmp_path: Path) -> Iterator[WatchedBench]:
+    made = WatchedBench(tmp_path)
     yield made
     made.close()
 
@@ -38,10 +38,10 @@ def until(condition: Callable[[], bool], timeout: float = 15.0) -> None:
         time.sleep(0.01)
 
 
-def test_the_end_is_shown_before_the_server_goes(stage: Stage) -> None:
+def test_the_end_is_shown_before_the_server_goes(watched_bench: WatchedBench) -> None:
     access = AccessPolicy(port=0)
-    with Page(stage.job(access)) as page:
-        page.begin(Control(), dict, stage.session, 0)
+    with Page(watched_bench.job(access)) as page:
+        page.begin(Control(), dict, watched_bench.session, 0)
         with watch(access, page.port) as client:
             until(lambda: next_state(client)["status"] == "collecting")
             page.say("complete", "160 of 160 targets")
@@ -49,9 +49,9 @@ def test_the_end_is_shown_before_the_server_goes(stage: Stage) -> None:
             assert last_words(client) == ("complete: 160 of 160 targets", 1001)
 
 
-def test_an_error_before_recording_is_shown_as_the_end(stage: Stage) -> None:
+def test_an_error_before_recording_is_shown_as_the_end(watched_bench: WatchedBench) -> None:
     access = AccessPolicy(port=0)
-    page = Page(stage.job(access)).__enter__()
+    page = Page(watched_bench.job(access)).__enter__()
     with watch(access, page.port) as client:
         assert next_state(client)["status"] == "preparing"
         page.__exit__(ConfigError, ConfigError("force: not there"), None)
@@ -59,11 +59,11 @@ def test_an_error_before_recording_is_shown_as_the_end(stage: Stage) -> None:
 
 
 def test_log_lines_reach_the_page_and_the_token_is_in_none(
-    stage: Stage, caplog: pytest.LogCaptureFixture
+    watched_bench: WatchedBench, caplog: pytest.LogCaptureFixture
 ) -> None:
     access = AccessPolicy(host="0.0.0.0", port=0)
     caplog.set_level(logging.DEBUG)
-    with Page(stage.job(access)) as page, watch(access, page.port) as client:
+    with Page(watched_bench.job(access)) as page, watch(access, page.port) as client:
         logging.getLogger("rig.test").info("target %d of %d", 3, TARGETS)
         seen: list[str] = []
         while not seen:
@@ -74,10 +74,10 @@ def test_log_lines_reach_the_page_and_the_token_is_in_none(
 
 
 def test_a_killed_page_is_mentioned_once_and_nothing_else(
-    stage: Stage, caplog: pytest.LogCaptureFixture
+    watched_bench: WatchedBench, caplog: pytest.LogCaptureFixture
 ) -> None:
-    with Page(stage.job()) as page:
-        page.begin(Control(), dict, stage.session, 0)
+    with Page(watched_bench.job()) as page:
+        page.begin(Control(), dict, watched_bench.session, 0)
         os.kill(child(), signal.SIGKILL)
         until(lambda: "the monitoring page is gone" in caplog.text)
         page.say("ending")
@@ -86,11 +86,11 @@ def test_a_killed_page_is_mentioned_once_and_nothing_else(
 
 
 def test_a_pause_outlives_the_page_that_asked_for_it(
-    stage: Stage, caplog: pytest.LogCaptureFixture
+    watched_bench: WatchedBench, caplog: pytest.LogCaptureFixture
 ) -> None:
     access, control = AccessPolicy(port=0), Control()
-    with Page(stage.job(access)) as page:
-        page.begin(control, dict, stage.session, 0)
+    with Page(watched_bench.job(access)) as page:
+        page.begin(control, dict, watched_bench.session, 0)
         with watch(access, page.port) as client:
             client.send('{"command": "pause"}')
             until(lambda: control.paused_by == ("page",))
@@ -99,10 +99,10 @@ def test_a_pause_outlives_the_page_that_asked_for_it(
     assert control.paused_by == ("page",)
 
 
-def test_a_frozen_page_holds_nobody_up(stage: Stage) -> None:
-    page = Page(stage.job())
+def test_a_frozen_page_holds_nobody_up(watched_bench: WatchedBench) -> None:
+    page = Page(watched_bench.job())
     with page:
-        page.begin(Control(), lambda: {"phase": "x" * 200_000}, stage.session, 0)
+        page.begin(Control(), lambda: {"phase": "x" * 200_000}, watched_bench.session, 0)
         pid = child()
         os.kill(pid, signal.SIGSTOP)
         time.sleep(0.6)
@@ -113,27 +113,29 @@ def test_a_frozen_page_holds_nobody_up(stage: Stage) -> None:
     assert not Path(f"/proc/{pid}").exists()
 
 
-def test_a_port_in_use_is_wrong_input(stage: Stage) -> None:
+def test_a_port_in_use_is_wrong_input(watched_bench: WatchedBench) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with (
             pytest.raises(ConfigError, match=rf"--watch: found 127\.0\.0\.1:{port}: .*in use"),
-            Page(stage.job(AccessPolicy(port=port))),
+            Page(watched_bench.job(AccessPolicy(port=port))),
         ):
             pass
 
 
-def test_an_address_that_is_not_ours_is_wrong_input(stage: Stage) -> None:
+def test_an_address_that_is_not_ours_is_wrong_input(watched_bench: WatchedBench) -> None:
     access = AccessPolicy(host="192.0.2.7", port=0)
-    with pytest.raises(ConfigError, match="--watch"), Page(stage.job(access)):
+    with pytest.raises(ConfigError, match="--watch"), Page(watched_bench.job(access)):
         pass
 
 
-def test_a_collecting_process_that_vanishes_is_shown_and_the_page_ends(stage: Stage) -> None:
+def test_a_collecting_process_that_vanishes_is_shown_and_the_page_ends(
+    watched_bench: WatchedBench,
+) -> None:
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     access = AccessPolicy(port=0)
-    process = context.Process(target=run_page, args=(stage.job(access), theirs))
+    process = context.Process(target=run_page, args=(watched_bench.job(access), theirs))
     process.start()
     theirs.close()
     word, port = ours.recv()
@@ -147,22 +149,22 @@ def test_a_collecting_process_that_vanishes_is_shown_and_the_page_ends(stage: St
     assert process.exitcode == 0
 
 
-def test_earlier_runs_are_on_the_map_of_a_resumed_session(stage: Stage) -> None:
-    writer = stage.writer()
+def test_earlier_runs_are_on_the_map_of_a_resumed_session(watched_bench: WatchedBench) -> None:
+    writer = watched_bench.writer()
     for target, outcome in ((0, 0), (1, 0), (1, 1), (2, 0)):
         writer.segments.append(
             target=target, phase=0, outcome=outcome, run=0, start_ns=1 + target, end_ns=2 + target
         )
     writer.close()
     access = AccessPolicy(port=0)
-    with Page(stage.job(access)) as page:
-        page.begin(Control(), dict, stage.session, 3)
+    with Page(watched_bench.job(access)) as page:
+        page.begin(Control(), dict, watched_bench.session, 3)
         with watch(access, page.port) as client:
             until(lambda: next_state(client)["outcomes"].startswith("dld."))
 
 
-def test_an_ipv6_address_is_printed_as_one(stage: Stage) -> None:
-    page = Page(stage.job(AccessPolicy(host="::1", port=0)))
+def test_an_ipv6_address_is_printed_as_one(watched_bench: WatchedBench) -> None:
+    page = Page(watched_bench.job(AccessPolicy(host="::1", port=0)))
     try:
         with page:
             assert page.url == f"http://[::1]:{page.port}/"

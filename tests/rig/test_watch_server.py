@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.watching import TARGETS, Stage, next_image, next_state, watch
+from support.watching import TARGETS, WatchedBench, next_image, next_state, watch
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from rig.acquire.control import Control, Interrupted
@@ -27,11 +27,11 @@ PRESSED = (0.3, 0.0, -1.7, 0.0, 0.06, 0.0)
 class Running:
     """One page with its mock collection, and the requests it received."""
 
-    def __init__(self, stage: Stage, page: Page, access: AccessPolicy) -> None:
-        self.stage, self.page, self.access = stage, page, access
+    def __init__(self, watched_bench: WatchedBench, page: Page, access: AccessPolicy) -> None:
+        self.watched_bench, self.page, self.access = watched_bench, page, access
         self.control = Control()
         self.progress: dict[str, Any] = {}
-        page.begin(self.control, lambda: dict(self.progress), stage.session, 0)
+        page.begin(self.control, lambda: dict(self.progress), watched_bench.session, 0)
 
     def watch(self, **how: Any) -> Any:
         return watch(self.access, self.page.port, **how)
@@ -39,17 +39,19 @@ class Running:
 
 @pytest.fixture(scope="module")
 def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
-    stage, access = Stage(tmp_path_factory.mktemp("page")), AccessPolicy(port=0)
-    with Page(stage.job(access, patience=0.5)) as page:
-        yield Running(stage, page, access)
-    stage.close()
+    watched_bench, access = WatchedBench(tmp_path_factory.mktemp("page")), AccessPolicy(port=0)
+    with Page(watched_bench.job(access, patience=0.5)) as page:
+        yield Running(watched_bench, page, access)
+    watched_bench.close()
 
 
 @pytest.fixture
 def running(shared: Running) -> Running:
     shared.control = Control()
     shared.progress = {}
-    shared.page.begin(shared.control, lambda: dict(shared.progress), shared.stage.session, 0)
+    shared.page.begin(
+        shared.control, lambda: dict(shared.progress), shared.watched_bench.session, 0
+    )
     # Earlier clients are gone: no slot is occupied.
     with shared.watch() as client:
         until(lambda: next_state(client)["watchers"] == 1)
@@ -76,7 +78,7 @@ def test_a_watcher_learns_the_plan_and_the_limits_once(running: Running) -> None
 
 
 def test_force_share_tip_and_rates_are_those_of_the_shared_records(running: Running) -> None:
-    running.stage.press(PRESSED, (0.001, -0.002, -0.003))
+    running.watched_bench.press(PRESSED, (0.001, -0.002, -0.003))
     with running.watch() as client:
         state = next_state(client)
     assert state["force"]["wrench"] == pytest.approx([0.3, 0, -1.7, 0, 60.0, 0])
@@ -88,7 +90,7 @@ def test_force_share_tip_and_rates_are_those_of_the_shared_records(running: Runn
 
 
 def test_a_force_that_is_no_number_is_shown_as_none(running: Running) -> None:
-    running.stage.press((float("nan"),) * 6, (0.0, 0.0, 0.0))
+    running.watched_bench.press((float("nan"),) * 6, (0.0, 0.0, 0.0))
     with running.watch() as client:
         state = next_state(client)
     assert state["force"]["wrench"] == [None] * 6
@@ -98,7 +100,7 @@ def test_the_trace_has_each_sample_once_and_late_watchers_get_the_past(running: 
     with running.watch() as first:
         seen: list[list[float]] = next_state(first)["trace"]
         for number in range(5):
-            running.stage.press((float(number), 0, 0, 0, 0, 0), (0, 0, 0))
+            running.watched_bench.press((float(number), 0, 0, 0, 0, 0), (0, 0, 0))
             before = len(seen)
             while len(seen) == before:
                 seen += next_state(first)["trace"]
@@ -112,9 +114,9 @@ def test_the_trace_has_each_sample_once_and_late_watchers_get_the_past(running: 
 def test_images_are_the_cameras_own_bytes_while_the_shard_grows(running: Running) -> None:
     with running.watch() as client:
         for _ in range(70):
-            newest = running.stage.picture()
+            newest = running.watched_bench.picture()
         until(lambda: next_image(client) == newest)
-        newest = running.stage.picture()
+        newest = running.watched_bench.picture()
         assert next_image(client) == newest
 
 
@@ -259,7 +261,7 @@ def test_a_slow_reader_is_let_go_and_nobody_waits_for_it(running: Running) -> No
         rows = []
 
         def only_one_left() -> bool:
-            running.stage.picture()
+            running.watched_bench.picture()
             state = next_state(quick)
             rows.append(state["image"])
             return bool(state["watchers"] == 1)
@@ -293,9 +295,9 @@ def test_the_page_is_served_with_everything_it_names(running: Running) -> None:
 
 
 def refusal(running: Running, **how: Any) -> int:
-    with pytest.raises(InvalidStatus) as refused, running.watch(**how):
+    with pytest.raises(InvalidStatus) as rejected, running.watch(**how):
         pass
-    return int(refused.value.response.status_code)
+    return int(rejected.value.response.status_code)
 
 
 def fetch(running: Running, path: str) -> tuple[bytes, Any]:
@@ -332,10 +334,10 @@ def closed_with(client: Any) -> int | None:
 
 
 def test_a_remote_page_needs_its_token_on_the_wire(tmp_path: Path) -> None:
-    stage = Stage(tmp_path)
+    watched_bench = WatchedBench(tmp_path)
     access = AccessPolicy(host="0.0.0.0", port=0)
     try:
-        with Page(stage.job(access)) as page:
+        with Page(watched_bench.job(access)) as page:
             assert page.url.endswith(f"/?token={access.token}")
             base = f"http://127.0.0.1:{page.port}"
             for path in ("/", "/page.js", "/?token=wrong"):
@@ -349,4 +351,4 @@ def test_a_remote_page_needs_its_token_on_the_wire(tmp_path: Path) -> None:
             with watch(access, page.port) as client:
                 assert next_state(client)["status"] == "preparing"
     finally:
-        stage.close()
+        watched_bench.close()

@@ -25,7 +25,7 @@ FRAME = (-0.12, -0.43, 0.16, 0.0, 0.0, 0.0)
 MS = 1_000_000
 
 
-def walk(spec: AnalyticSpec, places: np.ndarray, step_ns: int = 2 * MS) -> np.ndarray:
+def states_along(spec: AnalyticSpec, places: np.ndarray, step_ns: int = 2 * MS) -> np.ndarray:
     """Return WORLD_STATE (n,) along tip positions (n, 3) in the contact frame [m]."""
     world = AnalyticWorld(spec, FRAME)
     origin = np.array(FRAME[:3])
@@ -83,24 +83,24 @@ def test_a_layer_outside_the_formulas_is_refused(poisson: float) -> None:
 
 
 def test_compression_is_negative_and_nothing_is_felt_above_the_surface() -> None:
-    states = walk(BARE, np.array([[0, 0, 1e-3], [0, 0, 0], [0, 0, -1e-3], [0, 0, 1e-4]]))
+    states = states_along(BARE, np.array([[0, 0, 1e-3], [0, 0, 0], [0, 0, -1e-3], [0, 0, 1e-4]]))
     assert (states["wrench"][[0, 1, 3]] == 0).all()
     assert states["wrench"][2, 2] == pytest.approx(-Punch(3e-3).force(LAYER, 1e-3))
     assert states["depth"] == pytest.approx([-1e-3, 0, 1e-3, -1e-4], abs=1e-15)
 
 
 def test_without_friction_and_hysteresis_force_is_a_function_of_depth_alone() -> None:
-    states = walk(BARE, press(1e-3))
+    states = states_along(BARE, press(1e-3))
     down, up = states[:100], states[100:][::-1]
     np.testing.assert_allclose(down["wrench"], up["wrench"], atol=1e-12)
-    sideways = walk(BARE, np.array([[0, 0, -1e-3], [1e-3, 0, -1e-3]]))
+    sideways = states_along(BARE, np.array([[0, 0, -1e-3], [1e-3, 0, -1e-3]]))
     assert (sideways["wrench"][:, :2] == 0).all()
     assert (sideways["shear"] == 0).all()
 
 
 def test_torque_is_force_times_lever() -> None:
     spec = dataclasses.replace(BARE, friction=0.8)
-    states = walk(spec, np.array([[2e-3, 1e-3, -1e-3], [2.2e-3, 1.1e-3, -1e-3]]))
+    states = states_along(spec, np.array([[2e-3, 1e-3, -1e-3], [2.2e-3, 1.1e-3, -1e-3]]))
     force, torque = states["wrench"][1, :3], states["wrench"][1, 3:]
     np.testing.assert_allclose(torque, np.cross([2.2e-3, 1.1e-3, 0.02], force), atol=1e-12)
 
@@ -112,7 +112,7 @@ def test_friction_drags_along_the_motion_and_never_beyond_coulomb(mu: float, ang
     places = np.stack(
         [steps * math.cos(angle), steps * math.sin(angle), np.full(50, -1e-3)], axis=1
     )
-    wrench = walk(spec, places)["wrench"]
+    wrench = states_along(spec, places)["wrench"]
     drag = np.hypot(wrench[:, 0], wrench[:, 1])
     assert (drag <= mu * -wrench[:, 2] * (1 + 1e-9)).all()
     assert (np.diff(drag) >= -1e-12).all()
@@ -122,18 +122,18 @@ def test_friction_drags_along_the_motion_and_never_beyond_coulomb(mu: float, ang
 
 def test_sticking_gives_the_drag_of_a_disc_and_coming_back_gives_it_back() -> None:
     spec = dataclasses.replace(BARE, friction=10.0)
-    states = walk(spec, np.array([[0, 0, -1e-3], [1e-4, 0, -1e-3], [0, 0, -1e-3]]))
+    states = states_along(spec, np.array([[0, 0, -1e-3], [1e-4, 0, -1e-3], [0, 0, -1e-3]]))
     assert states["wrench"][1, 0] == pytest.approx(LAYER.disc_shear_stiffness(3e-3) * 1e-4)
     assert states["wrench"][2, 0] == pytest.approx(0, abs=1e-12)
 
 
 def test_hysteresis_lifts_loading_above_unloading_and_relaxes_to_the_elastic_force() -> None:
     spec = dataclasses.replace(BARE, hysteresis=Hysteresis(fraction=0.2, relaxation=0.1))
-    states = walk(spec, press(1e-3))
+    states = states_along(spec, press(1e-3))
     down, up = states[1:100], states[100:-1][::-1]
     assert (-down["wrench"][:, 2] >= -up["wrench"][:, 2]).all()
     held = np.repeat(press(1e-3)[:100], [1] * 99 + [1000], axis=0)
-    end = walk(spec, held)["wrench"][-1, 2]
+    end = states_along(spec, held)["wrench"][-1, 2]
     assert end == pytest.approx(-Punch(3e-3).force(LAYER, 1e-3), rel=1e-6)
     assert (states["wrench"][:, 2] <= 0).all()
 
@@ -141,14 +141,16 @@ def test_hysteresis_lifts_loading_above_unloading_and_relaxes_to_the_elastic_for
 def test_hysteresis_tends_to_none_as_its_fraction_does() -> None:
     faint = dataclasses.replace(BARE, hysteresis=Hysteresis(fraction=1e-9, relaxation=0.1))
     np.testing.assert_allclose(
-        walk(faint, press(1e-3))["wrench"], walk(BARE, press(1e-3))["wrench"], atol=1e-7
+        states_along(faint, press(1e-3))["wrench"],
+        states_along(BARE, press(1e-3))["wrench"],
+        atol=1e-7,
     )
 
 
 def test_hysteresis_does_not_depend_on_the_step() -> None:
     spec = dataclasses.replace(BARE, hysteresis=Hysteresis(fraction=0.2, relaxation=0.1))
-    coarse = walk(spec, press(1e-3, 51)[:51], step_ns=8 * MS)
-    fine = walk(spec, press(1e-3, 401)[:401], step_ns=1 * MS)
+    coarse = states_along(spec, press(1e-3, 51)[:51], step_ns=8 * MS)
+    fine = states_along(spec, press(1e-3, 401)[:401], step_ns=1 * MS)
     # Exact for a force that is linear in time, as for a punch.
     np.testing.assert_allclose(fine["wrench"][::8], coarse["wrench"], atol=1e-9)
 
@@ -220,7 +222,7 @@ def test_taxels_rest_apart_and_count_up_when_pressed() -> None:
 def test_the_truth_log_gives_back_what_was_logged_between_and_despite_a_torn_end(
     tmp_path: Path,
 ) -> None:
-    states = walk(BARE, press(1e-3))
+    states = states_along(BARE, press(1e-3))
     path = tmp_path / "truth"
     with contextlib.closing(TruthLog(path)) as log:
         for state in states:

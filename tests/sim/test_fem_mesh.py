@@ -204,6 +204,6 @@ def test_the_mesh_is_a_mirror_image_of_itself() -> None:
 def test_spacings_that_make_no_mesh_are_refused_with_what_is_allowed(
     spacing: float, message: str
 ) -> None:
-    with pytest.raises(SceneError, match="mesh") as refused:
+    with pytest.raises(SceneError, match="mesh") as rejected:
         build_mesh(FLAT, spacing)
-    assert message in str(refused.value)
+    assert message in str(rejected.value)

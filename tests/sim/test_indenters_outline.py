@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from sim.errors import SceneError
 from sim.indenters import extruded, named
-from sim.indenters.outline import Piece, distance, extent, pieces, radius_max, rows
+from sim.indenters.outline import OutlinePiece, distance, extent, pieces, radius_max, rows
 from sim.indenters.shapes import bulge
 
 Array = NDArray[np.float64]
@@ -154,7 +154,7 @@ def test_the_bulge_of_an_arc_is_found_from_three_of_its_points() -> None:
     for angle in (0.3, 2.0, 5.0, -1.0, -4.0):
         at = [(math.cos(share * angle), math.sin(share * angle)) for share in (0.0, 0.3, 1.0)]
         turn = bulge(at[0], at[1], at[2])
-        arc = Piece(at[0], at[2], turn)
+        arc = OutlinePiece(at[0], at[2], turn)
         assert turn == pytest.approx(math.tan(angle / 4))
         assert arc.centre == pytest.approx((0, 0), abs=1e-12)
         assert arc.radius == pytest.approx(math.copysign(1, angle))

@@ -52,7 +52,7 @@ def test_a_slow_press_needs_no_inertia_but_its_friction() -> None:
 @pytest.mark.slow
 def test_what_is_said_is_what_leaving_it_out_changes_on_a_finer_mesh() -> None:
     (found,) = plan_many([TWO], tolerance="9 %")
-    assert set(found.left_out) == {"viscosity", "gravity"}
+    assert set(found.omitted) == {"viscosity", "gravity"}
     assert found.joint_by == "probe"
     finer = Numerics(fineness=0.5)
     full, less = (sim.simulate(one, numerics=finer) for one in (TWO, found.needed))
@@ -72,8 +72,8 @@ def test_effects_are_judged_together() -> None:
     for one in found.effects:
         assert one.change is not None
         assert module.SAFETY * one.change.value("share") <= room
-    assert len(found.left_out) == 1
-    assert found.left_out[0] == found.effects[0].name
+    assert len(found.omitted) == 1
+    assert found.omitted[0] == found.effects[0].name
     assert found.joint.value("share") <= room
 
 
@@ -101,7 +101,7 @@ def test_effects_of_no_strength_are_left_out_without_a_probe(
     monkeypatch.setattr(module, "simulate_many", _refused)
     nothing = Effects(Friction(0.0), Viscosity((0.0,), (1.0,)), Inertia(0.0), Gravity((0, 0, 0)))
     found = sim.plan(replace(RUBS, effects=nothing), tolerance="2 %")
-    assert set(found.left_out) == {"friction", "viscosity", "inertia", "gravity"}
+    assert set(found.omitted) == {"friction", "viscosity", "inertia", "gravity"}
     assert found.joint.value("share") == 0
     assert found.needed.effects == Effects()
 

@@ -26,11 +26,11 @@ DEEP = Scene(sphere(4e-3), press([0.8e-3]))
 
 @pytest.fixture
 def no_meshes(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refused(*_arguments: Any, **_options: Any) -> Result:
+    def rejected(*_arguments: Any, **_options: Any) -> Result:
         raise AssertionError("fem was solved")
 
-    monkeypatch.setattr(module._Meshes, "solved", refused)
-    monkeypatch.setattr(module, "simulate_one", refused)
+    monkeypatch.setattr(module._Meshes, "solved", rejected)
+    monkeypatch.setattr(module, "simulate_one", rejected)
 
 
 @pytest.mark.usefixtures("no_meshes")

@@ -36,7 +36,7 @@ def jpeg(seed: int) -> bytes:
 
 
 @dataclass
-class Stage:
+class WatchedBench:
     """Mock of a collecting process and its streams: their session and shared records."""
 
     folder: Path

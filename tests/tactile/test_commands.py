@@ -24,8 +24,10 @@ def _verbs(package: str) -> dict[str, argparse.ArgumentParser]:
         parser = front._arguments([])  # without a command it has the parsers of all
     else:
         parser = front.parser() if package == "recorder" else front.arguments()
-    (verbs,) = (each for each in parser._actions if isinstance(each, argparse._SubParsersAction))
-    return dict(verbs.choices)
+    (subcommands,) = (
+        each for each in parser._actions if isinstance(each, argparse._SubParsersAction)
+    )
+    return dict(subcommands.choices)
 
 
 @pytest.mark.parametrize("package", ["rig", "recorder", "sim", "learning"])

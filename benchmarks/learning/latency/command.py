@@ -13,15 +13,15 @@ from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
     from benchmarks.learning.latency.costs import Cost, Sample
-    from learning.command import Verbs
+    from learning.command import Subcommands
     from learning.force.predict import ForcePredictor
 
 PRESETS = "paper,half,quarter,tiny,displacement"
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the subcommand and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "latency",
         help="time force models, one frame at a time",
         description="Processes frames one by one as from a live sensor and reports the time "

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 from learning.errors import LearningError
 
 if TYPE_CHECKING:
-    from learning.command import Verbs
+    from learning.command import Subcommands
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the subcommand and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "learning-tables",
         help="write the paper's tables from experiments",
         description="Collects experiments, complete or not, on one page: goals, means over pairs, "

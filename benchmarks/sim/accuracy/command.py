@@ -13,16 +13,16 @@ from sim.errors import SceneError
 
 if TYPE_CHECKING:
     from benchmarks.sim.accuracy.competitors import Competitor
-    from sim.cli.options import Verbs
+    from sim.cli.options import Subcommands
 
 SMOKE_CASES, SMOKE_COMPETITORS = ("sphere",), ("layer", "fem fineness 0.5", "fem even 1.25 mm")
 # Fineness of the reference mesh with --smoke.
 SMOKE_REFERENCE = 0.8
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the subcommand and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "accuracy",
         help="error, time and memory of every tier, mesh and precision; writes a page",
         description="Measures into one file per device, resumes an interrupted run, and draws the "

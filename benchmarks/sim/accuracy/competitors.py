@@ -71,8 +71,8 @@ def _within(tolerance: str) -> Callable[[Sequence[Scene], str], Outcomes]:
                 found.append(simulate(scene, tolerance=tolerance, device=device))
             except SimulationDiverged as diverged:
                 found.append(diverged)
-            except SceneError as refused:  # not attainable: reported as no solution
-                found.append(SimulationDiverged(str(refused)))
+            except SceneError as rejected:  # not attainable: reported as no solution
+                found.append(SimulationDiverged(str(rejected)))
         return found
 
     return solve

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING
 from sim.errors import SceneError
 
 if TYPE_CHECKING:
-    from sim.cli.options import Verbs
+    from sim.cli.options import Subcommands
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the subcommand and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "effects",
         help="prove that disabled effects cost nothing, measure the cost of enabled ones; "
         "writes a page (about 2 minutes)",

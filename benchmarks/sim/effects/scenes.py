@@ -22,7 +22,7 @@ MOTION = Motion(
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
+class EffectScene:
     """Effect at full strength, and the share at which it counts as weak."""
 
     effect: Friction | Viscosity | Inertia | Gravity
@@ -32,11 +32,11 @@ class Trial:
     """Share of the parameter at which the response is proportional."""
 
 
-TRIALS: dict[str, Trial] = {
-    "friction": Trial(Friction(1.0), "coefficient 1", 1e-3),
-    "viscosity": Trial(Viscosity((1.0, 0.5), (1e-3, 1.0)), "ratios 1 and 0.5", 1e-4),
-    "inertia": Trial(Inertia(), "scale 1", 1e-4),
-    "gravity": Trial(Gravity((300.0, 0.0, -500.0)), "300 and -500 m/s^2", 2e-3),
+TRIALS: dict[str, EffectScene] = {
+    "friction": EffectScene(Friction(1.0), "coefficient 1", 1e-3),
+    "viscosity": EffectScene(Viscosity((1.0, 0.5), (1e-3, 1.0)), "ratios 1 and 0.5", 1e-4),
+    "inertia": EffectScene(Inertia(), "scale 1", 1e-4),
+    "gravity": EffectScene(Gravity((300.0, 0.0, -500.0)), "300 and -500 m/s^2", 2e-3),
 }
 
 

@@ -1,8 +1,8 @@
 """Rigid axisymmetric indenter pressed into a round, bonded, neo-Hookean layer, with friction.
 
 Contact at Gauss points of the top: pressure = multiplier + stiffness * penetration where that is
-positive. Without friction the multiplier (`carried`) is updated at every reported depth until the
-force no longer changes (augmented Lagrangian); the remaining penetration is reported. Friction uses
+positive. Without friction the multiplier is updated at every reported depth until the force no
+longer changes (augmented Lagrangian); the remaining penetration is reported. Friction uses
 return mapping: the shear traction of the last step is increased by a spring and limited to
 mu * pressure; the tangent is exact and not symmetric. All tractions are per undeformed area, which
 changes neither forces nor Coulomb's ratio.
@@ -96,7 +96,7 @@ class RingState:
     tip: float
     u: Array
     """(2 N,) [m]."""
-    carried: Array
+    multiplier: Array
     """Multiplier, as a pressure (S, P) [Pa]."""
     shear: Array
     """Shear traction (S, P) of the last step [Pa]."""
@@ -184,8 +184,8 @@ class AxisymmetricPress:
         force, share = self._tractions(state, state.u, state.tip).force, 1.0
         for _ in range(AUGMENTATIONS):
             pressure = self._tractions(state, state.u, state.tip).pressure
-            carried = state.carried + share * (pressure - state.carried)
-            found = self._balanced(replace(state, carried=carried), state.tip)
+            multiplier = state.multiplier + share * (pressure - state.multiplier)
+            found = self._balanced(replace(state, multiplier=multiplier), state.tip)
             if found is None:
                 share /= 2
                 continue
@@ -206,7 +206,7 @@ class AxisymmetricPress:
             if np.linalg.norm(residual) < max(CONVERGED * size, self.rounding):
                 travel = tip - old.tip
                 rate = (u - old.u) / travel if travel else old.rate
-                return RingState(tip, u, old.carried, contact.shear, rate)
+                return RingState(tip, u, old.multiplier, contact.shear, rate)
             tangent = self.elastic.tangent(u)
             matrix = (tangent + self._tangent(contact))[self.free][:, self.free]
             factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
@@ -249,7 +249,7 @@ class AxisymmetricPress:
         place = self.shape @ moved
         r, z = self.r + place[..., 0], self.z + place[..., 1] - tip
         gap, normal_r, normal_z, bend = self.profile.distance(r, z)
-        pressure = np.maximum(old.carried - self.stiffness * gap, 0.0)
+        pressure = np.maximum(old.multiplier - self.stiffness * gap, 0.0)
         touching = pressure > 0
         normal = np.stack([normal_r, normal_z], axis=-1)
         tangent = np.stack([normal_z, -normal_r], axis=-1)
@@ -314,7 +314,7 @@ class AxisymmetricPress:
         balance = abs(contact.force - float(force[self.base].sum())) / contact.force
         j, _ = self.elastic.dilatation(state.u)
         load = contact.pressure * self.area
-        left = np.maximum(contact.pressure - state.carried, 0.0) / self.stiffness
+        left = np.maximum(contact.pressure - state.multiplier, 0.0) / self.stiffness
         penetration = float(np.sum(load * left) / np.sum(load)) / depth
         det = float(j.min())
         return Answer(depth, contact.force, contact.reach, balance, det, penetration)

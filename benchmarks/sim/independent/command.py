@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from benchmarks.sim.independent.comparison import Row
-    from sim.cli.options import Verbs
+    from sim.cli.options import Subcommands
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the subcommand and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "independent",
         help="forces of presses compared with independent solutions",
         description="Solves presses whose forces are known from finite elements that share no code "

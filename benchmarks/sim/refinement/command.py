@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING
 from sim.cli.options import MM, numbers
 
 if TYPE_CHECKING:
-    from sim.cli.options import Verbs
+    from sim.cli.options import Subcommands
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the subcommand and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "refine",
         help="the bench problem and the 18 shapes on successively finer meshes; writes a page",
     )

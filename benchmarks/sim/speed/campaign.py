@@ -21,7 +21,7 @@ from benchmarks.sim.speed.record import Machine, Run, SpeedRecord, read
 from benchmarks.sim.speed.roofline import ROW_BYTES
 from benchmarks.sim.speed.steps import AS_IT_IS, steps_on
 from benchmarks.sim.speed.timing import Solve, fem, mpm, timed, warm_up, warm_up_mpm
-from benchmarks.sim.speed.work import TimedPress, Work
+from benchmarks.sim.speed.work import PaperWork, TimedPress
 
 if TYPE_CHECKING:
     from sim.fem.numerics import Numerics
@@ -46,7 +46,7 @@ class SpeedCampaign:
     """Selection and settings of the measurements."""
 
     device: str
-    work: Work
+    work: PaperWork
     folder: Path
     parts: tuple[str, ...]
     processes: int

@@ -14,7 +14,7 @@ from sim.cli.options import metres
 from sim.errors import SceneError
 
 if TYPE_CHECKING:
-    from sim.cli.options import Verbs
+    from sim.cli.options import Subcommands
     from sim.mpm import MpmNumerics
 
 # Parts to measure; `page` draws.
@@ -25,9 +25,9 @@ MESHES = (4e-3 / 3, 1e-3, 4e-3 / 6)
 SMOKE_SPACING, SMOKE_REFERENCE, SMOKE_MESHES = 4 / 3, 1.0, (1e-3,)
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the subcommand and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "speed",
         help="time the paper's 162 presses; ablations and roofline bound; writes a page",
         description="Measures into one file per device, resumes an interrupted run, and writes the "

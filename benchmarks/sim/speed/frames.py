@@ -26,7 +26,7 @@ from sim.scene import Body, Scene, press
 from sim.tiers import simulate_many
 
 if TYPE_CHECKING:
-    from sim.cli.options import Verbs
+    from sim.cli.options import Subcommands
 
 MM = 1e-3
 FRAME, FRAMES = 0.05 * MM, 20
@@ -101,9 +101,9 @@ def errors(outcomes: Sequence[Outcome], truths: Sequence[Outcome]) -> tuple[floa
     return (float(np.mean(found)), float(np.max(found))) if found else (np.nan, np.nan)
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the subcommand and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "frames",
         help="frames per second, one press or many at once",
         description="Times presses of 20 frames of 0.05 mm with `layer` and with meshes of `fem`, "

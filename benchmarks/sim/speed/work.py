@@ -44,7 +44,7 @@ class TimedPress:
 
 
 @dataclass(frozen=True, slots=True)
-class Work:
+class PaperWork:
     """Presses of each part of the measurement."""
 
     presses: tuple[TimedPress, ...]
@@ -66,11 +66,11 @@ class Work:
         return tuple(self.presses[i % len(self.presses)] for i in chosen)
 
 
-def paper_work() -> Work:
+def paper_work() -> PaperWork:
     """Return 18 indenters x 9 places x 5 depths."""
     dense_x = np.linspace(PLACES_MM[0], PLACES_MM[-1], DENSE_X)
     dense_y = np.linspace(PLACES_MM[0], PLACES_MM[-1], DENSE_Y)
-    return Work(
+    return PaperWork(
         presses=_grid(NAMES, PLACES_MM, PLACES_MM),
         dense=_grid(NAMES, dense_x.tolist(), dense_y.tolist()),
         reference=tuple(TimedPress(name, x, y) for name in NAMES for x, y in REFERENCE_AT),
@@ -79,12 +79,12 @@ def paper_work() -> Work:
     )
 
 
-def smoke_work() -> Work:
+def smoke_work() -> PaperWork:
     """Return a few shallow presses, to test that everything runs."""
     depths = (0.1, 0.6)
     centred = tuple(TimedPress(name, 0.0, 0.0, depths) for name in SMOKE_SHAPES)
     aside = tuple(TimedPress(name, 4.0, 4.0, depths) for name in SMOKE_SHAPES)
-    return Work(centred + aside, 2 * (centred + aside), centred, centred, centred)
+    return PaperWork(centred + aside, 2 * (centred + aside), centred, centred, centred)
 
 
 def _grid(names: Sequence[str], xs: Sequence[float], ys: Sequence[float]) -> tuple[TimedPress, ...]:

@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 
     from benchmarks.sim.stability.case import Case
     from benchmarks.sim.stability.runner import Report
-    from sim.cli.options import Verbs
+    from sim.cli.options import Subcommands
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the subcommand and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "hard-cases",
         help="simulate hard cases and check them against laws of mechanics",
         description="Runs named cases and checks each against laws of mechanics. Exit code 1 if "

@@ -206,13 +206,13 @@ def diverges_in_a_batch(solver: Solver) -> list[Law]:
     bad = Scene(named("prism"), press([3.4 * MM]), PAD)
     numerics = solver.numerics(newton_max=20, halvings=0, step_travel=1.0)
     alone = simulate(good, numerics=numerics, device=solver.device)
-    beside, refused = simulate_many([good, bad], numerics=numerics, device=solver.device)
+    beside, rejected = simulate_many([good, bad], numerics=numerics, device=solver.device)
     if isinstance(beside, SimulationDiverged):
         raise beside
     laws = [at_most("values that differ", int((alone.wrench != beside.wrench).sum()), 0)]
-    if not isinstance(refused, SimulationDiverged):
+    if not isinstance(rejected, SimulationDiverged):
         return [*laws, at_least("the bad press refused", 0, 1)]
-    return [*laws, at_least("the bad press refused", 1, 1), *evidence(refused)]
+    return [*laws, at_least("the bad press refused", 1, 1), *evidence(rejected)]
 
 
 CASES = (

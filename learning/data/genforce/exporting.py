@@ -49,8 +49,8 @@ def export_training(
     archive = MarkerArchive(archive_path)
     if archive.warning:
         raise LearningError(archive.warning)
-    left_out: list[str] = []
-    found = {name: list(_presses(sensor, left_out)) for name, sensor in archive.items()}
+    omitted: list[str] = []
+    found = {name: list(_presses(sensor, omitted)) for name, sensor in archive.items()}
     total = sum(len(rows) for presses in found.values() for rows in presses)
     if not total:
         raise LearningError(f"{archive.name}: no press has all of {', '.join(PHASES)}")
@@ -60,17 +60,17 @@ def export_training(
             if not presses:
                 continue
             sensor, plain = archive[name], file_name(name)
-            _sensor(root, plain, sensor, left_out)
+            _sensor(root, plain, sensor, omitted)
             for rows in presses:
                 _press(root, plain, archive, sensor, rows)
                 done += len(rows)
                 progress(done, total)
-    if len(left_out) > NAMED:
-        left_out[NAMED:] = [f"and {len(left_out) - NAMED} more"]
-    return tuple(left_out)
+    if len(omitted) > NAMED:
+        omitted[NAMED:] = [f"and {len(omitted) - NAMED} more"]
+    return tuple(omitted)
 
 
-def _presses(sensor: ArchivedSensor, left_out: list[str]) -> Iterator[Rows]:
+def _presses(sensor: ArchivedSensor, omitted: list[str]) -> Iterator[Rows]:
     """Yield the rows of presses that have the four phases in order, frame by frame."""
     table = sensor.table
     order = np.lexsort((table["frame"], table["target"], table["indenter"])).astype(np.int64)
@@ -80,21 +80,21 @@ def _presses(sensor: ArchivedSensor, left_out: list[str]) -> Iterator[Rows]:
         phase = table["phase"][rows]
         target = f"{sensor.name}, target {table['target'][rows[0]]} of {_indenter(sensor, rows)}"
         if (np.unique(phase).tolist() != list(range(len(PHASES)))) or (np.diff(phase) < 0).any():
-            left_out.append(f"{target}: has not all of {', '.join(PHASES)}")
+            omitted.append(f"{target}: has not all of {', '.join(PHASES)}")
         elif (table["location"][rows] < 0).any():
-            left_out.append(f"{target}: is at no location")
+            omitted.append(f"{target}: is at no location")
         elif not table["valid"][rows].all():
-            left_out.append(f"{target}: has frames that are not there")
+            omitted.append(f"{target}: has frames that are not there")
         else:
             yield rows
 
 
-def _sensor(root: Path, name: str, sensor: ArchivedSensor, left_out: list[str]) -> None:
+def _sensor(root: Path, name: str, sensor: ArchivedSensor, omitted: list[str]) -> None:
     images = root / "img" / "npy"
     images.mkdir(parents=True, exist_ok=True)
     write_mask(images / f"{name}_ref.npy", sensor.references[0])
     if len(sensor.references) > 1:
-        left_out.append(f"{name}: {len(sensor.references) - 1} references beside the first")
+        omitted.append(f"{name}: {len(sensor.references) - 1} references beside the first")
     known: Mapping[str, Any] | None = sensor.attrs.get("force_depth")
     if known is not None:
         folder = root / "material_compensation"

@@ -11,13 +11,13 @@ from learning.command import add_resume, add_sensors, add_settings
 from learning.errors import LearningError
 
 if TYPE_CHECKING:
-    from learning.command import Verbs
+    from learning.command import Subcommands
     from learning.translation.diffusion.settings import TranslatorSettings
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the verb and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "train-diffusion",
         description="Trains one translator for all pairs of an archive's sensors, from published "
         "weights that you supply: SD-Turbo, CLIP ViT-B/32, VGG16, LPIPS. After Ctrl-C, the same "

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 from learning.command import add_inputs, add_resume, add_sensors, add_settings
 
 if TYPE_CHECKING:
-    from learning.command import Verbs
+    from learning.command import Subcommands
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the verb and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "train-marker-vae",
         description="Trains the adapter of SD-Turbo's autoencoder on the frames of all sensors of "
         "an archive. After Ctrl-C, the same command with --resume continues.",

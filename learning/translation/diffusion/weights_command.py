@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from learning.command import Verbs
+    from learning.command import Subcommands
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the verb and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "import-weights",
         description="Reads model_N.pkl of the authors' translator or checkpoint.pth of their "
         "marker autoencoder, without running any code in it, and writes a run folder: for "

@@ -10,12 +10,12 @@ from learning.command import add_resume, add_run, add_settings
 from learning.errors import LearningError
 
 if TYPE_CHECKING:
-    from learning.command import Verbs
+    from learning.command import Subcommands
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the verb and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "train-autoencoder",
         description="Trains a network to reconstruct marker images of archives and of random "
         "patterns under made-up deformations; without an archive only the latter. train-direct "

@@ -11,14 +11,14 @@ from learning.command import add_inputs, add_resume, add_sensors, add_settings
 from learning.errors import LearningError
 
 if TYPE_CHECKING:
-    from learning.command import Verbs
+    from learning.command import Subcommands
     from learning.translation.direct.network import DirectNetwork
     from learning.translation.direct.settings import DirectSettings
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the verb and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "train-direct",
         description="Trains one network for all pairs of an archive's sensors, on location pairs. "
         "As in the paper: first on simulated states with the encoder of an autoencoder "

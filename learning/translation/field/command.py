@@ -9,12 +9,12 @@ from learning.command import add_inputs, add_resume, add_sensors, add_settings
 from learning.errors import LearningError
 
 if TYPE_CHECKING:
-    from learning.command import Verbs
+    from learning.command import Subcommands
 
 
-def add_to(verbs: Verbs) -> None:
+def add_to(subcommands: Subcommands) -> None:
     """Add the verb and its options."""
-    parser = verbs.add_parser(
+    parser = subcommands.add_parser(
         "train-field",
         description="Trains one field translator for all pairs of an archive's sensors: a net "
         "that estimates a sensor's deformation, and a map from one sensor's deformation to "
