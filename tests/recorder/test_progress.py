@@ -170,13 +170,14 @@ except KeyboardInterrupt:
     text = os.read(ours, 1 << 16).decode()
     os.close(ours)
     assert done.stdout == b"result\n"
-    assert "10 %, 10 s" in text
+    assert "10 %, 1" in text
     assert text.endswith("\x1b[2Kinterrupted\r\n")
 
 
-@pytest.mark.parametrize("package", ["recorder", "sim", "learning", "rig", "tactile"])
-def test_no_command_imports_rich_at_its_start(package: str) -> None:
-    program = f"import sys, {package}.__main__; assert 'rich' not in sys.modules"
+def test_no_command_imports_rich_at_its_start() -> None:
+    packages = ("recorder", "sim", "learning", "rig", "tactile")
+    imports = "".join(f"import {package}.__main__; " for package in packages)
+    program = f"import sys; {imports}assert 'rich' not in sys.modules"
     subprocess.run([sys.executable, "-c", program], check=True)
 
 
