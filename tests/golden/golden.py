@@ -53,6 +53,8 @@ _NOISE = re.compile(
     r"^\[ WARN|site-packages"
 )
 _DURATION = re.compile(r"(?<![\w.])\d[\d.,]* (s|ms|min|h|images/s|a second)(?![\w/])")
+# Units of a masked duration, which a slower machine changes: 58 s, 1:02 min.
+_UNIT = re.compile(r"<time> (?:s|min|h)(?![\w/])")
 _CLOCK = re.compile(r"(?<![\w.:])(\d+|\?):(\d\d|\?\?)(:\d\d)?(?![\w:])")
 _NUMBERS = re.compile(r"[-+]?\d[\d.,:]*(e[-+]?\d+)?")
 _UTC = re.compile(r"\d{4}-\d\d-\d\dT[\d:.]+Z?")
@@ -272,7 +274,8 @@ def _lines(reported: str, places: dict[str, str], *, timed: bool = True) -> list
         line = _UTC.sub("<utc>", _place(line, places))
         if timed:
             line = _DURATION.sub(r"<time> \1", _CLOCK.sub("<time>", line))
-        if line.startswith("<time> s ("):
+            line = _UNIT.sub("<time>", line)
+        if line.startswith("<time> ("):
             line = _NUMBERS.sub(NUMBER, line)
         if line := " ".join(line.split()):
             found.append(line)
