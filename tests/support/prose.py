@@ -38,10 +38,10 @@ WORDS = {
     r"that which\b": "rewrite the sentence",
 }
 # "What" in a thousand words, at most; the model projects have 0.05 to 0.3.
-WHAT_MOST = 2.0
+WHAT_MOST = 1.0
 # Words of a sentence, at most.
 SENTENCE_MOST = 40
-# Pages that list what programs wrote, or names that have gone.
+# Pages generated from the code, and lists of former names.
 LEFT_OUT = ("docs/reference/", "CHANGELOG.md")
 
 _WORDS = {re.compile(rf"\b{word}", re.IGNORECASE): instead for word, instead in WORDS.items()}
