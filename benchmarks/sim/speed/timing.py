@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from benchmarks.sim.speed.record import Run
 from benchmarks.sim.spent import Spent, peak_memory, spent_by
-from recorder.progress import Progress
 from sim.errors import SimulationDiverged
 from sim.result import Outcome, Result
 from sim.scene import Body, Scene, press
@@ -42,6 +41,7 @@ def timed(
     run: Run, scenes: Sequence[Scene], solve: Solve, device: str
 ) -> tuple[Run, list[Outcome]]:
     """Solve `scenes` and return `run` with the cost, and their outcomes."""
+    from recorder.progress import Progress
 
     def work() -> list[Outcome]:
         with Progress(f"{run.part}: {run.name}", sys.stderr) as progress:
@@ -120,6 +120,8 @@ def warm_up(
 
     Both are needed because presses that fail in float32 are solved again in float64.
     """
+    from recorder.progress import Progress
+
     before = _entries(kernels)
     began = time.perf_counter()
     with Progress("first presses", sys.stderr, kernels=kernels):
