@@ -74,12 +74,12 @@ def test_every_kind_has_an_emulator_for_the_mock_bench(tmp_path: Path, kind: str
 
 
 def test_a_word_that_picks_nothing_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"force\.kind: found 'axia'; allowed: .*'nidaq'"):
+    with pytest.raises(ConfigError, match=r"force\.kind: found 'axia'; allowed: .*nidaq"):
         loaded(tmp_path, "{kind: axia}")
 
 
 def test_a_key_of_another_kind_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"force: unknown \['http_port'\]"):
+    with pytest.raises(ConfigError, match=r"force: unknown http_port"):
         loaded(tmp_path, f"{NIDAQ[:-1]}, http_port: 80}}")
 
 
