@@ -16,7 +16,7 @@ HISTORY = ("CHANGELOG.md", "docs/decisions/", "docs/reference/moved-modules.md")
 _PATH = re.compile(
     rf"(?<![\w./-])((?:{PACKAGES}|tests|docs|examples)/[\w./-]*\w\.(?:py|md|csv|sh))\b"
 )
-_DOTTED = re.compile(rf"[`\"' ](?:python -m )?((?:{PACKAGES})(?:\.[a-z_]\w*)+)(?=[`\"', ]|$)")
+_DOTTED = re.compile(rf"[`\"' ](?:python -m )?((?:{PACKAGES})(?:\.[A-Za-z_]\w*)+)(?=[`\"', ]|$)")
 _LOGGER = re.compile(r"getLogger\([^)]*\)")
 _LINK = re.compile(r"\]\(([^)\s#]+)(?:#[^)]*)?\)")
 _MAKE = re.compile(r"`make ([a-z-]+)")

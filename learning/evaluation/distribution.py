@@ -570,8 +570,8 @@ def classifier_accuracy(
         raise LearningError(f"groups: found {fewest} in a set; allowed: {FOLDS} or more")
     classifier = make_pipeline(StandardScaler(), LogisticRegression(C=1.0, max_iter=2000))
     folds = StratifiedGroupKFold(FOLDS, shuffle=True, random_state=seed)
-    reported = cross_val_predict(classifier, features, which, groups=groups, cv=folds)
-    return float(np.mean([(reported[which == kind] == kind).mean() for kind in (0, 1)]))
+    predicted = cross_val_predict(classifier, features, which, groups=groups, cv=folds)
+    return float(np.mean([(predicted[which == kind] == kind).mean() for kind in (0, 1)]))
 
 
 def mixing_score(one: Floats, other: Floats, neighbours: int = NEIGHBOURS) -> float:

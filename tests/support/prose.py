@@ -59,7 +59,7 @@ _ENDS = re.compile(r"(?<=[.!?:;])\s+|\n\s*\n|\n\s*[-*|#>]|\n\s*\d+\.\s|\||(?<=\S
 
 
 class Text(NamedTuple):
-    """A piece of prose and where it begins."""
+    """A piece of prose, its code masked by a word, and where it begins."""
 
     line: int
     text: str
@@ -70,7 +70,7 @@ def texts_of(path: Path) -> Iterator[Text]:
     """Yield the pieces of prose in a file, by its kind."""
     content = path.read_text(encoding="utf-8")
     if path.suffix == ".md":
-        yield Text(1, content, docstring=False)
+        yield Text(1, _masked(content), docstring=False)
         return
     for node in ast.walk(ast.parse(content)):
         body = getattr(node, "body", None)
@@ -80,34 +80,38 @@ def texts_of(path: Path) -> Iterator[Text]:
                 and isinstance(statement.value, ast.Constant)
                 and isinstance(statement.value.value, str)
             ):
-                yield Text(statement.lineno, statement.value.value, docstring=True)
+                yield Text(statement.lineno, _masked(statement.value.value), docstring=True)
     block: list[str] = []
     begin = last = 0
     for token in tokenize.generate_tokens(io.StringIO(content).readline):
         if token.type != tokenize.COMMENT:
             continue
         if block and token.start[0] != last + 1:
-            yield Text(begin, "\n".join(block), docstring=False)
+            yield Text(begin, _masked("\n".join(block)), docstring=False)
             block = []
         begin = begin if block else token.start[0]
         block.append(token.string.lstrip("# "))
         last = token.start[0]
     if block:
-        yield Text(begin, "\n".join(block), docstring=False)
+        yield Text(begin, _masked("\n".join(block)), docstring=False)
+
+
+def _masked(text: str) -> str:
+    """Return the text with each piece of code replaced by the word `code`, lines kept."""
+    return _CODE.sub(lambda code: "code" + "\n" * code[0].count("\n"), text)
 
 
 def findings_of(text: Text) -> Iterator[str]:
     """Yield `line: found; use ...` for each finding in a piece of prose."""
     if text.docstring and (opener := _OPENERS.match(text.text)):
         yield f"{text.line}: docstring begins with {opener[1]}; begin with a verb or a noun"
-    plain = _CODE.sub(lambda code: "code" + "\n" * code[0].count("\n"), text.text)
     for pattern, instead in _WORDS.items():
-        for found in pattern.finditer(plain):
-            line = text.line + plain.count("\n", 0, found.start())
+        for found in pattern.finditer(text.text):
+            line = text.line + text.text.count("\n", 0, found.start())
             yield f"{line}: {found[0]!r}; use {instead}"
-    for sentence in _ENDS.split(plain):
+    for sentence in _ENDS.split(text.text):
         if (count := len(_LONG_WORD.findall(sentence))) > SENTENCE_MOST:
-            line = text.line + plain.count("\n", 0, plain.find(sentence))
+            line = text.line + text.text.count("\n", 0, text.text.find(sentence))
             yield f"{line}: a sentence of {count} words; at most {SENTENCE_MOST}"
 
 
@@ -138,7 +142,7 @@ def main(paths: list[str]) -> int:
             for finding in findings_of(text):
                 print(f"{path.relative_to(ROOT)}:{finding}")
                 count += 1
-            found = [word.lower() for word in _WORD.findall(_CODE.sub(" ", text.text))]
+            found = [word.lower() for word in _WORD.findall(text.text)]
             words += len(found)
             whats += found.count("what")
     rate = 1000 * whats / max(words, 1)
