@@ -41,7 +41,9 @@ FINER = 1.6
 # Minimum fineness of the coarser mesh of a reference.
 COARSEST = 0.75
 # Maximum number of elements of a reference.
-TRUTH_ELEMENTS_MAX = 600_000
+TRUTH_ELEMENTS_MAX = {"cpu": 600_000, "cuda": 4_000_000}
+# Least ratio of the elements' lengths of both meshes from which a reference is extrapolated.
+RATIO_LEAST = 1.2
 # Family of the drawn scenes to use: typical uses.
 FAMILY = "sensible"
 
@@ -113,17 +115,26 @@ def judged(one: Drawn, tolerance: str, device: str, seconds: float) -> Row:
 
 
 def _truth(scene: Scene, result: Result, device: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return the extrapolated force (F, 3) [N], and its uncertainty (F,) [N]."""
+    """Return the extrapolated force (F, 3) [N], and its uncertainty (F,) [N].
+
+    Raises:
+        SceneError: The limit on elements makes both meshes too similar.
+        SimulationDiverged: A mesh found no solution.
+    """
+    most = TRUTH_ELEMENTS_MAX["cpu" if device == "cpu" else "cuda"]
     fineness = result.record["mesh"].get("fineness", COARSEST)
     finest, middle = (
         simulate_one(
             scene,
-            numerics=Numerics(fineness=one, elements_max=TRUTH_ELEMENTS_MAX),
+            numerics=Numerics(fineness=one, elements_max=most),
             device=device,
         )
         for one in (max(COARSEST, fineness) * FINER, max(COARSEST, fineness))
     )
-    step = (finest.force - middle.force) * left_of_difference(elements_ratio(middle, finest))
+    ratio = elements_ratio(middle, finest)
+    if ratio < RATIO_LEAST:
+        raise SceneError(f"reference: a mesh of more than {most} elements; allowed: fewer")
+    step = (finest.force - middle.force) * left_of_difference(ratio)
     return finest.force + step, np.abs(step).max(axis=1) / 2
 
 

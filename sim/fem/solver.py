@@ -24,10 +24,11 @@ from sim.contact_size import touched_by, width_of
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem.assembly import Assembly
 from sim.fem.mesh import Mesh, meshes_of
-from sim.fem.newton import MIN_FORCE_SCALE, Newton, Path, path_of
+from sim.fem.newton import Newton, Path, min_force_scale, path_of
 from sim.fem.numerics import Numerics, Precision
 from sim.fem.self_overlap import self_overlap
 from sim.fem.sizing import (
+    NOTHING,
     Sizes,
     coarser_than_asked,
     covered,
@@ -358,7 +359,8 @@ class Collector:
         quality = self._quality
         quality["residual"][frame] = residual
         quality["contact"][frame] = points.penetration.max(initial=0.0) / depth
-        scale = max(size, float(np.linalg.norm(external)), MIN_FORCE_SCALE[assembly.precision])
+        least = min_force_scale(mesh, assembly.precision)
+        scale = max(size, float(np.linalg.norm(external)), least)
         quality["balance"][frame] = float(np.linalg.norm(external + held.base(env))) / scale
         stored = stored_energy(held, env, points, u)
         if self._start is None:
@@ -469,9 +471,10 @@ def simulate_fem(
     keys = [(i, stage.waypoints) for i, stage in parts]
     known = asked or {}
     sizes = [known.get(key, stage.sizes) for key, (_i, stage) in zip(keys, parts, strict=True)]
-    outcomes = _following(some, list(sizes), numerics, device, progress)
+    lasting = list(sizes)
+    outcomes = _following(some, list(sizes), lasting, numerics, device, progress)
     if asked is not None:
-        for key, size, outcome in zip(keys, sizes, outcomes, strict=True):
+        for key, size, outcome in zip(keys, lasting, outcomes, strict=True):
             asked[key] = _learnt(size, outcome)
     of_scene: list[list[Outcome]] = [[] for _scene in scenes]
     for (i, _stage), outcome in zip(parts, outcomes, strict=True):
@@ -501,11 +504,16 @@ def _in_one(stages: list[Outcome]) -> Outcome:
 def _following(
     scenes: Sequence[Scene],
     sizes: list[Sizes],
+    lasting: list[Sizes],
     numerics: Numerics,
     device: str,
     progress: Progress | None,
 ) -> list[Outcome]:
-    """Solve presses on meshes that follow their contacts, rebuilt where the solution needs more."""
+    """Solve presses on meshes that follow their contacts, rebuilt where the solution needs more.
+
+    To `sizes` is added what the solutions need, and to `lasting` what overlaps so large need that
+    finer meshes will have them too.
+    """
     outcomes = _on_meshes(scenes, numerics, sizes, device, progress)
     for attempt in range(1, REMESHED + 1):
         wanted = {i: more_wanted(one) for i, one in enumerate(outcomes) if isinstance(one, Result)}
@@ -514,6 +522,7 @@ def _following(
             break
         for i in again:
             sizes[i] = sizes[i].joined(wanted[i])
+            lasting[i] = lasting[i].joined(_wanted_of_overlap(outcomes[i], OVERLAP_LASTS))
         alike: dict[Precision, list[int]] = {}
         for i in again:
             alike.setdefault(precision_for_finer(outcomes[i], numerics), []).append(i)
@@ -575,6 +584,9 @@ TOO_COARSE, COARSE = 1.6, 1.25
 # Overlap of skin and indenter over the width of the contact: above the first the mesh is refined
 # there, or a warning is issued; above the second there is no result.
 OVERLAP_GOOD, OVERLAP_MOST = 0.04, 0.2
+# Overlap over the width above which a mesh 1.6 times as fine is expected to have one that is too
+# large as well: it falls with the square of the elements' size.
+OVERLAP_LASTS = 0.1
 # Overlap over the side of the smallest elements below which nothing has passed through: such an
 # overlap is a light touch on elements that are far too large for it.
 PASSED = 0.1
@@ -608,14 +620,19 @@ def more_wanted(result: Result) -> Sizes | None:
     fineness = result.record["mesh"]["fineness"]
     x, y = result.surface_x, result.surface_y
     found = _asked_by(result)
-    wanted = None
+    wanted = _wanted_of_overlap(result, OVERLAP_GOOD)
     if coarser_than_asked(found, x, y, fineness) > TOO_COARSE:
-        wanted = found
-    if overlap_shares(result, result.quality.overlap).max(initial=0.0) > OVERLAP_GOOD:
-        place = result.record["overlap"]["place"]
-        finer = finer_at(place, x, y, fineness)
-        wanted = finer if wanted is None else wanted.joined(finer)
-    return wanted
+        wanted = wanted.joined(found)
+    return None if wanted is NOTHING else wanted
+
+
+def _wanted_of_overlap(result: Result, most: float) -> Sizes:
+    """Return smaller elements where the overlap is largest, if its share is more than `most`."""
+    if overlap_shares(result, result.quality.overlap).max(initial=0.0) <= most:
+        return NOTHING
+    fineness = result.record["mesh"]["fineness"]
+    place = result.record["overlap"]["place"]
+    return finer_at(place, result.surface_x, result.surface_y, fineness)
 
 
 def _asked_by(result: Result) -> Sizes:
@@ -630,10 +647,7 @@ def _asked_by(result: Result) -> Sizes:
 
 
 def _learnt(sizes: Sizes, outcome: Outcome) -> Sizes:
-    """Return the sizes for a finer mesh, with those of the solution's contacts where finer.
-
-    Sizes required because of overlap are not added: a finer mesh may have no overlap.
-    """
+    """Return the sizes for a finer mesh, with those of the solution's contacts where finer."""
     if isinstance(outcome, SimulationDiverged):
         return sizes
     mesh, found = outcome.record["mesh"], _asked_by(outcome)

@@ -14,6 +14,7 @@ from sim.fem.sizing import Sizes, Span
 from sim.fem.solver import Asked, simulate_fem
 from sim.indenters import sphere
 from sim.result import Result
+from sim.simulate import simulate
 from sim.tolerance import STATES_MOST, _states
 
 BALL = Scene(sphere(4e-3), press([0.3e-3]))
@@ -51,6 +52,16 @@ def test_what_a_solution_asks_for_spares_the_next_mesh_being_made_anew() -> None
     assert isinstance(second, Result)
     assert "made_anew" not in second.record["mesh"]
     np.testing.assert_allclose(second.force, first.force, rtol=0.02, atol=1e-4)
+
+
+def test_states_of_a_contact_far_smaller_than_the_thickness_are_balanced() -> None:
+    """The force is 2 mN, a thirtieth of the least force that the thickness alone would suggest."""
+    scene = Scene(sphere(0.5e-3), press([0.05e-3]), Body(80e-3, 80e-3, 20e-3))
+    loose, exact = (
+        simulate(scene, numerics=Numerics(fineness=0.3, tolerance=one, path_tolerance=one)).force
+        for one in (1e-2, 1e-5)
+    )
+    np.testing.assert_allclose(loose[-1, 2], exact[-1, 2], rtol=0.01)
 
 
 @pytest.mark.slow
