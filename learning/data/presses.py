@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, Protocol, Self, get_args
 
@@ -234,6 +234,30 @@ def read_frames(
         frames[first : first + len(read)] = read
         progress(first + len(read), len(rows))
     return frames
+
+
+def read_frames_of(
+    sensors: Sequence[ArchivedSensor],
+    rows: Sequence[NDArray[np.int64]],
+    device: torch.device | str,
+    progress: Progress = lambda done, total: None,
+) -> Tensor:
+    """Read images (n, 256, 256) uint8 of the rows of several sensors, one after another.
+
+    Raises:
+        SessionError: A row does not exist, or a chunk is missing or corrupt.
+    """
+    total, done = sum(map(len, rows)), 0
+    images = torch.empty(total, *_IMAGE, dtype=torch.uint8, device=device)
+    for sensor, mine in zip(sensors, rows, strict=True):
+        images[done : done + len(mine)] = read_frames(
+            sensor,
+            mine,
+            images.device,
+            progress=lambda read, _, before=done: progress(before + read, total),  # type: ignore[misc]
+        )
+        done += len(mine)
+    return images
 
 
 def _read_fields(
