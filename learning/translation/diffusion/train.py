@@ -31,7 +31,7 @@ from learning.errors import LearningError
 from learning.train_command import open_data, run_training, trained_on
 from learning.training.checkpoint import load_weights, read_model_folder
 from learning.training.optim import set_rate
-from learning.training.run import LaunchSettings, Session, accelerator
+from learning.training.run import Session, accelerator
 from learning.training.run import batch as sampled
 from learning.training.run import generator as chance
 from learning.translation.diffusion.conditioning import Conditioning
@@ -42,14 +42,12 @@ from learning.translation.diffusion.discriminator import (
     augment,
     multilevel_sigmoid,
 )
-from learning.translation.diffusion.network import MarkerToMarker, Posterior, Range, build
+from learning.translation.diffusion.network import MarkerToMarker, Posterior, build
 from learning.translation.diffusion.train_vae import (
     BASE,
-    Optimiser,
-    Weights,
+    TrainingSettings,
     load_vae_adapter,
     require_base,
-    require_training,
     vae_adapter_of,
 )
 from learning.translation.diffusion.weights import (
@@ -95,27 +93,17 @@ class LossWeights:
 
 
 @dataclass(frozen=True, slots=True)
-class TranslatorSettings:
+class TranslatorSettings(TrainingSettings):
     """Training settings of the diffusion translator."""
 
-    description: str
-    """Source of the numbers."""
-    optimiser: Optimiser
-    """Settings of the generator's and the discriminator's separate optimisers."""
     losses: LossWeights = field(default_factory=LossWeights)
     """Weights of the losses."""
-    weights: Weights = field(default_factory=Weights)
-    """Published weights that training starts from."""
-    pixel_range: Range = "minus_one_one"
-    """Values of black and white for the networks, which were all trained for -1 and 1."""
     conditioning: Conditioning = "patch_tokens"
     """Encoding of references for cross-attention."""
     source_reference: bool = True
     """True if the untouched source is also an input."""
     unet_rank: int = 8
     """Rank of the UNet's adapter."""
-    vae_rank: int = 4
-    """Rank of the autoencoder's adapter if no trained one is given."""
     train_vae: bool = True
     """True if the autoencoder's adapter is trained, as in the paper; in the authors' code no
     optimiser updates it."""
@@ -124,29 +112,9 @@ class TranslatorSettings:
     two_pass: bool = False
     """True for separate passes and steps for reconstruction and adversary (authors' code); False
     for one pass and one step."""
-    steps: int = 100_000
-    """Steps of the generator's optimiser."""
-    batch: int = 16
-    """Batch size on one device, before accumulation."""
-    accumulation: int = 1
-    """Number of batches accumulated per step."""
-    launch: LaunchSettings = field(default_factory=LaunchSettings)
-    """Devices and precision; the step to the clean latent and the losses are always float32."""
-    gradient_checkpointing: bool = False
-    """True to recompute activations instead of storing them: less memory, more time."""
-    validated: int = 256
-    """Largest number of validation pairs to evaluate."""
-    checkpoint_every: int = 1000
-    """Steps between checkpoints."""
-    log_every: int = 25
-    """Steps between lines in the log."""
-    validate_every: int = 1000
-    """Steps between validations."""
-    seed: int = 0
-    """Seed of everything random."""
 
     def __post_init__(self) -> None:
-        require_training(self)
+        TrainingSettings.__post_init__(self)
         require(self, "unet_rank", least=1, most=1024)
         if self.two_pass and self.accumulation != 1:
             raise LearningError("accumulation: found more than 1; two_pass allows 1")

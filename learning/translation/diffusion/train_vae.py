@@ -58,7 +58,7 @@ PRESETS = Path(__file__).parent / "presets" / "marker_vae"
 _AT_ONCE = 16  # images evaluated at once
 
 
-# Settings; the first two classes are the translator's as well
+# Settings; those before the last class are the translator's as well
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,28 +108,19 @@ class Optimiser:
 
 
 @dataclass(frozen=True, slots=True)
-class MarkerVaeSettings:
-    """Training settings of the marker autoencoder, the stage before the translator."""
+class TrainingSettings:
+    """Settings that both stages of training have."""
 
     description: str
     """Source of the numbers."""
     optimiser: Optimiser
-    """Optimiser of the adapter."""
+    """Settings of each optimiser; a discriminator has its own."""
     weights: Weights = field(default_factory=Weights)
-    """Published weights that training starts from; only `base` is read."""
+    """Published weights that training starts from."""
     pixel_range: Range = "minus_one_one"
-    """Values of black and white for the network."""
+    """Values of black and white for the networks, which were all trained for -1 and 1."""
     vae_rank: int = 4
-    """Rank of the adapter."""
-    absolute: float = 1.0
-    """Weight of the mean absolute error."""
-    square: float = 1.0
-    """Weight of the mean squared error."""
-    divergence: float = 1e-6
-    """Weight of the posterior's divergence from the normal distribution, summed over a latent."""
-    decode_scaled: bool = False
-    """True if the decoder takes the latent times its scaling factor, as in the authors' code. Their
-    translator decodes it unscaled."""
+    """Rank of the autoencoder's adapter; a translator's, if no trained one is given."""
     steps: int = 100_000
     """Steps of the optimiser."""
     batch: int = 16
@@ -137,11 +128,11 @@ class MarkerVaeSettings:
     accumulation: int = 1
     """Number of batches accumulated per step."""
     launch: LaunchSettings = field(default_factory=LaunchSettings)
-    """Devices and precision; losses are always float32."""
+    """Devices and precision; the step to the clean latent and the losses are always float32."""
     gradient_checkpointing: bool = False
-    """True to recompute activations instead of storing them."""
+    """True to recompute activations instead of storing them: less memory, more time."""
     validated: int = 256
-    """Largest number of validation images to evaluate."""
+    """Largest number of validation images or pairs to evaluate."""
     checkpoint_every: int = 1000
     """Steps between checkpoints."""
     log_every: int = 25
@@ -152,15 +143,28 @@ class MarkerVaeSettings:
     """Seed of everything random."""
 
     def __post_init__(self) -> None:
-        require_training(self)
+        require(self, "vae_rank", least=1, most=1024)
+        require(self, "steps", "batch", "accumulation", least=1)
+        require(self, "checkpoint_every", "log_every", "validate_every", least=1)
+
+
+@dataclass(frozen=True, slots=True)
+class MarkerVaeSettings(TrainingSettings):
+    """Training settings of the marker autoencoder, the stage before the translator."""
+
+    absolute: float = 1.0
+    """Weight of the mean absolute error."""
+    square: float = 1.0
+    """Weight of the mean squared error."""
+    divergence: float = 1e-6
+    """Weight of the posterior's divergence from the normal distribution, summed over a latent."""
+    decode_scaled: bool = False
+    """True if the decoder takes the latent times its scaling factor, as in the authors' code. Their
+    translator decodes it unscaled."""
+
+    def __post_init__(self) -> None:
+        TrainingSettings.__post_init__(self)
         require(self, "absolute", "square", "divergence", least=0)
-
-
-def require_training(settings: Any) -> None:
-    """Reject settings that no training of this package can have."""
-    require(settings, "vae_rank", least=1, most=1024)
-    names = ("steps", "batch", "accumulation", "checkpoint_every", "log_every", "validate_every")
-    require(settings, *names, least=1)
 
 
 # Network and losses

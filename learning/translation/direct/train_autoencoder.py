@@ -54,37 +54,22 @@ LOG_EVERY = 25
 
 
 @dataclass(frozen=True, slots=True)
-class AutoencoderSettings:
-    """Settings of a training, apart from its data."""
+class TrainingSettings:
+    """Settings of a training, apart from its data, that autoencoder and translator have."""
 
     description: str
     """Purpose of the preset."""
     widths: tuple[int, int, int] = (48, 96, 256)
-    """Channels at 1/2, 1/4 and 1/8 of the side; the last is the number of pooled features."""
-    latent: int = 8
-    """Channels of the latent."""
-    absolute: float = 1.0
-    """Weight of the mean absolute error (the paper, Methods)."""
-    squared: float = 1.0
-    """Weight of the mean squared error (the paper, Methods)."""
-    divergence: float = 1e-6
-    """Weight of the divergence from a standard normal, summed over an image (the paper)."""
-    procedural: float = 0.5
-    """Share of random patterns under made-up deformations; 1 without an archive."""
-    orientation: bool = True
-    """Mirror images and rotate them by quarter turns."""
-    most_images: int = 100_000
-    """Largest number of archive images in memory, chosen at random (64 KiB each)."""
+    """Channels at 1/2, 1/4 and 1/8 of the side. Those of a translator equal its autoencoder's,
+    whose last one is the number of pooled features."""
     steps: int = 20_000
     """Number of optimiser steps."""
     batch: int = 64
     """Batch size over all devices."""
     learning_rate: float = 3e-4
-    """Peak rate of AdamW, reached after `warm_up` steps."""
+    """Peak rate of AdamW, reached after `warm_up` steps; decays to 0 as a cosine."""
     warm_up: int = 500
     """Number of steps over which the learning rate rises."""
-    fall: Literal["cosine", "no"] = "cosine"
-    """Decay of the learning rate to 0 at the last step."""
     weight_decay: float = 1e-2
     """Weight decay of AdamW."""
     clip: float = 1.0
@@ -103,11 +88,9 @@ class AutoencoderSettings:
     """Number of steps between checkpoints."""
 
     def __post_init__(self) -> None:
-        require(self, "latent", "steps", "batch", "most_images", least=1)
-        require(self, "validate_every", "save_every", least=1)
+        require(self, "steps", "batch", "validate_every", "save_every", least=1)
         if any(width < 8 or width % 8 for width in self.widths):
             raise LearningError(f"widths: found {self.widths}; allowed: multiples of 8")
-        require(self, "procedural", least=0, most=1)
 
     @property
     def schedule(self) -> Schedule:
@@ -116,6 +99,38 @@ class AutoencoderSettings:
         Raises:
             LearningError: Warm-up takes all steps, or the rate is invalid.
         """
+        return Cosine(self.learning_rate, self.steps, self.warm_up)
+
+
+@dataclass(frozen=True, slots=True)
+class AutoencoderSettings(TrainingSettings):
+    """Settings of an autoencoder and its training."""
+
+    latent: int = 8
+    """Channels of the latent."""
+    absolute: float = 1.0
+    """Weight of the mean absolute error (the paper, Methods)."""
+    squared: float = 1.0
+    """Weight of the mean squared error (the paper, Methods)."""
+    divergence: float = 1e-6
+    """Weight of the divergence from a standard normal, summed over an image (the paper)."""
+    procedural: float = 0.5
+    """Share of random patterns under made-up deformations; 1 without an archive."""
+    orientation: bool = True
+    """Mirror images and rotate them by quarter turns."""
+    most_images: int = 100_000
+    """Largest number of archive images in memory, chosen at random (64 KiB each)."""
+    fall: Literal["cosine", "no"] = "cosine"
+    """Decay of the learning rate to 0 at the last step."""
+
+    def __post_init__(self) -> None:
+        TrainingSettings.__post_init__(self)
+        require(self, "latent", "most_images", least=1)
+        require(self, "procedural", least=0, most=1)
+
+    @property
+    def schedule(self) -> Schedule:
+        """Learning rate by step, constant after warm-up if it does not fall."""
         if self.fall == "no":
             return Constant(self.learning_rate, self.warm_up)
         return Cosine(self.learning_rate, self.steps, self.warm_up)
