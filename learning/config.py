@@ -8,6 +8,7 @@ dataclasses, `kind` selects one by its `KIND`.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
@@ -71,6 +72,30 @@ def read_settings(
         value = READER.parse(text, f"--set {key}")
         content = merged(content, _nested(key.split("."), value))
     return READER.build(kind, content, str(path))
+
+
+def require(
+    settings: Any,
+    *names: str,
+    least: float = -math.inf,
+    above: float = -math.inf,
+    most: float = math.inf,
+) -> None:
+    """Reject fields of settings outside a range. None is allowed; a tuple is checked by item.
+
+    Raises:
+        LearningError: Names the field, its value and the range.
+    """
+    low = f"above {above}" if above > least else str(least)
+    if most == math.inf:
+        allowed = low if above > least else f"{low} or more"
+    else:
+        allowed = f"{low} to {most}" if max(least, above) > -math.inf else f"{most} or less"
+    for name in names:
+        value = getattr(settings, name)
+        for each in value if isinstance(value, tuple) else (value,):
+            if each is not None and not (least <= each <= most and each > above):
+                raise LearningError(f"{name}: found {value}; allowed: {allowed}")
 
 
 def settings_to_dict(settings: Any) -> dict[str, Any]:

@@ -1,47 +1,16 @@
-"""Common part of the commands that train: run folder, Ctrl-C, progress, final report."""
+"""Common part of the commands that train: data, run folder, Ctrl-C, progress, final report."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from learning.data.splits import Split, read_split
-from learning.training.run import EXIT_INTERRUPTED, RunFolder, Stop, accelerator, described
+from learning.training.run import EXIT_INTERRUPTED, RunFolder, Session, Stop, accelerator, described
 from recorder import MarkerArchive
 from recorder.progress import ItemProgress
-
-if TYPE_CHECKING:
-    import torch
-    from accelerate import Accelerator
-
-
-@dataclass(frozen=True, slots=True)
-class Training:
-    """Context that a command passes to its training function."""
-
-    run: RunFolder
-    """Folder of the run, which is not finished."""
-    accelerator: Accelerator
-    """Device and precision, as set up by Accelerate."""
-    stop: Stop
-    """Ctrl-C handler; enter it only where the current step can be completed first."""
-    reading: ItemProgress
-    """Called as data is read."""
-    steps: ItemProgress
-    """Called as steps are done."""
-
-    @property
-    def device(self) -> torch.device:
-        """Device of the computation."""
-        device: torch.device = self.accelerator.device
-        return device
-
-    def stopping(self) -> bool:
-        """Return True if this process was asked to stop."""
-        return self.stop.asked
 
 
 def open_data(options: argparse.Namespace) -> tuple[MarkerArchive, Split]:
@@ -65,8 +34,8 @@ def run_training(
     options: argparse.Namespace,
     kind: str,
     settings: Any,
-    data: str,
-    train: Callable[[Training], Iterable[str] | None],
+    data: Iterable[str],
+    train: Callable[[Session], Iterable[str] | None],
     *,
     reading: str = "images",
     facts: Mapping[str, Any] | None = None,
@@ -77,7 +46,7 @@ def run_training(
         options: Options of the command; `out` and `resume` are read.
         kind: Kind of the model, one of `KINDS`.
         settings: Settings of the training; `launch` selects device and precision.
-        data: Fingerprint of the training data.
+        data: Words that identify the training data, joined to its fingerprint.
         train: Reads the data, trains, and finishes the run unless it was stopped. Returns lines to
             print at the end, or None for the default line.
         reading: Name of the items that are counted while data is read.
@@ -90,14 +59,9 @@ def run_training(
         LearningError: Another run is in the folder, or the training was rejected.
     """
     launched = accelerator(settings.launch)
+    writes = launched.is_main_process
     with RunFolder.open(
-        options.out,
-        kind,
-        settings,
-        data,
-        options.resume,
-        facts=facts,
-        writes=launched.is_main_process,
+        options.out, kind, settings, " ".join(data), options.resume, facts=facts, writes=writes
     ) as run:
         if run.finished:
             print(f"{options.out}: is finished")
@@ -105,10 +69,10 @@ def run_training(
         print(described(launched), file=sys.stderr)
         stop = Stop(lambda line: print(line, file=sys.stderr))
         with (
-            ItemProgress(reading, sys.stderr) as frames,
+            ItemProgress(reading, sys.stderr) as items,
             ItemProgress("steps", sys.stderr) as steps,
         ):
-            told = train(Training(run, launched, stop, frames, steps))
+            told = train(Session(launched, run, stop, steps, items))
         if stop.agreed(launched) and not run.finished:
             print(f"{options.out}: stopped; continue with --resume", file=sys.stderr)
             return EXIT_INTERRUPTED

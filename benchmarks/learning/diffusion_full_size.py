@@ -27,17 +27,19 @@ from learning.config import read_settings, settings_to_dict
 from learning.data.images import SIDE, enlarge_images
 from learning.data.synthetic import before, random_fields, sample_patterns, untouched
 from learning.errors import LearningError
-from learning.training.run import METRICS, RunFolder, described, generator
+from learning.training.run import METRICS, RunFolder, Session, described, generator
 from learning.training.run import accelerator as launched
 from learning.translation.diffusion.data import ImagePairs
 from learning.translation.diffusion.network import MarkerToMarker, fuse
-from learning.translation.diffusion.settings import (
-    TRANSLATOR_PRESETS,
+from learning.translation.diffusion.train import (
+    KIND,
+    PRESETS,
     LossWeights,
+    Pretrained,
     TranslatorSettings,
+    train,
 )
-from learning.translation.diffusion.train import Pretrained, train
-from learning.translation.diffusion.translator import KIND, DiffusionTranslator
+from learning.translation.diffusion.translator import DiffusionTranslator
 from learning.translation.diffusion.weights import WIDTHS, PerceptualDistance, vendor
 from recorder.progress import ItemProgress
 from recorder.store.durable import replace_file
@@ -167,7 +169,7 @@ def check(
         # The posterior of a random encoder is pure noise.
         "sample_latents=false",
     ]
-    settings = read_settings(TranslatorSettings, TRANSLATOR_PRESETS, "ours", [*own, *overrides])
+    settings = read_settings(TranslatorSettings, PRESETS, "ours", [*own, *overrides])
     made = networks or _full_size
     total = steps * (len(batches) + 1)
     measured: list[dict[str, Any]] = []
@@ -249,7 +251,8 @@ def _measured(
         progress(done, total)
 
     pairs = overfitted_pairs(SAME, side, device)
-    network = train(pairs, networks(device), settings, accelerator=runs_on, progress=stamp)
+    session = Session(runs_on, progress=stamp)
+    network = train(pairs, networks(device), settings, session=session)
     seconds = times[settings.steps] - times[WARM]
     memory = torch.cuda.max_memory_allocated(device) / 2**30 if on_gpu else None
     learning = sum(each.numel() for each in network.learning().values())
@@ -277,7 +280,7 @@ def _falling(
     ):
         pairs = overfitted_pairs(SAME, side, runs_on.device)
         made = networks(runs_on.device)
-        train(pairs, made, settings, run=run, accelerator=runs_on, progress=progress)
+        train(pairs, made, settings, session=Session(runs_on, run, progress=progress))
         lines = map(json.loads, (run.path / METRICS).read_text().splitlines())
         return {str(line["step"]): line["train/square"] for line in lines}
 

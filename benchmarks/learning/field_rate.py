@@ -17,11 +17,11 @@ import torch
 
 from learning.config import read_settings
 from learning.data.images import shrink_masks
-from learning.training.run import accelerator, generator
+from learning.training.run import Session, accelerator, generator
 from learning.translation.field.data import Frames, distances_of, random_shifts
-from learning.translation.field.settings import PRESETS, FieldSettings
-from learning.translation.field.train import train_field
-from learning.translation.field.translator import FieldModel, FieldTranslator
+from learning.translation.field.network import FieldModel
+from learning.translation.field.train import PRESETS, FieldSettings, train_field
+from learning.translation.field.translator import FieldTranslator
 from recorder.markers import HEIGHT, WIDTH
 
 _SECONDS = 3.0
@@ -65,7 +65,7 @@ def main(argv: list[str] | None = None) -> None:
         _wait(device)
         began[done] = time.perf_counter()
 
-    train_field(frames, settings, accelerator=accelerator(settings.launch), progress=note)
+    train_field(frames, settings, session=Session(accelerator(settings.launch), progress=note))
     for stage, first in (("field", 0), ("map", options.steps)):
         # Kernels are selected during the first steps.
         early, last = first + max(1, options.steps // 3), first + options.steps

@@ -77,12 +77,12 @@ def _run(options: argparse.Namespace) -> int:
             f"{options.sensor}: found no label in row {rows[unlabelled][0]}, and "
             f"{unlabelled.sum()} such rows; allowed: labelled frames, to compare with"
         )
-    predictor = load_force_model(options.model, options.device)
-    form: Form = "field" if predictor.model.inputs.form == "field" else "images"
+    model = load_force_model(options.model, options.device)
+    form: Form = "field" if model.inputs.form == "field" else "images"
     with ItemProgress("frames", sys.stderr) as progress:
         presses = load_presses(sensor, rows, device=options.device, form=form, progress=progress)
     with ItemProgress("forces", sys.stderr) as progress:
-        predicted = predictor.predict(presses, progress=progress)
+        predicted = model.predict(presses, progress=progress)
     rows = presses.rows.numpy()
     made = predictions_of(
         sensor,

@@ -58,7 +58,7 @@ UNITS = "d0: share of the source's depth range; depths m; forces, errors and res
 
 @dataclass(frozen=True, slots=True)
 class PairCompensation:
-    """Compensation of the labels of one sensor for another; applied by `learning.force.data`."""
+    """Compensation of the labels of one sensor for another; applied by `learning.force.train`."""
 
     source: Prior
     target: Prior

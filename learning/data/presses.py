@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, Protocol, Self, get_args
+from typing import Any, Literal, Self, get_args
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.utils.data import DataLoader, Dataset
 
 from learning.data.images import (
     FIELD_SIDE,
@@ -236,6 +235,30 @@ def read_frames(
     return frames
 
 
+def read_frames_of(
+    sensors: Sequence[ArchivedSensor],
+    rows: Sequence[NDArray[np.int64]],
+    device: torch.device | str,
+    progress: Progress = lambda done, total: None,
+) -> Tensor:
+    """Read images (n, 256, 256) uint8 of the rows of several sensors, one after another.
+
+    Raises:
+        SessionError: A row does not exist, or a chunk is missing or corrupt.
+    """
+    total, done = sum(map(len, rows)), 0
+    images = torch.empty(total, *_IMAGE, dtype=torch.uint8, device=device)
+    for sensor, mine in zip(sensors, rows, strict=True):
+        images[done : done + len(mine)] = read_frames(
+            sensor,
+            mine,
+            images.device,
+            progress=lambda read, _, before=done: progress(before + read, total),  # type: ignore[misc]
+        )
+        done += len(mine)
+    return images
+
+
 def _read_fields(
     sensor: ArchivedSensor,
     presses: Presses,
@@ -378,98 +401,8 @@ def _force(values: NDArray[np.float64]) -> Force:
     return x, y, z
 
 
-# Storage of a training's frames: all in device memory, or read from the archive.
-#
-# Both give the same batches, as the frames of a step depend on seed and step alone
-# (`learning.training.run`). 180,000 frames take 11.8 GB of memory; if that is too much, worker
-# processes read the frames in order and ahead of time.
-
 # Memory of an image [bytes].
 FRAME_BYTES = SIDE * SIDE
-# Share of the free memory for images: the rest is for the network and its gradients.
-SHARE = 0.6
-
-Numbers = NDArray[np.int64]
-
-
-class FrameSource(Protocol):
-    """Source of images by the number of their frame among the presses."""
-
-    def batches(self, wanted: Iterable[Numbers]) -> Iterator[Tensor]:
-        """Yield, for each list of frame numbers (n,), images (n, 256, 256) uint8 on the device."""
-        ...
-
-
-@dataclass(frozen=True, slots=True)
-class Resident:
-    """All images in the device's memory."""
-
-    presses: Presses
-
-    def batches(self, wanted: Iterable[Numbers]) -> Iterator[Tensor]:
-        """Yield images (n, 256, 256) for each list of frame numbers."""
-        for numbers in wanted:
-            yield self.presses.images[torch.from_numpy(numbers).to(self.presses.device)]
-
-
-@dataclass(frozen=True, slots=True)
-class Streaming:
-    """Images read from the archive on demand by worker processes."""
-
-    sensor: ArchivedSensor
-    presses: Presses
-    device: torch.device
-    workers: int
-    """Number of processes; 0 reads in this process."""
-
-    def batches(self, wanted: Iterable[Numbers]) -> Iterator[Tensor]:
-        """Yield images (n, 256, 256) for each list of frame numbers."""
-        loader: DataLoader[Tensor] = DataLoader(
-            _Read(self.sensor, self.presses.rows.numpy()),
-            batch_size=None,
-            sampler=_Wanted(wanted),
-            num_workers=self.workers,
-            pin_memory=self.device.type == "cuda",
-        )
-        for images in loader:
-            yield images.to(self.device, non_blocking=True)
-
-
-def open_frames(
-    sensor: ArchivedSensor,
-    rows: Any,
-    *,
-    device: torch.device | str = "cpu",
-    workers: int = 4,
-    share: float = SHARE,
-    progress: Progress = lambda done, total: None,
-) -> tuple[Presses, FrameSource]:
-    """Return presses and the source of their images: memory if they fit, else the archive.
-
-    If they do not fit, the `images` of the presses have a shape but no data.
-
-    Args:
-        sensor: The sensor.
-        rows: Rows of its table.
-        device: Device of the images.
-        workers: Number of reading processes if the images do not fit; 0: read in this process.
-        share: Share of the free memory that images may take.
-        progress: Called with the number of frames read and in total.
-
-    Raises:
-        LearningError: Rows repeat or are invalid, or a number is out of range.
-        SessionError: A row does not exist, or the archive is unfinished or corrupt.
-    """
-    if workers < 0 or not 0 <= share <= 1:
-        raise LearningError(
-            f"workers, share: found {workers}, {share}; allowed: 0 and more, 0 to 1"
-        )
-    where = torch.device(device)
-    described = press_table(sensor, rows)
-    if described.frames * FRAME_BYTES <= share * free_bytes(where):
-        presses = load_presses(sensor, rows, device=where, progress=progress)
-        return presses, Resident(presses)
-    return described, Streaming(sensor, described, where, workers)
 
 
 def free_bytes(device: torch.device) -> int:
@@ -477,23 +410,3 @@ def free_bytes(device: torch.device) -> int:
     if device.type == "cuda":
         return int(torch.cuda.mem_get_info(device)[0])
     return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-
-
-class _Read(Dataset[Tensor]):
-    """Dataset whose index is a list of frame numbers, a batch."""
-
-    def __init__(self, sensor: ArchivedSensor, rows: Numbers) -> None:
-        self._sensor, self._rows = sensor, rows
-
-    def __getitem__(self, numbers: Numbers) -> Tensor:
-        return read_frames(self._sensor, self._rows[numbers], torch.device("cpu"))
-
-
-class _Wanted:
-    """Sampler that yields lists of frame numbers."""
-
-    def __init__(self, wanted: Iterable[Numbers]) -> None:
-        self._wanted = wanted
-
-    def __iter__(self) -> Iterator[Numbers]:
-        return iter(self._wanted)

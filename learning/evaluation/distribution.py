@@ -417,7 +417,7 @@ def require_images(images: Images) -> None:
 def _autoencoder(folder: Path, device: str) -> Network:
     import torch
 
-    from learning.translation.direct.autoencoder import load_autoencoder
+    from learning.translation.direct.train_autoencoder import load_autoencoder
 
     model: Any = load_autoencoder(folder, device)
 

@@ -29,13 +29,11 @@ from learning.experiment.parts import (
 )
 from learning.experiment.settings import ExperimentSettings
 from learning.experiment.translating import flow_fields, translate_presses, warp_presses
-from learning.force.data import Compensation
-from learning.force.model import PRESETS, ForceSettings
-from learning.force.predict import KIND, ForcePredictor, load_force_model
-from learning.force.train import train_force
+from learning.force.model import KIND, ForceModel, load_force_model
+from learning.force.train import PRESETS, Compensation, ForceSettings, train_force
 from learning.metrics import force_errors
 from learning.training.checkpoint import read_model_folder
-from learning.training.run import RunFolder, Stop
+from learning.training.run import RunFolder, Session, Stop, accelerator
 from learning.translation.archive import Model
 from learning.translation.translator import FLOW, SensorView, for_pair
 from recorder import MarkerArchive
@@ -95,7 +93,7 @@ class Forces:
     say: Callable[[str], None]
     _tested: dict[str, Tested] = field(default_factory=dict)
     _seen: dict[str, tuple[Presses, Presses | None]] = field(default_factory=dict)
-    _own: dict[str, tuple[Path, ForcePredictor]] = field(default_factory=dict)
+    _own: dict[str, tuple[Path, ForceModel]] = field(default_factory=dict)
     _data: str = ""
 
     def own(self, sensor: str) -> Predictions:
@@ -196,7 +194,7 @@ class Forces:
         self.say(f"{pair.source} to {pair.target}, {method}{by}: R2 {errors.r2_mean:.3f}")
         return found
 
-    def _own_model(self, sensor: str) -> tuple[Path, ForcePredictor]:
+    def _own_model(self, sensor: str) -> tuple[Path, ForceModel]:
         """Return the model trained on a sensor's own frames and labels."""
         if sensor not in self._own:
             settings = self._settings()
@@ -208,7 +206,7 @@ class Forces:
             self._own[sensor] = self._trained(f"force-{sensor}", settings, sensor, frames)
         return self._own[sensor]
 
-    def _tuned_model(self, tuning: Tuning, shown: Presses) -> tuple[Path, ForcePredictor]:
+    def _tuned_model(self, tuning: Tuning, shown: Presses) -> tuple[Path, ForceModel]:
         """Return the source's model after fine-tuning on translated frames."""
         _, own = self._own_model(tuning.pair.source)
         return self._trained(
@@ -227,9 +225,9 @@ class Forces:
         sensor: str,
         frames: Callable[[], tuple[Presses, Presses | None]],
         *,
-        start_from: ForcePredictor | None = None,
+        start_from: ForceModel | None = None,
         compensation: Compensation | None = None,
-    ) -> tuple[Path, ForcePredictor]:
+    ) -> tuple[Path, ForceModel]:
         """Return a model and its folder; its training frames are loaded only if needed."""
         folder = self.places.model(name)
         with self._open(name, settings, sensor) as run:
@@ -243,12 +241,10 @@ class Forces:
                     train_force(
                         self._as_seen(presses),
                         settings,
-                        run,
+                        Session(accelerator(settings.launch), run, stop, steps),
                         validation=validation,
                         start_from=start_from,
                         compensation=compensation,
-                        stopped=lambda: stop.asked,
-                        progress=steps,
                     )
                 if stop.asked and not run.finished:
                     raise KeyboardInterrupt

@@ -19,10 +19,9 @@ from learning.errors import LearningError
 from learning.experiment.parts import Pair
 from learning.experiment.settings import ExperimentSettings, ModelChoice
 from learning.experiment.translating import WithoutSourceReference
-from learning.force.data import Compensation
-from learning.force.model import ForceSettings
-from learning.force.predict import ForcePredictor
-from learning.force.train import train_together
+from learning.force.model import ForceModel
+from learning.force.together import train_together
+from learning.force.train import Compensation, ForceSettings
 from learning.training.run import EXIT_INTERRUPTED, RunFolder, Stop
 from learning.translation.archive import Model, hash_of
 from learning.translation.direct import autoencoder_command as train_autoencoder
@@ -173,7 +172,7 @@ def tune_together(
     tunings: Sequence[Tuning],
     shown: Mapping[Pair, Presses],
     settings: ForceSettings,
-    start_from: ForcePredictor,
+    start_from: ForceModel,
     open_run: Callable[[Tuning], RunFolder],
 ) -> None:
     """Train all models that do not exist yet in one batch, and store them.
@@ -216,5 +215,5 @@ def tune_together(
             )
         if trained is None:
             raise KeyboardInterrupt
-        for number, predictor in zip(due, trained, strict=True):
-            runs[number].finish(taken, {"model": predictor.model})
+        for number, model in zip(due, trained, strict=True):
+            runs[number].finish(taken, {"model": model})

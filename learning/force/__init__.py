@@ -12,13 +12,11 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from learning.force.export import export_onnx
     from learning.force.live import open_live
-    from learning.force.model import ForceModel
-    from learning.force.predict import ForcePredictor, load_force_model
+    from learning.force.model import ForceModel, load_force_model
     from learning.force.stream import ForceStream, open_exported
 
 __all__ = [
     "ForceModel",
-    "ForcePredictor",
     "ForceStream",
     "export_onnx",
     "load_force_model",
@@ -28,10 +26,9 @@ __all__ = [
 
 _MODULES = {
     "ForceModel": "model",
-    "ForcePredictor": "predict",
     "ForceStream": "stream",
     "export_onnx": "export",
-    "load_force_model": "predict",
+    "load_force_model": "model",
     "open_exported": "stream",
     "open_live": "live",
 }

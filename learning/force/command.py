@@ -3,25 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from learning.command import add_resume, add_settings
-from learning.errors import LearningError
-from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
-    import torch
-
     from learning.command import Subcommands
-    from learning.data.presses import Presses
-    from learning.data.splits import Role, Split
-    from learning.force.data import Compensation
-    from learning.force.model import ForceSettings
-    from recorder import MarkerArchive
-    from recorder.archive import ArchivedSensor
 
 
 def add_to(subcommands: Subcommands) -> None:
@@ -58,103 +46,6 @@ def add_to(subcommands: Subcommands) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from learning.archive_writer import archive_fingerprint
-    from learning.config import read_settings
-    from learning.force.data import labels_of
-    from learning.force.model import PRESETS, ForceSettings
-    from learning.force.predict import KIND, ForcePredictor, load_force_model
-    from learning.force.train import train_force
-    from learning.train_command import Training, open_data, run_training
+    from learning.force.train import run
 
-    settings = read_settings(ForceSettings, PRESETS, options.preset, options.set)
-    archive, split = open_data(options)
-    sensors = _sensors(options, archive, split)
-    compensation = _compensation(options, sensors)
-    start_from = None if options.start_from is None else load_force_model(options.start_from)
-
-    def train(training: Training) -> Iterator[str]:
-        presses, validation = (
-            [
-                found
-                for name in sensors
-                if len(found := _presses(archive[name], split, role, settings, training.device))
-            ]
-            for role in ("train", "validation")
-        )
-        with training.stop:
-            predictor = train_force(
-                presses,
-                settings,
-                training.run,
-                validation=validation,
-                start_from=start_from,
-                compensation=compensation,
-                accelerator=training.accelerator,
-                stopped=training.stopping,
-                progress=training.steps,
-            )
-        return told(predictor, presses, validation) if training.run.writes else iter(())
-
-    def told(
-        predictor: ForcePredictor, presses: list[Presses], validation: list[Presses]
-    ) -> Iterator[str]:
-        yield f"{options.out}: trained on {sum(map(len, presses)):,} presses"
-        for each in validation:
-            wanted = labels_of(each, compensation).cpu().numpy()
-            x, y, z = abs(predictor.predict(each) - wanted).mean(axis=0)
-            yield f"{each.sensor}: off in validation by Fx {x:.3f}  Fy {y:.3f}  Fz {z:.3f} N"
-
-    data = [archive_fingerprint(archive), split.fingerprint, *sensors, *_begun_with(options)]
-    facts = {"sensors": sensors}
-    return run_training(options, KIND, settings, " ".join(data), train, facts=facts)
-
-
-def _sensors(options: argparse.Namespace, archive: MarkerArchive, split: Split) -> list[str]:
-    sensors: list[str] = options.sensor.split(",")
-    if unknown := [name for name in sensors if name not in archive]:
-        raise LearningError(f"--sensor: found {', '.join(unknown)}; known: {', '.join(archive)}")
-    if held_out := [name for name in sensors if name in split.held_out_sensors]:
-        raise LearningError(
-            f"--sensor: found {', '.join(held_out)}, which {options.split} holds out; allowed: "
-            f"{', '.join(split.trained_sensors(archive))}"
-        )
-    return sensors
-
-
-def _begun_with(options: argparse.Namespace) -> list[str]:
-    """Return the other dependencies of a run: hashes of files, and the selection in them."""
-    from learning.training.checkpoint import weights_hash
-
-    found = []
-    if options.start_from is not None:
-        found.append(weights_hash(options.start_from / "model.safetensors"))
-    if options.compensation is not None:
-        found += [weights_hash(options.compensation), options.pair or "", options.choice]
-    return found
-
-
-def _presses(
-    sensor: ArchivedSensor, split: Split, role: Role, settings: ForceSettings, device: torch.device
-) -> Presses:
-    from learning.data.presses import load_presses
-
-    rows = split.rows(sensor.table, role)
-    with ItemProgress("frames", sys.stderr) as frames:
-        return load_presses(
-            sensor, rows, device=device, form=settings.input.stored_form, progress=frames
-        )
-
-
-def _compensation(options: argparse.Namespace, sensors: list[str]) -> Compensation | None:
-    from learning.compensation import read_stored
-
-    if options.compensation is None:
-        if options.pair is not None:
-            raise LearningError("--pair: found without --compensation; allowed: both")
-        return None
-    source, to, target = (options.pair or sensors[0]).partition("-to-")
-    if not to or (options.pair is None and len(sensors) > 1):
-        raise LearningError(
-            f"--pair: found {options.pair or options.sensor}; allowed: A-to-B, of one pair"
-        )
-    return read_stored(options.compensation).pair(source, target, options.choice).applied
+    return run(options)

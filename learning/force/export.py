@@ -16,7 +16,6 @@ from torch import Tensor, nn
 
 from learning.errors import LearningError
 from learning.force.model import ForceModel, prepare, stored_shape
-from learning.force.predict import ForcePredictor
 from learning.force.stream import (
     AFTER,
     FORCE,
@@ -58,42 +57,42 @@ class OneFrame(nn.Module):
         return self.model.denormalise(normalised), after.float()
 
 
-def torch_stream(predictor: ForcePredictor) -> ForceStream:
-    """Return a stream that runs on torch, on the device of the predictor."""
-    return stepped_by(OneFrame(predictor.model).eval(), predictor)
+def torch_stream(model: ForceModel) -> ForceStream:
+    """Return a stream that runs on torch, on the device of the model."""
+    return stepped_by(OneFrame(model).eval(), model)
 
 
-def stepped_by(one: nn.Module, predictor: ForcePredictor) -> ForceStream:
+def stepped_by(one: nn.Module, model: ForceModel) -> ForceStream:
     """Return a stream that runs a module such as `OneFrame`."""
 
     def step(given: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         with torch.inference_mode():
             tensors = {name: torch.from_numpy(value) for name, value in given.items()}
-            force, after = one(**{n: t.to(predictor.device) for n, t in tensors.items()})
+            force, after = one(**{n: t.to(model.device) for n, t in tensors.items()})
         return force.cpu().numpy(), after.cpu().numpy()
 
-    inputs = predictor.settings.input
+    inputs = model.inputs
     return ForceStream(
         step,  # type: ignore[arg-type]
         StepInputs(
             (1, *stored_shape(inputs)),
             inputs.form != "field",
-            (1, *predictor.model.state_shape),
+            (1, *model.state_shape),
             inputs.needs_reference,
         ),
     )
 
 
-def made_up_frames(predictor: ForcePredictor, count: int, seed: int = 0) -> np.ndarray:
+def made_up_frames(model: ForceModel, count: int, seed: int = 0) -> np.ndarray:
     """Return random stored frames (count, ...) for comparisons and timing."""
     random = np.random.default_rng(seed)
-    shape = (count, *stored_shape(predictor.settings.input))
-    if predictor.settings.input.form == "field":
+    shape = (count, *stored_shape(model.inputs))
+    if model.inputs.form == "field":
         return random.normal(scale=5.0, size=shape).astype(np.float32)
     return random.integers(0, 256, shape, dtype=np.uint8)
 
 
-def export_onnx(predictor: ForcePredictor, path: str | os.PathLike[str]) -> float:
+def export_onnx(model: ForceModel, path: str | os.PathLike[str]) -> float:
     """Write the model's step atomically; return its deviation from torch as a share of the box.
 
     Raises:
@@ -103,9 +102,9 @@ def export_onnx(predictor: ForcePredictor, path: str | os.PathLike[str]) -> floa
     if out.exists():
         raise LearningError(f"{out}: exists; allowed: a new file")
     # Export and comparison run on a CPU copy; the model stays on its device.
-    predictor = ForcePredictor(copy.deepcopy(predictor.model).cpu().eval(), predictor.settings)
-    model, inputs = predictor.model, predictor.settings.input
-    frames = torch.from_numpy(made_up_frames(predictor, 2))
+    model = copy.deepcopy(model).cpu().eval()
+    inputs = model.inputs
+    frames = torch.from_numpy(made_up_frames(model, 2))
     arguments: tuple[Tensor, ...] = (frames[:1], model.untouched(1))
     if inputs.needs_reference:
         arguments += (frames[1:],)
@@ -127,7 +126,7 @@ def export_onnx(predictor: ForcePredictor, path: str | os.PathLike[str]) -> floa
         if program is None:
             raise LearningError(f"{out}: torch exported nothing")
         program.save(temporary, external_data=False)
-        difference = _difference(predictor, temporary)
+        difference = _difference(model, temporary)
         if not difference <= CLOSE:
             raise LearningError(
                 f"{out}: the exported model differs by {difference:.1e} of the box of forces; "
@@ -139,11 +138,11 @@ def export_onnx(predictor: ForcePredictor, path: str | os.PathLike[str]) -> floa
     return difference
 
 
-def _difference(predictor: ForcePredictor, file: Path) -> float:
+def _difference(model: ForceModel, file: Path) -> float:
     """Return the largest force difference over a few frames, as a share of the box."""
-    streams = torch_stream(predictor), open_exported(file, threads=1)
-    first, *frames = made_up_frames(predictor, 1 + _FRAMES)
-    box = (predictor.model.high - predictor.model.low).numpy()
+    streams = torch_stream(model), open_exported(file, threads=1)
+    first, *frames = made_up_frames(model, 1 + _FRAMES)
+    box = (model.high - model.low).numpy()
     for stream in streams:
         stream.reset(first if stream.inputs.needs_reference else None)
     return max(

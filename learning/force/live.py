@@ -329,7 +329,7 @@ def _stream(model: str | os.PathLike[str], runtime: str, threads: int) -> ForceS
     import torch
 
     from learning.force.export import torch_stream
-    from learning.force.predict import load_force_model
+    from learning.force.model import load_force_model
 
     if threads:
         torch.set_num_threads(threads)

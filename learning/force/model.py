@@ -1,25 +1,35 @@
-"""The force model: encoder, convolutional GRU, residual tail, sigmoid head (the paper, Methods)."""
+"""The force model: encoder, convolutional GRU, residual tail, sigmoid head (the paper, Methods).
+
+`load_force_model` opens a trained one, `ForceModel.predict` returns the forces of presses.
+"""
 
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from learning.data.presses import ForceRange
+from learning.config import require
+from learning.data.presses import ForceRange, Presses, Progress
 from learning.errors import LearningError
-from learning.training.run import LaunchSettings
+from learning.training.checkpoint import read_model_folder
 
-# Settings of a force model and its training: the keys of the presets.
+# Kind of a force model's folder.
+KIND = "force"
+# Number of presses predicted at once, by type of device.
+_TOGETHER = {"cpu": 8, "cuda": 128}
 
-# Presets shipped with the package.
-PRESETS = Path(__file__).parent / "presets"
+# Settings of the network: two of the keys of the presets. Those of the training are in `train`.
+
 # Number of samples of a marker field along either axis.
 FIELD_SIDE = 32
 _SIDES = (256, 128, 64, 32)
@@ -55,7 +65,7 @@ class InputSettings:
             )
         if self.imagenet and self.channels != 3:
             raise LearningError("imagenet: found true; allowed: only if channels is 3")
-        _positive(self, "marker_value", "field_scale_px")
+        require(self, "marker_value", "field_scale_px", above=0)
 
     @property
     def stored_form(self) -> Literal["images", "field"]:
@@ -103,112 +113,9 @@ class NetworkSettings:
         widths = (*self.encoder, self.memory, *self.tail)
         if min(widths) < 4 or any(width % 4 for width in widths):
             raise LearningError(f"encoder, memory, tail: found {widths}; allowed: multiples of 4")
-        _positive(self, "blocks")
+        require(self, "blocks", least=1)
         if not 0.0 <= self.dropout < 1.0:
             raise LearningError(f"dropout: found {self.dropout}; allowed: 0 to below 1")
-
-
-@dataclass(frozen=True, slots=True)
-class StageSettings:
-    """One stage of training."""
-
-    epochs: int
-    learning_rate: float
-    schedule: Literal["constant", "cosine", "authors"] = "constant"
-    """Constant; half a cosine down to 0; or (1 + 3e-4 step)^-0.75 (authors' code)."""
-    warm_up_steps: int = 0
-    """Number of steps over which the rate first rises from 0."""
-    one_sensor: bool = False
-    """True to train on only one sensor, drawn by the seed (the paper's first stage)."""
-
-    def __post_init__(self) -> None:
-        """Reject a stage without training, or invalid values."""
-        _positive(self, "epochs", "learning_rate")
-        if self.warm_up_steps < 0:
-            raise LearningError(f"warm_up_steps: found {self.warm_up_steps}; allowed: 0 or more")
-
-
-@dataclass(frozen=True, slots=True)
-class OptimiserSettings:
-    """Optimiser of the weights."""
-
-    name: Literal["sgd", "adamw"] = "adamw"
-    momentum: float = 0.9
-    """Momentum of SGD."""
-    weight_decay: float = 1e-2
-    clip: float | None = 1.0
-    """Gradient norm above which gradients are clipped; none: no clipping."""
-
-
-@dataclass(frozen=True, slots=True)
-class SequenceSettings:
-    """Training sequences."""
-
-    batch: int = 8
-    """Batch size on each GPU."""
-    lengths: Literal["random", "whole"] = "random"
-    """Random: from the first frame, a length of 2 frames to all (the paper, Methods)."""
-    padding: Literal["masked", "last_frame"] = "masked"
-    """Frames after a shorter sequence: masked, or its last frame repeated (authors' code)."""
-    presses: int = 1
-    """Number of presses of one sensor that form a sequence."""
-    truncate_frames: int | None = None
-    """Interval at which backpropagation through time is truncated; none: not truncated."""
-    flips: bool = False
-    """True to mirror images at random, together with the shear."""
-
-    def __post_init__(self) -> None:
-        """Reject empty sequences."""
-        _positive(self, "batch", "presses")
-        if self.truncate_frames is not None and self.truncate_frames < 1:
-            found = self.truncate_frames
-            raise LearningError(f"truncate_frames: found {found}; allowed: 1 or more, or none")
-
-
-@dataclass(frozen=True, slots=True)
-class ForceSettings:
-    """A force model and its training."""
-
-    description: str
-    input: InputSettings
-    network: NetworkSettings
-    stages: tuple[StageSettings, ...]
-    optimiser: OptimiserSettings
-    sequences: SequenceSettings
-    force_range: Literal["training", "authors"] = "training"
-    """Force range (a box) that the sigmoid spans: of the training labels, or of authors' code."""
-    range_margin: float = 0.0
-    """Share of its length by which the box is extended at either end, because a sigmoid never
-    reaches its limits."""
-    launch: LaunchSettings = field(default_factory=LaunchSettings)
-    """Devices and precision of training."""
-    ema: float | None = None
-    """Decay of the running average of weights, which is the model; none: the last weights are."""
-    start_at_mean: bool = True
-    """True if the untrained model predicts the mean label, False if the centre of the box."""
-    patience_epochs: int | None = 10
-    """Number of validations without improvement after which a stage ends; none: no early end."""
-    validate_every_epochs: int = 1
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        """Reject training without stages, or invalid values."""
-        if not self.stages:
-            raise LearningError("stages: found none; allowed: one or more")
-        if self.ema is not None and not 0.0 < self.ema < 1.0:
-            raise LearningError(f"ema: found {self.ema}; allowed: between 0 and 1, or none")
-        if self.patience_epochs is not None and self.patience_epochs < 1:
-            found = self.patience_epochs
-            raise LearningError(f"patience_epochs: found {found}; allowed: 1 or more, or none")
-        if self.range_margin < 0.0:
-            raise LearningError(f"range_margin: found {self.range_margin}; allowed: 0 or more")
-        _positive(self, "validate_every_epochs")
-
-
-def _positive(settings: object, *names: str) -> None:
-    for name in names:
-        if not getattr(settings, name) > 0:
-            raise LearningError(f"{name}: found {getattr(settings, name)}; allowed: more than 0")
 
 
 # Parts of the force model: residual blocks, encoders and the convolutional GRU.
@@ -355,7 +262,7 @@ class ForceModel(nn.Module):
     def __init__(self, network: NetworkSettings, inputs: InputSettings) -> None:
         """Build the model; convolutions start with Kaiming weights, norms constant (Methods)."""
         super().__init__()
-        self.inputs = inputs
+        self.network, self.inputs = network, inputs
         self.encoder = encoder(network, inputs)
         self.memory = ConvGru(network.encoder[-1], network.memory)
         middle, last = network.tail
@@ -435,6 +342,56 @@ class ForceModel(nn.Module):
         after = self.memory(features, before)
         return torch.sigmoid(self.head(self.tail(after)).float()), after
 
+    @property
+    def device(self) -> torch.device:
+        """Device of the model."""
+        return self.low.device
+
+    def predict(
+        self, presses: Presses, *, progress: Progress = lambda done, total: None
+    ) -> NDArray[np.float64]:
+        """Return forces (N, 3) N of all frames; every press starts from the initial state.
+
+        Args:
+            presses: Images, or marker fields if the model takes those.
+            progress: Called with the number of frames done and the total.
+
+        Raises:
+            LearningError: The presses have another form than the model takes.
+        """
+        normalised = self.predict_normalised(presses, progress=progress)
+        forces: NDArray[np.float64] = self.denormalise(normalised).double().cpu().numpy()
+        return forces
+
+    @torch.no_grad()
+    def predict_normalised(
+        self, presses: Presses, *, progress: Progress = lambda done, total: None
+    ) -> Tensor:
+        """Return forces as `predict` does, normalised to the box, on the model's device.
+
+        Presses are processed in parallel frame by frame, so that memory holds one frame of each.
+        """
+        require_form(presses, self.inputs)
+        training = self.training
+        starts, lengths = presses.starts[:-1], presses.starts.diff()
+        predicted = torch.zeros(presses.frames, 3, device=self.device)
+        done = 0
+        self.eval()
+        together = _TOGETHER[self.device.type]
+        for group in lengths.argsort(descending=True, stable=True).split(together):
+            state = self.untouched(len(group))
+            for time in range(int(lengths[group].max())):
+                # Sorted by descending length, so finished presses are at the end.
+                running = group[lengths[group] > time]
+                rows = (starts[running] + time).to(presses.device)
+                frames = prepared_rows(presses, rows, self.inputs).to(self.device)
+                normalised, state = self.step(frames, state[: len(running)])
+                predicted[rows.to(self.device)] = normalised
+                done += len(running)
+                progress(done, presses.frames)
+        self.train(training)
+        return predicted
+
     def set_range(self, box: ForceRange) -> None:
         """Set the force range that 0 and 1 correspond to."""
         self.low.copy_(self.low.new_tensor(box.low))
@@ -505,6 +462,31 @@ def prepare(frames: Tensor, references: Tensor | None, inputs: InputSettings) ->
     return image
 
 
+def require_form(presses: Presses, inputs: InputSettings) -> None:
+    """Reject presses of another form than a model takes.
+
+    Raises:
+        LearningError: Images instead of marker fields, or vice versa.
+    """
+    if presses.form != inputs.stored_form:
+        raise LearningError(
+            f"presses of {presses.sensor}: found {presses.form}; allowed: {inputs.stored_form}, as "
+            f"the model's input is {inputs.form}"
+        )
+
+
+def prepared_rows(presses: Presses, rows: Tensor, inputs: InputSettings) -> Tensor:
+    """Return frames (n, planes, side, side) of presses as network inputs.
+
+    Args:
+        presses: Images or marker fields.
+        rows: Frame indices (n,), on the device of the presses.
+        inputs: Settings of the network input.
+    """
+    references = presses.references[presses.reference[rows]] if inputs.needs_reference else None
+    return prepare(presses.images[rows], references, inputs)
+
+
 def require_stored(frames: Tensor, inputs: InputSettings, name: str) -> None:
     """Reject frames that are not in the stored form of an input.
 
@@ -523,3 +505,19 @@ def _reduced(images: Tensor, inputs: InputSettings) -> Tensor:
     grey = images[:, None].to(torch.float32) * (inputs.marker_value / 255.0)
     factor = STORED_SIDE // inputs.side_px
     return functional.avg_pool2d(grey, factor) if factor > 1 else grey
+
+
+def load_force_model(
+    folder: str | os.PathLike[str], device: str | torch.device = "cpu"
+) -> ForceModel:
+    """Load the model of a finished run, in evaluation mode.
+
+    Raises:
+        LearningError: Not such a folder, a model of another kind, or weights that do not fit.
+    """
+    found = read_model_folder(Path(folder), KIND)
+    model = ForceModel(
+        found.settings(NetworkSettings, "network"), found.settings(InputSettings, "input")
+    )
+    found.load(model)
+    return model.to(torch.device(device)).eval()

@@ -1,4 +1,4 @@
-"""Training of a force model: data, model, loop, evaluation, from top to bottom.
+"""Training of a force model, from settings to command.
 
     python -m learning train-force X.markers.zarr --sensor array-i --split split.json --out run
     torchrun --nproc-per-node 4 -m learning train-force ... --preset paper
@@ -9,43 +9,369 @@ repeatedly for a table of many sensor pairs.
 
 from __future__ import annotations
 
+import argparse
 import math
-from collections.abc import Callable, Iterable, Sequence
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
-from torch.func import functional_call, stack_module_state
 
-from learning.data.presses import Presses
+from learning.archive_writer import archive_fingerprint
+from learning.compensation import read_stored
+from learning.config import read_settings, require
+from learning.data.presses import AUTHORS, ForceRange, Presses, load_presses
+from learning.data.splits import Role, Split
 from learning.errors import LearningError
-from learning.force.data import (
-    Compensation,
-    Epoch,
-    epoch,
-    error,
-    force_range,
-    forces_of,
-    frames_of,
-    labels_of,
-    mirrored,
+from learning.force.model import (
+    AXES,
+    KIND,
+    ForceModel,
+    InputSettings,
+    NetworkSettings,
+    load_force_model,
     prepared_rows,
     require_form,
-    signs,
 )
-from learning.force.model import AXES, ForceModel, ForceSettings, OptimiserSettings, StageSettings
-from learning.force.predict import ForcePredictor, predicted_normalised
-from learning.training import run as launch
-from learning.training.checkpoint import load_weights, read_weights
+from learning.train_command import open_data, run_training
+from learning.training.checkpoint import load_weights, read_weights, weights_hash
 from learning.training.optim import Constant, Cosine, Ema, InversePower, Schedule, set_rate
-from learning.training.run import RunFolder, generator, seed_torch
+from learning.training.run import (
+    LaunchSettings,
+    RunFolder,
+    Session,
+    accelerator,
+    generator,
+    seed_torch,
+)
+from recorder import MarkerArchive
+from recorder.archive import ArchivedSensor
+from recorder.progress import ItemProgress
 
-if TYPE_CHECKING:
-    from accelerate import Accelerator
+State = dict[str, Tensor]
 
-    State = dict[str, Tensor]
+# Presets shipped with the package.
+PRESETS = Path(__file__).parent / "presets"
+
+
+# Settings: the keys of the presets. Those of the network are in `model`.
+
+
+@dataclass(frozen=True, slots=True)
+class StageSettings:
+    """One stage of training."""
+
+    epochs: int
+    learning_rate: float
+    schedule: Literal["constant", "cosine", "authors"] = "constant"
+    """Constant; half a cosine down to 0; or (1 + 3e-4 step)^-0.75 (authors' code)."""
+    warm_up_steps: int = 0
+    """Number of steps over which the rate first rises from 0."""
+    one_sensor: bool = False
+    """True to train on only one sensor, drawn by the seed (the paper's first stage)."""
+
+    def __post_init__(self) -> None:
+        """Reject a stage without training, or invalid values."""
+        require(self, "epochs", least=1)
+        require(self, "learning_rate", above=0)
+        require(self, "warm_up_steps", least=0)
+
+
+@dataclass(frozen=True, slots=True)
+class OptimiserSettings:
+    """Optimiser of the weights."""
+
+    name: Literal["sgd", "adamw"] = "adamw"
+    momentum: float = 0.9
+    """Momentum of SGD."""
+    weight_decay: float = 1e-2
+    clip: float | None = 1.0
+    """Gradient norm above which gradients are clipped; none: no clipping."""
+
+
+@dataclass(frozen=True, slots=True)
+class SequenceSettings:
+    """Training sequences."""
+
+    batch: int = 8
+    """Batch size on each GPU."""
+    lengths: Literal["random", "whole"] = "random"
+    """Random: from the first frame, a length of 2 frames to all (the paper, Methods)."""
+    padding: Literal["masked", "last_frame"] = "masked"
+    """Frames after a shorter sequence: masked, or its last frame repeated (authors' code)."""
+    presses: int = 1
+    """Number of presses of one sensor that form a sequence."""
+    truncate_frames: int | None = None
+    """Interval at which backpropagation through time is truncated; none: not truncated."""
+    flips: bool = False
+    """True to mirror images at random, together with the shear."""
+
+    def __post_init__(self) -> None:
+        """Reject empty sequences."""
+        require(self, "batch", "presses", "truncate_frames", least=1)
+
+
+@dataclass(frozen=True, slots=True)
+class ForceSettings:
+    """A force model and its training."""
+
+    description: str
+    input: InputSettings
+    network: NetworkSettings
+    stages: tuple[StageSettings, ...]
+    optimiser: OptimiserSettings
+    sequences: SequenceSettings
+    force_range: Literal["training", "authors"] = "training"
+    """Force range (a box) that the sigmoid spans: of the training labels, or of authors' code."""
+    range_margin: float = 0.0
+    """Share of its length by which the box is extended at either end, because a sigmoid never
+    reaches its limits."""
+    launch: LaunchSettings = field(default_factory=LaunchSettings)
+    """Devices and precision of training."""
+    ema: float | None = None
+    """Decay of the running average of weights, which is the model; none: the last weights are."""
+    start_at_mean: bool = True
+    """True if the untrained model predicts the mean label, False if the centre of the box."""
+    patience_epochs: int | None = 10
+    """Number of validations without improvement after which a stage ends; none: no early end."""
+    validate_every_epochs: int = 1
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Reject training without stages, or invalid values."""
+        if not self.stages:
+            raise LearningError("stages: found none; allowed: one or more")
+        if self.ema is not None and not 0.0 < self.ema < 1.0:
+            raise LearningError(f"ema: found {self.ema}; allowed: between 0 and 1, or none")
+        require(self, "patience_epochs", "validate_every_epochs", least=1)
+        require(self, "range_margin", least=0)
+
+
+# Data: selection of a step's frames, a pure function of seed, stage, epoch and step.
+
+# Length of the shortest sequence (the paper, Methods).
+SHORTEST = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Sequences:
+    """The sequences of one step, on one process."""
+
+    sensor: NDArray[np.int64]
+    """Index of the sensor of each sequence (b,)."""
+    rows: NDArray[np.int64]
+    """Frame indices (b, s) in that sensor's presses; a shorter sequence repeats its last frame."""
+    lengths: tuple[int, ...]
+    """Number of valid frames of each sequence (b,)."""
+    flips: NDArray[np.bool_]
+    """True where columns and rows are mirrored (b, 2)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Epoch:
+    """One pass over the presses of some sensors."""
+
+    strings: tuple[tuple[int, NDArray[np.int64]], ...]
+    """Sensor and presses of each sequence, in training order."""
+    starts: tuple[NDArray[np.int64], ...]
+    """Frames of press p of a sensor are starts[p]:starts[p + 1]."""
+    settings: SequenceSettings
+    seed: int
+    number: int
+    """Counts epochs over all stages."""
+
+    def steps(self, ranks: int) -> int:
+        """Return the number of steps of the pass with `ranks` processes."""
+        return -(-len(self.strings) // (self.settings.batch * ranks))
+
+    def sequences(self, step: int, rank: int = 0, ranks: int = 1) -> Sequences:
+        """Return the sequences of a step; the last is filled up from the start of the order."""
+        batch = self.settings.batch
+        first = (step * ranks + rank) * batch
+        chosen = [self.strings[place % len(self.strings)] for place in range(first, first + batch)]
+        frames = [self._frames(sensor, presses) for sensor, presses in chosen]
+        random = generator(self.seed, "force", "sequences", self.number, step, rank)
+        longest = max(map(len, frames))
+        if self.settings.lengths == "random":
+            longest = int(random.integers(min(SHORTEST, longest), longest, endpoint=True))
+        lengths = tuple(min(longest, len(each)) for each in frames)
+        rows = np.stack([each[np.minimum(np.arange(longest), len(each) - 1)] for each in frames])
+        flips = random.random((batch, 2)) < 0.5
+        return Sequences(
+            np.array([sensor for sensor, _ in chosen]),
+            rows,
+            lengths,
+            flips if self.settings.flips else np.zeros_like(flips),
+        )
+
+    def _frames(self, sensor: int, presses: NDArray[np.int64]) -> NDArray[np.int64]:
+        starts = self.starts[sensor]
+        return np.concatenate([np.arange(starts[press], starts[press + 1]) for press in presses])
+
+
+def epoch(
+    starts: Sequence[NDArray[np.int64]],
+    sensors: Sequence[int],
+    settings: SequenceSettings,
+    seed: int,
+    number: int,
+) -> Epoch:
+    """Return one pass over the presses of `sensors` in random order.
+
+    Args:
+        starts: Starts for every sensor (P + 1,): frames of press p are starts[p]:starts[p + 1].
+        sensors: Indices of the sensors to train on.
+        settings: Number of presses per sequence; leftover presses are skipped in this pass.
+        seed: Seed of the whole training.
+        number: Counts epochs over all stages.
+    """
+    random = generator(seed, "force", "epoch", number)
+    strings = []
+    for sensor in sensors:
+        order = random.permutation(len(starts[sensor]) - 1).astype(np.int64)
+        together = min(settings.presses, len(order))
+        whole = order[: len(order) - len(order) % together]
+        strings += [(sensor, presses) for presses in whole.reshape(-1, together)]
+    shuffled = [strings[place] for place in random.permutation(len(strings))]
+    return Epoch(tuple(shuffled), tuple(starts), settings, seed, number)
+
+
+def frames_of(
+    groups: Sequence[Presses], sequences: Sequences, inputs: InputSettings, device: torch.device
+) -> Tensor:
+    """Return the prepared and mirrored frames (b, s, planes, side, side) of a step.
+
+    Args:
+        groups: Presses of each sensor.
+        sequences: Sequences of the step.
+        inputs: Settings of the network input.
+        device: Device of the result.
+    """
+    shown = []
+    for sensor, rows in zip(sequences.sensor, sequences.rows, strict=True):
+        presses = groups[sensor]
+        wanted = torch.from_numpy(rows).to(presses.device)
+        shown.append(prepared_rows(presses, wanted, inputs).to(device))
+    return mirrored(torch.stack(shown), sequences.flips, inputs)
+
+
+def mirrored(frames: Tensor, flips: NDArray[np.bool_], inputs: InputSettings) -> Tensor:
+    """Return prepared frames (..., b, s, planes, h, w), mirrored where requested.
+
+    Args:
+        frames: Frames of sequences.
+        flips: True to mirror columns and rows of each sequence (b, 2).
+        inputs: Settings of the network input.
+    """
+    for plane, axis in enumerate((-1, -2)):
+        if not flips[:, plane].any():
+            continue
+        chosen = torch.from_numpy(flips[:, plane]).to(frames.device)[:, None, None, None, None]
+        other = frames.flip(axis)
+        if inputs.form == "field":
+            sign = torch.ones(frames.shape[-3], device=frames.device)
+            sign[plane] = -1.0
+            other = other * sign[:, None, None]
+        frames = torch.where(chosen, other, frames)
+    return frames
+
+
+def signs(flips: NDArray[np.bool_], device: torch.device) -> Tensor:
+    """Return the signs (b, 1, 3) for forces (..., b, s, 3) of mirrored sequences.
+
+    Args:
+        flips: True where columns and rows of each sequence are mirrored (b, 2), together with the
+            shear.
+        device: Device of the result.
+    """
+    sign = torch.ones(len(flips), 1, 3)
+    sign[:, 0, :2] = torch.where(torch.from_numpy(flips), -1.0, 1.0)
+    return sign.to(device)
+
+
+def forces_of(labels: Sequence[Tensor], sequences: Sequences, device: torch.device) -> Tensor:
+    """Return the forces (b, s, 3) N of a step; mirroring an image mirrors the shear.
+
+    Args:
+        labels: Forces (N, 3) N of the frames of each sensor.
+        sequences: Sequences of the step.
+        device: Device of the result.
+    """
+    wanted = [
+        labels[sensor][torch.from_numpy(rows).to(labels[sensor].device)].to(device)
+        for sensor, rows in zip(sequences.sensor, sequences.rows, strict=True)
+    ]
+    return torch.stack(wanted) * signs(sequences.flips, device)
+
+
+# Training targets: labels, optionally compensated for another material, and their range (a box).
+
+# Function from forces (N, 3) N, depth (N,) m and phase (N,) to forces for the target's material and
+# the number of limited ones: `learning.compensation` with its sensors and parameters bound.
+Compensation = Callable[
+    [NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]],
+    tuple[NDArray[np.float64], int],
+]
+
+
+def labels_of(presses: Presses, compensation: Compensation | None = None) -> Tensor:
+    """Return the training labels (N, 3) N of presses, on their device.
+
+    Raises:
+        LearningError: A frame has no label, or a compensated label is not finite.
+    """
+    presses.require_wrench()
+    if compensation is None:
+        return presses.wrench[:, :3]
+    forces = presses.wrench[:, :3].double().cpu().numpy()
+    changed, _ = compensation(forces, presses.depth.cpu().numpy(), presses.phase.cpu().numpy())
+    if changed.shape != forces.shape or not np.isfinite(changed).all():
+        raise LearningError(
+            f"compensation of {presses.sensor}: found forces {changed.shape} that are not all "
+            f"finite; allowed: {forces.shape}, finite"
+        )
+    return torch.from_numpy(changed).float().to(presses.device)
+
+
+def force_range(labels: Sequence[Tensor], settings: ForceSettings) -> ForceRange:
+    """Return the force range (a box) of a model's output.
+
+    If images are mirrored, shear has both signs, and the box includes both.
+    """
+    if settings.force_range == "authors":
+        return AUTHORS
+    forces = torch.cat([each.cpu() for each in labels])
+    if settings.sequences.flips:
+        forces = torch.cat([forces, forces * forces.new_tensor([-1.0, -1.0, 1.0])])
+    return ForceRange.from_training(forces, margin=settings.range_margin)
+
+
+# Loss
+
+
+def error(predicted: Tensor, wanted: Tensor, lengths: Sequence[int] | None) -> Tensor:
+    """Return the mean absolute error of forces (b, s, 3) over valid frames (eq. 5).
+
+    Args:
+        predicted: Predicted forces, normalised to the force range.
+        wanted: True forces, likewise.
+        lengths: Number of valid frames of each sequence (b,); None: all.
+    """
+    difference = (predicted - wanted).abs()
+    if lengths is None:
+        return difference.mean()
+    counts = torch.tensor(lengths, device=difference.device)
+    inside = torch.arange(difference.shape[1], device=difference.device) < counts[:, None]
+    return (difference * inside[..., None]).sum() / (counts.sum() * difference.shape[2])
+
+
+# Loop
 
 
 @dataclass(slots=True)
@@ -72,35 +398,35 @@ class TrainState:
 def train_force(
     presses: Presses | Sequence[Presses],
     settings: ForceSettings,
-    run: RunFolder | None = None,
+    session: Session | None = None,
     *,
     validation: Presses | Sequence[Presses] = (),
-    start_from: ForcePredictor | None = None,
+    start_from: ForceModel | None = None,
     compensation: Compensation | None = None,
-    accelerator: Accelerator | None = None,
-    stopped: Callable[[], bool] = lambda: False,
-    progress: Callable[[int, int], None] = lambda done, total: None,
-) -> ForcePredictor:
-    """Train a force model and return it.
+) -> ForceModel:
+    """Train a force model and return it in evaluation mode.
 
     Args:
         presses: Training presses of one or several sensors. They stay on their device; presses on
             the GPU avoid a copy at every step.
         settings: Settings of the model and its training.
-        run: Folder for log, checkpoints and model, from which training resumes; None: nothing is
-            stored.
+        session: Surroundings of the training; None: in memory, on the device of the settings. A
+            stop is looked for before every step; training is then saved.
         validation: Presses that determine the end of a stage and the weights to keep.
         start_from: A model with the same network, for the initial weights.
         compensation: Changes all labels, before the force range is computed.
-        accelerator: Devices and precision; None: from the settings.
-        stopped: Called before every step; if it returns True, training is saved and the current
-            model is returned.
-        progress: Called with the number of steps done and the largest possible total.
 
     Raises:
         LearningError: Presses have no labels or the wrong form, `start_from` has another network,
             or a loss is not finite.
     """
+    session = session or Session(accelerator(settings.launch))
+    run, runs_on, device = session.run, session.accelerator, session.device
+    ranks, rank = runs_on.num_processes, runs_on.process_index
+
+    def average_of(model: nn.Module) -> Ema | None:
+        return None if settings.ema is None else Ema(model, settings.ema)
+
     # Data
     groups, held = _groups(presses), _groups(validation)
     for each in (*groups, *held):
@@ -111,16 +437,14 @@ def train_force(
     wanted = [labels_of(each, compensation) for each in held]
 
     # Model
-    accelerator = accelerator or launch.accelerator(settings.launch)
-    device, ranks, rank = accelerator.device, accelerator.num_processes, accelerator.process_index
     model = begun_model(labels, settings, start_from, device)
-    average = _average(model, settings)
-    network: nn.Module = accelerator.prepare(model)
-    optimiser = accelerator.prepare(optimiser_of(model.parameters(), settings.optimiser))
+    average = average_of(model)
+    network: nn.Module = runs_on.prepare(model)
+    optimiser = runs_on.prepare(optimiser_of(model.parameters(), settings.optimiser))
 
     # Loop
     state, best = TrainState(), None
-    if run is not None and run.latest() is not None:
+    if run.latest() is not None:
         state, best = _resumed(run, model, optimiser, average)
     total = sum(
         stage.epochs * epoch_of(groups, stage, settings, 0).steps(ranks)
@@ -133,7 +457,7 @@ def train_force(
         schedule = schedule_of(stage, stage.epochs * steps)
         summed = torch.tensor(state.summed, dtype=torch.float64, device=device)
         network.train()
-        while state.step < steps and not stopped():
+        while state.step < steps and not session.stopping():
             seed_torch(settings.seed, "force", "step", state.steps, rank)
             sequences = passes.sequences(state.step, rank, ranks)
             lengths = sequences.lengths if settings.sequences.padding == "masked" else None
@@ -145,16 +469,16 @@ def train_force(
             loss = error(normalised, targets, lengths)
             set_rate(optimiser, schedule.at(state.epoch * steps + state.step))
             optimiser.zero_grad()
-            accelerator.backward(loss)
+            runs_on.backward(loss)
             if settings.optimiser.clip is not None:
-                accelerator.clip_grad_norm_(model.parameters(), settings.optimiser.clip)
+                runs_on.clip_grad_norm_(model.parameters(), settings.optimiser.clip)
             optimiser.step()
             if average is not None:
                 average.update(model)
             summed += loss.detach()
             state.step += 1
             state.steps += 1
-            progress(state.steps, total)
+            session.progress(state.steps, total)
         state.summed = float(summed)
         if not math.isfinite(state.summed):
             raise LearningError(
@@ -162,9 +486,8 @@ def train_force(
                 "(try a smaller learning_rate)"
             )
         if state.step < steps:
-            if run is not None:
-                _save(run, state, model, best, optimiser, average)
-            return _finished(accelerator, model, settings)
+            _save(run, state, model, best, optimiser, average)
+            break
 
         # Evaluation
         line: dict[str, float] = {"stage": state.stage, "loss": state.summed / steps}
@@ -173,7 +496,7 @@ def train_force(
         if held and state.epoch % settings.validate_every_epochs == 0:
             with average.applied(model) if average is not None else nullcontext():
                 # Reduced over processes, so that all of them end a stage at the same time.
-                off = accelerator.reduce(_validated(model, held, wanted), "mean")
+                off = runs_on.reduce(_validated(model, held, wanted), "mean")
                 score = float(off.mean())
                 if score < state.best:
                     best = {name: value.clone() for name, value in model.state_dict().items()}
@@ -189,14 +512,15 @@ def train_force(
             elif average is not None:
                 model.load_state_dict(dict(average.weights))
             state = TrainState(stage=state.stage + 1, epochs=state.epochs, steps=state.steps)
-            best, average = None, _average(model, settings)
-            optimiser = accelerator.prepare(optimiser_of(model.parameters(), settings.optimiser))
-        if run is not None:
-            run.log(state.steps, line)
-            _save(run, state, model, best, optimiser, average, score)
-    if run is not None:
+            best, average = None, average_of(model)
+            optimiser = runs_on.prepare(optimiser_of(model.parameters(), settings.optimiser))
+        run.log(state.steps, line)
+        _save(run, state, model, best, optimiser, average, score)
+    else:
         run.finish(state.steps, {"model": model})
-    return _finished(accelerator, model, settings)
+    # Otherwise the model would be evaluated in the precision of the training.
+    bare: ForceModel = runs_on.unwrap_model(model, keep_fp32_wrapper=False)
+    return bare.eval()
 
 
 def _groups(presses: Presses | Sequence[Presses]) -> list[Presses]:
@@ -206,7 +530,7 @@ def _groups(presses: Presses | Sequence[Presses]) -> list[Presses]:
 def begun_model(
     labels: Sequence[Tensor],
     settings: ForceSettings,
-    start_from: ForcePredictor | None,
+    start_from: ForceModel | None,
     device: torch.device,
 ) -> ForceModel:
     """Return the initial model of a training, for the labels (N, 3) N of each sensor.
@@ -217,7 +541,7 @@ def begun_model(
     seed_torch(settings.seed, "force", "weights")
     model = ForceModel(settings.network, settings.input).to(device)
     if start_from is not None:
-        load_weights(model, start_from.model.state_dict(), "start_from")
+        load_weights(model, start_from.state_dict(), "start_from")
     model.set_range(force_range(labels, settings))
     if start_from is None and settings.start_at_mean:
         means = [model.normalised(each.to(device)).mean(dim=0) for each in labels]
@@ -255,14 +579,10 @@ def optimiser_of(weights: Iterable[Tensor], settings: OptimiserSettings) -> torc
     return torch.optim.AdamW(weights, lr=0.0, weight_decay=decay)
 
 
-def _average(model: nn.Module, settings: ForceSettings) -> Ema | None:
-    return None if settings.ema is None else Ema(model, settings.ema)
-
-
 def _validated(model: ForceModel, held: Sequence[Presses], wanted: Sequence[Tensor]) -> Tensor:
     """Return the mean absolute error (3,) over all frames, normalised to the force range."""
     off = [
-        (predicted_normalised(model, each) - model.normalised(labels.to(model.low.device))).abs()
+        (model.predict_normalised(each) - model.normalised(labels.to(model.low.device))).abs()
         for each, labels in zip(held, wanted, strict=True)
     ]
     return torch.cat(off).mean(dim=0)
@@ -303,174 +623,82 @@ def _resumed(
     return state, {name: value.to(device) for name, value in read_weights(best).items()}
 
 
-def _finished(
-    accelerator: Accelerator, model: ForceModel, settings: ForceSettings
-) -> ForcePredictor:
-    # Otherwise the model would be evaluated in the precision of the training.
-    bare: ForceModel = accelerator.unwrap_model(model, keep_fp32_wrapper=False)
-    return ForcePredictor(bare.eval(), settings)
+# Command
 
 
-# Batched training of force models, one for each sensor that shows the same presses.
-#
-# With a small network a GPU mostly waits for kernel launches. Models of the same network that learn
-# from the same presses, as shown by several sensors, launch the same kernels; here each is launched
-# once for all models (`torch.vmap` over weights and frames). Each model equals the result of
-# `train_force` up to round-off. No checkpoints are stored, as this is for trainings of a minute,
-# which can be restarted.
+def run(options: argparse.Namespace) -> int:
+    """Train as the options of `train-force` say; return the exit code."""
+    settings = read_settings(ForceSettings, PRESETS, options.preset, options.set)
+    archive, split = open_data(options)
+    sensors = _sensors(options, archive, split)
+    compensation = _compensation(options, sensors)
+    start_from = None if options.start_from is None else load_force_model(options.start_from)
+    data = [archive_fingerprint(archive), split.fingerprint, *sensors]
+    if options.start_from is not None:
+        data.append(weights_hash(options.start_from / "model.safetensors"))
+    if options.compensation is not None:
+        data += [weights_hash(options.compensation), options.pair or "", options.choice]
 
-# Frames prepared at once.
-_AT_ONCE = 256
-
-
-def train_together(
-    presses: Sequence[Presses],
-    settings: ForceSettings,
-    *,
-    start_from: ForcePredictor | None = None,
-    compensation: Sequence[Compensation | None] = (),
-    stopped: Callable[[], bool] = lambda: False,
-    progress: Callable[[int, int], None] = lambda done, total: None,
-) -> list[ForcePredictor] | None:
-    """Train one force model per sensor and return them; None if stopped.
-
-    Args:
-        presses: The same presses as shown by each sensor, on the device of the training.
-        settings: Settings of the network and its training; `launch` sets the precision.
-        start_from: A model with the same network, for the initial weights.
-        compensation: Changes of labels, one per sensor; empty: none.
-        stopped: Called before every step; True stops training.
-        progress: Called with the number of steps done and the total.
-
-    Raises:
-        LearningError: Presses differ, have no labels or the wrong form, models cannot share the
-            settings, `start_from` has another network, or a loss is not finite.
-    """
-    _require_alike(presses, settings)
-    device = presses[0].device
-    changes = list(compensation) or [None] * len(presses)
-    labels = [labels_of(each, change) for each, change in zip(presses, changes, strict=True)]
-    models = [begun_model([each], settings, start_from, device) for each in labels]
-    forces = torch.stack(labels)  # (k, n, 3)
-    low, high = (
-        torch.stack([getattr(model, name) for model in models])[:, None, None]
-        for name in ("low", "high")
-    )
-    frames = torch.stack([_prepared(each, settings) for each in presses])  # (k, n, planes, h, w)
-
-    weights, buffers = stack_module_state(models)
-    total = sum(
-        stage.epochs * epoch_of(presses[:1], stage, settings, 0).steps(1)
-        for stage in settings.stages
-    )
-    done = passed = 0
-    for stage in settings.stages:
-        optimiser = optimiser_of(weights.values(), settings.optimiser)
-        steps = epoch_of(presses[:1], stage, settings, passed).steps(1)
-        schedule = schedule_of(stage, stage.epochs * steps)
-        summed = torch.zeros(len(models), dtype=torch.float64, device=device)
-        for number in range(stage.epochs * steps):
-            if stopped():
-                return None
-            if number % steps == 0:
-                passes = epoch_of(presses[:1], stage, settings, passed)
-                passed += 1
-            sequences = passes.sequences(number % steps)
-            seed_torch(settings.seed, "force", "step", done, 0)
-            lengths = sequences.lengths if settings.sequences.padding == "masked" else None
-            rows = torch.from_numpy(sequences.rows).to(device)
-            seen = mirrored(frames[:, rows], sequences.flips, settings.input)
-            wanted = (forces[:, rows] * signs(sequences.flips, device) - low) / (high - low)
-            with torch.autocast(device.type, torch.bfloat16, enabled=_in_bf16(settings)):
-                normalised = _forward(models[0], weights, buffers, seen, lengths, settings)
-            losses = torch.vmap(lambda one, other: error(one, other, lengths))(  # noqa: B023
-                normalised, wanted
+    def train(session: Session) -> Iterator[str]:
+        presses, validation = (
+            [
+                found
+                for name in sensors
+                if len(found := _presses(archive[name], split, role, settings, session.device))
+            ]
+            for role in ("train", "validation")
+        )
+        with session.stop:
+            model = train_force(
+                presses,
+                settings,
+                session,
+                validation=validation,
+                start_from=start_from,
+                compensation=compensation,
             )
-            set_rate(optimiser, schedule.at(number))
-            optimiser.zero_grad()
-            losses.sum().backward()
-            if settings.optimiser.clip is not None:
-                _clip(weights.values(), settings.optimiser.clip)
-            optimiser.step()
-            summed += losses.detach()
-            done += 1
-            progress(done, total)
-        for each, loss in zip(presses, summed.tolist(), strict=True):
-            if not math.isfinite(loss):
-                raise LearningError(
-                    f"loss of {each.sensor}: found {loss}; allowed: finite (try a smaller "
-                    "learning_rate)"
-                )
-    for number, model in enumerate(models):
-        found = {**weights, **buffers}
-        model.load_state_dict({name: each[number].detach() for name, each in found.items()})
-    return [ForcePredictor(model.eval(), settings) for model in models]
+        return told(model, presses, validation) if session.run.writes else iter(())
+
+    def told(model: ForceModel, presses: list[Presses], validation: list[Presses]) -> Iterator[str]:
+        yield f"{options.out}: trained on {sum(map(len, presses)):,} presses"
+        for each in validation:
+            wanted = labels_of(each, compensation).cpu().numpy()
+            x, y, z = abs(model.predict(each) - wanted).mean(axis=0)
+            yield f"{each.sensor}: off in validation by Fx {x:.3f}  Fy {y:.3f}  Fz {z:.3f} N"
+
+    return run_training(options, KIND, settings, data, train, facts={"sensors": sensors})
 
 
-def _require_alike(presses: Sequence[Presses], settings: ForceSettings) -> None:
-    """Reject presses and settings that models cannot share.
-
-    Raises:
-        LearningError: The presses differ, or one model's training would affect another's.
-    """
-    if not presses or not len(presses[0]):
-        raise LearningError("presses: found none; allowed: one or more, of one or more sensors")
-    for each in presses:
-        require_form(each, settings.input)
-        if not torch.equal(each.starts, presses[0].starts) or each.device != presses[0].device:
-            raise LearningError(
-                f"presses of {each.sensor}: found others than those of {presses[0].sensor}; "
-                "allowed: the same presses, on one device"
-            )
-    alone = {
-        "network.encoder_norm": settings.network.encoder_norm == "batch",
-        "network.tail_norm": settings.network.tail_norm == "batch",
-        "ema": settings.ema is not None,
-        "launch.mixed_precision": settings.launch.mixed_precision == "fp16",
-    }
-    for key, found in alone.items():
-        if found:
-            raise LearningError(
-                f"{key}: found a setting that needs one model at a time; allowed for several: "
-                "norms none, instance or group, no ema, precision no or bf16"
-            )
+def _sensors(options: argparse.Namespace, archive: MarkerArchive, split: Split) -> list[str]:
+    sensors: list[str] = options.sensor.split(",")
+    if unknown := [name for name in sensors if name not in archive]:
+        raise LearningError(f"--sensor: found {', '.join(unknown)}; known: {', '.join(archive)}")
+    if held_out := [name for name in sensors if name in split.held_out_sensors]:
+        raise LearningError(
+            f"--sensor: found {', '.join(held_out)}, which {options.split} holds out; allowed: "
+            f"{', '.join(split.trained_sensors(archive))}"
+        )
+    return sensors
 
 
-def _prepared(presses: Presses, settings: ForceSettings) -> Tensor:
-    """Return all frames (n, planes, h, w) as network inputs."""
-    rows = torch.arange(presses.frames, device=presses.device)
-    return torch.cat(
-        [prepared_rows(presses, part, settings.input) for part in rows.split(_AT_ONCE)]
-    )
+def _presses(
+    sensor: ArchivedSensor, split: Split, role: Role, settings: ForceSettings, device: torch.device
+) -> Presses:
+    rows = split.rows(sensor.table, role)
+    with ItemProgress("frames", sys.stderr) as frames:
+        return load_presses(
+            sensor, rows, device=device, form=settings.input.stored_form, progress=frames
+        )
 
 
-def _in_bf16(settings: ForceSettings) -> bool:
-    return settings.launch.mixed_precision == "bf16"
-
-
-def _forward(
-    model: ForceModel,
-    weights: dict[str, Any],
-    buffers: dict[str, Any],
-    frames: Tensor,
-    lengths: Sequence[int] | None,
-    settings: ForceSettings,
-) -> Tensor:
-    """Return forces (k, b, s, 3), 0 to 1, for frames (k, b, s, planes, h, w) of k models."""
-
-    def one(own: dict[str, Tensor], fixed: dict[str, Tensor], seen: Tensor) -> Tensor:
-        how = {"lengths": lengths, "truncate": settings.sequences.truncate_frames}
-        normalised: Tensor = functional_call(model, (own, fixed), (seen,), how)[0]
-        return normalised
-
-    normalised: Tensor = torch.vmap(one, randomness="different")(weights, buffers, frames)
-    return normalised
-
-
-def _clip(weights: Any, most: float) -> None:
-    """Clip the gradients of each model (k, ...) to the norm `most`."""
-    grads = [each.grad for each in weights if each.grad is not None]
-    norms = torch.stack([grad.flatten(1).square().sum(dim=1) for grad in grads]).sum(dim=0).sqrt()
-    share = (most / (norms + 1e-6)).clamp(max=1.0)
-    for grad in grads:
-        grad.mul_(share.view(-1, *[1] * (grad.ndim - 1)))
+def _compensation(options: argparse.Namespace, sensors: list[str]) -> Compensation | None:
+    if options.compensation is None:
+        if options.pair is not None:
+            raise LearningError("--pair: found without --compensation; allowed: both")
+        return None
+    source, to, target = (options.pair or sensors[0]).partition("-to-")
+    if not to or (options.pair is None and len(sensors) > 1):
+        raise LearningError(
+            f"--pair: found {options.pair or options.sensor}; allowed: A-to-B, of one pair"
+        )
+    return read_stored(options.compensation).pair(source, target, options.choice).applied

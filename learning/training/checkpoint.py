@@ -169,13 +169,16 @@ class ModelFolder:
     path: Path
     config: Config
 
-    def settings(self, kind: type[Settings]) -> Settings:
-        """Return its settings as a dataclass.
+    def settings(self, kind: type[Settings], key: str = "") -> Settings:
+        """Return its settings as a dataclass, or those under a key.
 
         Raises:
             LearningError: They do not fit that class.
         """
-        return READER.build(kind, dict(self.config.settings), f"{self.path / CONFIG}.settings")
+        where = f"{self.path / CONFIG}.settings"
+        if key:
+            return READER.build(kind, self.config.settings.get(key), f"{where}.{key}")
+        return READER.build(kind, dict(self.config.settings), where)
 
     def weights(self, name: str = MODEL) -> dict[str, Tensor]:
         """Read the weights of one of its networks.

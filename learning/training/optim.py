@@ -108,7 +108,7 @@ class Constant:
     def __post_init__(self) -> None:
         _require(self.rate, self.warm_up)
 
-    def at(self, step: int, steps_per_epoch: int = 1) -> float:
+    def at(self, step: int) -> float:
         """Return the rate of a step, from 0."""
         return self.rate * _risen(step, self.warm_up)
 
@@ -135,42 +135,13 @@ class Cosine:
                 "allowed: more steps than warm_up, final 0 to 1"
             )
 
-    def at(self, step: int, steps_per_epoch: int = 1) -> float:
+    def at(self, step: int) -> float:
         """Return the rate of a step, from 0."""
         if step < self.warm_up:
             return self.rate * _risen(step, self.warm_up)
         share = min(1.0, (step - self.warm_up) / (self.steps - self.warm_up))
         wave = (1 + math.cos(math.pi * share)) / 2
         return self.rate * (self.final + (1 - self.final) * wave)
-
-
-@dataclass(frozen=True, slots=True)
-class Stages:
-    """Constant rates for given numbers of epochs: 0.1 for 40, 1e-3 for 40 (the paper, Methods)."""
-
-    KIND: ClassVar[str] = "stages"
-
-    rates: tuple[float, ...] = (0.1, 1e-3)
-    epochs: tuple[int, ...] = (40, 40)
-    """Number of epochs of each rate; the last rate continues."""
-
-    def __post_init__(self) -> None:
-        for rate in self.rates:
-            _require(rate, 0)
-        if not self.rates or len(self.rates) != len(self.epochs) or min(self.epochs) < 1:
-            raise LearningError(
-                f"stages: found rates {self.rates}, epochs {self.epochs}; allowed: the same "
-                "number of each, 1 epoch or more"
-            )
-
-    def at(self, step: int, steps_per_epoch: int = 1) -> float:
-        """Return the rate of a step, from 0."""
-        epoch, end = step // steps_per_epoch, 0
-        for rate, epochs in zip(self.rates, self.epochs, strict=True):
-            end += epochs
-            if epoch < end:
-                return rate
-        return self.rates[-1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,13 +163,13 @@ class InversePower:
                 f"inverse_power: found gamma {self.gamma}, power {self.power}; allowed: 0 and more"
             )
 
-    def at(self, step: int, steps_per_epoch: int = 1) -> float:
+    def at(self, step: int) -> float:
         """Return the rate of a step, from 0."""
         fallen = float((1 + self.gamma * step) ** -self.power)
         return self.rate * fallen * _risen(step, self.warm_up)
 
 
-Schedule = Constant | Cosine | Stages | InversePower
+Schedule = Constant | Cosine | InversePower
 
 
 def set_rate(optimiser: torch.optim.Optimizer, rate: float) -> None:

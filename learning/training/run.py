@@ -25,7 +25,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any, Literal, Self
@@ -118,6 +118,11 @@ class RunFolder:
             folder.mkdir(parents=True, exist_ok=True)
             config.write(folder)
         return run
+
+    @classmethod
+    def nowhere(cls) -> Self:
+        """Return a folder without files, which keeps nothing, for a training in memory."""
+        return cls(Path(os.devnull), Config("", {}, "", ""), writes=False)
 
     @property
     def finished(self) -> bool:
@@ -317,10 +322,15 @@ def _require_same(folder: Path, config: Config, resume: bool) -> None:
     there = read_config(folder)
     if not resume:
         raise LearningError(f"{folder}: a run is there; resume it, or choose another folder")
-    different = differing_keys(
-        {"kind": there.kind, "settings": there.settings, "data": there.data},
-        {"kind": config.kind, "settings": config.settings, "data": config.data},
+    one, other = (
+        {
+            "kind": each.kind,
+            "settings": {**each.settings, "description": None},
+            "data": each.data,
+        }
+        for each in (there, config)
     )
+    different = differing_keys(one, other)
     if different:
         raise LearningError(
             f"{folder}: was begun with other {', '.join(different)}; allowed: the same ones, or "
@@ -559,3 +569,41 @@ class Stop:
             self._say("stopping: finishing and saving the current step; again stops at once")
         elif now - self._since > _ECHO:
             raise KeyboardInterrupt
+
+
+Progress = Callable[[int, int], None]
+
+
+def _untold(done: int, total: int) -> None:
+    """Report progress to nobody."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Session:
+    """Surroundings of a training: where it computes and writes, who stops and watches it."""
+
+    accelerator: Accelerator
+    """Device and precision, as set up by Accelerate."""
+    run: RunFolder = field(default_factory=RunFolder.nowhere)
+    """Folder from which it resumes, for log, checkpoints and model."""
+    stop: Stop = field(default_factory=Stop)
+    """Ctrl-C handler; enter it only where the current step can be completed first."""
+    progress: Progress = _untold
+    """Called with the number of steps done and the total."""
+    reading: Progress = _untold
+    """Called likewise as data is read."""
+
+    @property
+    def device(self) -> torch.device:
+        """Device of the computation."""
+        device: torch.device = self.accelerator.device
+        return device
+
+    def stopping(self) -> bool:
+        """Return True if any process was asked to stop: all end after the same step."""
+        return self.stop.agreed(self.accelerator)
+
+    def passed(self, done: int, total: int) -> bool:
+        """Report a step; return True if no other may begin, as a stop was requested."""
+        self.progress(done, total)
+        return self.stopping()

@@ -12,15 +12,12 @@ from support.made_up_archives import made_up_archive
 
 from learning.archive_writer import archive_fingerprint
 from learning.data import presses as presses_module
-from learning.data import presses as residence
 from learning.data.images import shrink
 from learning.data.presses import (
     ForceRange,
-    Resident,
-    Streaming,
     load_presses,
-    open_frames,
     press_table,
+    read_frames_of,
 )
 from learning.errors import LearningError
 from recorder import MarkerArchive, SessionError
@@ -135,27 +132,23 @@ def test_a_chunk_that_is_gone_is_an_error(archive: MarkerArchive, tmp_path: Path
         load_presses(broken["dots"], _rows(archive))
 
 
-@pytest.mark.parametrize("workers", [0, 2])
-def test_memory_and_archive_give_the_same_batches(archive: MarkerArchive, workers: int) -> None:
+def test_a_table_of_presses_has_images_without_data(archive: MarkerArchive) -> None:
     rows = _rows(archive)
-    wanted = [np.array([5, 1, 9]), np.array([2]), np.array([9, 9])]
-    presses, resident = open_frames(archive["dots"], rows)
-    described, streaming = open_frames(archive["dots"], rows, share=0.0, workers=workers)
-    assert isinstance(resident, Resident)
-    assert isinstance(streaming, Streaming)
-    assert torch.equal(presses.rows, described.rows)
-    for one, other in zip(resident.batches(wanted), streaming.batches(wanted), strict=True):
-        assert torch.equal(one, other)
+    described, presses = (read(archive["dots"], rows) for read in (press_table, load_presses))
+    assert described.images.is_meta
+    assert described.images.shape == presses.images.shape
+    assert torch.equal(described.rows, presses.rows)
 
 
-def test_images_that_do_not_fit_stay_in_the_archive(
-    archive: MarkerArchive, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    rows = _rows(archive)
-    monkeypatch.setattr(residence, "free_bytes", lambda device: len(rows) * 65536)
-    assert isinstance(open_frames(archive["dots"], rows, share=1.0)[1], Resident)
-    assert isinstance(open_frames(archive["dots"], rows, share=0.99)[1], Streaming)
-    assert press_table(archive["dots"], rows).images.is_meta
+def test_frames_of_several_sensors_are_read_one_after_another(archive: MarkerArchive) -> None:
+    sensors = [archive["dots"], archive["grid"], archive["dots"]]
+    rows = [np.array([5, 1, 9]), np.array([], np.int64), np.array([2])]
+    counted: list[tuple[int, int]] = []
+    images = read_frames_of(sensors, rows, "cpu", lambda done, total: counted.append((done, total)))
+    packed = archive["dots"].packed(np.array([5, 1, 9, 2]))
+    assert torch.equal(images, torch.from_numpy(shrink(packed)))
+    assert [done for done, _ in counted] == sorted(done for done, _ in counted)
+    assert (counted[0], counted[-1]) == ((0, 4), (4, 4))
 
 
 def test_progress_counts_frames(archive: MarkerArchive) -> None:
@@ -216,8 +209,3 @@ def test_a_gpu_holds_the_same_images(archive: MarkerArchive) -> None:
     assert there.images.is_cuda
     assert torch.equal(there.images.cpu(), here.images)
     assert torch.equal(there.to("cpu").wrench, here.wrench)
-    wanted = [np.array([3, 1]), np.array([2])]
-    streaming = open_frames(archive["dots"], rows, device="cuda", share=0.0, workers=2)[1]
-    for numbers, images in zip(wanted, streaming.batches(wanted), strict=True):
-        assert images.is_cuda
-        assert torch.equal(images.cpu(), here.images[numbers])

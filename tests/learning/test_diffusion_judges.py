@@ -10,11 +10,11 @@ from support.tiny_diffusion import CLIP, VGG, tiny_pretrained
 from torch import nn
 from torch.nn import functional
 
-from learning.translation.diffusion.data import augment
-from learning.translation.diffusion.losses import (
+from learning.translation.diffusion.discriminator import (
     Blur,
     ClipFeatures,
     DiscriminatorHeads,
+    augment,
     multilevel_sigmoid,
 )
 from learning.translation.diffusion.weights import PerceptualDistance

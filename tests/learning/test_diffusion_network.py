@@ -19,7 +19,7 @@ from learning.config import read_settings
 from learning.errors import LearningError
 from learning.translation.diffusion.conditioning import ReferenceTokens, sine_places
 from learning.translation.diffusion.data import unit
-from learning.translation.diffusion.losses import ClipFeatures, DiscriminatorHeads
+from learning.translation.diffusion.discriminator import ClipFeatures, DiscriminatorHeads
 from learning.translation.diffusion.network import (
     UNET_ADAPTER,
     UNET_TARGETS,
@@ -32,8 +32,7 @@ from learning.translation.diffusion.network import (
     is_adapter,
     remaining_signal,
 )
-from learning.translation.diffusion.settings import TRANSLATOR_PRESETS, TranslatorSettings
-from learning.translation.diffusion.train import train
+from learning.translation.diffusion.train import PRESETS, TranslatorSettings, train
 from learning.translation.diffusion.weights import WIDTHS, vendor
 
 LEARNING = Path(__file__).parents[2] / "learning"
@@ -222,7 +221,7 @@ def test_full_size_networks_have_the_published_numbers_of_parameters() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", ["ours", "authors_code"])
 def test_full_size_networks_fit_together_at_256_px(preset: str) -> None:
-    settings = read_settings(TranslatorSettings, TRANSLATOR_PRESETS, preset)
+    settings = read_settings(TranslatorSettings, PRESETS, preset)
     made = diffusion_full_size.random_pretrained(
         diffusion_full_size.UNET, diffusion_full_size.VAE, diffusion_full_size.CLIP, WIDTHS, "meta"
     )

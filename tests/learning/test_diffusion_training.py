@@ -18,6 +18,7 @@ from support.tiny_diffusion import (
     tiny_pretrained,
     tiny_settings,
 )
+from support.training import session
 
 from benchmarks.learning import diffusion_full_size
 from benchmarks.learning.diffusion_full_size import check, overfitted_pairs, table
@@ -25,18 +26,13 @@ from learning.config import preset_names, read_settings
 from learning.errors import LearningError
 from learning.training.optim import Constant
 from learning.training.run import METRICS, LaunchSettings, RunFolder, accelerator
-from learning.translation.diffusion import losses, train_vae
+from learning.translation.diffusion import train as translator
+from learning.translation.diffusion import train_vae
 from learning.translation.diffusion.data import ImagePairs
-from learning.translation.diffusion.losses import ClipFeatures, DiscriminatorHeads
+from learning.translation.diffusion.discriminator import ClipFeatures, DiscriminatorHeads
 from learning.translation.diffusion.network import build
-from learning.translation.diffusion.settings import (
-    MARKER_VAE_PRESETS,
-    TRANSLATOR_PRESETS,
-    LossWeights,
-    MarkerVaeSettings,
-    TranslatorSettings,
-)
-from learning.translation.diffusion.train import evaluate, train
+from learning.translation.diffusion.train import LossWeights, TranslatorSettings, evaluate, train
+from learning.translation.diffusion.train_vae import MarkerVaeSettings
 
 PRESETS = ("authors_code", "ours", "paper_main", "paper_supplement")
 
@@ -44,13 +40,13 @@ PRESETS = ("authors_code", "ours", "paper_main", "paper_supplement")
 def _vae_settings(*overrides: str) -> MarkerVaeSettings:
     few = ["steps=4", "batch=2", "launch={device: cpu, mixed_precision: no}", "log_every=1"]
     rate = "optimiser.rate={kind: constant, rate: 0.01}"
-    return read_settings(MarkerVaeSettings, MARKER_VAE_PRESETS, "ours", [*few, rate, *overrides])
+    return read_settings(MarkerVaeSettings, train_vae.PRESETS, "ours", [*few, rate, *overrides])
 
 
 def test_presets_are_what_paper_supplement_and_code_say() -> None:
-    assert preset_names(TRANSLATOR_PRESETS) == preset_names(MARKER_VAE_PRESETS) == PRESETS
+    assert preset_names(translator.PRESETS) == preset_names(train_vae.PRESETS) == PRESETS
     reported = {
-        name: read_settings(TranslatorSettings, TRANSLATOR_PRESETS, name) for name in PRESETS
+        name: read_settings(TranslatorSettings, translator.PRESETS, name) for name in PRESETS
     }
     for name, batch in (("paper_main", 16), ("paper_supplement", 4)):
         assert reported[name].optimiser.rate == Constant(5e-6, warm_up=500)
@@ -75,16 +71,9 @@ def test_a_resumed_run_is_the_same_run_bit_for_bit(tmp_path: Path) -> None:
     states, logs = [], []
     for name, stops in (("whole", (2,)), ("halves", (1, 2))):
         for stop in stops:
-            done: list[int] = []
             with RunFolder.open(tmp_path / name, "diffusion", settings, "x", True) as run:
-                network = train(
-                    striped_pairs(),
-                    tiny_pretrained(),
-                    settings,
-                    run=run,
-                    stopping=lambda done=done, stop=stop: done[-1] == stop,
-                    progress=lambda step, _, done=done: done.append(step),
-                )
+                stopping = session(settings, run, 1 if stop == 1 else 0)
+                network = train(striped_pairs(), tiny_pretrained(), settings, session=stopping)
                 assert run.finished == (stop == 2)
         states.append(network.state_dict())
         logs.append((tmp_path / name / METRICS).read_text())
@@ -105,8 +94,8 @@ def test_the_loss_falls() -> None:
         optimiser=replace(settings.optimiser, rate=Constant(0.02)),
     )
     pairs, runs_on = striped_pairs(2), accelerator(settings.launch)
-    begun = train(pairs, tiny_pretrained(), replace(settings, steps=1), accelerator=runs_on)
-    trained = train(pairs, tiny_pretrained(), settings, accelerator=runs_on)
+    begun = train(pairs, tiny_pretrained(), replace(settings, steps=1))
+    trained = train(pairs, tiny_pretrained(), settings)
     first, last = (evaluate(each, pairs, settings, runs_on) for each in (begun, trained))
     assert last["validation/square"] < 0.5 * first["validation/square"]
     assert last["validation/dice"] > first["validation/dice"]
@@ -118,8 +107,8 @@ def test_both_ways_of_a_step_follow_the_same_losses() -> None:
     for two_pass in (False, True):
         settings = replace(tiny_settings(), steps=1, two_pass=two_pass)
         reported: list[dict[str, float]] = []
-        run = _Listening(reported)
-        train(striped_pairs(), tiny_pretrained(), settings, run=run)  # type: ignore[arg-type]
+        listening = replace(session(settings), run=_Listening(reported))
+        train(striped_pairs(), tiny_pretrained(), settings, session=listening)
         found[two_pass] = reported[0]
     assert found[True].keys() == found[False].keys()
     for name in ("train/square", "train/perceptual"):
@@ -146,12 +135,12 @@ class _Listening:
 def test_the_discriminator_does_not_learn_from_the_generators_loss() -> None:
     clip = tiny_pretrained().clip
     heads = DiscriminatorHeads(clip.config.hidden_size, clip.config.projection_dim)
-    side = losses.Side(heads, torch.optim.AdamW(heads.parameters()), 1.0)
-    judges = losses.Judges(LossWeights(), None, ClipFeatures(clip), side)
+    side = translator.Side(heads, torch.optim.AdamW(heads.parameters()), 1.0)
+    judges = translator.Judges(LossWeights(), None, ClipFeatures(clip), side)
     made = (torch.rand(1, 3, SIDE, SIDE) * 2 - 1).requires_grad_()
     nothing = torch.zeros(1)
-    batch = losses.Batch(nothing, nothing, nothing, None, None, torch.Generator())
-    losses._fooling(made, batch, judges, accelerator(LaunchSettings(device="cpu"))).backward()
+    batch = translator.Batch(nothing, nothing, nothing, None, None, torch.Generator())
+    translator._fooling(made, batch, judges, accelerator(LaunchSettings(device="cpu"))).backward()
     assert made.grad is not None
     assert float(made.grad.abs().sum()) > 0
     assert all(each.grad is None and each.requires_grad for each in heads.parameters())
@@ -176,17 +165,10 @@ def test_the_autoencoder_resumes_exactly_and_only_its_adapter_learns(tmp_path: P
     images, states = striped_pairs().images, []
     for name, stops in (("whole", (2,)), ("halves", (1, 2))):
         for stop in stops:
-            done: list[int] = []
             with RunFolder.open(tmp_path / name, "marker-vae", settings, "x", True) as run:
-                network = train_vae.train_vae(
-                    images,
-                    tiny_pretrained().vae,
-                    settings,
-                    validation=images[:2],
-                    run=run,
-                    stopping=lambda done=done, stop=stop: done[-1] == stop,
-                    progress=lambda step, _, done=done: done.append(step),
-                )
+                stopping = session(settings, run, 1 if stop == 1 else 0)
+                vae = tiny_pretrained().vae
+                network = train_vae.train_vae(images, vae, settings, images[:2], stopping)
         states.append(network.state_dict())
     assert all(torch.equal(states[0][name], each) for name, each in states[1].items())
     fresh = dict(tiny_pretrained().vae.named_parameters())

@@ -20,7 +20,8 @@ from learning.translation import Translator, load_translator
 from learning.translation.diffusion import command, vae_command
 from learning.translation.diffusion.data import read_image_pairs, read_role_images
 from learning.translation.diffusion.network import MarkerToMarker, build
-from learning.translation.diffusion.translator import BASE, KIND, DiffusionTranslator, base_of
+from learning.translation.diffusion.train import BASE, KIND
+from learning.translation.diffusion.translator import DiffusionTranslator, base_of
 from learning.translation.diffusion.weights import fingerprint
 from recorder import MarkerArchive
 

@@ -14,8 +14,7 @@ from learning.cli import predict
 from learning.data.splits import make_split
 from learning.errors import LearningError
 from learning.evaluation.predictions import read_predictions
-from learning.force.model import ForceModel
-from learning.force.predict import KIND
+from learning.force.model import KIND, ForceModel
 from learning.training.run import RunFolder
 from recorder import MarkerArchive
 

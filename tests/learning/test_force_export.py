@@ -15,22 +15,21 @@ from learning.data.presses import ForceRange
 from learning.errors import LearningError
 from learning.force.export import export_onnx, torch_stream
 from learning.force.model import ForceModel
-from learning.force.predict import ForcePredictor
 from learning.force.stream import ForceStream, open_exported
 
 
 @pytest.fixture(scope="module")
-def predictor() -> ForcePredictor:
+def model() -> ForceModel:
     torch.manual_seed(0)
     model = ForceModel(TOY.network, TOY.input).eval()
     model.set_range(ForceRange((-4.0, -4.0, -18.0), (4.0, 4.0, 1.0)))
-    return ForcePredictor(model, TOY)
+    return model
 
 
 @pytest.fixture(scope="module")
-def exported(predictor: ForcePredictor, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def exported(model: ForceModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("exported") / "model.onnx"
-    assert export_onnx(predictor, path) < 1e-4
+    assert export_onnx(model, path) < 1e-4
     return path
 
 
@@ -43,10 +42,10 @@ def _along(stream: ForceStream) -> np.ndarray:
     return np.array(found)
 
 
-def test_onnx_runtime_says_what_torch_says(predictor: ForcePredictor, exported: Path) -> None:
-    whole = predictor.predict(noise_presses(2))
+def test_onnx_runtime_says_what_torch_says(model: ForceModel, exported: Path) -> None:
+    whole = model.predict(noise_presses(2))
     assert np.allclose(_along(open_exported(exported.parent, threads=1)), whole, atol=1e-4)
-    assert np.allclose(_along(torch_stream(predictor)), whole, atol=1e-4)
+    assert np.allclose(_along(torch_stream(model)), whole, atol=1e-4)
 
 
 def test_a_reset_forgets_what_was_seen(exported: Path) -> None:
@@ -93,10 +92,10 @@ def test_files_that_are_no_exported_model_are_refused(tmp_path: Path, exported: 
         open_exported(exported, runtime="tensorrt")
 
 
-def test_an_export_overwrites_nothing(predictor: ForcePredictor, exported: Path) -> None:
+def test_an_export_overwrites_nothing(model: ForceModel, exported: Path) -> None:
     before = exported.read_bytes()
     with pytest.raises(LearningError, match="exists; allowed: a new file"):
-        export_onnx(predictor, exported)
+        export_onnx(model, exported)
     assert exported.read_bytes() == before
 
 
@@ -105,12 +104,12 @@ FEW = (Variant("torch", "fp32"), Variant("torch", "bf16"), Variant("onnxruntime"
 
 @pytest.mark.slow
 def test_costs_are_of_every_way_to_run_a_model(
-    predictor: ForcePredictor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    model: ForceModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The calibration's progress bar would keep a thread for the life of the process.
     monkeypatch.setattr("tqdm.tqdm.monitor_interval", 0)
-    sample = sample_of(noise_presses(2), predictor)
-    rows = costs("toy", predictor, sample, tmp_path, threads=1, least_frames=3, variants=FEW)
+    sample = sample_of(noise_presses(2), model)
+    rows = costs("toy", model, sample, tmp_path, threads=1, least_frames=3, variants=FEW)
     assert [(row.runtime, row.precision) for row in rows] == [
         ("torch", "fp32"),
         ("torch", "bf16"),
@@ -118,9 +117,7 @@ def test_costs_are_of_every_way_to_run_a_model(
     ]
     assert rows[0].difference_n == 0.0
     assert all(row.mae_n is not None and 0 < row.difference_n < 1 for row in rows[1:])
-    noise = costs(
-        "noise", predictor, sample_of_noise(predictor, 3), tmp_path, threads=1, variants=FEW[:1]
-    )
+    noise = costs("noise", model, sample_of_noise(model, 3), tmp_path, threads=1, variants=FEW[:1])
     assert noise[0].mae_n is None
     write_csv(rows, tmp_path / "bench.csv")
     assert len((tmp_path / "bench.csv").read_text().splitlines()) == 4
@@ -130,7 +127,7 @@ def test_costs_are_of_every_way_to_run_a_model(
 
 
 def test_a_runtime_that_is_missing_is_a_line_with_its_reason(
-    predictor: ForcePredictor, exported: Path, monkeypatch: pytest.MonkeyPatch
+    model: ForceModel, exported: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(__import__("sys").modules, "openvino", None)
     with pytest.raises(LearningError, match="openvino: not installed"):

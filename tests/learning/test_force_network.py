@@ -9,15 +9,8 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from learning.config import preset_names, read_settings
 from learning.errors import LearningError
-from learning.force.data import error
-from learning.force.model import (
-    PRESETS,
-    ForceModel,
-    ForceSettings,
-    InputSettings,
-    NetworkSettings,
-    prepare,
-)
+from learning.force.model import ForceModel, InputSettings, NetworkSettings, prepare
+from learning.force.train import PRESETS, ForceSettings, error
 
 
 def _preset(name: str) -> ForceModel:

@@ -12,8 +12,14 @@ from support.force_models import TOY, noise_presses, toy
 
 from learning.data.presses import Presses
 from learning.errors import LearningError
-from learning.force.model import ForceSettings, OptimiserSettings, SequenceSettings, StageSettings
-from learning.force.train import train_force, train_together
+from learning.force.together import train_together
+from learning.force.train import (
+    ForceSettings,
+    OptimiserSettings,
+    SequenceSettings,
+    StageSettings,
+    train_force,
+)
 
 SETTINGS = toy(
     stages=(
@@ -62,8 +68,8 @@ def test_sgd_and_many_frames_are_shared_too() -> None:
     assert together is not None
     for each, found in zip(presses, together, strict=True):
         alone = train_force(each, settings)
-        for name, weight in alone.model.state_dict().items():
-            torch.testing.assert_close(found.model.state_dict()[name], weight, rtol=1e-4, atol=1e-6)
+        for name, weight in alone.state_dict().items():
+            torch.testing.assert_close(found.state_dict()[name], weight, rtol=1e-4, atol=1e-6)
         np.testing.assert_allclose(found.predict(each), alone.predict(each), atol=1e-3)
 
 

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,14 +8,25 @@ import numpy as np
 import pytest
 import torch
 from support.force_models import TOY, noise_presses, toy
+from support.training import session
 
 from learning.data.presses import AUTHORS, Presses
 from learning.errors import LearningError
 from learning.force import load_force_model
-from learning.force.data import Sequences, epoch, force_range, forces_of, frames_of, labels_of
-from learning.force.model import ForceSettings, InputSettings, SequenceSettings, StageSettings
-from learning.force.predict import KIND, ForcePredictor
-from learning.force.train import train_force
+from learning.force.model import KIND, ForceModel, InputSettings
+from learning.force.train import (
+    ForceSettings,
+    Sequences,
+    SequenceSettings,
+    StageSettings,
+    epoch,
+    force_range,
+    forces_of,
+    frames_of,
+    labels_of,
+    train_force,
+)
+from learning.training.checkpoint import read_model_folder
 from learning.training.run import RunFolder
 
 # All state that a run has to restore.
@@ -36,19 +46,10 @@ def _open(path: Path, settings: ForceSettings = TOY, *, resume: bool = False) ->
     return RunFolder.open(path, KIND, settings, "data", resume)
 
 
-def _after(steps: int) -> Callable[[], bool]:
-    asked = iter(range(steps))
-    return lambda: next(asked, None) is None
-
-
-def _weights(predictor: ForcePredictor) -> dict[str, torch.Tensor]:
-    return predictor.model.state_dict()
-
-
-def _left(predictor: ForcePredictor, presses: Presses) -> float:
+def _left(model: ForceModel, presses: Presses) -> float:
     """Return the error as a share of that of predicting the mean."""
     wanted = presses.wrench.numpy()
-    off = np.abs(predictor.predict(presses) - wanted).mean()
+    off = np.abs(model.predict(presses) - wanted).mean()
     return float(off / np.abs(wanted - wanted.mean(axis=0)).mean())
 
 
@@ -72,16 +73,15 @@ def test_a_run_that_was_stopped_ends_as_one_that_was_not(tmp_path: Path, steps: 
     presses = [noise_presses(4, seed=1), noise_presses(5, seed=2)]
     held = noise_presses(2, seed=3)
     with _open(tmp_path / "whole", EVERYTHING) as run:
-        whole = train_force(presses, EVERYTHING, run, validation=held)
+        whole = train_force(presses, EVERYTHING, session(EVERYTHING, run), validation=held)
     with _open(tmp_path / "parts", EVERYTHING) as run:
-        train_force(presses, EVERYTHING, run, validation=held, stopped=_after(steps))
+        stopping = session(EVERYTHING, run, steps + 1)
+        train_force(presses, EVERYTHING, stopping, validation=held)
         assert not run.finished
     with _open(tmp_path / "parts", EVERYTHING, resume=True) as run:
-        parts = train_force(presses, EVERYTHING, run, validation=held)
-    assert all(
-        torch.equal(one, other)
-        for one, other in zip(_weights(whole).values(), _weights(parts).values(), strict=True)
-    )
+        parts = train_force(presses, EVERYTHING, session(EVERYTHING, run), validation=held)
+    for name, value in whole.state_dict().items():
+        assert torch.equal(value, parts.state_dict()[name]), name
     logs = [(tmp_path / name / "metrics.jsonl").read_text() for name in ("whole", "parts")]
     assert logs[0] == logs[1]
 
@@ -89,15 +89,16 @@ def test_a_run_that_was_stopped_ends_as_one_that_was_not(tmp_path: Path, steps: 
 def test_a_finished_run_is_a_model_that_predicts_the_same(tmp_path: Path) -> None:
     presses = noise_presses(3)
     with _open(tmp_path / "run") as run:
-        trained = train_force(presses, TOY, run)
+        trained = train_force(presses, TOY, session(TOY, run))
     opened = load_force_model(tmp_path / "run")
-    assert opened.settings == TOY
+    assert read_model_folder(tmp_path / "run", KIND).settings(ForceSettings) == TOY
+    assert (opened.network, opened.inputs, opened.training) == (TOY.network, TOY.input, False)
     assert np.array_equal(opened.predict(presses), trained.predict(presses))
 
 
 def test_what_a_model_is_made_of_must_fit(tmp_path: Path) -> None:
     with _open(tmp_path / "run") as run:
-        train_force(noise_presses(3), TOY, run)
+        train_force(noise_presses(3), TOY, session(TOY, run))
     config = (tmp_path / "run" / "config.yaml").read_text()
     (tmp_path / "run" / "config.yaml").write_text(config.replace("memory: 8", "memory: 12"))
     with pytest.raises(LearningError, match="memory"):
@@ -113,9 +114,8 @@ def test_validation_keeps_the_best_weights_and_ends_a_stage() -> None:
     presses, held = noise_presses(3, seed=1), noise_presses(2, seed=2)
     patient = toy(stages=(StageSettings(epochs=30, learning_rate=0.1),), patience_epochs=2)
     steps: list[int] = []
-    predictor = train_force(
-        presses, patient, validation=held, progress=lambda done, total: steps.append(done)
-    )
+    watched = replace(session(patient), progress=lambda done, total: steps.append(done))
+    predictor = train_force(presses, patient, watched, validation=held)
     assert len(steps) < 30 * 2
     best = np.abs(predictor.predict(held) - held.wrench.numpy()).mean()
     endless = train_force(presses, replace(patient, patience_epochs=None))
@@ -140,8 +140,8 @@ def test_compensation_changes_labels_before_their_range_is_taken() -> None:
         assert depth.shape == phase.shape == (len(wrench),)
         return wrench * np.where(depth > 0, 2.0, 1.0)[:, None], 0
 
-    plain = train_force(presses, TOY).model
-    changed = train_force(presses, TOY, compensation=doubled).model
+    plain = train_force(presses, TOY)
+    changed = train_force(presses, TOY, compensation=doubled)
     assert torch.allclose(changed.low, 2 * plain.low)
     with pytest.raises(LearningError, match="not all finite"):
         labels_of(presses, lambda wrench, depth, phase: (wrench * np.nan, 0))
@@ -155,11 +155,11 @@ def test_presses_that_cannot_be_learned_from_are_refused_and_nothing_is_written(
     missing.wrench[5] = torch.nan
     with _open(tmp_path / "run") as run:
         with pytest.raises(LearningError, match="found no wrench in 1 of"):
-            train_force(missing, TOY, run)
+            train_force(missing, TOY, session(TOY, run))
         with pytest.raises(LearningError, match="found field; allowed: images"):
-            train_force(noise_presses(form="field"), TOY, run)
+            train_force(noise_presses(form="field"), TOY, session(TOY, run))
         with pytest.raises(LearningError, match="found none of a sensor"):
-            train_force([], TOY, run)
+            train_force([], TOY, session(TOY, run))
         assert run.latest() is None
         assert not run.finished
 
@@ -173,7 +173,7 @@ def test_a_loss_that_is_no_number_ends_training_and_leaves_the_last_checkpoint(
         _open(tmp_path / "run", wild) as run,
         pytest.raises(LearningError, match="loss: found nan"),
     ):
-        train_force(noise_presses(4), wild, run)
+        train_force(noise_presses(4), wild, session(wild, run))
     assert not run.finished
 
 

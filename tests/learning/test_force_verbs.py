@@ -14,9 +14,9 @@ from learning.data.splits import make_split
 SMALL = ["--preset", "tiny", "--set", "stages=[{epochs: 1, learning_rate: 0.001}]"]
 
 
-def _learning(*arguments: object) -> subprocess.CompletedProcess[str]:
+def _learning(*arguments: object, of: str = "learning") -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "learning", *map(str, arguments)],
+        [sys.executable, "-m", of, *map(str, arguments)],
         capture_output=True,
         text=True,
         check=False,
@@ -40,7 +40,8 @@ def test_an_archive_becomes_a_model_a_file_and_a_table(tmp_path: Path) -> None:
     assert _learning("export-onnx", model).returncode == 0
     shown = ["--archive", archive.path, "--sensor", "grid", "--split", split]
     few = ["--frames", 2, "--presses", 1, "--threads", 1, "--runtimes", "torch,onnxruntime"]
-    done = _learning("bench", "--model", model, *shown, *few, "--out", tmp_path / "bench")
+    table = ["--model", model, *shown, *few, "--out", tmp_path / "bench"]
+    done = _learning("latency", *table, of="benchmarks")
     assert done.returncode == 0, done.stderr
     with (tmp_path / "bench" / "bench.csv").open() as file:
         rows = list(csv.DictReader(file))

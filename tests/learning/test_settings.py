@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 
 import pytest
 
-from learning.config import differing_keys, read_settings, settings_to_dict
+from learning.config import differing_keys, read_settings, require, settings_to_dict
 from learning.errors import LearningError
 
 
@@ -96,6 +96,37 @@ def test_plain_values_make_the_same_settings_again(presets: Path) -> None:
 
     read = read_settings(Outer, presets, "full")
     assert READER.build(Outer, settings_to_dict(read), "again") == read
+
+
+@dataclass(frozen=True)
+class Ranged:
+    steps: int | None = 1
+    share: float = 0.5
+    betas: tuple[float, float] = (0.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("settings", "wanted", "message"),
+    [
+        (Ranged(steps=0), {"least": 1}, "steps: found 0; allowed: 1 or more"),
+        (Ranged(steps=0), {"above": 0}, "steps: found 0; allowed: above 0"),
+        (Ranged(share=1.5), {"least": 0, "most": 1}, "share: found 1.5; allowed: 0 to 1"),
+        (Ranged(share=float("nan")), {"least": 0}, "share: found nan; allowed: 0 or more"),
+        (Ranged(share=-1.0), {"above": 0, "most": 1}, "share: found -1.0; allowed: above 0 to 1"),
+        (Ranged(betas=(0.0, 2.0)), {"most": 1}, r"betas: found \(0.0, 2.0\); allowed: 1 or less"),
+        (Ranged(steps=None), {"least": 0}, ""),
+        (Ranged(), {"least": 0, "most": 1}, ""),
+    ],
+)
+def test_numbers_outside_their_range_are_refused_by_name(
+    settings: Ranged, wanted: dict[str, float], message: str
+) -> None:
+    names = ("steps", "share", "betas")
+    if not message:
+        require(settings, *names, **wanted)
+        return
+    with pytest.raises(LearningError, match=f"^{message}$"):
+        require(settings, message.split(":")[0], **wanted)
 
 
 def test_keys_that_differ_are_named_by_their_path() -> None:

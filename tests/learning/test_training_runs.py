@@ -30,6 +30,12 @@ class Toy:
     seed: int = 3
 
 
+@dataclass(frozen=True, slots=True)
+class Described:
+    description: str
+    seed: int = 3
+
+
 class Net(nn.Module):
     def __init__(self, width: int) -> None:
         super().__init__()
@@ -151,6 +157,32 @@ def test_other_settings_or_data_are_refused_by_name(tmp_path: Path) -> None:
         RunFolder.open(tmp_path / "run", "force", Toy(), "data")
     after = sorted((path, path.stat().st_mtime_ns) for path in (tmp_path / "run").rglob("*"))
     assert before == after
+
+
+def test_a_description_may_be_reworded(tmp_path: Path) -> None:
+    with RunFolder.open(tmp_path / "run", "force", Described("first words"), "data"):
+        pass
+    RunFolder.open(tmp_path / "run", "force", Described("other words"), "data", resume=True)
+    other = Described("other words", seed=4)
+    with pytest.raises(LearningError, match=r"begun with other settings\.seed; allowed"):
+        RunFolder.open(tmp_path / "run", "force", other, "data", resume=True)
+
+
+def test_a_folder_that_is_nowhere_keeps_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _train(tmp_path / "run", 10)
+    monkeypatch.chdir(tmp_path / "run")
+    net, run = Net(8), RunFolder.nowhere()
+    before = {name: value.clone() for name, value in net.state_dict().items()}
+    assert (run.latest(), run.best(), run.finished) == (None, None, False)
+    assert run.restore({"model": net}) == 0
+    assert all(torch.equal(value, before[name]) for name, value in net.state_dict().items())
+    files = sorted(tmp_path.rglob("*"))
+    run.log(1, {"loss": 1.0})
+    run.save(1, {"model": net}, {})
+    run.finish(1, {"model": net})
+    assert sorted(tmp_path.rglob("*")) == files
 
 
 def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import torch
 from torch import nn
 
 from learning.errors import LearningError
-from learning.training.optim import Constant, Cosine, Ema, InversePower, Stages, set_rate
+from learning.training.optim import Constant, Cosine, Ema, InversePower, set_rate
 from learning.training.run import (
     LaunchSettings,
     Stop,
@@ -59,15 +59,7 @@ def test_batches_reach_from_one_pass_into_the_next() -> None:
         batch(0, 0, 4, 0)
 
 
-def test_rates_are_those_of_the_paper_and_of_the_authors() -> None:
-    paper = Stages((0.1, 1e-3), (40, 40))
-    assert [paper.at(step, 10) for step in (0, 399, 400, 799, 5000)] == [
-        0.1,
-        0.1,
-        1e-3,
-        1e-3,
-        1e-3,
-    ]
+def test_a_rate_is_that_of_the_authors() -> None:
     authors = InversePower(0.1)
     assert authors.at(1000) == pytest.approx(0.1 * 1.3**-0.75)
     assert authors.at(0) == pytest.approx(0.1)
@@ -91,7 +83,6 @@ def test_rates_rise_and_fall() -> None:
     [
         (Constant, {"rate": -1.0}),
         (Cosine, {"rate": 1.0, "steps": 5, "warm_up": 5}),
-        (Stages, {"rates": (0.1,), "epochs": (1, 2)}),
         (InversePower, {"rate": 1.0, "gamma": -1.0}),
     ],
 )

@@ -7,27 +7,32 @@ import numpy as np
 import pytest
 import torch
 from support.made_up_archives import made_up_archive
+from support.training import session
 
 from learning.__main__ import main
 from learning.config import preset_names, read_settings
 from learning.data.images import shrink
 from learning.data.splits import Split, make_split
 from learning.errors import LearningError
-from learning.training.run import LaunchSettings, RunFolder, accelerator
+from learning.training.run import LaunchSettings, RunFolder
 from learning.translation.direct.autoencoder import (
-    KIND,
-    PRESETS,
     Autoencoder,
-    AutoencoderSettings,
-    deformed_patterns,
     divergence,
-    load_autoencoder,
     orient,
-    read_images,
     scaled,
     soft_dice,
 )
-from learning.translation.direct.train_autoencoder import new_autoencoder, train, validate
+from learning.translation.direct.train_autoencoder import (
+    KIND,
+    PRESETS,
+    AutoencoderSettings,
+    deformed_patterns,
+    load_autoencoder,
+    new_autoencoder,
+    read_images,
+    train,
+    validate,
+)
 from recorder import MarkerArchive
 
 TINY = AutoencoderSettings(
@@ -68,16 +73,15 @@ def split(archive: MarkerArchive) -> Split:
 
 def test_images_that_are_learned_by_heart_are_given_back(images: torch.Tensor) -> None:
     settings = replace(TINY, steps=40, batch=8, orientation=False, validate_every=40)
-    launched = accelerator(settings.launch)
     before = validate(new_autoencoder(settings), images, 8)
-    after = validate(train(images, images, settings, launched), images, 8)
+    after = validate(train(images, images, settings), images, 8)
     assert after["l1"] < 0.6 * before["l1"]
     assert after["dice"] > 0.6
 
 
 def test_every_weight_learns(images: torch.Tensor) -> None:
     before = new_autoencoder(TINY).state_dict()
-    after = train(images, images, TINY, accelerator(TINY.launch)).state_dict()
+    after = train(images, images, TINY).state_dict()
     still = [name for name in before if torch.equal(before[name], after[name])]
     assert still == []
 
@@ -85,27 +89,17 @@ def test_every_weight_learns(images: torch.Tensor) -> None:
 def test_stopped_and_resumed_it_ends_in_the_same_weights(
     images: torch.Tensor, tmp_path: Path
 ) -> None:
-    launched = accelerator(TINY.launch)
     settings = replace(TINY, procedural=0.5)
-    whole = train(images, images, settings, launched)
+    whole = train(images, images, settings)
     with RunFolder.open(tmp_path / "run", KIND, settings, "data") as run:
-        train(images, images, settings, launched, run, stop=_StopAfter(2))
+        train(images, images, settings, session(settings, run, 2))
+        assert not run.finished
         assert run.latest() == tmp_path / "run/checkpoints/00000002"
     with RunFolder.open(tmp_path / "run", KIND, settings, "data", resume=True) as run:
-        resumed = train(images, images, settings, launched, run)
+        resumed = train(images, images, settings, session(settings, run))
+        assert run.finished
     for name, value in whole.state_dict().items():
         assert torch.equal(value, resumed.state_dict()[name]), name
-
-
-class _StopAfter:
-    """Request a stop after some steps, as Ctrl-C does."""
-
-    def __init__(self, steps: int) -> None:
-        self._left = steps
-
-    def agreed(self, launched: object) -> bool:
-        self._left -= 1
-        return self._left == 0
 
 
 def test_features_have_the_last_width_and_do_not_depend_on_the_company(
@@ -185,7 +179,7 @@ def test_the_verb_trains_and_resumes_and_what_it_made_can_be_loaded(
 
 def test_no_images_and_no_patterns_are_nothing_to_learn_from() -> None:
     with pytest.raises(LearningError, match="procedural: found 0"):
-        train(NOTHING, NOTHING, TINY, accelerator(TINY.launch))
+        train(NOTHING, NOTHING, TINY)
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:

@@ -16,7 +16,6 @@ from learning.training.checkpoint import read_model_folder
 from learning.translation import load_translator
 from learning.translation.direct.data import (
     AlignedImages,
-    Augmentation,
     align,
     all_pairs,
     blot,
@@ -26,6 +25,7 @@ from learning.translation.direct.data import (
     move_edges,
 )
 from learning.translation.direct.network import DirectNetwork, fetched
+from learning.translation.direct.train import Augmentation
 from recorder import MarkerArchive
 from recorder.archive import location_pairs
 

@@ -8,22 +8,31 @@ import pytest
 import torch
 from support.direct_translators import TINY, coarse, encoder, finished_run, tiny_network
 from support.made_up_archives import made_up_archive
+from support.training import session
 
 from learning.__main__ import main
 from learning.config import preset_names, read_settings
 from learning.data.splits import Split, make_split
 from learning.errors import LearningError
-from learning.training.run import LaunchSettings, RunFolder, accelerator
+from learning.training.run import LaunchSettings, RunFolder
 from learning.translation.direct import KIND, DirectNetwork, load_network
-from learning.translation.direct.data import AlignedImages, Augmentation, align
-from learning.translation.direct.losses import LossWeights, perceptual, reconstruction
+from learning.translation.direct.data import AlignedImages, align
 from learning.translation.direct.network import (
     PatchDiscriminator,
     discriminator_loss,
     generator_loss,
 )
-from learning.translation.direct.settings import PRESETS, DirectSettings
-from learning.translation.direct.train import new_network, train, validate
+from learning.translation.direct.train import (
+    PRESETS,
+    Augmentation,
+    DirectSettings,
+    LossWeights,
+    new_network,
+    perceptual,
+    reconstruction,
+    train,
+    validate,
+)
 from recorder import MarkerArchive
 
 ALL_LOSSES = LossWeights(adversarial=0.1)
@@ -64,7 +73,7 @@ def test_a_batch_that_is_learned_by_heart_is_translated_better_than_by_the_refer
     settings = replace(
         TINY, steps=45, batch=8, augmentation=still, average=0.9, validation_images=8
     )
-    network = train(tiny_network(), aligned, None, settings, accelerator(settings.launch))
+    network = train(tiny_network(), aligned, None, settings)
     measured = validate(network, aligned, ((0, 1), (1, 0)), settings)
     assert measured["dice"] > measured["dice_of_reference"] + 0.02
 
@@ -85,9 +94,9 @@ def test_every_weight_learns_but_those_of_the_reference_encoder(
     )
     start = tiny_network(settings)
     before = {name: value.clone() for name, value in start.state_dict().items()}
-    launched = accelerator(settings.launch)
     with RunFolder.open(tmp_path / "run", KIND, settings, "data") as run:
-        after = train(start, aligned, None, settings, launched, run).state_dict()
+        after = train(start, aligned, None, settings, session(settings, run)).state_dict()
+        assert run.finished
         folder = run.latest()
     still = {name for name in before if torch.equal(before[name], after[name])}
     assert still == {name for name in before if name.startswith("reference_encoder.")}
@@ -126,26 +135,16 @@ def test_stopped_and_resumed_it_ends_in_the_same_weights(
     aligned: AlignedImages, tmp_path: Path
 ) -> None:
     settings = replace(TINY, losses=ALL_LOSSES)
-    launched = accelerator(settings.launch)
-    whole = train(tiny_network(), aligned, aligned, settings, launched)
+    whole = train(tiny_network(), aligned, aligned, settings)
     with RunFolder.open(tmp_path / "run", KIND, settings, "data") as run:
-        train(tiny_network(), aligned, aligned, settings, launched, run, stop=_StopAfter(2))
+        train(tiny_network(), aligned, aligned, settings, session(settings, run, 2))
+        assert not run.finished
         assert run.latest() == tmp_path / "run/checkpoints/00000002"
     with RunFolder.open(tmp_path / "run", KIND, settings, "data", resume=True) as run:
-        resumed = train(tiny_network(), aligned, aligned, settings, launched, run)
+        resumed = train(tiny_network(), aligned, aligned, settings, session(settings, run))
+        assert run.finished
     for name, value in whole.state_dict().items():
         assert torch.equal(value, resumed.state_dict()[name]), name
-
-
-class _StopAfter:
-    """Request a stop after some steps, as Ctrl-C does."""
-
-    def __init__(self, steps: int) -> None:
-        self._left = steps
-
-    def agreed(self, launched: object) -> bool:
-        self._left -= 1
-        return self._left == 0
 
 
 def test_losses_without_weight_are_not_computed() -> None:
@@ -215,7 +214,7 @@ def test_a_translator_is_no_autoencoder(
 def test_validation_on_other_sensors_is_refused(aligned: AlignedImages) -> None:
     other = replace(aligned, sensors=("dots", "diamonds"))
     with pytest.raises(LearningError, match="found sensors dots, diamonds"):
-        train(tiny_network(), aligned, other, TINY, accelerator(TINY.launch))
+        train(tiny_network(), aligned, other, TINY)
 
 
 def test_the_validation_measures_every_direction_alike(aligned: AlignedImages) -> None:

@@ -17,13 +17,14 @@ from learning.translation.field.data import Bank, Frames, draw_examples, gather_
 from learning.translation.field.network import (
     CHANNELS,
     SIDE,
+    FieldModel,
     carried,
     from_displacement,
     render,
     signed_distance,
 )
-from learning.translation.field.settings import ExampleSettings
-from learning.translation.field.translator import FieldModel, FieldTranslator
+from learning.translation.field.train import ExampleSettings
+from learning.translation.field.translator import FieldTranslator
 from recorder import MarkerArchive, SessionError
 from recorder.markers import HEIGHT, WIDTH, draw_discs, place_discs
 

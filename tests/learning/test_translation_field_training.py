@@ -9,6 +9,7 @@ import pytest
 import torch
 from support.made_up_archives import MM_PER_PX, made_up_archive
 from support.tiny_field import TINY, tiny
+from support.training import session
 from torch import Tensor
 
 from learning.config import read_settings
@@ -18,9 +19,16 @@ from learning.training.run import RunFolder
 from learning.translation import load_translator
 from learning.translation.field import command as train_field_verb
 from learning.translation.field.data import Frames, gather_role
-from learning.translation.field.settings import PRESETS, FieldSettings
-from learning.translation.field.train import found_in_sources, map_scores, net_scores, train_field
-from learning.translation.field.translator import FieldModel, FieldTranslator
+from learning.translation.field.network import FieldModel
+from learning.translation.field.train import (
+    PRESETS,
+    FieldSettings,
+    found_in_sources,
+    map_scores,
+    net_scores,
+    train_field,
+)
+from learning.translation.field.translator import FieldTranslator
 from recorder import MarkerArchive
 
 STAGES = ("field_stage", "map_stage")
@@ -89,12 +97,11 @@ def test_a_training_that_was_stopped_ends_as_one_that_was_not(
     frames: Frames, trained: dict[str, Tensor], tmp_path: Path, stopped_after: int
 ) -> None:
     with RunFolder.open(tmp_path / "run", "field", SETTINGS, "data") as run:
-        counted = iter(range(1, 100))
-        train_field(frames, SETTINGS, run=run, stopping=lambda: next(counted) >= stopped_after)
+        train_field(frames, SETTINGS, session=session(SETTINGS, run, stopped_after))
         assert not run.finished
         assert run.latest() == tmp_path / f"run/checkpoints/{stopped_after:08d}"
     with RunFolder.open(tmp_path / "run", "field", SETTINGS, "data", resume=True) as run:
-        train_field(frames, SETTINGS, frames, run=run)
+        train_field(frames, SETTINGS, frames, session(SETTINGS, run))
         assert run.finished
     resumed = load_translator(tmp_path / "run")
     assert isinstance(resumed, FieldTranslator)
@@ -115,13 +122,14 @@ def test_a_loss_that_is_lost_ends_the_training_and_saves_nothing(
     settings = tiny(**steps(30, 0), **{"field_stage.learning_rate": 1e30})
     with RunFolder.open(tmp_path / "run", "field", settings, "data") as run:
         with pytest.raises(LearningError, match="found a loss of"):
-            train_field(frames, settings, run=run)
+            train_field(frames, settings, session=session(settings, run))
         assert run.latest() is None
 
 
 def test_weights_of_another_network_are_refused(frames: Frames, tmp_path: Path) -> None:
-    with RunFolder.open(tmp_path / "a", "field", tiny(**steps(1, 0)), "data") as run:
-        train_field(frames, tiny(**steps(1, 0)), run=run)
+    settings = tiny(**steps(1, 0))
+    with RunFolder.open(tmp_path / "a", "field", settings, "data") as run:
+        train_field(frames, settings, session=session(settings, run))
     config = (tmp_path / "a/config.yaml").read_text()
     (tmp_path / "a/config.yaml").write_text(config.replace("numbers: 4", "numbers: 5"))
     with pytest.raises(LearningError, match="map"):

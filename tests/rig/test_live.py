@@ -286,12 +286,12 @@ def write_model(folder: Path) -> None:
     from learning.config import read_settings
     from learning.data.presses import AUTHORS
     from learning.force.export import export_onnx
-    from learning.force.model import PRESETS, ForceModel, ForceSettings
-    from learning.force.predict import ForcePredictor
+    from learning.force.model import ForceModel
+    from learning.force.train import PRESETS, ForceSettings
 
     settings = read_settings(ForceSettings, PRESETS, "tiny", [])
     torch.manual_seed(0)
     model = ForceModel(settings.network, settings.input).eval()
     model.set_range(AUTHORS)
     folder.mkdir()
-    export_onnx(ForcePredictor(model, settings), folder / "model.onnx")
+    export_onnx(model, folder / "model.onnx")

@@ -12,8 +12,7 @@ from learning.training.run import LaunchSettings, RunFolder
 from learning.translation.direct import KIND, DirectNetwork
 from learning.translation.direct.autoencoder import Autoencoder, Encoder
 from learning.translation.direct.data import AlignedImages
-from learning.translation.direct.settings import DirectSettings
-from learning.translation.direct.train import new_network
+from learning.translation.direct.train import DirectSettings, new_network
 
 TINY = DirectSettings(
     description="of tests",

@@ -8,14 +8,8 @@ from typing import Any
 import torch
 
 from learning.data.presses import Presses
-from learning.force.model import (
-    ForceSettings,
-    InputSettings,
-    NetworkSettings,
-    OptimiserSettings,
-    SequenceSettings,
-    StageSettings,
-)
+from learning.force.model import InputSettings, NetworkSettings
+from learning.force.train import ForceSettings, OptimiserSettings, SequenceSettings, StageSettings
 
 TOY = ForceSettings(
     description="a few thousand weights",

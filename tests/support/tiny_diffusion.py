@@ -10,8 +10,7 @@ import torch
 from benchmarks.learning.diffusion_full_size import random_pretrained
 from learning.config import read_settings
 from learning.translation.diffusion.data import ImagePairs
-from learning.translation.diffusion.settings import TRANSLATOR_PRESETS, TranslatorSettings
-from learning.translation.diffusion.train import Pretrained
+from learning.translation.diffusion.train import PRESETS, Pretrained, TranslatorSettings
 
 # Size of images; their latents are 4 x 4.
 SIDE = 16
@@ -79,7 +78,7 @@ def tiny_settings(preset: str = "ours", **weights: str) -> TranslatorSettings:
     given = [f"weights.{name}={value}" for name, value in weights.items()]
     return read_settings(
         TranslatorSettings,
-        TRANSLATOR_PRESETS,
+        PRESETS,
         preset,
         [*few, "unet_rank=2", "vae_rank=2", "optimiser.rate={kind: constant, rate: 0.01}", *given],
     )

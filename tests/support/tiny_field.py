@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from learning.config import read_settings
-from learning.translation.field.settings import PRESETS, FieldSettings
+from learning.translation.field.train import PRESETS, FieldSettings
 
 TINY: dict[str, object] = {
     "net.widths": [8, 8, 8, 16],

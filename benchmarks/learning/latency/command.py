@@ -14,7 +14,7 @@ from recorder.progress import ItemProgress
 if TYPE_CHECKING:
     from benchmarks.learning.latency.costs import Cost, Sample
     from learning.command import Subcommands
-    from learning.force.predict import ForcePredictor
+    from learning.force.model import ForceModel
 
 PRESETS = "paper,half,quarter,tiny,displacement"
 
@@ -78,12 +78,12 @@ def _run(options: argparse.Namespace) -> int:
     rows: list[Cost] = []
     # No thread, which would disturb the measurements.
     progress = ItemProgress("variants", sys.stderr, threaded=False)
-    for name, predictor in _models(options).items():
+    for name, model in _models(options).items():
         with tempfile.TemporaryDirectory() as folder, progress:
             rows += costs(
                 name,
-                predictor,
-                _sample(options, predictor),
+                model,
+                _sample(options, model),
                 Path(folder),
                 threads=options.threads,
                 least_frames=options.frames,
@@ -100,23 +100,35 @@ def _run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _models(options: argparse.Namespace) -> dict[str, ForcePredictor]:
-    from learning.force import load_force_model
-    from learning.force.predict import untrained
+def _models(options: argparse.Namespace) -> dict[str, ForceModel]:
+    from learning.config import read_settings
+    from learning.data.presses import AUTHORS
+    from learning.force import ForceModel, load_force_model
+    from learning.force.train import PRESETS as PRESET_FOLDER
+    from learning.force.train import ForceSettings
+    from learning.training.run import seed_torch
+
+    def untrained(preset: str) -> ForceModel:
+        """Return a model of a preset with random weights and the authors' force range."""
+        settings = read_settings(ForceSettings, PRESET_FOLDER, preset)
+        seed_torch(settings.seed, "force", "weights")
+        model = ForceModel(settings.network, settings.input)
+        model.set_range(AUTHORS)
+        return model.to(options.device).eval()
 
     if options.model:
         if options.presets:
             raise LearningError("--presets: found with --model; allowed: one of them")
         return {path.name: load_force_model(path, options.device) for path in options.model}
     names = (options.presets or PRESETS).split(",")
-    return {name: untrained(name, options.device) for name in names}
+    return {name: untrained(name) for name in names}
 
 
-def _sample(options: argparse.Namespace, predictor: ForcePredictor) -> Sample:
+def _sample(options: argparse.Namespace, model: ForceModel) -> Sample:
     from benchmarks.learning.latency.costs import sample_of, sample_of_noise
 
     if options.archive is None:
-        return sample_of_noise(predictor, options.presses)
+        return sample_of_noise(model, options.presses)
     from learning.data.presses import load_presses
     from learning.data.splits import read_split
     from recorder import MarkerArchive
@@ -128,10 +140,10 @@ def _sample(options: argparse.Namespace, predictor: ForcePredictor) -> Sample:
     split.check(archive)
     table = archive[options.sensor].table
     rows = split.rows(table, options.role)
-    form = predictor.settings.input.stored_form
+    form = model.inputs.stored_form
     locations = sorted(set(table["location"][rows].tolist()))
     # Spread evenly, so that a few presses cover several indenters.
     step = max(1, len(locations) // options.presses)
     chosen = locations[::step][: options.presses]
     few = [row for row in rows.tolist() if table["location"][row] in set(chosen)]
-    return sample_of(load_presses(archive[options.sensor], few, form=form), predictor)
+    return sample_of(load_presses(archive[options.sensor], few, form=form), model)

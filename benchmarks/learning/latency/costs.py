@@ -22,7 +22,6 @@ from learning.force.export import (
     torch_stream,
 )
 from learning.force.model import ForceModel
-from learning.force.predict import ForcePredictor
 from learning.force.stream import ForceStream, open_exported
 
 # Warm-up frames that are not timed.
@@ -85,12 +84,12 @@ class Sample:
     """Labels (n, 3) N, if available."""
 
 
-def sample_of(presses: Presses, predictor: ForcePredictor) -> Sample:
+def sample_of(presses: Presses, model: ForceModel) -> Sample:
     """Return labelled presses as a sample."""
     some = presses.to("cpu")
     some.require_wrench()
     first = some.reference[some.starts[:-1]]
-    needed = predictor.settings.input.needs_reference
+    needed = model.inputs.needs_reference
     return Sample(
         some.images.numpy(),
         some.starts.numpy(),
@@ -99,16 +98,16 @@ def sample_of(presses: Presses, predictor: ForcePredictor) -> Sample:
     )
 
 
-def sample_of_noise(predictor: ForcePredictor, count: int) -> Sample:
+def sample_of_noise(model: ForceModel, count: int) -> Sample:
     """Return synthetic frames without labels, which take as long as real ones."""
-    frames = made_up_frames(predictor, count + 1)
-    needed = predictor.settings.input.needs_reference
+    frames = made_up_frames(model, count + 1)
+    needed = model.inputs.needs_reference
     return Sample(frames[1:], np.array([0, count]), frames[:1] if needed else None, None)
 
 
 def costs(
     name: str,
-    predictor: ForcePredictor,
+    model: ForceModel,
     sample: Sample,
     folder: Path,
     *,
@@ -121,7 +120,7 @@ def costs(
 
     Args:
         name: Name of the model in the table.
-        predictor: The model, on the CPU or another device; exported ones run on the CPU.
+        model: The model, on the CPU or another device; exported ones run on the CPU.
         sample: Frames to process.
         folder: Folder for temporary exported models.
         threads: Threads of a step on the CPU.
@@ -131,15 +130,15 @@ def costs(
     """
     torch.set_num_threads(threads)
     exported = folder / f"{name}.onnx"
-    export_onnx(predictor, exported)
-    weights = sum(weight.numel() for weight in predictor.model.parameters())
-    truth = _forces(torch_stream(predictor), sample)
+    export_onnx(model, exported)
+    weights = sum(weight.numel() for weight in model.parameters())
+    truth = _forces(torch_stream(model), sample)
     rows = []
     for done, variant in enumerate(variants):
         progress(done, len(variants))
         about = (name, weights, variant.runtime, variant.precision, threads)
         try:
-            stream = _stream(variant, predictor, sample, exported, threads)
+            stream = _stream(variant, model, sample, exported, threads)
             found = _forces(stream, sample)
             taken = np.sort(_times(stream, sample, least_frames)) * 1e3
         except (LearningError, ImportError, RuntimeError) as error:
@@ -155,15 +154,15 @@ def costs(
 
 
 def _stream(
-    variant: Variant, predictor: ForcePredictor, sample: Sample, exported: Path, threads: int
+    variant: Variant, model: ForceModel, sample: Sample, exported: Path, threads: int
 ) -> ForceStream:
     if variant.runtime in ("torch", "torch.compile"):
         narrow = variant.precision == "bf16"
-        one = OneFrame(_bf16(predictor) if narrow else predictor.model).eval()
+        one = OneFrame(_bf16(model) if narrow else model).eval()
         if variant.runtime == "torch.compile":
             torch.compiler.reset()
             one.compile(dynamic=False)
-        return stepped_by(one, predictor)
+        return stepped_by(one, model)
     if variant.precision == "int8":
         quantised = exported.with_suffix(".int8.onnx")
         quantise(exported, quantised, _inputs_along(open_exported(exported), sample))
@@ -172,12 +171,12 @@ def _stream(
     return open_exported(exported, runtime=variant.runtime, threads=threads, bf16=narrow)
 
 
-def _bf16(predictor: ForcePredictor) -> ForceModel:
+def _bf16(model: ForceModel) -> ForceModel:
     """Return a copy of the model with weights in bfloat16, but unchanged force limits."""
-    copy = ForceModel(predictor.settings.network, predictor.settings.input)
-    copy.load_state_dict(predictor.model.state_dict())
-    copy = copy.to(predictor.device, torch.bfloat16)
-    copy.low, copy.high = predictor.model.low, predictor.model.high
+    copy = ForceModel(model.network, model.inputs)
+    copy.load_state_dict(model.state_dict())
+    copy = copy.to(model.device, torch.bfloat16)
+    copy.low, copy.high = model.low, model.high
     return copy.eval()
 
 

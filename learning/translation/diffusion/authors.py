@@ -19,6 +19,7 @@ from learning.config import read_settings
 from learning.errors import LearningError
 from learning.training.checkpoint import load_weights, weights_hash
 from learning.training.run import RunFolder
+from learning.translation.diffusion import train, train_vae
 from learning.translation.diffusion.network import (
     UNET_ADAPTER,
     UNET_TARGETS,
@@ -29,15 +30,8 @@ from learning.translation.diffusion.network import (
     is_adapter,
     rank_of,
 )
-from learning.translation.diffusion.settings import (
-    MARKER_VAE_PRESETS,
-    TRANSLATOR_PRESETS,
-    MarkerVaeSettings,
-    TranslatorSettings,
-    Weights,
-)
-from learning.translation.diffusion.train_vae import MarkerVae
-from learning.translation.diffusion.translator import BASE, KIND, MARKER_VAE
+from learning.translation.diffusion.train import TranslatorSettings
+from learning.translation.diffusion.train_vae import BASE, MarkerVae, MarkerVaeSettings, Weights
 from learning.translation.diffusion.weights import (
     fingerprint,
     read_plain,
@@ -153,17 +147,17 @@ def import_checkpoint(path: Path, base: str, out: Path) -> tuple[str, int]:
     settings: TranslatorSettings | MarkerVaeSettings
     network: MarkerToMarker | MarkerVae
     if found.kind == "translator":
-        settings = read_settings(TranslatorSettings, TRANSLATOR_PRESETS, "authors_code")
+        settings = read_settings(TranslatorSettings, train.PRESETS, "authors_code")
         settings = replace(
             settings, weights=weights, vae_rank=found.vae_rank, unet_rank=found.unet_rank
         )
         network = build(read_unet(base), read_vae(base), settings)
     else:
-        settings = read_settings(MarkerVaeSettings, MARKER_VAE_PRESETS, "authors_code")
+        settings = read_settings(MarkerVaeSettings, train_vae.PRESETS, "authors_code")
         settings = replace(settings, weights=weights, vae_rank=found.vae_rank)
         network = MarkerVae(read_vae(base), settings)
     load_weights(network, found.tensors, str(path))
-    kind = KIND if found.kind == "translator" else MARKER_VAE
+    kind = train.KIND if found.kind == "translator" else train_vae.KIND
     facts = {BASE: fingerprint(base), "imported_from": f"{path.name} sha256 {weights_hash(path)}"}
     with RunFolder.open(out, kind, settings, "the authors' checkpoint", facts=facts) as run:
         run.finish(0, {"model": network})

@@ -6,7 +6,7 @@ therefore stored as two indices.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations
 from typing import Any, Self
@@ -15,10 +15,10 @@ import numpy as np
 import torch
 
 from learning.data.images import shrink
-from learning.data.presses import read_frames
+from learning.data.presses import Progress, read_frames_of
 from learning.data.splits import Role, Split
 from learning.errors import LearningError
-from recorder.archive import ArchivedSensor, MarkerArchive, location_pairs
+from recorder.archive import MarkerArchive, location_pairs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +97,7 @@ def read_image_pairs(
     pairs: Sequence[tuple[str, str]] = (),
     preset: str = "supplement",
     device: torch.device | str = "cpu",
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Progress = lambda done, total: None,
 ) -> ImagePairs:
     """Return the location pairs of sensors, in both directions by default.
 
@@ -139,16 +139,13 @@ def read_image_pairs(
             f"{archive.name}: {', '.join(used)} have no location pairs with role {role}; "
             "allowed: sensors that were pressed at the same places"
         )
-    total = sum(map(len, used.values()))
-    images: list[torch.Tensor] = []
     belongs: list[torch.Tensor] = []
     references: list[torch.Tensor] = []
     first: dict[str, int] = {}
     known = 0
     for name, rows in used.items():
         sensor = archive[name]
-        first[name] = sum(map(len, images))
-        images.append(_read(sensor, rows, device, first[name], total, progress))
+        first[name] = sum(map(len, belongs))
         belongs.append(torch.from_numpy(sensor.table["reference"][rows].astype(np.int64)) + known)
         references.append(torch.from_numpy(shrink(sensor.references)))
         known += len(sensor.references)
@@ -160,7 +157,7 @@ def read_image_pairs(
         for side in (0, 1)
     ]
     return ImagePairs(
-        torch.cat(images),
+        read_frames_of([archive[name] for name in used], [*used.values()], device, progress),
         torch.cat(belongs),
         torch.cat(references),
         torch.cat(ends_of[0]),
@@ -186,7 +183,7 @@ def read_role_images(
     *,
     sensors: Sequence[str],
     device: torch.device | str = "cpu",
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Progress = lambda done, total: None,
 ) -> torch.Tensor:
     """Return all frames (n, 256, 256) uint8 of several sensors that have a role.
 
@@ -206,92 +203,6 @@ def read_role_images(
         raise LearningError(
             f"{archive.name}: no sensor {', '.join(unknown)}; known: {', '.join(archive)}"
         )
-    rows = {name: split.rows(archive[name].table, role) for name in sensors}
-    total, images, done = sum(map(len, rows.values())), [], 0
-    for name, chosen in rows.items():
-        images.append(_read(archive[name], chosen, device, done, total, progress))
-        done += len(chosen)
-    return torch.cat(images)
-
-
-def _read(
-    sensor: ArchivedSensor,
-    rows: Any,
-    device: torch.device | str,
-    before: int,
-    total: int,
-    progress: Callable[[int, int], None],
-) -> torch.Tensor:
-    """Return the images of rows; progress includes the `before` images of earlier sensors."""
-    return read_frames(
-        sensor,
-        rows,
-        torch.device(device),
-        progress=lambda done, _: progress(before + done, total),
-    )
-
-
-# Augmentation of true and translated images before the discriminator.
-#
-# Differentiable augmentation (Zhao et al. 2020) with its own ranges, as the vision-aided
-# discriminator uses it: colour, translation, cutout. Pixels shifted in or cut out become 0.
-
-# Largest shift, as a share of the side.
-TRANSLATION = 1 / 8
-# Side of the square that is cut out, as a share of the image's.
-CUTOUT = 1 / 2
-
-
-def augment(images: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-    """Return images (n, channels, h, w), each augmented independently at random."""
-    return _cut(_shift(_colour(images, generator), generator), generator)
-
-
-def _colour(images: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-    """Change brightness by +-0.5, saturation by 0 to 2 and contrast by 0.5 to 1.5 times."""
-    brightness, saturation, contrast = torch.rand(
-        (3, len(images), 1, 1, 1), generator=generator, device=images.device
-    )
-    images = images + (brightness - 0.5)
-    grey = images.mean(dim=1, keepdim=True)
-    images = (images - grey) * (2 * saturation) + grey
-    mean = images.mean(dim=(1, 2, 3), keepdim=True)
-    changed: torch.Tensor = (images - mean) * (contrast + 0.5) + mean
-    return changed
-
-
-def _shift(images: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-    rows, columns = _places(images)
-    for axis, places in ((2, rows), (3, columns)):
-        side = images.shape[axis]
-        most = int(side * TRANSLATION + 0.5)
-        shift = _integers(-most, most + 1, images, generator)
-        taken = places - shift
-        inside = (taken >= 0) & (taken < side)
-        index = taken.clamp(0, side - 1).expand_as(images)
-        images = images.gather(axis, index) * inside
-    return images
-
-
-def _cut(images: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-    kept = torch.zeros((), dtype=torch.bool, device=images.device)
-    for axis, places in zip((2, 3), _places(images), strict=True):
-        side = images.shape[axis]
-        size = int(side * CUTOUT + 0.5)
-        first = _integers(0, side + 1 - size % 2, images, generator) - size // 2
-        kept = kept | (places < first) | (places >= first + size)
-    return images * kept
-
-
-def _places(images: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return row indices (1, 1, h, 1) and column indices (1, 1, 1, w)."""
-    height, width = images.shape[2:]
-    rows = torch.arange(height, device=images.device).view(1, 1, -1, 1)
-    return rows, torch.arange(width, device=images.device).view(1, 1, 1, -1)
-
-
-def _integers(
-    low: int, high: int, images: torch.Tensor, generator: torch.Generator
-) -> torch.Tensor:
-    shape = (len(images), 1, 1, 1)
-    return torch.randint(low, high, shape, generator=generator, device=images.device)
+    chosen = [archive[name] for name in sensors]
+    rows = [split.rows(sensor.table, role) for sensor in chosen]
+    return read_frames_of(chosen, rows, device, progress)

@@ -14,7 +14,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import torch
 from torch import nn
@@ -22,8 +22,13 @@ from torch import nn
 from learning.errors import LearningError
 from learning.training.checkpoint import load_weights
 from learning.translation.diffusion.conditioning import ReferenceTokens
-from learning.translation.diffusion.settings import Range, TranslatorSettings
 from learning.translation.diffusion.weights import vendor
+
+if TYPE_CHECKING:
+    from learning.translation.diffusion.train import TranslatorSettings
+
+# Values of black and white for a network.
+Range = Literal["minus_one_one", "zero_one"]
 
 # Low-rank adapters (LoRA) on the frozen networks: adapted layers and trainable parameters.
 #

@@ -1,4 +1,4 @@
-r"""Training of the diffusion translator on location pairs.
+r"""Training of the diffusion translator on location pairs, from settings to command.
 
     python -m learning train-diffusion sim.markers.zarr --split split.json --preset paper_main \
         --base sd-turbo --clip clip-vit-base-patch32 --vgg vgg16-397923af.pth --lpips vgg.pth \
@@ -11,46 +11,116 @@ devices, run the same commands as `torchrun --nproc-per-node N -m learning ...`.
 
 from __future__ import annotations
 
+import argparse
+import json
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+import sys
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import nn
+from torch.nn import functional
 
+from learning.archive_writer import archive_fingerprint
+from learning.config import read_settings, require
 from learning.errors import LearningError
-from learning.training.checkpoint import load_weights
+from learning.train_command import open_data, run_training, trained_on
+from learning.training.checkpoint import load_weights, read_model_folder
 from learning.training.optim import set_rate
-from learning.training.run import accelerator as launched
+from learning.training.run import Session, accelerator
 from learning.training.run import batch as sampled
 from learning.training.run import generator as chance
-from learning.translation.diffusion.data import ImagePairs, unit
-from learning.translation.diffusion.losses import (
-    Batch,
+from learning.translation.diffusion.conditioning import Conditioning
+from learning.translation.diffusion.data import ImagePairs, read_image_pairs, unit
+from learning.translation.diffusion.discriminator import (
     ClipFeatures,
     DiscriminatorHeads,
-    Judges,
-    Side,
-    merged,
-    two_pass,
+    augment,
+    multilevel_sigmoid,
 )
 from learning.translation.diffusion.network import MarkerToMarker, Posterior, build
-from learning.translation.diffusion.settings import TranslatorSettings
+from learning.translation.diffusion.train_vae import (
+    BASE,
+    TrainingSettings,
+    load_vae_adapter,
+    require_base,
+    vae_adapter_of,
+)
 from learning.translation.diffusion.weights import (
     PerceptualDistance,
+    fingerprint,
     read_clip,
     read_perceptual,
     read_unet,
     read_vae,
+    require_base_folder,
 )
 
 if TYPE_CHECKING:
     from accelerate import Accelerator
 
-    from learning.training.run import RunFolder
+# Kind of a translator's folder.
+KIND = "diffusion"
+# Presets `paper_main` and `paper_supplement` follow the paper's two documents, `authors_code` the
+# published scripts, and `ours` contains our own choices.
+PRESETS = Path(__file__).parent / "presets" / "translator"
 
 _AT_ONCE = 16  # images encoded or evaluated at once
+
+
+# Settings
+
+
+@dataclass(frozen=True, slots=True)
+class LossWeights:
+    """Weights in the translator's loss (the paper, eq. 5)."""
+
+    adversarial: float = 0.5
+    """Multilevel sigmoid loss of the vision-aided discriminator."""
+    perceptual: float = 5.0
+    """LPIPS on VGG16."""
+    square: float = 1.0
+    """Mean squared error of images in the network's input range."""
+
+    def __post_init__(self) -> None:
+        require(self, "adversarial", "perceptual", "square", least=0)
+        if self.perceptual == self.square == 0:
+            raise LearningError("losses: found no reconstruction; allowed: perceptual or square")
+
+
+@dataclass(frozen=True, slots=True)
+class TranslatorSettings(TrainingSettings):
+    """Training settings of the diffusion translator."""
+
+    losses: LossWeights = field(default_factory=LossWeights)
+    """Weights of the losses."""
+    conditioning: Conditioning = "patch_tokens"
+    """Encoding of references for cross-attention."""
+    source_reference: bool = True
+    """True if the untouched source is also an input."""
+    unet_rank: int = 8
+    """Rank of the UNet's adapter."""
+    train_vae: bool = True
+    """True if the autoencoder's adapter is trained, as in the paper; in the authors' code no
+    optimiser updates it."""
+    sample_latents: bool = True
+    """True if training samples latents from the posterior; inference uses its mean."""
+    two_pass: bool = False
+    """True for separate passes and steps for reconstruction and adversary (authors' code); False
+    for one pass and one step."""
+
+    def __post_init__(self) -> None:
+        TrainingSettings.__post_init__(self)
+        require(self, "unet_rank", least=1, most=1024)
+        if self.two_pass and self.accumulation != 1:
+            raise LearningError("accumulation: found more than 1; two_pass allows 1")
+
+
+# Pretrained networks
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,40 +152,209 @@ def read_pretrained(settings: TranslatorSettings) -> Pretrained:
     )
 
 
+# One step of generator and discriminator, in two variants.
+#
+# `merged` evaluates the generator once: reconstruction and adversary share a backward pass and an
+# optimiser step. `two_pass` follows the authors' code: a pass and a step for reconstruction,
+# another for the adversary, and two steps of the discriminator.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Batch:
+    """Inputs and true outputs of the generator."""
+
+    source: torch.Tensor
+    """Source images (n, 1, h, w) in [0, 1]."""
+    target: torch.Tensor
+    """Target images, likewise."""
+    target_reference: torch.Tensor
+    """Latents of the untouched target."""
+    source_reference: torch.Tensor | None
+    """Latents of the untouched source, if they are an input."""
+    noise: torch.Tensor | None
+    """Standard normal noise of a latent's shape; None: use the posterior's mean."""
+    generator: torch.Generator
+    """Random generator of augmentation."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Side:
+    """A trainable network with its optimiser."""
+
+    network: nn.Module
+    """The network, wrapped for distributed training on several devices."""
+    optimiser: torch.optim.Optimizer
+    """Optimiser of its trainable parameters."""
+    clip_norm: float
+    """Gradient norm above which gradients are clipped; 0: no clipping."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judges:
+    """Losses and networks that evaluate the generator's images."""
+
+    losses: LossWeights
+    """Weights of the losses."""
+    perceptual: PerceptualDistance | None
+    """LPIPS; None if its weight is 0."""
+    features: ClipFeatures | None
+    """CLIP's features; None if the adversary's weight is 0."""
+    heads: Side | None
+    """Heads of the discriminator; None likewise."""
+
+
+def merged(
+    batches: Sequence[Batch], generator: Side, judges: Judges, runs_on: Accelerator
+) -> dict[str, torch.Tensor]:
+    """Train one step on its batches; return the mean of each unweighted loss."""
+    share = 1 / len(batches)
+    reported: list[dict[str, torch.Tensor]] = []
+    shown = []
+    for number, batch in enumerate(batches):
+        with _synchronised(generator.network, number == len(batches) - 1, runs_on):
+            made = _translate(generator.network, batch)
+            parts = _reconstruction(made, batch, generator, judges, runs_on)
+            if judges.heads is not None:
+                parts["adversarial"] = _fooling(made, batch, judges, runs_on)
+            runs_on.backward(_weighted(parts, judges.losses) * share)
+        reported.append({name: part.detach() for name, part in parts.items()})
+        shown.append(made.detach())
+    _advance(generator, runs_on)
+    if judges.heads is not None and judges.features is not None:
+        for number, (batch, made) in enumerate(zip(batches, shown, strict=True)):
+            # One pass for both, since every pass updates the spectral norms.
+            both = torch.cat((_native(batch, generator, runs_on), made))
+            with _synchronised(judges.heads.network, number == len(batches) - 1, runs_on):
+                logits = judges.heads.network(_seen(both, batch, judges.features))
+                true, fake = zip(*(level.chunk(2) for level in logits), strict=True)
+                loss = multilevel_sigmoid(true, real=True) + multilevel_sigmoid(fake, real=False)
+                runs_on.backward(loss * judges.losses.adversarial * share)
+            reported[number]["discriminator"] = loss.detach()
+        _advance(judges.heads, runs_on)
+    return {name: torch.stack([each[name] for each in reported]).mean() for name in reported[0]}
+
+
+def two_pass(
+    batch: Batch, generator: Side, judges: Judges, runs_on: Accelerator
+) -> dict[str, torch.Tensor]:
+    """Train one step on one batch as the authors' code does; return the unweighted losses."""
+    parts = _reconstruction(_translate(generator.network, batch), batch, generator, judges, runs_on)
+    runs_on.backward(_weighted(parts, judges.losses))
+    _advance(generator, runs_on)
+    if judges.heads is None or judges.features is None:
+        return {name: part.detach() for name, part in parts.items()}
+    made = _translate(generator.network, batch)
+    parts["adversarial"] = _fooling(made, batch, judges, runs_on)
+    runs_on.backward(parts["adversarial"] * judges.losses.adversarial)
+    _advance(generator, runs_on)
+    judged = []
+    for shown, real in ((_native(batch, generator, runs_on), True), (made.detach(), False)):
+        loss = multilevel_sigmoid(
+            judges.heads.network(_seen(shown, batch, judges.features)), real=real
+        )
+        runs_on.backward(loss * judges.losses.adversarial)
+        _advance(judges.heads, runs_on)
+        judged.append(loss)
+    parts["discriminator"] = judged[0] + judged[1]
+    return {name: part.detach() for name, part in parts.items()}
+
+
+def _translate(network: nn.Module, batch: Batch) -> torch.Tensor:
+    made: torch.Tensor = network(
+        batch.source, batch.target_reference, batch.source_reference, batch.noise
+    )
+    return made
+
+
+def _native(batch: Batch, generator: Side, runs_on: Accelerator) -> torch.Tensor:
+    network: MarkerToMarker = runs_on.unwrap_model(generator.network)
+    return network.native(batch.target)
+
+
+def _reconstruction(
+    made: torch.Tensor, batch: Batch, generator: Side, judges: Judges, runs_on: Accelerator
+) -> dict[str, torch.Tensor]:
+    true = _native(batch, generator, runs_on)
+    parts = {"square": functional.mse_loss(made, true)}
+    if judges.perceptual is not None:
+        parts["perceptual"] = judges.perceptual(made, true).mean()
+    return parts
+
+
+def _fooling(
+    made: torch.Tensor, batch: Batch, judges: Judges, runs_on: Accelerator
+) -> torch.Tensor:
+    """Return the generator's adversarial loss, with frozen heads."""
+    if judges.heads is None or judges.features is None:
+        return made.new_zeros(())
+    # Unwrapped, so that the generator's backward pass does not synchronise the heads.
+    heads = runs_on.unwrap_model(judges.heads.network).requires_grad_(False)
+    try:
+        seen = judges.features(augment(made, batch.generator))
+        return multilevel_sigmoid(heads(seen), real=True)
+    finally:
+        heads.requires_grad_(True)
+
+
+def _seen(shown: torch.Tensor, batch: Batch, features: ClipFeatures) -> list[torch.Tensor]:
+    with torch.no_grad():
+        found: list[torch.Tensor] = features(augment(shown, batch.generator))
+    return found
+
+
+def _weighted(parts: dict[str, torch.Tensor], losses: LossWeights) -> torch.Tensor:
+    total = losses.square * parts["square"]
+    for name in ("perceptual", "adversarial"):
+        if name in parts:
+            total = total + getattr(losses, name) * parts[name]
+    return total
+
+
+def _synchronised(network: nn.Module, last: bool, runs_on: Accelerator) -> Any:
+    """Synchronise gradients between devices only on the last batch of a step."""
+    return nullcontext() if last else runs_on.no_sync(network)
+
+
+def _advance(side: Side, runs_on: Accelerator) -> None:
+    if side.clip_norm:
+        learning = [each for group in side.optimiser.param_groups for each in group["params"]]
+        runs_on.clip_grad_norm_(learning, side.clip_norm)
+    side.optimiser.step()
+    side.optimiser.zero_grad()
+
+
+# Loop
+
+
 def train(
     pairs: ImagePairs,
     pretrained: Pretrained,
     settings: TranslatorSettings,
-    *,
     validation: ImagePairs | None = None,
+    session: Session | None = None,
+    *,
     vae_adapter: Mapping[str, torch.Tensor] | None = None,
     start_from: Mapping[str, torch.Tensor] | None = None,
-    run: RunFolder | None = None,
-    accelerator: Accelerator | None = None,
-    stopping: Callable[[], bool] = lambda: False,
-    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> MarkerToMarker:
-    """Train a network and return it; with a run folder, resume from its latest checkpoint.
+    """Train a network and return it.
 
     Args:
         pairs: Training pairs; copied to the device.
         pretrained: Networks to start from. UNet and autoencoder become part of the result.
         settings: Settings of the training.
         validation: Validation pairs; None: no validation.
+        session: Surroundings of the training; None: in memory, on the device of the settings.
         vae_adapter: Adapter of the marker autoencoder, for encoder, decoder and reference.
         start_from: State of a trained network with the same settings.
-        run: Folder for checkpoints and logs; None: nothing is written.
-        accelerator: Devices and precision; None: from the settings.
-        stopping: Returns True to save and stop after the current step.
-        progress: Called with the number of steps done and the total.
 
     Raises:
         LearningError: There are no pairs, weights do not fit, or a loss is not finite.
     """
     if not len(pairs):
         raise LearningError("pairs: found none; allowed: one or more")
-    runs_on = accelerator or launched(settings.launch)
-    device, rank, ranks = runs_on.device, runs_on.process_index, runs_on.num_processes
+    session = session or Session(accelerator(settings.launch))
+    run, runs_on, device = session.run, session.accelerator, session.device
+    rank, ranks = runs_on.process_index, runs_on.num_processes
 
     # Data: all on the device.
     pairs = pairs.to(device)
@@ -143,7 +382,7 @@ def train(
     judges = Judges(settings.losses, perceptual, features, critic)
 
     # Loop. Random numbers depend only on seed, step and process, so a resumed run is identical.
-    done = 0 if run is None else run.restore(models, states)
+    done, score = run.restore(models, states), None
     references = encoded_references(network, pairs.references, runs_on)
     for step in range(done, settings.steps):
         rate = own.rate.at(step)
@@ -155,28 +394,26 @@ def train(
             losses = two_pass(batches[0], generator, judges, runs_on)
         else:
             losses = merged(batches, generator, judges, runs_on)
-        done = step + 1
-        progress(done, settings.steps)
-        if done % settings.log_every == 0 or done in (1, settings.steps):
-            message = {f"train/{name}": float(loss) for name, loss in losses.items()}
-            _require_finite(message, done)
-            if run is not None:
-                run.log(done, {"train/rate": rate, **message})
-        if run is None:
-            continue
 
-        # Evaluation and checkpoints.
-        stop, last = stopping(), done == settings.steps
-        measured: dict[str, float] = {}
-        if validation is not None and (done % settings.validate_every == 0 or last):
+        # Log, validation and checkpoint
+        done = step + 1
+        last, stop, score = done == settings.steps, session.passed(done, settings.steps), None
+        if last or done == 1 or done % settings.log_every == 0:
+            message = {f"train/{name}": float(loss) for name, loss in losses.items()}
+            for name, loss in message.items():
+                if not math.isfinite(loss):
+                    raise LearningError(f"{name}: found {loss} on step {done}; allowed: finite")
+            run.log(done, {"train/rate": rate, **message})
+        if validation is not None and (last or done % settings.validate_every == 0):
             measured = evaluate(network, validation, settings, runs_on)
+            score = measured["validation/square"]
             run.log(done, measured)
-        if done % settings.checkpoint_every == 0 or last or stop or measured:
-            run.save(done, models, states, score=measured.get("validation/square"))
-        if last:
-            run.finish(done, {"model": network}, score=measured.get("validation/square"))
+        if last or stop or score is not None or done % settings.checkpoint_every == 0:
+            run.save(done, models, states, score=score)
         if stop:
             break
+    if done == settings.steps:
+        run.finish(done, {"model": network}, score=score)
     return network.eval()
 
 
@@ -275,7 +512,58 @@ def _latents(
     return target, references.rows(pairs.reference[pairs.source]).at(drawn[1])
 
 
-def _require_finite(losses: Mapping[str, float], step: int) -> None:
-    for name, loss in losses.items():
-        if not math.isfinite(loss):
-            raise LearningError(f"{name}: found {loss} on step {step}; allowed: finite")
+# Command
+
+
+def run(options: argparse.Namespace) -> int:
+    """Train as the options of `train-diffusion` say; return the exit code."""
+    if options.marker_vae is not None and options.start_from is not None:
+        raise LearningError("--marker-vae, --from: found both; allowed: one, or neither")
+    given = [
+        f"weights.{name}={json.dumps(getattr(options, name))}"
+        for name in ("base", "clip", "vgg", "lpips")
+        if getattr(options, name) is not None
+    ]
+    settings = read_settings(TranslatorSettings, PRESETS, options.preset, [*options.set, *given])
+    archive, split = open_data(options)
+    sensors = trained_on(options, archive, split)
+    require_base_folder(settings.weights.base)
+    base = fingerprint(settings.weights.base)
+    vae_adapter, state, begun = None, None, ""
+    if options.marker_vae is not None:
+        vae_adapter = load_vae_adapter(options.marker_vae, base)
+        begun = read_model_folder(options.marker_vae).hash()
+    if options.start_from is not None:
+        before = read_model_folder(options.start_from, KIND)
+        require_base(before, base)
+        state, begun = before.weights(), before.hash()
+        vae_adapter = vae_adapter_of(state)
+
+    def train_it(session: Session) -> None:
+        pretrained = read_pretrained(settings)
+        pairs, validation = (
+            read_image_pairs(
+                archive,
+                split,
+                role,
+                sensors=sensors,
+                preset=options.pairing,
+                device=session.device,
+                progress=session.reading,
+            )
+            if len(split.locations(role))
+            else None
+            for role in ("train", "validation")
+        )
+        if pairs is None:
+            raise LearningError(
+                f"{options.split}: found no press to train on; allowed: one or more"
+            )
+        print(f"{len(pairs):,} pairs of {', '.join(sensors)}", file=sys.stderr)
+        adapters = {"vae_adapter": vae_adapter, "start_from": state}
+        with session.stop:
+            train(pairs, pretrained, settings, validation, session, **adapters)
+
+    data = ["archive", archive_fingerprint(archive), split.fingerprint, *sensors]
+    data += [options.pairing, base, begun]
+    return run_training(options, KIND, settings, data, train_it, facts={BASE: base})

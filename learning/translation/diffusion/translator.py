@@ -11,8 +11,9 @@ from learning.data.images import enlarge_images, shrink_masks
 from learning.errors import LearningError
 from learning.training.checkpoint import ModelFolder, load_weights, read_model_folder
 from learning.translation.diffusion.data import unit
-from learning.translation.diffusion.network import MarkerToMarker, build, fuse, is_adapter, rank_of
-from learning.translation.diffusion.settings import TranslatorSettings
+from learning.translation.diffusion.network import MarkerToMarker, build, fuse, rank_of
+from learning.translation.diffusion.train import KIND, TranslatorSettings
+from learning.translation.diffusion.train_vae import BASE, require_base, vae_adapter_of
 from learning.translation.diffusion.weights import fingerprint, read_unet, read_vae
 from learning.translation.translator import require_masks
 
@@ -120,13 +121,6 @@ class DiffusionTranslator:
 # from its `base/` (a folder or a link) or from the path used in training; `facts.base` is their
 # required fingerprint.
 
-# Kind of a translator's folder.
-KIND = "diffusion"
-# Kind of a marker autoencoder's folder.
-MARKER_VAE = "marker-vae"
-# Name of the fact with the fingerprint of the published weights, and of the folder for them.
-BASE = "base"
-
 
 def load(folder: str | Path, device: torch.device | str = "cpu") -> DiffusionTranslator:
     """Return the translator in the folder of a training run, its adapters fused for speed.
@@ -166,30 +160,6 @@ def load_network(found: ModelFolder) -> MarkerToMarker:
     return network
 
 
-def load_vae_adapter(folder: str | Path, base: str) -> dict[str, torch.Tensor]:
-    """Return the adapter of a trained marker autoencoder from its folder.
-
-    Args:
-        folder: Run folder of the autoencoder.
-        base: Fingerprint of the published weights that it will be applied to.
-
-    Raises:
-        LearningError: Not such a folder, or trained from other published weights.
-    """
-    found = read_model_folder(Path(folder), MARKER_VAE)
-    require_base(found, base)
-    return vae_adapter_of(found.weights())
-
-
-def vae_adapter_of(state: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    """Return the autoencoder's adapter in the state of a translator or of an autoencoder."""
-    return {
-        name.removeprefix("vae."): tensor
-        for name, tensor in state.items()
-        if name.startswith("vae.") and is_adapter(name)
-    }
-
-
 def base_of(found: ModelFolder, message: str) -> str:
     """Return the folder of the published weights that a run was trained from.
 
@@ -209,17 +179,3 @@ def base_of(found: ModelFolder, message: str) -> str:
         )
     require_base(found, fingerprint(folder))
     return folder
-
-
-def require_base(found: ModelFolder, base: str) -> None:
-    """Reject published weights other than those the run was trained from.
-
-    Raises:
-        LearningError: The fingerprints differ.
-    """
-    expected = found.config.facts.get(BASE)
-    if expected != base:
-        raise LearningError(
-            f"{found.path}: was trained from published weights {expected}, found {base}; "
-            "allowed: the same ones"
-        )

@@ -8,25 +8,12 @@ scratch.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Literal
+from collections.abc import Sequence
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
-
-from learning.data.images import SIDE
-from learning.data.presses import read_frames
-from learning.data.splits import Role, Split
-from learning.data.synthetic import before, random_fields, sample_patterns
-from learning.errors import LearningError
-from learning.training.checkpoint import read_model_folder
-from learning.training.optim import Constant, Cosine, Schedule
-from learning.training.run import LaunchSettings, generator
-from recorder import MarkerArchive
 
 # Groups of a group normalisation; every width is a multiple of it.
 GROUPS = 8
@@ -171,60 +158,7 @@ def divergence(mean: Tensor, log_variance: Tensor) -> Tensor:
     return 0.5 * terms.sum(dim=(1, 2, 3)).mean()
 
 
-# Training images of an autoencoder: frames of archives, random patterns, and mirrored or turned
-# images.
-
-
-def read_images(
-    archives: Sequence[tuple[MarkerArchive, Split]],
-    role: Role,
-    *,
-    most: int,
-    seed: int,
-    device: torch.device | str = "cpu",
-    progress: Callable[[int, int], None] = lambda done, total: None,
-) -> Tensor:
-    """Return frames (n, 256, 256) uint8 of a role from all sensors that no split holds out.
-
-    Args:
-        archives: Archives with their splits.
-        role: Role of the locations to read.
-        most: Largest number of frames, chosen at random.
-        seed: Seed of the choice.
-        device: Device for the images.
-        progress: Called with the number of images read and the total.
-
-    Raises:
-        LearningError: A split belongs to another archive.
-        SessionError: An archive is unfinished or damaged.
-    """
-    sensors, rows = [], []
-    for archive, split in archives:
-        split.check(archive)
-        for name in split.trained_sensors(archive):
-            sensors.append(archive[name])
-            rows.append(split.rows(archive[name].table, role))
-    counts = [len(each) for each in rows]
-    chosen = np.sort(generator(seed, "images", role).permutation(sum(counts))[:most])
-    device = torch.device(device)
-    images = torch.empty(len(chosen), SIDE, SIDE, dtype=torch.uint8, device=device)
-    done = begin = 0
-    for sensor, mine in zip(sensors, rows, strict=True):
-        taken = mine[chosen[(chosen >= begin) & (chosen < begin + len(mine))] - begin]
-        begin += len(mine)
-        end = done + len(taken)
-        images[done:end] = read_frames(sensor, taken, device)
-        progress(end, len(chosen))
-        done = end
-    return images
-
-
-def deformed_patterns(
-    count: int, chance: np.random.Generator, device: torch.device, side: int = SIDE
-) -> Tensor:
-    """Return random patterns under made-up deformations (count, 1, side, side) in 0..1."""
-    patterns = sample_patterns(count, chance, device)
-    return patterns.draw(before(random_fields(count, chance, device), None, side))
+# Images of training and their similarity.
 
 
 def orient(images: list[Tensor], generator: np.random.Generator) -> list[Tensor]:
@@ -244,111 +178,8 @@ def scaled(images: Tensor) -> Tensor:
     return images.unsqueeze(1).float() / 255
 
 
-# Similarity of two images.
-
-
 def soft_dice(images: Tensor, targets: Tensor) -> Tensor:
     """Return the soft Dice coefficient (n,) of images (n, 1, h, w) in 0..1; 1 if both are empty."""
     both = (images * targets).sum(dim=(1, 2, 3))
     each = (images.square() + targets.square()).sum(dim=(1, 2, 3))
     return (2 * both + 1) / (each + 1)
-
-
-# Settings of an autoencoder and its training; presets are in `presets/`.
-
-# YAML files, one per preset.
-PRESETS = Path(__file__).parent / "presets" / "autoencoder"
-
-
-@dataclass(frozen=True, slots=True)
-class AutoencoderSettings:
-    """Settings of a training, apart from its data."""
-
-    description: str
-    """Purpose of the preset."""
-    widths: tuple[int, int, int] = (48, 96, 256)
-    """Channels at 1/2, 1/4 and 1/8 of the side; the last is the number of pooled features."""
-    latent: int = 8
-    """Channels of the latent."""
-    absolute: float = 1.0
-    """Weight of the mean absolute error (the paper, Methods)."""
-    squared: float = 1.0
-    """Weight of the mean squared error (the paper, Methods)."""
-    divergence: float = 1e-6
-    """Weight of the divergence from a standard normal, summed over an image (the paper)."""
-    procedural: float = 0.5
-    """Share of random patterns under made-up deformations; 1 without an archive."""
-    orientation: bool = True
-    """Mirror images and rotate them by quarter turns."""
-    most_images: int = 100_000
-    """Largest number of archive images in memory, chosen at random (64 KiB each)."""
-    steps: int = 20_000
-    """Number of optimiser steps."""
-    batch: int = 64
-    """Batch size over all devices."""
-    learning_rate: float = 3e-4
-    """Peak rate of AdamW, reached after `warm_up` steps."""
-    warm_up: int = 500
-    """Number of steps over which the learning rate rises."""
-    fall: Literal["cosine", "no"] = "cosine"
-    """Decay of the learning rate to 0 at the last step."""
-    weight_decay: float = 1e-2
-    """Weight decay of AdamW."""
-    clip: float = 1.0
-    """Gradient norm above which gradients are clipped."""
-    average: float = 0.999
-    """Decay of the running average of weights per step; the average is the model."""
-    seed: int = 0
-    """Seed of everything random."""
-    launch: LaunchSettings = field(default_factory=LaunchSettings)
-    """Devices and precision."""
-    validate_every: int = 500
-    """Number of steps between validations."""
-    validation_images: int = 512
-    """Largest number of images in a validation."""
-    save_every: int = 1000
-    """Number of steps between checkpoints."""
-
-    def __post_init__(self) -> None:
-        for name in ("latent", "steps", "batch", "validate_every", "save_every", "most_images"):
-            if getattr(self, name) < 1:
-                raise LearningError(f"{name}: found {getattr(self, name)}; allowed: 1 or more")
-        if any(width < 8 or width % 8 for width in self.widths):
-            raise LearningError(f"widths: found {self.widths}; allowed: multiples of 8")
-        if not 0 <= self.procedural <= 1:
-            raise LearningError(f"procedural: found {self.procedural}; allowed: 0 to 1")
-
-    @property
-    def schedule(self) -> Schedule:
-        """Learning rate by step.
-
-        Raises:
-            LearningError: Warm-up takes all steps, or the rate is invalid.
-        """
-        if self.fall == "no":
-            return Constant(self.learning_rate, self.warm_up)
-        return Cosine(self.learning_rate, self.steps, self.warm_up)
-
-
-# Load a trained autoencoder from its folder.
-
-# Kind of model in its folder.
-KIND = "autoencoder"
-
-
-def load_autoencoder(folder: Path, device: torch.device | str = "cpu") -> Autoencoder:
-    """Return the autoencoder in a folder, in evaluation mode.
-
-    Args:
-        folder: A finished run of `train-autoencoder`, or one of its checkpoints.
-        device: Device to compute on.
-
-    Raises:
-        LearningError: The folder does not exist, its model is of another kind, or its weights do
-            not fit.
-    """
-    found = read_model_folder(folder, KIND)
-    settings = found.settings(AutoencoderSettings)
-    network = Autoencoder(settings.widths, settings.latent)
-    found.load(network)
-    return network.to(device).eval()

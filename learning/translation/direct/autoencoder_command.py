@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from learning.command import add_resume, add_run, add_settings
-from learning.errors import LearningError
 
 if TYPE_CHECKING:
     from learning.command import Subcommands
@@ -39,60 +38,6 @@ def add_to(subcommands: Subcommands) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from learning.archive_writer import archive_fingerprint
-    from learning.config import read_settings
-    from learning.data.splits import read_split
-    from learning.train_command import Training, run_training
-    from learning.translation.direct.autoencoder import (
-        KIND,
-        PRESETS,
-        AutoencoderSettings,
-        read_images,
-    )
-    from learning.translation.direct.train_autoencoder import train as train_network
-    from recorder import MarkerArchive
+    from learning.translation.direct.train_autoencoder import run
 
-    settings = read_settings(AutoencoderSettings, PRESETS, options.preset, options.set)
-    if len(options.split) != len(options.archives):
-        raise LearningError(
-            f"--split: found {len(options.split)} for {len(options.archives)} archives; allowed: "
-            "one for each"
-        )
-    archives = [
-        (MarkerArchive(path), read_split(split))
-        for path, split in zip(options.archives, options.split, strict=True)
-    ]
-
-    def train(training: Training) -> None:
-        images = read_images(
-            archives,
-            "train",
-            most=settings.most_images,
-            seed=settings.seed,
-            device=training.device,
-            progress=training.reading,
-        )
-        validation = read_images(
-            archives,
-            "validation",
-            most=settings.validation_images,
-            seed=settings.seed,
-            device=training.device,
-        )
-        with training.stop:
-            network = train_network(
-                images,
-                validation,
-                settings,
-                training.accelerator,
-                training.run,
-                stop=training.stop,
-                progress=training.steps,
-            )
-        if not training.stop.agreed(training.accelerator):
-            training.run.finish(settings.steps, {"model": network})
-
-    data = " ".join(
-        f"{archive_fingerprint(archive)} {split.fingerprint}" for archive, split in archives
-    )
-    return run_training(options, KIND, settings, data or "random patterns", train)
+    return run(options)

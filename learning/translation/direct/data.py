@@ -7,8 +7,9 @@ training draws the same numbers.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -17,7 +18,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from learning.data.images import read_fields, shrink
-from learning.data.presses import read_frames
+from learning.data.presses import Progress, read_frames_of
 from learning.data.splits import Role, Split
 from learning.data.synthetic import before, sample_patterns, untouched
 from learning.errors import LearningError
@@ -25,31 +26,8 @@ from learning.translation.direct.autoencoder import orient, scaled
 from recorder.archive import ArchivedSensor, MarkerArchive, location_pairs
 from recorder.markers import Lattice
 
-
-@dataclass(frozen=True, slots=True)
-class Augmentation:
-    """Amounts of augmentation; 0 or false: none. Lengths are in pixels of the networks' images."""
-
-    procedural_source: float = 0.25
-    """Share of samples whose source is a random pattern on the target's surface."""
-    procedural_target: float = 0.25
-    """Share of samples whose target is a random pattern on the source's surface."""
-    no_source_reference: float = 0.1
-    """Share of samples without the source's own reference."""
-    orientation: bool = True
-    """Mirror all images of a sample and rotate them by quarter turns."""
-    edge: float = 0.8
-    """Largest outward or inward shift of the marker edges of a source."""
-    edge_frame: float = 0.2
-    """Largest additional edge shift in a frame that its reference does not have."""
-    drop: float = 0.05
-    """Largest share of a source frame that is erased."""
-    mount_shift: float = 3.0
-    """Largest shift of a source and its reference along rows and columns."""
-    mount_angle: float = 0.03
-    """Largest rotation of both [rad]."""
-    mount_scale: float = 0.02
-    """Largest relative change of their scale."""
+if TYPE_CHECKING:
+    from learning.translation.direct.train import Augmentation
 
 
 # Standard deviation of the blur before the shifted threshold [px].
@@ -179,7 +157,7 @@ def align(
     preset: str = "supplement",
     fields: bool = True,
     device: torch.device | str = "cpu",
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Progress = lambda done, total: None,
 ) -> AlignedImages:
     """Return location-paired images of an archive's sensors, at moments that all of them have.
 
@@ -207,11 +185,7 @@ def align(
         raise LearningError(
             f"{archive.name}: no location of role {role} was seen by all of {', '.join(names)}"
         )
-    images = []
-    for done, (sensor, mine) in enumerate(zip(chosen, rows, strict=True)):
-        progress(done * len(location), rows.size)
-        images.append(read_frames(sensor, mine, torch.device(device)))
-    progress(rows.size, rows.size)
+    images = read_frames_of(chosen, [*rows], device, progress)
     kinds = [torch.from_numpy(shrink(sensor.references)) for sensor in chosen]
     firsts = np.cumsum([0, *(len(kind) for kind in kinds[:-1])])
     reference = np.stack(
@@ -223,7 +197,7 @@ def align(
     found = _read_surfaces(chosen, rows, device) if fields else None
     return AlignedImages(
         sensors=names,
-        images=torch.stack(images),
+        images=images.unflatten(0, rows.shape),
         references=torch.cat(kinds).to(device),
         reference=torch.from_numpy(reference).to(device),
         location=location,

@@ -11,7 +11,7 @@ from learning.data.images import enlarge_images, shrink_masks
 from learning.training.checkpoint import read_model_folder
 from learning.translation.direct.autoencoder import scaled
 from learning.translation.direct.network import DirectNetwork
-from learning.translation.direct.settings import DirectSettings
+from learning.translation.direct.train import KIND, load_network
 from learning.translation.translator import require_masks
 
 # Frames per batch.
@@ -74,30 +74,7 @@ def _image(mask: Tensor, device: torch.device) -> Tensor:
 
 # Load a trained direct translator from its folder.
 
-# Kind of model in its folder.
-KIND = "direct"
-
 _HASH_SHOWN = 8
-
-
-def load_network(
-    folder: Path, device: torch.device | str = "cpu"
-) -> tuple[DirectNetwork, DirectSettings]:
-    """Return the network in a folder, and the settings it was trained with.
-
-    Args:
-        folder: A finished run of `train-direct`, or one of its checkpoints.
-        device: Device to compute on.
-
-    Raises:
-        LearningError: The folder does not exist, its model is of another kind, or its weights do
-            not fit.
-    """
-    found = read_model_folder(folder, KIND)
-    settings = found.settings(DirectSettings)
-    network = DirectNetwork(**settings.structure)
-    found.load(network)
-    return network.to(device).eval(), settings
 
 
 def load(folder: Path, device: torch.device | str = "cpu") -> DirectTranslator:

@@ -5,7 +5,8 @@ target's reference. Edges are therefore as sharp as in the reference, and patter
 been seen in training.
 """
 
-from learning.translation.field.settings import FieldSettings
-from learning.translation.field.translator import KIND, FieldModel, FieldTranslator, load
+from learning.translation.field.network import FieldModel
+from learning.translation.field.train import KIND, FieldSettings
+from learning.translation.field.translator import FieldTranslator, load
 
 __all__ = ["KIND", "FieldModel", "FieldSettings", "FieldTranslator", "load"]

@@ -6,7 +6,6 @@ import argparse
 from typing import TYPE_CHECKING
 
 from learning.command import add_inputs, add_resume, add_sensors, add_settings
-from learning.errors import LearningError
 
 if TYPE_CHECKING:
     from learning.command import Subcommands
@@ -29,48 +28,6 @@ def add_to(subcommands: Subcommands) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from learning.archive_writer import archive_fingerprint
-    from learning.config import read_settings
-    from learning.train_command import Training, open_data, run_training, trained_on
-    from learning.translation.field.data import gather_role
-    from learning.translation.field.settings import PRESETS, FieldSettings
-    from learning.translation.field.train import train_field
-    from learning.translation.field.translator import KIND
+    from learning.translation.field.train import run
 
-    settings = read_settings(FieldSettings, PRESETS, options.preset, options.set)
-    archive, split = open_data(options)
-    sensors = trained_on(options, archive, split)
-
-    def train(training: Training) -> None:
-        presses, validation = (
-            gather_role(
-                archive,
-                split,
-                sensors,
-                role,
-                every=settings.every_frame,
-                device=training.device,
-                progress=training.reading,
-            )
-            for role in ("train", "validation")
-        )
-        if presses is None:
-            raise LearningError(
-                f"{options.split}: found no press to train on; allowed: one or more"
-            )
-        with training.stop:
-            train_field(
-                presses,
-                settings,
-                validation,
-                run=training.run,
-                accelerator=training.accelerator,
-                stopping=training.stopping,
-                progress=training.steps,
-            )
-
-    data = (
-        f"archive {archive_fingerprint(archive)}, split {split.fingerprint}, "
-        f"sensors {', '.join(sensors)}"
-    )
-    return run_training(options, KIND, settings, data, train, reading="frames")
+    return run(options)

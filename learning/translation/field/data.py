@@ -6,10 +6,9 @@ not depend on the device.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -19,7 +18,7 @@ from torch.nn import functional
 
 from learning.data.images import SIDE as IMAGE_SIDE
 from learning.data.images import read_fields
-from learning.data.presses import FRAME_BYTES, free_bytes, read_frames
+from learning.data.presses import FRAME_BYTES, free_bytes, read_frames_of
 from learning.data.splits import Role, Split
 from learning.data.synthetic import Patterns, sample_patterns, untouched
 from learning.errors import LearningError
@@ -30,12 +29,12 @@ from learning.translation.field.network import (
     resampled,
     signed_distance,
 )
-from learning.translation.field.settings import ExampleSettings
 from learning.translation.translator import SensorView
 from recorder.archive import ArchivedSensor, MarkerArchive, location_pairs
 from recorder.markers import HEIGHT, WIDTH, unpack
 
-# Frames of several sensors, and the pairs among them.
+if TYPE_CHECKING:
+    from learning.translation.field.train import ExampleSettings
 
 _AT_ONCE = 256  # frames read at once
 _SHIFT_BYTES = 2 * 2 * SIDE * SIDE  # per frame, float16
@@ -114,7 +113,6 @@ def gather_role(
     role: Role,
     *,
     every: int = 1,
-    preset: str = "supplement",
     device: torch.device | str = "cpu",
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Frames | None:
@@ -126,81 +124,56 @@ def gather_role(
         sensors: Names of the sensors.
         role: Role of the presses.
         every: Take every n-th frame of a press, and all paired frames.
-        preset: Rule for pairing frames of a press (`recorder.archive.PRESETS`).
         device: Device for the frames.
         progress: Called with the number of frames read and the total.
 
     Raises:
-        LearningError: A sensor is unknown, or a reference has no markers.
+        LearningError: A sensor is unknown, a reference has no markers, or there are more frames
+            than fit in memory.
         SessionError: The archive is damaged.
     """
-    rows = {}
+    rows, device = {}, torch.device(device)
     for name in sensors:
         if name not in archive:
             raise LearningError(f"{archive.name}: no sensor {name!r}; known: {', '.join(archive)}")
         table = archive[name].table
         there = split.rows(table, role)
         # Pairing a sensor with itself gives all frames that can occur in pairs.
-        paired = np.isin(there, location_pairs(table, table, preset).source)
+        paired = np.isin(there, location_pairs(table, table).source)
         rows[name] = np.sort(there[paired | (table["frame"][there] % every == 0)])
-    if not any(map(len, rows.values())):
+    counts = [len(each) for each in rows.values()]
+    if not any(counts):
         return None
-    return gather_frames(archive, rows, preset=preset, device=device, progress=progress)
-
-
-def gather_frames(
-    archive: MarkerArchive,
-    rows: Mapping[str, NDArray[np.int64]],
-    *,
-    preset: str = "supplement",
-    device: torch.device | str = "cpu",
-    progress: Callable[[int, int], None] = lambda done, total: None,
-) -> Frames:
-    """Return frames of an archive, and the location pairs among them.
-
-    Args:
-        archive: Archive to read.
-        rows: Rows of each sensor's frames, ascending; pairs need more than one sensor.
-        preset: Rule for pairing frames of a press (`recorder.archive.PRESETS`).
-        device: Device for the frames.
-        progress: Called with the number of frames read and the total.
-
-    Raises:
-        LearningError: There are no frames or more than fit in memory, a sensor is unknown, or a
-            reference has no markers.
-        SessionError: The archive is damaged.
-    """
-    if not any(map(len, rows.values())):
-        raise LearningError(f"{archive.name}: found no frame to learn from; allowed: one or more")
-    device = torch.device(device)
-    _require_room(sum(map(len, rows.values())), device)
-    images, references, distances, shifts = [], [], [], []
-    begun = held = 0
-    for name, wanted in rows.items():
-        if name not in archive:
-            raise LearningError(f"{archive.name}: no sensor {name!r}; known: {', '.join(archive)}")
-        sensor = archive[name]
-        so_far = functools.partial(_passed_on, progress, begun, sum(map(len, rows.values())))
-        images.append(read_frames(sensor, wanted, device, progress=so_far))
-        begun += len(wanted)
+    # Concatenated shifts are held twice; afterwards that half is free for training.
+    needed, free = sum(counts) * (FRAME_BYTES + _SHIFT_BYTES), free_bytes(device) / 2
+    if needed > free:
+        raise LearningError(
+            f"frames: found {sum(counts):,}, {needed / 1e9:.1f} GB; allowed: {free / 1e9:.1f} GB "
+            f"on {device} (a larger every_frame, fewer sensors)"
+        )
+    chosen = [archive[name] for name in rows]
+    images = read_frames_of(chosen, [*rows.values()], device, progress)
+    references, distances, shifts, held = [], [], [], 0
+    for sensor, wanted in zip(chosen, rows.values(), strict=True):
         for first in range(0, len(wanted), _AT_ONCE):
             shifts.append(_shifts(sensor, wanted[first : first + _AT_ONCE], device))
         own = distances_of(unpack(sensor.references), device)
         if not bool((own > 0).flatten(1).any(dim=1).all()):
-            raise LearningError(f"{name}: found a reference without markers; allowed: markers")
+            raise LearningError(
+                f"{sensor.name}: found a reference without markers; allowed: markers"
+            )
         distances.append(own)
         references.append(held + sensor.table["reference"][wanted].astype(np.int64))
         held += len(own)
-    counts = [len(each) for each in rows.values()]
-    views = [SensorView.of(archive[name]) for name in rows]
     shift = torch.cat(shifts)
+    views = [SensorView.of(sensor) for sensor in chosen]
     return Frames(
-        images=torch.cat(images),
+        images=images,
         sensor=torch.repeat_interleave(torch.tensor(counts)).to(device),
         reference=torch.from_numpy(np.concatenate(references)).to(device),
         distances=torch.cat(distances),
         scales=torch.tensor([(v.mm_per_column, v.mm_per_row) for v in views]).to(device),
-        pairs=torch.from_numpy(_pairs(archive, rows, preset)).to(device),
+        pairs=torch.from_numpy(_pairs(archive, rows)).to(device),
         shift=shift if bool(shift.isfinite().any()) else None,
     )
 
@@ -228,30 +201,7 @@ def _shifts(sensor: ArchivedSensor, rows: NDArray[np.int64], device: torch.devic
     return shift
 
 
-def _require_room(count: int, device: torch.device) -> None:
-    """Reject more frames than fit in the device's memory.
-
-    Raises:
-        LearningError: Images and fields would not leave enough memory for training.
-    """
-    # Concatenation holds all frames twice; afterwards that half is free for training.
-    needed, free = count * (FRAME_BYTES + _SHIFT_BYTES), free_bytes(device) / 2
-    if needed > free:
-        raise LearningError(
-            f"frames: found {count:,}, {needed / 1e9:.1f} GB; allowed: {free / 1e9:.1f} GB on "
-            f"{device} (a larger every_frame, fewer sensors)"
-        )
-
-
-def _passed_on(
-    progress: Callable[[int, int], None], begun: int, total: int, done: int, _: int
-) -> None:
-    progress(begun + done, total)
-
-
-def _pairs(
-    archive: MarkerArchive, rows: Mapping[str, NDArray[np.int64]], preset: str
-) -> NDArray[np.int64]:
+def _pairs(archive: MarkerArchive, rows: Mapping[str, NDArray[np.int64]]) -> NDArray[np.int64]:
     """Return frame rows (m, 2) of the location pairs of all directed pairs of sensors."""
     begins = np.cumsum([0, *(len(each) for each in rows.values())])
     found = [np.zeros((0, 2), np.int64)]
@@ -259,7 +209,7 @@ def _pairs(
         for target, target_begin in zip(rows, begins, strict=False):
             if source == target:
                 continue
-            pairs = location_pairs(archive[source].table, archive[target].table, preset)
+            pairs = location_pairs(archive[source].table, archive[target].table)
             there = np.isin(pairs.source, rows[source]) & np.isin(pairs.target, rows[target])
             one = source_begin + np.searchsorted(rows[source], pairs.source[there])
             other = target_begin + np.searchsorted(rows[target], pairs.target[there])

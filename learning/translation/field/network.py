@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor, nn
@@ -13,6 +14,9 @@ from torch.nn import functional
 from learning.data.images import sampled
 from learning.data.synthetic import untouched
 from recorder.markers import HEIGHT, WIDTH, Lattice
+
+if TYPE_CHECKING:
+    from learning.translation.field.train import FieldSettings
 
 # Groups of a group normalisation; every width is a multiple of it.
 GROUPS = 8
@@ -479,3 +483,41 @@ def _distance_to(masks: Tensor, reach: int) -> Tensor:
         torch.minimum(lower, along[:, :-offset] + offset**2, out=lower)
         torch.minimum(upper, along[:, offset:] + offset**2, out=upper)
     return best.sqrt().clamp(max=far)
+
+
+class FieldModel(nn.Module):
+    """The field net and the map. The untrained map is the identity in millimetres."""
+
+    def __init__(self, settings: FieldSettings) -> None:
+        """Build both networks; the initial weights depend only on the seed."""
+        super().__init__()
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(settings.seed)
+            self.net = FieldNet(settings.net.widths, settings.net.refinements)
+            self.map = FieldMap(settings.map.widths, settings.map.numbers)
+        self.usual_scale: Tensor
+        # Millimetres per pixel (column, row): median of the training, a GelSight's before it.
+        self.register_buffer("usual_scale", torch.tensor([0.0249, 0.0249]))
+
+    def forward(
+        self,
+        frames: Tensor,
+        source_distance: Tensor,
+        target_distance: Tensor,
+        source_scale: Tensor,
+        target_scale: Tensor,
+    ) -> Tensor:
+        """Return the target's deformation (n, 3, 64, 64) [px of its image] for source frames.
+
+        Args:
+            frames: Source frames, in 0..1 (n, 1, 256, 256).
+            source_distance: Signed distance of the source references (n, 1, 256, 256) [px].
+            target_distance: Signed distance of the target references, likewise.
+            source_scale: Millimetres per pixel of the source (column, row) (n, 2).
+            target_scale: Millimetres per pixel of the target, likewise.
+        """
+        deformation = self.net(frames, source_distance)[-1]
+        mapped: Tensor = self.map(
+            deformation, source_distance, target_distance, source_scale, target_scale
+        )
+        return mapped

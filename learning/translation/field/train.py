@@ -1,4 +1,4 @@
-"""Training of the field translator: the field net, then the map.
+"""Training of the field translator, from settings to command: the field net, then the map.
 
     python -m learning train-field ARCHIVE --split split.json --out RUN [--preset ours]
     torchrun --nproc-per-node 8 -m learning train-field ...
@@ -15,40 +15,268 @@ so that unknown sensors are assumed to differ only in their patterns.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
+from learning.archive_writer import archive_fingerprint
+from learning.config import read_settings, require
 from learning.errors import LearningError
+from learning.train_command import open_data, run_training, trained_on
 from learning.training.optim import Cosine, set_rate
-from learning.training.run import accelerator as launched
-from learning.training.run import generator
-from learning.translation.field.data import Bank, Examples, Frames, draw_examples
-from learning.translation.field.losses import (
-    LossWeights,
-    dice,
-    image_loss,
-    regularity_loss,
-    shift_error,
-    truth_error,
-)
-from learning.translation.field.network import carried, render
-from learning.translation.field.settings import FieldSettings, StageSettings
-from learning.translation.field.translator import FieldModel
+from learning.training.run import LaunchSettings, Session, accelerator, generator
+from learning.translation.field.data import Bank, Examples, Frames, draw_examples, gather_role
+from learning.translation.field.network import FieldModel, carried, coverage, render
 
-if TYPE_CHECKING:
-    from accelerate import Accelerator
-
-    from learning.training.run import RunFolder
+# Kind of model in `config.yaml`.
+KIND = "field"
+# Presets shipped with the package.
+PRESETS = Path(__file__).parent / "presets"
 
 
-# Scores of a field model on held-out frames.
+# Settings: the keys of the presets.
 
-# Frames evaluated at once.
-AT_ONCE = 64
+_MOST_SCALES = 6  # halving 64 cells six times leaves one
+
+
+@dataclass(frozen=True, slots=True)
+class NetSettings:
+    """The field net: from frames to deformations."""
+
+    widths: tuple[int, ...] = (32, 48, 96, 128, 160)
+    """Channels at 128, 64, 32, 16, 8 cells."""
+    refinements: int = 2
+    """Number of passes that compare the frame with the reference as deformed so far."""
+
+    def __post_init__(self) -> None:
+        """Reject a network that cannot be built."""
+        _require_widths(self.widths, 2)
+        require(self, "refinements", least=1)
+
+
+@dataclass(frozen=True, slots=True)
+class MapSettings:
+    """The map: from one sensor's deformation to another's."""
+
+    widths: tuple[int, ...] = (48, 96, 128, 128)
+    """Channels at 64, 32, 16, 8 cells."""
+    numbers: int = 32
+    """Length of the vector that describes a sensor."""
+
+    def __post_init__(self) -> None:
+        """Reject a network that cannot be built."""
+        _require_widths(self.widths, 1)
+        require(self, "numbers", least=1)
+
+
+@dataclass(frozen=True, slots=True)
+class ExampleSettings:
+    """Training examples of the field net that are made in addition to the archive's frames."""
+
+    procedural: float = 0.5
+    """Share of examples that are random patterns."""
+    random_shift: float = 0.3
+    """Share of those that are deformed by random bumps instead of the archive's fields."""
+    patterns: int = 512
+    """Number of random patterns drawn for a run; 0: none."""
+    amplitude: tuple[float, float] = (0.5, 1.5)
+    """Range of the factor that scales the archive's fields for random patterns."""
+    move: float = 0.1
+    """Largest joint translation of frame and reference, as a share of half the image."""
+    edge_px: float = 2.0
+    """Largest error of segmented marker size in random patterns, too large or small [px]."""
+    missing: float = 0.05
+    """Largest share of a random pattern's markers missing in a frame."""
+
+    def __post_init__(self) -> None:
+        """Reject invalid shares, ranges and negative numbers."""
+        require(self, "procedural", "random_shift", "missing", least=0, most=1)
+        require(self, "patterns", "move", "edge_px", least=0)
+        if not 0 < self.amplitude[0] <= self.amplitude[1]:
+            raise LearningError(
+                f"amplitude: found {list(self.amplitude)}; allowed: the smaller first, above 0"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class LossWeights:
+    """Weights of the parts of the loss."""
+
+    cross_entropy: float = 1.0
+    """Cross-entropy of pixels on logits of signed distances: has a gradient at any distance."""
+    dice: float = 1.0
+    """One minus the soft Dice of the images."""
+    truth: float = 0.05
+    """Mean error [px] of shift, and of growth from 0, if the archive has displacement fields."""
+    rough: float = 0.02
+    """Mean square of second differences of the shift [px^2]: no data between the markers."""
+    growth: float = 0.01
+    """Mean magnitude of growth [px]: a shift is preferred where it explains the frame."""
+    unknown: float = 0.02
+    """Mean change [px] by the map between two random patterns on the same gel and camera."""
+
+    def __post_init__(self) -> None:
+        """Reject invalid weights.
+
+        Raises:
+            LearningError: A weight is negative, or no weight refers to the image.
+        """
+        require(self, "cross_entropy", "dice", "truth", "rough", "growth", "unknown", least=0)
+        if not self.cross_entropy and not self.dice:
+            raise LearningError("cross_entropy, dice: found 0 and 0; allowed: one of them above 0")
+
+
+@dataclass(frozen=True, slots=True)
+class StageSettings:
+    """One stage of training: the field net, then the map."""
+
+    steps: int
+    """Number of steps; 0: the stage is skipped."""
+    batch: int = 128
+    """Examples per step on each GPU."""
+    learning_rate: float = 3e-4
+    """Peak rate, reached after `warm_up_steps`; it then decays as a cosine."""
+    warm_up_steps: int = 500
+
+    def __post_init__(self) -> None:
+        """Reject invalid stages."""
+        require(self, "steps", "warm_up_steps", least=0)
+        require(self, "batch", least=1)
+        require(self, "learning_rate", above=0)
+
+
+@dataclass(frozen=True, slots=True)
+class FieldSettings:
+    """A field model and its training."""
+
+    description: str
+    field_stage: StageSettings
+    """Stage of the field net, on frames of all sensors and on random patterns."""
+    map_stage: StageSettings
+    """Stage of the map, on location pairs."""
+    net: NetSettings = field(default_factory=NetSettings)
+    map: MapSettings = field(default_factory=MapSettings)
+    examples: ExampleSettings = field(default_factory=ExampleSettings)
+    loss: LossWeights = field(default_factory=LossWeights)
+    every_frame: int = 4
+    """The field net is trained on every n-th frame of a press, and on all paired frames."""
+    weight_decay: float = 1e-2
+    """Weight decay of AdamW."""
+    clip: float = 1.0
+    """Gradient norm above which gradients are clipped."""
+    launch: LaunchSettings = field(default_factory=LaunchSettings)
+    """Devices and precision; distances, warps and losses are always float32."""
+    validate_every_steps: int = 500
+    """Number of steps between validations, which also save a checkpoint."""
+    validated: int = 1024
+    """Largest number of frames or pairs in a validation."""
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Reject a training without steps, and invalid values."""
+        if not self.field_stage.steps and not self.map_stage.steps:
+            raise LearningError("field_stage.steps, map_stage.steps: found 0 and 0; allowed: one")
+        if self.launch.mixed_precision == "fp16":
+            raise LearningError("launch.mixed_precision: found fp16; allowed: no, bf16")
+        require(self, "every_frame", "validate_every_steps", "validated", least=1)
+        require(self, "clip", above=0)
+
+
+def _require_widths(widths: tuple[int, ...], before: int) -> None:
+    """Reject widths that are not multiples of 8, too few for the field's side, or too many."""
+    allowed = before + _MOST_SCALES
+    if not before <= len(widths) <= allowed or any(w < 8 or w % 8 for w in widths):
+        raise LearningError(
+            f"widths: found {list(widths)}; allowed: {before} to {allowed} multiples of 8"
+        )
+
+
+# Losses, which compare a deformed reference with the frame that the sensor showed.
+
+# Width of the logistic that is as steep at an edge as a pixel of 256 x 256, 2.2 px wide.
+_RAMP_PX = 0.55
+# Logits grow logarithmically beyond this, so that distant errors count but do not dominate.
+_CERTAIN = 8.0
+
+
+def image_loss(level: Tensor, images: Tensor, weights: LossWeights) -> Tensor:
+    """Return the loss of deformed references.
+
+    Args:
+        level: Their signed distance (n, 1, h, w) [px].
+        images: Frames of the sensor, in 0..1 (n, 1, h, w).
+        weights: Weights of the parts.
+    """
+    logits = _CERTAIN * torch.asinh(level / (_RAMP_PX * _CERTAIN))
+    entropy = functional.binary_cross_entropy_with_logits(logits, images)
+    return weights.cross_entropy * entropy + weights.dice * (1 - soft_dice(level, images).mean())
+
+
+def regularity_loss(deformation: Tensor, weights: LossWeights) -> Tensor:
+    """Return the regularisation loss of a deformation (n, 3, h, w): roughness and growth."""
+    shift, growth = deformation[:, :2], deformation[:, 2:]
+    bent = shift.diff(n=2, dim=2).square().mean() + shift.diff(n=2, dim=3).square().mean()
+    return weights.rough * bent + weights.growth * growth.abs().mean()
+
+
+def truth_error(deformation: Tensor, shift: Tensor) -> Tensor:
+    """Return the mean distance (n,) [px] from the true deformation, growth as a third direction.
+
+    A known field is the complete deformation: the true growth is 0.
+
+    Args:
+        deformation: (n, 3, h, w).
+        shift: True shift (n, 2, h, w); NaN where it is unknown and not counted.
+    """
+    grown = deformation[:, 2:]
+    return shift_error(deformation, shift, grown.square().sum(dim=1))
+
+
+def shift_error(deformation: Tensor, shift: Tensor, more: Tensor | float = 0.0) -> Tensor:
+    """Return the mean distance (n,) [px] between a deformation's shift and the true one.
+
+    Args:
+        deformation: (n, 3, h, w).
+        shift: True shift (n, 2, h, w); NaN where it is unknown and not counted.
+        more: Square of other errors to add (n, h, w) [px^2].
+    """
+    known = shift.isfinite().all(dim=1)
+    apart = (deformation[:, :2] - shift.nan_to_num()).square().sum(dim=1) + more
+    # The gradient of the root is infinite at zero.
+    distance = (apart + 1e-6).sqrt() * known
+    return distance.sum(dim=(1, 2)) / known.sum(dim=(1, 2)).clamp(min=1)
+
+
+def soft_dice(level: Tensor, images: Tensor) -> Tensor:
+    """Return the soft Dice coefficient (n,) of deformed references; 1 if both images are empty."""
+    drawn = torch.sigmoid(level / _RAMP_PX)
+    both = (drawn * images).sum(dim=(1, 2, 3))
+    each = drawn.square().sum(dim=(1, 2, 3)) + images.square().sum(dim=(1, 2, 3))
+    return (2 * both + 1) / (each + 1)
+
+
+def dice(level: Tensor, images: Tensor) -> Tensor:
+    """Return the Dice coefficient (n,) of thresholded images; 1 if both are empty.
+
+    Args:
+        level: Signed distance of the predicted frames (n, 1, h, w) [px].
+        images: True frames, in 0..1 (n, 1, h, w).
+    """
+    made, due = coverage(level) > 0.5, images > 0.5
+    both = (made & due).sum(dim=(1, 2, 3))
+    each = made.sum(dim=(1, 2, 3)) + due.sum(dim=(1, 2, 3))
+    return torch.where(
+        each > 0, 2 * both / each.clamp(min=1), torch.ones_like(both, dtype=torch.float32)
+    )
+
+
+# Weight of a pass relative to the next one; only the last pass is used for translation.
+_EARLIER_LOOK = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,6 +291,70 @@ class Found:
     def of(self, pairs: Tensor) -> Tensor:
         """Return deformations of some pairs (n, 3, 64, 64) float32 [px]."""
         return self.deformation[self.place[pairs]].float()
+
+
+def net_loss(looks: list[Tensor], examples: Examples, weights: LossWeights) -> Tensor:
+    """Return the loss of the field net's deformations, one (n, 3, 64, 64) per pass."""
+    total = torch.zeros((), device=examples.seen.device)
+    for place, deformation in enumerate(reversed(looks)):
+        level = render(examples.distance, deformation)
+        loss = image_loss(level, examples.shown, weights) + regularity_loss(deformation, weights)
+        loss = loss + weights.truth * truth_error(deformation, examples.shift).mean()
+        total = total + _EARLIER_LOOK**place * loss
+    made = len(examples.other)
+    if made:
+        level = render(examples.other_distance, looks[-1][-made:])
+        share = made / len(examples.seen)
+        total = total + share * image_loss(level, examples.other, weights)
+    return total
+
+
+def map_loss(
+    mapping: nn.Module,
+    frames: Frames,
+    found: Found,
+    pairs: Tensor,
+    patterns: Tensor,
+    weights: LossWeights,
+) -> Tensor:
+    """Return the loss of the map on some pairs.
+
+    Args:
+        mapping: The map.
+        frames: Frames of all sensors.
+        found: Deformations of the sources.
+        pairs: Indices of the frames' pairs (n,).
+        patterns: Signed distances (2, m, 1, 256, 256) [px] of two patterns on one gel, for the
+            first m pairs: between them the deformation of the source must not change.
+        weights: Weights of the parts.
+    """
+    source, target = frames.pairs[pairs].unbind(dim=1)
+    seen, distance = found.of(pairs), frames.distance(target)
+    scales = frames.scale(source), frames.scale(target)
+    few = slice(patterns.shape[1])
+    # One batch, as a GPU takes longer to launch a pass than to compute it.
+    mapped: Tensor = mapping(
+        torch.cat([seen, seen[few]]),
+        torch.cat([frames.distance(source), patterns[0]]),
+        torch.cat([distance, patterns[1]]),
+        torch.cat([scales[0], scales[0][few]]),
+        torch.cat([scales[1], scales[0][few]]),
+    )
+    deformation, unchanged = mapped[: len(pairs)], mapped[len(pairs) :]
+    level = render(distance, deformation)
+    loss = image_loss(level, frames.seen(target), weights) + regularity_loss(deformation, weights)
+    if frames.shift is not None:
+        error = truth_error(deformation, frames.shift[target].float()).mean()
+        loss = loss + weights.truth * error
+    if len(unchanged):
+        loss = loss + weights.unknown * (unchanged - seen[few]).abs().mean()
+    return loss
+
+
+# Scores of a field model on held-out frames.
+
+# Frames evaluated at once.
+AT_ONCE = 64
 
 
 @torch.no_grad()
@@ -150,248 +442,165 @@ def _means(scores: dict[str, list[Tensor]]) -> dict[str, float]:
     return {name: float(values.mean()) for name, values in joined.items() if len(values)}
 
 
-# Weight of a pass relative to the next one; only the last pass is used for translation.
-_EARLIER_LOOK = 0.5
+# Loop
+
 _OF_UNKNOWN = 4  # one of this many pairs is also evaluated under random patterns
 _LOG_EVERY_STEPS = 20
 
 
 def train_field(
-    training: Frames,
+    frames: Frames,
     settings: FieldSettings,
     validation: Frames | None = None,
-    *,
-    run: RunFolder | None = None,
-    accelerator: Accelerator | None = None,
-    stopping: Callable[[], bool] = lambda: False,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    session: Session | None = None,
 ) -> FieldModel:
     """Train a field model and return it in evaluation mode.
 
     Args:
-        training: Training frames and pairs, on the device of the training.
+        frames: Training frames and pairs, on the device of the training.
         settings: Settings of model and training.
         validation: Validation frames and pairs; None: no validation.
-        run: Folder for checkpoints and logs, from which an interrupted training resumes; None: no
-            files are written.
-        accelerator: Devices and precision; None: from the settings.
-        stopping: Returns True to save and stop after the current step.
-        progress: Called with the number of steps done and the total.
+        session: Surroundings of the training; None: in memory, on the device of the settings.
 
     Raises:
         LearningError: The map has no pairs to learn from, or a loss is not finite.
     """
-    runs_on = accelerator or launched(settings.launch)
-    first_of_map = settings.field_stage.steps
-    steps = first_of_map + settings.map_stage.steps
-    if settings.map_stage.steps and not len(training.pairs):
+    session = session or Session(accelerator(settings.launch))
+    run, runs_on = session.run, session.accelerator
+    steps = settings.field_stage.steps + settings.map_stage.steps
+    if settings.map_stage.steps and not len(frames.pairs):
         raise LearningError(
             "pairs: found none to learn the map from; allowed: two sensors with shared locations, "
             "or map_stage.steps 0"
         )
-    model = FieldModel(settings).to(training.device)
-    model.usual_scale.copy_(training.scales[training.sensor].median(dim=0).values)
-    done = run.restore({"model": model}) if run is not None else 0
+    model = FieldModel(settings).to(frames.device)
+    model.usual_scale.copy_(frames.scales[frames.sensor].median(dim=0).values)
+    done = run.restore({"model": model})
     chance = generator(settings.seed, "patterns")
-    bank = Bank.drawn(settings.examples.patterns, chance, training.device)
-    task = _Task(
-        model, settings, training, validation, bank, runs_on, run, stopping, progress, steps
-    )
-    if done < first_of_map:
-        done = _train_net(task, done)
-    if first_of_map <= done < steps and not stopping():
-        done = _train_map(task, done)
-    if done == steps and run is not None:
-        run.finish(done, {"model": model})
-    return model.eval()
+    bank = Bank.drawn(settings.examples.patterns, chance, frames.device)
 
+    def net_step(network: nn.Module, step: int) -> Tensor:
+        chance = generator(settings.seed, "examples", step, runs_on.process_index)
+        batch = settings.field_stage.batch
+        examples = draw_examples(frames, bank, settings.examples, batch, chance)
+        return net_loss(network(examples.seen, examples.distance), examples, settings.loss)
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Task:
-    """State shared by both stages."""
-
-    model: FieldModel
-    settings: FieldSettings
-    training: Frames
-    validation: Frames | None
-    bank: Bank
-    runs_on: Accelerator
-    run: RunFolder | None
-    stopping: Callable[[], bool]
-    progress: Callable[[int, int], None]
-    steps: int
-
-
-def _train_net(task: _Task, done: int) -> int:
-    """Train the field net from step `done`; return the step reached."""
-    settings, frames, bank = task.settings, task.training, task.bank
-
-    def loss(net: nn.Module, step: int) -> Tensor:
-        chance = generator(settings.seed, "examples", step, task.runs_on.process_index)
-        size = settings.field_stage.batch
-        examples = draw_examples(frames, bank, settings.examples, size, chance)
-        return net_loss(net(examples.seen, examples.distance), examples, settings.loss)
-
-    def scores() -> dict[str, float]:
-        if task.validation is None:
-            return {}
-        return net_scores(task.model, task.validation, settings.validated, settings.seed)
-
-    return _descend(task, "field", task.model.net, settings.field_stage, 0, done, loss, scores)
-
-
-def _train_map(task: _Task, done: int) -> int:
-    """Train the map from step `done` with a frozen field net; return the step reached."""
-    settings, frames, bank = task.settings, task.training, task.bank
-    task.model.eval()
-    found = found_in_sources(task.model, frames)
-    measured = (
-        task.validation if task.validation is not None and len(task.validation.pairs) else None
-    )
-    found_there = found_in_sources(task.model, measured) if measured is not None else None
-
-    def loss(mapping: nn.Module, step: int) -> Tensor:
-        chance = generator(settings.seed, "pairs", step, task.runs_on.process_index)
+    def map_step(network: nn.Module, step: int) -> Tensor:
+        chance = generator(settings.seed, "pairs", step, runs_on.process_index)
         chosen = chance.integers(len(frames.pairs), size=settings.map_stage.batch)
         pairs = torch.from_numpy(chosen).to(frames.device)
         few = len(pairs) // _OF_UNKNOWN if settings.loss.unknown and len(bank.distances) else 0
         drawn = chance.integers(max(1, len(bank.distances)), size=(2, few))
         patterns = bank.distances[torch.from_numpy(drawn).to(frames.device)].float()
-        return map_loss(mapping, frames, found, pairs, patterns, settings.loss)
+        return map_loss(network, frames, found, pairs, patterns, settings.loss)
 
-    def scores() -> dict[str, float]:
-        if measured is None or found_there is None:
-            return {}
-        return map_scores(task.model, measured, found_there, settings.validated, settings.seed)
+    for name, stage, network, loss_of in (
+        ("field", settings.field_stage, model.net, net_step),
+        ("map", settings.map_stage, model.map, map_step),
+    ):
+        first = 0 if name == "field" else settings.field_stage.steps
+        last = first + stage.steps
+        if done >= last:
+            continue
+        held = validation
+        if name == "map":
+            # From here the field net is frozen, so it is applied to every source once.
+            model.eval()
+            found = found_in_sources(model, frames)
+            if held is not None and len(held.pairs):
+                found_held = found_in_sources(model, held)
+            else:
+                held = None
 
-    first = settings.field_stage.steps
-    return _descend(task, "map", task.model.map, settings.map_stage, first, done, loss, scores)
+        # Optimiser
+        rate = Cosine(stage.learning_rate, stage.steps, min(stage.warm_up_steps, stage.steps - 1))
+        optimiser = torch.optim.AdamW(
+            network.parameters(), lr=stage.learning_rate, weight_decay=settings.weight_decay
+        )
+        if done > first:
+            run.restore({"model": model}, {"optimiser": optimiser})
+        prepared, wrapped = runs_on.prepare(network, optimiser)
 
+        # Steps
+        losses: list[Tensor] = []
+        stop = False
+        for step in range(done, last):
+            prepared.train()
+            set_rate(optimiser, rate.at(step - first))
+            loss = loss_of(prepared, step)
+            # Checked before the backward pass, which may crash for warps to non-finite positions.
+            if not bool(loss.isfinite()):
+                raise LearningError(
+                    f"{name}_stage: found a loss of {loss.item()} on step {step}; allowed: finite "
+                    "(try a lower learning_rate)"
+                )
+            wrapped.zero_grad()
+            runs_on.backward(loss)
+            runs_on.clip_grad_norm_(network.parameters(), settings.clip)
+            wrapped.step()
+            losses.append(loss.detach())
+            done = step + 1
+            stop = session.passed(done, steps)
 
-def net_loss(looks: list[Tensor], examples: Examples, weights: LossWeights) -> Tensor:
-    """Return the loss of the field net's deformations, one (n, 3, 64, 64) per pass."""
-    total = torch.zeros((), device=examples.seen.device)
-    for place, deformation in enumerate(reversed(looks)):
-        level = render(examples.distance, deformation)
-        loss = image_loss(level, examples.shown, weights) + regularity_loss(deformation, weights)
-        loss = loss + weights.truth * truth_error(deformation, examples.shift).mean()
-        total = total + _EARLIER_LOOK**place * loss
-    made = len(examples.other)
-    if made:
-        level = render(examples.other_distance, looks[-1][-made:])
-        share = made / len(examples.seen)
-        total = total + share * image_loss(level, examples.other, weights)
-    return total
-
-
-def map_loss(
-    mapping: nn.Module,
-    frames: Frames,
-    found: Found,
-    pairs: Tensor,
-    patterns: Tensor,
-    weights: LossWeights,
-) -> Tensor:
-    """Return the loss of the map on some pairs.
-
-    Args:
-        mapping: The map.
-        frames: Frames of all sensors.
-        found: Deformations of the sources.
-        pairs: Indices of the frames' pairs (n,).
-        patterns: Signed distances (2, m, 1, 256, 256) [px] of two patterns on one gel, for the
-            first m pairs: between them the deformation of the source must not change.
-        weights: Weights of the parts.
-    """
-    source, target = frames.pairs[pairs].unbind(dim=1)
-    seen, distance = found.of(pairs), frames.distance(target)
-    scales = frames.scale(source), frames.scale(target)
-    few = slice(patterns.shape[1])
-    # One batch, as a GPU takes longer to launch a pass than to compute it.
-    mapped: Tensor = mapping(
-        torch.cat([seen, seen[few]]),
-        torch.cat([frames.distance(source), patterns[0]]),
-        torch.cat([distance, patterns[1]]),
-        torch.cat([scales[0], scales[0][few]]),
-        torch.cat([scales[1], scales[0][few]]),
-    )
-    deformation, unchanged = mapped[: len(pairs)], mapped[len(pairs) :]
-    level = render(distance, deformation)
-    loss = image_loss(level, frames.seen(target), weights) + regularity_loss(deformation, weights)
-    if frames.shift is not None:
-        error = truth_error(deformation, frames.shift[target].float()).mean()
-        loss = loss + weights.truth * error
-    if len(unchanged):
-        loss = loss + weights.unknown * (unchanged - seen[few]).abs().mean()
-    return loss
-
-
-def _descend(
-    task: _Task,
-    name: str,
-    network: nn.Module,
-    stage: StageSettings,
-    first: int,
-    done: int,
-    loss_of: Callable[[nn.Module, int], Tensor],
-    scores: Callable[[], dict[str, float]],
-) -> int:
-    """Train one network over its stage: steps `first` to `first + stage.steps`.
-
-    Args:
-        task: State shared by both stages.
-        name: Name of the stage in logs.
-        network: Network to train.
-        stage: Settings of the stage.
-        first: First step of the stage.
-        done: Step to start from, `first` or later.
-        loss_of: Returns the loss of the network on a step.
-        scores: Returns the current validation scores.
-
-    Returns:
-        Step reached, less than the last if training was stopped.
-    """
-    settings, run = task.settings, task.run
-    schedule = Cosine(stage.learning_rate, stage.steps, min(stage.warm_up_steps, stage.steps - 1))
-    optimiser = torch.optim.AdamW(
-        network.parameters(), lr=stage.learning_rate, weight_decay=settings.weight_decay
-    )
-    if run is not None and done > first:
-        run.restore({"model": task.model}, {"optimiser": optimiser})
-    prepared, wrapped = task.runs_on.prepare(network, optimiser)
-    last, losses = first + stage.steps, []
-    for step in range(done, last):
-        prepared.train()
-        set_rate(optimiser, schedule.at(step - first))
-        loss = loss_of(prepared, step)
-        # Checked before the backward pass, which may crash for warps to non-finite positions.
-        if not bool(loss.isfinite()):
-            raise LearningError(
-                f"{name}_stage: found a loss of {loss.item()} on step {step}; allowed: finite (try "
-                "a lower learning_rate)"
-            )
-        wrapped.zero_grad()
-        task.runs_on.backward(loss)
-        task.runs_on.clip_grad_norm_(network.parameters(), settings.clip)
-        wrapped.step()
-        losses.append(loss.detach())
-        done = step + 1
-        task.progress(done, task.steps)
-        ends = done == last or task.stopping()
-        measured = ends or done % settings.validate_every_steps == 0
-        if measured or done % _LOG_EVERY_STEPS == 0:
-            if run is not None:
+            # Log, validation and checkpoint
+            measured = done == last or done % settings.validate_every_steps == 0
+            if measured or stop or done % _LOG_EVERY_STEPS == 0:
                 run.log(done, {f"{name}/loss": float(torch.stack(losses).mean())})
-            losses.clear()
-        if measured:
-            prepared.eval()
-            found = scores()
-            if run is not None:
-                run.log(done, {f"{name}/validation_{key}": value for key, value in found.items()})
-                score = 1 - found["dice"] if found and last == task.steps else None
-                run.save(done, {"model": task.model}, {"optimiser": optimiser}, score=score)
-        if ends:
+                losses.clear()
+            scores: dict[str, float] = {}
+            if measured and held is not None:
+                prepared.eval()
+                most, seed = settings.validated, settings.seed
+                if name == "field":
+                    scores = net_scores(model, held, most, seed)
+                else:
+                    scores = map_scores(model, held, found_held, most, seed)
+                run.log(done, {f"{name}/validation_{key}": each for key, each in scores.items()})
+            if measured or stop:
+                score = 1 - scores["dice"] if scores and last == steps else None
+                run.save(done, {"model": model}, {"optimiser": optimiser}, score=score)
+            if stop:
+                break
+        # Remove the mixed-precision wrapper, which is not there after a resume either.
+        runs_on.unwrap_model(prepared, keep_fp32_wrapper=False)
+        if stop:
             break
-    # Remove the mixed-precision wrapper, which is not there after a resume either.
-    task.runs_on.unwrap_model(prepared, keep_fp32_wrapper=False)
-    return done
+    if done == steps:
+        run.finish(done, {"model": model})
+    return model.eval()
+
+
+# Command
+
+
+def run(options: argparse.Namespace) -> int:
+    """Train as the options of `train-field` say; return the exit code."""
+    settings = read_settings(FieldSettings, PRESETS, options.preset, options.set)
+    archive, split = open_data(options)
+    sensors = trained_on(options, archive, split)
+
+    def train(session: Session) -> None:
+        frames, validation = (
+            gather_role(
+                archive,
+                split,
+                sensors,
+                role,
+                every=settings.every_frame,
+                device=session.device,
+                progress=session.reading,
+            )
+            for role in ("train", "validation")
+        )
+        if frames is None:
+            raise LearningError(
+                f"{options.split}: found no press to train on; allowed: one or more"
+            )
+        with session.stop:
+            train_field(frames, settings, validation, session)
+
+    data = (
+        f"archive {archive_fingerprint(archive)}, split {split.fingerprint}, "
+        f"sensors {', '.join(sensors)}"
+    )
+    return run_training(options, KIND, settings, [data], train, reading="frames")

@@ -8,63 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from learning.data.images import SIDE as IMAGE_SIDE
 from learning.data.images import shrink_masks
 from learning.errors import LearningError
 from learning.training.checkpoint import read_model_folder
-from learning.translation.field.network import (
-    FieldMap,
-    FieldNet,
-    render,
-    resampled,
-    signed_distance,
-)
-from learning.translation.field.settings import FieldSettings
+from learning.translation.field.network import FieldModel, render, resampled, signed_distance
+from learning.translation.field.train import KIND, FieldSettings
 from learning.translation.translator import SensorView, require_masks, untouched_source
 from recorder.markers import pack, unpack
-
-# Both networks of the field translator, which are saved together.
-
-
-class FieldModel(nn.Module):
-    """The field net and the map. The untrained map is the identity in millimetres."""
-
-    def __init__(self, settings: FieldSettings) -> None:
-        """Build both networks; the initial weights depend only on the seed."""
-        super().__init__()
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(settings.seed)
-            self.net = FieldNet(settings.net.widths, settings.net.refinements)
-            self.map = FieldMap(settings.map.widths, settings.map.numbers)
-        self.usual_scale: Tensor
-        # Millimetres per pixel (column, row): median of the training, a GelSight's before it.
-        self.register_buffer("usual_scale", torch.tensor([0.0249, 0.0249]))
-
-    def forward(
-        self,
-        frames: Tensor,
-        source_distance: Tensor,
-        target_distance: Tensor,
-        source_scale: Tensor,
-        target_scale: Tensor,
-    ) -> Tensor:
-        """Return the target's deformation (n, 3, 64, 64) [px of its image] for source frames.
-
-        Args:
-            frames: Source frames, in 0..1 (n, 1, 256, 256).
-            source_distance: Signed distance of the source references (n, 1, 256, 256) [px].
-            target_distance: Signed distance of the target references, likewise.
-            source_scale: Millimetres per pixel of the source (column, row) (n, 2).
-            target_scale: Millimetres per pixel of the target, likewise.
-        """
-        deformation = self.net(frames, source_distance)[-1]
-        mapped: Tensor = self.map(
-            deformation, source_distance, target_distance, source_scale, target_scale
-        )
-        return mapped
-
 
 _AT_ONCE = 64
 _REFERENCES = 128  # cached distances, 1.2 MB each: a drifting sensor has 90 references
@@ -159,12 +112,6 @@ def _distance(packed: bytes, device: torch.device) -> Tensor:
     """Return the signed distance (1, 1, 480, 640) [px] of a packed mask."""
     mask = torch.from_numpy(unpack(np.frombuffer(packed, np.uint8)).copy())
     return signed_distance(mask.unsqueeze(0).to(device))
-
-
-# Load a trained field model from its folder.
-
-# Kind of model in `config.yaml`.
-KIND = "field"
 
 
 def load(folder: Path, device: torch.device | str = "cpu") -> FieldTranslator:

@@ -1,0 +1,192 @@
+"""Batched training of force models, one for each sensor that shows the same presses.
+
+With a small network a GPU mostly waits for kernel launches. Models of the same network that learn
+from the same presses, as shown by several sensors, launch the same kernels; here each is launched
+once for all models (`torch.vmap` over weights and frames). Each model equals the result of
+`train_force` up to round-off. No checkpoints are stored, as this is for trainings of a minute,
+which can be restarted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.func import functional_call, stack_module_state
+
+from learning.data.presses import Presses
+from learning.errors import LearningError
+from learning.force.model import ForceModel, prepared_rows, require_form
+from learning.force.train import (
+    Compensation,
+    ForceSettings,
+    begun_model,
+    epoch_of,
+    error,
+    labels_of,
+    mirrored,
+    optimiser_of,
+    schedule_of,
+    signs,
+)
+from learning.training.optim import set_rate
+from learning.training.run import seed_torch
+
+# Frames prepared at once.
+_AT_ONCE = 256
+
+
+def train_together(
+    presses: Sequence[Presses],
+    settings: ForceSettings,
+    *,
+    start_from: ForceModel | None = None,
+    compensation: Sequence[Compensation | None] = (),
+    stopped: Callable[[], bool] = lambda: False,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[ForceModel] | None:
+    """Train one force model per sensor and return them; None if stopped.
+
+    Args:
+        presses: The same presses as shown by each sensor, on the device of the training.
+        settings: Settings of the network and its training; `launch` sets the precision.
+        start_from: A model with the same network, for the initial weights.
+        compensation: Changes of labels, one per sensor; empty: none.
+        stopped: Called before every step; True stops training.
+        progress: Called with the number of steps done and the total.
+
+    Raises:
+        LearningError: Presses differ, have no labels or the wrong form, models cannot share the
+            settings, `start_from` has another network, or a loss is not finite.
+    """
+    _require_alike(presses, settings)
+    device = presses[0].device
+    changes = list(compensation) or [None] * len(presses)
+    labels = [labels_of(each, change) for each, change in zip(presses, changes, strict=True)]
+    models = [begun_model([each], settings, start_from, device) for each in labels]
+    forces = torch.stack(labels)  # (k, n, 3)
+    low, high = (
+        torch.stack([getattr(model, name) for model in models])[:, None, None]
+        for name in ("low", "high")
+    )
+    frames = torch.stack([_prepared(each, settings) for each in presses])  # (k, n, planes, h, w)
+
+    weights, buffers = stack_module_state(models)
+    total = sum(
+        stage.epochs * epoch_of(presses[:1], stage, settings, 0).steps(1)
+        for stage in settings.stages
+    )
+    done = passed = 0
+    for stage in settings.stages:
+        optimiser = optimiser_of(weights.values(), settings.optimiser)
+        steps = epoch_of(presses[:1], stage, settings, passed).steps(1)
+        schedule = schedule_of(stage, stage.epochs * steps)
+        summed = torch.zeros(len(models), dtype=torch.float64, device=device)
+        for number in range(stage.epochs * steps):
+            if stopped():
+                return None
+            if number % steps == 0:
+                passes = epoch_of(presses[:1], stage, settings, passed)
+                passed += 1
+            sequences = passes.sequences(number % steps)
+            seed_torch(settings.seed, "force", "step", done, 0)
+            lengths = sequences.lengths if settings.sequences.padding == "masked" else None
+            rows = torch.from_numpy(sequences.rows).to(device)
+            seen = mirrored(frames[:, rows], sequences.flips, settings.input)
+            wanted = (forces[:, rows] * signs(sequences.flips, device) - low) / (high - low)
+            with torch.autocast(device.type, torch.bfloat16, enabled=_in_bf16(settings)):
+                normalised = _forward(models[0], weights, buffers, seen, lengths, settings)
+            losses = torch.vmap(lambda one, other: error(one, other, lengths))(  # noqa: B023
+                normalised, wanted
+            )
+            set_rate(optimiser, schedule.at(number))
+            optimiser.zero_grad()
+            losses.sum().backward()
+            if settings.optimiser.clip is not None:
+                _clip(weights.values(), settings.optimiser.clip)
+            optimiser.step()
+            summed += losses.detach()
+            done += 1
+            progress(done, total)
+        for each, loss in zip(presses, summed.tolist(), strict=True):
+            if not math.isfinite(loss):
+                raise LearningError(
+                    f"loss of {each.sensor}: found {loss}; allowed: finite (try a smaller "
+                    "learning_rate)"
+                )
+    for number, model in enumerate(models):
+        found = {**weights, **buffers}
+        model.load_state_dict({name: each[number].detach() for name, each in found.items()})
+    return [model.eval() for model in models]
+
+
+def _require_alike(presses: Sequence[Presses], settings: ForceSettings) -> None:
+    """Reject presses and settings that models cannot share.
+
+    Raises:
+        LearningError: The presses differ, or one model's training would affect another's.
+    """
+    if not presses or not len(presses[0]):
+        raise LearningError("presses: found none; allowed: one or more, of one or more sensors")
+    for each in presses:
+        require_form(each, settings.input)
+        if not torch.equal(each.starts, presses[0].starts) or each.device != presses[0].device:
+            raise LearningError(
+                f"presses of {each.sensor}: found others than those of {presses[0].sensor}; "
+                "allowed: the same presses, on one device"
+            )
+    alone = {
+        "network.encoder_norm": settings.network.encoder_norm == "batch",
+        "network.tail_norm": settings.network.tail_norm == "batch",
+        "ema": settings.ema is not None,
+        "launch.mixed_precision": settings.launch.mixed_precision == "fp16",
+    }
+    for key, found in alone.items():
+        if found:
+            raise LearningError(
+                f"{key}: found a setting that needs one model at a time; allowed for several: "
+                "norms none, instance or group, no ema, precision no or bf16"
+            )
+
+
+def _prepared(presses: Presses, settings: ForceSettings) -> Tensor:
+    """Return all frames (n, planes, h, w) as network inputs."""
+    rows = torch.arange(presses.frames, device=presses.device)
+    return torch.cat(
+        [prepared_rows(presses, part, settings.input) for part in rows.split(_AT_ONCE)]
+    )
+
+
+def _in_bf16(settings: ForceSettings) -> bool:
+    return settings.launch.mixed_precision == "bf16"
+
+
+def _forward(
+    model: ForceModel,
+    weights: dict[str, Any],
+    buffers: dict[str, Any],
+    frames: Tensor,
+    lengths: Sequence[int] | None,
+    settings: ForceSettings,
+) -> Tensor:
+    """Return forces (k, b, s, 3), 0 to 1, for frames (k, b, s, planes, h, w) of k models."""
+
+    def one(own: dict[str, Tensor], fixed: dict[str, Tensor], seen: Tensor) -> Tensor:
+        how = {"lengths": lengths, "truncate": settings.sequences.truncate_frames}
+        normalised: Tensor = functional_call(model, (own, fixed), (seen,), how)[0]
+        return normalised
+
+    normalised: Tensor = torch.vmap(one, randomness="different")(weights, buffers, frames)
+    return normalised
+
+
+def _clip(weights: Any, most: float) -> None:
+    """Clip the gradients of each model (k, ...) to the norm `most`."""
+    grads = [each.grad for each in weights if each.grad is not None]
+    norms = torch.stack([grad.flatten(1).square().sum(dim=1) for grad in grads]).sum(dim=0).sqrt()
+    share = (most / (norms + 1e-6)).clamp(max=1.0)
+    for grad in grads:
+        grad.mul_(share.view(-1, *[1] * (grad.ndim - 1)))
