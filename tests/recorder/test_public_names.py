@@ -34,5 +34,5 @@ def test_check_is_the_function_whatever_was_imported_before(before: str) -> None
 def test_every_public_name_is_found_and_no_other() -> None:
     for name in recorder.__all__:
         assert getattr(recorder, name) is not None
-    with pytest.raises(AttributeError, match="no attribute 'Sesion'"):
-        _ = recorder.Sesion
+    with pytest.raises(AttributeError, match="no attribute 'Sitting'"):
+        _ = recorder.Sitting

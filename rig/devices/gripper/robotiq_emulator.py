@@ -1,9 +1,9 @@
 """Emulated Robotiq 2F gripper: Modbus RTU on a pty.
 
-    python -m rig.devices.gripper.robotiq_emulator --link PATH [--holding]
+    python -m rig.mock.emulate robotiq_2f '{"device": {"port": "/tmp/tty"}, "holding": true}'
 
-PATH becomes a link to the pty, as udev's links name a lab's port. A pty has no baud rate: any rate
-works. Faults are injected through rig.core.fault_injection, with these in addition:
+The port becomes a link to the pty, as udev's links name a lab's port. A pty has no baud rate: any
+rate works. Faults are injected through rig.core.fault_injection, with these in addition:
 
     lose_grip            the object is gone, the fingers close
     slip      counts     the fingers close by this much and still hold
@@ -13,19 +13,18 @@ works. Faults are injected through rig.core.fault_injection, with these in addit
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import os
 import select
-import sys
 import threading
 import tty
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rig.core.clock import SECOND_NS, Clock, SystemClock
-from rig.core.emulation import Served, SharedWorld, emulator_parser, run_emulator
+from rig.core.clock import SECOND_NS, Clock
+from rig.core.emulation import EmulatorConfig, Served
 from rig.core.fault_injection import FaultInjector, corrupted_bytes
 from rig.devices.gripper.robotiq_wire import (
     ACTIVATING,
@@ -55,6 +54,7 @@ from rig.devices.gripper.robotiq_wire import (
     parse_request,
     request_length,
 )
+from rig.devices.gripper.settings import RobotiqConfig
 
 # Behaviour of the emulated gripper: activation, movement, the object, faults. No I/O.
 #
@@ -335,26 +335,20 @@ class RobotiqEmulator:
         return emit_reply(request, registers[first : first + request.count])
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Serve until terminated; return the exit code."""
-    parser = emulator_parser("rig.devices.gripper.robotiq_emulator", __doc__)
-    parser.add_argument("--link", type=Path, required=True, help="link to create to the port")
-    parser.add_argument("--slave", type=int, default=9, help="Modbus address (%(default)s)")
-    parser.add_argument(
-        "--object", type=int, default=120, help="its position, 0 to 255 (%(default)s)"
-    )
-    parser.add_argument(
-        "--holding", action="store_true", help="start activated and closed on the object"
-    )
-    return run_emulator(parser, _make, argv)
+@dataclass(frozen=True, slots=True)
+class RobotiqEmulatorConfig(EmulatorConfig):
+    """Port and object of the emulated gripper."""
+
+    device: RobotiqConfig
+    holding: bool = False
+    """Start activated and closed on the object."""
 
 
-def _make(args: argparse.Namespace, _: SharedWorld) -> Served:
-    clock = SystemClock()
-    fingers = Fingers(clock, object_at=args.object, holding=args.holding)
-    emulator = RobotiqEmulator(fingers, args.link, clock, slave=args.slave, seed=args.seed)
+def emulate(settings: RobotiqEmulatorConfig, clock: Clock) -> Served:
+    """Return the emulated gripper, with the object at `object_mock` of its device."""
+    device = settings.device
+    fingers = Fingers(clock, object_at=device.object_mock, holding=settings.holding)
+    emulator = RobotiqEmulator(
+        fingers, Path(device.port), clock, slave=device.slave, seed=settings.seed
+    )
     return Served("gripper", emulator, emulator.inject)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

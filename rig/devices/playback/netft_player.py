@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import socket
 import threading
-from http.server import BaseHTTPRequestHandler, HTTPServer
-from urllib.parse import urlsplit
+from urllib.parse import SplitResult
 
 import numpy as np
 
-from rig.core.emulation import NamelessServer
+from rig.core.emulation import DeviceHandler, DeviceServer
 from rig.devices.force.netft_wire import (
     COMMAND_REALTIME,
     COMMAND_STOP,
@@ -48,7 +47,7 @@ class NetFtPlayback:
         self._seq = (recorded.stream.array("seq")[rows] & 0xFFFFFFFF).tolist() or [1]
         self._status = recorded.stream.array("status")[rows].tolist() or [0]
         self._udp: socket.socket | None = None
-        self._http: HTTPServer | None = None
+        self._http: _PageServer | None = None
         self._peer: tuple[str, int] | None = None
         self._ending = threading.Event()
         self._threads: list[threading.Thread] = []
@@ -130,7 +129,7 @@ class NetFtPlayback:
                 self._peer = None
 
 
-class _PageServer(NamelessServer):
+class _PageServer(DeviceServer):
     """Server of netftapi2.xml, the same for every request."""
 
     def __init__(self, address: tuple[str, int], page: bytes) -> None:
@@ -138,19 +137,12 @@ class _PageServer(NamelessServer):
         super().__init__(address, _PageHandler)
 
 
-class _PageHandler(BaseHTTPRequestHandler):
+class _PageHandler(DeviceHandler):
     server: _PageServer
     timeout = 5.0
 
-    def do_GET(self) -> None:
-        if urlsplit(self.path).path != "/netftapi2.xml":
+    def get(self, url: SplitResult) -> None:
+        if url.path == "/netftapi2.xml":
+            self.answer(self.server.page, "text/xml")
+        else:
             self.send_error(404)
-            return
-        self.send_response(200)
-        self.send_header("Content-Type", "text/xml")
-        self.send_header("Content-Length", str(len(self.server.page)))
-        self.end_headers()
-        self.wfile.write(self.server.page)
-
-    def log_message(self, format: str, *args: object) -> None:
-        """Print nothing: stdout is reserved for the ready line."""
