@@ -9,10 +9,12 @@ from __future__ import annotations
 import ipaddress
 import json
 import logging
+import os
 import socket
 import socketserver
 import sys
 import threading
+import tty
 from collections.abc import Callable
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -258,6 +260,73 @@ class Emulator(Protocol):
 
     def close(self) -> None:
         """Stop serving; may be called twice."""
+
+
+class ThreadedEmulator:
+    """Base of the emulators that serve in threads until they are closed."""
+
+    missed = 0
+    """Number of ticks that were late and skipped."""
+
+    def __init__(self) -> None:
+        self._ending = threading.Event()
+        self._threads: list[threading.Thread] = []
+
+    def close(self) -> None:
+        """Stop serving; may be called twice."""
+        self._ending.set()
+        self._disconnect()
+        for thread in self._threads:
+            thread.join()
+        self._threads = []
+        self._release()
+
+    def _run_threads(self, *targets: Callable[[], object]) -> None:
+        self._threads = [threading.Thread(target=target) for target in targets]
+        for thread in self._threads:
+            thread.start()
+
+    def _disconnect(self) -> None:
+        """Wake the threads, which end because `_ending` is set; may be called twice."""
+
+    def _release(self) -> None:
+        """Release everything that the threads used; may be called twice."""
+
+
+class Pty:
+    """Pseudo terminal with a link to it, in place of a serial port.
+
+    Args:
+        link: Path of the link.
+
+    Raises:
+        OSError: No pty is available, or the link cannot be created.
+    """
+
+    def __init__(self, link: Path) -> None:
+        if link.exists() and not link.is_symlink():
+            raise FileExistsError(f"{link}: exists, and is no link")
+        self._link = link
+        # Both ends stay open here: clients may come and go, and a pty that nobody has open cannot
+        # be read.
+        self.fd, self._theirs = os.openpty()
+        """Descriptor of the device's end."""
+        for end in (self.fd, self._theirs):
+            tty.setraw(end)
+        fresh = link.with_name(f"{link.name}.new")
+        try:
+            fresh.unlink(missing_ok=True)
+            fresh.symlink_to(os.ttyname(self._theirs))
+            fresh.replace(link)
+        except OSError:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Close both ends and remove the link."""
+        for end in (self.fd, self._theirs):
+            os.close(end)
+        self._link.unlink(missing_ok=True)
 
 
 def check_loopback(host: str) -> None:

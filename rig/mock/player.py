@@ -11,7 +11,6 @@ slowest reader.
 from __future__ import annotations
 
 import logging
-import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +20,7 @@ import numpy as np
 
 from recorder import Session
 from rig.core.clock import SECOND_NS, Clock
-from rig.core.emulation import Served, check_loopback
+from rig.core.emulation import Served, ThreadedEmulator, check_loopback
 from rig.core.realtime import CAMERA_PRIORITY, DEVICE_PRIORITY
 from rig.core.samples import CAMERA_LATEST, FORCE_LATEST, POSE_LATEST, TAXELS_LATEST
 from rig.core.shared_memory import SharedLatest
@@ -104,7 +103,7 @@ _LATEST: dict[str, np.dtype[Any]] = {
 }
 
 
-class Player:
+class Player(ThreadedEmulator):
     """Plays a recorded stream through an outlet, in its own thread.
 
     Args:
@@ -117,9 +116,6 @@ class Player:
         others: Streams to stay synchronised with at maximum speed.
     """
 
-    missed = 0
-    """Always 0: rows are sent late rather than skipped."""
-
     def __init__(
         self,
         name: str,
@@ -131,6 +127,7 @@ class Player:
         speed: float,
         others: Sequence[str] = (),
     ) -> None:
+        super().__init__()
         self._name = name
         self._recorded = recorded
         self._device = device
@@ -138,8 +135,6 @@ class Player:
         self._clock = clock
         self._speed = speed
         self._others = tuple(others)
-        self._ending = threading.Event()
-        self._thread: threading.Thread | None = None
         self._sync = SharedLatest.attach(sync_path(folder), SYNC)
         path = position_path(folder, name)
         self._position = SharedLatest.attach(path, POSITION, writable=True)
@@ -157,16 +152,10 @@ class Player:
             OSError: The address cannot be bound.
         """
         self._device.start()
-        self._thread = threading.Thread(target=self._run, name=f"player-{self._name}")
-        self._thread.start()
+        self._run_threads(self._run)
 
-    def close(self) -> None:
-        """Stop; may be called twice."""
-        self._ending.set()
+    def _disconnect(self) -> None:
         self._device.close()
-        if self._thread is not None:
-            self._thread.join()
-            self._thread = None
 
     def _run(self) -> None:
         try:

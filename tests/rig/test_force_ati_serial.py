@@ -265,11 +265,11 @@ def test_something_else_on_the_port_is_device_lost(link: Path) -> None:
         def _take_commands(self, timeout: float) -> None:
             threading.Event().wait(timeout / 10)
             if content := self._read():
-                os.write(self._ours, content)
+                os.write(self._fd, content)
 
         def _read(self) -> bytes:
             try:
-                return os.read(self._ours, 64)
+                return os.read(self._fd, 64)
             except BlockingIOError:
                 return b""
 

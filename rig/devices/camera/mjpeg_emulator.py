@@ -35,6 +35,7 @@ from rig.core.emulation import (
     EmulatorConfig,
     Served,
     SharedWorld,
+    ThreadedEmulator,
     WorldReader,
 )
 from rig.core.errors import ConfigError
@@ -220,7 +221,7 @@ class MjpegEmulatorConfig(EmulatorConfig):
     """Time between exposure of a frame and its delivery [s]; 0: as soon as it is rendered."""
 
 
-class MjpegEmulator:
+class MjpegEmulator(ThreadedEmulator):
     """Emulated camera: one thread produces frames, one per client sends the newest frame.
 
     Args:
@@ -237,18 +238,16 @@ class MjpegEmulator:
         world: WorldReader | None,
         clock: Clock,
     ) -> None:
+        super().__init__()
         self._config = config
         self._port = urlsplit(config.device.address).port or 80
         self._source = source
         self._world = world
         self._untouched = SharedWorld(None).state()[1]
         self._clock = clock
-        self._ending = threading.Event()
         self._changed = threading.Condition()
         self._parts: tuple[bytes, ...] = ()
         self._number = 0
-        self.missed = 0
-        """Number of frames skipped as too late."""
         self.faults = FaultInjector[bytes](
             clock, spoil=torn, mistake=_halved, on_change=self._on_plug
         )
@@ -268,19 +267,10 @@ class MjpegEmulator:
             OSError: The address is not available.
         """
         self._server = _Server((self._config.host, self._port), self)
-        self._threads = [
-            threading.Thread(target=self._film, name="mjpeg-emulator"),
-            threading.Thread(target=self._deliver, name="mjpeg-emulator-delay"),
-            threading.Thread(
-                target=self._server.serve_forever, args=(0.05,), name="mjpeg-emulator-accept"
-            ),
-        ]
-        for thread in self._threads:
-            thread.start()
+        accept = functools.partial(self._server.serve_forever, 0.05)
+        self._run_threads(self._film, self._deliver, accept)
 
-    def close(self) -> None:
-        """Stop serving; may be called twice."""
-        self._ending.set()
+    def _disconnect(self) -> None:
         with self._changed:
             self._changed.notify_all()
         if self._server is not None:
@@ -288,9 +278,6 @@ class MjpegEmulator:
             self._server.disconnect_all()
             self._server.server_close()
             self._server = None
-        for thread in self._threads:
-            thread.join()
-        self._threads = []
 
     def parts(self, jpeg: bytes) -> Iterable[bytes]:
         """Return the parts sent for one frame; faults and tests corrupt frames here."""

@@ -13,8 +13,6 @@ from __future__ import annotations
 import logging
 import os
 import select
-import threading
-import tty
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,7 +20,14 @@ from pathlib import Path
 import numpy as np
 
 from rig.core.clock import Clock, Pacer
-from rig.core.emulation import EmulatorConfig, Served, SharedWorld, WorldReader
+from rig.core.emulation import (
+    EmulatorConfig,
+    Pty,
+    Served,
+    SharedWorld,
+    ThreadedEmulator,
+    WorldReader,
+)
 from rig.core.fault_injection import FaultInjector, corrupted_bytes
 from rig.devices.force.ati_serial_wire import PROMPT, SerialRecord, emit
 from rig.devices.force.emulated_noise import NOISE_ROWS, noise_table
@@ -47,10 +52,11 @@ class AtiSerialEmulatorConfig(EmulatorConfig):
     """Standard deviation of the force components [N]."""
 
 
-class AtiSerialEmulator:
+class AtiSerialEmulator(ThreadedEmulator):
     """Emulated controller: one thread receives commands and sends records."""
 
     def __init__(self, config: AtiSerialEmulatorConfig, world: WorldReader, clock: Clock) -> None:
+        super().__init__()
         self._config = config
         self.faults = FaultInjector[bytes](clock, spoil=corrupted_bytes, seed=config.seed)
         self._world = world
@@ -60,14 +66,10 @@ class AtiSerialEmulator:
         self._scale = np.repeat([device.counts_per_n, device.counts_per_n_mm * 1e3], 3)
         self._noise = noise_table(config.seed, config.noise) * self._scale
         self._row = 0
-        self.missed = 0
-        """Number of records skipped as too late."""
         self._form = "ascii"
         self._typed = b""
         self._streaming = False
-        self._ending = threading.Event()
-        self._thread: threading.Thread | None = None
-        self._ours = self._theirs = -1
+        self._pty: Pty | None = None
 
     @property
     def address(self) -> str:
@@ -86,35 +88,15 @@ class AtiSerialEmulator:
         Raises:
             OSError: No pty is available, or the link cannot be created.
         """
-        # The other end stays open here too, so that clients may come and go.
-        self._ours, self._theirs = os.openpty()
-        for end in (self._ours, self._theirs):
-            tty.setraw(end)
-        os.set_blocking(self._ours, False)
-        if self._link.is_symlink():
-            self._link.unlink()
-        try:
-            self._link.symlink_to(os.ttyname(self._theirs))
-        except OSError:
-            self._close_pty()
-            raise
-        self._thread = threading.Thread(target=self._serve, name="ati-serial-emulator")
-        self._thread.start()
+        self._pty = Pty(self._link)
+        self._fd = self._pty.fd
+        os.set_blocking(self._fd, False)
+        self._run_threads(self._serve)
 
-    def close(self) -> None:
-        """Stop serving, as if unplugged; may be called twice."""
-        self._ending.set()
-        if self._thread is not None:
-            self._thread.join()
-            self._thread = None
-            self._link.unlink(missing_ok=True)
-        self._close_pty()
-
-    def _close_pty(self) -> None:
-        for end in (self._ours, self._theirs):
-            if end >= 0:
-                os.close(end)
-        self._ours = self._theirs = -1
+    def _release(self) -> None:
+        if self._pty is not None:
+            self._pty.close()
+            self._pty = None
 
     def records(self, content: bytes) -> Iterable[bytes]:
         """Return the content sent for one record; faults and tests lose or corrupt bytes here."""
@@ -153,9 +135,9 @@ class AtiSerialEmulator:
         return SerialRecord(error, tuple(shown))
 
     def _take_commands(self, timeout: float) -> None:
-        if not select.select([self._ours], [], [], timeout)[0]:
+        if not select.select([self._fd], [], [], timeout)[0]:
             return
-        typed = os.read(self._ours, 256)
+        typed = os.read(self._fd, 256)
         if self.faults.unplugged:
             return
         *lines, rest = (self._typed + typed).split(b"\r")
@@ -174,7 +156,7 @@ class AtiSerialEmulator:
 
     def _send(self, content: bytes) -> None:
         try:
-            os.write(self._ours, content)
+            os.write(self._fd, content)
         except BlockingIOError:
             # Nobody reads it: the line has no handshake, the bytes are lost.
             logger.debug("%d bytes lost: nobody reads", len(content))

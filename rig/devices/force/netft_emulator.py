@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import select
 import socket
-import threading
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from urllib.parse import SplitResult, parse_qs
 
 import numpy as np
@@ -25,6 +25,7 @@ from rig.core.emulation import (
     EmulatorConfig,
     Served,
     SharedWorld,
+    ThreadedEmulator,
     WorldReader,
 )
 from rig.core.fault_injection import FaultInjector, corrupted_bytes
@@ -55,10 +56,11 @@ class NetFtEmulatorConfig(EmulatorConfig):
     """Standard deviation of the force components [N]."""
 
 
-class NetFtEmulator:
+class NetFtEmulator(ThreadedEmulator):
     """Emulated box: one thread sends records and receives commands, others answer HTTP."""
 
     def __init__(self, config: NetFtEmulatorConfig, world: WorldReader, clock: Clock) -> None:
+        super().__init__()
         self.page = config.page
         self._config = config
         self._scale = np.repeat(config.page.scale(), 3)
@@ -67,16 +69,12 @@ class NetFtEmulator:
         )
         self._world = world
         self._clock = clock
-        self._ending = threading.Event()
-        self._threads: list[threading.Thread] = []
         self._udp: socket.socket | None = None
         self._http: _HttpServer | None = None
         self._peer: tuple[str, int] | None = None
         self._left = 0
         self._rdt_sequence = 0
         self._ft_sequence = 0
-        self.missed = 0
-        """Number of records skipped as too late."""
         self._bias = np.zeros(6)
 
     @property
@@ -99,25 +97,15 @@ class NetFtEmulator:
         except OSError:
             self._udp.close()
             raise
-        self._threads = [
-            threading.Thread(target=self._stream, args=(self._udp,), name="netft-emulator"),
-            threading.Thread(
-                target=self._http.serve_forever, args=(0.05,), name="netft-emulator-http"
-            ),
-        ]
-        for thread in self._threads:
-            thread.start()
+        self._run_threads(partial(self._stream, self._udp), partial(self._http.serve_forever, 0.05))
 
-    def close(self) -> None:
-        """Stop serving; may be called twice."""
-        self._ending.set()
+    def _disconnect(self) -> None:
         if self._http is not None:
             self._http.shutdown()
             self._http.server_close()
             self._http = None
-        for thread in self._threads:
-            thread.join()
-        self._threads = []
+
+    def _release(self) -> None:
         if self._udp is not None:
             self._udp.close()
             self._udp = None

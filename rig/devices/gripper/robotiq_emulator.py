@@ -17,14 +17,13 @@ import contextlib
 import os
 import select
 import threading
-import tty
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from rig.core.clock import SECOND_NS, Clock
-from rig.core.emulation import EmulatorConfig, Served
+from rig.core.emulation import EmulatorConfig, Pty, Served, ThreadedEmulator
 from rig.core.fault_injection import FaultInjector, corrupted_bytes
 from rig.devices.gripper.robotiq_wire import (
     ACTIVATING,
@@ -189,7 +188,7 @@ class Fingers:
 _GAP = 0.02
 
 
-class RobotiqEmulator:
+class RobotiqEmulator(ThreadedEmulator):
     """An emulated gripper.
 
     Args:
@@ -200,12 +199,10 @@ class RobotiqEmulator:
         seed: Seed of the fault injector's garbage.
     """
 
-    missed = 0
-    """Always 0: the gripper only answers requests, so no time is missed."""
-
     def __init__(
         self, fingers: Fingers, link: Path, clock: Clock, *, slave: int = 9, seed: int = 0
     ) -> None:
+        super().__init__()
         self.fingers = fingers
         self.faults = FaultInjector[bytes](clock, spoil=corrupted_bytes, seed=seed)
         self.requests = 0
@@ -213,9 +210,7 @@ class RobotiqEmulator:
         self._link = link
         self._slave = slave
         self._lock = threading.Lock()
-        self._fds: tuple[int, int] | None = None
-        self._ending = threading.Event()
-        self._thread: threading.Thread | None = None
+        self._pty: Pty | None = None
 
     @property
     def address(self) -> str:
@@ -228,17 +223,13 @@ class RobotiqEmulator:
         Raises:
             OSError: The link cannot be created.
         """
-        self._plug()
-        self._thread = threading.Thread(target=self._run, name="gripper")
-        self._thread.start()
+        self._pty = Pty(self._link)
+        self._run_threads(self._run)
 
-    def close(self) -> None:
-        """Stop serving; may be called twice."""
-        self._ending.set()
-        if self._thread is not None:
-            self._thread.join()
-            self._thread = None
-        self._unplug()
+    def _release(self) -> None:
+        if self._pty is not None:
+            self._pty.close()
+            self._pty = None
 
     def inject(self, fault: str, **values: Any) -> dict[str, Any]:
         """Inject a fault and return the emulator's state.
@@ -260,36 +251,18 @@ class RobotiqEmulator:
             line = self.faults.inject(fault, **values)
         return {**line, "requests": self.requests}
 
-    def _plug(self) -> None:
-        master, slave = os.openpty()
-        tty.setraw(master)
-        tty.setraw(slave)
-        # The emulator keeps the device side open too: reading a pty that nobody has open fails.
-        fresh = self._link.with_name(f"{self._link.name}.new")
-        fresh.unlink(missing_ok=True)
-        fresh.symlink_to(os.ttyname(slave))
-        fresh.replace(self._link)
-        self._fds = (master, slave)
-
-    def _unplug(self) -> None:
-        if self._fds is not None:
-            for fd in self._fds:
-                os.close(fd)
-            self._fds = None
-            self._link.unlink(missing_ok=True)
-
     def _run(self) -> None:
         pending = b""
         while not self._ending.is_set():
             # Only this thread opens and closes the pty, so that no reused descriptor is read.
             if self.faults.unplugged:
-                self._unplug()
+                self._release()
                 self._ending.wait(0.01)
                 continue
-            if self._fds is None:
-                self._plug()
+            if self._pty is None:
+                self._pty = Pty(self._link)
                 pending = b""
-            fd = self._fds[0] if self._fds else -1
+            fd = self._pty.fd
             with contextlib.suppress(OSError, ValueError):
                 if not select.select([fd], [], [], _GAP)[0]:
                     pending = b""

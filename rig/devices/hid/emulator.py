@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.core.clock import SECOND_NS, Clock, Pacer
-from rig.core.emulation import EmulatorConfig, Served
+from rig.core.emulation import EmulatorConfig, Served, ThreadedEmulator
 from rig.core.errors import ConfigError
 from rig.core.fault_injection import FaultInjector, corrupted_bytes
 from rig.devices.hid.reports import Axes, CapReport, emit_cap, emit_keys
@@ -77,7 +77,7 @@ KINDS = {
 }
 
 
-class HidEmulator:
+class HidEmulator(ThreadedEmulator):
     """Emulated HID device.
 
     Args:
@@ -96,6 +96,7 @@ class HidEmulator:
         if path.suffix != ".hidraw":
             raise ConfigError(f"{path}: allowed: a name that ends with .hidraw")
         self.faults = FaultInjector[bytes](clock, spoil=corrupted_bytes, seed=seed)
+        super().__init__()
         self._kind = kind
         self._path = path
         self._clock = clock
@@ -104,10 +105,6 @@ class HidEmulator:
         self._lock = threading.RLock()
         self._push: tuple[Axes, Axes] | None = None
         self._push_until_ns = 0
-        self.missed = 0
-        """Number of ticks skipped as too late."""
-        self._ending = threading.Event()
-        self._thread: threading.Thread | None = None
 
     @property
     def address(self) -> str:
@@ -121,16 +118,7 @@ class HidEmulator:
             OSError: The node cannot be created.
         """
         self._plug()
-        self._thread = threading.Thread(target=self._run, name=self._kind)
-        self._thread.start()
-
-    def close(self) -> None:
-        """Stop serving; may be called twice."""
-        self._ending.set()
-        if self._thread is not None:
-            self._thread.join()
-            self._thread = None
-        self._unplug()
+        self._run_threads(self._run)
 
     def inject(self, fault: str, **values: Any) -> dict[str, Any]:
         """Inject a fault or a person's action, and return the emulator's state.
@@ -192,7 +180,7 @@ class HidEmulator:
         with self._lock:
             self._listener = listener
 
-    def _unplug(self) -> None:
+    def _release(self) -> None:
         with self._lock:
             if self._listener is not None:
                 self._listener.close()
@@ -209,7 +197,7 @@ class HidEmulator:
             pacer.wait()
             self.missed = pacer.missed
             if self.faults.unplugged:
-                self._unplug()
+                self._release()
                 continue
             if self._listener is None:
                 self._plug()

@@ -29,7 +29,7 @@ from websockets.sync.server import Server, ServerConnection
 from websockets.sync.server import serve as listen
 
 from rig.core.clock import SECOND_NS, Clock, ClockAnchor, Pacer
-from rig.core.emulation import EmulatorConfig, Served, SharedWorld, WorldReader
+from rig.core.emulation import EmulatorConfig, Served, SharedWorld, ThreadedEmulator, WorldReader
 from rig.core.fault_injection import FaultInjector, spoilt_text
 from rig.devices.taxels.settings import XelaConfig
 
@@ -77,7 +77,7 @@ def emit(number: int, seconds: float, counts: Sequence[int], *, layout: str, ups
     return json.dumps(top | {"1": sensor})
 
 
-class XelaEmulator:
+class XelaEmulator(ThreadedEmulator):
     """Emulated server: one thread produces scans, one per client sends the newest.
 
     Args:
@@ -87,20 +87,18 @@ class XelaEmulator:
     """
 
     def __init__(self, config: XelaEmulatorConfig, source: WorldReader | Log, clock: Clock) -> None:
+        super().__init__()
         self._config = config
         self._port = urlsplit(config.device.address).port or 80
         self._source = source
         self._clock = clock
         self._anchor = ClockAnchor.take()
         self._rng = np.random.default_rng(config.seed)
-        self._ending = threading.Event()
         self._changed = threading.Condition()
         # Messages of the newest scans: a client that falls behind gets them all in order, up to
         # this many, as from the vendor's server.
         self._scans: deque[tuple[str, ...]] = deque(maxlen=_BACKLOG)
         self._number = 0
-        self.missed = 0
-        """Number of scans skipped as too late."""
         self.faults = FaultInjector[str](
             clock,
             spoil=spoilt_text,
@@ -131,24 +129,14 @@ class XelaEmulator:
             ping_interval=None,
             close_timeout=0.5,
         )
-        self._threads = [
-            threading.Thread(target=self._make_scans, name="xela-emulator"),
-            threading.Thread(target=self._server.serve_forever, name="xela-emulator-accept"),
-        ]
-        for thread in self._threads:
-            thread.start()
+        self._run_threads(self._make_scans, self._server.serve_forever)
 
-    def close(self) -> None:
-        """Stop serving; may be called twice."""
-        self._ending.set()
+    def _disconnect(self) -> None:
         with self._changed:
             self._changed.notify_all()
         if self._server is not None:
             self._server.shutdown()
             self._server = None
-        for thread in self._threads:
-            thread.join()
-        self._threads = []
 
     def messages(self, message: str) -> Iterable[str]:
         """Return the messages sent for one scan; faults and tests corrupt messages here."""

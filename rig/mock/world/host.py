@@ -8,10 +8,8 @@ cycles; the sensors' emulators only serve the published states.
 
 from __future__ import annotations
 
-import threading
-
 from rig.core.clock import Clock, SystemClock
-from rig.core.emulation import Served
+from rig.core.emulation import Served, ThreadedEmulator
 from rig.core.samples import ARM_TRUTH, WORLD_STATE
 from rig.core.shared_memory import SharedLatest
 from rig.mock.world import ARM_FILE, WORLD_FILE, WorldConfig, build_world
@@ -22,7 +20,7 @@ from rig.mock.world.truth import TruthLog
 _POLL_NS = 400_000
 
 
-class WorldHost:
+class WorldHost(ThreadedEmulator):
     """Steps a World along an arm's published motion, in its own thread.
 
     Args:
@@ -35,14 +33,11 @@ class WorldHost:
     def __init__(
         self, world: World, arm: SharedLatest, states: SharedLatest, truth: TruthLog | None
     ) -> None:
+        super().__init__()
         self._world = world
         self._arm = arm
         self._states = states
         self._truth = truth
-        self._ending = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="world")
-        self.missed = 0
-        """Cycles of the arm that ended before they were read."""
 
     @property
     def address(self) -> str:
@@ -51,13 +46,9 @@ class WorldHost:
 
     def start(self) -> None:
         """Follow the arm from now on."""
-        self._thread.start()
+        self._run_threads(self._run)
 
-    def close(self) -> None:
-        """Stop; may be called twice."""
-        self._ending.set()
-        if self._thread.is_alive():
-            self._thread.join()
+    def _release(self) -> None:
         if self._truth is not None:
             self._truth.close()
 
