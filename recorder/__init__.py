@@ -3,33 +3,34 @@
 The format is specified in `docs/reference/data-format.md`; this package is its only implementation.
 """
 
-from recorder.archive import MarkerArchive
-from recorder.check.check import check
-from recorder.convert.repack import repack
-from recorder.errors import SessionError
-from recorder.findings import Finding
-from recorder.session.reader import Session, Stream
-from recorder.session.recover import recover
-from recorder.session.sheet import contact_sheet
-from recorder.session.stream_writer import StreamWriter
-from recorder.session.window import Window
-from recorder.session.writer import SessionWriter
-from recorder.spec import (
-    FORMAT_VERSION,
-    OUTCOMES,
-    PHASES,
-    REFERENCE,
-    SEGMENTS,
-    Column,
-    StreamSpec,
-    camera_spec,
-    force_spec,
-    pose_spec,
-    taxels_spec,
-)
-from recorder.store import images as _codecs
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
-_codecs.register()
+if TYPE_CHECKING:
+    from recorder.archive import MarkerArchive
+    from recorder.check.check import check
+    from recorder.convert.repack import repack
+    from recorder.errors import SessionError
+    from recorder.findings import Finding
+    from recorder.session.reader import Session, Stream
+    from recorder.session.recover import recover
+    from recorder.session.sheet import contact_sheet
+    from recorder.session.stream_writer import StreamWriter
+    from recorder.session.window import Window
+    from recorder.session.writer import SessionWriter
+    from recorder.spec import (
+        FORMAT_VERSION,
+        OUTCOMES,
+        PHASES,
+        REFERENCE,
+        SEGMENTS,
+        Column,
+        StreamSpec,
+        camera_spec,
+        force_spec,
+        pose_spec,
+        taxels_spec,
+    )
 
 __all__ = [
     "FORMAT_VERSION",
@@ -56,3 +57,31 @@ __all__ = [
     "repack",
     "taxels_spec",
 ]
+
+_MODULES = {
+    "Finding": "findings",
+    "MarkerArchive": "archive",
+    "Session": "session.reader",
+    "SessionError": "errors",
+    "SessionWriter": "session.writer",
+    "Stream": "session.reader",
+    "StreamWriter": "session.stream_writer",
+    "Window": "session.window",
+    "check": "check.check",
+    "contact_sheet": "session.sheet",
+    "recover": "session.recover",
+    "repack": "convert.repack",
+}
+
+# An import binds the sub-package `check` once, here; afterwards the name belongs to its function.
+import_module(f"{__name__}.check")
+del globals()["check"]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name on demand: settings and YAML are read without zarr."""
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f"{__name__}.{_MODULES.get(name, 'spec')}"), name)
+    globals()[name] = value
+    return value

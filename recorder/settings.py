@@ -43,7 +43,7 @@ SI_PER_UNIT = {
     "counts_per_mt": 1e3,
 }
 # JSON types of the plain values.
-_JSON = {float: "number", int: "integer", bool: "boolean", str: "string"}
+_JSON = {float: "number", int: "integer", bool: "boolean", str: "string", Path: "string"}
 _NONE = type(None)
 
 
@@ -217,6 +217,8 @@ class Reader:
             if type(value) is not hint:
                 raise self.error(f"{where}: found {describe(value)}; allowed: {hint.__name__}")
             return value
+        if hint is Path:
+            return Path(self._value(str, value, where, unit))
         raise TypeError(f"{where}: the reader knows no {hint!r}")
 
     def _tuple(

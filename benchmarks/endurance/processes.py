@@ -34,10 +34,10 @@ def role_of(pid: int, command: str, session: Path) -> str:
         command: Its command line.
         session: Session that the collection writes.
     """
-    emulator = re.search(r"-m rig\.(?:devices|mock)\.(\w+)\.(\w+)", command)
+    emulator = re.search(r"-m rig\.mock\.emulate .*/(\w+)\.json", command)
     if emulator:
-        of_world = {"host": "World", "solver": "World's solver"}
-        return of_world.get(emulator[2], f"{emulator[1]} emulator")
+        of_world = {"world": "World", "solver": "World's solver"}
+        return of_world.get(emulator[1], f"{emulator[1]} emulator")
     if "resource_tracker" in command:
         return "resource tracker"
     written = _stream_written(pid, session)

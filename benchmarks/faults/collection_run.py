@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import signal
@@ -20,17 +21,17 @@ from recorder import OUTCOMES, Session
 from rig.core import emulation
 from rig.core.clock import SECOND_NS, SystemClock
 
-# Module of each device's emulator.
+# Emulator of each device, as `rig.mock.emulate` names it.
 EMULATORS = {
-    "arm": "rig.devices.arm.emulator",
-    "force": "rig.devices.force.netft_emulator",
-    "camera": "rig.devices.camera.mjpeg_emulator",
-    "taxels": "rig.devices.taxels.xela_emulator",
-    "NI-DAQ": "rig.devices.force.nidaq_emulator",
-    "RS-232": "rig.devices.force.ati_serial_emulator",
-    "gripper": "rig.devices.gripper.robotiq_emulator",
-    "pedal": "rig.devices.hid.emulator",
-    "world": "rig.mock.world.host",
+    "arm": "ur",
+    "force": "netft",
+    "camera": "opencv",
+    "taxels": "xela",
+    "NI-DAQ": "nidaq",
+    "RS-232": "ati_serial",
+    "gripper": "robotiq_2f",
+    "pedal": "hid_pedal",
+    "world": "world",
 }
 # Devices whose fault port is that of another device.
 _LINES = {"NI-DAQ": "force", "RS-232": "force"}
@@ -159,9 +160,10 @@ class CollectionRun:
 
     def _find_bench(self) -> bool:
         for command in self.processes().values():
-            if found := re.search(r"--host (\S+) --world (\S+)/world.state", command):
-                self.host, self.folder = found[1], Path(found[2])
-                return (self.folder / "world.json").exists()
+            if found := re.search(r"-m rig\.mock\.emulate ur --file (\S+)/arm\.json", command):
+                self.folder = Path(found[1])
+                self.host = json.loads((self.folder / "arm.json").read_text())["host"]
+                return True
         return False
 
     def processes(self) -> dict[int, str]:
@@ -177,7 +179,7 @@ class CollectionRun:
             LookupError: It is not running.
         """
         for pid, command in self.processes().items():
-            if f"-m {EMULATORS[device]} " in command:
+            if f"-m rig.mock.emulate {EMULATORS[device]} " in command:
                 return pid
         raise LookupError(f"no emulator of the {device} runs")
 

@@ -8,7 +8,6 @@ is read from its emulator's fault port, independently of the rig.
 from __future__ import annotations
 
 import contextlib
-import json
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -20,9 +19,11 @@ import numpy as np
 from rig.acquire.stream_process import COUNTERS
 from rig.bench.stream_kinds import KINDS
 from rig.core.clock import SECOND_NS, SystemClock
+from rig.core.config import build, read_yaml
 from rig.core.geometry import compose, invert
 from rig.core.shared_memory import SharedLatest
 from rig.devices.arm import emulator_faults
+from rig.mock.world import WorldConfig
 
 _PERIOD = 0.02
 _ARM_EVERY = 3
@@ -142,8 +143,8 @@ def _arm_state(state: dict[str, Any], frame: np.ndarray, t_ns: int) -> ArmState:
 
 
 def _contact_frame(folder: Path) -> np.ndarray:
-    frame: np.ndarray = np.array(json.loads((folder / "world.json").read_text())["contact_frame"])
-    return frame
+    path = folder / "world.json"
+    return np.array(build(WorldConfig, read_yaml(path), str(path)).contact_frame)
 
 
 def age(state: ArmState, now_ns: int) -> float:

@@ -1,5 +1,6 @@
 """Storage on disk: shards that act as logs, journals, columns and atomic file changes."""
 
+from recorder.store import images
 from recorder.store.durable import replace_file, sync_directory
 from recorder.store.images import decode_jpeg
 
@@ -8,3 +9,5 @@ __all__ = [
     "replace_file",
     "sync_directory",
 ]
+
+images.register()

@@ -147,3 +147,62 @@ class Receiver:
         """Stop after the current call and wait for the thread; may be called twice."""
         self._stopping.set()
         self._thread.join()
+
+
+class ReceivingDriver:
+    """Base of the drivers whose samples a thread receives.
+
+    Args:
+        where: Address of the device, for errors.
+        clock: Timestamps the samples.
+        capacity: Samples kept for a late consumer.
+    """
+
+    def __init__(self, where: str, clock: Clock, capacity: int) -> None:
+        self._where = where
+        self._clock = clock
+        self._capacity = capacity
+        self._inbox = Inbox(clock, capacity)
+        self._receiver: Receiver | None = None
+        self._gaps = 0
+
+    @property
+    def dropped(self) -> int:
+        """Samples that are known to be lost on the way, or were not read in time."""
+        return self._gaps + self._inbox.overflowed
+
+    def read(self, timeout: float) -> list[dict[str, Any]]:
+        """Return the samples since the last call; see `Driver.read`.
+
+        Raises:
+            DeviceLost: The device is gone, or has been silent for the `silence` of its settings.
+        """
+        if self._receiver is None:
+            raise self._not_open()
+        return self._inbox.take(timeout)
+
+    def close(self) -> None:
+        """Stop the stream and release the device; may be called twice."""
+        if self._receiver is not None:
+            self._receiver.close()
+            self._receiver = None
+        self._release()
+
+    def _receive(self) -> None:
+        """Put the samples into the inbox that arrive within a fraction of a second."""
+        raise NotImplementedError
+
+    def _release(self) -> None:
+        """Release the device; may be called twice."""
+        raise NotImplementedError
+
+    def _reset(self) -> None:
+        """Close the device if it is open, and begin with an empty inbox."""
+        self.close()
+        self._inbox = Inbox(self._clock, self._capacity)
+
+    def _start_receiving(self, name: str) -> None:
+        self._receiver = Receiver(name, self._receive, self._inbox)
+
+    def _not_open(self) -> DeviceLost:
+        return DeviceLost(f"{self._where}: not open")

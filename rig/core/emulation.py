@@ -1,31 +1,31 @@
-"""Common parts of the emulators: shared World, options, start, fault injection and shutdown.
+"""Common parts of the emulators: settings, shared World and fault injection.
 
-An emulator process prints `ready <name> <address>` once it listens. It serves until SIGTERM or
-SIGINT, or with --until-stdin-closes until its parent exits, then prints the number of ticks missed.
+The module of an emulator has a function `emulate`, which `rig.mock.emulate` calls: it takes
+settings and a clock, and returns the emulator, not yet started.
 """
 
 from __future__ import annotations
 
-import argparse
 import ipaddress
 import json
 import logging
 import os
-import signal
 import socket
 import socketserver
 import sys
 import threading
-from collections.abc import Callable, Sequence
+import tty
+from collections.abc import Callable
 from dataclasses import dataclass
-from http.server import HTTPServer
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any, Protocol
+from urllib.parse import SplitResult, urlsplit
 
 import numpy as np
 
-from rig.core.errors import ConfigError
-from rig.core.realtime import DEVICE_PRIORITY, enable_realtime
+from rig.core.fault_injection import FaultInjector
+from rig.core.realtime import DEVICE_PRIORITY
 from rig.core.samples import WORLD_STATE
 from rig.core.shared_memory import AwaitedRecord
 
@@ -187,13 +187,61 @@ class SharedWorld:
         self._record.close()
 
 
-class NamelessServer(HTTPServer):
-    """HTTP server of an emulated device, without a host name."""
+class DeviceServer(ThreadingHTTPServer):
+    """HTTP server of an emulated device, without a host name.
+
+    Args:
+        address: Host and port.
+        handler: Class that handles requests.
+        faults: Injector of the device's faults; while it is unplugged, every client is rejected.
+    """
+
+    daemon_threads = True
+
+    def __init__(
+        self,
+        address: tuple[str, int],
+        handler: type[DeviceHandler],
+        faults: FaultInjector[Any] | None = None,
+    ) -> None:
+        self._faults = faults
+        super().__init__(address, handler)
 
     def server_bind(self) -> None:
         """Bind without looking up the host name, which may take seconds."""
         socketserver.TCPServer.server_bind(self)
         self.server_name, self.server_port = str(self.server_address[0]), self.server_address[1]
+
+    def verify_request(self, request: Any, client_address: Any) -> bool:
+        """Reject every client while the device is unplugged."""
+        return self._faults is None or not self._faults.unplugged
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Log at debug level: a client that leaves before its answer is no error."""
+        logger.debug("client %s: %s", client_address, sys.exception())
+
+
+class DeviceHandler(BaseHTTPRequestHandler):
+    """Handler of requests to an emulated device."""
+
+    def do_GET(self) -> None:
+        """Serve a request."""
+        self.get(urlsplit(self.path))
+
+    def get(self, url: SplitResult) -> None:
+        """Serve the resource of a URL."""
+        raise NotImplementedError
+
+    def answer(self, content: bytes, kind: str) -> None:
+        """Send a page of MIME type `kind`."""
+        self.send_response(200)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(content)))
+        self.end_headers()
+        self.wfile.write(content)
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Print nothing: stdout is reserved for the ready line."""
 
 
 class Emulator(Protocol):
@@ -214,50 +262,112 @@ class Emulator(Protocol):
         """Stop serving; may be called twice."""
 
 
-def loopback(text: str) -> str:
-    """Return `text` if it is a loopback address, so emulator commands never reach a lab's devices.
+class ThreadedEmulator:
+    """Base of the emulators that serve in threads until they are closed."""
 
-    Raises:
-        argparse.ArgumentTypeError: It is another address, or a name.
-    """
-    try:
-        if ipaddress.ip_address(text).is_loopback:
-            return text
-    except ValueError:
-        pass
-    raise argparse.ArgumentTypeError(f"found {text!r}; allowed: a loopback address, 127.x.y.z")
+    missed = 0
+    """Number of ticks that were late and skipped."""
+
+    def __init__(self) -> None:
+        self._ending = threading.Event()
+        self._threads: list[threading.Thread] = []
+
+    def close(self) -> None:
+        """Stop serving; may be called twice."""
+        self._ending.set()
+        self._disconnect()
+        for thread in self._threads:
+            thread.join()
+        self._threads = []
+        self._release()
+
+    def _run_threads(self, *targets: Callable[[], object]) -> None:
+        self._threads = [threading.Thread(target=target) for target in targets]
+        for thread in self._threads:
+            thread.start()
+
+    def _disconnect(self) -> None:
+        """Wake the threads, which end because `_ending` is set; may be called twice."""
+
+    def _release(self) -> None:
+        """Release everything that the threads used; may be called twice."""
 
 
-def emulator_parser(prog: str, doc: str | None) -> argparse.ArgumentParser:
-    """Return a parser with the options common to all emulators.
+class Pty:
+    """Pseudo terminal with a link to it, in place of a serial port.
 
     Args:
-        prog: Program name for the usage line.
-        doc: Docstring of the emulator's module.
+        link: Path of the link.
+
+    Raises:
+        OSError: No pty is available, or the link cannot be created.
     """
-    parser = argparse.ArgumentParser(prog=prog, description=doc)
-    parser.add_argument(
-        "--host",
-        type=loopback,
-        default="127.0.0.1",
-        help="loopback address to listen on (%(default)s)",
-    )
-    parser.add_argument("--world", type=Path, metavar="PATH", help="file of the World's states")
-    parser.add_argument("--seed", type=int, default=0, help="seed of the noise (%(default)s)")
-    parser.add_argument(
-        "--fault-port", type=int, metavar="PORT", help="port for injecting faults (default: none)"
-    )
-    parser.add_argument(
-        "--until-stdin-closes",
-        action="store_true",
-        help="exit when the parent process does",
-    )
-    return parser
+
+    def __init__(self, link: Path) -> None:
+        if link.exists() and not link.is_symlink():
+            raise FileExistsError(f"{link}: exists, and is no link")
+        self._link = link
+        # Both ends stay open here: clients may come and go, and a pty that nobody has open cannot
+        # be read.
+        self.fd, self._theirs = os.openpty()
+        """Descriptor of the device's end."""
+        for end in (self.fd, self._theirs):
+            tty.setraw(end)
+        fresh = link.with_name(f"{link.name}.new")
+        try:
+            fresh.unlink(missing_ok=True)
+            fresh.symlink_to(os.ttyname(self._theirs))
+            fresh.replace(link)
+        except OSError:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Close both ends and remove the link."""
+        for end in (self.fd, self._theirs):
+            os.close(end)
+        self._link.unlink(missing_ok=True)
+
+
+def check_loopback(host: str) -> None:
+    """Reject every other address, so that no emulator can be mistaken for a lab's device.
+
+    Raises:
+        ValueError: `host` is not a loopback address, or a name.
+    """
+    try:
+        if ipaddress.ip_address(host).is_loopback:
+            return
+    except ValueError:
+        pass
+    raise ValueError(f"host: found {host!r}; allowed: a loopback address, 127.x.y.z")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EmulatorConfig:
+    """Settings common to all emulators of devices.
+
+    Their `device` has the settings of the device in a bench file: its ports, rates and scales. The
+    emulator listens on `host`, whichever host an address there has.
+    """
+
+    host: str = "127.0.0.1"
+    """Loopback address to listen on."""
+    world: Path | None = None
+    """File of the World's states; None: nothing ever touches the sensor."""
+    seed: int = 0
+    """Seed of noise and garbage."""
+    fault_port: int | None = None
+    """Port for injecting faults; None: none."""
+
+    def __post_init__(self) -> None:
+        """Reject an address that other machines can reach."""
+        check_loopback(self.host)
 
 
 @dataclass(frozen=True, slots=True)
 class Served:
-    """Emulator to be served, with its settings."""
+    """Emulator to be served, and how."""
 
     name: str
     """Name in the ready line."""
@@ -267,99 +377,5 @@ class Served:
     """Handler of requests at the fault port; None: no fault port."""
     priority: int = DEVICE_PRIORITY
     """Requested real-time priority."""
-
-
-def run_emulator(
-    parser: argparse.ArgumentParser,
-    make: Callable[[argparse.Namespace, SharedWorld], Served],
-    argv: Sequence[str] | None = None,
-) -> int:
-    """Run an emulator's `main`: read the options, create the emulator, serve until stopped.
-
-    Args:
-        parser: Returned by `emulator_parser`, with the emulator's own options added.
-        make: Creates the emulator from the options and the World of --world. If it raises
-            ConfigError, the process ends with that message.
-        argv: Options; None: those of this process.
-
-    Returns:
-        Exit code: 0, or 2 if an option is invalid or the address cannot be listened on.
-    """
-    args = parser.parse_args(argv)
-    world = SharedWorld(args.world)
-    try:
-        served = make(args, world)
-    except ConfigError as error:
-        parser.error(str(error))
-    faults = None
-    if served.apply is not None and args.fault_port is not None:
-        faults = FaultPort(args.host, args.fault_port, served.apply)
-    try:
-        return serve(
-            served.name,
-            served.emulator,
-            until_stdin_closes=args.until_stdin_closes,
-            priority=served.priority,
-            faults=faults,
-        )
-    finally:
-        world.close()
-
-
-def serve(
-    name: str,
-    emulator: Emulator,
-    *,
-    until_stdin_closes: bool,
-    priority: int = DEVICE_PRIORITY,
-    faults: FaultPort | None = None,
-) -> int:
-    """Run `emulator` until the process is stopped.
-
-    Args:
-        name: Name in the ready line.
-        emulator: Emulator to serve.
-        until_stdin_closes: End when the parent process is gone.
-        priority: Requested real-time priority.
-        faults: Fault port to open.
-
-    Returns:
-        Exit code: 0, or 2 if the address cannot be listened on.
-    """
-    enable_realtime(priority)
-    logging.basicConfig(stream=sys.stderr, format=f"{name}: %(message)s")
-    ending = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: ending.set())
-    if until_stdin_closes:
-        threading.Thread(target=_watch_stdin, args=(ending,), daemon=True).start()
-    try:
-        emulator.start()
-    except OSError as error:
-        print(f"{name}: cannot listen on {emulator.address}: {error}", file=sys.stderr)
-        return 2
-    try:
-        if faults is not None:
-            faults.start()
-    except OSError as error:
-        emulator.close()
-        print(f"{name}: cannot listen on its fault port: {error}", file=sys.stderr)
-        return 2
-    try:
-        print(f"ready {name} {emulator.address}", flush=True)
-        # Short waits, because signal handlers run only between two of them.
-        while not ending.wait(0.2):
-            pass
-    finally:
-        if faults is not None:
-            faults.close()
-        emulator.close()
-        print(f"{name}: {emulator.missed} ticks missed", file=sys.stderr, flush=True)
-    return 0
-
-
-def _watch_stdin(ending: threading.Event) -> None:
-    # os.read, not sys.stdin: a daemon thread must not hold the lock of a buffered stream at exit.
-    while os.read(0, 4096):
-        pass
-    ending.set()
+    conclude: Callable[[], int] | None = None
+    """Called at the end, to print a summary; returns the exit code. None: nothing, and 0."""

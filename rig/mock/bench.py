@@ -8,30 +8,48 @@ rig gets only those addresses: it runs the same drivers as in the lab.
 
 from __future__ import annotations
 
-import json
 import logging
 import os
 import socket
 import subprocess
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from rig.bench.bench import Bench, addressed, bench_from
-from rig.bench.worlds import SimulatedSpec
+from rig.bench.worlds import Noise, SimulatedSpec
 from rig.core.clock import SystemClock
+from rig.core.config import from_si
+from rig.core.emulation import PORTS
 from rig.core.errors import ConfigError, DeviceLost
+from rig.core.geometry import compose
 from rig.core.samples import ARM_TRUTH, PRESS_STATE, WORLD_STATE
 from rig.core.shared_memory import SharedLatest
 from rig.core.sources import Sources
-from rig.mock.emulators import MockBenchSpec, emulator_commands, world_commands
+from rig.devices.force.settings import NidaqConfig
 from rig.mock.processes import ProcessGroup, StartedOrClosed
+from rig.mock.world import ARM_FILE, WORLD_FILE
 from rig.mock.world.simulated import PRESS_FILE
 
 logger = logging.getLogger(__name__)
 
+# Start height of the arm above the middle of the sensor [m].
+_START_HEIGHT = 0.03
 _UR_PORTS = (29999, 30001, 30002, 30003, 30004)
+
+
+# Key of each device in a bench file, by the name of its process.
+_DEVICES = {
+    "arm": "arm",
+    "force": "force",
+    "camera": "camera",
+    "taxels": "taxels",
+    "gripper": "gripper",
+    "pedal": "pedal",
+    "spacemouse": "jog",
+}
 
 
 class MockBench(StartedOrClosed):
@@ -43,6 +61,7 @@ class MockBench(StartedOrClosed):
         folder: Empty run folder for shared records.
         sources: Real recordings to play.
         truth: File to log the World's truth to.
+        devices: Devices to emulate.
     """
 
     def __init__(
@@ -53,6 +72,7 @@ class MockBench(StartedOrClosed):
         *,
         sources: Sources | None = None,
         truth: Path | None = None,
+        devices: Collection[str] = tuple(_DEVICES),
     ) -> None:
         self.host = free_loopback()
         self.content = addressed(content, self.host, folder)
@@ -62,41 +82,82 @@ class MockBench(StartedOrClosed):
         self._folder = folder
         self._sources = sources or Sources()
         self._truth = truth
+        self._devices = devices
         self._launched = ProcessGroup(folder, SystemClock())
         self._closed = False
 
-    def _start(self) -> None:
-        spec = self._folder / "world.json"
-        contact_frame = list(self.bench.world_frame or self.bench.contact_frame)
-        spec.write_text(
-            json.dumps(
-                {
-                    "world": self.content["world"],
-                    "contact_frame": contact_frame,
-                    "indenter": self.bench.indenter,
-                }
+    def documents(self) -> dict[str, tuple[str, dict[str, Any]]]:
+        """Return the emulator and the settings of each process, by the name of the process.
+
+        Raises:
+            ConfigError: A device has an address that its emulator cannot have.
+        """
+        bench, content, folder = self.bench, self.content, self._folder
+        world = {
+            "world": content["world"],
+            "contact_frame": content.get("world_frame") or content["contact_frame"],
+            "folder": str(folder),
+            "indenter": bench.indenter,
+            "truth": self._truth and str(self._truth),
+        }
+        found: dict[str, tuple[str, dict[str, Any]]] = {"world": ("world", world)}
+        if isinstance(bench.world, SimulatedSpec):
+            found["solver"] = ("solver", world)
+        for name in self._devices:
+            key = _DEVICES[name]
+            config = getattr(bench, key)
+            if config is None:
+                continue
+            settings = {
+                "device": {"kind": config.KIND, **content[key]},
+                "host": self.host,
+                "world": str(folder / WORLD_FILE),
+                "fault_port": PORTS[name],
+                **self._more(name, config),
+            }
+            found[name] = (config.KIND, settings)
+        return found
+
+    def _more(self, name: str, config: Any) -> dict[str, Any]:
+        """Return the settings of an emulator that its device does not have."""
+        bench, sources = self.bench, self._sources
+        noise = (bench.world and bench.world.noise) or Noise()
+        if name == "arm":
+            rotation = bench.tool_rotation
+            start = compose(bench.contact_frame, (0.0, 0.0, _START_HEIGHT, *rotation))
+            return {"state": str(self._folder / ARM_FILE), "pose": start.tolist()}
+        if name == "force":
+            if isinstance(config, NidaqConfig) and config.grpc is None:
+                raise ConfigError(
+                    "force.grpc: missing; allowed: loopback:31763, the address of a mock bench's "
+                    "NI card"
+                )
+            return {"noise_n": noise.force}
+        if name == "camera":
+            if sources.camera is not None:
+                return {"source": str(sources.camera), "motion": sources.camera_motion}
+            delay = bench.world.camera_delay if bench.world else 0.0
+            return {"view": str(self._folder / "world.json"), "delay_ms": from_si(delay, "ms")}
+        if name == "taxels":
+            if sources.taxels is not None:
+                return {"source": str(sources.taxels)}
+            return {"noise": noise.counts}
+        if name == "gripper":
+            return {"holding": True}
+        if not config.device.endswith(".hidraw"):
+            raise ConfigError(
+                f"{name}.device: found {config.device!r}; allowed on a mock bench: "
+                f"runfolder/{name}.hidraw"
             )
-        )
-        self.arm_path = self._folder / "arm.state"
-        self.world_path = self._folder / "world.state"
-        SharedLatest.create(self.arm_path, ARM_TRUTH).close()
-        SharedLatest.create(self.world_path, WORLD_STATE).close()
-        if isinstance(self.bench.world, SimulatedSpec):
+        return {}
+
+    def _start(self) -> None:
+        documents = self.documents()
+        SharedLatest.create(self._folder / ARM_FILE, ARM_TRUTH).close()
+        SharedLatest.create(self._folder / WORLD_FILE, WORLD_STATE).close()
+        if "solver" in documents:
             SharedLatest.create(self._folder / PRESS_FILE, PRESS_STATE).close()
-        bench_spec = MockBenchSpec(
-            self.bench,
-            self.host,
-            self._folder,
-            spec,
-            arm=self.arm_path,
-            world=self.world_path,
-            sources=self._sources,
-            truth=self._truth,
-        )
-        commands = {**emulator_commands(bench_spec), **world_commands(bench_spec)}
-        for name, arguments in commands.items():
-            self._launched.start(name, arguments)
-        self._launched.wait_ready()
+        self._launched.start(documents)
 
     @property
     def processes(self) -> dict[str, subprocess.Popen[str]]:

@@ -1,6 +1,6 @@
 """Emulated device that plays a recorded stream, at its own times or as fast as it is read.
 
-    python -m rig.mock.player --session x.zarr --stream force --folder RUN --host 127.0.0.5
+    python -m rig.mock.emulate player --file force.json
 
 At any speed, a row is sent only while fewer than `PlaybackDevice.window` rows are in flight; the
 reader's count of samples is read from shared memory, so no socket or inbox overflows. At maximum
@@ -10,19 +10,17 @@ slowest reader.
 
 from __future__ import annotations
 
-import argparse
 import logging
-import sys
-import threading
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
 from recorder import Session
-from rig.core.clock import SECOND_NS, Clock, SystemClock
-from rig.core.emulation import loopback, serve
+from rig.core.clock import SECOND_NS, Clock
+from rig.core.emulation import Served, ThreadedEmulator, check_loopback
 from rig.core.realtime import CAMERA_PRIORITY, DEVICE_PRIORITY
 from rig.core.samples import CAMERA_LATEST, FORCE_LATEST, POSE_LATEST, TAXELS_LATEST
 from rig.core.shared_memory import SharedLatest
@@ -105,7 +103,7 @@ _LATEST: dict[str, np.dtype[Any]] = {
 }
 
 
-class Player:
+class Player(ThreadedEmulator):
     """Plays a recorded stream through an outlet, in its own thread.
 
     Args:
@@ -118,9 +116,6 @@ class Player:
         others: Streams to stay synchronised with at maximum speed.
     """
 
-    missed = 0
-    """Always 0: rows are sent late rather than skipped."""
-
     def __init__(
         self,
         name: str,
@@ -132,6 +127,7 @@ class Player:
         speed: float,
         others: Sequence[str] = (),
     ) -> None:
+        super().__init__()
         self._name = name
         self._recorded = recorded
         self._device = device
@@ -139,8 +135,6 @@ class Player:
         self._clock = clock
         self._speed = speed
         self._others = tuple(others)
-        self._ending = threading.Event()
-        self._thread: threading.Thread | None = None
         self._sync = SharedLatest.attach(sync_path(folder), SYNC)
         path = position_path(folder, name)
         self._position = SharedLatest.attach(path, POSITION, writable=True)
@@ -158,16 +152,10 @@ class Player:
             OSError: The address cannot be bound.
         """
         self._device.start()
-        self._thread = threading.Thread(target=self._run, name=f"player-{self._name}")
-        self._thread.start()
+        self._run_threads(self._run)
 
-    def close(self) -> None:
-        """Stop; may be called twice."""
-        self._ending.set()
+    def _disconnect(self) -> None:
         self._device.close()
-        if self._thread is not None:
-            self._thread.join()
-            self._thread = None
 
     def _run(self) -> None:
         try:
@@ -287,40 +275,37 @@ class _Step:
             record.close()
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Play until stopped; return the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m rig.mock.player", description=__doc__)
-    parser.add_argument("--session", type=Path, required=True, help="session to play")
-    parser.add_argument("--stream", required=True, choices=sorted(_LATEST), help="stream to play")
-    parser.add_argument("--with", dest="others", default="", help="streams played at the same time")
-    parser.add_argument("--run", type=int, default=0, help="run of the session (%(default)s)")
-    parser.add_argument("--folder", type=Path, required=True, help="run folder")
-    parser.add_argument(
-        "--host", type=loopback, required=True, help="loopback address to listen on"
-    )
-    parser.add_argument(
-        "--speed", type=float, default=1.0, help="multiple of recorded speed; 0: as fast as read"
-    )
-    parser.add_argument(
-        "--until-stdin-closes", action="store_true", help="exit when the parent process does"
-    )
-    args = parser.parse_args(argv)
-    others = [name for name in args.others.split(",") if name and name != args.stream]
-    recorded = load_recorded_stream(
-        Session(args.session), (args.stream, *others), args.stream, args.run
-    )
+@dataclass(frozen=True, slots=True)
+class PlayerConfig:
+    """Recorded stream to play."""
+
+    session: Path
+    stream: Literal["force", "pose", "taxels", "camera"]
+    folder: Path
+    """Run folder."""
+    host: str
+    """Loopback address to listen on."""
+    streams: tuple[str, ...] = ()
+    """Streams that are played at the same time."""
+    run: int = 0
+    """Number of the run in the session."""
+    speed: float = 1.0
+    """Multiple of the recorded speed; 0: as fast as read."""
+
+    def __post_init__(self) -> None:
+        """Reject an address that other machines can reach."""
+        check_loopback(self.host)
+
+
+def emulate(settings: PlayerConfig, clock: Clock) -> Served:
+    """Return the player of a stream."""
+    name = settings.stream
+    others = [other for other in settings.streams if other != name]
+    session = Session(settings.session)
+    recorded = load_recorded_stream(session, (name, *others), name, settings.run)
+    device = make_playback_device(name, recorded, settings.host)
     player = Player(
-        args.stream,
-        recorded,
-        make_playback_device(args.stream, recorded, args.host),
-        args.folder,
-        SystemClock(),
-        speed=args.speed,
-        others=others,
+        name, recorded, device, settings.folder, clock, speed=settings.speed, others=others
     )
-    priority = CAMERA_PRIORITY if args.stream == "camera" else DEVICE_PRIORITY
-    return serve(args.stream, player, until_stdin_closes=args.until_stdin_closes, priority=priority)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    priority = CAMERA_PRIORITY if name == "camera" else DEVICE_PRIORITY
+    return Served(name, player, priority=priority)

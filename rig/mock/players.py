@@ -51,15 +51,15 @@ class Players(StartedOrClosed):
         self._positions = {
             name: SharedLatest.create(position_path(folder, name), POSITION) for name in names
         }
-        self._options = [
-            *("--session", str(session), "--run", str(run), "--folder", str(folder)),
-            *("--host", host, "--speed", repr(speed), "--with", ",".join(names)),
-        ]
+        self._settings = {
+            **{"session": str(session), "run": run, "folder": str(folder)},
+            **{"host": host, "speed": speed, "streams": names},
+        }
 
     def _start(self) -> None:
-        for name in self._positions:
-            self._launched.start(name, ["rig.mock.player", "--stream", name, *self._options])
-        self._launched.wait_ready()
+        self._launched.start(
+            {name: ("player", {**self._settings, "stream": name}) for name in self._positions}
+        )
 
     def start_playback(self, start_ns: int) -> None:
         """Start playback at `start_ns`; every driver must be open and every writer recording."""

@@ -7,7 +7,6 @@ finger follows the bench's trajectory, target after target, once it is started.
 from __future__ import annotations
 
 import itertools
-import json
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,17 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from rig.bench.bench import Bench, addressed, bench_from
-from rig.bench.worlds import SimulatedSpec
+from rig.bench.bench import Bench
 from rig.core.clock import SECOND_NS, Clock, Pacer, SystemClock
-from rig.core.errors import ConfigError, DeviceLost
+from rig.core.errors import DeviceLost
 from rig.core.geometry import transform
-from rig.core.samples import ARM_TRUTH, PRESS_STATE, WORLD_STATE
+from rig.core.samples import ARM_TRUTH, WORLD_STATE
 from rig.core.shared_memory import SharedLatest
-from rig.mock.bench import free_loopback
-from rig.mock.emulators import MockBenchSpec, emulator_commands, world_commands
-from rig.mock.processes import ProcessGroup, StartedOrClosed
-from rig.mock.world.simulated import PRESS_FILE
+from rig.mock.bench import MockBench
+from rig.mock.world import ARM_FILE, WORLD_FILE
 from rig.mock.world.truth import Truth
 from trajectories import Point
 
@@ -40,7 +36,7 @@ _END_TIMEOUT = 5.0
 _FIRST_TIMEOUT = 10.0
 
 
-class TouchedMock(StartedOrClosed):
+class TouchedMock(MockBench):
     """Context manager for the emulated sensor of a mock bench and its World.
 
     Args:
@@ -53,16 +49,10 @@ class TouchedMock(StartedOrClosed):
     def __init__(
         self, content: dict[str, Any], where: str, folder: Path, *, rate_hz: float | None = None
     ) -> None:
-        self.host = free_loopback()
-        self._content = addressed(_at_rate(content, rate_hz), self.host, folder)
-        self.bench: Bench = bench_from(self._content, where)
-        if self.bench.world is None:
-            raise ConfigError(f"{where}.world: missing; allowed: a world, on a mock bench")
-        self._folder = folder
         self._truth_path = folder / "truth.log"
-        self._launched = ProcessGroup(folder, SystemClock())
-        self._arm: SharedLatest | None = None
-        self._published: SharedLatest | None = None
+        super().__init__(
+            _at_rate(content, rate_hz), where, folder, truth=self._truth_path, devices=_SENSORS
+        )
         self._finger: _Finger | None = None
 
     def press(self) -> None:
@@ -70,18 +60,10 @@ class TouchedMock(StartedOrClosed):
         if self._finger is not None:
             self._finger.go.set()
 
-    def check(self) -> None:
-        """Raise if an emulator has ended by itself.
-
-        Raises:
-            DeviceLost: Names it, with its last line of output.
-        """
-        self._launched.check()
-
     def wrench(self, t_ns: np.ndarray) -> np.ndarray:
         """Return the World's true wrench at times (n,) [ns]: (n, 6) [N, N m]. Ends the World."""
         # Its log is complete only after it has ended.
-        world = self._launched.processes["world"]
+        world = self.processes["world"]
         world.terminate()
         world.wait(_END_TIMEOUT)
         return Truth(self._truth_path).wrench(t_ns)
@@ -91,52 +73,31 @@ class TouchedMock(StartedOrClosed):
         if self._finger is not None:
             self._finger.close()
             self._finger = None
-        self._launched.close()
-        for record in (self._arm, self._published):
-            if record is not None:
-                record.close()
-        self._arm = self._published = None
+        super().close()
 
     def _start(self) -> None:
-        bench, folder = self.bench, self._folder
-        spec, arm, world = (folder / name for name in ("world.json", "arm.state", "world.state"))
-        frame = list(bench.world_frame or bench.contact_frame)
-        told = {
-            "world": self._content["world"],
-            "contact_frame": frame,
-            "indenter": bench.indenter,
-        }
-        spec.write_text(json.dumps(told))
-        published = self._published = SharedLatest.create(world, WORLD_STATE)
-        if isinstance(bench.world, SimulatedSpec):
-            SharedLatest.create(folder / PRESS_FILE, PRESS_STATE).close()
-        self._arm = SharedLatest.create(arm, ARM_TRUTH)
-        bench_spec = MockBenchSpec(
-            bench, self.host, folder, spec, arm=arm, world=world, truth=self._truth_path
-        )
-        emulators = emulator_commands(bench_spec)
-        commands = {name: emulators[name] for name in _SENSORS if name in emulators}
-        for name, arguments in {**commands, **world_commands(bench_spec)}.items():
-            self._launched.start(name, arguments)
+        super()._start()
         clock = SystemClock()
-        self._finger = _Finger(self._arm, bench, clock)
-        self._launched.wait_ready()
+        self._finger = _Finger(self._folder / ARM_FILE, self.bench, clock)
+        states = SharedLatest.attach(self._folder / WORLD_FILE, WORLD_STATE)
         # Before its first state an emulator would serve zeros, which are not valid counts.
         latest_ns = clock.now_ns() + round(_FIRST_TIMEOUT * SECOND_NS)
-        while not published.count:
+        while not states.count:
             if clock.now_ns() > latest_ns:
                 raise DeviceLost(f"world: no state in {_FIRST_TIMEOUT:g} s")
-            self._launched.check()
+            self.check()
             clock.sleep_until(clock.now_ns() + SECOND_NS // _RATE_HZ)
+        states.close()
 
 
 class _Finger:
     """Writes the tip's position in place of the emulated arm."""
 
-    def __init__(self, arm: SharedLatest, bench: Bench, clock: Clock) -> None:
+    def __init__(self, arm: Path, bench: Bench, clock: Clock) -> None:
         self.go = threading.Event()
         """Set to start the finger."""
-        self._arm, self._bench, self._clock = arm, bench, clock
+        self._arm = SharedLatest.attach(arm, ARM_TRUTH, writable=True)
+        self._bench, self._clock = bench, clock
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name="finger")
         self._thread.start()
@@ -145,6 +106,7 @@ class _Finger:
         """Stop; may be called twice."""
         self._ending.set()
         self._thread.join()
+        self._arm.close()
 
     def _run(self) -> None:
         bench = self._bench

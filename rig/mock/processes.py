@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
 import selectors
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import ConfigError, DeviceLost
@@ -22,10 +23,11 @@ _ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THR
 
 
 class ProcessGroup:
-    """Group of processes, each running `rig.core.emulation.serve`.
+    """Group of processes, each running `rig.mock.emulate`.
 
     Args:
-        folder: Run folder; `<name>.log` holds the stderr of each process.
+        folder: Run folder; `<name>.json` holds the settings of each process, `<name>.log` its
+            stderr.
         clock: Clock.
     """
 
@@ -35,27 +37,32 @@ class ProcessGroup:
         self.processes: dict[str, subprocess.Popen[str]] = {}
         """The processes, by name."""
 
-    def start(self, name: str, arguments: Sequence[str]) -> None:
-        """Start `python -m` with `arguments`: the module and its options."""
-        with (self._folder / f"{name}.log").open("w") as log:
-            self.processes[name] = subprocess.Popen(
-                [sys.executable, "-m", *arguments, "--until-stdin-closes"],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=log,
-                text=True,
-                env={**os.environ, **_ONE_THREAD},
-                # Ctrl-C is handled by the parent, which ends the processes last.
-                start_new_session=True,
-            )
+    def start(self, documents: Mapping[str, tuple[str, Mapping[str, Any]]]) -> None:
+        """Start emulators, and wait until each has printed that it listens.
 
-    def wait_ready(self) -> None:
-        """Wait until each process has printed that it listens.
+        Args:
+            documents: Emulator in `rig.mock.emulate` and its settings, by the name of the process.
 
         Raises:
             ConfigError: A library is missing, from an extra that is not installed.
             DeviceLost: A process did not become ready; names it, with its last line of output.
         """
+        for name, (_, settings) in documents.items():
+            (self._folder / f"{name}.json").write_text(json.dumps(settings))
+        for name, (emulator, _) in documents.items():
+            file = str(self._folder / f"{name}.json")
+            command = ["-m", "rig.mock.emulate", emulator, "--file", file, "--until-stdin-closes"]
+            with (self._folder / f"{name}.log").open("w") as log:
+                self.processes[name] = subprocess.Popen(
+                    [sys.executable, *command],
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    stderr=log,
+                    text=True,
+                    env={**os.environ, **_ONE_THREAD},
+                    # Ctrl-C is handled by the parent, which ends the processes last.
+                    start_new_session=True,
+                )
         for name, process in self.processes.items():
             stdout = process.stdout
             if stdout is None:

@@ -46,7 +46,7 @@ def test_what_a_process_is_for_and_what_it_holds(tmp_path: Path) -> None:
         assert process.stdout is not None
         process.stdout.readline()
         track = Track(
-            role_of(process.pid, "python -m rig.devices.taxels.xela_emulator --port 1", tmp_path)
+            role_of(process.pid, "python -m rig.mock.emulate xela --file /t/taxels.json", tmp_path)
         )
         look(process.pid, track, 1.0)
         process.communicate()

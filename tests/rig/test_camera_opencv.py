@@ -84,7 +84,8 @@ class FaultyMjpeg(MjpegEmulator):
 def emulated(
     host: str, source: FrameSource, fault: Fault | None = None, world: Any = None
 ) -> Iterator[FaultyMjpeg]:
-    emulator = FaultyMjpeg(MjpegEmulatorConfig(host, rate_hz=100.0), source, world, CLOCK)
+    device = CameraConfig("http://loopback:8090/", rate_hz=100.0)
+    emulator = FaultyMjpeg(MjpegEmulatorConfig(device, host=host), source, world, CLOCK)
     emulator.fault = fault
     emulator.start()
     try:

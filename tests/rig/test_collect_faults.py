@@ -18,13 +18,7 @@ from rig.devices.arm import emulator_faults
 
 pytestmark = [pytest.mark.serial, pytest.mark.timeout(120)]
 
-EMULATORS = {
-    "arm": "rig.devices.arm.emulator",
-    "force": "rig.devices.force.netft_emulator",
-    "camera": "rig.devices.camera.mjpeg_emulator",
-    "taxels": "rig.devices.taxels.xela_emulator",
-    "world": "rig.mock.world.host",
-}
+EMULATORS = ("arm", "camera", "force", "taxels", "world")
 
 
 def pressing(folder: Path, sensor: str) -> Collection:
@@ -52,12 +46,12 @@ def stopped_in_order(run: Collection) -> Session:
     # The other devices take the same path through the collector; `make faults` tests all of them.
     [
         pytest.param(device, marks=() if device == "force" else pytest.mark.slow)
-        for device in sorted(EMULATORS)
+        for device in EMULATORS
     ],
 )
 def test_a_killed_device_ends_the_session_with_everything_kept(device: str, tmp_path: Path) -> None:
     run = pressing(tmp_path, "uskin" if device == "taxels" else "tacpalm")
-    os.kill(run.emulator(EMULATORS[device]), signal.SIGKILL)
+    os.kill(run.emulator(device), signal.SIGKILL)
     assert run.wait() == 3, run.text
     session = stopped_in_order(run)
     named = {"arm": "arm|pose|controller"}.get(device, device)
@@ -85,9 +79,7 @@ def test_a_killed_stream_process_ends_the_session_and_recover_mends_it(tmp_path:
 
 def test_a_protective_stop_ends_the_session_with_4_and_is_not_reset(tmp_path: Path) -> None:
     run = pressing(tmp_path, "tacpalm")
-    emulator = run.processes()[run.emulator(EMULATORS["arm"])]
-    host = emulator.split("--host ")[1].split()[0]
-    with socket.create_connection((host, emulator_faults.PORT), 5.0) as port:
+    with socket.create_connection((run.host(), emulator_faults.PORT), 5.0) as port:
         port.sendall(json.dumps({"fault": "protective_stop"}).encode() + b"\n")
         assert b"protective" in port.recv(4096).lower()
     assert run.wait() == 4, run.text

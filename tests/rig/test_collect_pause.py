@@ -320,8 +320,7 @@ def collecting_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator
 
 def inject(run: Collection, device: str, fault: str, **values: float) -> int:
     """Inject a fault and return the time just before [ns of the monotonic clock]."""
-    command = run.processes()[run.emulator("rig.devices.arm.emulator")]
-    host = command.split("--host ")[1].split()[0]
+    host = run.host()
     now_ns = SystemClock().now_ns()
     emulation.inject(host, emulation.PORTS[device], fault, **values)
     return now_ns

@@ -33,7 +33,6 @@ from rig.devices.camera.opencv import OpenCvDriver
 from rig.devices.camera.settings import CameraConfig
 from rig.devices.force.ati_serial import AtiSerialDriver
 from rig.devices.force.ati_serial_emulator import AtiSerialEmulator, AtiSerialEmulatorConfig
-from rig.devices.force.calibration import read_calibration
 from rig.devices.force.netft import NetFtDriver
 from rig.devices.force.netft_emulator import NetFtEmulator, NetFtEmulatorConfig
 from rig.devices.force.nidaq import NidaqDriver
@@ -109,13 +108,13 @@ class ValvedMjpeg(MjpegEmulator):
 
 
 def netft_emulator(host: str, valve: Valve, images: Path) -> Emulator:
-    emulator = ValvedNetFt(NetFtEmulatorConfig(host), SharedWorld(None), CLOCK)
+    emulator = ValvedNetFt(NetFtEmulatorConfig(host=host), SharedWorld(None), CLOCK)
     emulator.valve = valve
     return emulator
 
 
 def nidaq_emulator(host: str, valve: Valve, images: Path) -> Emulator:
-    config = NidaqEmulatorConfig(read_calibration(CALIBRATION), host)
+    config = NidaqEmulatorConfig(NidaqConfig(str(CALIBRATION)), host=host)
     emulator = ValvedNidaq(config, SharedWorld(None), CLOCK)
     emulator.valve = valve
     return emulator
@@ -127,20 +126,20 @@ def link_of(host: str) -> Path:
 
 
 def ati_serial_emulator(host: str, valve: Valve, images: Path) -> Emulator:
-    config = AtiSerialEmulatorConfig(link_of(host))
+    config = AtiSerialEmulatorConfig(AtiSerialConfig(1280.0, 256.0, str(link_of(host))))
     emulator = ValvedAtiSerial(config, SharedWorld(None), CLOCK)
     emulator.valve = valve
     return emulator
 
 
 def xela_emulator(host: str, valve: Valve, images: Path) -> Emulator:
-    emulator = ValvedXela(XelaEmulatorConfig(host), SharedWorld(None), CLOCK)
+    emulator = ValvedXela(XelaEmulatorConfig(host=host), SharedWorld(None), CLOCK)
     emulator.valve = valve
     return emulator
 
 
 def mjpeg_emulator(host: str, valve: Valve, images: Path) -> Emulator:
-    emulator = ValvedMjpeg(MjpegEmulatorConfig(host), LoopSource(images), None, CLOCK)
+    emulator = ValvedMjpeg(MjpegEmulatorConfig(host=host), LoopSource(images), None, CLOCK)
     emulator.valve = valve
     return emulator
 
@@ -174,10 +173,10 @@ class Kind:
     name: str
     driver: Callable[[str, float], Driver]
     emulator: Callable[[str, Valve, Path], Emulator]
-    module: str
+    kind: str
     port: int
     columns: dict[str, tuple[type, tuple[int, ...] | None]]
-    options: tuple[str, ...] = ()
+    settings: str = "{}"
     mute: Callable[[str, int], AbstractContextManager[None]] = mute_port
     counted: bool = True
     """True if samples that the device did not send can be detected."""
@@ -188,7 +187,7 @@ KINDS = [
         "force",
         lambda host, silence: NetFtDriver(NetFtConfig(host, 8080, silence=silence), CLOCK),
         netft_emulator,
-        "rig.devices.force.netft_emulator",
+        "netft",
         8080,
         {"value": (np.float64, (6,)), "seq": (int, None), "status": (int, None)},
     ),
@@ -198,10 +197,10 @@ KINDS = [
             NidaqConfig(str(CALIBRATION), grpc=f"{host}:31763", silence=silence), CLOCK
         ),
         nidaq_emulator,
-        "rig.devices.force.nidaq_emulator",
+        "nidaq",
         31763,
         {"value": (np.float64, (6,)), "seq": (int, None), "status": (int, None)},
-        ("--calibration", str(CALIBRATION)),
+        f'{{"device": {{"calibration": "{CALIBRATION}"}}}}',
     ),
     Kind(
         "force-ati-serial",
@@ -209,10 +208,10 @@ KINDS = [
             AtiSerialConfig(1280.0, 256.0, str(link_of(host)), silence=silence), CLOCK
         ),
         ati_serial_emulator,
-        "rig.devices.force.ati_serial_emulator",
+        "ati_serial",
         0,
         {"value": (np.float64, (6,)), "seq": (int, None), "status": (int, None)},
-        ("--link", "LINK"),
+        '{"device": {"address": "LINK", "counts_per_n": 1280, "counts_per_n_mm": 256}}',
         mute_pty,
         counted=False,
     ),
@@ -220,7 +219,7 @@ KINDS = [
         "taxels",
         lambda host, silence: XelaDriver(XelaConfig(f"ws://{host}:5000", silence=silence), CLOCK),
         xela_emulator,
-        "rig.devices.taxels.xela_emulator",
+        "xela",
         5000,
         {"value": (np.int32, (16, 3)), "seq": (int, None), "device_t": (float, None)},
     ),
@@ -230,10 +229,10 @@ KINDS = [
             CameraConfig(f"http://{host}:8090/", silence=silence), CLOCK
         ),
         mjpeg_emulator,
-        "rig.devices.camera.mjpeg_emulator",
+        "opencv",
         8090,
         {"value": (bytes, None), "device_t": (float, None)},
-        ("--source", "IMAGES"),
+        '{"source": "IMAGES"}',
     ),
 ]
 
@@ -263,9 +262,12 @@ def running(kind: Kind, host: str, images: Path, silence: float = 20.0) -> Itera
 def process_of(kind: Kind, host: str, images: Path) -> Iterator[subprocess.Popen[str]]:
     """Yield the emulator, started as by a user."""
     places = {"IMAGES": str(images), "LINK": str(link_of(host))}
-    options = [places.get(option, option) for option in kind.options]
+    settings = kind.settings
+    for word, place in places.items():
+        settings = settings.replace(word, place)
+    settings = json.dumps({**json.loads(settings), "host": host})
     process = subprocess.Popen(
-        [sys.executable, "-m", kind.module, "--host", host, "--until-stdin-closes", *options],
+        [sys.executable, "-m", "rig.mock.emulate", kind.kind, settings, "--until-stdin-closes"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

@@ -2,25 +2,42 @@
 
 from __future__ import annotations
 
-import importlib
+import json
 import os
 import subprocess
 import sys
+from dataclasses import fields
+from importlib import import_module
 from pathlib import Path
+from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
 
 from rig.core.clock import SystemClock
-from rig.core.emulation import UNTOUCHED_DEPTH, SharedWorld
+from rig.core.config import READER
+from rig.core.emulation import UNTOUCHED_DEPTH, Served, SharedWorld
 from rig.core.samples import WORLD_STATE
 from rig.core.shared_memory import SharedLatest
+from rig.devices.arm.settings import ArmConfig
+from rig.devices.camera.settings import CameraConfig
 from rig.devices.force.netft import NetFtDriver
-from rig.devices.force.settings import NetFtConfig
+from rig.devices.force.settings import ForceConfig, NetFtConfig
+from rig.devices.gripper.settings import RobotiqConfig
+from rig.devices.hid.settings import PedalConfig, SpaceMouseConfig
+from rig.devices.taxels.settings import XelaConfig
+from rig.mock.emulate import EMULATORS, main
 
 ROOT = Path(__file__).parents[2]
 HOST = f"127.{1 + os.getpid() % 250}.50.1"
-NETFT = [sys.executable, "-m", "rig.devices.force.netft_emulator", "--host", HOST]
+NETFT = [sys.executable, "-m", "rig.mock.emulate", "netft"]
+KINDS = {
+    config.KIND
+    for config in (
+        *(ArmConfig, CameraConfig, XelaConfig, RobotiqConfig, PedalConfig, SpaceMouseConfig),
+        *get_args(ForceConfig),
+    )
+}
 
 
 def state(t_ns: int, fz: float) -> np.ndarray:
@@ -48,8 +65,9 @@ def test_before_the_first_state_nothing_is_touched_even_without_a_file(tmp_path:
 
 def test_an_emulator_process_serves_what_the_world_publishes(tmp_path: Path) -> None:
     record = SharedLatest.create(tmp_path / "world", WORLD_STATE)
+    settings = json.dumps({"host": HOST, "world": str(tmp_path / "world")})
     with subprocess.Popen(
-        [*NETFT, "--world", str(tmp_path / "world"), "--until-stdin-closes"],
+        [*NETFT, settings, "--until-stdin-closes"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
@@ -68,7 +86,12 @@ def test_an_emulator_process_serves_what_the_world_publishes(tmp_path: Path) -> 
                     break
             assert samples[-1]["value"].tolist() == [0.0, 0.0, -2.5, 0.0, 0.0, 0.0]
             # A second emulator at the same address reports this and ends.
-            second = subprocess.run(NETFT, capture_output=True, text=True, check=False, timeout=30)
+            file = tmp_path / "second.json"
+            file.write_text(settings)
+            second = subprocess.run(
+                [*NETFT, "--file", str(file)],
+                **{"capture_output": True, "text": True, "check": False, "timeout": 30},
+            )
             assert second.returncode == 2
             assert "cannot listen" in second.stderr
         finally:
@@ -77,27 +100,84 @@ def test_an_emulator_process_serves_what_the_world_publishes(tmp_path: Path) -> 
     record.close()
 
 
-EMULATORS = sorted(
-    ".".join(path.relative_to(ROOT).with_suffix("").parts)
-    for path in (ROOT / "rig").rglob("*.py")
-    if "type=loopback" in path.read_text() or "= emulator_parser(" in path.read_text()
-)
-EMULATORS = [
-    name for name in EMULATORS if name not in ("rig.core.emulation", "rig.mock.world.host")
-]
+def settings_of(name: str) -> type:
+    hints = get_type_hints(import_module(EMULATORS[name]).emulate)
+    assert hints["return"] is Served
+    return hints["settings"]
 
 
-@pytest.mark.parametrize("module", EMULATORS)
+# The World and its solver are reached through shared memory.
+LISTENING = [name for name in EMULATORS if name not in ("world", "solver")]
+# Settings that an emulator cannot do without.
+NEEDED = {
+    "nidaq": {"device": {"calibration": "x.cal"}},
+    "ati_serial": {"device": {"counts_per_n": 1, "counts_per_n_mm": 1}},
+    "robotiq_2f": {"device": {"port": "tty"}},
+    "hid_pedal": {"device": {"kind": "hid_pedal", "device": "/x.hidraw"}},
+    "spacemouse": {"device": {"kind": "spacemouse", "device": "/x.hidraw"}},
+    "player": {"session": "x.zarr", "stream": "force", "folder": "x"},
+}
+
+
+@pytest.mark.parametrize("name", LISTENING)
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.7", "bench.example.org"])
 def test_no_emulator_can_be_reached_from_another_machine(
-    module: str, host: str, capsys: pytest.CaptureFixture[str]
+    name: str, host: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    main = importlib.import_module(module).main
     with pytest.raises(SystemExit) as ended:
-        main(["--host", host])
+        main([name, json.dumps({**NEEDED.get(name, {}), "host": host})])
     assert ended.value.code == 2
-    assert f"found '{host}'; allowed: a loopback address" in capsys.readouterr().err
+    assert f"host: found '{host}'; allowed: a loopback address" in capsys.readouterr().err
 
 
-def test_all_emulators_are_looked_at() -> None:
-    assert len(EMULATORS) >= 9
+@pytest.mark.parametrize("name", EMULATORS)
+def test_the_schema_of_an_emulator_has_all_its_settings(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([name, "--schema"]) == 0
+    schema = json.loads(capsys.readouterr().out)
+    keys = {READER.key_of(settings_of(name), each) for each in fields(settings_of(name))}
+    assert schema["properties"].keys() == keys | {"extends"}
+    if name in KINDS:
+        assert keys >= {"device", "host", "world", "seed", "fault_port"}
+
+
+def test_every_device_of_a_bench_has_an_emulator() -> None:
+    assert EMULATORS.keys() >= KINDS
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["netft", '{"device": {"http_prot": 1}}'], "netft.device: unknown http_prot; did you me"),
+        (["netft", '{"seed": 1, "seed": 2}'], "key 'seed' is written twice"),
+        (["netft", "[]"], "netft: found list []; allowed: a mapping of keys to values"),
+        (
+            ["netft", '{"noise_n": "much"}'],
+            "noise_n: found str 'much'; allowed: a number [n]",
+        ),
+        (["netft", "--file", "none.json"], "none.json: no such file"),
+        (["robotiq_2f"], "robotiq_2f: missing device; known: host, world"),
+        (["hid_pedal", '{"device": {"kind": "spacemouse", "device": "/x.hidraw"}}'], "device.kind"),
+        (["opencv"], "view, source: found neither; allowed: one of them"),
+        (["opencv", '{"source": "x", "view": "y"}'], "view, source: found both"),
+        (["ur", '{"fault_port": 5}'], "fault_port: found 5; allowed: 31000, always open"),
+        (["netft", "{}", "--file", "x"], "not allowed with"),
+        (["force"], "invalid choice: 'force'"),
+    ],
+)
+def test_a_document_that_is_wrong_is_refused(
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == 2
+    assert message in capsys.readouterr().err
+
+
+def test_help_lists_every_emulator_and_an_example(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    shown = capsys.readouterr().out
+    assert all(name in shown for name in EMULATORS)
+    assert "python -m rig.mock.emulate netft '{" in shown

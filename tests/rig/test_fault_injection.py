@@ -220,13 +220,14 @@ class FixedWorld:
 
 
 def _netft(host: str) -> tuple[Any, Any, Callable[..., Any]]:
-    emulator = NetFtEmulator(NetFtEmulatorConfig(host), FixedWorld(), CLOCK)
+    emulator = NetFtEmulator(NetFtEmulatorConfig(host=host), FixedWorld(), CLOCK)
     driver = NetFtDriver(NetFtConfig(host, 8080, silence=0.3), CLOCK)
     return emulator, driver, emulator.faults.inject
 
 
 def _xela(host: str) -> tuple[Any, Any, Callable[..., Any]]:
-    emulator = XelaEmulator(XelaEmulatorConfig(host, rate_hz=200.0), FixedWorld(), CLOCK)
+    settings = XelaEmulatorConfig(XelaConfig(rate_hz=200.0), host=host)
+    emulator = XelaEmulator(settings, FixedWorld(), CLOCK)
     driver = XelaDriver(XelaConfig(f"ws://{host}:5000", silence=0.3), CLOCK)
     return emulator, driver, emulator.faults.inject
 
@@ -235,8 +236,8 @@ def _mjpeg(host: str) -> tuple[Any, Any, Callable[..., Any]]:
     rng = np.random.default_rng(0)
     image = rng.integers(0, 255, (480, 640, 3)).astype(np.uint8)
     source = WorldSource(lambda state: image)
-    emulator = MjpegEmulator(MjpegEmulatorConfig(host, rate_hz=60.0), source, None, CLOCK)
     config = CameraConfig(f"http://{host}:8090/", rate_hz=60.0, silence=0.3)
+    emulator = MjpegEmulator(MjpegEmulatorConfig(config, host=host), source, None, CLOCK)
     return emulator, OpenCvDriver(config, CLOCK), emulator.faults.inject
 
 

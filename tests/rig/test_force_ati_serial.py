@@ -70,8 +70,10 @@ def where_the_port_is(tmp_path: Path) -> Path:
 
 
 @contextmanager
-def emulated(link: Path, **options: Any) -> Iterator[FaultyAtiSerial]:
-    emulator = FaultyAtiSerial(AtiSerialEmulatorConfig(link, **options), FixedWorld(), CLOCK)
+def emulated(link: Path, noise: float = 0.0, rate_hz: float = 200.0) -> Iterator[FaultyAtiSerial]:
+    device = AtiSerialConfig(1280.0, 256.0, str(link), rate_hz=rate_hz)
+    config = AtiSerialEmulatorConfig(device=device, noise=noise)
+    emulator = FaultyAtiSerial(config, FixedWorld(), CLOCK)
     emulator.start()
     try:
         yield emulator
@@ -173,7 +175,10 @@ def test_the_wrench_is_in_newton_and_newton_metre(link: Path, form: str) -> None
 def test_the_emulator_sends_no_more_than_the_line_carries(
     link: Path, form: str, carried: float
 ) -> None:
-    with emulated(link, rate_hz=5000.0) as emulator, opened(link, records=form) as driver:
+    with (
+        emulated(link, rate_hz=38400 / 10 / RECORD_BYTES["binary"]) as emulator,
+        opened(link, records=form) as driver,
+    ):
         collect(driver, 3)
         assert emulator.rate_hz == pytest.approx(carried, abs=0.1)
 
@@ -260,15 +265,16 @@ def test_something_else_on_the_port_is_device_lost(link: Path) -> None:
         def _take_commands(self, timeout: float) -> None:
             threading.Event().wait(timeout / 10)
             if content := self._read():
-                os.write(self._ours, content)
+                os.write(self._fd, content)
 
         def _read(self) -> bytes:
             try:
-                return os.read(self._ours, 64)
+                return os.read(self._fd, 64)
             except BlockingIOError:
                 return b""
 
-    emulator = Echo(AtiSerialEmulatorConfig(link), FixedWorld(), CLOCK)
+    device = AtiSerialConfig(1280.0, 256.0, str(link))
+    emulator = Echo(AtiSerialEmulatorConfig(device=device), FixedWorld(), CLOCK)
     emulator.start()
     try:
         driver = AtiSerialDriver(AtiSerialConfig(1280.0, 256.0, str(link)), CLOCK)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
+from typing import get_type_hints
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from recorder import Session
 from rig.bench.bench import Bench, load_bench
 from rig.bench.stream_kinds import expected_rate, make_driver
 from rig.core.clock import FakeClock
+from rig.core.config import READER
 from rig.core.errors import ConfigError
 from rig.core.packaged import BENCHES
 from rig.core.samples import FORCE_LATEST
@@ -21,7 +24,8 @@ from rig.devices.force.netft_wire import ERROR_MASK, SATURATION_MASK
 from rig.devices.force.nidaq import NidaqDriver
 from rig.devices.force.sample_clock import BEYOND_RATING, LOST_BEFORE, SATURATED
 from rig.devices.force.settings import AtiSerialConfig, NetFtConfig, NidaqConfig
-from rig.mock.emulators import MockBenchSpec, emulator_commands
+from rig.mock.bench import MockBench
+from rig.mock.emulate import EMULATORS
 from rig.mock.world.truth import Truth
 
 pytestmark = pytest.mark.serial
@@ -48,6 +52,11 @@ def loaded(folder: Path, force: str) -> Bench:
     return bench
 
 
+def mock_bench(folder: Path, force: str) -> MockBench:
+    path = bench_with(folder, force)
+    return MockBench(load_bench(path)[1], str(path), folder)
+
+
 @pytest.mark.parametrize(
     ("kind", "config", "driver"),
     [
@@ -66,11 +75,15 @@ def test_one_word_picks_the_device(tmp_path: Path, kind: str, config: type, driv
 
 @pytest.mark.parametrize("kind", FORCES)
 def test_every_kind_has_an_emulator_for_the_mock_bench(tmp_path: Path, kind: str) -> None:
-    bench = loaded(tmp_path, FORCES[kind])
-    bench_spec = MockBenchSpec(bench, "127.0.0.9", tmp_path, tmp_path, arm=tmp_path, world=tmp_path)
-    module, *options = emulator_commands(bench_spec)["force"]
-    assert module == f"rig.devices.force.{kind}_emulator"
-    assert "--world" in options
+    bench = mock_bench(tmp_path, FORCES[kind])
+    emulator, document = bench.documents()["force"]
+    assert emulator == kind
+    emulate = import_module(EMULATORS[emulator]).emulate
+    settings = READER.build(get_type_hints(emulate)["settings"], document, "force")
+    # The emulator is given the very settings that the driver is made with.
+    assert settings.device == bench.bench.force
+    assert settings.world == tmp_path / "world.state"
+    assert (settings.host, settings.noise) == (bench.host, 0.01)
 
 
 def test_a_word_that_picks_nothing_is_refused(tmp_path: Path) -> None:
@@ -84,10 +97,9 @@ def test_a_key_of_another_kind_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_mock_bench_without_a_device_server_is_refused(tmp_path: Path) -> None:
-    bench = loaded(tmp_path, f"{{kind: nidaq, calibration: {CALIBRATION}}}")
-    bench_spec = MockBenchSpec(bench, "127.0.0.9", tmp_path, tmp_path, arm=tmp_path, world=tmp_path)
+    bench = mock_bench(tmp_path, f"{{kind: nidaq, calibration: {CALIBRATION}}}")
     with pytest.raises(ConfigError, match=r"force\.grpc: missing; allowed: loopback"):
-        emulator_commands(bench_spec)
+        bench.documents()
 
 
 def test_units_of_the_file_become_si(tmp_path: Path) -> None:

@@ -61,7 +61,7 @@ class FaultyNetFt(NetFtEmulator):
 
 @contextmanager
 def emulated(host: str, page: Page | None = None, **options: Any) -> Iterator[FaultyNetFt]:
-    config = NetFtEmulatorConfig(host, page=page or Page(), **options)
+    config = NetFtEmulatorConfig(host=host, page=page or Page(), **options)
     emulator = FaultyNetFt(config, FixedWorld(), CLOCK)
     emulator.start()
     try:

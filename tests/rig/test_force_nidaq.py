@@ -64,7 +64,7 @@ class FaultyNidaq(NidaqEmulator):
 def emulated(
     host: str, wrench: tuple[float, ...] = WRENCH, **options: Any
 ) -> Iterator[FaultyNidaq]:
-    config = NidaqEmulatorConfig(read_calibration(CALIBRATION), host, **options)
+    config = NidaqEmulatorConfig(NidaqConfig(str(CALIBRATION)), host=host, **options)
     emulator = FaultyNidaq(config, FixedWorld(wrench), CLOCK)
     emulator.start()
     try:
@@ -286,7 +286,7 @@ class CoercingNidaq(NidaqEmulator):
 def test_a_setting_that_reads_back_otherwise_is_refused(
     host: str, setting: str, value: float, message: str
 ) -> None:
-    config = NidaqEmulatorConfig(read_calibration(CALIBRATION), host)
+    config = NidaqEmulatorConfig(NidaqConfig(str(CALIBRATION)), host=host)
     emulator = CoercingNidaq(config, FixedWorld(), CLOCK)
     setattr(emulator, setting, value)
     emulator.start()

@@ -259,6 +259,26 @@ def wait_for(path: Path) -> None:
         clock.sleep_until(clock.now_ns() + 5_000_000)
 
 
+def test_a_reply_that_trickles_in_has_one_time_limit(
+    emulator: RobotiqEmulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = SystemClock()
+
+    def trickle(reply: bytes) -> Iterator[bytes]:
+        for byte in reply:
+            clock.sleep_until(clock.now_ns() + 90_000_000)
+            yield bytes([byte])
+
+    with RobotiqDriver(RobotiqConfig(emulator.address, answer=0.5), clock) as driver:
+        driver.open(5.0)
+        # Five bytes take less than the limit, as do the other six, but not all together.
+        monkeypatch.setattr(emulator.faults, "passed", trickle)
+        began_ns = clock.now_ns()
+        with pytest.raises(DeviceLost):
+            driver.status()
+        assert 0.45 < 1e-9 * (clock.now_ns() - began_ns) < 0.9
+
+
 def test_a_port_that_is_not_there_is_a_lost_device_that_says_where_to_look(tmp_path: Path) -> None:
     driver = RobotiqDriver(RobotiqConfig(str(tmp_path / "none")), SystemClock())
     with pytest.raises(DeviceLost, match="/dev/serial/by-id"):

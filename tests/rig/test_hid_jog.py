@@ -107,8 +107,7 @@ jog: {{kind: spacemouse, device: runfolder/cap.hidraw, speed_max_mm_s: 5.0}}
             )
         self.run = Collection(folder / "none", process)
         self.wait(lambda: "Ctrl-C ends" in self.log.read_text())
-        command = self.run.processes()[self.run.emulator("rig.devices.arm.emulator")]
-        self.host = command.split("--host ")[1].split()[0]
+        self.host = self.run.host()
         self.start = self.place()
 
     def wait(self, condition: Callable[[], bool]) -> None:

@@ -327,14 +327,7 @@ def test_whatever_ends_a_replay_what_was_recorded_is_kept(
     replay.until(replay.recording)
     replay.until(lambda: _journalled(tmp_path / "r.zarr") > 20_000)
     if victim == "emulator":
-        os.kill(
-            next(
-                pid
-                for pid, command in replay.processes().items()
-                if "rig.mock.player --stream force" in command
-            ),
-            signal.SIGKILL,
-        )
+        os.kill(replay.emulator("force"), signal.SIGKILL)
     elif victim == "stream":
         os.kill(replay.stream("force"), signal.SIGKILL)
     else:

@@ -63,7 +63,7 @@ class FaultyXela(XelaEmulator):
 def emulated(
     host: str, fault: Fault | None = None, source: Any = None, **options: Any
 ) -> Iterator[FaultyXela]:
-    config = XelaEmulatorConfig(host, **({"rate_hz": 200.0} | options))
+    config = XelaEmulatorConfig(XelaConfig(rate_hz=200.0), host=host, **options)
     emulator = FaultyXela(config, FixedWorld() if source is None else source, CLOCK)
     emulator.fault = fault
     emulator.start()

@@ -20,8 +20,8 @@ from rig.core.errors import ConfigError
 from rig.core.packaged import BENCHES
 from rig.core.samples import ARM_TRUTH, PRESS_STATE, WORLD_STATE, surface_state
 from rig.core.shared_memory import SharedLatest
-from rig.mock.emulators import MockBenchSpec, world_commands
-from rig.mock.world import SimulatedSpec, SimulatedWorld, build_world, load_view, read_file
+from rig.mock.bench import MockBench
+from rig.mock.world import SimulatedSpec, SimulatedWorld, WorldConfig, build_world, load_view
 from rig.mock.world.picture import coverage
 from rig.mock.world.simulated import (
     PRESS_FILE,
@@ -183,23 +183,22 @@ def test_the_contact_frame_may_be_turned() -> None:
 
 def test_the_solver_is_started_with_the_world_that_needs_it(tmp_path: Path) -> None:
     path = find_bench("gelsight", BENCHES)
-    bench, content = load_bench(path)
-    there = {"host": "127.0.0.1", "folder": tmp_path, "spec": tmp_path / "world.json"}
-    records = {"arm": tmp_path / "arm", "world": tmp_path / "world"}
-    assert set(world_commands(MockBenchSpec(bench, **there, **records))) == {"world"}
-    simulated = bench_from(with_simulated_world(content, str(path)), str(path))
-    commands = world_commands(MockBenchSpec(simulated, **there, **records))
-    assert commands["solver"][0] == "rig.mock.world.solver"
-    spec = {"world": {"kind": "simulated", "sensor": "gelsight"}, "contact_frame": list(FRAME)}
-    there["spec"].write_text(json.dumps({**spec, "indenter": "prism"}))
-    file = read_file(there["spec"])
-    assert (file.indenter, file.folder) == ("prism", tmp_path)
+    _, content = load_bench(path)
+    assert "solver" not in MockBench(content, str(path), tmp_path).documents()
+    simulated = {**with_simulated_world(content, str(path)), "indenter": "prism"}
+    documents = MockBench(simulated, str(path), tmp_path).documents()
+    assert documents["solver"] == ("solver", documents["world"][1])
+    world = build(WorldConfig, documents["world"][1], "world")
+    assert (world.indenter, world.folder) == ("prism", tmp_path)
+    assert world.contact_frame == bench_from(content, str(path)).contact_frame
     SharedLatest.create(tmp_path / PRESS_FILE, PRESS_STATE).close()
-    assert isinstance(build_world(there["spec"]), SimulatedWorld)
-    assert isinstance(load_view(there["spec"]), SimulatedView)
-    there["spec"].write_text(json.dumps({**spec, "world": {"kind": "dreamt"}}))
+    assert isinstance(build_world(world), SimulatedWorld)
+    file = tmp_path / "world.json"
+    file.write_text(json.dumps(documents["world"][1]))
+    assert isinstance(load_view(file), SimulatedView)
+    file.write_text(json.dumps({**documents["world"][1], "world": {"kind": "dreamt"}}))
     with pytest.raises(ConfigError, match="dreamt"):
-        read_file(there["spec"])
+        load_view(file)
 
 
 class Bench:
@@ -331,20 +330,16 @@ def test_a_picture_has_the_colours_that_the_bench_file_names(tmp_path: Path) -> 
 
 
 def test_a_solver_that_fails_ends_its_process_with_the_reason(tmp_path: Path) -> None:
-    spec = tmp_path / "world.json"
-    spec.write_text(
-        json.dumps(
-            {
-                "world": {"kind": "simulated", "sensor": "gelsight", "grid": 32},
-                "contact_frame": list(FRAME),
-                "indenter": "sphere",
-            }
-        )
-    )
-    arm = SharedLatest.create(tmp_path / "arm", ARM_TRUTH)
+    settings = {
+        "world": {"kind": "simulated", "sensor": "gelsight", "grid": 32},
+        "contact_frame": {"position_mm": [1e3 * metre for metre in FRAME[:3]]},
+        "folder": str(tmp_path),
+        "indenter": "sphere",
+    }
+    arm = SharedLatest.create(tmp_path / "arm.state", ARM_TRUTH)
     SharedLatest.create(tmp_path / PRESS_FILE, PRESS_STATE).close()
     arm.write((MS, np.full(6, np.nan), np.zeros(6)))
-    command = ["-m", "rig.mock.world.solver", "--spec", str(spec), "--arm", str(tmp_path / "arm")]
+    command = ["-m", "rig.mock.emulate", "solver", json.dumps(settings)]
     run = subprocess.run(
         [sys.executable, *command], capture_output=True, text=True, timeout=50, check=False
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -72,15 +73,10 @@ def stands_still() -> bool:
 @contextmanager
 def emulated() -> Iterator[subprocess.Popen[str]]:
     """Yield an emulator at HOST with the arm at START."""
-    command = [
-        sys.executable,
-        "-m",
-        "rig.devices.arm.emulator",
-        "--host",
-        HOST,
-        "--until-stdin-closes",
-    ]
-    command += ["--pose", *map(repr, START.tolist()), "--tcp", *map(repr, TCP)]
+    tcp = {"position_mm": [1e3 * metre for metre in TCP[:3]]}
+    settings = {"host": HOST, "pose": START.tolist(), "device": {"host": HOST, "tcp": tcp}}
+    command = [sys.executable, "-m", "rig.mock.emulate", "ur", json.dumps(settings)]
+    command += ["--until-stdin-closes"]
     with subprocess.Popen(
         command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as process:

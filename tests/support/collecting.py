@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -88,9 +90,22 @@ class Collection:
         """Return the command lines of its processes, including the main one, by pid."""
         return family(self.process.pid)
 
-    def emulator(self, module: str) -> int:
-        """Return the pid of the emulator `python -m <module>`."""
-        return next(pid for pid, command in self.processes().items() if f"-m {module}" in command)
+    def emulator(self, name: str) -> int:
+        """Return the pid of the emulator of a device, of the World, or of a replayed stream."""
+        return self._emulator(name)[0]
+
+    def host(self) -> str:
+        """Return the loopback address of the mock bench."""
+        return str(json.loads(self._emulator("arm")[1].read_text())["host"])
+
+    def _emulator(self, name: str) -> tuple[int, Path]:
+        """Return the pid of an emulator and the file of its settings."""
+        pattern = re.compile(rf"-m rig\.mock\.emulate \w+ --file (\S+/{name}\.json)")
+        return next(
+            (pid, Path(found[1]))
+            for pid, command in self.processes().items()
+            if (found := pattern.search(command))
+        )
 
     def stream(self, name: str) -> int:
         """Return the pid of the process that writes `<session>/streams/<name>`."""

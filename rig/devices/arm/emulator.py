@@ -1,6 +1,6 @@
 """Emulated UR5e controller on a loopback address, for the unmodified ur_rtde and our pose reader.
 
-    python -m rig.devices.arm.emulator --host 127.0.0.5 --state run/arm --world run/world
+    python -m rig.mock.emulate ur '{"host": "127.0.0.5", "state": "run/arm", "world": "run/world"}'
 
 Listens on the controller's own ports (RTDE 30004, scripts 30001 to 30003, dashboard 29999), and on
 31000 for faults to inject: see rig.devices.arm.emulator_faults. ur_rtde's constructors hold the GIL
@@ -9,21 +9,20 @@ while they wait for an answer, so do not run this in the process of a client tha
 
 from __future__ import annotations
 
-import argparse
 import logging
 import re
 import selectors
 import socket
-import sys
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
-from rig.core.clock import SECOND_NS, Clock, SystemClock
-from rig.core.emulation import Served, SharedWorld, emulator_parser, run_emulator
+from rig.core.clock import SECOND_NS, Clock
+from rig.core.emulation import EmulatorConfig, Served, SharedWorld
 from rig.core.errors import ConfigError
 from rig.core.fault_injection import FaultInjector, corrupted_bytes
 from rig.core.geometry import compose
@@ -32,6 +31,7 @@ from rig.core.shared_memory import SharedLatest
 from rig.devices.arm import dashboard, emulator_faults, rtde
 from rig.devices.arm.emulated_arm import CYCLE, POSTURE, flange_pose
 from rig.devices.arm.emulated_controller import VERSION, Controller, dashboard_answer
+from rig.devices.arm.settings import ArmConfig
 
 logger = logging.getLogger(__name__)
 
@@ -436,54 +436,37 @@ def _shut(peers: Iterable[socket.socket]) -> None:
             logger.debug("client already gone: %s", error)
 
 
-def _plain(word: str) -> str:
-    """Write out a negative number with an exponent: argparse takes -1e-16 for an option."""
-    if not re.fullmatch(r"-[\d.]+[eE][-+]?\d+", word):
-        return word
-    return f"{float(word):.17f}"
+Vector = tuple[float, float, float, float, float, float]
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run one emulated arm until asked to end, and return the exit code."""
-    parser = emulator_parser("python -m rig.devices.arm.emulator", __doc__)
-    parser.add_argument("--state", type=Path, metavar="PATH", help="file to publish the pose in")
-    parser.add_argument(
-        "--pose",
-        type=float,
-        nargs=6,
-        metavar="N",
-        help="TCP pose at start: x y z [m] rx ry rz [rad], base frame (default: tool down)",
-    )
-    parser.add_argument(
-        "--tcp",
-        type=float,
-        nargs=6,
-        metavar="N",
-        default=[0.0] * 6,
-        help="TCP in the flange frame at start, as in the installation (default: the flange)",
-    )
-    parser.add_argument(
-        "--force-limit",
-        type=float,
-        default=150.0,
-        metavar="N",
-        help="contact force that triggers a protective stop [N] (%(default)s)",
-    )
-    return run_emulator(parser, _make, [_plain(word) for word in argv or sys.argv[1:]])
+@dataclass(frozen=True, slots=True)
+class ArmEmulatorConfig(EmulatorConfig):
+    """Tool and start of the emulated arm."""
+
+    device: ArmConfig = field(default=ArmConfig(host="127.0.0.1"))
+    """Its TCP is that of the installation at start."""
+    state: Path | None = None
+    """File to publish the pose in."""
+    pose: Vector | None = None
+    """TCP at start, in the base frame: x y z [m] rx ry rz [rad]; None: tool down."""
+    force_limit: float = field(default=150.0, metadata={"unit": "n"})
+    """Contact force that triggers a protective stop [N]."""
 
 
-def _make(args: argparse.Namespace, world: SharedWorld) -> Served:
-    tcp = np.array(args.tcp)
-    pose = args.pose or compose(flange_pose(np.array(POSTURE)), tcp)
-    try:
-        controller = Controller(np.array(pose), tcp, force_limit=args.force_limit)
-    except ValueError as error:
-        raise ConfigError(str(error)) from error
-    state = SharedLatest.publish(args.state, ARM_TRUTH) if args.state else None
-    return Served(
-        "arm", ArmEmulator(args.host, controller, SystemClock(), state=state, world=world)
-    )
+def emulate(settings: ArmEmulatorConfig, clock: Clock) -> Served:
+    """Return the emulated arm.
 
-
-if __name__ == "__main__":
-    sys.exit(main())
+    Raises:
+        ConfigError: Another fault port than the arm's own, which its loop serves.
+        ValueError: The arm cannot reach the pose.
+    """
+    if settings.fault_port not in (None, emulator_faults.PORT):
+        raise ConfigError(
+            f"fault_port: found {settings.fault_port}; allowed: {emulator_faults.PORT}, always open"
+        )
+    tcp = np.array(settings.device.tcp)
+    pose = settings.pose or compose(flange_pose(np.array(POSTURE)), tcp)
+    controller = Controller(np.array(pose), tcp, force_limit=settings.force_limit)
+    state = SharedLatest.publish(settings.state, ARM_TRUTH) if settings.state else None
+    world = SharedWorld(settings.world)
+    return Served("arm", ArmEmulator(settings.host, controller, clock, state=state, world=world))

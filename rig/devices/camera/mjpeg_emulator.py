@@ -1,7 +1,7 @@
 """Emulated network camera: MJPEG over HTTP, of the World, a folder of images, or a video.
 
-    python -m rig.devices.camera.mjpeg_emulator --host 127.0.0.7 --world PATH --view FILE.json
-    python -m rig.devices.camera.mjpeg_emulator --source images/ --motion moving --fps 60
+    python -m rig.mock.emulate opencv '{"world": "run/world.state", "view": "run/world.json"}'
+    python -m rig.mock.emulate opencv '{"source": "images/", "device": {"rate_hz": 60}}'
 
 Each JPEG has a comment after SOI, `tactile-rig emulator seq=<n> state_t_ns=<t>`: its number, and
 the time of the World's state it shows (of the tick, if it shows no World). A slow client gets the
@@ -11,38 +11,38 @@ injected through rig.core.fault_injection; `wrong_units` halves the frame size.
 
 from __future__ import annotations
 
-import argparse
 import functools
 import itertools
 import logging
 import queue
 import socket
-import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
+from urllib.parse import SplitResult, urlsplit
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from recorder.strict_yaml import natural_key
-from rig.core.clock import SECOND_NS, Clock, Pacer, SystemClock
+from rig.core.clock import SECOND_NS, Clock, Pacer
 from rig.core.emulation import (
-    NamelessServer,
+    DeviceHandler,
+    DeviceServer,
+    EmulatorConfig,
     Served,
     SharedWorld,
+    ThreadedEmulator,
     WorldReader,
-    emulator_parser,
-    run_emulator,
 )
 from rig.core.errors import ConfigError
 from rig.core.fault_injection import FaultInjector
 from rig.core.realtime import CAMERA_PRIORITY
 from rig.devices.camera.jpeg import frame_stamp, is_whole, jpeg_size, stamped, torn
+from rig.devices.camera.settings import CameraConfig
 
 # Sources of the emulated camera's pictures: the World, a folder of images, a video.
 
@@ -207,17 +207,21 @@ _SEND_BUFFER = 1 << 17
 
 
 @dataclass(frozen=True, slots=True)
-class MjpegEmulatorConfig:
-    """Address and timing of the emulated camera."""
+class MjpegEmulatorConfig(EmulatorConfig):
+    """Port, pictures and timing of the emulated camera."""
 
-    host: str = "127.0.0.1"
-    port: int = 8090
-    rate_hz: float = 30.0
-    delay: float = 0.0
+    device: CameraConfig = field(default=CameraConfig(address="http://127.0.0.1:8090/"))
+    view: Path | None = None
+    """JSON file of the World, to show a view of it."""
+    source: Path | None = None
+    """Folder of images, or video, to show in place of a view."""
+    motion: Literal["moving", "still"] = "moving"
+    """One picture of the source per frame, or each for 2 s."""
+    delay: float = field(default=0.0, metadata={"unit": "ms"})
     """Time between exposure of a frame and its delivery [s]; 0: as soon as it is rendered."""
 
 
-class MjpegEmulator:
+class MjpegEmulator(ThreadedEmulator):
     """Emulated camera: one thread produces frames, one per client sends the newest frame.
 
     Args:
@@ -234,17 +238,16 @@ class MjpegEmulator:
         world: WorldReader | None,
         clock: Clock,
     ) -> None:
+        super().__init__()
         self._config = config
+        self._port = urlsplit(config.device.address).port or 80
         self._source = source
         self._world = world
         self._untouched = SharedWorld(None).state()[1]
         self._clock = clock
-        self._ending = threading.Event()
         self._changed = threading.Condition()
         self._parts: tuple[bytes, ...] = ()
         self._number = 0
-        self.missed = 0
-        """Number of frames skipped as too late."""
         self.faults = FaultInjector[bytes](
             clock, spoil=torn, mistake=_halved, on_change=self._on_plug
         )
@@ -255,7 +258,7 @@ class MjpegEmulator:
     @property
     def address(self) -> str:
         """URL of the stream."""
-        return f"http://{self._config.host}:{self._config.port}/"
+        return f"http://{self._config.host}:{self._port}/"
 
     def start(self) -> None:
         """Start serving.
@@ -263,20 +266,11 @@ class MjpegEmulator:
         Raises:
             OSError: The address is not available.
         """
-        self._server = _Server((self._config.host, self._config.port), self)
-        self._threads = [
-            threading.Thread(target=self._film, name="mjpeg-emulator"),
-            threading.Thread(target=self._deliver, name="mjpeg-emulator-delay"),
-            threading.Thread(
-                target=self._server.serve_forever, args=(0.05,), name="mjpeg-emulator-accept"
-            ),
-        ]
-        for thread in self._threads:
-            thread.start()
+        self._server = _Server((self._config.host, self._port), self)
+        accept = functools.partial(self._server.serve_forever, 0.05)
+        self._run_threads(self._film, self._deliver, accept)
 
-    def close(self) -> None:
-        """Stop serving; may be called twice."""
-        self._ending.set()
+    def _disconnect(self) -> None:
         with self._changed:
             self._changed.notify_all()
         if self._server is not None:
@@ -284,9 +278,6 @@ class MjpegEmulator:
             self._server.disconnect_all()
             self._server.server_close()
             self._server = None
-        for thread in self._threads:
-            thread.join()
-        self._threads = []
 
     def parts(self, jpeg: bytes) -> Iterable[bytes]:
         """Return the parts sent for one frame; faults and tests corrupt frames here."""
@@ -308,7 +299,7 @@ class MjpegEmulator:
         return self._number
 
     def _film(self) -> None:
-        pacer = Pacer(self._clock, self._config.rate_hz)
+        pacer = Pacer(self._clock, self._config.device.rate_hz)
         delay_ns = round(self._config.delay * SECOND_NS)
         filmed = 0
         while not self._ending.is_set():
@@ -350,18 +341,14 @@ def _halved(jpeg: bytes) -> bytes:
     return small if stamp is None else stamped(small, *stamp)
 
 
-class _Server(ThreadingHTTPServer, NamelessServer):
+class _Server(DeviceServer):
     daemon_threads = False
 
     def __init__(self, address: tuple[str, int], emulator: MjpegEmulator) -> None:
         self.emulator = emulator
         self._clients: set[socket.socket] = set()
         self._lock = threading.Lock()
-        super().__init__(address, _Handler)
-
-    def verify_request(self, request: Any, client_address: Any) -> bool:
-        """Reject every client while the camera is unplugged."""
-        return not self.emulator.faults.unplugged
+        super().__init__(address, _Handler, emulator.faults)
 
     def get_request(self) -> tuple[socket.socket, Any]:
         """Accept a client, with a send buffer that holds few frames."""
@@ -387,15 +374,11 @@ class _Server(ThreadingHTTPServer, NamelessServer):
                 except OSError as error:
                     logger.debug("client already gone: %s", error)
 
-    def handle_error(self, request: Any, client_address: Any) -> None:
-        """Log at debug level: a client that leaves during a frame is no error."""
-        logger.debug("client %s: %s", client_address, sys.exception())
 
-
-class _Handler(BaseHTTPRequestHandler):
+class _Handler(DeviceHandler):
     server: _Server
 
-    def do_GET(self) -> None:
+    def get(self, url: SplitResult) -> None:
         emulator = self.server.emulator
         self.send_response(200)
         self.send_header("Content-Type", f"multipart/x-mixed-replace; boundary={_BOUNDARY}")
@@ -407,45 +390,25 @@ class _Handler(BaseHTTPRequestHandler):
             for part in parts:
                 self.wfile.write(part)
 
-    def log_message(self, format: str, *args: object) -> None:
-        """Print nothing: stdout is reserved for the ready line."""
 
+def emulate(settings: MjpegEmulatorConfig, clock: Clock) -> Served:
+    """Return the emulated camera.
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Serve until terminated; return the exit code."""
-    parser = emulator_parser("rig.devices.camera.mjpeg_emulator", __doc__)
-    parser.add_argument("--port", type=int, default=8090, help="(%(default)s)")
-    parser.add_argument("--fps", type=float, default=30.0, help="frames per second (%(default)s)")
-    pictures = parser.add_mutually_exclusive_group(required=True)
-    pictures.add_argument("--view", type=Path, help="JSON file of the view onto the World")
-    pictures.add_argument("--source", type=Path, help="show this folder of images or video instead")
-    parser.add_argument(
-        "--motion", choices=("still", "moving"), default="moving",
-        help="one source frame per tick, or each for 2 s (%(default)s)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--delay-ms", type=float, default=0.0,
-        help="delay between exposure and delivery of each frame [ms] (%(default)s)",
-    )  # fmt: skip
-    return run_emulator(parser, _make, argv)
-
-
-def _make(args: argparse.Namespace, world: SharedWorld) -> Served:
+    Raises:
+        ConfigError: Not exactly one of view and source is given, or the World has no camera.
+        OSError, ValueError: The source has no picture.
+    """
     source: FrameSource
-    try:
-        if args.source is None:
-            from rig.mock.world import load_view
+    world = None
+    if settings.view is not None and settings.source is None:
+        from rig.mock.world import load_view
 
-            source = WorldSource(load_view(args.view))
-        else:
-            hold = round(_STILL * args.fps) if args.motion == "still" else 1
-            source = LoopSource(args.source, hold=hold)
-    except (OSError, ValueError) as error:
-        raise ConfigError(str(error)) from error
-    config = MjpegEmulatorConfig(args.host, args.port, args.fps, 1e-3 * args.delay_ms)
-    emulator = MjpegEmulator(config, source, world if args.view else None, SystemClock())
+        source, world = WorldSource(load_view(settings.view)), SharedWorld(settings.world)
+    elif settings.source is not None and settings.view is None:
+        hold = round(_STILL * settings.device.rate_hz) if settings.motion == "still" else 1
+        source = LoopSource(settings.source, hold=hold)
+    else:
+        found = "both" if settings.view else "neither"
+        raise ConfigError(f"view, source: found {found}; allowed: one of them")
+    emulator = MjpegEmulator(settings, source, world, clock)
     return Served("camera", emulator, emulator.faults.inject, CAMERA_PRIORITY)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

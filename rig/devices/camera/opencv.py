@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 
 from rig.core.clock import SECOND_NS, Clock
-from rig.core.driver import Inbox, Receiver
+from rig.core.driver import ReceivingDriver
 from rig.core.errors import ConfigError, DeviceLost
 from rig.devices.camera.jpeg import is_whole, jpeg_size, with_huffman_tables
 from rig.devices.camera.settings import CameraConfig
@@ -97,7 +97,7 @@ _EXPOSURE_UNIT = 1e-4
 _MANUAL_EXPOSURE = 1
 
 
-class OpenCvDriver:
+class OpenCvDriver(ReceivingDriver):
     """Stream of one camera.
 
     Columns: value (JPEG bytes, or (height, width, 3) uint8 RGB from a camera that sends no JPEG),
@@ -105,11 +105,9 @@ class OpenCvDriver:
     """
 
     def __init__(self, config: CameraConfig, clock: Clock) -> None:
+        super().__init__(config.address, clock, _CAPACITY)
         self._config = config
-        self._clock = clock
         self._capture: cv2.VideoCapture | None = None
-        self._receiver: Receiver | None = None
-        self._inbox = Inbox(clock, _CAPACITY)
         self._network = "://" in config.address
         self._jpeg = True
         self._facts: dict[str, Any] | None = None
@@ -138,9 +136,8 @@ class OpenCvDriver:
             DeviceLost: No camera answers within `timeout` [s].
             ConfigError: The camera rejects a setting.
         """
-        self.close()
+        self._reset()
         deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
-        self._inbox = Inbox(self._clock, _CAPACITY)
         self._corrupt_in_a_row = self._idle = 0
         self._facts = self._newest = None
         if self._network:
@@ -164,29 +161,15 @@ class OpenCvDriver:
             if isinstance(error, ConfigError | DeviceLost):
                 raise
             raise DeviceLost(f"{self._config.address}: {error}; check the camera") from error
-        self._receiver = Receiver(f"camera-{self._config.address}", self._receive, self._inbox)
-
-    def read(self, timeout: float) -> list[dict[str, Any]]:
-        """Return the frames since the last call; see `rig.core.driver.Driver.read`.
-
-        Raises:
-            DeviceLost: The camera was unplugged, disconnected, or fell silent.
-        """
-        if self._receiver is None:
-            raise DeviceLost(f"{self._config.address}: not open")
-        return self._inbox.take(timeout)
+        self._start_receiving(f"camera-{self._config.address}")
 
     def describe(self) -> dict[str, Any]:
         """Return backend, format, size, the stated frame rate, and if JPEG bytes are kept."""
         if self._facts is None:
-            raise DeviceLost(f"{self._config.address}: not open")
+            raise self._not_open()
         return dict(self._facts)
 
-    def close(self) -> None:
-        """Stop and release the camera; may be called twice."""
-        if self._receiver is not None:
-            self._receiver.close()
-            self._receiver = None
+    def _release(self) -> None:
         if self._capture is not None:
             self._capture.release()
             self._capture = None
@@ -277,7 +260,7 @@ class OpenCvDriver:
     def _receive(self) -> None:
         capture = self._capture
         if capture is None:
-            raise DeviceLost(f"{self._config.address}: not open")
+            raise self._not_open()
         frame = self._next_frame(capture)
         now_ns = self._clock.now_ns()
         if frame is None:

@@ -17,7 +17,7 @@ import numpy as np
 import serial
 
 from rig.core.clock import SECOND_NS, Clock
-from rig.core.driver import Inbox, Receiver
+from rig.core.driver import ReceivingDriver
 from rig.core.errors import ConfigError, DeviceLost
 from rig.devices.force.ati_serial_wire import PROMPT, BinaryFramer, Found, TextFramer, parse
 from rig.devices.force.sample_clock import LOST_BEFORE
@@ -37,7 +37,7 @@ _N_PER_N_MM = 0.1
 _DOUBTS_MAX = 20
 
 
-class AtiSerialDriver:
+class AtiSerialDriver(ReceivingDriver):
     """Stream of an ATI stand-alone controller.
 
     Columns: value (6,) float64 [N, N m] in the transducer's frame, seq int64 (host's count), status
@@ -45,10 +45,8 @@ class AtiSerialDriver:
     """
 
     def __init__(self, config: AtiSerialConfig, clock: Clock) -> None:
+        super().__init__(config.address, clock, _CAPACITY)
         self._config = config
-        self._clock = clock
-        self._inbox = Inbox(clock, _CAPACITY)
-        self._receiver: Receiver | None = None
         self._port: serial.Serial | None = None
         force, torque = 1 / config.counts_per_n, 1e-3 / config.counts_per_n_mm
         self._scale = np.repeat([force, torque], 3)
@@ -77,8 +75,7 @@ class AtiSerialDriver:
             DeviceLost: No such port, or no controller answers within `timeout` [s].
             ConfigError: Its records are not in the requested format.
         """
-        self.close()
-        self._inbox = Inbox(self._clock, _CAPACITY)
+        self._reset()
         self._sequence, self._interrupted = -1, False
         self._idle = self._in_vain = self._fruitless = 0
         deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
@@ -100,22 +97,12 @@ class AtiSerialDriver:
         except (DeviceLost, ConfigError):
             self.close()
             raise
-        self._receiver = Receiver(f"ati-{config.address}", self._receive, self._inbox)
-
-    def read(self, timeout: float) -> list[dict[str, Any]]:
-        """Return the records since the last call; see `rig.core.driver.Driver.read`.
-
-        Raises:
-            DeviceLost: The port is gone, or silent for longer than `AtiSerialConfig.silence`.
-        """
-        if self._receiver is None:
-            raise DeviceLost(f"{self._config.address}: not open")
-        return self._inbox.take(timeout)
+        self._start_receiving(f"ati-{config.address}")
 
     def describe(self) -> dict[str, Any]:
         """Return the settings, and the controller's replies to them."""
         if self._port is None:
-            raise DeviceLost(f"{self._config.address}: not open")
+            raise self._not_open()
         config = self._config
         return {
             "device": "ATI F/T controller, RS-232",
@@ -130,11 +117,7 @@ class AtiSerialDriver:
             "device_clock": "none",
         }
 
-    def close(self) -> None:
-        """Stop the stream and release the port; may be called twice."""
-        if self._receiver is not None:
-            self._receiver.close()
-            self._receiver = None
+    def _release(self) -> None:
         if self._port is not None:
             with contextlib.suppress(OSError, termios.error):
                 self._port.write(b"\r")
@@ -158,7 +141,7 @@ class AtiSerialDriver:
 
     def _open_port(self) -> serial.Serial:
         if self._port is None:
-            raise DeviceLost(f"{self._config.address}: not open")
+            raise self._not_open()
         return self._port
 
     def _silence(self, deadline_ns: int) -> None:

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from rig.core.clock import SECOND_NS, Clock, ClockAnchor
-from rig.core.driver import Inbox, Receiver
+from rig.core.driver import ReceivingDriver
 from rig.core.errors import ConfigError, DeviceLost
 from rig.devices.force.netft_wire import (
     COMMAND_REALTIME,
@@ -169,25 +169,22 @@ _STRANGE_IN_A_ROW = 10
 _PAGE_TIMEOUT = 1.0
 
 
-class NetFtDriver:
+class NetFtDriver(ReceivingDriver):
     """Stream of a Net F/T box.
 
     Columns: value (6,) float64 [N, N m], seq int64 (rdt_sequence, unwrapped), status int64, t_ns.
     """
 
     def __init__(self, config: NetFtConfig, clock: Clock) -> None:
+        super().__init__(f"{config.host}:{config.udp_port}", clock, _CAPACITY)
         self._config = config
-        self._clock = clock
         self._socket: socket.socket | None = None
         self._stamped: StampedSocket | None = None
-        self._receiver: Receiver | None = None
-        self._inbox = Inbox(clock, _CAPACITY)
         self._page: Page | None = None
         self._page_watch: PageWatch | None = None
         self._scale = np.ones(6)
         self._sequence = -1
         self._idle = 0
-        self._gaps = 0
         self.late = 0
         """Number of packets received after a later one; they are among `dropped`."""
         self.duplicates = 0
@@ -195,11 +192,6 @@ class NetFtDriver:
         self.corrupt = 0
         """Number of packets of the wrong length, or with a number not of this stream."""
         self._strange_in_a_row = 0
-
-    @property
-    def dropped(self) -> int:
-        """Records that never reached `read`: lost on the way, late, or not read in time."""
-        return self._gaps + self._inbox.overflowed
 
     @property
     def rejected(self) -> dict[str, int]:
@@ -213,9 +205,9 @@ class NetFtDriver:
             DeviceLost: No answer within `timeout` [s], or the box reports an error.
             ConfigError: The box has unknown units, or rejects the rate.
         """
-        self.close()
+        self._reset()
         deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
-        inbox = self._inbox = Inbox(self._clock, _CAPACITY)
+        inbox = self._inbox
         self._sequence = -1
         self._strange_in_a_row = 0
         self._page = self._settled_page(deadline_ns)
@@ -231,37 +223,27 @@ class NetFtDriver:
         except OSError as error:
             udp.close()
             raise DeviceLost(
-                f"{self._address()}: no RDT records ({error}); check that RDT is enabled on the "
+                f"{self._where}: no RDT records ({error}); check that RDT is enabled on the "
                 "box's Communications page and that no firewall blocks UDP"
             ) from error
         udp.settimeout(_POLL)
         self._socket, self._stamped = udp, stamped
         self._idle = 0
-        self._receiver = Receiver(f"netft-{self._config.host}", self._receive, self._inbox)
+        self._start_receiving(f"netft-{self._config.host}")
         self._page_watch = PageWatch(
             self._page,
             lambda: self._read_page(self._clock.now_ns() + round(_PAGE_TIMEOUT * SECOND_NS)),
-            lambda what: inbox.fail(f"{self._address()}: {what}"),
+            lambda what: inbox.fail(f"{self._where}: {what}"),
             self._clock,
         )
-
-    def read(self, timeout: float) -> list[dict[str, Any]]:
-        """Return the records since the last call; see `rig.core.driver.Driver.read`.
-
-        Raises:
-            DeviceLost: The box has been silent for longer than `NetFtConfig.silence`.
-        """
-        if self._receiver is None:
-            raise DeviceLost(f"{self._address()}: not open")
-        return self._inbox.take(timeout)
 
     def describe(self) -> dict[str, Any]:
         """Return units, counts per unit, rate and product as stated by the box."""
         if self._page is None:
-            raise DeviceLost(f"{self._address()}: not open")
+            raise self._not_open()
         return {
             "device": "ATI Net F/T",
-            "address": self._address(),
+            "address": self._where,
             "product": self._page.product,
             "serial": self._page.serial,
             "rate_hz": float(self._page.rate_hz),
@@ -272,24 +254,17 @@ class NetFtDriver:
             "status": status_text(self._page.runstat),
         }
 
-    def close(self) -> None:
-        """Stop the stream and close the socket; may be called twice."""
+    def _release(self) -> None:
         if self._page_watch is not None:
             self._page_watch.close()
             self._page_watch = None
-        if self._receiver is not None:
-            self._receiver.close()
-            self._receiver = None
         if self._socket is not None:
             try:
                 self._socket.send(emit_request(COMMAND_STOP))
             except OSError as error:
-                logger.debug("%s: stop not sent: %s", self._address(), error)
+                logger.debug("%s: stop not sent: %s", self._where, error)
             self._socket.close()
             self._socket = self._stamped = None
-
-    def _address(self) -> str:
-        return f"{self._config.host}:{self._config.udp_port}"
 
     def _left(self, deadline_ns: int) -> float:
         return max((deadline_ns - self._clock.now_ns()) / SECOND_NS, 0.01)
@@ -340,7 +315,7 @@ class NetFtDriver:
 
     def _receive(self) -> None:
         if self._stamped is None:
-            raise DeviceLost(f"{self._address()}: not open")
+            raise self._not_open()
         try:
             packet, t_ns = self._stamped.receive(64)
         except TimeoutError:
@@ -349,13 +324,13 @@ class NetFtDriver:
             self._idle += 1
             if self._idle * _POLL >= self._config.silence:
                 raise DeviceLost(
-                    f"{self._address()}: no record for {self._config.silence:g} s; check the box's "
+                    f"{self._where}: no record for {self._config.silence:g} s; check the box's "
                     "power and cable, and that no other client has started a stream (the box "
                     "serves only the latest one)"
                 ) from None
             return
         except OSError as error:
-            raise DeviceLost(f"{self._address()}: {error}; check the box's power") from error
+            raise DeviceLost(f"{self._where}: {error}; check the box's power") from error
         self._idle = 0
         self._sort(packet, t_ns)
 
@@ -392,4 +367,4 @@ class NetFtDriver:
         self.corrupt += 1
         self._strange_in_a_row += 1
         if self._strange_in_a_row >= _STRANGE_IN_A_ROW:
-            raise DeviceLost(f"{self._address()}: {why} ({self._strange_in_a_row} in a row)")
+            raise DeviceLost(f"{self._where}: {why} ({self._strange_in_a_row} in a row)")

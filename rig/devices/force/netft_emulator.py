@@ -1,6 +1,6 @@
 """Emulated ATI Net F/T box: RDT by UDP and settings pages by HTTP, serving the World's wrench.
 
-    python -m rig.devices.force.netft_emulator --host 127.0.0.5 --http-port 8080 --world PATH
+    python -m rig.mock.emulate netft '{"host": "127.0.0.5", "device": {"http_port": 8080}}'
 
 Like the box, it streams only to the last client that requested a stream. Its bias (0x42) lasts
 until the process ends. `wrong_units` of rig.core.fault_injection sets pound-force as its unit.
@@ -8,31 +8,28 @@ until the process ends. `wrong_units` of rig.core.fault_injection sets pound-for
 
 from __future__ import annotations
 
-import argparse
-import logging
 import select
 import socket
-import sys
-import threading
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any
-from urllib.parse import parse_qs, urlsplit
+from functools import partial
+from urllib.parse import SplitResult, parse_qs
 
 import numpy as np
 import numpy.typing as npt
 
-from rig.core.clock import Clock, Pacer, SystemClock
+from rig.core.clock import Clock, Pacer
 from rig.core.emulation import (
-    NamelessServer,
+    DeviceHandler,
+    DeviceServer,
+    EmulatorConfig,
     Served,
     SharedWorld,
+    ThreadedEmulator,
     WorldReader,
-    emulator_parser,
-    run_emulator,
 )
 from rig.core.fault_injection import FaultInjector, corrupted_bytes
+from rig.devices.force.emulated_noise import NOISE_ROWS, noise_table
 from rig.devices.force.netft_wire import (
     COMMAND_BIAS,
     COMMAND_REALTIME,
@@ -42,34 +39,28 @@ from rig.devices.force.netft_wire import (
     emit_page,
     parse_request,
 )
+from rig.devices.force.settings import NetFtConfig
 
-logger = logging.getLogger(__name__)
-
-_NOISE_ROWS = 8192
-# N m of torque noise per N of force noise: the ratio of a Nano17's resolutions.
-_TORQUE_NOISE = 0.005
 _INTERNAL_HZ = 7000
 _WRONG_UNITS = ("lbf", "lbf-in")
 
 
 @dataclass(frozen=True, slots=True)
-class NetFtEmulatorConfig:
-    """Address and settings of the emulated box."""
+class NetFtEmulatorConfig(EmulatorConfig):
+    """Ports and settings of the emulated box."""
 
-    host: str = "127.0.0.1"
-    http_port: int = 8080
-    udp_port: int = 49152
-    page: Page = field(default_factory=lambda: Page(product="Net F/T emulator", serial="FT00000"))
+    device: NetFtConfig = field(default=NetFtConfig(http_port=8080))
+    page: Page = field(default=Page(product="Net F/T emulator", serial="FT00000"))
     """Content of netftapi2.xml; comm.cgi changes its rate."""
-    noise: float = 0.0
+    noise: float = field(default=0.0, metadata={"unit": "n"})
     """Standard deviation of the force components [N]."""
-    seed: int = 0
 
 
-class NetFtEmulator:
+class NetFtEmulator(ThreadedEmulator):
     """Emulated box: one thread sends records and receives commands, others answer HTTP."""
 
     def __init__(self, config: NetFtEmulatorConfig, world: WorldReader, clock: Clock) -> None:
+        super().__init__()
         self.page = config.page
         self._config = config
         self._scale = np.repeat(config.page.scale(), 3)
@@ -78,24 +69,19 @@ class NetFtEmulator:
         )
         self._world = world
         self._clock = clock
-        self._rng = np.random.default_rng(config.seed)
-        self._ending = threading.Event()
-        self._threads: list[threading.Thread] = []
         self._udp: socket.socket | None = None
-        self._http: ThreadingHTTPServer | None = None
+        self._http: _HttpServer | None = None
         self._peer: tuple[str, int] | None = None
         self._left = 0
         self._rdt_sequence = 0
         self._ft_sequence = 0
-        self.missed = 0
-        """Number of records skipped as too late."""
         self._bias = np.zeros(6)
 
     @property
     def address(self) -> str:
         """Host and UDP port, and the HTTP port."""
         c = self._config
-        return f"{c.host}:{c.udp_port} http://{c.host}:{c.http_port}"
+        return f"{c.host}:{c.device.udp_port} http://{c.host}:{c.device.http_port}"
 
     def start(self) -> None:
         """Start serving.
@@ -105,31 +91,21 @@ class NetFtEmulator:
         """
         self._udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
-            self._udp.bind((self._config.host, self._config.udp_port))
+            self._udp.bind((self._config.host, self._config.device.udp_port))
             self._udp.setblocking(False)
-            self._http = _HttpServer((self._config.host, self._config.http_port), self)
+            self._http = _HttpServer((self._config.host, self._config.device.http_port), self)
         except OSError:
             self._udp.close()
             raise
-        self._threads = [
-            threading.Thread(target=self._stream, args=(self._udp,), name="netft-emulator"),
-            threading.Thread(
-                target=self._http.serve_forever, args=(0.05,), name="netft-emulator-http"
-            ),
-        ]
-        for thread in self._threads:
-            thread.start()
+        self._run_threads(partial(self._stream, self._udp), partial(self._http.serve_forever, 0.05))
 
-    def close(self) -> None:
-        """Stop serving; may be called twice."""
-        self._ending.set()
+    def _disconnect(self) -> None:
         if self._http is not None:
             self._http.shutdown()
             self._http.server_close()
             self._http = None
-        for thread in self._threads:
-            thread.join()
-        self._threads = []
+
+    def _release(self) -> None:
         if self._udp is not None:
             self._udp.close()
             self._udp = None
@@ -150,9 +126,7 @@ class NetFtEmulator:
             self.page = replace(self.page, rate_hz=rate_hz)
 
     def _stream(self, udp: socket.socket) -> None:
-        noise = self._rng.normal(0.0, self._config.noise, (_NOISE_ROWS, 6))
-        noise[:, 3:] *= _TORQUE_NOISE
-        noise /= self._scale
+        noise = noise_table(self._config.seed, self._config.noise) / self._scale
         number, counts, scale = -1, np.zeros(6), self._scale
         while not self._ending.is_set():
             if self._peer is None:
@@ -175,7 +149,7 @@ class NetFtEmulator:
                 continue
             self._rdt_sequence = (self._rdt_sequence + 1) & 0xFFFFFFFF
             self._ft_sequence = (self._ft_sequence + stride) & 0xFFFFFFFF
-            row = noise[self._ft_sequence % _NOISE_ROWS]
+            row = noise[self._ft_sequence % NOISE_ROWS]
             shown = np.rint(counts - self._bias + row).clip(-(2**31), 2**31 - 1).astype(np.int64)
             packet = RECORD.pack(
                 self._rdt_sequence, self._ft_sequence, self.page.runstat, *shown.tolist()
@@ -212,75 +186,31 @@ class NetFtEmulator:
                 self._bias = counts
 
 
-class _HttpServer(ThreadingHTTPServer, NamelessServer):
+class _HttpServer(DeviceServer):
     """The box's web server, for netftapi2.xml and comm.cgi."""
-
-    daemon_threads = True
 
     def __init__(self, address: tuple[str, int], emulator: NetFtEmulator) -> None:
         self.emulator = emulator
-        super().__init__(address, _Handler)
-
-    def verify_request(self, request: Any, client_address: Any) -> bool:
-        """Reject every client while the box is unplugged."""
-        return not self.emulator.faults.unplugged
-
-    def handle_error(self, request: Any, client_address: Any) -> None:
-        """Log at debug level: a client that leaves before its answer is no error."""
-        logger.debug("client %s: %s", client_address, sys.exception())
+        super().__init__(address, _Handler, emulator.faults)
 
 
-class _Handler(BaseHTTPRequestHandler):
+class _Handler(DeviceHandler):
     server: _HttpServer
     timeout = 5.0
 
-    def do_GET(self) -> None:
-        url = urlsplit(self.path)
+    def get(self, url: SplitResult) -> None:
         if url.path == "/netftapi2.xml":
-            self._answer(emit_page(self.server.emulator.page), "text/xml")
+            self.answer(emit_page(self.server.emulator.page), "text/xml")
         elif url.path == "/comm.cgi":
             for text in parse_qs(url.query).get("comrdtrate", []):
                 if text.isdecimal():
                     self.server.emulator.set_rate(int(text))
-            self._answer(b"<html>ok</html>", "text/html")
+            self.answer(b"<html>ok</html>", "text/html")
         else:
             self.send_error(404)
 
-    def _answer(self, content: bytes, kind: str) -> None:
-        self.send_response(200)
-        self.send_header("Content-Type", kind)
-        self.send_header("Content-Length", str(len(content)))
-        self.end_headers()
-        self.wfile.write(content)
 
-    def log_message(self, format: str, *args: object) -> None:
-        """Print nothing: stdout is reserved for the ready line."""
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Serve until terminated; return the exit code."""
-    parser = emulator_parser("rig.devices.force.netft_emulator", __doc__)
-    parser.add_argument("--http-port", type=int, default=8080, help="(%(default)s)")
-    parser.add_argument("--udp-port", type=int, default=49152, help="(%(default)s)")
-    parser.add_argument("--noise", type=float, default=0.0, help="std of the force [N] (none)")
-    parser.add_argument("--force-unit", default="N", help="the box's unit (%(default)s)")
-    parser.add_argument("--torque-unit", default="N-mm", help="the box's unit (%(default)s)")
-    return run_emulator(parser, _make, argv)
-
-
-def _make(args: argparse.Namespace, world: SharedWorld) -> Served:
-    page = Page(
-        product="Net F/T emulator",
-        serial="FT00000",
-        force_unit=args.force_unit,
-        torque_unit=args.torque_unit,
-    )
-    config = NetFtEmulatorConfig(
-        args.host, args.http_port, args.udp_port, page, args.noise, args.seed
-    )
-    emulator = NetFtEmulator(config, world, SystemClock())
+def emulate(settings: NetFtEmulatorConfig, clock: Clock) -> Served:
+    """Return the emulated box."""
+    emulator = NetFtEmulator(settings, SharedWorld(settings.world), clock)
     return Served("netft", emulator, emulator.faults.inject)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rig.core.clock import Clock, Pacer
-from rig.core.driver import Inbox, Receiver
+from rig.core.driver import ReceivingDriver
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.packaged import BENCHES, packaged
 from rig.devices.force.calibration import TransducerCalibration, read_calibration
@@ -35,7 +35,7 @@ _BLOCK_MAX = 2000
 _STANDSTILL = 0.1
 
 
-class NidaqDriver:
+class NidaqDriver(ReceivingDriver):
     """Stream of an ATI DAQ F/T transducer on an NI card.
 
     Columns: value (6,) float64 [N, N m] untared, seq int64 (number of the sample; lost samples
@@ -43,10 +43,8 @@ class NidaqDriver:
     """
 
     def __init__(self, config: NidaqConfig, clock: Clock) -> None:
+        super().__init__(config.address, clock, _CAPACITY)
         self._config = config
-        self._clock = clock
-        self._inbox = Inbox(clock, _CAPACITY)
-        self._receiver: Receiver | None = None
         self._task: AnalogTask | None = None
         self._calibration: TransducerCalibration | None = None
         self._pacer = Pacer(clock, _POLL_HZ)
@@ -55,14 +53,8 @@ class NidaqDriver:
         self._shift = 0
         self._idle = 0
         self._broken_off_ns: int | None = None
-        self._gaps = 0
         self.overruns = 0
         """Number of times the card's buffer overflowed before it was read."""
-
-    @property
-    def dropped(self) -> int:
-        """Samples that the clock should have produced but that never reached `read`."""
-        return self._gaps + self._inbox.overflowed
 
     def open(self, timeout: float) -> None:
         """Read the calibration, set up the card, verify its settings, wait for a first sample.
@@ -72,7 +64,7 @@ class NidaqDriver:
                 card rejects a setting.
             DeviceLost: No such card, or nothing answers within `timeout` [s].
         """
-        self.close()
+        self._reset()
         config = self._config
         calibration = read_calibration(packaged(Path(config.calibration), BENCHES))
         self._calibration = calibration.moved(config.tool)
@@ -93,7 +85,6 @@ class NidaqDriver:
             timeout=timeout,
         )
         self._task = task
-        self._inbox = Inbox(self._clock, _CAPACITY)
         self._taken = self._shift = self._idle = 0
         self._broken_off_ns = None
         try:
@@ -110,22 +101,12 @@ class NidaqDriver:
             self.close()
             raise
         task.answer_within(config.silence)
-        self._receiver = Receiver(f"nidaq-{config.device}", self._receive, self._inbox)
-
-    def read(self, timeout: float) -> list[dict[str, Any]]:
-        """Return the samples since the last call; see `rig.core.driver.Driver.read`.
-
-        Raises:
-            DeviceLost: The card is gone, or has been silent for `NidaqConfig.silence`.
-        """
-        if self._receiver is None:
-            raise DeviceLost(f"{self._config.address}: not open")
-        return self._inbox.take(timeout)
+        self._start_receiving(f"nidaq-{config.device}")
 
     def describe(self) -> dict[str, Any]:
         """Return card, range and rate as read back, and the calibration in use."""
         if self._task is None or self._calibration is None:
-            raise DeviceLost(f"{self._config.address}: not open")
+            raise self._not_open()
         return {
             "device": "ATI DAQ F/T on NI-DAQmx",
             "address": self._config.address,
@@ -141,11 +122,7 @@ class NidaqDriver:
             "rated": list(self._calibration.rated),
         }
 
-    def close(self) -> None:
-        """Stop the task and release the card; may be called twice."""
-        if self._receiver is not None:
-            self._receiver.close()
-            self._receiver = None
+    def _release(self) -> None:
         if self._task is not None:
             self._task.close()
             self._task = None
@@ -154,7 +131,7 @@ class NidaqDriver:
         from rig.devices.force.nidaq_task import Overrun
 
         if self._task is None:
-            raise DeviceLost(f"{self._config.address}: not open")
+            raise self._not_open()
         self._pacer.wait()
         try:
             acquired = self._task.acquired()
@@ -201,7 +178,7 @@ class NidaqDriver:
 
     def _keep(self, volts: npt.NDArray[np.float64]) -> None:
         if self._calibration is None or self._task is None:
-            raise DeviceLost(f"{self._config.address}: not open")
+            raise self._not_open()
         count = len(volts)
         times = self._timeline.take(self._taken, count)
         wrench = self._calibration.wrench(volts)

@@ -1,6 +1,6 @@
 """Emulated NI card with an ATI DAQ F/T: NI-DAQmx over gRPC, the World's wrench as volts.
 
-    python -m rig.devices.force.nidaq_emulator --calibration benches/mock-nano17.cal --world PATH
+    python -m rig.mock.emulate nidaq '{"device": {"calibration": "benches/mock-nano17.cal"}}'
 
 It answers the calls of one task of analog inputs, as the NI gRPC Device Server would: errors as
 status UNKNOWN with the code in the trailing metadata `ni-error`. Voltages are the World's wrench
@@ -10,11 +10,9 @@ rig.core.fault_injection act between the converter and the card's buffer.
 
 from __future__ import annotations
 
-import argparse
 import logging
 import random
 import re
-import sys
 import threading
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -28,11 +26,13 @@ import numpy.typing as npt
 from nidaqmx._stubs import nidaqmx_pb2 as pb
 from nidaqmx._stubs import nidaqmx_pb2_grpc as stubs
 
-from rig.core.clock import Clock, Pacer, SystemClock
-from rig.core.emulation import Served, SharedWorld, WorldReader, emulator_parser, run_emulator
+from rig.core.clock import Clock, Pacer
+from rig.core.emulation import EmulatorConfig, Served, SharedWorld, WorldReader
 from rig.core.fault_injection import FaultInjector
 from rig.core.packaged import BENCHES, packaged
-from rig.devices.force.calibration import TransducerCalibration, read_calibration
+from rig.devices.force.calibration import read_calibration
+from rig.devices.force.emulated_noise import NOISE_ROWS, noise_table
+from rig.devices.force.settings import NidaqConfig
 
 # Inputs of an emulated task of an NI card, and the buffer filled by its sample clock.
 
@@ -184,7 +184,7 @@ class Service(stubs.NiDAQmxServicer):  # type: ignore[misc]
         match = _CHANNELS.fullmatch(request.physical_channel)
         if match is None:
             _fail(context, _NO_CHANNEL)
-        if match["device"] != self._card.config.device:
+        if match["device"] != self._card.config.device.device:
             _fail(context, _NO_DEVICE)
         first, last = int(match["first"]), int(match["last"] or match["first"])
         if not first <= last < _INPUTS:
@@ -332,7 +332,7 @@ class Service(stubs.NiDAQmxServicer):  # type: ignore[misc]
         return task
 
     def _check_device(self, request: Any, context: Any) -> None:
-        if request.device_name != self._card.config.device:
+        if request.device_name != self._card.config.device.device:
             _fail(context, _NO_DEVICE)
         if self._card.unplugged:
             _fail(context, _GONE)
@@ -347,26 +347,21 @@ def _fail(context: Any, code: int) -> NoReturn:
 
 logger = logging.getLogger(__name__)
 
-_NOISE_ROWS = 8192
-# N m of torque noise per N of force noise: the ratio of a Nano17's resolutions.
-_TORQUE_NOISE = 0.005
 _BITS = 16
+# Address of a device server by NI's default, for a card without one.
+_GRPC = "loopback:31763"
 
 
 @dataclass(frozen=True, slots=True)
-class NidaqEmulatorConfig:
-    """Address of the emulated card, and the transducer connected to it."""
+class NidaqEmulatorConfig(EmulatorConfig):
+    """Emulated card, and the transducer connected to it."""
 
-    calibration: TransducerCalibration
-    host: str = "127.0.0.1"
-    port: int = 31763
-    device: str = "Dev1"
-    """Name of the card."""
-    offset: tuple[float, ...] = (0.0,) * 6
+    device: NidaqConfig
+    """Its `grpc` has the port."""
+    offset: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     """Gauge voltages without a load [V]."""
-    noise: float = 0.0
+    noise: float = field(default=0.0, metadata={"unit": "n"})
     """Standard deviation of the force components [N]."""
-    seed: int = 0
     rate_max_hz: float = 250_000.0
     """Highest rate of the card."""
 
@@ -383,10 +378,9 @@ class NidaqEmulator:
         """Clock ticks at which this thread was late; the sample was repeated."""
         self._server: grpc.Server | None = None
         self._pool: ThreadPoolExecutor | None = None
-        rng = np.random.default_rng(config.seed)
-        noise = rng.normal(0.0, config.noise, (_NOISE_ROWS, 6))
-        noise[:, 3:] *= _TORQUE_NOISE
-        self._noise = config.calibration.volts(noise)
+        calibration = packaged(Path(config.device.calibration), BENCHES)
+        self._calibration = read_calibration(calibration)
+        self._noise = self._calibration.volts(noise_table(config.seed, config.noise))
         self._row = 0
         self._newest, self._volts = -1, np.zeros(6)
         self._service = Service(self)
@@ -394,7 +388,8 @@ class NidaqEmulator:
     @property
     def address(self) -> str:
         """Address for clients."""
-        return f"{self.config.host}:{self.config.port}"
+        _, _, port = (self.config.device.grpc or _GRPC).rpartition(":")
+        return f"{self.config.host}:{port}"
 
     @property
     def unplugged(self) -> bool:
@@ -440,10 +435,9 @@ class NidaqEmulator:
         """Return the current voltages (1, channels), with noise, range limits and 16 bits."""
         number, state = self._world.state()
         if number != self._newest:
-            calibration = self.config.calibration
-            volts = calibration.volts(np.array(state["wrench"], np.float64))
+            volts = self._calibration.volts(np.array(state["wrench"], np.float64))
             self._newest, self._volts = number, volts + np.array(self.config.offset)
-        self._row = (self._row + 1) % _NOISE_ROWS
+        self._row = (self._row + 1) % NOISE_ROWS
         gauges = self._volts + self._noise[self._row]
         low = np.array([channel.low for channel in channels])
         high = np.array([channel.high for channel in channels])
@@ -473,30 +467,7 @@ def _corrupt(volts: Array, rng: random.Random) -> Array:
     return np.array([[rng.uniform(low, high) for _ in row] for row in volts])
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Serve until terminated; return the exit code."""
-    parser = emulator_parser("rig.devices.force.nidaq_emulator", __doc__)
-    parser.add_argument("--port", type=int, default=31763, help="(%(default)s)")
-    parser.add_argument(
-        "--calibration", type=Path, required=True, help="the transducer's .cal file"
-    )
-    parser.add_argument("--device", default="Dev1", help="name of the card (%(default)s)")
-    parser.add_argument("--noise", type=float, default=0.0, help="std of the force [N] (none)")
-    return run_emulator(parser, _make, argv)
-
-
-def _make(args: argparse.Namespace, world: SharedWorld) -> Served:
-    config = NidaqEmulatorConfig(
-        read_calibration(packaged(args.calibration, BENCHES)),
-        args.host,
-        args.port,
-        args.device,
-        noise=args.noise,
-        seed=args.seed,
-    )
-    emulator = NidaqEmulator(config, world, SystemClock())
+def emulate(settings: NidaqEmulatorConfig, clock: Clock) -> Served:
+    """Return the emulated card."""
+    emulator = NidaqEmulator(settings, SharedWorld(settings.world), clock)
     return Served("nidaq", emulator, emulator.faults.inject)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import logging
+import select
 import termios
 import threading
 from collections.abc import Callable
@@ -232,9 +233,7 @@ class RobotiqDriver:
                 # The rest of a late answer must not be taken for this one.
                 port.reset_input_buffer()
                 port.write(emit_request(request))
-                frame = port.read(_REFUSAL)
-                if len(frame) == _REFUSAL and not frame[1] & 0x80:
-                    frame += port.read(reply_length(request) - _REFUSAL)
+                frame = self._reply(port, request)
             except (OSError, termios.error, TypeError) as error:
                 # pyserial raises TypeError when the port is closed under a read.
                 raise DeviceLost(f"{self._where}: {error}; is its cable in?") from error
@@ -247,6 +246,19 @@ class RobotiqDriver:
             return parse_reply(frame, request)
         except (FrameError, RefusedError) as error:
             raise DeviceLost(f"{self._where}: {error}") from error
+
+    def _reply(self, port: Any, request: Request) -> bytes:
+        """Return the bytes received within the time limit, up to the end of the reply."""
+        deadline_ns = self._clock.now_ns() + round(self._config.answer * SECOND_NS)
+        frame, wanted = b"", _REFUSAL
+        while len(frame) < wanted:
+            left = (deadline_ns - self._clock.now_ns()) / SECOND_NS
+            if left <= 0 or not select.select([port], [], [], left)[0]:
+                break
+            frame += port.read(min(max(port.in_waiting, 1), wanted - len(frame)))
+            if len(frame) == _REFUSAL and not frame[1] & 0x80:
+                wanted = reply_length(request)
+        return frame
 
 
 def _hint(error: Exception) -> str:

@@ -1,9 +1,9 @@
 """Emulated Robotiq 2F gripper: Modbus RTU on a pty.
 
-    python -m rig.devices.gripper.robotiq_emulator --link PATH [--holding]
+    python -m rig.mock.emulate robotiq_2f '{"device": {"port": "/tmp/tty"}, "holding": true}'
 
-PATH becomes a link to the pty, as udev's links name a lab's port. A pty has no baud rate: any rate
-works. Faults are injected through rig.core.fault_injection, with these in addition:
+The port becomes a link to the pty, as udev's links name a lab's port. A pty has no baud rate: any
+rate works. Faults are injected through rig.core.fault_injection, with these in addition:
 
     lose_grip            the object is gone, the fingers close
     slip      counts     the fingers close by this much and still hold
@@ -13,19 +13,17 @@ works. Faults are injected through rig.core.fault_injection, with these in addit
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import os
 import select
-import sys
 import threading
-import tty
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rig.core.clock import SECOND_NS, Clock, SystemClock
-from rig.core.emulation import Served, SharedWorld, emulator_parser, run_emulator
+from rig.core.clock import SECOND_NS, Clock
+from rig.core.emulation import EmulatorConfig, Pty, Served, ThreadedEmulator
 from rig.core.fault_injection import FaultInjector, corrupted_bytes
 from rig.devices.gripper.robotiq_wire import (
     ACTIVATING,
@@ -55,6 +53,7 @@ from rig.devices.gripper.robotiq_wire import (
     parse_request,
     request_length,
 )
+from rig.devices.gripper.settings import RobotiqConfig
 
 # Behaviour of the emulated gripper: activation, movement, the object, faults. No I/O.
 #
@@ -189,7 +188,7 @@ class Fingers:
 _GAP = 0.02
 
 
-class RobotiqEmulator:
+class RobotiqEmulator(ThreadedEmulator):
     """An emulated gripper.
 
     Args:
@@ -200,12 +199,10 @@ class RobotiqEmulator:
         seed: Seed of the fault injector's garbage.
     """
 
-    missed = 0
-    """Always 0: the gripper only answers requests, so no time is missed."""
-
     def __init__(
         self, fingers: Fingers, link: Path, clock: Clock, *, slave: int = 9, seed: int = 0
     ) -> None:
+        super().__init__()
         self.fingers = fingers
         self.faults = FaultInjector[bytes](clock, spoil=corrupted_bytes, seed=seed)
         self.requests = 0
@@ -213,9 +210,7 @@ class RobotiqEmulator:
         self._link = link
         self._slave = slave
         self._lock = threading.Lock()
-        self._fds: tuple[int, int] | None = None
-        self._ending = threading.Event()
-        self._thread: threading.Thread | None = None
+        self._pty: Pty | None = None
 
     @property
     def address(self) -> str:
@@ -228,17 +223,13 @@ class RobotiqEmulator:
         Raises:
             OSError: The link cannot be created.
         """
-        self._plug()
-        self._thread = threading.Thread(target=self._run, name="gripper")
-        self._thread.start()
+        self._pty = Pty(self._link)
+        self._run_threads(self._run)
 
-    def close(self) -> None:
-        """Stop serving; may be called twice."""
-        self._ending.set()
-        if self._thread is not None:
-            self._thread.join()
-            self._thread = None
-        self._unplug()
+    def _release(self) -> None:
+        if self._pty is not None:
+            self._pty.close()
+            self._pty = None
 
     def inject(self, fault: str, **values: Any) -> dict[str, Any]:
         """Inject a fault and return the emulator's state.
@@ -260,36 +251,18 @@ class RobotiqEmulator:
             line = self.faults.inject(fault, **values)
         return {**line, "requests": self.requests}
 
-    def _plug(self) -> None:
-        master, slave = os.openpty()
-        tty.setraw(master)
-        tty.setraw(slave)
-        # The emulator keeps the device side open too: reading a pty that nobody has open fails.
-        fresh = self._link.with_name(f"{self._link.name}.new")
-        fresh.unlink(missing_ok=True)
-        fresh.symlink_to(os.ttyname(slave))
-        fresh.replace(self._link)
-        self._fds = (master, slave)
-
-    def _unplug(self) -> None:
-        if self._fds is not None:
-            for fd in self._fds:
-                os.close(fd)
-            self._fds = None
-            self._link.unlink(missing_ok=True)
-
     def _run(self) -> None:
         pending = b""
         while not self._ending.is_set():
             # Only this thread opens and closes the pty, so that no reused descriptor is read.
             if self.faults.unplugged:
-                self._unplug()
+                self._release()
                 self._ending.wait(0.01)
                 continue
-            if self._fds is None:
-                self._plug()
+            if self._pty is None:
+                self._pty = Pty(self._link)
                 pending = b""
-            fd = self._fds[0] if self._fds else -1
+            fd = self._pty.fd
             with contextlib.suppress(OSError, ValueError):
                 if not select.select([fd], [], [], _GAP)[0]:
                     pending = b""
@@ -335,26 +308,20 @@ class RobotiqEmulator:
         return emit_reply(request, registers[first : first + request.count])
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Serve until terminated; return the exit code."""
-    parser = emulator_parser("rig.devices.gripper.robotiq_emulator", __doc__)
-    parser.add_argument("--link", type=Path, required=True, help="link to create to the port")
-    parser.add_argument("--slave", type=int, default=9, help="Modbus address (%(default)s)")
-    parser.add_argument(
-        "--object", type=int, default=120, help="its position, 0 to 255 (%(default)s)"
-    )
-    parser.add_argument(
-        "--holding", action="store_true", help="start activated and closed on the object"
-    )
-    return run_emulator(parser, _make, argv)
+@dataclass(frozen=True, slots=True)
+class RobotiqEmulatorConfig(EmulatorConfig):
+    """Port and object of the emulated gripper."""
+
+    device: RobotiqConfig
+    holding: bool = False
+    """Start activated and closed on the object."""
 
 
-def _make(args: argparse.Namespace, _: SharedWorld) -> Served:
-    clock = SystemClock()
-    fingers = Fingers(clock, object_at=args.object, holding=args.holding)
-    emulator = RobotiqEmulator(fingers, args.link, clock, slave=args.slave, seed=args.seed)
+def emulate(settings: RobotiqEmulatorConfig, clock: Clock) -> Served:
+    """Return the emulated gripper, with the object at `object_mock` of its device."""
+    device = settings.device
+    fingers = Fingers(clock, object_at=device.object_mock, holding=settings.holding)
+    emulator = RobotiqEmulator(
+        fingers, Path(device.port), clock, slave=device.slave, seed=settings.seed
+    )
     return Served("gripper", emulator, emulator.inject)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

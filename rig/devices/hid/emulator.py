@@ -1,6 +1,7 @@
-"""Emulated pedal or SpaceMouse, for machines without hidraw: see rig/devices/hid/shim.py.
+r"""Emulated pedal or SpaceMouse, for machines without hidraw: see rig/devices/hid/shim.py.
 
-    python -m rig.devices.hid.emulator --kind pedal --socket PATH.hidraw
+    python -m rig.mock.emulate hid_pedal \
+        '{"device": {"kind": "hid_pedal", "device": "/tmp/pedal.hidraw"}}'
 
 It is the device's side of a hidraw node: reports over a Unix socket, the report descriptor and the
 identity in files next to it. Only a process with the shim preloaded sees a HID device there. Faults
@@ -13,22 +14,21 @@ are injected through rig.core.fault_injection, as are the actions of a hand or a
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import shutil
 import socket
-import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rig.core.clock import SECOND_NS, Clock, Pacer, SystemClock
-from rig.core.emulation import Served, SharedWorld, emulator_parser, run_emulator
+from rig.core.clock import SECOND_NS, Clock, Pacer
+from rig.core.emulation import EmulatorConfig, Served, ThreadedEmulator
 from rig.core.errors import ConfigError
 from rig.core.fault_injection import FaultInjector, corrupted_bytes
 from rig.devices.hid.reports import Axes, CapReport, emit_cap, emit_keys
+from rig.devices.hid.settings import PedalConfig, SpaceMouseConfig
 
 _RATE_HZ = 60.0
 # The letter b, which these pedals send by default.
@@ -77,7 +77,7 @@ KINDS = {
 }
 
 
-class HidEmulator:
+class HidEmulator(ThreadedEmulator):
     """Emulated HID device.
 
     Args:
@@ -96,6 +96,7 @@ class HidEmulator:
         if path.suffix != ".hidraw":
             raise ConfigError(f"{path}: allowed: a name that ends with .hidraw")
         self.faults = FaultInjector[bytes](clock, spoil=corrupted_bytes, seed=seed)
+        super().__init__()
         self._kind = kind
         self._path = path
         self._clock = clock
@@ -104,10 +105,6 @@ class HidEmulator:
         self._lock = threading.RLock()
         self._push: tuple[Axes, Axes] | None = None
         self._push_until_ns = 0
-        self.missed = 0
-        """Number of ticks skipped as too late."""
-        self._ending = threading.Event()
-        self._thread: threading.Thread | None = None
 
     @property
     def address(self) -> str:
@@ -121,16 +118,7 @@ class HidEmulator:
             OSError: The node cannot be created.
         """
         self._plug()
-        self._thread = threading.Thread(target=self._run, name=self._kind)
-        self._thread.start()
-
-    def close(self) -> None:
-        """Stop serving; may be called twice."""
-        self._ending.set()
-        if self._thread is not None:
-            self._thread.join()
-            self._thread = None
-        self._unplug()
+        self._run_threads(self._run)
 
     def inject(self, fault: str, **values: Any) -> dict[str, Any]:
         """Inject a fault or a person's action, and return the emulator's state.
@@ -192,7 +180,7 @@ class HidEmulator:
         with self._lock:
             self._listener = listener
 
-    def _unplug(self) -> None:
+    def _release(self) -> None:
         with self._lock:
             if self._listener is not None:
                 self._listener.close()
@@ -209,7 +197,7 @@ class HidEmulator:
             pacer.wait()
             self.missed = pacer.missed
             if self.faults.unplugged:
-                self._unplug()
+                self._release()
                 continue
             if self._listener is None:
                 self._plug()
@@ -233,18 +221,19 @@ class HidEmulator:
         self.send(emit_cap(CapReport(turn=push[1])))
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Serve until terminated; return the exit code."""
-    parser = emulator_parser("rig.devices.hid.emulator", __doc__)
-    parser.add_argument("--kind", choices=sorted(KINDS), required=True, help="which device")
-    parser.add_argument("--socket", type=Path, required=True, help="node to create, NAME.hidraw")
-    return run_emulator(parser, _make, argv)
+@dataclass(frozen=True, slots=True)
+class HidEmulatorConfig(EmulatorConfig):
+    """Device, and the node to create."""
+
+    device: PedalConfig | SpaceMouseConfig
 
 
-def _make(args: argparse.Namespace, _: SharedWorld) -> Served:
-    emulator = HidEmulator(args.kind, args.socket, SystemClock(), seed=args.seed)
-    return Served(args.kind, emulator, emulator.inject)
+def emulate(settings: HidEmulatorConfig, clock: Clock) -> Served:
+    """Return the emulated device.
 
-
-if __name__ == "__main__":
-    sys.exit(main())
+    Raises:
+        ConfigError: The ending of the node is not allowed.
+    """
+    kind = "pedal" if isinstance(settings.device, PedalConfig) else "spacemouse"
+    emulator = HidEmulator(kind, Path(settings.device.device), clock, seed=settings.seed)
+    return Served(kind, emulator, emulator.inject)

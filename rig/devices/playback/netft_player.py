@@ -7,13 +7,12 @@ counts on from there; the recorded rows follow under their recorded numbers.
 from __future__ import annotations
 
 import socket
-import threading
-from http.server import BaseHTTPRequestHandler, HTTPServer
-from urllib.parse import urlsplit
+from functools import partial
+from urllib.parse import SplitResult
 
 import numpy as np
 
-from rig.core.emulation import NamelessServer
+from rig.core.emulation import DeviceHandler, DeviceServer, ThreadedEmulator
 from rig.devices.force.netft_wire import (
     COMMAND_REALTIME,
     COMMAND_STOP,
@@ -27,7 +26,7 @@ HTTP_PORT, UDP_PORT = 8080, 49152
 _POLL = 0.1
 
 
-class NetFtPlayback:
+class NetFtPlayback(ThreadedEmulator):
     """Emulated box that serves its settings page and its records.
 
     Args:
@@ -39,6 +38,7 @@ class NetFtPlayback:
     """A socket of the default size holds 250 packets."""
 
     def __init__(self, recorded: RecordedStream, host: str) -> None:
+        super().__init__()
         self._host = host
         self._page = emit_page(force_page(recorded.stream))
         rows = slice(recorded.rows.start, recorded.rows.stop)
@@ -48,10 +48,8 @@ class NetFtPlayback:
         self._seq = (recorded.stream.array("seq")[rows] & 0xFFFFFFFF).tolist() or [1]
         self._status = recorded.stream.array("status")[rows].tolist() or [0]
         self._udp: socket.socket | None = None
-        self._http: HTTPServer | None = None
+        self._http: _PageServer | None = None
         self._peer: tuple[str, int] | None = None
-        self._ending = threading.Event()
-        self._threads: list[threading.Thread] = []
 
     @property
     def address(self) -> str:
@@ -73,14 +71,9 @@ class NetFtPlayback:
             udp.close()
             raise
         self._udp = udp
-        self._threads = [
-            threading.Thread(target=self._take_commands, args=(udp,), name="netft-player"),
-            threading.Thread(
-                target=self._http.serve_forever, args=(0.05,), name="netft-player-http"
-            ),
-        ]
-        for thread in self._threads:
-            thread.start()
+        self._run_threads(
+            partial(self._take_commands, udp), partial(self._http.serve_forever, 0.05)
+        )
 
     def send(self, place: int) -> None:
         """Send one record, as recorded.
@@ -98,16 +91,13 @@ class NetFtPlayback:
     def wake(self) -> None:
         """Do nothing: the driver's waits are short."""
 
-    def close(self) -> None:
-        """Stop; may be called twice."""
-        self._ending.set()
+    def _disconnect(self) -> None:
         if self._http is not None:
             self._http.shutdown()
             self._http.server_close()
             self._http = None
-        for thread in self._threads:
-            thread.join()
-        self._threads = []
+
+    def _release(self) -> None:
         if self._udp is not None:
             self._udp.close()
             self._udp = None
@@ -130,7 +120,7 @@ class NetFtPlayback:
                 self._peer = None
 
 
-class _PageServer(NamelessServer):
+class _PageServer(DeviceServer):
     """Server of netftapi2.xml, the same for every request."""
 
     def __init__(self, address: tuple[str, int], page: bytes) -> None:
@@ -138,19 +128,12 @@ class _PageServer(NamelessServer):
         super().__init__(address, _PageHandler)
 
 
-class _PageHandler(BaseHTTPRequestHandler):
+class _PageHandler(DeviceHandler):
     server: _PageServer
     timeout = 5.0
 
-    def do_GET(self) -> None:
-        if urlsplit(self.path).path != "/netftapi2.xml":
+    def get(self, url: SplitResult) -> None:
+        if url.path == "/netftapi2.xml":
+            self.answer(self.server.page, "text/xml")
+        else:
             self.send_error(404)
-            return
-        self.send_response(200)
-        self.send_header("Content-Type", "text/xml")
-        self.send_header("Content-Length", str(len(self.server.page)))
-        self.end_headers()
-        self.wfile.write(self.server.page)
-
-    def log_message(self, format: str, *args: object) -> None:
-        """Print nothing: stdout is reserved for the ready line."""

@@ -9,20 +9,20 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-import threading
 
 import numpy as np
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.server import Server, ServerConnection
 from websockets.sync.server import serve as listen
 
+from rig.core.emulation import ThreadedEmulator
 from rig.devices.playback.wire import RecordedStream, stated_rate
 from rig.devices.taxels.xela_emulator import emit
 
 PORT = 5000
 
 
-class XelaPlayback:
+class XelaPlayback(ThreadedEmulator):
     """Emulated server that sends scans over WebSocket.
 
     Args:
@@ -34,6 +34,7 @@ class XelaPlayback:
     """The driver keeps 10 000 scans for a late recorder."""
 
     def __init__(self, recorded: RecordedStream, host: str) -> None:
+        super().__init__()
         self._host = host
         rows = slice(recorded.rows.start, recorded.rows.stop)
         stream = recorded.stream
@@ -45,9 +46,7 @@ class XelaPlayback:
         self._layout = str(device.get("layout") or "1.8")
         self._rate_hz = stated_rate(stream)
         self._server: Server | None = None
-        self._thread: threading.Thread | None = None
         self._client: ServerConnection | None = None
-        self._ending = threading.Event()
 
     @property
     def address(self) -> str:
@@ -63,8 +62,7 @@ class XelaPlayback:
         self._server = listen(
             self._greet, self._host, PORT, compression=None, ping_interval=None, close_timeout=0.5
         )
-        self._thread = threading.Thread(target=self._server.serve_forever, name="xela-player")
-        self._thread.start()
+        self._run_threads(self._server.serve_forever)
 
     def send(self, place: int) -> None:
         """Send one scan, its number and time as recorded.
@@ -86,15 +84,10 @@ class XelaPlayback:
     def wake(self) -> None:
         """Do nothing: the driver's waits are short."""
 
-    def close(self) -> None:
-        """Disconnect; may be called twice."""
-        self._ending.set()
+    def _disconnect(self) -> None:
         if self._server is not None:
             self._server.shutdown()
             self._server = None
-        if self._thread is not None:
-            self._thread.join()
-            self._thread = None
 
     def _message(self, number: int, place: int) -> str:
         return emit(

@@ -15,7 +15,7 @@ from websockets.exceptions import ConnectionClosed, InvalidURI, WebSocketExcepti
 from websockets.sync.client import ClientConnection, connect
 
 from rig.core.clock import SECOND_NS, Clock
-from rig.core.driver import Inbox, Receiver
+from rig.core.driver import ReceivingDriver
 from rig.core.errors import ConfigError, DeviceLost
 from rig.devices.taxels.settings import XelaConfig
 from rig.devices.taxels.xela_wire import Scan, parse
@@ -34,19 +34,17 @@ _LATE_IN_A_ROW = 10
 _JUMP, _JUMPED = 8192, 0.5
 
 
-class XelaDriver:
+class XelaDriver(ReceivingDriver):
     """Stream of one uSkin sensor.
 
     Columns: value (taxels, 3) int32 raw counts, device_t float64 [s], seq int64, t_ns.
     """
 
     def __init__(self, config: XelaConfig, clock: Clock) -> None:
+        super().__init__(config.address, clock, _CAPACITY)
         self._config = config
-        self._clock = clock
         self._exits = contextlib.ExitStack()
         self._connection: ClientConnection | None = None
-        self._receiver: Receiver | None = None
-        self._inbox = Inbox(clock, _CAPACITY)
         self._first: Scan | None = None
         self._sequence: int | None = None
         self._restarted_by = 0
@@ -54,18 +52,12 @@ class XelaDriver:
         self._corrupt_in_a_row = 0
         self._late_in_a_row = 0
         self._newest: Scan | None = None
-        self._gaps = 0
         self.duplicates = 0
         """Number of messages with the same number as the previous one; only the first is kept."""
         self.late = 0
         """Number of messages received after a later one; they are among `dropped`."""
         self.corrupt = 0
         """Number of messages that were invalid, or whose values no touch could cause."""
-
-    @property
-    def dropped(self) -> int:
-        """Scans that never reached `read`: gaps in the server's count, or not read in time."""
-        return self._gaps + self._inbox.overflowed
 
     @property
     def rejected(self) -> dict[str, int]:
@@ -79,9 +71,8 @@ class XelaDriver:
             DeviceLost: No such server answers within `timeout` [s].
             ConfigError: The address is not a WebSocket address.
         """
-        self.close()
+        self._reset()
         deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
-        self._inbox = Inbox(self._clock, _CAPACITY)
         self._first = self._newest = self._sequence = None
         self._idle = self._corrupt_in_a_row = self._late_in_a_row = self._restarted_by = 0
         try:
@@ -115,22 +106,12 @@ class XelaDriver:
         except DeviceLost:
             self.close()
             raise
-        self._receiver = Receiver(f"xela-{self._config.address}", self._receive, self._inbox)
-
-    def read(self, timeout: float) -> list[dict[str, Any]]:
-        """Return the scans since the last call; see `rig.core.driver.Driver.read`.
-
-        Raises:
-            DeviceLost: The connection broke, fell silent, or delivers invalid messages.
-        """
-        if self._receiver is None:
-            raise DeviceLost(f"{self._config.address}: not open")
-        return self._inbox.take(timeout)
+        self._start_receiving(f"xela-{self._config.address}")
 
     def describe(self) -> dict[str, Any]:
         """Return model, layout and the rate that the server stated in its first scan."""
         if self._first is None:
-            raise DeviceLost(f"{self._config.address}: not open")
+            raise self._not_open()
         description = self._first.description
         ups = description.get("ups")
         return {
@@ -146,17 +127,13 @@ class XelaDriver:
             "device_clock": "utc" if np.isfinite(self._first.device_t) else "none",
         }
 
-    def close(self) -> None:
-        """Stop receiving and disconnect; may be called twice."""
-        if self._receiver is not None:
-            self._receiver.close()
-            self._receiver = None
+    def _release(self) -> None:
         self._exits.close()
         self._connection = None
 
     def _receive(self) -> None:
         if self._connection is None:
-            raise DeviceLost(f"{self._config.address}: not open")
+            raise self._not_open()
         try:
             text = self._connection.recv(timeout=_POLL)
         except TimeoutError:

@@ -1,7 +1,7 @@
 """Emulated `xela_server`: uSkin scans over WebSocket, from the World or a log of raw counts.
 
-    python -m rig.devices.taxels.xela_emulator --host 127.0.0.6 --port 5000 --world PATH
-    python -m rig.devices.taxels.xela_emulator --source trial.npy --rate-hz 100 --layout 1.7
+    python -m rig.mock.emulate xela '{"host": "127.0.0.6", "device": {"rate_hz": 100}}'
+    python -m rig.mock.emulate xela '{"source": "trial.npy", "layout": "1.7"}'
 
 A log is a (T, 3 x taxels) array, rounded to uint16 and played in a loop, one row per scan. Faults
 are injected through rig.core.fault_injection; `wrong_units` drops the last hexadecimal digit of
@@ -10,18 +10,17 @@ each value.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import itertools
 import json
 import socket
-import sys
 import threading
 from collections import deque
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
+from urllib.parse import urlsplit
 
 import numpy as np
 import numpy.typing as npt
@@ -29,10 +28,10 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.server import Server, ServerConnection
 from websockets.sync.server import serve as listen
 
-from rig.core.clock import SECOND_NS, Clock, ClockAnchor, Pacer, SystemClock
-from rig.core.emulation import Served, SharedWorld, WorldReader, emulator_parser, run_emulator
-from rig.core.errors import ConfigError
+from rig.core.clock import SECOND_NS, Clock, ClockAnchor, Pacer
+from rig.core.emulation import EmulatorConfig, Served, SharedWorld, ThreadedEmulator, WorldReader
 from rig.core.fault_injection import FaultInjector, spoilt_text
+from rig.devices.taxels.settings import XelaConfig
 
 Log = npt.NDArray[np.float64]
 
@@ -40,19 +39,18 @@ _BACKLOG = 512
 
 
 @dataclass(frozen=True, slots=True)
-class XelaEmulatorConfig:
-    """Address, rate and message layout of the emulated server."""
+class XelaEmulatorConfig(EmulatorConfig):
+    """Port, rate and message layout of the emulated server."""
 
-    host: str = "127.0.0.1"
-    port: int = 5000
-    rate_hz: float = 60.0
-    jitter: float = 0.0
+    device: XelaConfig = field(default_factory=XelaConfig)
+    jitter: float = field(default=0.0, metadata={"unit": "ms"})
     """Standard deviation of the delay of a scan [s]; scans are never early."""
-    layout: str = "1.8"
-    """Message layout: 1.7 or 1.8."""
+    layout: Literal["1.7", "1.8"] = "1.8"
+    """Message layout."""
     noise: float = 0.0
     """Standard deviation of each value [counts]; a real untouched patch has about 2.1."""
-    seed: int = 0
+    source: Path | None = None
+    """Log of raw counts (.npy) to play in place of the World."""
 
 
 def emit(number: int, seconds: float, counts: Sequence[int], *, layout: str, ups: float) -> str:
@@ -79,7 +77,7 @@ def emit(number: int, seconds: float, counts: Sequence[int], *, layout: str, ups
     return json.dumps(top | {"1": sensor})
 
 
-class XelaEmulator:
+class XelaEmulator(ThreadedEmulator):
     """Emulated server: one thread produces scans, one per client sends the newest.
 
     Args:
@@ -89,19 +87,18 @@ class XelaEmulator:
     """
 
     def __init__(self, config: XelaEmulatorConfig, source: WorldReader | Log, clock: Clock) -> None:
+        super().__init__()
         self._config = config
+        self._port = urlsplit(config.device.address).port or 80
         self._source = source
         self._clock = clock
         self._anchor = ClockAnchor.take()
         self._rng = np.random.default_rng(config.seed)
-        self._ending = threading.Event()
         self._changed = threading.Condition()
         # Messages of the newest scans: a client that falls behind gets them all in order, up to
         # this many, as from the vendor's server.
         self._scans: deque[tuple[str, ...]] = deque(maxlen=_BACKLOG)
         self._number = 0
-        self.missed = 0
-        """Number of scans skipped as too late."""
         self.faults = FaultInjector[str](
             clock,
             spoil=spoilt_text,
@@ -116,7 +113,7 @@ class XelaEmulator:
     @property
     def address(self) -> str:
         """WebSocket address."""
-        return f"ws://{self._config.host}:{self._config.port}"
+        return f"ws://{self._config.host}:{self._port}"
 
     def start(self) -> None:
         """Start serving.
@@ -127,29 +124,19 @@ class XelaEmulator:
         self._server = listen(
             self._serve_client,
             self._config.host,
-            self._config.port,
+            self._port,
             compression=None,
             ping_interval=None,
             close_timeout=0.5,
         )
-        self._threads = [
-            threading.Thread(target=self._make_scans, name="xela-emulator"),
-            threading.Thread(target=self._server.serve_forever, name="xela-emulator-accept"),
-        ]
-        for thread in self._threads:
-            thread.start()
+        self._run_threads(self._make_scans, self._server.serve_forever)
 
-    def close(self) -> None:
-        """Stop serving; may be called twice."""
-        self._ending.set()
+    def _disconnect(self) -> None:
         with self._changed:
             self._changed.notify_all()
         if self._server is not None:
             self._server.shutdown()
             self._server = None
-        for thread in self._threads:
-            thread.join()
-        self._threads = []
 
     def messages(self, message: str) -> Iterable[str]:
         """Return the messages sent for one scan; faults and tests corrupt messages here."""
@@ -164,7 +151,7 @@ class XelaEmulator:
             _cut(client)
 
     def _make_scans(self) -> None:
-        pacer = Pacer(self._clock, self._config.rate_hz)
+        pacer = Pacer(self._clock, self._config.device.rate_hz)
         while not self._ending.is_set():
             deadline_ns = pacer.wait()
             if self._config.jitter > 0:
@@ -178,7 +165,7 @@ class XelaEmulator:
                 now_ns / SECOND_NS,
                 counts,
                 layout=self._config.layout,
-                ups=self._config.rate_hz,
+                ups=self._config.device.rate_hz,
             )
             with self._changed:
                 self._number += 1
@@ -253,35 +240,12 @@ def load_log(path: Path) -> Log:
     return log
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Serve until terminated; return the exit code."""
-    parser = emulator_parser("rig.devices.taxels.xela_emulator", __doc__)
-    parser.add_argument("--port", type=int, default=5000, help="(%(default)s)")
-    parser.add_argument("--rate-hz", type=float, default=60.0, help="(%(default)s)")
-    parser.add_argument("--jitter-ms", type=float, default=0.0, help="std of the delay (none)")
-    parser.add_argument("--layout", choices=("1.7", "1.8"), default="1.8", help="(%(default)s)")
-    parser.add_argument("--noise", type=float, default=0.0, help="std [counts] (none)")
-    parser.add_argument("--source", type=Path, help="play this log of raw counts (.npy) instead")
-    return run_emulator(parser, _make, argv)
+def emulate(settings: XelaEmulatorConfig, clock: Clock) -> Served:
+    """Return the emulated server.
 
-
-def _make(args: argparse.Namespace, world: SharedWorld) -> Served:
-    config = XelaEmulatorConfig(
-        host=args.host,
-        port=args.port,
-        rate_hz=args.rate_hz,
-        jitter=args.jitter_ms / 1e3,
-        layout=args.layout,
-        noise=args.noise,
-        seed=args.seed,
-    )
-    try:
-        log = None if args.source is None else load_log(args.source)
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"--source: {error}") from error
-    emulator = XelaEmulator(config, world if log is None else log, SystemClock())
+    Raises:
+        OSError, ValueError: The log cannot be read, or has another shape.
+    """
+    source = SharedWorld(settings.world) if settings.source is None else load_log(settings.source)
+    emulator = XelaEmulator(settings, source, clock)
     return Served("xela", emulator, emulator.faults.inject)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -2,90 +2,71 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from rig.bench.worlds import AnalyticSpec, SimulatedSpec
-from rig.core.config import build
+from rig.core.config import build, read_yaml
 from rig.core.errors import ConfigError
 from rig.mock.world.analytic import AnalyticWorld, World, surface_of
 from rig.mock.world.picture import MarkerCamera
 from rig.mock.world.simulated import SimulatedView, SimulatedWorld
 
 __all__ = [
+    "ARM_FILE",
+    "WORLD_FILE",
     "AnalyticSpec",
     "AnalyticWorld",
     "SimulatedSpec",
     "SimulatedWorld",
     "World",
-    "WorldFile",
+    "WorldConfig",
     "build_world",
     "load_view",
-    "read_file",
 ]
 
-_SPECS: dict[str, type[AnalyticSpec] | type[SimulatedSpec]] = {
-    spec.KIND: spec for spec in (AnalyticSpec, SimulatedSpec)
-}
+# Records in a run folder: the arm's motion, and the World's states.
+ARM_FILE, WORLD_FILE = "arm.state", "world.state"
 
 
 @dataclass(frozen=True, slots=True)
-class WorldFile:
-    """Settings that a mock bench passes to the processes of its World."""
+class WorldConfig:
+    """Settings of the processes of a World, and of its view."""
 
     world: AnalyticSpec | SimulatedSpec
-    contact_frame: tuple[float, ...]
+    contact_frame: tuple[float, ...] = field(metadata={"pose": True})
     """Pose (6,) in the base frame [m, rad]."""
-    indenter: str
-    """Name of the indenter on the arm."""
     folder: Path
     """Run folder with the shared records."""
+    indenter: str = ""
+    """Name of the indenter on the arm."""
+    truth: Path | None = None
+    """File to log every state to, for tests."""
 
 
-def read_file(path: Path) -> WorldFile:
-    """Read the JSON file that a mock bench writes into its run folder.
-
-    It holds `world` as in a bench file, `contact_frame` as a pose (6,) [m, rad] and `indenter`.
-
-    Raises:
-        ConfigError: A key is missing or invalid.
-    """
-    content = json.loads(path.read_text())
-    if not isinstance(content, dict) or {"world", "contact_frame"} - content.keys():
-        raise ConfigError(f"{path}: allowed: a JSON object with 'world' and 'contact_frame'")
-    kind = content["world"].get("kind", AnalyticSpec.KIND)
-    if kind not in _SPECS:
-        raise ConfigError(f"{path}.world.kind: found {kind!r}; allowed: {sorted(_SPECS)}")
-    return WorldFile(
-        world=build(_SPECS[kind], content["world"], f"{path}.world"),
-        contact_frame=tuple(float(value) for value in content["contact_frame"]),
-        indenter=str(content.get("indenter", "")),
-        folder=path.parent,
-    )
-
-
-def build_world(path: Path) -> World:
-    """Build the World that the JSON file describes."""
-    file = read_file(path)
-    if isinstance(file.world, SimulatedSpec):
-        return SimulatedWorld(file.world, file.contact_frame, file.folder)
-    return AnalyticWorld(file.world, file.contact_frame)
+def build_world(settings: WorldConfig) -> World:
+    """Build the World of these settings."""
+    if isinstance(settings.world, SimulatedSpec):
+        return SimulatedWorld(settings.world, settings.contact_frame, settings.folder)
+    return AnalyticWorld(settings.world, settings.contact_frame)
 
 
 def load_view(path: Path) -> Callable[[np.void], np.ndarray]:
-    """Return a function that renders a WORLD_STATE as that World's camera: RGB (480, 640, 3) uint8.
+    """Return a function that renders a WORLD_STATE as a World's camera: RGB (480, 640, 3) uint8.
+
+    Args:
+        path: JSON document of the World.
 
     Raises:
-        ConfigError: The World has no camera.
+        ConfigError: The document is invalid, or the World has no camera.
     """
-    file = read_file(path)
-    spec = file.world
+    settings = build(WorldConfig, read_yaml(path), str(path))
+    spec = settings.world
     if isinstance(spec, SimulatedSpec):
-        return SimulatedView(spec, file.folder)
+        return SimulatedView(spec, settings.folder)
     if spec.markers is None:
         raise ConfigError(f"{path}.world.markers: missing; allowed: a marker view")
     grey = 0.0 if spec.noise is None else spec.noise.grey

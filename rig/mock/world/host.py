@@ -1,6 +1,6 @@
 """Process of the World: reads the arm's motion and publishes timestamped states.
 
-    python -m rig.mock.world.host --spec world.json --arm arm.state --world world.state
+    python -m rig.mock.emulate world --file world.json
 
 Contact depends on its history, so exactly one process steps the World, in the order of the arm's
 cycles; the sensors' emulators only serve the published states.
@@ -8,18 +8,11 @@ cycles; the sensors' emulators only serve the published states.
 
 from __future__ import annotations
 
-import argparse
-import sys
-import threading
-from collections.abc import Sequence
-from pathlib import Path
-
-from rig.core.clock import SystemClock
-from rig.core.emulation import Served, SharedWorld, emulator_parser, run_emulator
-from rig.core.errors import ConfigError
+from rig.core.clock import Clock, SystemClock
+from rig.core.emulation import Served, ThreadedEmulator
 from rig.core.samples import ARM_TRUTH, WORLD_STATE
 from rig.core.shared_memory import SharedLatest
-from rig.mock.world import build_world
+from rig.mock.world import ARM_FILE, WORLD_FILE, WorldConfig, build_world
 from rig.mock.world.analytic import World
 from rig.mock.world.truth import TruthLog
 
@@ -27,7 +20,7 @@ from rig.mock.world.truth import TruthLog
 _POLL_NS = 400_000
 
 
-class WorldHost:
+class WorldHost(ThreadedEmulator):
     """Steps a World along an arm's published motion, in its own thread.
 
     Args:
@@ -40,14 +33,11 @@ class WorldHost:
     def __init__(
         self, world: World, arm: SharedLatest, states: SharedLatest, truth: TruthLog | None
     ) -> None:
+        super().__init__()
         self._world = world
         self._arm = arm
         self._states = states
         self._truth = truth
-        self._ending = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="world")
-        self.missed = 0
-        """Cycles of the arm that ended before they were read."""
 
     @property
     def address(self) -> str:
@@ -56,13 +46,9 @@ class WorldHost:
 
     def start(self) -> None:
         """Follow the arm from now on."""
-        self._thread.start()
+        self._run_threads(self._run)
 
-    def close(self) -> None:
-        """Stop; may be called twice."""
-        self._ending.set()
-        if self._thread.is_alive():
-            self._thread.join()
+    def _release(self) -> None:
         if self._truth is not None:
             self._truth.close()
 
@@ -85,26 +71,13 @@ class WorldHost:
                 self._truth.append(state)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run until stopped."""
-    parser = emulator_parser("python -m rig.mock.world.host", __doc__)
-    parser.add_argument("--spec", type=Path, required=True, help="JSON with world, contact_frame")
-    parser.add_argument("--arm", type=Path, required=True, help="the arm emulator's pose")
-    parser.add_argument("--truth", type=Path, help="log every state here, for tests")
-    return run_emulator(parser, _make, argv)
-
-
-def _make(args: argparse.Namespace, _: SharedWorld) -> Served:
-    if args.world is None:
-        raise ConfigError("--world: missing; allowed: the file to publish states to")
+def emulate(settings: WorldConfig, _: Clock) -> Served:
+    """Return the host of the World."""
+    folder = settings.folder
     host = WorldHost(
-        build_world(args.spec),
-        SharedLatest.attach(args.arm, ARM_TRUTH),
-        SharedLatest.attach(args.world, WORLD_STATE, writable=True),
-        TruthLog(args.truth) if args.truth else None,
+        build_world(settings),
+        SharedLatest.attach(folder / ARM_FILE, ARM_TRUTH),
+        SharedLatest.attach(folder / WORLD_FILE, WORLD_STATE, writable=True),
+        TruthLog(settings.truth) if settings.truth else None,
     )
     return Served("world", host)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

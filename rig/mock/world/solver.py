@@ -1,6 +1,6 @@
 """Process that solves the contact of a simulated World along the arm's path.
 
-    python -m rig.mock.world.solver --spec world.json --arm arm.state
+    python -m rig.mock.emulate solver --file world.json
 
 It reads the arm's newest pose, moves the simulated press there from the previous pose, publishes
 the solution, and waits for its next turn. Poses that arrive while it is busy are skipped: the path
@@ -19,13 +19,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rig.bench.worlds import SimulatedSpec
-from rig.core.clock import SECOND_NS, Clock, Pacer, SystemClock
-from rig.core.emulation import emulator_parser, serve
+from rig.core.clock import SECOND_NS, Clock, Pacer
+from rig.core.emulation import Served
 from rig.core.errors import EXIT_DEVICE_LOST, ConfigError
 from rig.core.realtime import SOLVER_PRIORITY
 from rig.core.samples import ARM_TRUTH, PRESS_STATE, surface_state
 from rig.core.shared_memory import SharedLatest
-from rig.mock.world import read_file
+from rig.mock.world import ARM_FILE, WorldConfig
 from rig.mock.world.simulated import PRESS_FILE, SURFACE_FILE, ContactFrame, live_sensor
 
 if TYPE_CHECKING:
@@ -181,38 +181,27 @@ class Solver:
             signal.raise_signal(signal.SIGTERM)
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Solve until stopped."""
-    parser = emulator_parser("python -m rig.mock.world.solver", __doc__)
-    parser.add_argument("--spec", type=Path, required=True, help="JSON written by the mock bench")
-    parser.add_argument("--arm", type=Path, required=True, help="record of the arm emulator's pose")
-    options = parser.parse_args(argv)
-    file = read_file(options.spec)
-    if not isinstance(file.world, SimulatedSpec):
-        parser.error(f"--spec: found kind {file.world.KIND!r}; allowed: 'simulated'")
-    try:
-        live = live_sensor(file.world, file.indenter)
-    except ConfigError as error:
-        parser.error(str(error))
-    shared = Shared(file.folder, live)
-    arm = SharedLatest.attach(options.arm, ARM_TRUTH)
-    clock = SystemClock()
-    frame = ContactFrame(file.contact_frame)
-    solver = Solver(live, frame, arm, shared, file.world, clock)
-    code = serve(
-        "solver",
-        solver,
-        until_stdin_closes=options.until_stdin_closes,
-        priority=SOLVER_PRIORITY,
-    )
-    shared.close()
-    arm.close()
-    print(f"solver: {solver}", file=sys.stderr, flush=True)
-    if solver.failed is not None:
+def emulate(settings: WorldConfig, clock: Clock) -> Served:
+    """Return the solver.
+
+    Raises:
+        ConfigError: The World is not a simulated one, or its sensor or indenter is unknown.
+    """
+    spec = settings.world
+    if not isinstance(spec, SimulatedSpec):
+        raise ConfigError(f"world.kind: found {spec.KIND!r}; allowed: 'simulated'")
+    live = live_sensor(spec, settings.indenter)
+    shared = Shared(settings.folder, live)
+    arm = SharedLatest.attach(settings.folder / ARM_FILE, ARM_TRUTH)
+    solver = Solver(live, ContactFrame(settings.contact_frame), arm, shared, spec, clock)
+
+    def conclude() -> int:
+        shared.close()
+        arm.close()
+        print(f"solver: {solver}", file=sys.stderr, flush=True)
+        if solver.failed is None:
+            return 0
         print(f"solver: {solver.failed}", file=sys.stderr, flush=True)
         return EXIT_DEVICE_LOST
-    return code
 
-
-if __name__ == "__main__":
-    sys.exit(main())
+    return Served("solver", solver, priority=SOLVER_PRIORITY, conclude=conclude)

@@ -1,0 +1,144 @@
+"""Run one emulator of a mock bench: of a device, the World, its solver, or a recorded stream.
+
+    python -m rig.mock.emulate netft '{"device": {"http_port": 8080}, "noise_n": 0.01}'
+    python -m rig.mock.emulate opencv '{"source": "images/", "device": {"rate_hz": 60}}'
+    python -m rig.mock.emulate robotiq_2f --file gripper.json
+    python -m rig.mock.emulate xela --schema
+
+Its settings are one JSON document, in which `device` has the keys of the device in a bench file;
+the schema lists all keys. The process prints `ready <name> <address>` once it listens. It serves
+until SIGTERM or SIGINT, or with --until-stdin-closes until its parent exits, then prints the number
+of ticks missed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import os
+import signal
+import sys
+import threading
+from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any, get_type_hints
+
+from rig.core.clock import SystemClock
+from rig.core.config import READER
+from rig.core.emulation import FaultPort, Served
+from rig.core.errors import ConfigError
+from rig.core.realtime import enable_realtime
+
+# Module of each emulator; that of a device has the device's `kind` in a bench file as its name.
+EMULATORS = {
+    "ur": "rig.devices.arm.emulator",
+    "netft": "rig.devices.force.netft_emulator",
+    "nidaq": "rig.devices.force.nidaq_emulator",
+    "ati_serial": "rig.devices.force.ati_serial_emulator",
+    "opencv": "rig.devices.camera.mjpeg_emulator",
+    "xela": "rig.devices.taxels.xela_emulator",
+    "robotiq_2f": "rig.devices.gripper.robotiq_emulator",
+    "hid_pedal": "rig.devices.hid.emulator",
+    "spacemouse": "rig.devices.hid.emulator",
+    "world": "rig.mock.world.host",
+    "solver": "rig.mock.world.solver",
+    "player": "rig.mock.player",
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Serve until terminated; return the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="python -m rig.mock.emulate",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("name", choices=EMULATORS, metavar="NAME", help=", ".join(EMULATORS))
+    given = parser.add_mutually_exclusive_group()
+    given.add_argument(
+        "document", nargs="?", default="{}", metavar="JSON", help="the settings (none)"
+    )
+    given.add_argument("--file", type=Path, help="file that holds them")
+    given.add_argument("--schema", action="store_true", help="print their JSON Schema")
+    parser.add_argument(
+        "--until-stdin-closes", action="store_true", help="exit when the parent process does"
+    )
+    options = parser.parse_args(argv)
+    emulate = import_module(EMULATORS[options.name]).emulate
+    kind = get_type_hints(emulate)["settings"]
+    if options.schema:
+        print(json.dumps(READER.schema(kind, title=options.name), indent=2))
+        return 0
+    try:
+        where = str(options.file or options.name)
+        document = READER.read(options.file) if options.file else options.document
+        if isinstance(document, str):
+            document = READER.parse(document, where)
+        settings = READER.build(kind, document, where)
+        found = getattr(getattr(settings, "device", None), "KIND", options.name)
+        if found != options.name:
+            raise ConfigError(f"{where}.device.kind: found {found!r}; allowed: {options.name}")
+        served = emulate(settings, SystemClock())
+    except (OSError, ValueError) as error:
+        parser.error(str(error))
+    return serve(served, settings, until_stdin_closes=options.until_stdin_closes)
+
+
+def serve(served: Served, settings: Any, *, until_stdin_closes: bool) -> int:
+    """Run an emulator until the process is stopped.
+
+    Args:
+        served: The emulator.
+        settings: Its settings, for host and fault port.
+        until_stdin_closes: End when the parent process is gone.
+
+    Returns:
+        Exit code: 2 if an address cannot be listened on, else that of the emulator.
+    """
+    name, emulator = served.name, served.emulator
+    enable_realtime(served.priority)
+    logging.basicConfig(stream=sys.stderr, format=f"{name}: %(message)s")
+    ending = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: ending.set())
+    if until_stdin_closes:
+        threading.Thread(target=_watch_stdin, args=(ending,), daemon=True).start()
+    faults = None
+    if served.apply is not None and settings.fault_port is not None:
+        faults = FaultPort(settings.host, settings.fault_port, served.apply)
+    try:
+        emulator.start()
+    except OSError as error:
+        print(f"{name}: cannot listen on {emulator.address}: {error}", file=sys.stderr)
+        return 2
+    try:
+        if faults is not None:
+            faults.start()
+    except OSError as error:
+        emulator.close()
+        print(f"{name}: cannot listen on its fault port: {error}", file=sys.stderr)
+        return 2
+    try:
+        print(f"ready {name} {emulator.address}", flush=True)
+        # Short waits, because signal handlers run only between two of them.
+        while not ending.wait(0.2):
+            pass
+    finally:
+        if faults is not None:
+            faults.close()
+        emulator.close()
+        print(f"{name}: {emulator.missed} ticks missed", file=sys.stderr, flush=True)
+    return 0 if served.conclude is None else served.conclude()
+
+
+def _watch_stdin(ending: threading.Event) -> None:
+    # os.read, not sys.stdin: a daemon thread must not hold the lock of a buffered stream at exit.
+    while os.read(0, 4096):
+        pass
+    ending.set()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,38 @@
+"""The names of `recorder` are imported on demand."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+import recorder
+
+
+def python(code: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=50
+    )
+    return done.stdout
+
+
+def test_settings_are_read_without_zarr() -> None:
+    code = "import sys, recorder.settings; print('zarr' in sys.modules, 'yaml' in sys.modules)"
+    assert python(code) == "False True\n"
+
+
+@pytest.mark.parametrize(
+    "before", ["recorder.check", "recorder.check.content", "recorder.settings"]
+)
+def test_check_is_the_function_whatever_was_imported_before(before: str) -> None:
+    code = f"import {before}; from recorder import check; import recorder.check.content; "
+    code += "import recorder; print(check.__module__, recorder.check is check)"
+    assert python(code) == "recorder.check.check True\n"
+
+
+def test_every_public_name_is_found_and_no_other() -> None:
+    for name in recorder.__all__:
+        assert getattr(recorder, name) is not None
+    with pytest.raises(AttributeError, match="no attribute 'Sitting'"):
+        _ = recorder.Sitting
