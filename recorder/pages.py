@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import os
+import platform
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +19,8 @@ def number(value: float | None, form: str = "", missing: str | None = None) -> s
 def render(template: Path, **values: Any) -> str:
     """Return the text of a template of Jinja, filled with the values.
 
-    `number` is a filter. A line with a tag alone leaves no line. Texts are escaped if the name of
-    the template ends in `.html`.
+    A template may use the filter `number`, and `python`, `cores` and `machine` of this computer. A
+    line with a tag alone leaves no line. Texts are escaped if the template's name ends in `.html`.
 
     Raises:
         jinja2.UndefinedError: The template uses a name that has no value.
@@ -34,4 +36,9 @@ def render(template: Path, **values: Any) -> str:
         keep_trailing_newline=True,
     )
     environment.filters["number"] = number
+    environment.globals |= {
+        "python": platform.python_version(),
+        "cores": os.cpu_count(),
+        "machine": platform.machine(),
+    }
     return environment.get_template(template.name).render(values)

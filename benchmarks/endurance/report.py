@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import platform
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -84,6 +82,4 @@ def page(run: LongRun) -> str:
         growths=sorted(growths, key=lambda growth: growth.role),
         size=sum(path.stat().st_size for path in run.session.rglob("*") if path.is_file()),
         warm_up=_WARM_UP,
-        python=platform.python_version(),
-        cores=os.cpu_count(),
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import platform
 import re
 from collections.abc import Mapping
@@ -49,9 +48,7 @@ def page(results: Results, benches: Path) -> str:
         streams=streams,
         lab={item.name: item.default for item in (*fields(BenchLimits), *fields(ArmConfig))},
         mock=load_bench(benches / "tacpalm.yaml")[0],
-        python=platform.python_version(),
-        cores=os.cpu_count(),
-        machine=f"{platform.system()} {platform.machine()}",
+        system=platform.system(),
         duration=duration,
     )
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -27,6 +26,4 @@ def render(costs: Sequence[Cost], combinations: Sequence[Combination], repeats: 
         elements=12 * 12 * 4,
         yes=("**no**", "yes"),
         warp=wp.config.version,
-        python=platform.python_version(),
-        machine=platform.machine(),
     )
