@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import os
-import platform
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from benchmarks.endurance.long_run import LongRun
 from benchmarks.endurance.processes import Track
 from recorder import Session, check
+from recorder.pages import render
 
 # Buffers, caches and the first shards fill during this time [s].
 _WARM_UP = 120.0
-_MIB = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +67,6 @@ def growth_of(
 def page(run: LongRun) -> str:
     """Return the page as Markdown."""
     session = Session(run.session)
-    findings = check(run.session)
     # After recording, the session is closed and its frames are built, which needs memory.
     end = min(track.seconds[-1] for track in run.tracks if track.role.endswith("stream"))
     growths = [
@@ -76,42 +74,12 @@ def page(run: LongRun) -> str:
         for track in run.tracks
         if (found := growth_of(track, run.seconds, until=end)) is not None
     ]
-    growths.sort(key=lambda growth: growth.role)
-    dropped = {name: int(facts["dropped"]) for name, facts in session.attrs["summary"].items()}
-    rows = {name: len(stream.t_ns) for name, stream in session.streams.items()}
-    total = sum(growth.slope for growth in growths)
-    size = sum(path.stat().st_size for path in run.session.rglob("*") if path.is_file())
-    lines = [
-        "# Endurance",
-        "",
-        f"One mock collection of {run.targets} targets in {run.seconds / 60:.1f} minutes, its "
-        "processes observed every 5 s. Made by `make endurance`.",
-        "",
-        f"Python {platform.python_version()}, {os.cpu_count()} cores. The session ended "
-        f"`{session.attrs['status']}`, exit code {run.exit_code}, {size / 1e6:.0f} MB.",
-        "",
-        "| stream | rows | dropped | longest gap |",
-        "|---|---|---|---|",
-        *(
-            f"| {name} | {count} | {dropped.get(name, '?')} | "
-            f"{1e3 * session.attrs['summary'][name]['longest_gap']:.1f} ms |"
-            for name, count in rows.items()
-        ),
-        "",
-        "`recorder check`:\n" if findings else "`recorder check`: nothing found",
-        *(f"- {finding}" for finding in findings),
-        "",
-        f"Private memory of each process, from {_WARM_UP / 60:.0f} minutes after the start to "
-        f"the end of recording. The total grows by {total / _MIB:+.2f} MiB an hour.",
-        "",
-        "| process | first minute | last minute | slope | std around it | open files | CPU |",
-        "|---|---|---|---|---|---|---|",
-        *(
-            f"| {growth.role} | {growth.first / _MIB:.1f} MiB | {growth.last / _MIB:.1f} MiB | "
-            f"{growth.slope / _MIB:+.2f} MiB/h | {growth.spread / _MIB:.2f} MiB | "
-            f"{growth.files[0]} to {growth.files[1]} | {growth.cpu_share:.0%} |"
-            for growth in growths
-        ),
-        "",
-    ]
-    return "\n".join(lines)
+    return render(
+        Path(__file__).with_suffix(".md"),
+        run=run,
+        session=session,
+        findings=check(run.session),
+        growths=sorted(growths, key=lambda growth: growth.role),
+        size=sum(path.stat().st_size for path in run.session.rglob("*") if path.is_file()),
+        warm_up=_WARM_UP,
+    )

@@ -14,9 +14,7 @@ from typing import Any
 from benchmarks.recording import alignment, charts, lateness, load, mock_session, store_benchmark
 from benchmarks.recording.alignment import Alignment
 from benchmarks.recording.measure import Scale
-from benchmarks.recording.page import Results, machine, render
-from benchmarks.recording.page_alignment import ALIGNMENT_CHART
-from benchmarks.recording.page_stores import STORES_CHART
+from benchmarks.recording.page import ALIGNMENT_CHART, STORES_CHART, Results, machine, render
 from benchmarks.recording.steps import Steps
 from benchmarks.recording.store_benchmark import StoreRow
 from recorder.errors import SessionError
@@ -115,10 +113,9 @@ def stores_chart(rows: Sequence[StoreRow]) -> Any:
     """Plot frames per second written and read, one bar each."""
     bars = []
     for row in rows:
-        written = float("nan") if row.write is None else row.write.frames / row.write.seconds
         ours = row.key.startswith("ours")
         name = row.title.replace("*", "").replace("`", "")
-        bars.append(charts.Bar(name, (written, row.read_two or float("nan")), ours))
+        bars.append(charts.Bar(name, (row.rate, row.read_two or float("nan")), ours))
     titles = ("written and closed [frames/s]", "random windows of 16, two processes [images/s]")
     return charts.bars(bars, titles)
 

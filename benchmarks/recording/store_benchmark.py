@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import shutil
 import subprocess
@@ -63,6 +64,11 @@ class Kill:
     repaired: int | None
     """Number of correct frames after the store's own repair; None without one."""
 
+    @property
+    def lost(self) -> int:
+        """Number of accepted frames that neither the reader nor the repair finds."""
+        return self.accepted - max(self.left or 0, self.repaired or 0)
+
 
 @dataclass(frozen=True, slots=True)
 class StoreRow:
@@ -80,6 +86,11 @@ class StoreRow:
     read_failure: str = ""
     """Reason why it could not be read."""
     kills: tuple[Kill, ...] = ()
+
+    @property
+    def rate(self) -> float:
+        """Frames per second written and closed; NaN if it was not measured."""
+        return self.write.frames / self.write.seconds if self.write else math.nan
 
 
 class ChildFailed(RuntimeError):

@@ -27,7 +27,6 @@ from benchmarks.recording.charts import Bar, Point, bars, scatter
 from benchmarks.recording.feed import Fed, Feed, record, samples
 from benchmarks.recording.frames import GelFrames, number_in_jpeg, number_in_pixels
 from benchmarks.recording.lateness import busy_processes, loop
-from benchmarks.recording.markdown import table
 from benchmarks.recording.measure import QUICK, Spread, tree_bytes
 from benchmarks.recording.motion import (
     EXPOSURE,
@@ -373,8 +372,10 @@ def test_the_command_line_knows_every_part() -> None:
     assert set(PARTS) <= fields
 
 
-def test_a_table_is_markdown() -> None:
-    assert table(("a", "b"), [("x", "1")]) == "| a | b |\n|---|---:|\n| x | 1 |\n"
+def test_ratios_to_a_store_that_was_not_measured_are_dashes() -> None:
+    text = render(Results("2 cores", quick=False, stores=(store_row("png"),)))
+    row = "| store png | 50 | - | 0 | 1.00 / 2.00 / 3.00 | 10.0 | 5.00 | 1,000 | 2,600 | - |"
+    assert row in text.splitlines()
 
 
 def test_page_names_versions_and_no_host() -> None:

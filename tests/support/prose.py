@@ -46,9 +46,9 @@ LEFT_OUT = ("docs/reference/", "CHANGELOG.md")
 
 _WORDS = {re.compile(rf"\b{word}", re.IGNORECASE): instead for word, instead in WORDS.items()}
 _OPENERS = re.compile(r"\s*(What|Whether|How)\b")
-# Code, comments, addresses and the names of arguments, which are no prose.
+# Code, tags of templates, comments, addresses and the names of arguments, which are no prose.
 _CODE = re.compile(
-    r"```.*?```|`[^`]*`|<!--.*?-->|https?://\S+|\]\([^)]*\)|^ {4,}\w+(?=: )",
+    r"```.*?```|`[^`]*`|\{\{.*?\}\}|\{%.*?%\}|<!--.*?-->|https?://\S+|\]\([^)]*\)|^ {4,}\w+(?=: )",
     re.DOTALL | re.MULTILINE,
 )
 _WORD = re.compile(r"[A-Za-z][A-Za-z'-]*")

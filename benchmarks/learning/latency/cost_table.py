@@ -8,6 +8,7 @@ from dataclasses import asdict, fields
 from pathlib import Path
 
 from benchmarks.learning.latency.costs import Cost
+from recorder.pages import render
 
 # Target rate of a live model.
 LIVE_HZ = 60
@@ -15,22 +16,7 @@ LIVE_HZ = 60
 
 def markdown(rows: Sequence[Cost]) -> str:
     """Return the table in Markdown."""
-    lines = [
-        "| model | weights | runtime | precision | threads | p50 [ms] | p99 [ms] | rate [Hz] "
-        "| MAE [N] | from fp32 [N] |",
-        "|---|---|---|---|---|---|---|---|---|---|",
-    ]
-    for row in rows:
-        about = f"| {row.model} | {row.weights / 1e6:.2f} M | {row.runtime} | {row.precision} "
-        if row.p50_ms is None or row.difference_n is None:
-            lines.append(f"{about}| {row.threads} | {row.remark} | | | | |")
-            continue
-        mae = "" if row.mae_n is None else f"{row.mae_n:.3f}"
-        lines.append(
-            f"{about}| {row.threads} | {row.p50_ms:.1f} | {row.p99_ms:.1f} | {row.rate_hz:.0f} "
-            f"| {mae} | {row.difference_n:.1e} |"
-        )
-    return "\n".join(lines) + "\n"
+    return render(Path(__file__).with_suffix(".md"), rows=rows)
 
 
 def write_csv(rows: Sequence[Cost], path: Path) -> None:

@@ -10,7 +10,6 @@ from pathlib import Path
 
 from benchmarks.sim.accuracy.chart import Colour, Mark, Panel, Series, save_chart
 from benchmarks.sim.speed.campaign import meshes_file, presses_file
-from benchmarks.sim.speed.cells import memory, percent, row, seconds
 from benchmarks.sim.speed.forces import SHALLOW_MM, Errors, Forces, errors, read_forces, read_runs
 from benchmarks.sim.speed.record import Run, SpeedRecord
 from sim.extrapolation import COARSER, left_of_difference
@@ -91,25 +90,6 @@ def cheapest(candidates: Sequence[Candidate], error: float) -> Candidate | None:
     """Return the fastest of the offers that solve every press with mean error up to `error`."""
     good = [one for one in candidates if not one.failed and one.errors.mean <= error]
     return min(good, key=lambda one: one.seconds, default=None)
-
-
-def offer_table(
-    records: Sequence[SpeedRecord], candidates: Sequence[Sequence[Candidate]]
-) -> list[str]:
-    """Return the table of all offers of all devices."""
-    lines = [
-        "| machine | elements | seconds | a press | without a solution | error, mean | "
-        "95 % below | worst | where | memory |",
-        "|---|---|---|---|---|---|---|---|---|---|",
-    ]
-    for record, some in zip(records, candidates, strict=True):
-        for one in some:
-            off = one.errors
-            cells = [record.machine.name, one.elements, seconds(one.seconds)]
-            cells += [seconds(one.seconds / one.presses), str(one.failed)]
-            cells += [percent(value) for value in (off.mean, off.most, off.worst)]
-            lines.append(row([*cells, off.worst_at or "-", memory(one.memory)]))
-    return lines
 
 
 def save_offer_chart(

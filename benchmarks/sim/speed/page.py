@@ -7,28 +7,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from benchmarks.sim.speed.campaign import (
-    AUGMENTATIONS,
-    PATH_TOLERANCE,
-    REFERENCE_FILE,
-    TOLERANCE,
-    presses_file,
+from benchmarks.sim.speed import campaign, roofline, work
+from benchmarks.sim.speed.campaign import REFERENCE_FILE, presses_file, steps_file
+from benchmarks.sim.speed.candidates import Candidate, cheapest, offers_of, save_offer_chart
+from benchmarks.sim.speed.forces import SHALLOW_MM, Errors, Forces, errors, read_forces, read_runs
+from benchmarks.sim.speed.record import Machine, Run, SpeedRecord
+from benchmarks.sim.speed.steps import (
+    AS_IT_IS,
+    READ_HALF,
+    STEPS,
+    Step,
+    assembled_gain,
+    steps_on,
 )
-from benchmarks.sim.speed.candidates import (
-    Candidate,
-    cheapest,
-    offer_table,
-    offers_of,
-    save_offer_chart,
-)
-from benchmarks.sim.speed.cells import MISSING, memory, or_missing, percent, row, seconds
-from benchmarks.sim.speed.forces import SHALLOW_MM, Errors, errors, read_forces
-from benchmarks.sim.speed.record import Run, SpeedRecord
-from benchmarks.sim.speed.step_tables import floor_section, steps_section
-from benchmarks.sim.speed.tacchi import CITED, SOURCE
-from benchmarks.sim.speed.work import DENSE_X, DENSE_Y
+from recorder.pages import render
 from sim.extrapolation import left_of_difference
 from sim.fem.numerics import FOR_EDGES
 from sim.paper_presses import DEPTHS_MM, FRICTION, PLACES_MM
@@ -38,141 +33,95 @@ GOALS = {"cpu": ((600.0, 0.03), (300.0, 0.01)), "gpu": ((10.0, 0.01), (3.0, 0.01
 WHOLE, DENSE = 162, 810
 # Chart, in the folder `images` next to the page.
 CHART = "speed.png"
+# Shown in place of a value.
+MISSING = "not measured"
 
-_INTRO = """# Speed
 
-The paper's work: 18 indenters at 9 places ({places} mm along x and y), pressed to {depths} mm, with
-friction {friction:g}, into its gel of 20 x 20 x 4 mm. {whole} presses, 5 frames each, by the `fem`
-tier with the element height given in the table. Elements are {finer:g} times as wide at the
-indenter and grow outwards. Tolerances match these meshes (`Numerics(tolerance={tolerance:g},
-path_tolerance={path:g}, augmentations={augmentations})`). Seconds are wall time from scenes to
-results, with kernels compiled; compile time is given separately. Shared machines vary from day to
-day: the rates of each, measured next to its presses, are under "Roofline bound", and material
-points were timed in the same run. Made by `make speed`.
-"""
-_ERRORS = """
-Error: |F - Fref| / |Fref| of every press and depth in the reference: all 18 indenters in the
-middle, at a corner and at a side.
-"""
-_MESHES = """
-## Cost of accuracy
+@dataclass(frozen=True, slots=True)
+class Device:
+    """Measurements of one device."""
 
-The same {whole} presses with coarser and finer elements, and with two meshes whose forces are
-extrapolated to zero element size (`simulate(..., extrapolate=True)`, `--extrapolate`); errors
-from {deep:g} mm on. Errors of a mesh fall about as the square of its elements' size, and all forces
-are too large. By that law the reference is still about {left} too large, which affects every
-row: a mesh is worse by this amount, and two meshes are better than shown.
+    record: SpeedRecord
+    presses: Run
+    """All presses, or an empty run."""
+    candidates: Sequence[Candidate]
+    deep: Errors
+    all: Errors
+    """Errors of all presses: from `SHALLOW_MM` on, and at all depths."""
+    base: Run | None
+    """The presses on which steps were left out, with all steps."""
+    steps: Sequence[Step]
+    """Steps that the device has, or had when they were measured."""
+    off: dict[str, float]
+    """Mean error without each step."""
 
-![Error against seconds, of a mesh and of two](images/{chart})
-"""
-_SCALING = """
-## More presses
-
-The 1 and the 9 presses are spread over indenters and places; {dense} are the indenters
-on {x} x {y} places.
-"""
-_MPM = """
-## Material points
-
-Our own `mpm` tier on the sphere in the middle, timed in the same run. "{whole} presses" is that
-press {whole} times, or the batch repeated: a prediction.
-"""
-_TACCHI = """
-## Tacchi
-
-The authors' program on the same 162 presses, cited: {source}.
-
-| way | one press, 2 CPU cores | 162 presses, 2 CPU cores | 162 presses, one H200 |
-|---|---|---|---|
-"""
-_COMMANDS = """
-## Measured with
-
-```
-make speed                                   # this machine's CPU, then this page
-python -m benchmarks speed --device cuda:0 --only presses,scaling,steps,mpm,meshes,reference \\
-  --out DIR
-python -m benchmarks speed --only page       # with DIR's files next to those in docs/results/speed
-```
-
-Runs in `{folder}` are not measured again unless `--again` is given; `--long` also measures all
-{dense} on a CPU.
-"""
+    @property
+    def machine(self) -> Machine:
+        """Its machine."""
+        return self.record.machine
 
 
 def write_page(path: Path, records: Sequence[SpeedRecord]) -> None:
     """Write the page at `path` from the records of one folder."""
     folder = records[0].path.parent
     reference = read_forces(folder / REFERENCE_FILE)
-    places = ", ".join(f"{place:g}" for place in PLACES_MM)
-    depths = ", ".join(f"{depth:g}" for depth in DEPTHS_MM)
-    finer = FOR_EDGES.finer
-    lines = [
-        _INTRO.format(
-            places=places,
-            depths=depths,
-            friction=FRICTION,
-            whole=WHOLE,
-            finer=finer,
-            tolerance=TOLERANCE,
-            path=PATH_TOLERANCE,
-            augmentations=AUGMENTATIONS,
-        )
-    ]
-    found = [
-        (errors(forces, reference, from_mm=SHALLOW_MM), errors(forces, reference))
-        for forces in (read_forces(presses_file(record.path)) for record in records)
-    ]
-    candidates = [offers_of(record, reference) for record in records]
-    lines += _headline(records, found, candidates)
-    lines += _machine_lines(records)
-    lines += [_ERRORS + _reference_text(records)]
-    lines += _error_table(records, found)
-    left = _left_in_reference(records, candidates)
-    save_offer_chart(path.parent / "images" / CHART, records, candidates, left)
-    lines += [
-        _MESHES.format(whole=WHOLE, deep=SHALLOW_MM, left=percent(left), chart=CHART),
-        *offer_table(records, candidates),
-    ]
-    lines += [_SCALING.format(dense=DENSE, x=DENSE_X, y=DENSE_Y)]
-    lines += _scaling_table(records)
-    lines += steps_section(records, reference)
-    lines += floor_section(records)
-    lines += [_MPM.format(whole=WHOLE), *_mpm_table(records)]
-    lines.append(_TACCHI.format(source=SOURCE).rstrip("\n"))
-    lines += [f"| {one.name} | {one.press} | {one.cpu} | {one.gpu or 'not run'} |" for one in CITED]
-    lines.append(_COMMANDS.format(folder=folder, dense=DENSE))
+    devices = [_device(record, reference) for record in records]
+    bound = _left_in_reference(devices)
+    candidates = [one.candidates for one in devices]
+    save_offer_chart(path.parent / "images" / CHART, records, candidates, bound)
+    found = next((one for one in devices if one.record.get("reference", "reference")), None)
+    columns = [_floor_column(record) for record in records]
+    text = render(
+        Path(__file__).with_suffix(".md"),
+        devices=devices,
+        folder=folder,
+        chart=CHART,
+        bound=bound,
+        reference=found and found.record.get("reference", "reference"),
+        reference_machine=found and found.machine.name,
+        floor=[(name, cells) for name, *cells in zip(_FLOOR, *columns, strict=True)],
+        goals=GOALS,
+        reached=_reached,
+        scaled=_scaled,
+        assembled_gain=assembled_gain,
+        campaign=campaign,
+        roofline=roofline,
+        work=work,
+        places=[f"{place:g}" for place in PLACES_MM],
+        depths=[f"{depth:g}" for depth in DEPTHS_MM],
+        friction=FRICTION,
+        finer=FOR_EDGES.finer,
+        whole=WHOLE,
+        dense=DENSE,
+        shallow=SHALLOW_MM,
+        seconds=seconds,
+        percent=percent,
+        memory=memory,
+        or_missing=or_missing,
+        missing=MISSING,
+        nan=math.nan,
+        isfinite=math.isfinite,
+    )
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("\n".join(lines), encoding="utf-8")
+    path.write_text(text, encoding="utf-8")
 
 
-def _headline(
-    records: Sequence[SpeedRecord],
-    found: Sequence[tuple[Errors, Errors]],
-    candidates: Sequence[Sequence[Candidate]],
-) -> list[str]:
-    lines = [
-        f"| machine | elements | {WHOLE} presses | a press | without a solution | error, mean | "
-        "memory | goal | reached | stretch goal | reached |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
-    ]
-    for record, (deep, _all), some in zip(records, found, candidates, strict=True):
-        run = record.get("presses", "all") or Run("presses", "all")
-        goals = GOALS["cpu" if record.machine.device == "cpu" else "gpu"]
-        cells = [
-            _where(record, run),
-            or_missing(run.spacing_mm, f"{run.spacing_mm:.3g} mm"),
-            seconds(run.best) + ("" if run.presses in (0, WHOLE) else f" ({run.presses} presses)"),
-            _per_press(run),
-            str(run.failed) if run.presses else MISSING,
-            percent(deep.mean),
-            memory(run.memory),
-        ]
-        for limit, error in goals:
-            cells.append(f"{seconds(limit)}, {100 * error:g} %")
-            cells.append(_reached(some, limit, error))
-        lines.append(row(cells))
-    return lines
+def _device(record: SpeedRecord, reference: Forces) -> Device:
+    forces = read_forces(presses_file(record.path))
+    known = steps_on(record.machine.device)
+    return Device(
+        record,
+        record.get("presses", "all") or Run("presses", "all"),
+        offers_of(record, reference),
+        errors(forces, reference, from_mm=SHALLOW_MM),
+        errors(forces, reference),
+        record.get("steps", AS_IT_IS),
+        [step for step in STEPS if step in known or record.get("steps", step.name)],
+        {
+            name: errors(each, reference, from_mm=SHALLOW_MM).mean
+            for name, each in read_runs(steps_file(record.path)).items()
+        },
+    )
 
 
 def _reached(candidates: Sequence[Candidate], limit: float, error: float) -> str:
@@ -189,45 +138,16 @@ def _reached(candidates: Sequence[Candidate], limit: float, error: float) -> str
     return f"{answer}: {seconds(best.seconds)}, {percent(best.errors.mean)} ({best.elements})"
 
 
-def _machine_lines(records: Sequence[SpeedRecord]) -> list[str]:
-    lines = [""]
-    for record in records:
-        machine, run = record.machine, record.get("presses", "all")
-        if math.isfinite(machine.warm_seconds):
-            compiled = f"{machine.compiled} kernel modules compiled and loaded"
-            text = f"{machine.name}: first presses {seconds(machine.warm_seconds)} ({compiled})"
-            if run is not None and math.isfinite(run.again):
-                text += f"; all presses {seconds(run.seconds)}, then {seconds(run.again)} again"
-            if run is not None and math.isfinite(run.tolerance) and run.tolerance != TOLERANCE:
-                text += (
-                    f"; measured at a tolerance of {run.tolerance:g}, before it was {TOLERANCE:g}"
-                )
-            lines.append(f"- {text}.")
-    return lines
-
-
-def _reference_text(records: Sequence[SpeedRecord]) -> str:
-    for record in records:
-        run = record.get("reference", "reference")
-        if run is not None:
-            return (
-                f"Reference: {run.presses} presses with elements {run.spacing_mm:.3g} mm high, "
-                f"{run.note}, {seconds(run.seconds)} on {record.machine.name}."
-            )
-    return f"Reference: {MISSING}."
-
-
-def _left_in_reference(
-    records: Sequence[SpeedRecord], candidates: Sequence[Sequence[Candidate]]
-) -> float:
+def _left_in_reference(devices: Sequence[Device]) -> float:
     """Return the mean error of the reference, by the law of `sim.extrapolation`."""
-    run = next((found for each in records if (found := each.get("reference", "reference"))), None)
+    runs = [one.record.get("reference", "reference") for one in devices]
+    run = next((run for run in runs if run), None)
     finest = min(
         (
             one
-            for each, some in zip(records, candidates, strict=True)
+            for each in devices
             if each.machine.device != "cpu"
-            for one in some
+            for one in each.candidates
             if one.coarser_mm is None and math.isfinite(one.errors.mean)
         ),
         key=lambda one: one.spacing_mm,
@@ -238,89 +158,77 @@ def _left_in_reference(
     return finest.errors.mean * left_of_difference(finest.spacing_mm / run.spacing_mm)
 
 
-def _error_table(
-    records: Sequence[SpeedRecord], found: Sequence[tuple[Errors, Errors]]
-) -> list[str]:
-    lines = [
-        "",
-        "| machine | depths | presses | mean | 95 % below | worst | where | mean of Fz alone |",
-        "|---|---|---|---|---|---|---|---|",
+def _scaled(record: SpeedRecord, count: int) -> tuple[Run | None, int]:
+    """Return the run of a number of presses, and the number it was predicted from, or 0."""
+    whole = record.get("presses", "all")
+    run = whole if count == WHOLE else record.get("scaling", str(count))
+    if count != DENSE or run or whole is None or not whole.presses:
+        return run, 0
+    predicted = replace(whole, presses=count, seconds=whole.press_seconds * count, again=math.nan)
+    return predicted, whole.presses
+
+
+# Rows of the table of the roofline bound.
+_FLOOR = (
+    "Newton, CG iterations",
+    "elements, nodes, mesh groups",
+    "tangent read in",
+    "bytes: Newton, CG",
+    "operations",
+    "copy: far, near",
+    "float32 operations a second",
+    "seconds for bytes, operations",
+    "bound",
+    "measured",
+    "measured / bound",
+)
+
+
+def _floor_column(record: SpeedRecord) -> list[str]:
+    run, machine = record.get("presses", "all"), record.machine
+    if run is None:
+        return [MISSING] * len(_FLOOR)
+    # Products of the measured runs read the tangent in float16.
+    half = machine.device != "cpu" or record.get("steps", READ_HALF) is not None
+    bound = roofline.bound_of(run, machine, half=half)
+    rate = or_missing(machine.flop_rate, f"{machine.flop_rate:.3g} ({machine.flop_source})")
+    return [
+        f"{run.newton:,}, {run.cg:,}",
+        f"{run.elements:,}, {run.nodes:,}, {run.groups}",
+        "float16" if half else "float32",
+        f"{bound.newton_bytes / 1e9:.3g} GB, {bound.cg_bytes / 1e9:.3g} GB",
+        f"{bound.flops / 1e9:.3g} G",
+        or_missing(
+            machine.copy_rate,
+            f"{machine.copy_rate / 1e9:.3g} GB/s, {machine.near_rate / 1e9:.3g} GB/s",
+        ),
+        rate,
+        f"{seconds(bound.byte_seconds)}, {seconds(bound.flop_seconds)}",
+        seconds(bound.seconds),
+        seconds(run.best),
+        or_missing(bound.seconds, f"{run.best / bound.seconds:.1f}" if bound.seconds else MISSING),
     ]
-    for record, both in zip(records, found, strict=True):
-        for depths, one in zip((f"from {SHALLOW_MM:g} mm on", "all"), both, strict=True):
-            cells = [record.machine.name, depths, str(one.presses or MISSING)]
-            cells += [percent(value) for value in (one.mean, one.most, one.worst)]
-            cells += [one.worst_at or "-", percent(one.normal)]
-            lines.append(row(cells))
-    return lines
 
 
-def _scaling_table(records: Sequence[SpeedRecord]) -> list[str]:
-    lines = [
-        "| machine | presses | processes | seconds | ms a press | memory |",
-        "|---|---|---|---|---|---|",
-    ]
-    for record in records:
-        whole = record.get("presses", "all")
-        for count in (1, 9, WHOLE, DENSE):
-            run = whole if count == WHOLE else record.get("scaling", str(count))
-            predicted = ""
-            if count == DENSE and run is None and whole is not None and whole.presses:
-                run = Run(
-                    "scaling",
-                    str(DENSE),
-                    presses=DENSE,
-                    seconds=whole.best / whole.presses * DENSE,
-                    processes=whole.processes,
-                )
-                predicted = f" (predicted from {whole.presses})"
-            cells = [record.machine.name, str(count)]
-            if run is None:
-                lines.append(row([*cells, *[MISSING] * 4]))
-                continue
-            each = f"{1e3 * run.best / run.presses:.3g}" if run.presses else MISSING
-            held = "-" if predicted else memory(run.memory)
-            cells += [str(run.processes), seconds(run.best) + predicted, each, held]
-            lines.append(row(cells))
-    return lines
+def or_missing(value: float, text: str) -> str:
+    """Return `text`, or a placeholder for a value that was not measured."""
+    return text if math.isfinite(value) else MISSING
 
 
-def _mpm_table(records: Sequence[SpeedRecord]) -> list[str]:
-    lines = [
-        f"| machine | preset | particles | time steps | seconds | a press | {WHOLE} presses | "
-        f"`fem`, {WHOLE} presses |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    for record in records:
-        whole = record.get("presses", "all") or Run("presses", "all")
-        runs = record.of("mpm")
-        if not runs:
-            lines.append(row([record.machine.name, *[MISSING] * 7]))
-        for run in runs:
-            each = run.seconds / run.presses if run.presses else math.nan
-            solved = max(run.presses - run.failed, 1)
-            name = run.name if not run.failed else f"{run.name} ({run.failed} without a solution)"
-            # Several processes would share the presses on a CPU, as they do for `fem`.
-            cores = whole.processes if record.machine.device == "cpu" else 1
-            cells = [
-                record.machine.name,
-                name,
-                f"{run.elements // solved:,}",
-                f"{run.newton // solved:,}",
-                seconds(run.seconds),
-                seconds(each),
-                f"{seconds(each * WHOLE / cores)} (predicted"
-                + (f", {cores} cores)" if cores > 1 else ")"),
-                seconds(whole.best),
-            ]
-            lines.append(row(cells))
-    return lines
+def percent(value: float) -> str:
+    """Return a share in percent."""
+    return or_missing(value, f"{100 * value:.2f} %")
 
 
-def _where(record: SpeedRecord, run: Run) -> str:
-    processes = f", {run.processes} processes" if run.processes > 1 else ""
-    return record.machine.name + processes
+def memory(size: int) -> str:
+    """Return a number of bytes in MiB."""
+    return f"{size / 2**20:,.0f} MiB" if size else MISSING
 
 
-def _per_press(run: Run) -> str:
-    return seconds(run.best / run.presses) if run.presses else MISSING
+def seconds(value: float) -> str:
+    """Return seconds with three digits, or minutes or hours for long times."""
+    if not math.isfinite(value):
+        return MISSING
+    if value < 120:
+        return f"{value:.3g} s"
+    return f"{value / 60:.1f} min" if value < 7200 else f"{value / 3600:.1f} h"

@@ -85,6 +85,11 @@ class Run:
         """Shorter of the two times [s]."""
         return self.seconds if not self.again < self.seconds else self.again
 
+    @property
+    def press_seconds(self) -> float:
+        """That time for each press [s]; NaN without presses."""
+        return self.best / self.presses if self.presses else math.nan
+
 
 @dataclass(slots=True)
 class SpeedRecord:

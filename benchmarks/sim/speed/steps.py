@@ -49,16 +49,6 @@ class Step:
     """Name on the page, if it differs from the name in the records."""
 
 
-@dataclass(frozen=True, slots=True)
-class Replaced:
-    """A step whose alternative was removed from the code, with an earlier measurement of both."""
-
-    name: str
-    predicted: str
-    reason: str
-    measured: str
-
-
 def _changed(**values: Any) -> Callable[[Numerics, str, int], Solve]:
     def solver(numerics: Numerics, device: str, _processes: int) -> Solve:
         return fem(replace(numerics, **values), device)
@@ -202,36 +192,6 @@ STEPS = (
         "1.1-1.3",
         f"{CG_BYTES} bytes per node and iteration instead of {WHOLE_CG_BYTES}; as many iterations",
         _without(without_rounding),
-    ),
-)
-REPLACED = (
-    Replaced(
-        "tangent assembled, not applied element by element",
-        "2-4",
-        "a product takes 0.052 us a node instead of 0.6-0.8 us, about ten times less; assembling "
-        "takes 2.2 us an element and Newton iteration",
-        "0.052 us a node against 0.6-0.8 us, one CPU core, float32",
-    ),
-    Replaced(
-        "columns as preconditioner, not 3x3 blocks",
-        "1.2-2.3",
-        "fewer CG iterations: the stiff direction of a bonded layer is solved exactly",
-        "1.2-2.3 times fewer iterations, by mesh and shape",
-    ),
-    Replaced(
-        "on a CPU: a row of the tangent in wide registers, not block by block",
-        "2-4 in products",
-        "27 blocks of 3x3 compile to one multiplication at a time; eight lanes at once are near "
-        "the memory bandwidth",
-        "63 against 28 ns a node, one core, float32; 26 in float16",
-    ),
-    Replaced(
-        "on a GPU: an element's tangent a row a thread, not whole",
-        "3-6 in assembling",
-        "all 64 blocks of an element are 9 kB of thread-local memory, whose latency dominates; a "
-        "row of 8 stays in registers, for several times the operations",
-        "6.9 s against 3.2 s, 162 presses on an H200; 24.0 against 18.9 s in all, with sums of "
-        "conjugate gradients by whole blocks of threads",
     ),
 )
 # Seconds per node of a product, assembled and matrix-free, and per element of an assembly; one CPU
