@@ -25,7 +25,7 @@ from sim.errors import SceneError, SimulationDiverged
 from sim.fem.assembly import Assembly
 from sim.fem.mesh import Mesh, meshes_of
 from sim.fem.newton import MIN_FORCE_SCALE, Newton, Path, path_of
-from sim.fem.numerics import Numerics, Precision
+from sim.fem.numerics import Fem, Precision
 from sim.fem.self_overlap import self_overlap
 from sim.fem.sizing import (
     Sizes,
@@ -438,7 +438,7 @@ ELEMENTS_SIDE_BY_SIDE = {"cpu": 20_000, "cuda": 20_000_000}
 
 def simulate_fem(
     scenes: Sequence[Scene],
-    numerics: Numerics | None = None,
+    numerics: Fem = Fem(),
     *,
     device: str = "cpu",
     progress: Progress | None = None,
@@ -458,7 +458,6 @@ def simulate_fem(
     Raises:
         SceneError: A mesh cannot be built, or the device does not exist.
     """
-    numerics = numerics or Numerics()
     _check_device(device)
     if not numerics.follows:
         outcomes = _on_meshes(scenes, numerics, None, device, progress)
@@ -501,7 +500,7 @@ def _in_one(stages: list[Outcome]) -> Outcome:
 def _following(
     scenes: Sequence[Scene],
     sizes: list[Sizes],
-    numerics: Numerics,
+    numerics: Fem,
     device: str,
     progress: Progress | None,
 ) -> list[Outcome]:
@@ -530,7 +529,7 @@ def _following(
     return outcomes
 
 
-def precision_for_finer(found: Result, numerics: Numerics) -> Precision:
+def precision_for_finer(found: Result, numerics: Fem) -> Precision:
     """Return the precision for a finer mesh: float64 if `auto` already had to fall back to it."""
     double = numerics.precision == "auto" and found.record["precision"] == "float64"
     return "float64" if double else numerics.precision
@@ -538,7 +537,7 @@ def precision_for_finer(found: Result, numerics: Numerics) -> Precision:
 
 def _on_meshes(
     scenes: Sequence[Scene],
-    numerics: Numerics,
+    numerics: Fem,
     sizes: Sequence[Sizes] | None,
     device: str,
     progress: Progress | None,
@@ -725,13 +724,13 @@ def _buckling_load(body: Body) -> float:
     return float(np.pi**2 * body.modulus * long * short**3 / 12 / (4 * body.thickness**2))
 
 
-# Elements per thickness up to which `Numerics.penalty` applies unchanged. With smaller elements
+# Elements per thickness up to which `Fem.penalty` applies unchanged. With smaller elements
 # contact is stiffer by the same factor, in powers of 2, because small contacts reach the same
 # pressure over smaller depths.
 SOFT_SHARE = 24
 
 
-def _penalty(mesh: Mesh, numerics: Numerics) -> float:
+def _penalty(mesh: Mesh, numerics: Fem) -> float:
     """Return the contact stiffness on a mesh [E / T]."""
     if not numerics.follows:
         return numerics.penalty
@@ -740,7 +739,7 @@ def _penalty(mesh: Mesh, numerics: Numerics) -> float:
 
 
 def _batches(
-    scenes: Sequence[Scene], meshes: Sequence[Mesh], numerics: Numerics, device: str
+    scenes: Sequence[Scene], meshes: Sequence[Mesh], numerics: Fem, device: str
 ) -> list[list[int]]:
     """Group scenes into batches of the same mesh topology and kernels, limited in size."""
     alike: dict[tuple, list[int]] = {}
@@ -789,7 +788,7 @@ def _solve(scenes, meshes, numerics, device, meshed, progress) -> list[Outcome]:
     return outcomes
 
 
-def _first_precision(scenes: Sequence[Scene], numerics: Numerics) -> tuple[str, str]:
+def _first_precision(scenes: Sequence[Scene], numerics: Fem) -> tuple[str, str]:
     """Return the precision to begin with, and the reason."""
     if numerics.precision != "auto":
         return numerics.precision, "requested"

@@ -17,6 +17,7 @@ from sim.contact_size import width_of
 from sim.effects import Viscosity
 from sim.errors import SceneError, SimulationDiverged
 from sim.layer.contact import Clearance, Contact, solve_frictional, solve_frictionless
+from sim.layer.numerics import Layer
 from sim.layer.spectral import Grid, convolutions
 from sim.result import Quality, Result
 from sim.scene import Scene
@@ -410,36 +411,26 @@ class Frames:
         )
 
 
-# Pixels along the longer side: on a body of 20 mm, forces of spheres are within 0.1 %.
-GRID = 128
-# Natural residual of the contact: changes forces by about 1e-4.
-TOLERANCE = 2e-3
-
 Progress = Callable[[float], None]
 
 
 def simulate_layer(
-    scene: Scene,
-    *,
-    grid: int = GRID,
-    tolerance: float = TOLERANCE,
-    progress: Progress | None = None,
+    scene: Scene, layer: Layer = Layer(), *, progress: Progress | None = None
 ) -> Result:
     """Simulate one scene with small strains on an infinite layer, without sides or a surrounding.
 
     Args:
         scene: Scene with friction and viscosity that relaxes all, but no mass.
-        grid: Pixels along the body's longer side, 16 to 512.
-        tolerance: Target residual of the contact, 1e-10 to 0.1 (`Contact.residual`).
+        layer: Pixels and tolerance.
         progress: Called with the share done, 0 to 1.
 
     Raises:
         SceneError: This tier does not support an effect, the body or a setting.
         SimulationDiverged: The contact of a step did not converge.
     """
-    check_known(scene, tolerance)
+    check_known(scene, layer.tolerance)
     began = time.perf_counter()
-    press = LayerPress(scene, Grid(scene.body, grid), tolerance)
+    press = LayerPress(scene, Grid(scene.body, layer.grid), layer.tolerance)
     frames = Frames(scene, press)
     ready = time.perf_counter()
     moving = 0.0
@@ -457,9 +448,9 @@ def simulate_layer(
         {
             "tier": "layer",
             "mesh": {"grid": list(press.grid.shape), "period": list(press.grid.period)},
-            "precision": np.dtype(precision(tolerance)).name,
+            "precision": np.dtype(precision(layer.tolerance)).name,
             "device": "cpu",
-            "tolerance": tolerance,
+            "tolerance": layer.tolerance,
             "effects": list(scene.effects.key),
             "seconds": {
                 "build": round(ready - began, 4),

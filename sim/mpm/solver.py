@@ -14,7 +14,7 @@ import warp as wp
 from sim.errors import SceneError, SimulationDiverged
 from sim.mpm.kernels import COLLAPSED, LEFT_GRID, SPEED_LIMIT, TOO_FAST
 from sim.mpm.lattice import QUASI_STATIC, Pace, build_lattice, pace_of, same_body
-from sim.mpm.numerics import MpmNumerics
+from sim.mpm.numerics import Mpm
 from sim.mpm.state import ROUND, Means, ParticleState, Units
 from sim.result import Outcome, Quality, Result
 from sim.scene import Scene
@@ -176,7 +176,7 @@ RIM_LEAST = 0.5
 
 def simulate_mpm(
     scenes: Sequence[Scene],
-    numerics: MpmNumerics | None = None,
+    numerics: Mpm = Mpm(),
     *,
     device: str = "cpu",
     progress: Progress | None = None,
@@ -193,7 +193,6 @@ def simulate_mpm(
         SceneError: A scene has viscosity, the scenes cannot share a lattice, or the lattice or the
             time step is not possible.
     """
-    numerics = numerics or MpmNumerics()
     scenes = list(scenes)
     if not scenes:
         return []
@@ -274,7 +273,7 @@ def _walk(state, frames, paces, scenes, progress) -> dict[int, SimulationDiverge
 
 REASONS = {
     LEFT_GRID: "a particle left the grid",
-    COLLAPSED: "a particle was squeezed to nothing (numerics.det_floor)",
+    COLLAPSED: "a particle was squeezed to nothing (mpm.det_floor)",
     TOO_FAST: f"a particle moved {SPEED_LIMIT:g} cells in one step",
 }
 
@@ -304,7 +303,7 @@ def _of_pace(pace: Pace) -> dict:
     }
 
 
-def _warnings(scene: Scene, pace: Pace, numerics: MpmNumerics, lost: float) -> list[str]:
+def _warnings(scene: Scene, pace: Pace, numerics: Mpm, lost: float) -> list[str]:
     """Return warnings about differences between this result and a solution of the scene."""
     found = []
     if numerics.per_cell < COUPLED:

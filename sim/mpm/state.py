@@ -21,7 +21,7 @@ from sim.mpm.kernels import (
     tip_kernel,
 )
 from sim.mpm.lattice import Lattice, Pace
-from sim.mpm.numerics import MpmNumerics
+from sim.mpm.numerics import Mpm
 from sim.scalars import PRECISIONS, matrix_of, numpy_of, vector_of
 from sim.scene import Scene
 
@@ -76,7 +76,7 @@ class ParticleState:
         lattice: Lattice,
         scenes: Sequence[Scene],
         paces: Sequence[Pace],
-        numerics: MpmNumerics,
+        numerics: Mpm,
         device: str,
     ) -> None:
         self.lattice, self.device = lattice, wp.get_device(device)

@@ -9,7 +9,7 @@ import pytest
 
 from sim import Body, Effects, Scene, press
 from sim.effects import Viscosity
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 from sim.fem.sizing import Sizes, Span
 from sim.fem.solver import Asked, simulate_fem
 from sim.indenters import sphere
@@ -42,7 +42,7 @@ def test_what_a_solution_asks_for_spares_the_next_mesh_being_made_anew() -> None
     key = 0, len(BALL.motion)
     far_too_coarse = Span(-3e-3, 3e-3, 1.5e-3)
     asked: Asked = {key: Sizes((far_too_coarse,), (far_too_coarse,), 1.5e-3, 2e-3)}
-    numerics = Numerics(fineness=0.5, tolerance=1e-3)
+    numerics = Fem(fineness=0.5, tolerance=1e-3)
     (first,) = simulate_fem([BALL], numerics, asked=asked)
     assert isinstance(first, Result)
     assert first.record["mesh"]["made_anew"] >= 1
@@ -59,7 +59,7 @@ def test_a_light_touch_is_balanced_well_enough_for_a_tolerance() -> None:
     scene = Scene(sphere(20e-3), press([0.02e-3]), body)
     forces = []
     for tolerance in (_states(scene, 0.01).tolerance, _states(scene, 0.03).tolerance, 1e-5):
-        (found,) = simulate_fem([scene], Numerics(fineness=0.95, tolerance=tolerance))
+        (found,) = simulate_fem([scene], Fem(fineness=0.95, tolerance=tolerance))
         assert isinstance(found, Result)
         forces.append(found.force[-1, 2])
     np.testing.assert_allclose(forces[:2], forces[2], rtol=2e-3)

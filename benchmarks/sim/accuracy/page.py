@@ -12,7 +12,7 @@ from benchmarks.sim.accuracy.cases import CASES, Case
 from benchmarks.sim.accuracy.chart import Colour, Mark, Panel, Series, save_chart
 from benchmarks.sim.accuracy.reference import COARSER
 from benchmarks.sim.accuracy.row import Measured, Row
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 
 # Colour of each ladder; the shape of the mark gives the device.
 COLOURS: dict[str, Colour] = {
@@ -126,7 +126,7 @@ def write_page(path: Path, folder: Path, measured: Sequence[Measured]) -> None:
     lines += _goal_lines(measured)
     for chart in CHARTS[1:]:
         lines += ["", f"![{chart.title}](images/{chart.file})"]
-    default = Numerics().fineness
+    default = Fem().fineness
     lines.append(_METHOD.format(reference=reference, coarser=COARSER, default=default))
     for case in cases:
         lines += _case_lines(case, measured)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from benchmarks.sim.refinement.bench import FAR, BenchRow, convergence_rate
 from benchmarks.sim.refinement.shapes import DEPTH, FRICTION, SHEAR, ShapeRow
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 
 MM = 1e3
 
@@ -34,7 +34,7 @@ def write_page(
 
 def _bench_lines(rows: Sequence[BenchRow]) -> list[str]:
     rows = sorted(rows, key=lambda row: -row.spacing)
-    numerics = Numerics()
+    numerics = Fem()
     lines = [
         "## Sphere, compared with converged values",
         "",

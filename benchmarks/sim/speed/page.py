@@ -44,7 +44,7 @@ _INTRO = """# Speed
 The paper's work: 18 indenters at 9 places ({places} mm along x and y), pressed to {depths} mm, with
 friction {friction:g}, into its gel of 20 x 20 x 4 mm. {whole} presses, 5 frames each, by the `fem`
 tier with the element height given in the table. Elements are {finer:g} times as wide at the
-indenter and grow outwards. Tolerances match these meshes (`Numerics(tolerance={tolerance:g},
+indenter and grow outwards. Tolerances match these meshes (`Fem(tolerance={tolerance:g},
 path_tolerance={path:g}, augmentations={augmentations})`). Seconds are wall time from scenes to
 results, with kernels compiled; compile time is given separately. Shared machines vary from day to
 day: the rates of each, measured next to its presses, are under "Roofline bound", and material
@@ -58,7 +58,7 @@ _MESHES = """
 ## Cost of accuracy
 
 The same {whole} presses with coarser and finer elements, and with two meshes whose forces are
-extrapolated to zero element size (`simulate(..., extrapolate=True)`, `--extrapolate`); errors
+extrapolated to zero element size (`simulate(..., Extrapolated(...))`, `--extrapolate`); errors
 from {deep:g} mm on. Errors of a mesh fall about as the square of its elements' size, and all forces
 are too large. By that law the reference is still about {left} too large, which affects every
 row: a mesh is worse by this amount, and two meshes are better than shown.
