@@ -21,7 +21,8 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial import KDTree
 
 from sim.contact_size import touched_by, width_of
-from sim.errors import SceneError, SimulationDiverged
+from sim.device import check_device
+from sim.errors import SimulationDiverged
 from sim.fem.assembly import Assembly
 from sim.fem.mesh import Mesh, meshes_of
 from sim.fem.newton import MIN_FORCE_SCALE, Newton, Path, path_of
@@ -38,7 +39,7 @@ from sim.fem.sizing import (
 )
 from sim.indenters.device import traits_of
 from sim.metrics import WEAK
-from sim.result import SIDES, Outcome, Quality, Result, with_beginning
+from sim.result import SIDES, Outcome, Quality, Result, no_quality, with_beginning
 from sim.scene import Body, Motion, Scene
 
 # Results per environment from the last evaluated state: contact, traction, energy, weight.
@@ -284,13 +285,7 @@ class Collector:
         self._wrench = np.full((frames, 6), np.nan)
         self._surface = np.full((frames, nx + 1, ny + 1, 3), np.nan, np.float32)
         self._traction = np.full((frames, nx + 1, ny + 1, 3), np.nan, np.float32)
-        self._quality = {
-            name: np.full(frames, np.nan)
-            for name in (
-                *("residual", "contact", "balance", "energy_gap", "det_f_min", "slip_excess"),
-                *("overlap", "overlap_bound", "overlap_path", "contact_width"),
-            )
-        }
+        self._quality = no_quality(frames)
         self._overlap_path = 0.0
         self.below_base = 0.0
         """Largest depth of the skin below the base plane [m]."""
@@ -458,7 +453,7 @@ def simulate_fem(
     Raises:
         SceneError: A mesh cannot be built, or the device does not exist.
     """
-    _check_device(device)
+    check_device(device)
     if not numerics.follows:
         outcomes = _on_meshes(scenes, numerics, None, device, progress)
         return [_judged(outcome) for outcome in outcomes]
@@ -812,14 +807,6 @@ def _forget_dump(dump: File | None) -> None:
     if dump is not None:
         dump.unlink(missing_ok=True)
         dump.parent.rmdir()
-
-
-def _check_device(device: str) -> None:
-    try:
-        wp.get_device(device)
-    except (ValueError, RuntimeError) as error:
-        allowed = ", ".join(str(each) for each in wp.get_devices())
-        raise SceneError(f"device: {device!r}; allowed here: {allowed}") from error
 
 
 # Most calls waiting for the thread: frames that wait to be kept take memory.

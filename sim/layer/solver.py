@@ -19,7 +19,7 @@ from sim.errors import SceneError, SimulationDiverged
 from sim.layer.contact import Clearance, Contact, solve_frictional, solve_frictionless
 from sim.layer.numerics import Layer
 from sim.layer.spectral import Grid, convolutions
-from sim.result import Quality, Result
+from sim.result import Quality, Result, no_quality
 from sim.scene import Scene
 
 # History of a relaxing layer: the stress in its Maxwell branches, per pixel.
@@ -352,13 +352,7 @@ class Frames:
         self._wrench = np.zeros((count, 6))
         self._surface = np.zeros((count, *press.grid.shape, 3), np.float32)
         self._traction = np.zeros((count, *press.grid.shape, 3), np.float32)
-        self._quality = {
-            name: np.full(count, np.nan)
-            for name in (
-                *("residual", "contact", "balance", "energy_gap", "det_f_min", "slip_excess"),
-                *("overlap", "overlap_bound", "overlap_path", "contact_width"),
-            )
-        }
+        self._quality = no_quality(count)
         self._newton, self._steps = np.zeros(count, np.int64), np.zeros(count, np.int64)
         self._start: tuple[float, float] | None = None
         self._work_most = 0.0

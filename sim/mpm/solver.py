@@ -6,17 +6,25 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import fields
 
 import numpy as np
 import warp as wp
 
+from sim.device import check_device
 from sim.errors import SceneError, SimulationDiverged
-from sim.mpm.kernels import COLLAPSED, LEFT_GRID, SPEED_LIMIT, TOO_FAST
 from sim.mpm.lattice import QUASI_STATIC, Pace, build_lattice, pace_of, same_body
 from sim.mpm.numerics import Mpm
-from sim.mpm.state import ROUND, Means, ParticleState, Units
-from sim.result import Outcome, Quality, Result
+from sim.mpm.state import (
+    COLLAPSED,
+    LEFT_GRID,
+    ROUND,
+    SPEED_LIMIT,
+    TOO_FAST,
+    Means,
+    ParticleState,
+    Units,
+)
+from sim.result import Outcome, Quality, Result, no_quality
 from sim.scene import Scene
 
 # Values kept at the waypoints of a press: force, surface, and quality measures.
@@ -54,8 +62,7 @@ class Frames:
         nx, ny, _nz = state.lattice.counts
         self._wrench = np.full((frames, 6), np.nan)
         self._surface = np.full((frames, nx, ny, 3), np.nan, np.float32)
-        names = [one.name for one in fields(Quality) if one.name not in ("newton", "cg", "steps")]
-        self._quality = {name: np.full(frames, np.nan) for name in names}
+        self._quality = no_quality(frames)
         self._steps = np.zeros(frames, np.int64)
         self._readings = np.zeros((pace.steps, 9))
         self._velocity = _tip_velocity(pace, state.lattice.cell)
@@ -199,7 +206,7 @@ def simulate_mpm(
     same_body(scenes)
     _check_bodies(scenes)
     _same_effects(scenes)
-    _check_device(device)
+    check_device(device)
     began = time.perf_counter()
     lattice = build_lattice(scenes, numerics)
     paces = [pace_of(scene, numerics, lattice.cell) for scene in scenes]
@@ -357,11 +364,3 @@ def _same_effects(scenes: Sequence[Scene]) -> None:
                 f"scenes[{index}].effects: {scene.effects.key}; allowed: {first.key}, as in the "
                 "batch's first scene"
             )
-
-
-def _check_device(device: str) -> None:
-    try:
-        wp.get_device(device)
-    except (ValueError, RuntimeError) as error:
-        allowed = ", ".join(str(each) for each in wp.get_devices())
-        raise SceneError(f"device: {device!r}; allowed here: {allowed}") from error

@@ -13,9 +13,8 @@ from support.mpm_oracle import Array
 from sim import Body, Effects, Friction, Gravity, Inertia, Scene, press
 from sim.indenters import sphere
 from sim.mpm import Mpm
-from sim.mpm.kernels import IMPULSE_UNIT
 from sim.mpm.lattice import wave_speed
-from sim.mpm.state import ParticleState
+from sim.mpm.state import IMPULSE_UNIT, ParticleState
 
 SMALL = Body(size_x=1.5e-3, size_y=1e-3, thickness=1e-3)
 SCENE = Scene(sphere(1e-3), press([0.2e-3]), SMALL)

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from sim import Scene
 from sim.mpm import Mpm
-from sim.mpm.kernels import FIXED_POINT
 from sim.mpm.lattice import Lattice, Pace, build_lattice, pace_of
-from sim.mpm.state import ParticleState
+from sim.mpm.state import FIXED_POINT, ParticleState
 
 Array = NDArray[np.float64]
 
