@@ -155,13 +155,13 @@ class Plan:
 
     def __str__(self) -> str:
         """Return the tolerance, the effects, and each tier with its mesh and approximate time."""
+        from sim.fem.mesh import meshes_of
+
         scene = self.scene if self.effects is None else self.effects.needed
         solved = ", ".join(scene.effects.key) or "none"
         lines = [f"error of up to {self.tolerance}; effects solved: {solved}"]
         if self.effects is not None and self.effects.effects:
             lines.append(str(self.effects))
-        from sim.fem.mesh import meshes_of
-
         for tier in self.tiers:
             if isinstance(tier, Layer):
                 told = "layer, if its estimated error is small enough"
