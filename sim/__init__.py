@@ -2,19 +2,28 @@
 
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError, SimulationDiverged
+from sim.fem import Fem
 from sim.indenters import Indenter
+from sim.layer import Layer
+from sim.mpm import Mpm
 from sim.result import Quality, Result
 from sim.scene import Body, Motion, Scene, from_target, press, press_shear_return, ramp_hold
-from sim.simulate import plan, simulate, simulate_many
+from sim.simulate import Extrapolated, Measured, Plan, plan, plan_effects, simulate, simulate_many
 
 __all__ = [
     "Body",
     "Effects",
+    "Extrapolated",
+    "Fem",
     "Friction",
     "Gravity",
     "Indenter",
     "Inertia",
+    "Layer",
+    "Measured",
     "Motion",
+    "Mpm",
+    "Plan",
     "Quality",
     "Result",
     "Scene",
@@ -23,6 +32,7 @@ __all__ = [
     "Viscosity",
     "from_target",
     "plan",
+    "plan_effects",
     "press",
     "press_shear_return",
     "ramp_hold",

@@ -29,6 +29,21 @@ def ready_device(name: str) -> Path | None:
     return Path(wp.config.kernel_cache_dir) if wp.config.kernel_cache_dir else None
 
 
+def check_device(name: str) -> None:
+    """Reject a device that this machine does not have.
+
+    Raises:
+        SceneError: Names the devices that it has.
+    """
+    import warp as wp
+
+    try:
+        wp.get_device(name)
+    except (ValueError, RuntimeError) as error:
+        allowed = ", ".join(str(each) for each in wp.get_devices())
+        raise SceneError(f"device: {name!r}; allowed here: {allowed}") from error
+
+
 @contextlib.contextmanager
 def _without_driver_warning(*, asked: bool) -> Iterator[None]:
     """Drop the warning of Warp's native part about a missing GPU driver, unless a GPU is requested.

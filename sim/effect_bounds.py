@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from sim.effects import Effects, Inertia
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem.newton import path_of
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
+from sim.layer.numerics import Layer
 from sim.metrics import Outcome, force_scale, marker_pixels, outcome_of, seen
 from sim.scene import Body, Scene
 from sim.tiers import simulate_one
@@ -122,7 +123,7 @@ def _layer(scene: Scene) -> _Layer | None:
         return None
     try:
         alone = replace(scene, effects=Effects(friction=scene.effects.friction))
-        result = simulate_one(alone, "layer")
+        result = simulate_one(alone, Layer())
     except (SceneError, SimulationDiverged):
         return None
     outcome = outcome_of(result)
@@ -211,7 +212,7 @@ def _accelerations(scene: Scene, inertia: Inertia) -> Array:
     bend = 1.015 * narrow * math.sqrt(body.modulus / density) / body.thickness
     omega = min(shear, bend)
     wave = math.sqrt((body.bulk_modulus + 4 / 3 * body.shear_modulus) / density) / body.thickness
-    path = path_of(scene, Numerics())
+    path = path_of(scene, Fem())
     tip, time = np.array(motion.tip), np.array(motion.time)
     velocity = np.diff(tip, axis=0) / np.diff(time)[:, None]
     found = np.zeros(len(tip))

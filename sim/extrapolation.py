@@ -10,22 +10,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.error_estimate import fineness_of, measured, unknown_at_side
 from sim.errors import SceneError, SimulationDiverged
+from sim.fem.numerics import FOR_EDGES, Fem, Grading
 from sim.metrics import force_scale
 from sim.result import Outcome, Result
 from sim.scene import Scene
 from sim.symmetry import with_symmetry
 from sim.tiers import part_of, simulate_many
-
-if TYPE_CHECKING:
-    from sim.fem.numerics import Numerics
-
 
 Array = NDArray[np.float64]
 
@@ -46,31 +42,27 @@ FINER = 0.5
 
 def simulate_extrapolated(
     scenes: Sequence[Scene],
-    numerics: Numerics | None = None,
+    fine: Fem = Fem(grading=FOR_EDGES),
     *,
     device: str = "cpu",
     processes: int = 1,
     progress: Callable[[float], None] | None = None,
 ) -> list[Outcome]:
-    """Simulate by `fem` on the mesh of `numerics` and a coarser one; see `extrapolated`.
+    """Simulate by `fem` on the mesh of `fine` and a coarser one; see `extrapolated`.
 
-    Arguments as in `simulate_many`; the default `numerics` has elements for edges. A scene fails if
-    it fails on either mesh.
+    Arguments as in `simulate_many`. A scene fails if it fails on either mesh.
 
     Raises:
         SceneError: As in `simulate_many`; the mesh has no coarser one, or its elements under the
             indenter are not narrower than high; the bodies have several thicknesses.
         WorkerLost: As in `simulate_many`.
     """
-    from sim.fem.numerics import FOR_EDGES, Grading, Numerics
-
     if not scenes:
         return []
-    fine = numerics or Numerics(grading=FOR_EDGES)
     grading = fine.grading or Grading()
     if grading.finer > FINER:
         raise SceneError(
-            f"numerics.grading.finer: {grading.finer:g}; allowed where forces are "
+            f"fem.grading.finer: {grading.finer:g}; allowed where forces are "
             f"extrapolated: {FINER:g} or less, such as sim.fem.numerics.FOR_EDGES"
         )
     coarse = replace(fine, spacing=_coarser(scenes, fine))
@@ -79,7 +71,7 @@ def simulate_extrapolated(
         found.append(
             simulate_many(
                 scenes,
-                numerics=each,
+                each,
                 device=device,
                 processes=processes,
                 progress=None if progress is None else part_of(progress, number, 2),
@@ -138,7 +130,7 @@ def _of_both(coarse: Outcome, fine: Outcome) -> Outcome:
     return coarse if isinstance(coarse, SimulationDiverged) else extrapolated(coarse, fine)
 
 
-def _coarser(scenes: Sequence[Scene], numerics: Numerics) -> float:
+def _coarser(scenes: Sequence[Scene], numerics: Fem) -> float:
     """Return the size of an element of the coarser mesh [m]."""
     thicknesses = {scene.body.thickness for scene in scenes}
     if len(thicknesses) > 1:
@@ -151,7 +143,7 @@ def _coarser(scenes: Sequence[Scene], numerics: Numerics) -> float:
     cells = round(thickness / fine)
     if cells <= COARSEST_CELLS:
         raise SceneError(
-            f"numerics.spacing: {fine * 1e3:.3g} mm; allowed where forces are extrapolated: "
+            f"fem.spacing: {fine * 1e3:.3g} mm; allowed where forces are extrapolated: "
             f"{thickness / (COARSEST_CELLS + 1) * 1e3:.3g} mm or less in {thickness * 1e3:g} mm"
         )
     return thickness / max(COARSEST_CELLS, math.ceil(cells / COARSER))

@@ -16,6 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from sim.error_estimate import LAYER_LEAST, LAYER_PER_DEPTH, pixel_of, side_distance
+from sim.layer.numerics import Layer
 from sim.metrics import Tolerance, force_scale, with_unit
 from sim.result import Result
 from sim.scene import Scene
@@ -68,7 +69,7 @@ def solved_by_layer(
         SceneError: The scene is not supported by `layer`.
         SimulationDiverged: The contact did not converge.
     """
-    result = simulate_one(scene, "layer", progress=progress)
+    result = simulate_one(scene, Layer(), progress=progress)
     error = result.record["error"]
     if error["status"] != "estimated":
         return result, np.inf, f"layer: error not known, {error['why']}"

@@ -18,6 +18,7 @@ import numpy as np
 
 from sim.effect_bounds import Change, bounds_of, no_change
 from sim.errors import SceneError, check_kind
+from sim.fem.numerics import Fem
 from sim.metrics import (
     Kind,
     Tolerance,
@@ -30,7 +31,7 @@ from sim.metrics import (
 from sim.result import Outcome, Result, to_json
 from sim.scene import Scene
 from sim.tiers import part_of, simulate_many
-from sim.tolerance import FLOOR, simulate_within
+from sim.tolerance import FLOOR, Only, simulate_within
 
 Progress = Callable[[float], None]
 
@@ -105,6 +106,14 @@ class EffectsPlan:
     def needed(self) -> Scene:
         """Scene without the effects that are left out."""
         return without(self.scene, self.omitted)
+
+    @property
+    def rest(self) -> str:
+        """Tolerance that remains for the mesh, as text."""
+        assert self.tolerance is not None
+        return _text(
+            self.tolerance.kind, self.tolerance.value - self.joint.value(self.tolerance.kind)
+        )
 
     def record(self) -> dict[str, Any]:
         """Return the plan as plain JSON values; shares of force and time are in percent."""
@@ -185,10 +194,10 @@ def plan_many(
     device: str = "cpu",
     progress: Progress | None = None,
 ) -> list[EffectsPlan]:
-    """Plan several scenes as `sim.plan` does, with the probes solved in one batch.
+    """Plan several scenes as `sim.plan_effects` does, with the probes solved in one batch.
 
     Raises:
-        SceneError: As in `sim.plan`.
+        SceneError: As in `sim.plan_effects`.
     """
     wanted = None if tolerance is None else tolerance_of(tolerance)
     for scene in scenes:
@@ -207,38 +216,42 @@ def plan_many(
 
 
 def simulate_needed(
-    scene: Scene,
+    found: EffectsPlan,
     tolerance: str,
     *,
+    tier: Only | None = None,
     device: str = "cpu",
     progress: Progress | None = None,
 ) -> Result:
-    """Simulate within `tolerance`, without the effects that it allows to leave out.
+    """Simulate within `tolerance`, without the effects that its plan leaves out.
 
     Left-out effects take up to a third of the tolerance, the mesh the rest of it; the sum of both
     errors is in `record["error"]`. `record["effects"]` is the plan, with the requested effects;
     the result's scene has those that were solved.
 
     Args:
-        scene: Scene with all requested effects.
+        found: Plan for this tolerance of the scene with all requested effects.
         tolerance: Such as "2 %", "0.05 N", "0.5 px".
+        tier: As in `simulate_within`; None is `fem` if effects are left out.
         device: Device to run on.
-        progress: Called with the share done, 0 to 1, of the probes and of each mesh in turn.
+        progress: Called with the share done, 0 to 1, of each mesh in turn.
 
     Raises:
         SceneError: The tolerance is invalid, or the finest mesh allowed does not reach it.
         SimulationDiverged: A mesh found no solution.
     """
-    (found,) = plan_many([scene], tolerance=tolerance, device=device, progress=progress)
     if not found.omitted:
-        result = simulate_within(scene, tolerance, device=device, progress=progress)
+        result = simulate_within(
+            found.scene, tolerance, tier=tier, device=device, progress=progress
+        )
         return replace(result, record={**result.record, "effects": found.record()})
     wanted = tolerance_of(tolerance)
     spent = found.joint.value(wanted.kind)
-    rest = _text(wanted.kind, wanted.value - spent)
     try:
         # Errors of effects and mesh are added, also those of markers, which 'layer' does not state.
-        result = simulate_within(found.needed, rest, tier="fem", device=device, progress=progress)
+        result = simulate_within(
+            found.needed, found.rest, tier=tier or "fem", device=device, progress=progress
+        )
     except SceneError as refusal:
         raise SceneError(
             f"{refusal} (of {tolerance!r}, {with_unit(wanted.kind, spent)} is for "
@@ -257,7 +270,7 @@ def _with_both_errors(result: Result, found: EffectsPlan, wanted: Tolerance) -> 
         "percent": mesh["percent"] + 100 * joint.value("share"),
         "force": share,
         "newton": mesh["newton"] + joint.force,
-        "marker": mesh["marker"] + joint.marker,
+        **({"marker": mesh["marker"] + joint.marker} if "marker" in mesh else {}),
         "mesh_percent": mesh["percent"],
         "effects_percent": 100 * joint.value("share"),
     }
@@ -450,12 +463,10 @@ def _solve(
     drafts: Sequence[_Draft], device: str, progress: Progress | None, part: tuple[int, int]
 ) -> None:
     """Solve the queued probes of all drafts in one batch."""
-    from sim.fem.numerics import Numerics
-
     tasks = [(draft, names) for draft in drafts for names in draft.queue]
     if not tasks:
         return
-    numerics = Numerics(
+    numerics = Fem(
         fineness=FINENESS,
         elements_max=ELEMENTS_MAX,
         tolerance=STATES,
@@ -467,7 +478,7 @@ def _solve(
     began = time.perf_counter()
     outcomes = simulate_many(
         [without(draft.scene, sorted(names)) for draft, names in tasks],
-        numerics=numerics,
+        numerics,
         device=device,
         progress=None if progress is None else part_of(progress, *part),
     )

@@ -57,6 +57,13 @@ class Quality:
     """Number of steps taken for the frame, including failed ones."""
 
 
+def no_quality(frames: int) -> dict[str, Array]:
+    """Return NaN for each error measure of every frame, by name; without the counts."""
+    counts = ("newton", "cg", "steps")
+    measures = (one.name for one in dataclasses.fields(Quality) if one.name not in counts)
+    return {name: np.full(frames, np.nan) for name in measures}
+
+
 @dataclass(frozen=True, slots=True)
 class Result:
     """Simulated scene: F frames, one for each waypoint of the motion.

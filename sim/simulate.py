@@ -3,103 +3,226 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 from sim.errors import SceneError, SimulationDiverged, check_kind
+from sim.fem.numerics import FOR_EDGES, Fem
+from sim.layer.numerics import Layer
+from sim.metrics import tolerance_of
 from sim.result import Result
 from sim.scene import Scene
-from sim.tiers import Tier, simulate_many, simulate_one, unfit
+from sim.tiers import Tier, seconds_of, simulate_many, simulate_one
 
 if TYPE_CHECKING:
-    from sim.fem.numerics import Numerics
-    from sim.mpm import MpmNumerics
     from sim.needed import EffectsPlan
+    from sim.tolerance import Only
+
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """A tier, and one more mesh of `fem` that measures its error.
+
+    `record["error"]` and `record["error_bar"]` have it.
+
+    Raises:
+        SceneError: The tier is neither `Fem` nor `Layer`.
+    """
+
+    tier: Fem | Layer = Fem()
+
+    def __post_init__(self) -> None:
+        check_kind("measured.tier", self.tier, Fem | Layer, "a Fem or a Layer")
+
+
+@dataclass(frozen=True, slots=True)
+class Extrapolated:
+    """A mesh of `fem`, and a coarser one; forces are extrapolated from both (`sim.extrapolation`).
+
+    Raises:
+        SceneError: The mesh is not a `Fem`.
+    """
+
+    fem: Fem = Fem(grading=FOR_EDGES)
+
+    def __post_init__(self) -> None:
+        check_kind("extrapolated.fem", self.fem, Fem, "a Fem")
 
 
 def simulate(
     scene: Scene,
-    tier: Tier | None = None,
+    tier: Tier | Measured | Extrapolated = Fem(),
     *,
-    tolerance: str | None = None,
-    effects: Literal["needed"] | None = None,
-    error_bar: bool = False,
-    extrapolate: bool = False,
-    numerics: Numerics | MpmNumerics | None = None,
     device: str = "cpu",
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Result:
-    """Simulate one scene.
+    """Simulate one scene; see `plan` for a tolerance in place of a tier.
 
     Args:
         scene: Scene to simulate.
-        tier: By default `fem`, unless a tolerance is given. `layer`: spectral bonded layer, small
-            strain, no free sides; `fem`: finite elements, large strain; `mpm`: explicit material
-            points.
-        numerics: `Numerics` for `fem`, `MpmNumerics` for `mpm`; `layer` has none.
-        tolerance: Such as "2 %", "0.05 N", "0.5 px", instead of numerics. `layer` is used if its
-            estimate is below it and was checked for such scenes. Otherwise meshes of `fem` are
-            refined until the error measured by two of them is below (`sim.tolerance`). See
-            `record["error"]` and `record["plan"]`. With a tier only that one is tried: `layer` by
-            its estimate.
-        effects: "needed", with a tolerance: leave out effects of the scene as far as the tolerance
-            allows, a third of it at most (`sim.needed`); see `record["effects"]`. None: keep all.
-        error_bar: Solve a coarser mesh as well, to measure `record["error"]`; `record["error_bar"]`
-            has it too. With a tolerance: use meshes, not `layer`.
-        extrapolate: Solve a coarser mesh as well, and return the forces extrapolated from both
-            (`sim.extrapolation`); only `fem`.
-        device: Device of `fem` and `mpm`, `cpu` or `cuda:0` and the like; `layer` uses the CPU.
+        tier: Tier and its settings. `Layer`: spectral bonded layer, small strain, no free sides;
+            `Fem`: finite elements, large strain; `Mpm`: explicit material points. `Measured` and
+            `Extrapolated` solve one more mesh, for the error or for better forces.
+        device: Device of `Fem` and `Mpm`, `cpu` or `cuda:0` and the like; `Layer` uses the CPU.
         progress: Called with the share done, 0 to 1.
 
     Raises:
-        SceneError: The tier does not exist or does not support the scene, the tolerance cannot be
-            reached, or arguments exclude each other.
+        SceneError: The tier does not support the scene, or there is no mesh coarser than that of
+            `Measured` or `Extrapolated`.
         SimulationDiverged: No converged state was found; nothing unconverged is returned.
     """
     check_kind("scene", scene, Scene, "a Scene")
-    if effects is not None:
-        _check_needed(effects, tolerance)
-    if extrapolate:
-        return _extrapolated(scene, tier, tolerance, error_bar, numerics, device, progress)
-    if tolerance is not None:
-        if numerics is not None:
-            raise SceneError(f"numerics: {numerics!r} with a tolerance; allowed: None")
-        if error_bar:  # a measured error
-            if tier == "layer":
-                raise SceneError(
-                    f"error_bar: True with tolerance {tolerance!r} and tier {tier!r}; allowed: "
-                    "tier None or 'fem', or no tolerance"
-                )
-            tier = "fem" if tier is None and effects is None else tier
-        if effects is not None:
-            if tier is not None:
-                raise SceneError(f"tier: {tier!r} with effects {effects!r}; allowed: None")
-            from sim.needed import simulate_needed
-
-            return simulate_needed(scene, tolerance, device=device, progress=progress)
-        from sim.tolerance import simulate_within
-
-        return simulate_within(scene, tolerance, tier=tier, device=device, progress=progress)
-    if error_bar and tier == "mpm":
-        raise SceneError(f"error_bar: True with tier {tier!r}; allowed: 'fem', 'layer'")
-    outcome = simulate_one(
-        scene, "fem" if tier is None else tier, numerics=numerics, device=device, progress=progress
-    )
-    if error_bar:
-        from sim.fem.numerics import Numerics
+    if isinstance(tier, Measured):
         from sim.tolerance import with_measured_error
 
-        if not (numerics is None or isinstance(numerics, Numerics)):
-            raise unfit(numerics, "fem", "Numerics, for an error bar")
-        return with_measured_error(outcome, numerics or Numerics(), device=device)
-    return outcome
+        one = simulate_one(scene, tier.tier, device=device, progress=progress)
+        fem = tier.tier if isinstance(tier.tier, Fem) else Fem()
+        return with_measured_error(one, fem, device=device)
+    if isinstance(tier, Extrapolated):
+        from sim.extrapolation import simulate_extrapolated
+
+        (outcome,) = simulate_extrapolated([scene], tier.fem, device=device, progress=progress)
+        if isinstance(outcome, SimulationDiverged):
+            raise outcome
+        return outcome
+    return simulate_one(scene, tier, device=device, progress=progress)
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Way to simulate a scene within a tolerance; printed, it is a few lines."""
+
+    scene: Scene
+    """Scene with all its effects."""
+    tolerance: str
+    """Largest accepted error."""
+    only: Only | None = None
+    """Only tier that is tried; None: `layer`, if its estimate was checked on such scenes, then
+    `fem`."""
+    effects: EffectsPlan | None = None
+    """Influence of the effects, and those that are left out; None: all are kept."""
+    device: str = "cpu"
+    """Device of the meshes."""
+
+    @property
+    def tiers(self) -> tuple[Layer | Fem, ...]:
+        """Tiers that are tried in turn, the coarser of two meshes first.
+
+        `layer` is the last one if its estimate is within the tolerance. Finer meshes follow if the
+        error measured by the first two is not.
+        """
+        from sim.layer_within import worth_a_look
+        from sim.tolerance import COMPANION, first_mesh
+
+        scene, only, wanted = self.scene, self.only, tolerance_of(self.tolerance)
+        if self.effects is not None and self.effects.omitted:
+            scene, only = self.effects.needed, only or "fem"
+            wanted = tolerance_of(self.effects.rest)
+        tiers: list[Layer | Fem] = []
+        if only == "layer" or (only is None and worth_a_look(scene, wanted)):
+            tiers.append(Layer())
+        if only != "layer":
+            fine = first_mesh(scene, wanted, self.device)
+            tiers += [replace(fine, fineness=fine.fineness / COMPANION), fine]
+        return tuple(tiers)
+
+    def run(self, *, progress: Progress | None = None) -> Result:
+        """Simulate; `record["error"]` and `record["plan"]` have the error and the attempts.
+
+        With planned effects `record["effects"]` is their plan, and the result's scene has those
+        that are kept.
+
+        Args:
+            progress: Called with the share done, 0 to 1, of `layer` and each mesh in turn.
+
+        Raises:
+            SceneError: A tier does not support the scene, or the tolerance cannot be reached.
+            SimulationDiverged: No converged state was found; nothing unconverged is returned.
+        """
+        if self.effects is not None:
+            from sim.needed import simulate_needed
+
+            return simulate_needed(
+                self.effects, self.tolerance, tier=self.only, device=self.device, progress=progress
+            )
+        from sim.tolerance import simulate_within
+
+        return simulate_within(
+            self.scene, self.tolerance, tier=self.only, device=self.device, progress=progress
+        )
+
+    def __str__(self) -> str:
+        """Return the tolerance, the effects, and each tier with its mesh and approximate time."""
+        from sim.fem.mesh import meshes_of
+
+        scene = self.scene if self.effects is None else self.effects.needed
+        solved = ", ".join(scene.effects.key) or "none"
+        lines = [f"error of up to {self.tolerance}; effects solved: {solved}"]
+        if self.effects is not None and self.effects.effects:
+            lines.append(str(self.effects))
+        for tier in self.tiers:
+            if isinstance(tier, Layer):
+                told = "layer, if its estimated error is small enough"
+            else:
+                (mesh,) = meshes_of([scene], tier)
+                told = f"fem, {' x '.join(map(str, mesh.cells))} elements"
+            if self.device == "cpu" or isinstance(tier, Layer):
+                told += f": {seconds_of(scene, tier):.1g} s or more"
+            lines.append(told)
+        if self.only != "layer":
+            lines.append("finer meshes of fem, if the error measured by these two is larger")
+        return "\n".join(lines)
 
 
 def plan(
     scene: Scene,
+    tolerance: str,
     *,
-    tolerance: str | None = None,
+    only: Only | None = None,
+    effects: Literal["all", "needed"] = "all",
     device: str = "cpu",
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
+) -> Plan:
+    """Return the way to simulate a scene within a tolerance; `plan(...).run()` simulates it.
+
+    `layer` is used if its estimate is below the tolerance and was checked for such scenes.
+    Otherwise meshes of `fem` are refined until the error measured by two of them is below
+    (`sim.tolerance`).
+
+    Args:
+        scene: Scene to simulate.
+        tolerance: Such as "2 %", "0.05 N", "0.5 px".
+        only: `layer` or `fem`: only that tier is tried.
+        effects: `needed`: leave out effects as far as the tolerance allows, a third of it at most.
+            Probes on coarse meshes are solved now to find them (`sim.needed`).
+        device: Device of probes and meshes, `cpu` or `cuda:0` and the like.
+        progress: Called with the share done, 0 to 1, of the probes.
+
+    Raises:
+        SceneError: The scene or the tolerance is invalid, or the device does not exist.
+    """
+    check_kind("scene", scene, Scene, "a Scene")
+    tolerance_of(tolerance)
+    for name, value, allowed in (
+        ("only", only, (None, "layer", "fem")),
+        ("effects", effects, ("all", "needed")),
+    ):
+        if value not in allowed:
+            raise SceneError(f"{name}: {value!r}; allowed: {', '.join(map(repr, allowed))}")
+    found = None
+    if effects == "needed":
+        found = plan_effects(scene, tolerance, device=device, progress=progress)
+    return Plan(scene, tolerance, only, found, device)
+
+
+def plan_effects(
+    scene: Scene,
+    tolerance: str | None = None,
+    *,
+    device: str = "cpu",
+    progress: Progress | None = None,
 ) -> EffectsPlan:
     """Return the influence of each effect; with a tolerance also those that may be left out.
 
@@ -120,39 +243,13 @@ def plan(
     return plan_many([scene], tolerance=tolerance, device=device, progress=progress)[0]
 
 
-def _check_needed(effects: str, tolerance: str | None) -> None:
-    if effects != "needed":
-        raise SceneError(f"effects: {effects!r}; allowed: 'needed', or None for all of the scene")
-    if tolerance is None:
-        raise SceneError(
-            f'effects: {effects!r} without a tolerance; allowed: with one, such as "2 %", '
-            '"0.05 N" or "0.5 px"'
-        )
-
-
-def _extrapolated(
-    scene: Scene,
-    tier: Tier | None,
-    tolerance: str | None,
-    error_bar: bool,
-    numerics: Numerics | MpmNumerics | None,
-    device: str,
-    progress: Callable[[float], None] | None,
-) -> Result:
-    from sim.extrapolation import simulate_extrapolated
-    from sim.fem.numerics import Numerics
-
-    if tolerance is not None or error_bar:
-        given = f"tolerance {tolerance!r}" if tolerance is not None else "an error bar"
-        raise SceneError(f"extrapolate: True with {given}; allowed: either the one or the other")
-    if tier not in (None, "fem"):
-        raise SceneError(f"extrapolate: True with tier {tier!r}; allowed: 'fem'")
-    if not (numerics is None or isinstance(numerics, Numerics)):
-        raise unfit(numerics, "fem", "Numerics")
-    outcome = simulate_extrapolated([scene], numerics, device=device, progress=progress)[0]
-    if isinstance(outcome, SimulationDiverged):
-        raise outcome
-    return outcome
-
-
-__all__ = ["Tier", "plan", "simulate", "simulate_many"]
+__all__ = [
+    "Extrapolated",
+    "Measured",
+    "Plan",
+    "Tier",
+    "plan",
+    "plan_effects",
+    "simulate",
+    "simulate_many",
+]

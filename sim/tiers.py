@@ -4,38 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, as_completed
-from typing import TYPE_CHECKING, Literal
 
 from sim.error_estimate import with_estimate
 from sim.errors import SceneError, SimulationDiverged, check_kind
+from sim.fem.numerics import Fem
+from sim.layer.numerics import Layer
+from sim.mpm.numerics import Mpm
 from sim.result import Outcome, Result
 from sim.scene import Scene
 
-if TYPE_CHECKING:
-    from sim.fem.numerics import Numerics
-    from sim.mpm import MpmNumerics
-
-Tier = Literal["layer", "fem", "mpm"]
 # `layer` is linear and takes milliseconds, `fem` is exact and takes seconds to minutes; `mpm` is
 # the paper's method, costlier and less exact than `fem`, for comparison and for waves.
-TIERS: tuple[Tier, ...] = ("layer", "fem", "mpm")
+Tier = Layer | Fem | Mpm
 
 
 def simulate_one(
     scene: Scene,
-    tier: Tier = "fem",
+    tier: Tier = Fem(),
     *,
-    numerics: Numerics | MpmNumerics | None = None,
     device: str = "cpu",
     progress: Callable[[float], None] | None = None,
 ) -> Result:
     """Solve one scene by one tier; arguments as in `simulate`.
 
     Raises:
-        SceneError: The tier does not exist, or does not support the scene.
+        SceneError: The tier does not support the scene.
         SimulationDiverged: No converged state was found.
     """
-    outcome = simulate_many([scene], tier, numerics=numerics, device=device, progress=progress)[0]
+    outcome = simulate_many([scene], tier, device=device, progress=progress)[0]
     if isinstance(outcome, SimulationDiverged):
         raise outcome
     return outcome
@@ -43,9 +39,8 @@ def simulate_one(
 
 def simulate_many(
     scenes: Sequence[Scene],
-    tier: Tier = "fem",
+    tier: Tier = Fem(),
     *,
-    numerics: Numerics | MpmNumerics | None = None,
     device: str = "cpu",
     processes: int = 1,
     progress: Callable[[float], None] | None = None,
@@ -60,36 +55,27 @@ def simulate_many(
         SceneError: As in `simulate`; processes below 1, or several on a GPU.
         WorkerLost: One of several processes was killed, by a lack of memory for example.
     """
-    outcomes = _by_tier(
-        scenes, tier, numerics=numerics, device=device, processes=processes, progress=progress
-    )
+    outcomes = _by_tier(scenes, tier, device, processes, progress)
     return [with_estimate(one) if isinstance(one, Result) else one for one in outcomes]
 
 
 def _by_tier(
     scenes: Sequence[Scene],
     tier: Tier,
-    *,
-    numerics: Numerics | MpmNumerics | None,
     device: str,
     processes: int,
     progress: Callable[[float], None] | None,
 ) -> list[Outcome]:
-    if tier not in TIERS:
-        raise SceneError(f"tier: {tier!r}; allowed: {', '.join(TIERS)}")
+    check_kind("tier", tier, Tier, "a Layer, a Fem or an Mpm")
     for scene in scenes:
         check_kind("scene", scene, Scene, "a Scene")
     check_processes(processes, device)
     if processes > 1 and len(scenes) > 1:
-        return simulate_in_processes(
-            scenes, tier, numerics=numerics, processes=processes, progress=progress
-        )
+        return simulate_in_processes(scenes, tier, processes=processes, progress=progress)
     if not scenes:
         return []
-    if tier == "layer":
-        if numerics is not None:
-            raise unfit(numerics, tier, "None")
-        from sim.layer import simulate_layer
+    if isinstance(tier, Layer):
+        from sim.layer.solver import simulate_layer
 
         outcomes: list[Outcome] = []
         for index, scene in enumerate(scenes):
@@ -97,22 +83,17 @@ def _by_tier(
             if progress is not None:
                 share = part_of(progress, index, len(scenes))
             try:
-                outcomes.append(simulate_layer(scene, progress=share))
+                outcomes.append(simulate_layer(scene, tier, progress=share))
             except SimulationDiverged as diverged:
                 outcomes.append(diverged)
         return outcomes
-    if tier == "mpm":
-        from sim.mpm import MpmNumerics, simulate_mpm
+    if isinstance(tier, Mpm):
+        from sim.mpm.solver import simulate_mpm
 
-        if numerics is not None and not isinstance(numerics, MpmNumerics):
-            raise unfit(numerics, tier, "MpmNumerics")
-        return simulate_mpm(scenes, numerics, device=device, progress=progress)
-    from sim.fem.numerics import Numerics
+        return simulate_mpm(scenes, tier, device=device, progress=progress)
     from sim.fem.solver import simulate_fem
 
-    if numerics is not None and not isinstance(numerics, Numerics):
-        raise unfit(numerics, tier, "Numerics")
-    return simulate_fem(scenes, numerics, device=device, progress=progress)
+    return simulate_fem(scenes, tier, device=device, progress=progress)
 
 
 # Advice if a worker was killed for lack of memory.
@@ -138,7 +119,6 @@ def simulate_in_processes(
     scenes: Sequence[Scene],
     tier: Tier,
     *,
-    numerics: Numerics | MpmNumerics | None,
     processes: int,
     progress: Callable[[float], None] | None = None,
 ) -> list[Outcome]:
@@ -151,7 +131,6 @@ def simulate_in_processes(
     Args:
         scenes: Scenes to simulate.
         tier: As in `simulate_many`.
-        numerics: As in `simulate_many`.
         processes: Largest number of processes.
         progress: Called with the share of the scenes that are done.
 
@@ -160,9 +139,9 @@ def simulate_in_processes(
             with those of other processes.
         WorkerLost: A worker was killed, by a lack of memory for example, or could not start.
     """
-    if getattr(numerics, "one_topology", False):
+    if isinstance(tier, Fem) and tier.one_topology:
         raise SceneError(
-            f"numerics.one_topology: True with {processes} processes, which solve scenes one by "
+            f"fem.one_topology: True with {processes} processes, which solve scenes one by "
             "one; allowed: False"
         )
     from recorder.processes import Workers  # hundreds of modules, not needed by one process
@@ -170,7 +149,7 @@ def simulate_in_processes(
     workers = Workers(min(processes, len(scenes)), _make_ready, tier, fewer=FEWER)
     workers.done = f"0 of {len(scenes)} scenes"
     with workers:
-        tasks = [workers.submit(_solve, scene, tier, numerics) for scene in scenes]
+        tasks = [workers.submit(_solve, scene, tier) for scene in scenes]
         for done, task in enumerate(as_completed(tasks), 1):
             _raise_error_of(task)
             workers.done = f"{done} of {len(scenes)} scenes"
@@ -181,14 +160,14 @@ def simulate_in_processes(
 
 def _make_ready(tier: Tier) -> None:
     """Start Warp in a worker without a banner."""
-    if tier != "layer":
+    if not isinstance(tier, Layer):
         from sim.device import ready_device
 
         ready_device("cpu")
 
 
-def _solve(scene: Scene, tier: Tier, numerics: Numerics | MpmNumerics | None) -> Outcome:
-    return simulate_many([scene], tier, numerics=numerics)[0]
+def _solve(scene: Scene, tier: Tier) -> Outcome:
+    return simulate_many([scene], tier)[0]
 
 
 def _raise_error_of(task: Future[Outcome]) -> None:
@@ -197,9 +176,23 @@ def _raise_error_of(task: Future[Outcome]) -> None:
         raise error
 
 
-def unfit(numerics: Numerics | MpmNumerics, tier: Tier, allowed: str) -> SceneError:
-    """Return the error for numerics that belong to another tier."""
-    return SceneError(f"numerics: {numerics!r}; allowed with tier {tier!r}: {allowed}")
+# CPU time of a press by `layer`, and of each of its frames [s].
+SECONDS_LAYER, SECONDS_LAYER_FRAME = 0.2, 0.015
+# CPU time per element and Newton iteration [s], and iterations per step. 20 presses with friction
+# took 5 to 20 iterations, and 5 to 10 us per element.
+SECONDS_ITERATION, ITERATIONS = 6e-6, 8
+
+
+def seconds_of(scene: Scene, tier: Layer | Fem) -> float:
+    """Return the approximate CPU time of one scene [s]; most take one to four times as long."""
+    if isinstance(tier, Layer):
+        return SECONDS_LAYER + SECONDS_LAYER_FRAME * len(scene.motion)
+    from sim.fem.mesh import meshes_of
+    from sim.fem.newton import path_of
+
+    (mesh,) = meshes_of([scene], tier)
+    path = path_of(scene, tier, *([mesh.finest] if tier.follows else []))
+    return SECONDS_ITERATION * len(mesh.elements) * ITERATIONS * path.steps
 
 
 def part_of(progress: Callable[[float], None], index: int, count: int) -> Callable[[float], None]:

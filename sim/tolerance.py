@@ -15,7 +15,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,14 +36,16 @@ from sim.metrics import (
 from sim.result import Result
 from sim.scene import Scene
 from sim.symmetry import vanishing_share, with_symmetry
-from sim.tiers import Tier, part_of, simulate_one
+from sim.tiers import part_of, simulate_one
 
 if TYPE_CHECKING:
-    from sim.fem.numerics import Numerics
+    from sim.fem.numerics import Fem
     from sim.fem.solver import Asked
 
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]
+# Tiers whose error is known.
+Only = Literal["layer", "fem"]
 
 # Length of the coarser mesh's elements over those of the finer one.
 COMPANION = 1.6
@@ -87,7 +89,7 @@ def simulate_within(
     scene: Scene,
     tolerance: str,
     *,
-    tier: Tier | None = None,
+    tier: Only | None = None,
     device: str = "cpu",
     progress: Progress | None = None,
 ) -> Result:
@@ -107,22 +109,18 @@ def simulate_within(
 
     Raises:
         SceneError: The tolerance is invalid, or the finest mesh allowed does not reach it; with
-            tier `layer`, it is below the estimate; the tier has no error; the device does not
-            exist; the indenter overlaps the side wall of a round body.
+            tier `layer`, it is below the estimate; the device does not exist; the indenter
+            overlaps the side wall of a round body.
         SimulationDiverged: A mesh found no solution.
     """
     began = time.perf_counter()
     wanted = tolerance_of(tolerance)
-    if tier not in (None, "layer", "fem"):
-        raise SceneError(f"tier: {tier!r} with a tolerance; allowed: None, 'layer', 'fem'")
     if wanted.kind == "share" and wanted.value < FLOOR:
         raise SceneError(
             f"tolerance: {tolerance!r}; allowed: {100 * FLOOR:g} % or more: meshes tell no less"
         )
-    most = ELEMENTS_MAX["cpu" if device == "cpu" else "cuda"]
-    share = wanted.value if wanted.kind == "share" else 0.01
-    fineness = float(np.clip((EXPECTED / share) ** 0.5, FIRST_LEAST, FIRST_MOST))
-    states = replace(_states(scene, share), elements_max=most)
+    states = first_mesh(scene, wanted, device)
+    fineness, most = states.fineness, states.elements_max
     meshes = _Meshes(scene, states, device, progress)
     tried: list[str] = []
     if tier == "layer" or (tier is None and worth_a_look(scene, wanted)):
@@ -159,11 +157,19 @@ def simulate_within(
     raise SceneError(f"tolerance: {tolerance!r}; tried: {'; '.join(tried)}; allowed: {allowed}")
 
 
-def _states(scene: Scene, share: float) -> Numerics:
-    """Return numerics with the tolerance of states for an allowed error of the force (a share)."""
-    from sim.fem.numerics import Numerics
+def first_mesh(scene: Scene, wanted: Tolerance, device: str) -> Fem:
+    """Return the settings of the finer mesh with which the search begins."""
+    most = ELEMENTS_MAX["cpu" if device == "cpu" else "cuda"]
+    share = wanted.value if wanted.kind == "share" else 0.01
+    fineness = float(np.clip((EXPECTED / share) ** 0.5, FIRST_LEAST, FIRST_MOST))
+    return replace(_states(scene, share), fineness=fineness, elements_max=most)
 
-    plain = Numerics()
+
+def _states(scene: Scene, share: float) -> Fem:
+    """Return numerics with the tolerance of states for an allowed error of the force (a share)."""
+    from sim.fem.numerics import Fem
+
+    plain = Fem()
     tolerance = float(np.clip(STATES * share, plain.tolerance, STATES_MOST))
     effects = scene.effects
     if effects.viscosity is not None or effects.inertia is not None:
@@ -174,9 +180,7 @@ def _states(scene: Scene, share: float) -> Numerics:
 class _Meshes:
     """Solutions of one scene on meshes of different fineness, each built from those before it."""
 
-    def __init__(
-        self, scene: Scene, states: Numerics, device: str, progress: Progress | None
-    ) -> None:
+    def __init__(self, scene: Scene, states: Fem, device: str, progress: Progress | None) -> None:
         self._scene, self._states = scene, states
         self._device, self._progress = device, progress
         self._solved: list[Result] = []
@@ -221,7 +225,7 @@ def _fineness(result: Result) -> float:
 def _of_layer(
     scene: Scene,
     wanted: Tolerance,
-    tier: Tier | None,
+    tier: Only | None,
     tried: list[str],
     device: str,
     progress: Progress | None,
@@ -280,7 +284,7 @@ def _of_both(coarse: Result, fine: Result, wanted: Tolerance, floor: float) -> t
     return replace(found, record={**found.record, "error": error}), float(value[wanted.kind])
 
 
-def with_measured_error(result: Result, numerics: Numerics, *, device: str = "cpu") -> Result:
+def with_measured_error(result: Result, numerics: Fem, *, device: str = "cpu") -> Result:
     """Return the result with its error measured by a coarser mesh, also as `record["error_bar"]`.
 
     For a `layer` result it is the difference from a `fem` result plus the error that one states.
@@ -307,7 +311,7 @@ def with_measured_error(result: Result, numerics: Numerics, *, device: str = "cp
         body = result.scene.body
         spacing = min(numerics.height(body) * COMPANION, coarsest_spacing(body))
         coarser = replace(numerics, spacing=spacing)
-    second = simulate_one(result.scene, "fem", numerics=coarser, device=device)
+    second = simulate_one(result.scene, coarser, device=device)
     ratio = least_ratio(second, result)
     if ratio < RATIO_LEAST:
         cells = result.record["mesh"]["cells"]
@@ -340,8 +344,8 @@ def _ratios(coarse: Result, fine: Result) -> Array:
     return np.asarray(counts[1] / counts[0])
 
 
-def _beside_elements(result: Result, numerics: Numerics, device: str) -> Result:
-    second = simulate_one(result.scene, "fem", numerics=numerics, device=device)
+def _beside_elements(result: Result, numerics: Fem, device: str) -> Result:
+    second = simulate_one(result.scene, numerics, device=device)
     apart = worst_errors(outcome_of(result), outcome_of(second), result.scene.body)
     own = second.record["error"]
     if own["status"] == "none":

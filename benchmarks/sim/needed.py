@@ -25,7 +25,7 @@ from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError
 from sim.fem.mesh import meshes_of
 from sim.fem.newton import path_of
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 from sim.fem.sizing import stages_of
 from sim.metrics import Kind, outcome_of, tolerance_of, with_unit, worst_errors
 from sim.needed import FINENESS, EffectsPlan, plan_many
@@ -108,7 +108,7 @@ def run(options: argparse.Namespace) -> int:
     if options.processes < 1:
         raise SceneError(f"--processes: {options.processes}; allowed: 1 or more")
     ready_device(options.device)
-    numerics = Numerics(elements_max=options.elements)
+    numerics = Fem(elements_max=options.elements)
     began = time.perf_counter()
     rows: list[Row] = []
     with TemporaryDirectory() as folder, done_counts(print):
@@ -169,7 +169,7 @@ def _effects(dice: Dice) -> Effects:
 
 def _steps(scene: Scene) -> int:
     """Return the number of steps of the motion, without rejected ones."""
-    path = path_of(scene, Numerics())
+    path = path_of(scene, Fem())
     total = 0
     for segment in range(1, len(scene.motion)):
         path.segment = segment
@@ -180,12 +180,12 @@ def _steps(scene: Scene) -> int:
 def _elements(scene: Scene) -> int:
     """Return the number of elements of a probe's mesh, as planned before it is solved."""
     sizes = [stage.sizes for stage in stages_of(scene)]
-    numerics = Numerics(fineness=FINENESS)
+    numerics = Fem(fineness=FINENESS)
     return sum(len(one.elements) for one in meshes_of([scene] * len(sizes), numerics, sizes))
 
 
 def compared(
-    scenes: Sequence[tuple[str, Scene]], tolerance: str, numerics: Numerics, device: str
+    scenes: Sequence[tuple[str, Scene]], tolerance: str, numerics: Fem, device: str
 ) -> list[Row]:
     """Return the plans of scenes, compared with both solutions if any effect is neglected."""
     plain = [scene for _name, scene in scenes]
@@ -206,12 +206,10 @@ def compared(
     return rows
 
 
-def _solved(
-    scenes: Sequence[Scene], numerics: Numerics, device: str
-) -> tuple[list[Outcome], float]:
+def _solved(scenes: Sequence[Scene], numerics: Fem, device: str) -> tuple[list[Outcome], float]:
     """Return the outcomes and their mean time [s]."""
     began = time.perf_counter()
-    outcomes = simulate_many(scenes, numerics=numerics, device=device)
+    outcomes = simulate_many(scenes, numerics, device=device)
     return outcomes, (time.perf_counter() - began) / max(len(scenes), 1)
 
 

@@ -25,11 +25,11 @@ from benchmarks.sim.stability.runner import INTERRUPTED, done_counts, side_by_si
 from recorder.progress import duration
 from sim.errors import SceneError, SimulationDiverged
 from sim.extrapolation import left_of_difference
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 from sim.metrics import force_scale, tolerance_of
 from sim.result import Result
 from sim.scene import Scene
-from sim.simulate import simulate
+from sim.simulate import plan
 from sim.tiers import simulate_one
 from sim.tolerance import elements_ratio
 
@@ -91,7 +91,7 @@ def judged(one: Drawn, tolerance: str, device: str, seconds: float) -> Row:
     began = time.perf_counter()
     try:
         with time_limit(seconds):
-            result = simulate(one.scene, tolerance=tolerance, device=device)
+            result = plan(one.scene, tolerance, device=device).run()
     except SceneError as error:
         return row("refused", seconds=time.perf_counter() - began, reported=str(error))
     except SimulationDiverged as error:
@@ -126,7 +126,7 @@ def _truth(scene: Scene, result: Result, device: str) -> tuple[np.ndarray, np.nd
     finest, middle = (
         simulate_one(
             scene,
-            numerics=Numerics(fineness=one, elements_max=most),
+            numerics=Fem(fineness=one, elements_max=most),
             device=device,
         )
         for one in (max(COARSEST, fineness) * FINER, max(COARSEST, fineness))

@@ -13,10 +13,12 @@ from typing import TYPE_CHECKING, get_args
 
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError
+from sim.fem import FOR_EDGES, Fem
+from sim.layer import Layer
 from sim.scene import Body, Footprint
+from sim.simulate import Extrapolated, Measured
 
 if TYPE_CHECKING:
-    from sim.fem.numerics import Numerics
     from sim.indenters import Indenter
 
     Subcommands = argparse._SubParsersAction[argparse.ArgumentParser]
@@ -346,33 +348,50 @@ def effects_of(options: argparse.Namespace) -> Effects:
     )
 
 
-def numerics_of(options: argparse.Namespace) -> Numerics | None:
-    """Return the requested numerics of tier `fem`; None for `layer` or with a tolerance.
+def check_solver_options(options: argparse.Namespace) -> None:
+    """Check that no two solver options exclude each other.
 
     Raises:
-        SceneError: An option does not apply to tier `layer` or with a tolerance.
+        SceneError: An option does not apply with another one.
+    """
+
+    def reject(other: str, allowed: str, **defaults: object) -> None:
+        for name, default in defaults.items():
+            value = getattr(options, name)
+            if value != default:
+                raise SceneError(f"{_option(name)}: {value!r} with {other}; allowed: {allowed}")
+
+    if options.tier == "layer":
+        given = {"mesh": None, "precision": "auto", "device": "cpu", "extrapolate": False}
+        reject("--tier layer", "--tier fem", **given)
+    if options.tolerance is not None:
+        reject("--tolerance", "either", mesh=None, precision="auto", extrapolate=False)
+        if options.tier == "layer":
+            reject("--tier layer and --tolerance", "--tier fem", error_bar=False)
+    elif options.effects != "all":
+        raise SceneError(
+            f"--effects: {options.effects!r} without --tolerance; allowed: with one, such as "
+            '"2 %", "0.05 N" or "0.5 px"'
+        )
+    if options.error_bar:
+        reject("--error-bar", "either", extrapolate=False)
+
+
+def tier_of(options: argparse.Namespace) -> Layer | Fem | Measured | Extrapolated:
+    """Return the tier that the options describe, without a tolerance.
+
+    Raises:
+        SceneError: The size of an element is 0 or less.
     """
     if options.tier == "layer":
-        for name, default in (("mesh", None), ("precision", "auto"), ("device", "cpu")):
-            if getattr(options, name) != default:
-                raise SceneError(
-                    f"--{name}: {getattr(options, name)!r} with --tier layer; allowed: --tier fem"
-                )
-        return None
-    if options.tolerance is not None:
-        for name, default in (("mesh", None), ("precision", "auto")):
-            if getattr(options, name) != default:
-                raise SceneError(
-                    f"--{name}: {getattr(options, name)!r} with --tolerance; allowed: either"
-                )
-        return None
-    from sim.fem.numerics import FOR_EDGES, Numerics
-
+        return Measured(Layer()) if options.error_bar else Layer()
     if options.mesh is not None and not options.mesh > 0:
         raise SceneError(f"--mesh: {options.mesh!r} mm; allowed: above 0")
     spacing = None if options.mesh is None else metres(options.mesh)
-    grading = FOR_EDGES if options.extrapolate else None
-    return Numerics(spacing=spacing, precision=options.precision, grading=grading)
+    fem = Fem(spacing=spacing, precision=options.precision)
+    if options.extrapolate:
+        return Extrapolated(replace(fem, grading=FOR_EDGES))
+    return Measured(fem) if options.error_bar else fem
 
 
 def _add_body_options(parser: argparse.ArgumentParser) -> None:

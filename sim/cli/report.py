@@ -11,18 +11,18 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.cli.options import body_of, effects_of, indenter_of, numerics_of
+from sim.cli.options import body_of, check_solver_options, effects_of, indenter_of, tier_of
 from sim.error_estimate import describe_error
 from sim.errors import SceneError
 from sim.progress import LateProgress
 from sim.result import Quality, Result
 from sim.scene import Motion, Scene
-from sim.simulate import plan, simulate
+from sim.simulate import plan, plan_effects, simulate
 
 # Results in millimetres and newtons, as one JSON object or as a table.
 
@@ -268,31 +268,31 @@ def _tell_effects(scene: Scene, options: argparse.Namespace) -> int:
         raise SceneError(f"--tier: {options.tier!r} with --plan-effects; allowed: without, fem")
     kernels = ready_device(options.device)
     with LateProgress(options.verb, sys.stderr, kernels) as progress:
-        found = plan(scene, tolerance=options.tolerance, device=options.device, progress=progress)
+        found = plan_effects(scene, options.tolerance, device=options.device, progress=progress)
     print(json.dumps(found.record(), allow_nan=False) if options.json else found)
     return 0
 
 
 def _simulated(scene: Scene, options: argparse.Namespace) -> Result:
-    numerics = numerics_of(options)
+    check_solver_options(options)
+    tier = tier_of(options)
     kernels = None
     if options.tier != "layer":
         from sim.device import ready_device
 
         kernels = ready_device(options.device)
-    needed: Literal["needed"] | None = "needed" if options.effects == "needed" else None
     with LateProgress(options.verb, sys.stderr, kernels) as progress:
-        return simulate(
+        if options.tolerance is None:
+            return simulate(scene, tier, device=options.device, progress=progress)
+        found = plan(
             scene,
-            options.tier,
-            tolerance=options.tolerance,
-            effects=needed,
-            error_bar=options.error_bar,
-            extrapolate=options.extrapolate,
-            numerics=numerics,
+            options.tolerance,
+            only="fem" if options.error_bar else options.tier,
+            effects=options.effects,
             device=options.device,
             progress=progress,
         )
+        return found.run(progress=progress)
 
 
 def _picture_path(options: argparse.Namespace) -> Path | None:

@@ -7,21 +7,20 @@ import shutil
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import Any, Literal, get_args
 
 from sim.effects import Friction
 from sim.errors import SceneError, SimulationDiverged, check_range
+from sim.fem import FOR_EDGES, Fem, Grading
 from sim.indenters import NAMES, named
+from sim.layer import Layer
 from sim.paper_presses import DEPTHS_MM, FRICTION, PLACES_MM
 from sim.result import Result, from_json, to_json
 from sim.scene import Body, Motion, Scene, from_target, press, through
 from sim.sensors import CameraSignal, SimulatedSensor, sensor
-from sim.simulate import simulate, simulate_many
+from sim.simulate import plan as within
+from sim.simulate import simulate_many
 from trajectories import PHASES, ForceDepth, Point, PressShear, Target
-
-if TYPE_CHECKING:
-    from sim.fem.numerics import Numerics
-
 
 # A press that is simulated once, and those of its frames that become rows of an archive.
 
@@ -105,16 +104,14 @@ class Solving:
 
             tolerance_of(self.tolerance)
 
-    def numerics(self, body: Body) -> Numerics | None:
-        """Return the settings of `fem` for a body; None for `layer`."""
+    def settings(self, body: Body) -> Layer | Fem:
+        """Return the tier for a body, with its settings."""
         if self.tier == "layer":
-            return None
-        from sim.fem.numerics import FOR_EDGES, Grading, Numerics
-
+            return Layer()
         spacing = self.spacing
         if spacing is None:
             spacing = min(body.thickness / self.cells, SPACING_MAX)
-        return Numerics(
+        return Fem(
             spacing=spacing,
             grading=FOR_EDGES if self.for_edges else Grading(),
             one_topology=self.one_topology,
@@ -150,22 +147,20 @@ def solve(
     """
     if solving.tolerance is not None:
         return [_within(scene, solving.tolerance, device) for scene in scenes]
-    first = solving.numerics(scenes[0].body)
-    outcomes = simulate_many(scenes, solving.tier, numerics=first, device=device, progress=progress)
-    attempts = [] if first is None else _attempts(first, scenes[0].body)
+    first = solving.settings(scenes[0].body)
+    outcomes = simulate_many(scenes, first, device=device, progress=progress)
+    attempts = [] if isinstance(first, Layer) else _attempts(first, scenes[0].body)
     return [
         _again(scene, outcome, solving, attempts, device)
         for scene, outcome in zip(scenes, outcomes, strict=True)
     ]
 
 
-def _attempts(first: Numerics, body: Body) -> list[tuple[str, Numerics]]:
+def _attempts(first: Fem, body: Body) -> list[tuple[str, Fem]]:
     """Return the settings to try after the first ones, each with a description."""
     careful = replace(
         first, precision="float64", step_travel=body.thickness / 100, newton_max=120, halvings=16
     )
-    from sim.fem.numerics import Grading
-
     return [
         ("steps of 1/100 of the thickness, float64", careful),
         (
@@ -179,15 +174,15 @@ def _again(
     scene: Scene,
     outcome: Result | SimulationDiverged,
     solving: Solving,
-    attempts: Sequence[tuple[str, Numerics]],
+    attempts: Sequence[tuple[str, Fem]],
     device: str,
 ) -> Solved:
     """Return the first solution: `outcome`, or that of the first of `attempts` to succeed."""
     if isinstance(outcome, Result):
         return Solved(outcome, _how(outcome))
     failed = [_reason("as asked for", outcome)]
-    for words, numerics in attempts:
-        (outcome,) = simulate_many([scene], solving.tier, numerics=numerics, device=device)
+    for words, fem in attempts:
+        (outcome,) = simulate_many([scene], fem, device=device)
         if isinstance(outcome, Result):
             return Solved(outcome, {**_how(outcome), "again": words, "failed": failed})
         failed.append(_reason(words, outcome))
@@ -198,7 +193,7 @@ def _within(scene: Scene, tolerance: str, device: str) -> Solved:
     """Solve on finer and finer meshes until the error is within the tolerance."""
     try:
         # Images show the skin, whose error 'layer' does not estimate.
-        result = simulate(scene, "fem", tolerance=tolerance, device=device)
+        result = within(scene, tolerance, only="fem", device=device).run()
     except SimulationDiverged as diverged:
         failed = [_reason(f"within {tolerance}", diverged)]
         return Solved(None, {"tolerance": tolerance, "device": device, "failed": failed})
@@ -237,11 +232,11 @@ def described(solving: Solving, body: Body) -> str:
     """Return a short description of how presses on a body are solved."""
     if solving.tolerance is not None:
         return f"within {solving.tolerance}"
-    numerics = solving.numerics(body)
-    if numerics is None:
+    settings = solving.settings(body)
+    if isinstance(settings, Layer):
         return "layer (small strain)"
     shape = "for edges" if solving.for_edges else "even"
-    return f"fem, elements {1e3 * (numerics.spacing or 0):.3g} mm high, graded {shape}"
+    return f"fem, elements {1e3 * (settings.spacing or 0):.3g} mm high, graded {shape}"
 
 
 Part = Literal["states", "targets"]

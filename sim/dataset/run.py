@@ -27,7 +27,6 @@ from sim.dataset.generate import LATTICE, Packed, Reader, UnitStats, make_unit, 
 from sim.dataset.plan import (
     DatasetPlan,
     Family,
-    Solving,
     Unit,
     described,
     differing,
@@ -41,9 +40,8 @@ from sim.errors import SceneError
 from sim.indenters import NAMES
 from sim.markers import named as pattern_named
 from sim.result import to_json
-from sim.scene import Scene
 from sim.sensors import CameraSignal, SimulatedSensor
-from sim.tiers import FEWER
+from sim.tiers import FEWER, seconds_of
 
 # Archives: created from a plan, or reopened with the plan stored in them.
 
@@ -505,11 +503,6 @@ def _distributed() -> Any:
 
 # Presses of a family whose time is estimated; their mean serves for the others.
 SAMPLES = 3
-# CPU time of a press by `layer`, and of each of its frames [s].
-SECONDS_LAYER, SECONDS_LAYER_FRAME = 0.2, 0.015
-# CPU time per element and Newton iteration [s], and iterations per step. 20 presses with friction
-# took 5 to 20 iterations, and 5 to 10 us per element.
-SECONDS_ITERATION, ITERATIONS = 6e-6, 8
 # CPU time of a frame, of each of its masks, and extra with segmentation errors [s].
 SECONDS_VIEW, SECONDS_MASK, SECONDS_SEGMENTED = 15e-3, 3e-3, 25e-3
 # Compressed size of a mask and of a displacement field: means over the paper's states.
@@ -583,15 +576,5 @@ def _seconds_press(plan: DatasetPlan, family: Family, device: str) -> float | No
         return None
     places = np.linspace(0, len(family.presses) - 1, SAMPLES + 2).round().astype(int)[1:-1]
     chosen = tuple(family.presses[place] for place in dict.fromkeys(places.tolist()))
-    return float(np.mean([_foretold(one, plan.solving) for one in scenes(plan, family, chosen)]))
-
-
-def _foretold(scene: Scene, solving: Solving) -> float:
-    numerics = solving.numerics(scene.body)
-    if numerics is None:
-        return SECONDS_LAYER + SECONDS_LAYER_FRAME * len(scene.motion)
-    from sim.fem.mesh import meshes_of
-    from sim.fem.newton import path_of
-
-    elements = len(meshes_of([scene], numerics)[0].elements)
-    return SECONDS_ITERATION * elements * ITERATIONS * path_of(scene, numerics).steps
+    tried = scenes(plan, family, chosen)
+    return float(np.mean([seconds_of(one, plan.solving.settings(one.body)) for one in tried]))

@@ -5,6 +5,6 @@ The settings are in this package; the solver, which needs Warp, is in `sim.fem.s
 
 from __future__ import annotations
 
-from sim.fem.numerics import ELASTIC_EVERY, FOR_EDGES, Grading, Numerics
+from sim.fem.numerics import ELASTIC_EVERY, FOR_EDGES, Fem, Grading
 
-__all__ = ["ELASTIC_EVERY", "FOR_EDGES", "Grading", "Numerics"]
+__all__ = ["ELASTIC_EVERY", "FOR_EDGES", "Fem", "Grading"]

@@ -20,7 +20,7 @@ from sim.fem.contact import contact_kernels, face_rule
 from sim.fem.element import GAUSS_POINTS, Branches, element_kernels
 from sim.fem.matrix import HALF_POISSON, BlockMatrix
 from sim.fem.mesh import Mesh
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 from sim.fem.overlap import COLUMNS, overlap_kernel
 from sim.fem.vectors import (
     RUN,
@@ -329,7 +329,7 @@ class Assembly:
         self,
         meshes: Sequence[Mesh],
         scenes: Sequence[Scene],
-        numerics: Numerics,
+        numerics: Fem,
         precision: str,
         device: str,
     ) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import SceneError
-from sim.fem.numerics import CELLS_MAX, Grading, Numerics
+from sim.fem.numerics import CELLS_MAX, Fem, Grading
 from sim.fem.sizing import (
     DEEPEST,
     GROWTH,
@@ -61,7 +61,7 @@ class Mesh:
     y: NDArray[np.float64]
     """The same along y (Y,)."""
     fineness: float
-    """Fineness as in `Numerics`, if the mesh follows the contact; else NaN."""
+    """Fineness as in `Fem`, if the mesh follows the contact; else NaN."""
     nodes: NDArray[np.float64]
     """Rest positions (N, 3), in thicknesses."""
     elements: NDArray[np.int32]
@@ -450,8 +450,8 @@ def following_mesh(
     Args:
         scene: Scene with the body to mesh.
         sizes: Element sizes that its contacts require.
-        fineness: See `Numerics`.
-        elements_max: See `Numerics`.
+        fineness: See `Fem`.
+        elements_max: See `Fem`.
         at_least: Least numbers of elements along x and y.
     """
     body, unit = scene.body, scene.body.thickness
@@ -506,9 +506,9 @@ MARGIN = 1.0
 
 
 def meshes_of(
-    scenes: Sequence[Scene], numerics: Numerics, sizes: Sequence[Sizes] | None = None
+    scenes: Sequence[Scene], numerics: Fem, sizes: Sequence[Sizes] | None = None
 ) -> list[Mesh]:
-    """Return the meshes for scenes; `Numerics.one_topology` makes their element counts agree.
+    """Return the meshes for scenes; `Fem.one_topology` makes their element counts agree.
 
     Args:
         scenes: Scenes to simulate.
@@ -540,7 +540,7 @@ def meshes_of(
     return [build_mesh(*plan, at_least=least) for plan in plans]
 
 
-def _spacing_and_window(scene: Scene, numerics: Numerics) -> tuple[float, Window | None]:
+def _spacing_and_window(scene: Scene, numerics: Fem) -> tuple[float, Window | None]:
     spacing = numerics.height(scene.body)
     return spacing, contact_window(scene, MARGIN * spacing) if numerics.graded else None
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from sim.fem.assembly import Assembly, Sums
 from sim.fem.cg import ConjugateGradient
 from sim.fem.mesh import Mesh
-from sim.fem.numerics import ELASTIC_EVERY, Numerics
+from sim.fem.numerics import ELASTIC_EVERY, Fem
 from sim.fem.vectors import axpy, copy_active
 from sim.scalars import numpy_of
 from sim.scene import Scene
@@ -418,7 +418,7 @@ class Path:
         )
 
 
-def path_of(scene: Scene, numerics: Numerics, finest: float = np.inf) -> Path:
+def path_of(scene: Scene, numerics: Fem, finest: float = np.inf) -> Path:
     """Return the path of a scene's tip, in units of the body's thickness.
 
     Args:

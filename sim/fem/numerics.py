@@ -55,7 +55,7 @@ Precision = Literal["auto", "float32", "float64"]
 
 
 @dataclass(frozen=True, slots=True)
-class Numerics:
+class Fem:
     """Mesh, precision, tolerances and step control of the `fem` tier.
 
     Raises:
@@ -114,31 +114,31 @@ class Numerics:
     def __post_init__(self) -> None:
         if self.precision not in ("auto", "float32", "float64"):
             raise SceneError(
-                f"numerics.precision: {self.precision!r}; allowed: 'auto', 'float32', 'float64'"
+                f"fem.precision: {self.precision!r}; allowed: 'auto', 'float32', 'float64'"
             )
         for name in ("graded", "one_topology"):
-            check_kind(f"numerics.{name}", getattr(self, name), bool, "True or False")
+            check_kind(f"fem.{name}", getattr(self, name), bool, "True or False")
         if self.grading is not None:
-            check_kind("numerics.grading", self.grading, Grading, "a Grading or None")
+            check_kind("fem.grading", self.grading, Grading, "a Grading or None")
         for name in ("augmentations", "contact_points", "newton_max", "cg_max", "halvings"):
-            check_kind(f"numerics.{name}", getattr(self, name), int, "a whole number")
+            check_kind(f"fem.{name}", getattr(self, name), int, "a whole number")
         for name in ("spacing", "step_travel"):
             value = getattr(self, name)
             if value is not None:
-                check_range("numerics", name, value, 0.0, 1.0, unit="m", open_low=True)
-        check_range("numerics", "fineness", self.fineness, 0.1, 10.0)
-        check_range("numerics", "elements_max", self.elements_max, 1000, CELLS_MAX)
-        check_range("numerics", "tolerance", self.tolerance, 1e-15, 0.1)
+                check_range("fem", name, value, 0.0, 1.0, unit="m", open_low=True)
+        check_range("fem", "fineness", self.fineness, 0.1, 10.0)
+        check_range("fem", "elements_max", self.elements_max, 1000, CELLS_MAX)
+        check_range("fem", "tolerance", self.tolerance, 1e-15, 0.1)
         if self.path_tolerance is not None:
-            check_range("numerics", "path_tolerance", self.path_tolerance, 1e-15, 0.1)
-        check_range("numerics", "augmentations", self.augmentations, 0, 20)
-        check_range("numerics", "penalty", self.penalty, 1.0, 1e6)
-        check_range("numerics", "stick", self.stick, 1e-6, 1.0)
-        check_range("numerics", "det_floor", self.det_floor, 0.0, 1.0)
-        check_range("numerics", "contact_points", self.contact_points, 1, 6)
-        check_range("numerics", "newton_max", self.newton_max, 1, 10_000)
-        check_range("numerics", "cg_max", self.cg_max, 1, 1_000_000)
-        check_range("numerics", "halvings", self.halvings, 0, 60)
+            check_range("fem", "path_tolerance", self.path_tolerance, 1e-15, 0.1)
+        check_range("fem", "augmentations", self.augmentations, 0, 20)
+        check_range("fem", "penalty", self.penalty, 1.0, 1e6)
+        check_range("fem", "stick", self.stick, 1e-6, 1.0)
+        check_range("fem", "det_floor", self.det_floor, 0.0, 1.0)
+        check_range("fem", "contact_points", self.contact_points, 1, 6)
+        check_range("fem", "newton_max", self.newton_max, 1, 10_000)
+        check_range("fem", "cg_max", self.cg_max, 1, 1_000_000)
+        check_range("fem", "halvings", self.halvings, 0, 60)
 
     def height(self, body: Body) -> float:
         """Return the height of elements if the mesh does not follow the contact [m]."""

@@ -21,11 +21,12 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial import KDTree
 
 from sim.contact_size import touched_by, width_of
-from sim.errors import SceneError, SimulationDiverged
+from sim.device import check_device
+from sim.errors import SimulationDiverged
 from sim.fem.assembly import Assembly
 from sim.fem.mesh import Mesh, meshes_of
 from sim.fem.newton import Newton, Path, min_force_scale, path_of
-from sim.fem.numerics import Numerics, Precision
+from sim.fem.numerics import Fem, Precision
 from sim.fem.self_overlap import self_overlap
 from sim.fem.sizing import (
     NOTHING,
@@ -39,7 +40,7 @@ from sim.fem.sizing import (
 )
 from sim.indenters.device import traits_of
 from sim.metrics import WEAK
-from sim.result import SIDES, Outcome, Quality, Result, with_beginning
+from sim.result import SIDES, Outcome, Quality, Result, no_quality, with_beginning
 from sim.scene import Body, Motion, Scene
 
 # Results per environment from the last evaluated state: contact, traction, energy, weight.
@@ -285,13 +286,7 @@ class Collector:
         self._wrench = np.full((frames, 6), np.nan)
         self._surface = np.full((frames, nx + 1, ny + 1, 3), np.nan, np.float32)
         self._traction = np.full((frames, nx + 1, ny + 1, 3), np.nan, np.float32)
-        self._quality = {
-            name: np.full(frames, np.nan)
-            for name in (
-                *("residual", "contact", "balance", "energy_gap", "det_f_min", "slip_excess"),
-                *("overlap", "overlap_bound", "overlap_path", "contact_width"),
-            )
-        }
+        self._quality = no_quality(frames)
         self._overlap_path = 0.0
         self.below_base = 0.0
         """Largest depth of the skin below the base plane [m]."""
@@ -440,7 +435,7 @@ ELEMENTS_SIDE_BY_SIDE = {"cpu": 20_000, "cuda": 20_000_000}
 
 def simulate_fem(
     scenes: Sequence[Scene],
-    numerics: Numerics | None = None,
+    numerics: Fem = Fem(),
     *,
     device: str = "cpu",
     progress: Progress | None = None,
@@ -460,8 +455,7 @@ def simulate_fem(
     Raises:
         SceneError: A mesh cannot be built, or the device does not exist.
     """
-    numerics = numerics or Numerics()
-    _check_device(device)
+    check_device(device)
     if not numerics.follows:
         outcomes = _on_meshes(scenes, numerics, None, device, progress)
         return [_judged(outcome) for outcome in outcomes]
@@ -505,7 +499,7 @@ def _following(
     scenes: Sequence[Scene],
     sizes: list[Sizes],
     lasting: list[Sizes],
-    numerics: Numerics,
+    numerics: Fem,
     device: str,
     progress: Progress | None,
 ) -> list[Outcome]:
@@ -539,7 +533,7 @@ def _following(
     return outcomes
 
 
-def precision_for_finer(found: Result, numerics: Numerics) -> Precision:
+def precision_for_finer(found: Result, numerics: Fem) -> Precision:
     """Return the precision for a finer mesh: float64 if `auto` already had to fall back to it."""
     double = numerics.precision == "auto" and found.record["precision"] == "float64"
     return "float64" if double else numerics.precision
@@ -547,7 +541,7 @@ def precision_for_finer(found: Result, numerics: Numerics) -> Precision:
 
 def _on_meshes(
     scenes: Sequence[Scene],
-    numerics: Numerics,
+    numerics: Fem,
     sizes: Sequence[Sizes] | None,
     device: str,
     progress: Progress | None,
@@ -739,13 +733,13 @@ def _buckling_load(body: Body) -> float:
     return float(np.pi**2 * body.modulus * long * short**3 / 12 / (4 * body.thickness**2))
 
 
-# Elements per thickness up to which `Numerics.penalty` applies unchanged. With smaller elements
+# Elements per thickness up to which `Fem.penalty` applies unchanged. With smaller elements
 # contact is stiffer by the same factor, in powers of 2, because small contacts reach the same
 # pressure over smaller depths.
 SOFT_SHARE = 24
 
 
-def _penalty(mesh: Mesh, numerics: Numerics) -> float:
+def _penalty(mesh: Mesh, numerics: Fem) -> float:
     """Return the contact stiffness on a mesh [E / T]."""
     if not numerics.follows:
         return numerics.penalty
@@ -754,7 +748,7 @@ def _penalty(mesh: Mesh, numerics: Numerics) -> float:
 
 
 def _batches(
-    scenes: Sequence[Scene], meshes: Sequence[Mesh], numerics: Numerics, device: str
+    scenes: Sequence[Scene], meshes: Sequence[Mesh], numerics: Fem, device: str
 ) -> list[list[int]]:
     """Group scenes into batches of the same mesh topology and kernels, limited in size."""
     alike: dict[tuple, list[int]] = {}
@@ -803,7 +797,7 @@ def _solve(scenes, meshes, numerics, device, meshed, progress) -> list[Outcome]:
     return outcomes
 
 
-def _first_precision(scenes: Sequence[Scene], numerics: Numerics) -> tuple[str, str]:
+def _first_precision(scenes: Sequence[Scene], numerics: Fem) -> tuple[str, str]:
     """Return the precision to begin with, and the reason."""
     if numerics.precision != "auto":
         return numerics.precision, "requested"
@@ -827,14 +821,6 @@ def _forget_dump(dump: File | None) -> None:
     if dump is not None:
         dump.unlink(missing_ok=True)
         dump.parent.rmdir()
-
-
-def _check_device(device: str) -> None:
-    try:
-        wp.get_device(device)
-    except (ValueError, RuntimeError) as error:
-        allowed = ", ".join(str(each) for each in wp.get_devices())
-        raise SceneError(f"device: {device!r}; allowed here: {allowed}") from error
 
 
 # Most calls waiting for the thread: frames that wait to be kept take memory.

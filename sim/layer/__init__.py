@@ -1,18 +1,10 @@
-"""The `layer` tier: a linear elastic layer bonded to a rigid base, solved by convolution."""
+"""The `layer` tier: a linear elastic layer bonded to a rigid base, solved by convolution.
+
+The settings are in this package; the solver is in `sim.layer.solver`.
+"""
 
 from __future__ import annotations
 
-from sim.layer.contact import Clearance
-from sim.layer.solver import GRID, TOLERANCE, History, LayerPress, check_known, simulate_layer
-from sim.layer.spectral import Grid
+from sim.layer.numerics import Layer
 
-__all__ = [
-    "GRID",
-    "TOLERANCE",
-    "Clearance",
-    "Grid",
-    "History",
-    "LayerPress",
-    "check_known",
-    "simulate_layer",
-]
+__all__ = ["Layer"]

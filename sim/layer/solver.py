@@ -17,8 +17,9 @@ from sim.contact_size import width_of
 from sim.effects import Viscosity
 from sim.errors import SceneError, SimulationDiverged
 from sim.layer.contact import Clearance, Contact, solve_frictional, solve_frictionless
+from sim.layer.numerics import Layer
 from sim.layer.spectral import Grid, convolutions
-from sim.result import Quality, Result
+from sim.result import Quality, Result, no_quality
 from sim.scene import Scene
 
 # History of a relaxing layer: the stress in its Maxwell branches, per pixel.
@@ -351,13 +352,7 @@ class Frames:
         self._wrench = np.zeros((count, 6))
         self._surface = np.zeros((count, *press.grid.shape, 3), np.float32)
         self._traction = np.zeros((count, *press.grid.shape, 3), np.float32)
-        self._quality = {
-            name: np.full(count, np.nan)
-            for name in (
-                *("residual", "contact", "balance", "energy_gap", "det_f_min", "slip_excess"),
-                *("overlap", "overlap_bound", "overlap_path", "contact_width"),
-            )
-        }
+        self._quality = no_quality(count)
         self._newton, self._steps = np.zeros(count, np.int64), np.zeros(count, np.int64)
         self._start: tuple[float, float] | None = None
         self._work_most = 0.0
@@ -410,36 +405,26 @@ class Frames:
         )
 
 
-# Pixels along the longer side: on a body of 20 mm, forces of spheres are within 0.1 %.
-GRID = 128
-# Natural residual of the contact: changes forces by about 1e-4.
-TOLERANCE = 2e-3
-
 Progress = Callable[[float], None]
 
 
 def simulate_layer(
-    scene: Scene,
-    *,
-    grid: int = GRID,
-    tolerance: float = TOLERANCE,
-    progress: Progress | None = None,
+    scene: Scene, layer: Layer = Layer(), *, progress: Progress | None = None
 ) -> Result:
     """Simulate one scene with small strains on an infinite layer, without sides or a surrounding.
 
     Args:
         scene: Scene with friction and viscosity that relaxes all, but no mass.
-        grid: Pixels along the body's longer side, 16 to 512.
-        tolerance: Target residual of the contact, 1e-10 to 0.1 (`Contact.residual`).
+        layer: Pixels and tolerance.
         progress: Called with the share done, 0 to 1.
 
     Raises:
         SceneError: This tier does not support an effect, the body or a setting.
         SimulationDiverged: The contact of a step did not converge.
     """
-    check_known(scene, tolerance)
+    check_known(scene, layer.tolerance)
     began = time.perf_counter()
-    press = LayerPress(scene, Grid(scene.body, grid), tolerance)
+    press = LayerPress(scene, Grid(scene.body, layer.grid), layer.tolerance)
     frames = Frames(scene, press)
     ready = time.perf_counter()
     moving = 0.0
@@ -457,9 +442,9 @@ def simulate_layer(
         {
             "tier": "layer",
             "mesh": {"grid": list(press.grid.shape), "period": list(press.grid.period)},
-            "precision": np.dtype(precision(tolerance)).name,
+            "precision": np.dtype(precision(layer.tolerance)).name,
             "device": "cpu",
-            "tolerance": tolerance,
+            "tolerance": layer.tolerance,
             "effects": list(scene.effects.key),
             "seconds": {
                 "build": round(ready - began, 4),

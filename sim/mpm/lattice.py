@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import SceneError
-from sim.mpm.numerics import STABLE, MpmNumerics
+from sim.mpm.numerics import STABLE, Mpm
 from sim.scene import Body, Scene
 
 Array = NDArray[np.float64]
@@ -61,7 +61,7 @@ class Lattice:
         return self.nodes[0] * self.nodes[1] * self.nodes[2]
 
 
-def build_lattice(scenes: Sequence[Scene], numerics: MpmNumerics) -> Lattice:
+def build_lattice(scenes: Sequence[Scene], numerics: Mpm) -> Lattice:
     """Return the particles of the body that the scenes share, on a grid with room for all scenes.
 
     Columns of particles under a dome are shortened to fit, and their volumes with them.
@@ -78,7 +78,7 @@ def build_lattice(scenes: Sequence[Scene], numerics: MpmNumerics) -> Lattice:
     nx, ny, nz = counts
     if min(counts) < 2 or nx * ny * nz > PARTICLES_MOST:
         raise SceneError(
-            f"numerics.cell: {cell!r} m with {numerics.per_cell:g} particles per cell gives "
+            f"mpm.cell: {cell!r} m with {numerics.per_cell:g} particles per cell gives "
             f"{nx} x {ny} x {nz} particles; allowed: 2 or more along each axis, "
             f"{PARTICLES_MOST:,} in all"
         )
@@ -200,7 +200,7 @@ class Pace:
         return self.tip_speed / self.wave_speed
 
 
-def pace_of(scene: Scene, numerics: MpmNumerics, cell: float) -> Pace:
+def pace_of(scene: Scene, numerics: Mpm, cell: float) -> Pace:
     """Return the mass and the schedule of a scene on a grid with cells of this size [m].
 
     Raises:
@@ -262,7 +262,7 @@ def _corners(scene: Scene) -> Array:
     return np.concatenate([start[None], tip])
 
 
-def _mass_scaling(scene: Scene, numerics: MpmNumerics, tip_speed: float) -> float:
+def _mass_scaling(scene: Scene, numerics: Mpm, tip_speed: float) -> float:
     inertia = scene.effects.inertia
     if inertia is None:
         if numerics.mass_scaling is not None:
@@ -270,7 +270,7 @@ def _mass_scaling(scene: Scene, numerics: MpmNumerics, tip_speed: float) -> floa
         return (numerics.speed_ratio * wave_speed(scene.body) / tip_speed) ** 2
     if numerics.mass_scaling is not None:
         raise SceneError(
-            f"numerics.mass_scaling: {numerics.mass_scaling!r} with effects.inertia.scale "
+            f"mpm.mass_scaling: {numerics.mass_scaling!r} with effects.inertia.scale "
             f"{inertia.scale!r}; allowed: None, the effect says how heavy the body is"
         )
     if inertia.scale < 1e-12:
@@ -281,13 +281,13 @@ def _mass_scaling(scene: Scene, numerics: MpmNumerics, tip_speed: float) -> floa
     return inertia.scale
 
 
-def _time_step(numerics: MpmNumerics, cell: float, speed: float) -> float:
+def _time_step(numerics: Mpm, cell: float, speed: float) -> float:
     if numerics.time_step is None:
         return numerics.safety * cell / speed
     limit = STABLE * cell / speed
     if numerics.time_step > limit:
         raise SceneError(
-            f"numerics.time_step: {numerics.time_step!r} s; allowed: up to {limit:.3g} s, in which "
+            f"mpm.time_step: {numerics.time_step!r} s; allowed: up to {limit:.3g} s, in which "
             f"a wave at {speed:.3g} m/s crosses {STABLE:g} of a cell of {cell * 1e3:.3g} mm"
         )
     return numerics.time_step

@@ -19,7 +19,7 @@ AUTHORS_DENSITY = 1e6
 
 
 @dataclass(frozen=True, slots=True)
-class MpmNumerics:
+class Mpm:
     """Grid, sampling, mass, time step and contact of the `mpm` tier.
 
     Raises:
@@ -78,7 +78,7 @@ class MpmNumerics:
         ):
             if getattr(self, name) not in allowed:
                 raise SceneError(
-                    f"numerics.{name}: {getattr(self, name)!r}; allowed: "
+                    f"mpm.{name}: {getattr(self, name)!r}; allowed: "
                     + ", ".join(repr(word) for word in allowed)
                 )
         for name, low, high, unit in (
@@ -89,15 +89,15 @@ class MpmNumerics:
         ):
             value = getattr(self, name)
             if value is not None:
-                check_range("numerics", name, value, low, high, unit=unit)
-        check_range("numerics", "per_cell", self.per_cell, 0.25, 6.0)
-        check_range("numerics", "jitter", self.jitter, 0.0, 0.4)
-        check_range("numerics", "reach", self.reach, 0.0, 2.0, unit="cells")
-        check_range("numerics", "base_layers", self.base_layers, 1, 100)
-        check_range("numerics", "speed_ratio", self.speed_ratio, 1e-4, 0.3)
-        check_range("numerics", "safety", self.safety, 0.0, STABLE, open_low=True)
-        check_range("numerics", "window", self.window, 0.0, 1000.0)
-        check_range("numerics", "det_floor", self.det_floor, 0.0, 1.0)
+                check_range("mpm", name, value, low, high, unit=unit)
+        check_range("mpm", "per_cell", self.per_cell, 0.25, 6.0)
+        check_range("mpm", "jitter", self.jitter, 0.0, 0.4)
+        check_range("mpm", "reach", self.reach, 0.0, 2.0, unit="cells")
+        check_range("mpm", "base_layers", self.base_layers, 1, 100)
+        check_range("mpm", "speed_ratio", self.speed_ratio, 1e-4, 0.3)
+        check_range("mpm", "safety", self.safety, 0.0, STABLE, open_low=True)
+        check_range("mpm", "window", self.window, 0.0, 1000.0)
+        check_range("mpm", "det_floor", self.det_floor, 0.0, 1.0)
 
     @classmethod
     def authors(cls, *, spacing: float = 0.2e-3, density: float = 1070.0) -> Self:

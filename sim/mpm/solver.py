@@ -6,17 +6,25 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import fields
 
 import numpy as np
 import warp as wp
 
+from sim.device import check_device
 from sim.errors import SceneError, SimulationDiverged
-from sim.mpm.kernels import COLLAPSED, LEFT_GRID, SPEED_LIMIT, TOO_FAST
 from sim.mpm.lattice import QUASI_STATIC, Pace, build_lattice, pace_of, same_body
-from sim.mpm.numerics import MpmNumerics
-from sim.mpm.state import ROUND, Means, ParticleState, Units
-from sim.result import Outcome, Quality, Result
+from sim.mpm.numerics import Mpm
+from sim.mpm.state import (
+    COLLAPSED,
+    LEFT_GRID,
+    ROUND,
+    SPEED_LIMIT,
+    TOO_FAST,
+    Means,
+    ParticleState,
+    Units,
+)
+from sim.result import Outcome, Quality, Result, no_quality
 from sim.scene import Scene
 
 # Values kept at the waypoints of a press: force, surface, and quality measures.
@@ -54,8 +62,7 @@ class Frames:
         nx, ny, _nz = state.lattice.counts
         self._wrench = np.full((frames, 6), np.nan)
         self._surface = np.full((frames, nx, ny, 3), np.nan, np.float32)
-        names = [one.name for one in fields(Quality) if one.name not in ("newton", "cg", "steps")]
-        self._quality = {name: np.full(frames, np.nan) for name in names}
+        self._quality = no_quality(frames)
         self._steps = np.zeros(frames, np.int64)
         self._readings = np.zeros((pace.steps, 9))
         self._velocity = _tip_velocity(pace, state.lattice.cell)
@@ -176,7 +183,7 @@ RIM_LEAST = 0.5
 
 def simulate_mpm(
     scenes: Sequence[Scene],
-    numerics: MpmNumerics | None = None,
+    numerics: Mpm = Mpm(),
     *,
     device: str = "cpu",
     progress: Progress | None = None,
@@ -193,14 +200,13 @@ def simulate_mpm(
         SceneError: A scene has viscosity, the scenes cannot share a lattice, or the lattice or the
             time step is not possible.
     """
-    numerics = numerics or MpmNumerics()
     scenes = list(scenes)
     if not scenes:
         return []
     same_body(scenes)
     _check_bodies(scenes)
     _same_effects(scenes)
-    _check_device(device)
+    check_device(device)
     began = time.perf_counter()
     lattice = build_lattice(scenes, numerics)
     paces = [pace_of(scene, numerics, lattice.cell) for scene in scenes]
@@ -274,7 +280,7 @@ def _walk(state, frames, paces, scenes, progress) -> dict[int, SimulationDiverge
 
 REASONS = {
     LEFT_GRID: "a particle left the grid",
-    COLLAPSED: "a particle was squeezed to nothing (numerics.det_floor)",
+    COLLAPSED: "a particle was squeezed to nothing (mpm.det_floor)",
     TOO_FAST: f"a particle moved {SPEED_LIMIT:g} cells in one step",
 }
 
@@ -304,7 +310,7 @@ def _of_pace(pace: Pace) -> dict:
     }
 
 
-def _warnings(scene: Scene, pace: Pace, numerics: MpmNumerics, lost: float) -> list[str]:
+def _warnings(scene: Scene, pace: Pace, numerics: Mpm, lost: float) -> list[str]:
     """Return warnings about differences between this result and a solution of the scene."""
     found = []
     if numerics.per_cell < COUPLED:
@@ -358,11 +364,3 @@ def _same_effects(scenes: Sequence[Scene]) -> None:
                 f"scenes[{index}].effects: {scene.effects.key}; allowed: {first.key}, as in the "
                 "batch's first scene"
             )
-
-
-def _check_device(device: str) -> None:
-    try:
-        wp.get_device(device)
-    except (ValueError, RuntimeError) as error:
-        allowed = ", ".join(str(each) for each in wp.get_devices())
-        raise SceneError(f"device: {device!r}; allowed here: {allowed}") from error

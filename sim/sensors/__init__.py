@@ -1,7 +1,7 @@
 """Simulated sensors: rows of data with a soft body, its effects and its signal.
 
     each = sensor("uskin")
-    result = simulate(each.scene(named("prism"), press([1e-3])), tier="layer")
+    result = simulate(each.scene(named("prism"), press([1e-3])), Layer())
     masks = readout(each).masks(SurfaceField.of(result))
 
 Every signal is computed from the displacement of the top alone, so that sensors can share a

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import SceneError
-from sim.layer import Grid
+from sim.layer.spectral import Grid
 from sim.markers import Pattern
 from sim.markers.top import cubic_taps, heights
 from sim.sensors import CameraSignal, SimulatedSensor

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from sim.errors import SceneError
 from sim.indenters import Indenter
-from sim.layer import Grid, LayerPress
 from sim.layer.contact import Clearance
-from sim.layer.solver import History, check_known
+from sim.layer.solver import History, LayerPress, check_known
+from sim.layer.spectral import Grid
 from sim.scene import Motion, Scene
 from sim.sensors import Pins, SimulatedSensor, SurfaceField, TaxelPad, TaxelSignal
 from sim.sensors.field import EVEN_STEP, cubic_weights

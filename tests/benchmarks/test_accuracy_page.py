@@ -19,7 +19,8 @@ from benchmarks.sim.accuracy.row import MEASURES, Measured, Row, append, begin, 
 from benchmarks.sim.reference_solutions import hertz
 from benchmarks.sim.spent import spent_by
 from sim.errors import SceneError
-from sim.layer import simulate_layer
+from sim.layer import Layer
+from sim.layer.solver import simulate_layer
 from sim.metrics import outcome_of
 from sim.scene import press, ramp_hold
 
@@ -150,7 +151,9 @@ def test_a_measurement_says_what_it_took_and_missed():
 def test_what_is_expected_to_take_too_long_is_left_out_and_nothing_is_measured_twice(
     tmp_path, monkeypatch
 ):
-    known = Reference(outcome_of(simulate_layer(SPHERE.scenes[0], grid=32)), {"force": 0.001})
+    known = Reference(
+        outcome_of(simulate_layer(SPHERE.scenes[0], Layer(grid=32))), {"force": 0.001}
+    )
     made = []
 
     def pretend(case, one, device, truth):

@@ -16,7 +16,7 @@ from benchmarks.sim.tiers.comparison import (
     measure,
     sphere_scene,
 )
-from sim.mpm import MpmNumerics
+from sim.mpm import Mpm
 
 ROW = Row(
     name="row",
@@ -61,7 +61,7 @@ def test_a_row_is_measured_and_not_measured_again(
 
 
 def test_a_measured_row_is_a_press_of_the_shared_sphere() -> None:
-    row = measure("coarse", sphere_scene(), MpmNumerics(cell=2e-3))
+    row = measure("coarse", sphere_scene(), Mpm(cell=2e-3))
     assert row.particles == 20 * 20 * 4
     assert 0.3 < row.force[-1] / row.reference[-1] < 1.3
     assert row.force_rescaled == row.force
@@ -72,4 +72,4 @@ def test_the_authors_presets_are_compared_with_the_force_on_their_own_body() -> 
     scene, numerics = choices()["authors, as released"]
     assert scene.body == BODY_RELEASED
     assert scene.motion.time[-1] == pytest.approx(1.5e-3 / 40e-3)
-    assert numerics == MpmNumerics.authors_released()
+    assert numerics == Mpm.authors_released()

@@ -30,7 +30,7 @@ from benchmarks.sim.stability.chance.twins import KINDS, symmetric, twin_of
 from sim.effects import Effects, Friction
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem.mesh import meshes_of
-from sim.fem.numerics import Grading, Numerics
+from sim.fem.numerics import Fem, Grading
 from sim.indenters import shapes
 from sim.result import Quality, Result, scene_to_json
 from sim.scene import Body, Motion, Scene, press
@@ -197,7 +197,7 @@ def test_what_is_drawn_is_a_scene_or_says_why_not_and_small_enough(tmp_path: Pat
     assert sum(one.scene is None for one in some) < 15
     for one in some[:20]:
         if one.scene is not None and one.scene.indenter.solid is None:
-            (mesh,) = meshes_of([one.scene], Numerics(grading=Grading()))
+            (mesh,) = meshes_of([one.scene], Fem(grading=Grading()))
             assert len(mesh.elements) <= ELEMENTS_MAX
 
 

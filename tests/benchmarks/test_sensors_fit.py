@@ -22,6 +22,7 @@ from benchmarks.sim.sensors.picture import COLUMNS, Tile, outlined, sheet
 from benchmarks.sim.sensors.relaxation import hysteresis, relaxed
 from benchmarks.sim.sensors.timing import stages
 from sim.effects import Viscosity
+from sim.layer import Layer
 from sim.sensors import SimulatedSensor, TaxelSignal, sensor
 from sim.sensors.field import SurfaceField
 from sim.sensors.taxels import TaxelPad
@@ -30,7 +31,7 @@ from sim.simulate import simulate
 
 def fitted(sensors: dict[str, SimulatedSensor]) -> list[Line]:
     return fit_forces(
-        sensors, {name: simulate(prism_press(each), "layer") for name, each in sensors.items()}
+        sensors, {name: simulate(prism_press(each), Layer()) for name, each in sensors.items()}
     )
 
 
@@ -55,7 +56,7 @@ def test_what_was_fitted_is_found_again_and_keeps_force_and_loss() -> None:
     assert all(line.agrees for line in again)
     peaks = {}
     for name, each in sensors.items():
-        result, viscosity = simulate(prism_press(each), "layer"), each.effects.viscosity
+        result, viscosity = simulate(prism_press(each), Layer()), each.effects.viscosity
         assert viscosity is not None
         depth = -np.array(result.scene.motion.tip)[:, 2]
         cycle = relaxed(depth, -result.force[:, 2], viscosity, speed=each.speed)
@@ -68,7 +69,7 @@ def test_what_was_fitted_is_found_again_and_keeps_force_and_loss() -> None:
 def test_fitted_gains_give_the_wanted_counts() -> None:
     pad = sensor("uskin")
     assert isinstance(pad.signal, TaxelSignal)
-    results = [simulate(prism_shear(pad, point), "layer") for point in (1, 2)]
+    results = [simulate(prism_shear(pad, point), Layer()) for point in (1, 2)]
     normal, shear = (1e3 * line.found for line in fit_gains(pad, results))
     taxels = TaxelPad(pad.body, replace(pad.signal, gain_normal=normal, gain_shear=shear))
     counts = np.concatenate([taxels.counts(SurfaceField.of(result)) for result in results])

@@ -34,10 +34,10 @@ from benchmarks.sim.speed.roofline import bound_of
 from benchmarks.sim.speed.steps import AS_IT_IS, READ_HALF, STEPS, assembled_gain, steps_on
 from benchmarks.sim.speed.timing import counted, spent_with_workers
 from benchmarks.sim.speed.work import PaperWork, TimedPress, paper_work, smoke_work
-from sim import Body, Result, Scene, SceneError, SimulationDiverged, press, simulate_many
+from sim import Body, Layer, Result, Scene, SceneError, SimulationDiverged, press, simulate_many
 from sim.device import ready_device
 from sim.effects import Effects, Friction
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 from sim.indenters import NAMES, sphere
 
 BODY = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
@@ -45,7 +45,7 @@ SCENES = [
     Scene(sphere(3e-3), press([0.1e-3, 0.2e-3], at=at), BODY, Effects(friction=Friction(0.8)))
     for at in ((0.0, 0.0), (1e-3, 0.0))
 ]
-NUMERICS = Numerics(spacing=4e-3 / 3, precision="float64", tolerance=1e-6)
+NUMERICS = Fem(spacing=4e-3 / 3, precision="float64", tolerance=1e-6)
 
 
 def test_the_work_is_the_papers() -> None:
@@ -73,7 +73,7 @@ def test_a_few_presses_stand_for_all_indenters_and_places() -> None:
 
 def test_forces_are_kept_to_seven_digits(tmp_path: Path) -> None:
     presses = [TimedPress("cone", -4.0, 0.0, (0.3, 0.6)), TimedPress("wave", 0.0, 4.0, (0.3,))]
-    outcomes = simulate_many([one.scene() for one in presses], "layer")
+    outcomes = simulate_many([one.scene() for one in presses], Layer())
     forces = forces_of(presses, outcomes)
     assert list(forces) == [
         ("cone", -4, 0, 0.3),
@@ -186,7 +186,7 @@ def test_assembling_pays_where_a_tangent_is_used_often() -> None:
 @pytest.fixture(scope="module")
 def exact() -> list[Result | SimulationDiverged]:
     ready_device("cpu")
-    return simulate_many(SCENES, numerics=NUMERICS)
+    return simulate_many(SCENES, NUMERICS)
 
 
 @pytest.mark.parametrize("name", [step.name for step in STEPS if step.where != "cpu"])
@@ -198,7 +198,7 @@ def test_without_a_step_the_answer_is_the_same_and_the_next_run_has_it_again(
     told: list[float] = []
     outcomes = step.solve(NUMERICS, "cpu", 1)(SCENES, told.append)
     without = counted(Run("", ""), outcomes)
-    after = counted(Run("", ""), simulate_many(SCENES, numerics=NUMERICS))
+    after = counted(Run("", ""), simulate_many(SCENES, NUMERICS))
     assert (after.newton, after.cg) == (before.newton, before.cg)
     assert without.failed == 0
     assert told[-1] == pytest.approx(1.0)

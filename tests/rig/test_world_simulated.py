@@ -297,7 +297,7 @@ def test_a_picture_goes_on_between_deformations_as_the_tip_does(tmp_path: Path) 
 def test_the_camera_sees_the_markers_where_the_simulators_renderer_does(
     sensor: str, tmp_path: Path
 ) -> None:
-    from sim.layer import Grid
+    from sim.layer.spectral import Grid
     from sim.sensors import SurfaceField, readout
     from sim.sensors import sensor as row_of
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from sim.indenters import sphere
-from sim.layer import simulate_layer
+from sim.layer import Layer
+from sim.layer.solver import simulate_layer
 from sim.markers.camera import DISTANCE, FOCAL
 from sim.metrics import (
     POINTS,
@@ -142,7 +143,7 @@ def test_outcomes_that_do_not_belong_together_are_refused():
 
 
 def test_an_outcome_comes_back_from_its_file(tmp_path):
-    one = outcome_of(simulate_layer(Scene(sphere(4e-3), press([0.5e-3])), grid=32))
+    one = outcome_of(simulate_layer(Scene(sphere(4e-3), press([0.5e-3])), Layer(grid=32)))
     save(tmp_path / "kept.npz", {"a": one, "b-fine": one.frames([1])})
     again = load(tmp_path / "kept.npz")
     assert set(again) == {"a", "b-fine"}
@@ -152,7 +153,7 @@ def test_an_outcome_comes_back_from_its_file(tmp_path):
 
 def test_a_coarse_grid_of_the_layer_is_near_its_fine_one():
     scene = Scene(sphere(4e-3), press([0.5e-3, 1e-3]))
-    coarse, fine = (outcome_of(simulate_layer(scene, grid=grid)) for grid in (48, 128))
+    coarse, fine = (outcome_of(simulate_layer(scene, Layer(grid=grid))) for grid in (48, 128))
     worst = compare(coarse, fine, scene.body).worst()
     assert 0 < worst["force_share"] < 0.01
     assert 0 < worst["marker_rms"] < 0.05

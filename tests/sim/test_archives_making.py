@@ -15,7 +15,7 @@ from support.simulated_archives import LAYER, LIVED, SKINS, digests, make, solve
 
 from recorder import MarkerArchive, check
 from recorder.archive import ArchivedSensor, location_pairs
-from sim import Result, Scene, SceneError, SimulationDiverged, simulate
+from sim import Layer, Result, Scene, SceneError, SimulationDiverged, simulate
 from sim.dataset import DatasetPlan, Solving, begin, families, found, gel
 from sim.dataset import plan as solving
 from sim.dataset.generate import crept, reader
@@ -85,7 +85,7 @@ def test_a_skin_of_twice_the_modulus_takes_twice_the_force_of_a_solution_of_its_
     press = families(SKINS)[0].presses[0]
     for name in ("r6", "r18"):
         rows = press_rows(archive[name], press.indenter, press.recordings[0].target)
-        own = simulate(sensor(name).placed(named("sphere"), press.motion, seed=0), "layer")
+        own = simulate(sensor(name).placed(named("sphere"), press.motion, seed=0), Layer())
         scale = np.abs(own.wrench[:, :3]).max()
         assert scale > 0.1
         np.testing.assert_allclose(
@@ -184,9 +184,8 @@ def diverging(times: int) -> Any:
     real = solving.simulate_many
     left = [times]
 
-    def simulate_many(scenes: Sequence[Scene], *args: Any, **options: Any) -> list[Any]:
-        options["numerics"] = None
-        outcomes: list[Result | SimulationDiverged] = list(real(scenes, "layer"))
+    def simulate_many(scenes: Sequence[Scene], *_: Any, **_options: Any) -> list[Any]:
+        outcomes: list[Result | SimulationDiverged] = list(real(scenes, Layer()))
         if left[0] > 0:
             left[0] -= 1
             outcomes[0] = SimulationDiverged("no converged state; state: /tmp/x/state.npz")

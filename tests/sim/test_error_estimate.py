@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.sim.independent.comparison import Settings, Task, compared, round_tasks
-from sim import Body, Scene, press, simulate
+from sim import Body, Layer, Scene, press, simulate
 from sim.indenters import sphere
 
 
@@ -12,21 +12,21 @@ from sim.indenters import sphere
     "task", round_tasks(["sphere 4 in 4", "sphere 0.5", "punch"]), ids=lambda task: task.name
 )
 def test_what_layer_says_of_its_error_covers_the_truth(task: Task) -> None:
-    for row in compared(task, Settings("layer")):
+    for row in compared(task, Settings(Layer())):
         assert abs(row.error_percent) <= row.own_percent + row.truth_error_percent
 
 
 def test_a_contact_smaller_than_a_pixel_is_no_force_without_an_error() -> None:
-    result = simulate(Scene(sphere(0.5e-3), press([50e-6]), Body(60e-3, 60e-3, 20e-3)), "layer")
+    result = simulate(Scene(sphere(0.5e-3), press([50e-6]), Body(60e-3, 60e-3, 20e-3)), Layer())
     assert not result.force.any()
     assert result.record["error"]["percent"] == 100.0
 
 
 def test_what_fem_says_of_its_error_covers_the_truth_on_a_coarse_mesh() -> None:
-    from sim.fem.numerics import Numerics
+    from sim.fem.numerics import Fem
 
     (task,) = round_tasks(["sphere 4 in 4, mu 0, nu 0.45, to 1.5"])
-    result = simulate(task.scene, numerics=Numerics(fineness=0.3))
+    result = simulate(task.scene, Fem(fineness=0.3))
     truths = np.array([truth[2] for truth in task.truths])
     off = np.abs(result.force[list(task.frames), 2] / truths - 1)
     assert (off <= np.array(result.record["error"]["force"])[list(task.frames)] + 0.003).all()

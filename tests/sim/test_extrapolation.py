@@ -12,7 +12,11 @@ import pytest
 from sim import (
     Body,
     Effects,
+    Extrapolated,
     Friction,
+    Layer,
+    Measured,
+    Mpm,
     Scene,
     SceneError,
     SimulationDiverged,
@@ -22,7 +26,7 @@ from sim import (
 )
 from sim.__main__ import main
 from sim.extrapolation import extrapolated, simulate_extrapolated
-from sim.fem.numerics import FOR_EDGES, Numerics
+from sim.fem.numerics import FOR_EDGES, Fem
 from sim.indenters import named
 from sim.result import Result
 
@@ -32,7 +36,7 @@ SPHERE = Scene(named("sphere"), press([0.6e-3]), BODY, Effects(friction=Friction
 
 @pytest.fixture(scope="module")
 def coarse() -> Result:
-    return simulate(SPHERE, numerics=Numerics(spacing=4e-3 / 3, grading=FOR_EDGES))
+    return simulate(SPHERE, Fem(spacing=4e-3 / 3, grading=FOR_EDGES))
 
 
 def on(result: Result, cells: int, wrench: Any) -> Result:
@@ -56,8 +60,8 @@ def test_an_error_that_falls_as_the_square_is_taken_off_whole(
 
 
 def test_both_meshes_are_solved_and_the_finer_ones_skin_is_kept(coarse: Result) -> None:
-    numerics = Numerics(spacing=1e-3, grading=FOR_EDGES)
-    single = simulate(SPHERE, numerics=numerics)
+    numerics = Fem(spacing=1e-3, grading=FOR_EDGES)
+    single = simulate(SPHERE, numerics)
     reported: list[float] = []
     both = simulate_extrapolated([SPHERE], numerics, progress=reported.append)[0]
     assert isinstance(both, Result)
@@ -73,10 +77,9 @@ def test_two_coarse_meshes_meet_the_converged_force_of_a_sphere() -> None:
     # Forces on which two element families agree to 0.1 % (docs/results/refinement.md).
     exact = np.array([0.2652, 0.9197, 1.9560])
     scene = Scene(indenters.sphere(4e-3), press([0.5e-3, 1e-3, 1.5e-3]), Body())
-    numerics = Numerics(spacing=0.8e-3, grading=FOR_EDGES)
+    numerics = Fem(spacing=0.8e-3, grading=FOR_EDGES)
     single, both = (
-        -simulate(scene, numerics=numerics, extrapolate=extrapolate).force[-3:, 2]
-        for extrapolate in (False, True)
+        -simulate(scene, tier).force[-3:, 2] for tier in (numerics, Extrapolated(numerics))
     )
     assert (single / exact - 1 > 0.008).all()
     assert (abs(both / exact - 1) < 0.003).all()
@@ -89,12 +92,10 @@ def test_two_coarse_meshes_come_closer_than_the_better_of_them(name: str) -> Non
         named(name), press([0.8e-3]), Body(10e-3, 10e-3, 4e-3), Effects(friction=Friction(0.8))
     )
     fine, single = (
-        simulate(scene, numerics=Numerics(spacing=spacing, grading=FOR_EDGES)).force[-1, 2]
+        simulate(scene, Fem(spacing=spacing, grading=FOR_EDGES)).force[-1, 2]
         for spacing in (0.4e-3, 0.8e-3)
     )
-    both = simulate(
-        scene, extrapolate=True, numerics=Numerics(spacing=0.8e-3, grading=FOR_EDGES)
-    ).force[-1, 2]
+    both = simulate(scene, Extrapolated(Fem(spacing=0.8e-3, grading=FOR_EDGES))).force[-1, 2]
     # By the same law, a quarter of the error at 0.8 mm remains at 0.4 mm.
     exact = fine - (single - fine) / 3
     assert abs(both - exact) < 0.35 * abs(single - exact)
@@ -111,39 +112,30 @@ def test_a_press_without_a_solution_on_either_mesh_has_none(
 
 
 @pytest.mark.parametrize(
-    ("scenes", "numerics", "reported"),
+    ("scenes", "fem", "reported"),
     [
-        ([SPHERE], Numerics(), r"numerics.grading.finer: 1; allowed where forces are extrapolated"),
+        ([SPHERE], Fem(), r"fem.grading.finer: 1; allowed where forces are extrapolated"),
         (
             [SPHERE],
-            Numerics(spacing=4e-3 / 3, grading=FOR_EDGES),
-            r"numerics.spacing: 1.33 mm; allowed .*: 1 mm or less in 4 mm",
+            Fem(spacing=4e-3 / 3, grading=FOR_EDGES),
+            r"fem.spacing: 1.33 mm; allowed .*: 1 mm or less in 4 mm",
         ),
         (
             [SPHERE, replace(SPHERE, body=Body(8e-3, 8e-3, 3e-3))],
-            None,
+            Fem(grading=FOR_EDGES),
             r"scenes: bodies of 2 thicknesses; allowed .*: one",
         ),
     ],
 )
-def test_what_has_no_second_mesh_is_refused(
-    scenes: list[Scene], numerics: Numerics | None, reported: str
-) -> None:
+def test_what_has_no_second_mesh_is_refused(scenes: list[Scene], fem: Fem, reported: str) -> None:
     with pytest.raises(SceneError, match=reported):
-        simulate_extrapolated(scenes, numerics)
+        simulate_extrapolated(scenes, fem)
 
 
-@pytest.mark.parametrize(
-    ("options", "reported"),
-    [
-        ({"tier": "layer"}, "extrapolate: True with tier 'layer'; allowed: 'fem'"),
-        ({"tolerance": "2 %"}, "extrapolate: True with tolerance '2 %'; allowed: either"),
-        ({"error_bar": True}, "extrapolate: True with an error bar; allowed: either"),
-    ],
-)
-def test_it_excludes_what_chooses_meshes_itself(options: dict[str, Any], reported: str) -> None:
-    with pytest.raises(SceneError, match=reported):
-        simulate(SPHERE, extrapolate=True, **options)
+@pytest.mark.parametrize("tier", [Layer(), Mpm(), Measured()])
+def test_only_elements_are_extrapolated(tier: Any) -> None:
+    with pytest.raises(SceneError, match=r"extrapolated\.fem: .*; allowed: a Fem"):
+        Extrapolated(tier)
 
 
 def test_meshes_that_are_alike_tell_nothing(coarse: Result) -> None:

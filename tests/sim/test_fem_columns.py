@@ -13,7 +13,7 @@ from support.fem_tangents import COUNT, FILLED, GRID, Tangents, columns_of, flat
 from sim import simulate
 from sim.fem import cg
 from sim.fem.cg import ColumnPreconditioner, Lines
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 from sim.indenters import shapes
 from sim.scene import Body, Scene, press
 
@@ -188,7 +188,7 @@ def test_a_blade_takes_half_the_iterations_along_all_axes(monkeypatch: pytest.Mo
     found = []
     for hard_from in (10**9, 20):
         monkeypatch.setattr(cg, "HARD_FROM", {"cpu": hard_from})
-        found.append(simulate(blade, numerics=Numerics(fineness=0.5, elements_max=2500)))
+        found.append(simulate(blade, Fem(fineness=0.5, elements_max=2500)))
     by_columns, by_lines = found
     assert by_lines.quality.cg.sum() < 0.6 * by_columns.quality.cg.sum()
     np.testing.assert_allclose(by_lines.force[-1, 2], by_columns.force[-1, 2], rtol=1e-3)

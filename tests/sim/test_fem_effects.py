@@ -35,17 +35,15 @@ from sim import (
 )
 from sim.fem.assembly import Assembly
 from sim.fem.mesh import build_mesh
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 from sim.indenters import sphere
 
 BODY = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
 SPACING = 4e-3 / 3
-COARSE = Numerics(spacing=SPACING, precision="float64")
+COARSE = Fem(spacing=SPACING, precision="float64")
 # So stiff that the residual penetration, which depends on the steps taken, is far smaller than
 # the change by the weakest effect.
-TIGHT = Numerics(
-    spacing=SPACING, precision="float64", tolerance=1e-10, penalty=3000.0, augmentations=10
-)
+TIGHT = Fem(spacing=SPACING, precision="float64", tolerance=1e-10, penalty=3000.0, augmentations=10)
 # Down, and slightly sideways, in 1 ms.
 MOTION = Motion(((0.0, 0.0, 0.0), (0.0, 0.0, -0.4e-3), (0.1e-3, 0.0, -0.4e-3)), (0.0, 0.5e-3, 1e-3))
 ALL: dict[str, Any] = {
@@ -118,9 +116,9 @@ def test_an_effect_that_is_off_gives_the_results_of_a_build_without_it_bit_for_b
 ) -> None:
     """With the three other effects on, so that their code remains next to the removed code."""
     scene = _scene(replace(Effects(**ALL), **{name: None}))
-    with_it = _arrays(simulate(scene, numerics=COARSE))
+    with_it = _arrays(simulate(scene, COARSE))
     with built_without(name):
-        without = _arrays(simulate(scene, numerics=COARSE))
+        without = _arrays(simulate(scene, COARSE))
     for key, array in with_it.items():
         np.testing.assert_array_equal(array, without[key], err_msg=key)
     assert np.abs(with_it["wrench"]).max() > 0.1
@@ -167,24 +165,24 @@ def test_kernels_are_made_once_for_a_combination() -> None:
 
 def test_the_record_names_the_effects_and_the_seconds_of_each_stage() -> None:
     effects = Effects(friction=ALL["friction"], gravity=ALL["gravity"])
-    record = simulate(_scene(effects), numerics=COARSE).record
+    record = simulate(_scene(effects), COARSE).record
     assert record["effects"] == ["friction", "gravity"]
     assert record["precision"] == "float64"
     assert record["mesh"]["cells"] == [8, 8, 3]
     assert {"mesh", "build", "solve"} <= set(record["seconds"])
     assert all(seconds >= 0 for seconds in record["seconds"].values())
-    assert simulate(_scene(Effects()), numerics=COARSE).record["effects"] == []
+    assert simulate(_scene(Effects()), COARSE).record["effects"] == []
 
 
 @cache
 def _plain() -> Result:
-    return simulate(_scene(Effects()), numerics=TIGHT)
+    return simulate(_scene(Effects()), TIGHT)
 
 
 def _difference(name: str, share: float) -> float:
     """Return the change of the last force by the effect [N]."""
     weak = ALL[name].weakened(share)
-    result = simulate(_scene(Effects(**{name: weak})), numerics=TIGHT)
+    result = simulate(_scene(Effects(**{name: weak})), TIGHT)
     return float(np.linalg.norm(result.wrench[-1, :3] - _plain().wrench[-1, :3]))
 
 
@@ -230,7 +228,7 @@ def test_launches_name_the_kernels_of_a_run_and_end_with_their_block() -> None:
     sets = []
     for effects in (Effects(), Effects(gravity=ALL["gravity"])):
         with launches(compiled) as found:
-            simulate(_scene(effects), numerics=COARSE)
+            simulate(_scene(effects), COARSE)
         sets.append(found)
     assert wp.launch is launch
     assert len(sets[1] - sets[0]) == len(sets[0] - sets[1]) == 1

@@ -22,14 +22,14 @@ from sim import (
     simulate,
     simulate_many,
 )
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 from sim.fem.solver import precision_for_finer
 from sim.indenters import sphere
 
 BODY = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
 SPACING = 4e-3 / 3
 SCENE = Scene(sphere(3e-3), press([0.5e-3]), BODY)
-CRIPPLED = Numerics(spacing=SPACING, precision="float64", newton_max=1, halvings=1)
+CRIPPLED = Fem(spacing=SPACING, precision="float64", newton_max=1, halvings=1)
 
 
 @pytest.fixture(autouse=True)
@@ -39,7 +39,7 @@ def _dumps_in_a_folder_of_the_test(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 def test_a_crippled_solver_diverges_with_what_it_tried_and_a_dump_that_loads() -> None:
     with pytest.raises(SimulationDiverged, match="no converged state") as caught:
-        simulate(SCENE, numerics=CRIPPLED)
+        simulate(SCENE, CRIPPLED)
     diverged = caught.value
     assert len(diverged.tried) == CRIPPLED.halvings + 1
     assert all("Newton iterations, residual" in line for line in diverged.tried)
@@ -56,8 +56,8 @@ def test_a_crippled_solver_diverges_with_what_it_tried_and_a_dump_that_loads() -
 def test_one_press_that_diverges_does_not_take_the_others_with_it() -> None:
     light = Scene(sphere(3e-3), press([2e-6]), BODY)
     numerics = replace(CRIPPLED, newton_max=3, halvings=0)
-    alone = simulate(light, numerics=numerics)
-    fine, diverged, also_fine = simulate_many([light, SCENE, light], numerics=numerics)
+    alone = simulate(light, numerics)
+    fine, diverged, also_fine = simulate_many([light, SCENE, light], numerics)
     assert isinstance(diverged, SimulationDiverged)
     for result in (fine, also_fine):
         assert isinstance(result, Result)
@@ -74,49 +74,49 @@ def test_nothing_unconverged_is_returned() -> None:
     )
     largest = []
     for tolerance in (3e-2, 1e-2, 1e-3):
-        numerics = Numerics(spacing=SPACING, precision="float64", tolerance=tolerance)
-        residual = simulate(slid, numerics=numerics).quality.residual
+        numerics = Fem(spacing=SPACING, precision="float64", tolerance=tolerance)
+        residual = simulate(slid, numerics).quality.residual
         assert (residual <= tolerance).all()
         largest.append(residual.max() / tolerance)
     assert max(largest) > 0.3, "no frame came close to its tolerance: this would not see a slip"
 
 
 def test_a_body_flatter_than_allowed_is_not_returned() -> None:
-    never_flat = Numerics(spacing=SPACING, precision="float64", det_floor=0.99, halvings=2)
+    never_flat = Fem(spacing=SPACING, precision="float64", det_floor=0.99, halvings=2)
     with pytest.raises(SimulationDiverged):
-        simulate(SCENE, numerics=never_flat)
+        simulate(SCENE, never_flat)
 
 
 def test_float32_that_cannot_reach_the_tolerance_goes_on_in_float64_and_says_why() -> None:
-    numerics = Numerics(spacing=SPACING, tolerance=1e-9, halvings=1, newton_max=20)
-    result = simulate(SCENE, numerics=numerics)
+    numerics = Fem(spacing=SPACING, tolerance=1e-9, halvings=1, newton_max=20)
+    result = simulate(SCENE, numerics)
     assert result.record["precision"] == "float64"
     assert "float32 did not converge" in result.record["precision_reason"]
     assert (result.quality.residual <= 1e-9).all()
     with pytest.raises(SimulationDiverged, match="float32"):
-        simulate(SCENE, numerics=replace(numerics, precision="float32"))
+        simulate(SCENE, replace(numerics, precision="float32"))
 
 
 def test_float32_that_reaches_the_tolerance_stays_and_gives_no_reason() -> None:
-    record = simulate(SCENE, numerics=Numerics(spacing=SPACING)).record
+    record = simulate(SCENE, Fem(spacing=SPACING)).record
     assert record["precision"] == "float32"
     assert "precision_reason" not in record
 
 
 def test_float32_is_given_up_when_a_halved_step_fails_too() -> None:
-    numerics = Numerics(spacing=SPACING, tolerance=1e-9, newton_max=12)
-    result = simulate(SCENE, numerics=numerics)
+    numerics = Fem(spacing=SPACING, tolerance=1e-9, newton_max=12)
+    result = simulate(SCENE, numerics)
     assert ": 2 steps failed" in result.record["precision_reason"]
     with pytest.raises(SimulationDiverged, match=": 13 steps failed"):
-        simulate(SCENE, numerics=replace(numerics, precision="float32"))
+        simulate(SCENE, replace(numerics, precision="float32"))
 
 
 def test_finer_meshes_are_solved_in_float64_where_a_coarser_one_was() -> None:
-    single = simulate(SCENE, numerics=Numerics(spacing=SPACING))
-    double = simulate(SCENE, numerics=Numerics(spacing=SPACING, precision="float64"))
-    assert precision_for_finer(double, Numerics()) == "float64"
-    assert precision_for_finer(single, Numerics()) == "auto"
-    assert precision_for_finer(double, Numerics(precision="float32")) == "float32"
+    single = simulate(SCENE, Fem(spacing=SPACING))
+    double = simulate(SCENE, Fem(spacing=SPACING, precision="float64"))
+    assert precision_for_finer(double, Fem()) == "float64"
+    assert precision_for_finer(single, Fem()) == "auto"
+    assert precision_for_finer(double, Fem(precision="float32")) == "float32"
 
 
 def test_unlike_scenes_in_one_call_get_what_they_get_alone() -> None:
@@ -129,17 +129,17 @@ def test_unlike_scenes_in_one_call_get_what_they_get_alone() -> None:
     ]
     scenes = [Scene(sphere(3e-3), press([0.5e-3]), body) for body in bodies]
     scenes.append(replace(SCENE, effects=Effects(friction=Friction(0.3))))
-    numerics = Numerics(spacing=SPACING, precision="float64")
-    for scene, outcome in zip(scenes, simulate_many(scenes, numerics=numerics), strict=True):
+    numerics = Fem(spacing=SPACING, precision="float64")
+    for scene, outcome in zip(scenes, simulate_many(scenes, numerics), strict=True):
         assert isinstance(outcome, Result)
         assert outcome.scene is scene
-        np.testing.assert_array_equal(outcome.wrench, simulate(scene, numerics=numerics).wrench)
+        np.testing.assert_array_equal(outcome.wrench, simulate(scene, numerics).wrench)
 
 
 @pytest.mark.parametrize("spacing", [2e-3, 1e-6, float("nan")])
 def test_meshes_that_are_too_coarse_too_fine_or_nonsense_are_refused(spacing: float) -> None:
     with pytest.raises(SceneError, match=r"mesh|spacing"):
-        simulate(SCENE, numerics=Numerics(spacing=spacing))
+        simulate(SCENE, Fem(spacing=spacing))
 
 
 @pytest.mark.parametrize(
@@ -156,10 +156,10 @@ def test_meshes_that_are_too_coarse_too_fine_or_nonsense_are_refused(spacing: fl
     ],
 )
 def test_numerics_that_mean_nothing_are_refused(name: str, value: object) -> None:
-    with pytest.raises(SceneError, match=rf"numerics\.{name}"):
-        Numerics(**{name: value})  # type: ignore[arg-type]
+    with pytest.raises(SceneError, match=rf"fem\.{name}"):
+        Fem(**{name: value})  # type: ignore[arg-type]
 
 
 def test_a_device_that_is_not_there_is_refused() -> None:
     with pytest.raises(SceneError, match=r"device: 'cuda:77'.*cpu"):
-        simulate(SCENE, numerics=Numerics(spacing=SPACING), device="cuda:77")
+        simulate(SCENE, Fem(spacing=SPACING), device="cuda:77")

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from sim import Body, Effects, Friction, Scene, press, press_shear_return, simulate
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 from sim.indenters import sphere
 
 SMALL = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
-COARSE = Numerics(spacing=4e-3 / 3, precision="float64")
+COARSE = Fem(spacing=4e-3 / 3, precision="float64")
 MU = 0.4
 
 
@@ -23,13 +23,13 @@ def _loop(angle: float, shear: float = 0.5e-3, steps: int = 2) -> Scene:
 def test_full_stick_is_stiffer_by_the_benchs_share() -> None:
     """Full stick on the paper's gel gives 2.18 to 2.19 N at 1.5 mm, frictionless 1.956 N."""
     scene = Scene(sphere(4e-3), press([1.5e-3]), effects=Effects(friction=Friction(10.0)))
-    result = simulate(scene, numerics=Numerics(spacing=1e-3))
+    result = simulate(scene, Fem(spacing=1e-3))
     assert -result.force[-1, 2] == pytest.approx(2.185, rel=0.02)
     assert (result.quality.slip_excess[1:] <= 1e-6).all()
 
 
 def test_no_point_ever_carries_more_shear_than_coulomb_allows_and_the_loop_loses_energy() -> None:
-    result = simulate(_loop(0.0), numerics=COARSE)
+    result = simulate(_loop(0.0), COARSE)
     quality = result.quality
     pressing = -result.force[:, 2] > 1e-6
     assert pressing[1:-1].all()
@@ -46,7 +46,7 @@ def test_no_point_ever_carries_more_shear_than_coulomb_allows_and_the_loop_loses
 
 def test_shear_to_the_other_side_and_across_is_the_mirrored_and_the_turned_result() -> None:
     right, left, across = (
-        simulate(_loop(angle, 0.2e-3, 1), numerics=COARSE) for angle in (0.0, np.pi, np.pi / 2)
+        simulate(_loop(angle, 0.2e-3, 1), COARSE) for angle in (0.0, np.pi, np.pi / 2)
     )
     size = np.abs(right.force).max()
     # Each step is solved to 1e-4 of the force, on a history-dependent path.
@@ -60,16 +60,16 @@ def test_more_friction_holds_the_surface_more() -> None:
     for coefficient in (0.0, 0.2, 0.5, 2.0):
         effects = Effects(friction=Friction(coefficient))
         scene = Scene(sphere(3e-3), press([0.6e-3]), SMALL, effects)
-        result = simulate(scene, numerics=COARSE)
+        result = simulate(scene, COARSE)
         middle = len(result.surface_y) // 2
         slides.append(float(np.interp(1.3e-3, result.surface_x, result.surface[-1, :, middle, 0])))
     assert slides[0] > slides[1] > slides[2] > slides[3]
 
 
 def test_what_friction_takes_is_told_the_same_by_few_and_by_many_steps() -> None:
-    fine = Numerics(spacing=4e-3 / 3, step_travel=4e-3 / 200, path_tolerance=1e-3)
+    fine = Fem(spacing=4e-3 / 3, step_travel=4e-3 / 200, path_tolerance=1e-3)
     few, many = (
-        simulate(_loop(0.0, steps=1), numerics=numerics).quality.energy_gap
-        for numerics in (Numerics(spacing=4e-3 / 3), fine)
+        simulate(_loop(0.0, steps=1), numerics).quality.energy_gap
+        for numerics in (Fem(spacing=4e-3 / 3), fine)
     )
     assert few == pytest.approx(many, abs=0.015)

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion
 
 from sim import Body, Result, Scene, press, simulate
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 from sim.indenters import Indenter, box, flat_punch, sphere
 
 Array = NDArray[np.float64]
 SMALL = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
-ROUGH = Numerics(fineness=0.4)
+ROUGH = Fem(fineness=0.4)
 SLOW = pytest.mark.slow
 # Shifts within one element.
 SIDES = 8
@@ -51,13 +51,13 @@ PLATE: dict[int, tuple[float, float]] = {
 }
 
 
-def _plate(degrees: int, shift: tuple[float, float], numerics: Numerics) -> None:
+def _plate(degrees: int, shift: tuple[float, float], numerics: Fem) -> None:
     angle = math.radians(degrees)
     plate = box(WIDE, WIDE, 0.3e-3).tilted(0.0, -angle)
     beside, depth = PLATE[degrees]
     x = WIDE / 2 * math.cos(angle) - SMALL.size_x / 2 - beside if degrees else 0.0
     scene = Scene(plate, press([depth], at=(x + shift[0], shift[1])), SMALL)
-    result = simulate(scene, numerics=numerics)
+    result = simulate(scene, numerics)
     assert result.force[-1, 2] < -0.1
     assert _along(result.force[-1], _face(plate)) < 1e-6
 
@@ -65,22 +65,22 @@ def _plate(degrees: int, shift: tuple[float, float], numerics: Numerics) -> None
 @pytest.mark.parametrize("shift", [(0.0, 0.0), (0.07e-3, 0.3e-3)])
 @pytest.mark.parametrize("degrees", list(PLATE))
 def test_a_plane_pushes_along_its_normal(degrees: int, shift: tuple[float, float]) -> None:
-    _plate(degrees, shift, Numerics(spacing=1e-3))
+    _plate(degrees, shift, Fem(spacing=1e-3))
 
 
 @SLOW
 @pytest.mark.parametrize("degrees", [0, 5, 15])
 def test_a_plane_on_a_fine_mesh_pushes_along_its_normal(degrees: int) -> None:
-    _plate(degrees, (0.07e-3, 0.3e-3), Numerics())
+    _plate(degrees, (0.07e-3, 0.3e-3), Fem())
 
 
 # A tilted punch: its face pushes along the normal, its low edge equally in the other direction.
 
 
-def _punch(degrees: int, shift: float, numerics: Numerics) -> None:
+def _punch(degrees: int, shift: float, numerics: Fem) -> None:
     punch = flat_punch(2e-3, 0.3e-3)
     punch = punch.tilted(0.0, -math.radians(degrees)) if degrees else punch
-    result = simulate(Scene(punch, press([0.3e-3], at=(shift, 0.0)), SMALL), numerics=numerics)
+    result = simulate(Scene(punch, press([0.3e-3], at=(shift, 0.0)), SMALL), numerics)
     stated = _stated(result)
     assert stated < 0.15
     # The body is wide: the work does not depend on the punch's position, so no force acts sideways.
@@ -106,18 +106,17 @@ def test_a_leaning_punch_is_not_pulled_aside(degrees: int, shift: float) -> None
 @pytest.mark.timeout(180)
 @pytest.mark.parametrize("degrees", [0, 5, 15, 30])
 def test_a_leaning_punch_on_the_default_mesh_is_not_pulled_aside(degrees: int) -> None:
-    _punch(degrees, 0.13e-3, Numerics())
+    _punch(degrees, 0.13e-3, Fem())
 
 
 # A sphere at positions within one element: equal forces, none of them sideways.
 
 
-def _ripple(depth: float, element: float, numerics: Numerics, most: float) -> None:
+def _ripple(depth: float, element: float, numerics: Fem, most: float) -> None:
     body = Body(size_x=16e-3, size_y=16e-3, thickness=4e-3)
     results = [
         simulate(
-            Scene(sphere(3e-3), press([depth], at=(element * part / SIDES, 0.0)), body),
-            numerics=numerics,
+            Scene(sphere(3e-3), press([depth], at=(element * part / SIDES, 0.0)), body), numerics
         )
         for part in range(SIDES)
     ]
@@ -136,16 +135,16 @@ def _ripple(depth: float, element: float, numerics: Numerics, most: float) -> No
 @pytest.mark.parametrize("depth", [0.3e-3, 0.6e-3])
 def test_a_sphere_is_pressed_alike_wherever_it_is_in_an_element(depth: float) -> None:
     """A fixed mesh with 3 to 5 elements across the contact."""
-    _ripple(depth, 0.8e-3, Numerics(spacing=0.8e-3, graded=False), 0.06)
+    _ripple(depth, 0.8e-3, Fem(spacing=0.8e-3, graded=False), 0.06)
 
 
 @SLOW
 @pytest.mark.parametrize("depth", [0.1e-3, 0.3e-3, 0.6e-3])
 def test_a_sphere_is_pressed_alike_wherever_it_is_in_a_finer_element(depth: float) -> None:
-    _ripple(depth, 1.6e-3 / 3, Numerics(spacing=1.6e-3 / 3, graded=False), 0.015)
+    _ripple(depth, 1.6e-3 / 3, Fem(spacing=1.6e-3 / 3, graded=False), 0.015)
 
 
 @SLOW
 @pytest.mark.parametrize("depth", [0.1e-3, 0.3e-3, 0.6e-3])
 def test_a_mesh_that_goes_along_leaves_no_ripple(depth: float) -> None:
-    _ripple(depth, 0.3e-3, Numerics(), 1e-3)
+    _ripple(depth, 0.3e-3, Fem(), 1e-3)

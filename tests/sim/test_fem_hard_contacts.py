@@ -10,21 +10,21 @@ import pytest
 
 from benchmarks.sim.independent.foreign import load
 from benchmarks.sim.independent.foreign_cases import CASES
-from sim import Body, Effects, Friction, Motion, Result, Scene, press, simulate
-from sim.fem.numerics import Numerics
+from sim import Body, Effects, Friction, Layer, Motion, Result, Scene, press, simulate
+from sim.fem.numerics import Fem
 from sim.indenters import Indenter, box, plane, sphere
 
 SLOW = pytest.mark.slow
 BLADE = box(0.5e-3, 12e-3, 0.2e-3)
 
 
-def _against_getfem(name: str, indenter: Indenter, numerics: Numerics | None = None) -> Result:
+def _against_getfem(name: str, indenter: Indenter, fem: Fem = Fem()) -> Result:
     """Solve a case with `sim` and compare its forces with GetFEM's within both stated errors."""
     path = next(case.path for case in CASES if case.name == name)
     truths = [row for row in load() if row.case == name]
     tip = [(x * 1e-3, y * 1e-3, -depth * 1e-3) for x, y, depth in path]
     motion = Motion(tuple(tip), tuple(0.1 * index for index in range(len(tip))))
-    result = simulate(Scene(indenter, motion), numerics=numerics)
+    result = simulate(Scene(indenter, motion), fem)
     force = np.array([[row.force_x_n, row.force_y_n, row.force_z_n] for row in truths])
     assert len(force) == len(result.force)
     off = np.linalg.norm(result.force - force, axis=1) / np.linalg.norm(force, axis=1)
@@ -35,7 +35,7 @@ def _against_getfem(name: str, indenter: Indenter, numerics: Numerics | None = N
 
 def _against_finer(scene: Scene, coarse: float, fine: float) -> Result:
     """Solve a scene at two finenesses and compare the forces within both stated errors."""
-    results = [simulate(scene, numerics=Numerics(fineness=one)) for one in (coarse, fine)]
+    results = [simulate(scene, Fem(fineness=one)) for one in (coarse, fine)]
     first, second = (result.force[-1] for result in results)
     off = float(np.linalg.norm(first - second) / np.linalg.norm(second))
     assert off < sum(float(result.record["error"]["force"][-1]) for result in results)
@@ -44,9 +44,9 @@ def _against_finer(scene: Scene, coarse: float, fine: float) -> Result:
     return results[0]
 
 
-@pytest.mark.parametrize("numerics", [None, Numerics(fineness=0.4)])
-def test_a_sphere_partly_beyond_the_rim_has_getfems_force(numerics: Numerics | None) -> None:
-    result = _against_getfem("sphere 4 beyond the rim", sphere(4e-3), numerics)
+@pytest.mark.parametrize("fem", [Fem(), Fem(fineness=0.4)])
+def test_a_sphere_partly_beyond_the_rim_has_getfems_force(fem: Fem) -> None:
+    result = _against_getfem("sphere 4 beyond the rim", sphere(4e-3), fem)
     assert result.record["error"]["percent"] < 20
     assert (result.force[:, 0] < 0).all()  # towards the centre of the body
     assert result.record["symmetry"]["percent"] < 0.01
@@ -75,7 +75,7 @@ def test_a_deep_press_at_the_corner_has_a_finer_meshs_force(at: float) -> None:
     scene = Scene(sphere(4e-3), press([1e-3], at=(at, at)))
     assert _against_finer(scene, 0.75, 1.1).record["error"]["percent"] < 5
     # The linear layer has no sides, and reports that it has no error estimate.
-    assert simulate(scene, "layer").record["error"]["status"] == "none"
+    assert simulate(scene, Layer()).record["error"]["status"] == "none"
 
 
 @SLOW
@@ -88,7 +88,7 @@ def test_a_box_over_the_corner_has_a_finer_meshs_force() -> None:
 @SLOW
 @pytest.mark.timeout(300)
 def test_a_shallow_blade_has_getfems_force() -> None:
-    result = _against_getfem("blade 0.5 x 12", BLADE, Numerics(fineness=0.4))
+    result = _against_getfem("blade 0.5 x 12", BLADE, Fem(fineness=0.4))
     assert result.record["error"]["percent"] < 20
 
 

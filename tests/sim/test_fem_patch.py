@@ -12,7 +12,7 @@ from benchmarks.sim.reference_solutions import confined_stress, simple_shear_str
 from sim import Body, Effects, Friction, Gravity, Indenter, Inertia, Scene, Viscosity, press
 from sim.fem.assembly import Assembly
 from sim.fem.mesh import Mesh, build_mesh
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 from sim.indenters import plane, sphere
 
 BODY = Body(size_x=4e-3, size_y=5e-3, thickness=3e-3, poisson=0.4)
@@ -31,7 +31,7 @@ def _mesh() -> Mesh:
 
 
 def _assembly(mesh: Mesh, scene: Scene) -> Assembly:
-    return Assembly([mesh], [scene], Numerics(), "float64", "cpu")
+    return Assembly([mesh], [scene], Fem(), "float64", "cpu")
 
 
 def _strained(deformation: Array) -> tuple[Array, Array]:
@@ -159,7 +159,7 @@ def test_push_is_the_derivative_of_the_nodal_forces_with_the_tip(
 ) -> None:
     """Sideways and down, with multipliers; an inactive environment keeps its previous values."""
     scene = Scene(indenter, press([1e-4]), BODY, Effects(friction=friction))
-    assembly = Assembly([_mesh()] * 2, [scene] * 2, Numerics(), "float64", "cpu")
+    assembly = Assembly([_mesh()] * 2, [scene] * 2, Fem(), "float64", "cpu")
     state = assembly.state
     tip = np.array([[0.02, 0.01, -0.1], [0.0, 0.0, -0.05]])
     random = np.random.default_rng(5)
@@ -202,7 +202,7 @@ def test_environments_on_two_graded_meshes_get_in_a_batch_what_they_get_alone() 
 
     def answers(chosen: list[int]) -> list[Array]:
         assembly = Assembly(
-            [meshes[i] for i in chosen], [scenes[i] for i in chosen], Numerics(), "float64", "cpu"
+            [meshes[i] for i in chosen], [scenes[i] for i in chosen], Fem(), "float64", "cpu"
         )
         everyone = assembly.state.everyone
         _begin(assembly, tip[chosen])

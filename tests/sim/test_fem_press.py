@@ -7,12 +7,12 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from sim import Body, Effects, Friction, Motion, Result, Scene, press, simulate, simulate_many
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 from sim.indenters import Indenter, box, cone, flat_punch, named, sphere
 
 SMALL = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
-COARSE = Numerics(spacing=4e-3 / 3, precision="float64")
-EXACT = Numerics(spacing=4e-3 / 3, precision="float64", tolerance=1e-8)
+COARSE = Fem(spacing=4e-3 / 3, precision="float64")
+EXACT = Fem(spacing=4e-3 / 3, precision="float64", tolerance=1e-8)
 
 
 def _arrays(result: Result) -> dict[str, np.ndarray]:
@@ -26,8 +26,8 @@ def _arrays(result: Result) -> dict[str, np.ndarray]:
     return arrays
 
 
-def _results(scenes: list[Scene], numerics: Numerics) -> list[Result]:
-    outcomes = simulate_many(scenes, "fem", numerics=numerics)
+def _results(scenes: list[Scene], numerics: Fem) -> list[Result]:
+    outcomes = simulate_many(scenes, numerics)
     assert all(isinstance(outcome, Result) for outcome in outcomes)
     return [outcome for outcome in outcomes if isinstance(outcome, Result)]
 
@@ -35,7 +35,7 @@ def _results(scenes: list[Scene], numerics: Numerics) -> list[Result]:
 def test_a_sphere_on_the_papers_gel_is_within_5_percent_of_the_fine_solution() -> None:
     """Force by two independent element families, 0.1 % apart; elements here are 1 mm."""
     scene = Scene(sphere(4e-3), press([0.5e-3, 1.0e-3, 1.5e-3]))
-    result = simulate(scene, numerics=Numerics(spacing=1e-3))
+    result = simulate(scene, Fem(spacing=1e-3))
     assert result.record["precision"] == "float32"
     assert -result.force[1:, 2] == pytest.approx([0.2652, 0.9197, 1.9560], rel=0.05)
     # The surface 6 and 8 mm from the axis, outside the contact, moves outwards by 42.4 and 9.7 um.
@@ -49,7 +49,7 @@ def test_a_sphere_on_the_papers_gel_is_within_5_percent_of_the_fine_solution() -
 
 def test_lifting_off_returns_the_body_to_where_it_was() -> None:
     tip = ((0.0, 0.0, 0.0), (0.0, 0.0, -0.8e-3), (0.0, 0.0, 0.5e-3))
-    result = simulate(Scene(sphere(3e-3), Motion(tip, (0.0, 0.1, 0.2)), SMALL), numerics=COARSE)
+    result = simulate(Scene(sphere(3e-3), Motion(tip, (0.0, 0.1, 0.2)), SMALL), COARSE)
     assert result.force[1, 2] < -0.4
     assert not result.wrench[0].any()
     assert not result.wrench[2].any()
@@ -69,7 +69,7 @@ def test_lifting_off_returns_the_body_to_where_it_was() -> None:
     ],
 )
 def test_an_elastic_press_stores_all_of_the_work(indenter: Indenter, depths: list[float]) -> None:
-    result = simulate(Scene(indenter, press(depths), SMALL), numerics=Numerics(spacing=1e-3))
+    result = simulate(Scene(indenter, press(depths), SMALL), Fem(spacing=1e-3))
     assert np.abs(result.quality.energy_gap).max() < 0.01
 
 
@@ -105,14 +105,14 @@ def test_a_batch_gives_what_its_scenes_give_alone_bit_for_bit(effects: Effects) 
         Scene(named("torus"), press([0.1e-3, 0.2e-3, 0.1e-3]), SMALL, effects),
     ]
     for scene, together in zip(scenes, _results(scenes, COARSE), strict=True):
-        alone = _arrays(simulate(scene, numerics=COARSE))
+        alone = _arrays(simulate(scene, COARSE))
         for name, array in _arrays(together).items():
             np.testing.assert_array_equal(array, alone[name], err_msg=name)
 
 
 def test_a_run_repeats_to_the_last_bit() -> None:
     scene = Scene(sphere(3e-3), press([0.5e-3]), SMALL)
-    one, two = (_arrays(simulate(scene, numerics=COARSE)) for _ in range(2))
+    one, two = (_arrays(simulate(scene, COARSE)) for _ in range(2))
     for name, array in one.items():
         np.testing.assert_array_equal(array, two[name], err_msg=name)
 
@@ -121,8 +121,8 @@ def test_force_is_proportional_to_the_modulus_and_to_the_square_of_the_size() ->
     def scaled(modulus: float, size: float) -> float:
         body = Body(8e-3 * size, 8e-3 * size, 4e-3 * size, modulus=modulus)
         scene = Scene(sphere(3e-3 * size), press([0.5e-3 * size]), body)
-        numerics = Numerics(spacing=4e-3 * size / 3, precision="float64", tolerance=1e-8)
-        return float(simulate(scene, numerics=numerics).force[-1, 2])
+        numerics = Fem(spacing=4e-3 * size / 3, precision="float64", tolerance=1e-8)
+        return float(simulate(scene, numerics).force[-1, 2])
 
     reference = scaled(1e5, 1.0)
     assert scaled(1e7, 1.0) == pytest.approx(100 * reference, rel=1e-9)
@@ -130,7 +130,7 @@ def test_force_is_proportional_to_the_modulus_and_to_the_square_of_the_size() ->
 
 
 def test_torque_is_about_the_tip_and_traction_adds_up_to_the_force() -> None:
-    result = simulate(Scene(sphere(3e-3), press([0.6e-3], at=(0.5e-3, 0.0)), SMALL), numerics=EXACT)
+    result = simulate(Scene(sphere(3e-3), press([0.6e-3], at=(0.5e-3, 0.0)), SMALL), EXACT)
     sides = [
         np.convolve(np.diff(axis), [0.5, 0.5]) for axis in (result.surface_x, result.surface_y)
     ]
@@ -145,7 +145,7 @@ def test_torque_is_about_the_tip_and_traction_adds_up_to_the_force() -> None:
 def test_float32_and_float64_agree_to_the_tolerance() -> None:
     scene = Scene(sphere(3e-3), press([0.5e-3]), SMALL)
     half, full = (
-        simulate(scene, numerics=Numerics(spacing=4e-3 / 3, precision=precision)).force[-1, 2]
+        simulate(scene, Fem(spacing=4e-3 / 3, precision=precision)).force[-1, 2]
         for precision in ("float32", "float64")
     )
     assert half == pytest.approx(full, rel=5e-4)

@@ -10,7 +10,7 @@ import pytest
 
 from sim import Body, Effects, Friction, Gravity, Inertia, Scene, press, simulate_many
 from sim.fem import solver
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 from sim.fem.solver import Aside, Snapshot
 from sim.indenters import named
 from sim.result import Result
@@ -35,8 +35,8 @@ def found(monkeypatch: pytest.MonkeyPatch, *, gather: bool) -> list[Result]:
 
     monkeypatch.setattr(solver, "Snapshot", Asked)
     monkeypatch.setattr(solver, "Aside", Beside)
-    numerics = Numerics(spacing=4e-3 / 3, one_topology=True)
-    results = simulate_many(SCENES, numerics=numerics)
+    numerics = Fem(spacing=4e-3 / 3, one_topology=True)
+    results = simulate_many(SCENES, numerics)
     assert [0, 1] in kept
     assert [1] in kept or [0] in kept
     return [one for one in results if isinstance(one, Result)]

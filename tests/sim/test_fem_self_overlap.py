@@ -13,7 +13,7 @@ from sim import Body, Effects, Friction, Motion, Scene, SimulationDiverged, pres
 from sim.fem import solver
 from sim.fem.assembly import Assembly
 from sim.fem.mesh import Mesh, build_mesh
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 from sim.fem.self_overlap import folded_faces, self_overlap
 from sim.indenters import sphere
 
@@ -74,7 +74,7 @@ def test_walls_that_face_each_other_do_not_overlap() -> None:
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 def test_the_solver_notices_folds_as_they_are(precision: Literal["float32", "float64"]) -> None:
     scene, mesh = Scene(sphere(1e-3), press([1e-4]), STRIP), build_mesh(STRIP, 0.25e-3)
-    assembly = Assembly([mesh], [scene], Numerics(), precision, "cpu")
+    assembly = Assembly([mesh], [scene], Fem(), precision, "cpu")
     for lean in (-math.pi / 2, math.radians(-20), math.radians(-9), math.radians(-11), 0.0):
         places = _rolled(mesh, lean)
         assembly.state.u.assign((places - mesh.nodes)[None].astype(np.float32))
@@ -102,14 +102,14 @@ SMALL = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
 def test_a_deep_press_and_shear_turns_the_skin_but_does_not_fold_it() -> None:
     motion = Motion(((0.0, 0.0, -1.5e-3), (0.8e-3, 0.0, -1.5e-3)), (0.0, 0.1))
     scene = Scene(sphere(2e-3), motion, SMALL, Effects(friction=Friction(0.8)))
-    result = simulate(scene, numerics=Numerics(spacing=4e-3 / 5))
+    result = simulate(scene, Fem(spacing=4e-3 / 5))
     assert result.record["self_overlap"] == {"metres": [0.0, 0.0]}
 
 
 def test_what_folds_is_a_warning_or_no_result(monkeypatch: pytest.MonkeyPatch) -> None:
     """The measured overlap is replaced: 5 % of the contact width, then 30 %."""
     scene = Scene(sphere(3e-3), press([0.5e-3]), SMALL)
-    numerics = Numerics(spacing=4e-3 / 3)
+    numerics = Fem(spacing=4e-3 / 3)
     depth = 0.5e-3 / SMALL.thickness
     overlap = Assembly.overlap
 
@@ -120,10 +120,10 @@ def test_what_folds_is_a_warning_or_no_result(monkeypatch: pytest.MonkeyPatch) -
 
     monkeypatch.setattr(Assembly, "overlap", folded)
     monkeypatch.setattr(solver, "self_overlap", lambda *_given: (0.05 * depth, 10))
-    result = simulate(scene, numerics=numerics)
+    result = simulate(scene, numerics)
     assert result.record["self_overlap"]["metres"][1] == pytest.approx(25e-6)
     message = "25 um inside the skin beside it at waypoint 1, 5 %"
     assert [one for one in result.record["warnings"] if message in one]
     monkeypatch.setattr(solver, "self_overlap", lambda *_given: (0.3 * depth, 10))
     with pytest.raises(SimulationDiverged, match=r"folds and passes through itself: .*150 um"):
-        simulate(scene, numerics=numerics)
+        simulate(scene, numerics)

@@ -9,7 +9,7 @@ from support.fem_oracles import Array
 from sim import Body, Effects, Friction, Inertia, Scene, press
 from sim.fem.assembly import Assembly
 from sim.fem.mesh import build_mesh
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 from sim.indenters import sphere
 
 BODY = Body(size_x=4e-3, size_y=5e-3, thickness=3e-3, poisson=0.4)
@@ -23,7 +23,7 @@ def _assembly() -> Assembly:
     effects = Effects(friction=Friction(0.4), inertia=Inertia())
     scene = Scene(sphere(2e-3), press([1e-4]), BODY, effects)
     mesh = build_mesh(BODY, 1e-3)
-    return Assembly([mesh] * 2, [scene] * 2, Numerics(), "float64", "cpu")
+    return Assembly([mesh] * 2, [scene] * 2, Fem(), "float64", "cpu")
 
 
 def _pressure(assembly: Assembly) -> Array:

@@ -14,7 +14,7 @@ from sim import Body, Effects, Friction, Scene, press, simulate
 from sim.fem import assembly
 from sim.fem.matrix import BlockMatrix
 from sim.fem.mesh import SLOTS, colour_order, face_slots, neighbours
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 from sim.fem.vectors import RUN
 from sim.indenters import named
 from sim.scalars import vector_of
@@ -152,14 +152,14 @@ def test_a_press_takes_no_more_iterations_with_it(
 ) -> None:
     body = Body(8e-3, 8e-3, 4e-3, poisson=poisson)
     scene = Scene(named(name), press([0.6e-3]), body, Effects(friction=Friction(0.8)))
-    numerics = Numerics(spacing=4e-3 / 3, precision="float32", tolerance=1e-3)
-    plain = simulate(scene, numerics=numerics)
+    numerics = Fem(spacing=4e-3 / 3, precision="float32", tolerance=1e-3)
+    plain = simulate(scene, numerics)
 
     def rounded(*arguments: Any, **options: Any) -> BlockMatrix:
         return BlockMatrix(*arguments, **{**options, "half": True})
 
     monkeypatch.setattr(assembly, "BlockMatrix", rounded)
-    half = simulate(scene, numerics=numerics)
+    half = simulate(scene, numerics)
     assert not np.array_equal(half.wrench, plain.wrench), "nothing was rounded"
     np.testing.assert_allclose(half.force[-1, 2], plain.force[-1, 2], rtol=2e-3)
     assert half.quality.newton.sum() <= 1.1 * plain.quality.newton.sum()

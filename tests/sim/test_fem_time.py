@@ -19,14 +19,14 @@ from sim import (
     ramp_hold,
     simulate,
 )
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 from sim.indenters import plane, sphere
 from trajectories import Point
 
 SMALL = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
 SPACING = 4e-3 / 3
-COARSE = Numerics(spacing=SPACING, precision="float64")
-EXACT = Numerics(spacing=SPACING, precision="float64", tolerance=1e-7)
+COARSE = Fem(spacing=SPACING, precision="float64")
+EXACT = Fem(spacing=SPACING, precision="float64", tolerance=1e-7)
 GLASS = 0.5
 
 
@@ -43,31 +43,31 @@ def test_a_fast_press_feels_the_modulus_before_relaxation(relaxes: str) -> None:
     poisson = (3 * bulk - 2 * shear) / (2 * (3 * bulk + shear))
     glass = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3, modulus=modulus, poisson=poisson)
     # Contact springs are given in moduli: use the same springs for both.
-    same_springs = Numerics(
+    same_springs = Fem(
         spacing=SPACING,
         precision="float64",
         tolerance=1e-7,
         penalty=EXACT.penalty * SMALL.modulus / modulus,
     )
-    expected = simulate(Scene(sphere(3e-3), press([0.5e-3]), glass), numerics=same_springs)
+    expected = simulate(Scene(sphere(3e-3), press([0.5e-3]), glass), same_springs)
     motion = press([0.5e-3], speed=1e3)
-    found = simulate(Scene(sphere(3e-3), motion, SMALL, _viscous(relaxes)), numerics=EXACT)
+    found = simulate(Scene(sphere(3e-3), motion, SMALL, _viscous(relaxes)), EXACT)
     assert found.force[-1, 2] == pytest.approx(expected.force[-1, 2], rel=1e-5)
 
 
 def test_a_slow_press_feels_the_modulus_at_rest() -> None:
-    elastic = simulate(Scene(sphere(3e-3), press([0.5e-3]), SMALL), numerics=EXACT)
+    elastic = simulate(Scene(sphere(3e-3), press([0.5e-3]), SMALL), EXACT)
     motion = press([0.5e-3], speed=1e-6)
-    slow = simulate(Scene(sphere(3e-3), motion, SMALL, _viscous()), numerics=EXACT)
+    slow = simulate(Scene(sphere(3e-3), motion, SMALL, _viscous()), EXACT)
     assert slow.force[-1, 2] == pytest.approx(elastic.force[-1, 2], rel=5e-4)
 
 
 def test_a_shallow_ramp_and_hold_relaxes_as_lee_and_radok_say() -> None:
     """Force of the elastic press on the same mesh, passed through the hereditary integral."""
     motion = ramp_hold(0.15e-3, ramp=0.1, hold=0.4, steps=4)
-    numerics = Numerics(spacing=4e-3 / 5, precision="float64")
-    elastic = simulate(Scene(sphere(3e-3), motion, SMALL), numerics=numerics)
-    viscous = simulate(Scene(sphere(3e-3), motion, SMALL, _viscous()), numerics=numerics)
+    numerics = Fem(spacing=4e-3 / 5, precision="float64")
+    elastic = simulate(Scene(sphere(3e-3), motion, SMALL), numerics)
+    viscous = simulate(Scene(sphere(3e-3), motion, SMALL, _viscous()), numerics)
     expected = hereditary(motion.time, -elastic.force[:, 2], (GLASS,), (0.1,))
     found = -viscous.force[:, 2]
     # On the ramp the elastic force is not linear between frames; small strain.
@@ -83,7 +83,7 @@ def test_gravity_sags_a_wide_layer_by_the_closed_form() -> None:
     acceleration = 30.0, 0.0, -50.0
     away = Motion(((0.0, 0.0, 1e-3),), (0.0,))
     scene = Scene(sphere(3e-3), away, wide, Effects(gravity=Gravity(acceleration)))
-    result = simulate(scene, numerics=COARSE)
+    result = simulate(scene, COARSE)
     expected = layer_sag(0.0, acceleration, 4e-3, wide.density, wide.modulus, wide.poisson)
     middle = len(result.surface_x) // 2, len(result.surface_y) // 2
     assert result.surface[0, *middle] == pytest.approx(expected, rel=0.005, abs=1e-12)
@@ -106,7 +106,7 @@ def test_a_body_let_go_swings_at_the_frequency_of_its_thickness() -> None:
         tip.append((0.0, 0.0, away + 1e-9 * (index + 1)))
         time.append(time[-1] + step)
     scene = Scene(plane(), Motion(tuple(tip), tuple(time)), wide, Effects(inertia=Inertia()))
-    result = simulate(scene, numerics=COARSE)
+    result = simulate(scene, COARSE)
     height = result.surface[2:, 12, 12, 2].astype(float)
     assert height[0] < -35e-6, "let go, it has not moved yet"
     before = np.flatnonzero(height[:-1] * height[1:] < 0)
@@ -119,9 +119,9 @@ def test_a_body_let_go_swings_at_the_frequency_of_its_thickness() -> None:
 
 def test_a_slow_press_with_mass_is_the_press_without() -> None:
     motion = press([0.3e-3, 0.6e-3], speed=1e-3)
-    exact = Numerics(spacing=SPACING, precision="float64", tolerance=1e-8)
-    still = simulate(Scene(sphere(3e-3), motion, SMALL), numerics=exact)
-    heavy = simulate(Scene(sphere(3e-3), motion, SMALL, Effects(inertia=Inertia())), numerics=exact)
+    exact = Fem(spacing=SPACING, precision="float64", tolerance=1e-8)
+    still = simulate(Scene(sphere(3e-3), motion, SMALL), exact)
+    heavy = simulate(Scene(sphere(3e-3), motion, SMALL, Effects(inertia=Inertia())), exact)
     assert heavy.force[1:, 2] == pytest.approx(still.force[1:, 2], rel=1e-5)
 
 
@@ -129,7 +129,7 @@ def test_a_fast_press_with_mass_needs_more_force_than_a_slow_one() -> None:
     """10 m/s is 0.4 of the speed of pressure waves: the body cannot yield."""
     effects = Effects(inertia=Inertia())
     slow, fast = (
-        simulate(Scene(sphere(3e-3), press([0.6e-3], speed=speed), SMALL, effects), numerics=COARSE)
+        simulate(Scene(sphere(3e-3), press([0.6e-3], speed=speed), SMALL, effects), COARSE)
         for speed in (1e-3, 10.0)
     )
     assert -fast.force[-1, 2] > 1.1 * -slow.force[-1, 2]
@@ -138,10 +138,9 @@ def test_a_fast_press_with_mass_needs_more_force_than_a_slow_one() -> None:
 @pytest.mark.parametrize("speed", [2e-3, 20e-3])
 def test_what_viscosity_takes_is_told_the_same_by_few_and_by_many_steps(speed: float) -> None:
     scene = Scene(sphere(3e-3), press([0.6e-3, 0.1e-3], speed=speed), SMALL, _viscous())
-    fine = Numerics(spacing=SPACING, step_travel=4e-3 / 200)
+    fine = Fem(spacing=SPACING, step_travel=4e-3 / 200)
     few, many = (
-        simulate(scene, numerics=numerics).quality.energy_gap
-        for numerics in (Numerics(spacing=SPACING), fine)
+        simulate(scene, numerics).quality.energy_gap for numerics in (Fem(spacing=SPACING), fine)
     )
     assert few == pytest.approx(many, abs=0.012)
 
@@ -149,7 +148,7 @@ def test_what_viscosity_takes_is_told_the_same_by_few_and_by_many_steps(speed: f
 def test_weight_is_no_loss() -> None:
     effects = Effects(gravity=Gravity((0.0, 0.0, -50.0)))
     scene = Scene(sphere(3e-3), press([0.6e-3, 0.2e-3]), SMALL, effects)
-    gap = simulate(scene, numerics=Numerics(spacing=SPACING)).quality.energy_gap
+    gap = simulate(scene, Fem(spacing=SPACING)).quality.energy_gap
     assert np.abs(gap).max() < 0.005
 
 
@@ -159,11 +158,11 @@ def test_strong_gravity_is_brought_up_in_steps(pull: Point, found: bool) -> None
     gel = Body(20e-3, 20e-3, 10e-3, modulus=100.0)
     away = Motion(((0.0, 0.0, 90e-3),), (0.0,))
     scene = Scene(sphere(4e-3), away, gel, Effects(gravity=Gravity(pull)))
-    numerics = Numerics(spacing=10e-3 / 3, precision="float64", halvings=4, newton_max=15)
+    numerics = Fem(spacing=10e-3 / 3, precision="float64", halvings=4, newton_max=15)
     if found:
-        result = simulate(scene, numerics=numerics)
+        result = simulate(scene, numerics)
         assert result.quality.steps[0] > 1
         assert result.quality.balance[0] < 1e-4, "the base carries the weight, all of it"
     else:
         with pytest.raises(SimulationDiverged, match=r"% of gravity's \(0, 0, -49.05\) m/s\^2"):
-            simulate(scene, numerics=numerics)
+            simulate(scene, numerics)

@@ -7,7 +7,7 @@ import pytest
 
 from sim import Body, Indenter, Motion, Scene, SceneError, press, press_shear_return
 from sim.fem.mesh import MARGIN, Window, contact_window, meshes_of
-from sim.fem.numerics import FOR_EDGES, Grading, Numerics
+from sim.fem.numerics import FOR_EDGES, Fem, Grading
 from sim.indenters import cone, flat_punch, named, plane, sphere, torus
 
 RIM = 0.5e-3
@@ -107,7 +107,7 @@ def test_a_motion_that_never_touches_has_its_window_around_the_tips_way() -> Non
 def test_a_mesh_is_fine_where_the_indenter_comes_and_coarse_elsewhere() -> None:
     scene = Scene(sphere(3e-3), press([1e-3], at=(4e-3, -2e-3)), FLAT)
     for spacing in (None, 0.5e-3):
-        mesh = meshes_of([scene], Numerics(spacing=spacing))[0]
+        mesh = meshes_of([scene], Fem(spacing=spacing))[0]
         asked = spacing or FLAT.thickness / 6
         window = contact_window(scene, MARGIN * asked)
         for places, (low, high) in zip((mesh.x, mesh.y), window, strict=True):
@@ -116,7 +116,7 @@ def test_a_mesh_is_fine_where_the_indenter_comes_and_coarse_elsewhere() -> None:
             assert inside.any()
             assert np.diff(ends)[inside].max() <= asked * (1 + 1e-3)
             assert np.diff(ends).max() > 1.2 * asked
-        even = meshes_of([scene], Numerics(spacing=spacing, graded=False))[0]
+        even = meshes_of([scene], Fem(spacing=spacing, graded=False))[0]
         np.testing.assert_allclose(np.diff(even.x), even.x[1] - even.x[0])
         assert len(mesh.elements) < len(even.elements)
 
@@ -125,8 +125,8 @@ def test_one_topology_gives_meshes_of_a_call_the_counts_of_the_largest_and_coars
     places = ((0.0, 0.0), (-9e-3, 5e-3))
     scenes = [Scene(sphere(1e-3), press([0.2e-3], at=place), FLAT) for place in places]
     scenes.append(Scene(named("cylinder_sh"), press([1e-3]), FLAT))
-    alone = [meshes_of([scene], Numerics(spacing=0.5e-3))[0] for scene in scenes]
-    alike = meshes_of(scenes, Numerics(spacing=0.5e-3, one_topology=True))
+    alone = [meshes_of([scene], Fem(spacing=0.5e-3))[0] for scene in scenes]
+    alike = meshes_of(scenes, Fem(spacing=0.5e-3, one_topology=True))
     assert len({mesh.cells for mesh in alone}) > 1
     most = [max(mesh.cells[axis] for mesh in alone) for axis in range(3)]
     assert {mesh.cells for mesh in alike} == {tuple(most)}
@@ -136,8 +136,8 @@ def test_one_topology_gives_meshes_of_a_call_the_counts_of_the_largest_and_coars
 
 def test_a_grading_for_edges_is_finer_in_plan_and_as_fine_over_the_depth() -> None:
     scene = Scene(sphere(3e-3), press([1e-3]), FLAT)
-    usual = meshes_of([scene], Numerics(spacing=0.5e-3))[0]
-    edges = meshes_of([scene], Numerics(spacing=0.5e-3, grading=FOR_EDGES))[0]
+    usual = meshes_of([scene], Fem(spacing=0.5e-3))[0]
+    edges = meshes_of([scene], Fem(spacing=0.5e-3, grading=FOR_EDGES))[0]
     assert edges.finest <= FOR_EDGES.finer * 0.5e-3 / FLAT.thickness * (1 + 1e-9)
     assert edges.finest < usual.finest
     assert edges.cells[2] == usual.cells[2]

@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 from support import stl_files as files
 
-from sim import Body, Effects, Friction, Result, Scene, press, simulate, simulate_many
+from sim import Body, Effects, Friction, Layer, Result, Scene, press, simulate, simulate_many
 from sim.__main__ import main
-from sim.fem.numerics import FOR_EDGES, Numerics
+from sim.fem.numerics import FOR_EDGES, Fem
 from sim.indenters import Indenter, box, from_stl, named, sphere
-from sim.mpm import MpmNumerics
+from sim.mpm import Mpm
 from sim.simulate import Tier
 from sim.store import load_result, save_results
 
 TILT = math.radians(6), math.radians(-4)
-COARSE = Numerics(spacing=1.3e-3)
-EDGED = Numerics(spacing=1e-3, grading=FOR_EDGES)
+COARSE = Fem(spacing=1.3e-3)
+EDGED = Fem(spacing=1e-3, grading=FOR_EDGES)
 
 
 @pytest.fixture(scope="module")
@@ -34,14 +34,14 @@ def block(tmp_path_factory: pytest.TempPathFactory) -> Indenter:
 EXACT = box(4e-3, 5e-3, 0.4e-3)
 
 
-def _pressed(indenter: Indenter, tier: Tier, **given: object) -> Result:
+def _pressed(indenter: Indenter, tier: Tier) -> Result:
     scene = Scene(indenter, press([0.5e-3, 0.8e-3]), effects=Effects(friction=Friction(0.4)))
-    return simulate(scene, tier, **given)  # type: ignore[arg-type]
+    return simulate(scene, tier)
 
 
 def test_layer_presses_a_body_from_a_file_like_the_exact_one(block: Indenter) -> None:
-    force = _pressed(block.tilted(*TILT), "layer").force[1:, 2]
-    expected = _pressed(EXACT.tilted(*TILT), "layer").force[1:, 2]
+    force = _pressed(block.tilted(*TILT), Layer()).force[1:, 2]
+    expected = _pressed(EXACT.tilted(*TILT), Layer()).force[1:, 2]
     np.testing.assert_allclose(force, expected, rtol=0.01)
 
 
@@ -62,14 +62,12 @@ def test_a_prism_from_a_file_presses_like_the_one_by_name(
     body = files.rounded_block(5, 7, 8, drawn, count) if drawn else sharp
     indenter = from_stl(files.write_binary(tmp_path / "prism.stl", body), edge_radius=declared)
     expected = named("prism", max(drawn * 1e-3, declared))
-    tiers: tuple[tuple[Tier, Numerics | None], ...] = (("fem", EDGED), ("layer", None))
-    for tier, numerics in tiers:
+    for tier in (EDGED, Layer()):
         found, by_name = (
-            simulate(Scene(one, press([0.5e-3])), tier, numerics=numerics).force[-1, 2]
-            for one in (indenter, expected)
+            simulate(Scene(one, press([0.5e-3])), tier).force[-1, 2] for one in (indenter, expected)
         )
         # An edge finer than the elements (0.4 mm) makes the largest difference.
-        assert found == pytest.approx(by_name, rel=0.03 if tier == "fem" else 0.01)
+        assert found == pytest.approx(by_name, rel=0.03 if tier is EDGED else 0.01)
 
 
 def test_it_is_known_how_sharp_a_body_from_a_file_is(block: Indenter) -> None:
@@ -81,7 +79,7 @@ def test_a_result_can_be_read_without_the_file_that_it_was_made_with(
 ) -> None:
     path = files.write_text(tmp_path / "gone.stl", files.block(4, 5, 6))
     indenter = from_stl(path, edge_radius=0.0, spacing=0.2e-3, reach=2e-3)
-    result = simulate(Scene(indenter, press([0.3e-3])), "layer")
+    result = simulate(Scene(indenter, press([0.3e-3])), Layer())
     save_results(tmp_path / "kept.zarr", [result])
     path.unlink()
     kept = load_result(tmp_path / "kept.zarr")
@@ -106,7 +104,7 @@ def test_the_command_line_presses_a_file_that_leans(
     assert main([*words, "--json"]) == 0
     force = json.loads(capsys.readouterr().out)["force_n"]
     exact = box(2e-3, 3e-3, 0.3e-3).tilted(math.radians(-2), math.radians(1))
-    expected = -simulate(Scene(exact, press([0.3e-3])), "layer").force[1:, 2]
+    expected = -simulate(Scene(exact, press([0.3e-3])), Layer()).force[1:, 2]
     np.testing.assert_allclose(force, expected, rtol=0.02)
 
 
@@ -145,8 +143,8 @@ def test_fem_presses_a_body_from_a_file_like_the_exact_one(block: Indenter, tmp_
         (block, EXACT),
         (block.tilted(*TILT), EXACT.tilted(*TILT)),
     ):
-        wrench = _pressed(found, "fem", numerics=COARSE).wrench[1:]
-        expected = _pressed(exact, "fem", numerics=COARSE).wrench[1:]
+        wrench = _pressed(found, COARSE).wrench[1:]
+        expected = _pressed(exact, COARSE).wrench[1:]
         scale = np.abs(expected[:, 2:3])
         np.testing.assert_allclose(wrench[:, :3] / scale, expected[:, :3] / scale, atol=0.02)
         np.testing.assert_allclose(wrench[:, 3:] / scale, expected[:, 3:] / scale, atol=0.02 * 2e-3)
@@ -158,8 +156,8 @@ def test_fem_presses_a_leaning_sphere_like_one_that_stands_where_it_leans_to() -
     aside = 4e-3 * math.sin(about)
     leaning = Scene(sphere(4e-3).tilted(0.0, about), press([0.8e-3]))
     moved = Scene(sphere(4e-3), press([0.8e-3], at=(aside, 0.0)))
-    numerics = Numerics(spacing=1.3e-3, graded=False)
-    found, expected = simulate_many([leaning, moved], "fem", numerics=numerics)
+    numerics = Fem(spacing=1.3e-3, graded=False)
+    found, expected = simulate_many([leaning, moved], numerics)
     assert isinstance(found, Result)
     assert isinstance(expected, Result)
     np.testing.assert_allclose(found.force[1:], expected.force[1:], atol=2e-3)
@@ -173,20 +171,20 @@ def test_fem_presses_a_leaning_sphere_like_one_that_stands_where_it_leans_to() -
 def test_scenes_of_every_kind_of_indenter_are_solved_in_one_call(block: Indenter) -> None:
     indenters = [named("cylinder"), block, named("cylinder").tilted(*TILT), block.tilted(*TILT)]
     scenes = [Scene(one, press([0.4e-3])) for one in indenters]
-    together = simulate_many(scenes, "fem", numerics=COARSE)
+    together = simulate_many(scenes, COARSE)
     for scene, outcome in zip(scenes, together, strict=True):
         assert isinstance(outcome, Result)
-        alone = simulate(scene, "fem", numerics=COARSE)
+        alone = simulate(scene, COARSE)
         np.testing.assert_allclose(outcome.force, alone.force, rtol=1e-3, atol=1e-4)
 
 
 @pytest.mark.slow
 def test_mpm_presses_a_body_from_a_file_like_the_exact_one(block: Indenter) -> None:
     body = Body(size_x=10e-3, size_y=10e-3, thickness=4e-3)
-    numerics = MpmNumerics(cell=0.5e-3)
+    numerics = Mpm(cell=0.5e-3)
     for found, exact in ((block, EXACT), (block.tilted(*TILT), EXACT.tilted(*TILT))):
         scenes = [Scene(one, press([0.4e-3], speed=0.2), body) for one in (found, exact)]
-        outcomes = simulate_many(scenes, "mpm", numerics=numerics)
+        outcomes = simulate_many(scenes, numerics)
         forces = [one.force[1, 2] for one in outcomes if isinstance(one, Result)]
         assert forces[1] < -0.05
         assert forces[0] == pytest.approx(forces[1], rel=0.03)

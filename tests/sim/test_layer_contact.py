@@ -10,9 +10,10 @@ from scipy.optimize import nnls
 
 from benchmarks.sim.reference_solutions import layer_punch, layer_sphere
 from sim.indenters import flat_punch, named, plane, sphere
-from sim.layer import simulate_layer
+from sim.layer import Layer
 from sim.layer import solver as press_module
 from sim.layer.contact import solve_frictionless
+from sim.layer.solver import simulate_layer
 from sim.layer.spectral import Convolutions, Grid
 from sim.result import Result
 from sim.scene import Body, Scene, press
@@ -25,7 +26,7 @@ def _pressed(
     radius: float, at: tuple[float, float] = (0.0, 0.0), poisson: float = 0.45, grid: int = 128
 ) -> Result:
     body = Body(poisson=poisson)
-    return simulate_layer(Scene(sphere(radius), press(DEPTHS, at=at), body=body), grid=grid)
+    return simulate_layer(Scene(sphere(radius), press(DEPTHS, at=at), body=body), Layer(grid=grid))
 
 
 def test_a_sphere_presses_with_the_forces_of_the_integral_equation() -> None:
@@ -72,7 +73,9 @@ def test_a_sharp_punch_is_right_to_two_hundredths_and_better_with_a_finer_grid()
     exact = layer_punch(0.1e-3, 3e-3, body.thickness, body.modulus, body.poisson).force
     errors = []
     for grid in (128, 256):
-        result = simulate_layer(Scene(flat_punch(3e-3), press([0.1e-3], at=OFF_GRID)), grid=grid)
+        result = simulate_layer(
+            Scene(flat_punch(3e-3), press([0.1e-3], at=OFF_GRID)), Layer(grid=grid)
+        )
         errors.append(abs(-result.force[-1, 2] / exact - 1))
     assert errors[0] < 0.02
     assert errors[1] < 0.6 * errors[0]
@@ -104,8 +107,8 @@ def test_pixels_either_touch_or_bear_nothing() -> None:
 
 
 def test_a_mirrored_press_is_a_mirrored_result() -> None:
-    one = simulate_layer(Scene(named("prism"), press([1e-3], at=(1e-3, 0.5e-3))), grid=64)
-    other = simulate_layer(Scene(named("prism"), press([1e-3], at=(-1e-3, 0.5e-3))), grid=64)
+    one = simulate_layer(Scene(named("prism"), press([1e-3], at=(1e-3, 0.5e-3))), Layer(grid=64))
+    other = simulate_layer(Scene(named("prism"), press([1e-3], at=(-1e-3, 0.5e-3))), Layer(grid=64))
     np.testing.assert_allclose(one.force[-1, 2], other.force[-1, 2], rtol=1e-6)
     scale = np.abs(one.surface[-1]).max()
     mirrored = other.surface[-1, ::-1] * np.array([-1, 1, 1])
@@ -115,29 +118,29 @@ def test_a_mirrored_press_is_a_mirrored_result() -> None:
 def test_a_dome_under_a_plate_is_a_flat_body_under_a_sphere() -> None:
     body = Body(size_x=12e-3, size_y=12e-3)
     domed = replace(body, dome_radius=40e-3)
-    dome = simulate_layer(Scene(plane(), press([0.3e-3]), body=domed), grid=64)
-    flat = simulate_layer(Scene(sphere(40e-3), press([0.3e-3]), body=body), grid=64)
+    dome = simulate_layer(Scene(plane(), press([0.3e-3]), body=domed), Layer(grid=64))
+    flat = simulate_layer(Scene(sphere(40e-3), press([0.3e-3]), body=body), Layer(grid=64))
     np.testing.assert_allclose(dome.force[-1, 2], flat.force[-1, 2], rtol=1e-6)
 
 
 def test_more_body_around_changes_nothing_within_the_layer() -> None:
-    small = simulate_layer(Scene(sphere(4e-3), press([1e-3])), grid=64)
+    small = simulate_layer(Scene(sphere(4e-3), press([1e-3])), Layer(grid=64))
     wide = Body(size_x=40e-3)
-    large = simulate_layer(Scene(sphere(4e-3), press([1e-3]), body=wide), grid=128)
+    large = simulate_layer(Scene(sphere(4e-3), press([1e-3]), body=wide), Layer(grid=128))
     assert large.surface.shape[1:3] == (128, 64)
     np.testing.assert_allclose(small.force[-1, 2], large.force[-1, 2], rtol=1e-3)
 
 
 def test_contact_outside_of_a_window_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    usual = simulate_layer(Scene(named("dots"), press([1.2e-3])), grid=64)
+    usual = simulate_layer(Scene(named("dots"), press([1.2e-3])), Layer(grid=64))
     # Windows that contain only overlaps of more than half: they have to be widened.
     monkeypatch.setattr(press_module, "BULGE", -0.5)
-    found = simulate_layer(Scene(named("dots"), press([1.2e-3])), grid=64)
+    found = simulate_layer(Scene(named("dots"), press([1.2e-3])), Layer(grid=64))
     assert found.quality.steps.sum() > usual.quality.steps.sum()
     np.testing.assert_allclose(found.force, usual.force, atol=1e-2 * np.abs(usual.force).max())
 
 
 def test_work_put_in_is_held_in_the_body() -> None:
     scene = Scene(sphere(4e-3), press(np.linspace(0.05e-3, 1.5e-3, 30)))
-    result = simulate_layer(scene, grid=64)
+    result = simulate_layer(scene, Layer(grid=64))
     assert np.abs(result.quality.energy_gap[-20:]).max() < 5e-3

@@ -16,8 +16,9 @@ from benchmarks.sim.reference_solutions import (
 from sim.effects import Effects, Friction
 from sim.errors import SimulationDiverged
 from sim.indenters import flat_punch, sphere
-from sim.layer import Grid, LayerPress, contact, simulate_layer
-from sim.layer.spectral import Convolutions, compliance
+from sim.layer import Layer, contact
+from sim.layer.solver import LayerPress, simulate_layer
+from sim.layer.spectral import Convolutions, Grid, compliance
 from sim.result import Result
 from sim.scene import Body, Motion, Scene, press, press_shear_return, through
 
@@ -25,7 +26,7 @@ from sim.scene import Body, Motion, Scene, press, press_shear_return, through
 def _loop(coefficient: float, *, steps: int = 3, grid: int = 64, angle: float = 0.0) -> Result:
     motion = press_shear_return(1.2e-3, 1.0e-3, steps=steps, angle=angle)
     effects = Effects(friction=Friction(coefficient))
-    return simulate_layer(Scene(sphere(4e-3), motion, effects=effects), grid=grid)
+    return simulate_layer(Scene(sphere(4e-3), motion, effects=effects), Layer(grid=grid))
 
 
 def test_every_pixel_sticks_or_slips_as_coulomb_says() -> None:
@@ -53,7 +54,7 @@ def test_every_pixel_sticks_or_slips_as_coulomb_says() -> None:
 
 def test_no_friction_is_friction_zero_and_the_limit_of_little() -> None:
     motion = press_shear_return(1.2e-3, 1.0e-3, steps=2)
-    none = simulate_layer(Scene(sphere(4e-3), motion), grid=64)
+    none = simulate_layer(Scene(sphere(4e-3), motion), Layer(grid=64))
     zero = _loop(0.0, steps=2)
     np.testing.assert_array_equal(none.traction, zero.traction)
     np.testing.assert_array_equal(none.surface, zero.surface)
@@ -91,7 +92,7 @@ def test_a_sphere_slips_from_the_rim_inwards_as_mindlin_says() -> None:
     points = [(0.0, 0.0, 0.0), (0.0, 0.0, -depth)] + [(float(s), 0.0, -depth) for s in shifts]
     effects = Effects(friction=Friction(coefficient))
     scene = Scene(sphere(radius), through(points, speed=1e-3), body=body, effects=effects)
-    result = simulate_layer(scene, tolerance=2e-4)
+    result = simulate_layer(scene, Layer(tolerance=2e-4))
     normal, tangential = -result.force[1, 2], result.force[2:, 0]
     np.testing.assert_allclose(-result.force[2:, 2], normal, rtol=2e-3)
     rim = hertz_contact_radius(
@@ -169,7 +170,7 @@ def test_much_friction_converges(coefficient: float, poisson: float, thickness: 
         body=Body(poisson=poisson, thickness=thickness),
         effects=Effects(friction=Friction(coefficient)),
     )
-    result = simulate_layer(scene, grid=64)
+    result = simulate_layer(scene, Layer(grid=64))
     assert result.quality.residual.max() <= 2e-3
     assert result.force[2, 0] > -0.5 * result.force[2, 2]
     # A body strongly drawn in by shear still touches where it carries load, without other overlap.
@@ -181,7 +182,7 @@ def test_what_does_not_converge_is_never_returned(monkeypatch: pytest.MonkeyPatc
     motion = Motion(tip=((0, 0, 0), (0.2e-3, 0, -1e-3)), time=(0.0, 1.0))
     scene = Scene(sphere(4e-3), motion, effects=Effects(friction=Friction(0.8)))
     with pytest.raises(SimulationDiverged, match="no converged state after the tip") as caught:
-        simulate_layer(scene, grid=32)
+        simulate_layer(scene, Layer(grid=32))
     assert len(caught.value.tried) == 5
     assert caught.value.dump is not None
     with np.load(caught.value.dump) as state:
@@ -192,11 +193,11 @@ def test_what_does_not_converge_is_never_returned(monkeypatch: pytest.MonkeyPatc
 
 def test_a_press_with_friction_is_a_little_stiffer() -> None:
     scene = Scene(sphere(4e-3), press([1.5e-3]), body=Body(poisson=0.3))
-    slippery = simulate_layer(scene, grid=64)
+    slippery = simulate_layer(scene, Layer(grid=64))
     rough = simulate_layer(
         Scene(
             scene.indenter, scene.motion, body=scene.body, effects=Effects(friction=Friction(1.0))
         ),
-        grid=64,
+        Layer(grid=64),
     )
     assert 1.002 < rough.force[-1, 2] / slippery.force[-1, 2] < 1.1

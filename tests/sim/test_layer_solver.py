@@ -11,7 +11,8 @@ from benchmarks.sim.tiers.layer import main
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError
 from sim.indenters import named, sphere
-from sim.layer import simulate_layer
+from sim.layer import Layer
+from sim.layer.solver import simulate_layer
 from sim.scene import Body, Scene, press, press_shear_return, through
 
 
@@ -34,7 +35,7 @@ def test_effects_that_the_tier_does_not_have_are_refused(effects: Effects, messa
 @pytest.mark.parametrize("tolerance", [0.0, 0.2, float("nan")])
 def test_a_tolerance_that_means_nothing_is_refused(tolerance: float) -> None:
     with pytest.raises(SceneError, match=r"tolerance: .* allowed"):
-        simulate_layer(Scene(sphere(4e-3), press([1e-3])), tolerance=tolerance)
+        simulate_layer(Scene(sphere(4e-3), press([1e-3])), Layer(tolerance=tolerance))
 
 
 def test_a_result_has_a_frame_for_each_waypoint_and_says_what_ran() -> None:
@@ -42,7 +43,7 @@ def test_a_result_has_a_frame_for_each_waypoint_and_says_what_ran() -> None:
     body = Body(size_x=24e-3, size_y=16e-3)
     scene = Scene(named("prism"), motion, body=body, effects=Effects(friction=Friction(0.6)))
     told: list[float] = []
-    result = simulate_layer(scene, grid=48, progress=told.append)
+    result = simulate_layer(scene, Layer(grid=48), progress=told.append)
     assert result.tier == "layer"
     assert result.surface.shape == result.traction.shape == (9, 48, 32, 3)
     assert result.surface_x.shape == (48,)
@@ -63,7 +64,7 @@ def test_a_result_has_a_frame_for_each_waypoint_and_says_what_ran() -> None:
 def test_force_and_torque_are_those_of_the_tractions() -> None:
     motion = through([(1e-3, 0, 0), (1e-3, 0, -1e-3), (1.2e-3, 0.3e-3, -1e-3)], speed=1e-2)
     scene = Scene(named("triangle"), motion, effects=Effects(friction=Friction(0.6)))
-    result = simulate_layer(scene, grid=64)
+    result = simulate_layer(scene, Layer(grid=64))
     area = (result.surface_x[1] - result.surface_x[0]) * (result.surface_y[1] - result.surface_y[0])
     push = result.traction[-1].astype(float) * area
     np.testing.assert_allclose(result.wrench[-1, :3], push.sum(axis=(0, 1)), rtol=1e-5)
@@ -77,10 +78,10 @@ def test_force_and_torque_are_those_of_the_tractions() -> None:
 
 def test_above_the_body_nothing_happens_and_contact_is_found_on_the_way() -> None:
     scene = Scene(sphere(4e-3), through([(0, 0, 5e-3), (0, 0, 1e-3), (0, 0, -1e-3)], speed=0.1))
-    result = simulate_layer(scene, grid=64)
+    result = simulate_layer(scene, Layer(grid=64))
     np.testing.assert_array_equal(result.wrench[:2], 0)
     np.testing.assert_array_equal(result.surface[:2], 0)
-    straight = simulate_layer(Scene(sphere(4e-3), press([1e-3])), grid=64)
+    straight = simulate_layer(Scene(sphere(4e-3), press([1e-3])), Layer(grid=64))
     np.testing.assert_allclose(result.force[-1], straight.force[-1], atol=1e-3)
     # Moving through the air is one step, not one per half pixel.
     assert result.quality.steps[-1] < 20
@@ -92,7 +93,7 @@ def test_the_same_scene_gives_the_same_bits() -> None:
         press_shear_return(0.8e-3, 0.4e-3, steps=1),
         effects=Effects(friction=Friction(0.6)),
     )
-    one, other = simulate_layer(scene, grid=48), simulate_layer(scene, grid=48)
+    one, other = simulate_layer(scene, Layer(grid=48)), simulate_layer(scene, Layer(grid=48))
     np.testing.assert_array_equal(one.traction, other.traction)
     np.testing.assert_array_equal(one.surface, other.surface)
 
@@ -103,7 +104,10 @@ def test_the_usual_tolerance_and_precision_agree_with_the_tightest() -> None:
         press_shear_return(0.9e-3, 0.4e-3, steps=2),
         effects=Effects(friction=Friction(0.6)),
     )
-    usual, tight = simulate_layer(scene, grid=64), simulate_layer(scene, grid=64, tolerance=1e-7)
+    usual, tight = (
+        simulate_layer(scene, Layer(grid=64)),
+        simulate_layer(scene, Layer(grid=64, tolerance=1e-7)),
+    )
     assert usual.record["precision"] == "float32"
     assert tight.record["precision"] == "float64"
     scale = np.abs(tight.force).max()
@@ -114,7 +118,7 @@ def test_the_usual_tolerance_and_precision_agree_with_the_tightest() -> None:
 def test_a_flat_tip_just_touching_bears_nothing() -> None:
     motion = through([(0, 0, 0), (0, 0, -0.5e-3), (0, 0, 0)], speed=1e-2)
     effects = Effects(friction=Friction(0.6))
-    result = simulate_layer(Scene(named("cylinder"), motion, effects=effects), grid=48)
+    result = simulate_layer(Scene(named("cylinder"), motion, effects=effects), Layer(grid=48))
     assert result.force[1, 2] < -0.5
     np.testing.assert_array_equal(result.force[[0, 2]], 0)
 

@@ -8,7 +8,8 @@ import pytest
 from benchmarks.sim.reference_solutions import hereditary, layer_sphere
 from sim.effects import Effects, Friction, Viscosity
 from sim.indenters import Indenter, flat_punch, sphere
-from sim.layer import simulate_layer
+from sim.layer import Layer
+from sim.layer.solver import simulate_layer
 from sim.result import Result
 from sim.scene import Body, Motion, Scene, press, ramp_hold, through
 
@@ -24,7 +25,9 @@ def _simulated(
     grid: int = 48,
     tolerance: float = 2e-3,
 ) -> Result:
-    return simulate_layer(Scene(indenter, motion, effects=effects), grid=grid, tolerance=tolerance)
+    return simulate_layer(
+        Scene(indenter, motion, effects=effects), Layer(grid=grid, tolerance=tolerance)
+    )
 
 
 def test_a_punch_held_down_relaxes_as_lee_and_radok_say() -> None:

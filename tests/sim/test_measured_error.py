@@ -5,31 +5,26 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim import simulate, tolerance
+from sim import Layer, Measured, Mpm, plan, simulate, tolerance
 from sim.errors import SceneError
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 from sim.indenters import sphere
 from sim.scene import Body, Scene, press
-from sim.tiers import Tier
 
 BALL = Scene(sphere(4e-3), press([0.3e-3, 0.6e-3]), Body(12e-3, 12e-3))
-FINE = Numerics(spacing=0.4e-3)
+FINE = Fem(spacing=0.4e-3)
 
 
 @pytest.fixture(scope="module")
 def truth() -> np.ndarray:
     """Force with elements of 0.4 mm, with the remaining error extrapolated from 0.8 mm."""
-    fine, coarse = (simulate(BALL, numerics=one).force for one in (FINE, Numerics(spacing=0.8e-3)))
+    fine, coarse = (simulate(BALL, one).force for one in (FINE, Fem(spacing=0.8e-3)))
     return fine + (fine - coarse) / 3
 
 
-@pytest.mark.parametrize(
-    ("tier", "numerics"), [("fem", Numerics(spacing=0.8e-3)), ("fem", None), ("layer", None)]
-)
-def test_an_error_bar_covers_the_error(
-    truth: np.ndarray, tier: Tier, numerics: Numerics | None
-) -> None:
-    result = simulate(BALL, tier, numerics=numerics, error_bar=True)
+@pytest.mark.parametrize("tier", [Fem(spacing=0.8e-3), Fem(), Layer()])
+def test_an_error_bar_covers_the_error(truth: np.ndarray, tier: Fem | Layer) -> None:
+    result = simulate(BALL, Measured(tier))
     error = result.record["error"]
     assert error["status"] == "measured"
     off = np.abs(result.force - truth)[1:].max(axis=1) / np.linalg.norm(truth[1:], axis=1)
@@ -41,16 +36,16 @@ def test_an_error_bar_covers_the_error(
 
 def test_a_mesh_without_a_coarser_one_has_no_error_bar() -> None:
     with pytest.raises(SceneError, match=r"error_bar: a mesh of \d+ x \d+ x 3 elements; allowed:"):
-        simulate(BALL, numerics=Numerics(spacing=4e-3 / 3), error_bar=True)
+        simulate(BALL, Measured(Fem(spacing=4e-3 / 3)))
 
 
 def test_particles_have_no_error_bar() -> None:
-    with pytest.raises(SceneError, match="error_bar: True with tier 'mpm'; allowed: 'fem', 'lay"):
-        simulate(BALL, "mpm", error_bar=True)
+    with pytest.raises(SceneError, match=r"measured\.tier: Mpm\(.*; allowed: a Fem or a Layer"):
+        Measured(Mpm())  # type: ignore[arg-type]
 
 
 def test_a_tolerance_is_kept(truth: np.ndarray) -> None:
-    result = simulate(BALL, tolerance="2 %")
+    result = plan(BALL, "2 %").run()
     assert result.record["error"]["percent"] <= 2
     np.testing.assert_allclose(result.force[:, 2], truth[:, 2], rtol=0.02)
 
@@ -63,7 +58,7 @@ def test_one_that_the_meshes_allowed_do_not_reach_is_refused_with_what_they_do(
     with pytest.raises(
         SceneError, match=r"tolerance: '0\.11 %'; tried: .*; allowed: [\d.]+ % or m"
     ):
-        simulate(BALL, tolerance="0.11 %")
+        plan(BALL, "0.11 %").run()
 
 
 def test_the_limit_on_elements_leaves_a_coarser_mesh_to_measure_by(
@@ -71,14 +66,14 @@ def test_the_limit_on_elements_leaves_a_coarser_mesh_to_measure_by(
 ) -> None:
     monkeypatch.setitem(tolerance.ELEMENTS_MAX, "cpu", 1000)
     scene = Scene(sphere(4e-3), press([0.3e-3]))
-    error = simulate(scene, "fem", tolerance="8 %").record["error"]
+    error = plan(scene, "8 %", only="fem").run().record["error"]
     assert error["second_mesh"]["elements"] < 0.6 * 1000
     with pytest.raises(SceneError, match=r"fineness 0\.6: 5\.\d+ %; allowed: 5\.\d+ % or more"):
-        simulate(scene, "fem", tolerance="3 %")
+        plan(scene, "3 %", only="fem").run()
 
 
 def test_meshes_too_much_alike_tell_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(tolerance.ELEMENTS_MAX, "cpu", 1000)
     monkeypatch.setattr(tolerance, "RATIO_LEAST", 9.0)
     with pytest.raises(SceneError, match=r"no coarser mesh to measure by; allowed: none"):
-        simulate(BALL, tolerance="0.3 %")
+        plan(BALL, "0.3 %").run()

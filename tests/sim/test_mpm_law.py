@@ -9,7 +9,7 @@ import warp as wp
 from support import mpm_oracle as oracle
 from support.mpm_oracle import Array
 
-from sim.mpm.kernels import law_functions
+from sim.mpm.state import law_functions
 from sim.scalars import matrix_of, numpy_of
 
 SHEAR, BULK = 0.7, 3.1

@@ -23,9 +23,10 @@ from sim import (
     ramp_hold,
 )
 from sim.indenters import sphere
-from sim.mpm import MpmNumerics, simulate_mpm
+from sim.mpm import Mpm
 from sim.mpm.lattice import build_lattice, pace_of, wave_speed
 from sim.mpm.numerics import STABLE
+from sim.mpm.solver import simulate_mpm
 
 SCENE = Scene(sphere(4e-3), press([0.5e-3, 1e-3]))
 CELL = 0.5e-3
@@ -54,12 +55,12 @@ INERTIA = Effects(inertia=Inertia())
     ],
 )
 def test_a_number_that_is_not_allowed_is_named(field: str, value: Any, allowed: str) -> None:
-    with pytest.raises(SceneError, match=rf"numerics\.{field}.*{re.escape(allowed)}"):
-        MpmNumerics(**{field: value})
+    with pytest.raises(SceneError, match=rf"mpm\.{field}.*{re.escape(allowed)}"):
+        Mpm(**{field: value})
 
 
 def test_the_particles_share_out_the_volume_of_the_body() -> None:
-    lattice = build_lattice([SCENE], MpmNumerics(cell=CELL))
+    lattice = build_lattice([SCENE], Mpm(cell=CELL))
     assert lattice.counts == (80, 80, 16)
     assert lattice.volume.sum() * CELL**3 == pytest.approx(20e-3 * 20e-3 * 4e-3)
     place = (lattice.rest - lattice.origin) * CELL
@@ -69,7 +70,7 @@ def test_the_particles_share_out_the_volume_of_the_body() -> None:
 
 def test_columns_of_particles_reach_up_to_a_dome_and_no_further() -> None:
     body = Body(size_x=6e-3, size_y=6e-3, dome_radius=10e-3)
-    lattice = build_lattice([replace(SCENE, body=body)], MpmNumerics(cell=CELL))
+    lattice = build_lattice([replace(SCENE, body=body)], Mpm(cell=CELL))
     top = lattice.rest[-len(lattice.to_surface) :] + lattice.to_surface
     x, y, z = ((top - lattice.origin) * CELL).T
     np.testing.assert_allclose(z, [body.height(u, v) for u, v in zip(x, y, strict=True)])
@@ -81,7 +82,7 @@ def test_columns_of_particles_reach_up_to_a_dome_and_no_further() -> None:
 
 def test_jitter_is_the_seeds_and_stays_within_its_share() -> None:
     regular, jittered, again, other = (
-        build_lattice([SCENE], MpmNumerics(cell=CELL, jitter=jitter, seed=seed)).rest
+        build_lattice([SCENE], Mpm(cell=CELL, jitter=jitter, seed=seed)).rest
         for jitter, seed in ((0.0, 0), (0.25, 7), (0.25, 7), (0.25, 8))
     )
     moved = np.abs(jittered - regular)
@@ -91,14 +92,14 @@ def test_jitter_is_the_seeds_and_stays_within_its_share() -> None:
 
 
 def test_a_lattice_that_is_no_lattice_or_too_large_is_refused() -> None:
-    with pytest.raises(SceneError, match=r"numerics\.cell.*allowed: 2 or more"):
-        build_lattice([SCENE], MpmNumerics(cell=8e-3))
-    with pytest.raises(SceneError, match=r"numerics\.cell.*50,000,000 in all"):
-        build_lattice([SCENE], MpmNumerics(cell=0.01e-3))
+    with pytest.raises(SceneError, match=r"mpm\.cell.*allowed: 2 or more"):
+        build_lattice([SCENE], Mpm(cell=8e-3))
+    with pytest.raises(SceneError, match=r"mpm\.cell.*50,000,000 in all"):
+        build_lattice([SCENE], Mpm(cell=0.01e-3))
 
 
 def test_without_inertia_the_mass_follows_from_the_speed_asked_for() -> None:
-    numerics = MpmNumerics(cell=CELL, speed_ratio=0.02)
+    numerics = Mpm(cell=CELL, speed_ratio=0.02)
     pace = pace_of(SCENE, numerics, CELL)
     assert pace.speed_ratio == pytest.approx(0.02)
     assert pace.courant == pytest.approx(0.5)
@@ -109,7 +110,7 @@ def test_without_inertia_the_mass_follows_from_the_speed_asked_for() -> None:
 
 
 def test_with_inertia_the_mass_is_the_effects_and_time_is_the_motions() -> None:
-    pace = pace_of(replace(SCENE, effects=INERTIA), MpmNumerics(cell=CELL), CELL)
+    pace = pace_of(replace(SCENE, effects=INERTIA), Mpm(cell=CELL), CELL)
     body = SCENE.body
     assert pace.wave_speed == pytest.approx(22.67, abs=0.01)
     assert pace.wave_speed == wave_speed(body)
@@ -119,7 +120,7 @@ def test_with_inertia_the_mass_is_the_effects_and_time_is_the_motions() -> None:
 
 def test_a_hold_without_inertia_takes_a_few_periods_whatever_it_lasts() -> None:
     short, long = (
-        pace_of(Scene(sphere(4e-3), ramp_hold(1e-3, ramp=0.1, hold=hold)), MpmNumerics(), CELL)
+        pace_of(Scene(sphere(4e-3), ramp_hold(1e-3, ramp=0.1, hold=hold)), Mpm(), CELL)
         for hold in (0.1, 1e5)
     )
     assert short.steps == long.steps
@@ -127,7 +128,7 @@ def test_a_hold_without_inertia_takes_a_few_periods_whatever_it_lasts() -> None:
 
 def test_a_motion_that_begins_inside_the_body_is_entered_from_above() -> None:
     inside = Motion(tip=((0.0, 0.0, -0.5e-3), (0.0, 0.0, -1e-3)), time=(0.0, 0.05))
-    pace = pace_of(Scene(sphere(4e-3), inside), MpmNumerics(cell=CELL), CELL)
+    pace = pace_of(Scene(sphere(4e-3), inside), Mpm(cell=CELL), CELL)
     np.testing.assert_array_equal(pace.corners[0], [0, 0, 0])
     assert pace.at[0] == 0
     assert pace.at[1] == pytest.approx(pace.at[2] - pace.at[1], abs=1)
@@ -135,24 +136,24 @@ def test_a_motion_that_begins_inside_the_body_is_entered_from_above() -> None:
 
 def test_a_time_step_above_the_stability_limit_is_refused() -> None:
     limit = STABLE * CELL / wave_speed(SCENE.body, 900.0)
-    numerics = MpmNumerics(cell=CELL, mass_scaling=900.0, time_step=0.999 * limit)
+    numerics = Mpm(cell=CELL, mass_scaling=900.0, time_step=0.999 * limit)
     assert pace_of(SCENE, numerics, CELL).courant == pytest.approx(0.999 * STABLE)
-    with pytest.raises(SceneError, match=r"numerics\.time_step.*allowed: up to 0\.000595 s"):
+    with pytest.raises(SceneError, match=r"mpm\.time_step.*allowed: up to 0\.000595 s"):
         pace_of(SCENE, replace(numerics, time_step=1.001 * limit), CELL)
 
 
 def test_a_mass_asked_for_twice_or_no_mass_at_all_is_refused() -> None:
     with pytest.raises(SceneError, match=r"mass_scaling.*allowed: None"):
-        pace_of(replace(SCENE, effects=INERTIA), MpmNumerics(mass_scaling=10.0), CELL)
+        pace_of(replace(SCENE, effects=INERTIA), Mpm(mass_scaling=10.0), CELL)
     massless = Effects(inertia=Inertia(scale=0.0))
     with pytest.raises(SceneError, match=r"inertia\.scale: 0\.0; allowed"):
-        pace_of(replace(SCENE, effects=massless), MpmNumerics(), CELL)
+        pace_of(replace(SCENE, effects=massless), Mpm(), CELL)
 
 
 def test_a_motion_of_too_many_steps_is_refused() -> None:
     slow = Scene(sphere(4e-3), ramp_hold(1e-3, ramp=1e4, hold=1.0), effects=INERTIA)
     with pytest.raises(SceneError, match=r"motion.*allowed: 5,000,000 steps"):
-        pace_of(slow, MpmNumerics(), CELL)
+        pace_of(slow, Mpm(), CELL)
 
 
 def test_viscosity_is_refused() -> None:
@@ -180,7 +181,7 @@ def test_a_device_that_is_not_there_is_refused() -> None:
 
 
 def test_the_authors_preset_is_what_their_code_says() -> None:
-    numerics = MpmNumerics.authors()
+    numerics = Mpm.authors()
     lattice = build_lattice([SCENE], numerics)
     pace = pace_of(SCENE, numerics, lattice.cell)
     assert lattice.counts == (101, 101, 21)
@@ -196,7 +197,7 @@ def test_the_authors_preset_is_what_their_code_says() -> None:
 def test_the_released_preset_makes_the_body_it_really_makes() -> None:
     body = Body(size_x=25e-3, size_y=25e-3, thickness=5e-3)
     scene = Scene(sphere(4e-3), press([1e-3], speed=40e-3), body)
-    numerics = MpmNumerics.authors_released()
+    numerics = Mpm.authors_released()
     assert build_lattice([scene], numerics).counts == (101, 101, 21)
     assert numerics.per_cell**3 == pytest.approx(0.14, abs=0.005)
     assert pace_of(scene, numerics, numerics.cell or 0.0).speed_ratio > 0.05

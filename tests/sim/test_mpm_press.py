@@ -12,18 +12,18 @@ import warp as wp
 from benchmarks.sim.tiers.comparison import DEPTHS, FORCE, around
 from sim import Body, Effects, Friction, Gravity, Inertia, Result, Scene, SimulationDiverged, press
 from sim.indenters import flat_punch, plane, sphere
-from sim.mpm import MpmNumerics, lattice, simulate_mpm
+from sim.mpm import Mpm, lattice
 from sim.mpm.lattice import wave_speed
-from sim.mpm.solver import end_of_line
+from sim.mpm.solver import end_of_line, simulate_mpm
 from sim.scene import through
 from sim.store import load_result, save_results
 
 SMALL = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
-COARSE = MpmNumerics(cell=1e-3)
+COARSE = Mpm(cell=1e-3)
 SCENE = Scene(sphere(4e-3), press([0.3e-3, 0.6e-3]), SMALL)
 
 
-def _one(scene: Scene, numerics: MpmNumerics = COARSE) -> Result:
+def _one(scene: Scene, numerics: Mpm = COARSE) -> Result:
     outcome = simulate_mpm([scene], numerics)[0]
     assert isinstance(outcome, Result), outcome
     return outcome
@@ -160,7 +160,7 @@ def test_with_inertia_a_fast_press_is_met_by_the_bodys_mass() -> None:
 
 def test_a_dome_is_pressed_with_the_force_that_elements_give_within_the_known_error() -> None:
     dome = replace(SMALL, dome_radius=12e-3)
-    numerics = MpmNumerics(cell=0.5e-3, reach=0.0, safety=0.8)
+    numerics = Mpm(cell=0.5e-3, reach=0.0, safety=0.8)
     domed, ball = (
         _one(Scene(shape, press([0.8e-3]), dome), numerics).force[-1, 2]
         for shape in (plane(), sphere(4e-3))
@@ -233,7 +233,7 @@ def test_the_end_of_a_line_does_not_lag() -> None:
 def test_halving_the_cell_halves_the_error() -> None:
     scene = Scene(sphere(4e-3), press(DEPTHS))
     errors = [
-        -_one(scene, MpmNumerics(cell=cell, reach=0.0)).force[-1, 2] / FORCE[-1] - 1
+        -_one(scene, Mpm(cell=cell, reach=0.0)).force[-1, 2] / FORCE[-1] - 1
         for cell in (1e-3, 0.5e-3)
     ]
     assert -0.32 < errors[1] < -0.25
@@ -243,8 +243,8 @@ def test_halving_the_cell_halves_the_error() -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_the_authors_settings_lose_the_force_and_the_motion_around_the_contact() -> None:
-    result = _one(Scene(sphere(4e-3), press(DEPTHS)), MpmNumerics.authors())
-    force = -result.force[1:, 2] * 0.2e-3**3 / (MpmNumerics.authors().particle_volume or 1.0)
+    result = _one(Scene(sphere(4e-3), press(DEPTHS)), Mpm.authors())
+    force = -result.force[1:, 2] * 0.2e-3**3 / (Mpm.authors().particle_volume or 1.0)
     assert (force / np.array(FORCE) < 0.3).all()
     up, outward = around(result, 5e-3)
     assert up < -0.01e-3

@@ -12,17 +12,16 @@ from support.mpm_oracle import Array
 
 from sim import Body, Effects, Friction, Gravity, Inertia, Scene, press
 from sim.indenters import sphere
-from sim.mpm import MpmNumerics
-from sim.mpm.kernels import IMPULSE_UNIT
+from sim.mpm import Mpm
 from sim.mpm.lattice import wave_speed
-from sim.mpm.state import ParticleState
+from sim.mpm.state import IMPULSE_UNIT, ParticleState
 
 SMALL = Body(size_x=1.5e-3, size_y=1e-3, thickness=1e-3)
 SCENE = Scene(sphere(1e-3), press([0.2e-3]), SMALL)
-EXACT = MpmNumerics(cell=0.5e-3, jitter=0.3, precision="float64")
+EXACT = Mpm(cell=0.5e-3, jitter=0.3, precision="float64")
 
 
-def _stirred(scene: Scene, numerics: MpmNumerics) -> tuple[ParticleState, Array]:
+def _stirred(scene: Scene, numerics: Mpm) -> tuple[ParticleState, Array]:
     """Return a deformed, moving state and the nodes' velocity (X, Y, Z, 3)."""
     state, lattice, _ = oracle.state_of([scene], numerics)
     random = np.random.default_rng(1)
@@ -122,7 +121,7 @@ def test_a_bonded_column_swings_at_the_speed_of_sound() -> None:
     # With nu = 0 a column's sides do not move: it vibrates in a quarter wave of period 4 T / c.
     body = Body(size_x=2e-3, size_y=2e-3, thickness=8e-3, poisson=0.0)
     scene = Scene(sphere(1e-3), press([0.1e-3]), body, Effects(inertia=Inertia()))
-    state, lattice, paces = oracle.state_of([scene], MpmNumerics(cell=0.5e-3, precision="float64"))
+    state, lattice, paces = oracle.state_of([scene], Mpm(cell=0.5e-3, precision="float64"))
     oracle.put(state._corners, np.full((*state._corners.shape, 3), 50.0))
     oracle.put(state._at, np.array([[0, 0, 10_000]]))
     height = np.arange(lattice.nodes[2]) - lattice.corner[2]

@@ -9,6 +9,7 @@ import pytest
 
 from sim.effects import Effects, Friction
 from sim.indenters import flat_punch, sphere
+from sim.layer import Layer
 from sim.plot import (
     PRESSURE,
     abscissa,
@@ -27,7 +28,7 @@ from sim.simulate import simulate
 
 @pytest.fixture(scope="module")
 def pressed() -> Result:
-    return simulate(Scene(sphere(4e-3), press([0.5e-3, 1e-3], at=(3e-3, -2e-3))), "layer")
+    return simulate(Scene(sphere(4e-3), press([0.5e-3, 1e-3], at=(3e-3, -2e-3))), Layer())
 
 
 def test_the_surface_is_sampled_where_the_tip_is(pressed: Result) -> None:
@@ -82,7 +83,7 @@ def test_beside_the_body_there_is_nothing(pressed: Result) -> None:
 
 def test_a_dome_is_drawn_with_its_own_height() -> None:
     body = Body(dome_radius=60e-3)
-    result = simulate(Scene(sphere(4e-3), press([0.2e-3]), body), "layer")
+    result = simulate(Scene(sphere(4e-3), press([0.2e-3]), body), Layer())
     height, _ = surface_of(result, 0).at(8e-3, -6e-3)
     assert height == pytest.approx(body.height(8e-3, -6e-3), abs=1e-5)
 
@@ -90,7 +91,7 @@ def test_a_dome_is_drawn_with_its_own_height() -> None:
 def test_the_maps_show_the_frame_with_the_largest_force() -> None:
     motion = press_shear_return(0.8e-3, 0.5e-3, steps=2)
     scene = Scene(flat_punch(2e-3, 0.3e-3), motion, effects=Effects(friction=Friction(1.0)))
-    result = simulate(scene, "layer")
+    result = simulate(scene, Layer())
     assert shown_frame(result) == 4
     x, label = abscissa(result)
     assert label == "path of the tip [mm]"
@@ -105,7 +106,7 @@ def test_the_force_of_a_press_is_drawn_over_depth(pressed: Result) -> None:
 
 
 def test_a_surface_that_nothing_touches_is_drawn_too() -> None:
-    page = draw_page(simulate(Scene(sphere(4e-3), press([-0.5e-3])), "layer"))
+    page = draw_page(simulate(Scene(sphere(4e-3), press([-0.5e-3])), Layer()))
     assert page.size[0] == 1160
 
 

@@ -16,19 +16,19 @@ import numpy as np
 import pytest
 
 from recorder.processes import WorkerLost
-from sim import Body, Result, Scene, SceneError, SimulationDiverged, press, simulate_many
-from sim.fem.numerics import Numerics
+from sim import Body, Layer, Result, Scene, SceneError, SimulationDiverged, press, simulate_many
+from sim.fem.numerics import Fem
 from sim.indenters import sphere
 
 BODY = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
-NUMERICS = Numerics(spacing=4e-3 / 3, precision="float64", newton_max=8, halvings=0)
+NUMERICS = Fem(spacing=4e-3 / 3, precision="float64", newton_max=8, halvings=0)
 SCENES = [
     Scene(sphere(3e-3), press([depth], at=at), BODY)
     for depth, at in ((0.1e-3, (0, 0)), (0.2e-3, (1e-3, 0)), (0.1e-3, (0, 1e-3)))
 ]
 HEAVY = Scene(sphere(4e-3), press([0.5e-3, 1e-3]))
 # Half a minute or more, so that a stopped process has not finished by itself.
-HEAVY_NUMERICS = Numerics(spacing=0.3e-3)
+HEAVY_NUMERICS = Fem(spacing=0.3e-3)
 
 
 @pytest.fixture(autouse=True)
@@ -52,8 +52,8 @@ def command(pid: int) -> bytes:
 
 def test_two_processes_give_the_same_bits_in_the_same_order_and_tell_how_far_they_are() -> None:
     told: list[float] = []
-    alone = simulate_many(SCENES, numerics=NUMERICS)
-    shared = simulate_many(SCENES, numerics=NUMERICS, processes=2, progress=told.append)
+    alone = simulate_many(SCENES, NUMERICS)
+    shared = simulate_many(SCENES, NUMERICS, processes=2, progress=told.append)
     for one, other, scene in zip(alone, shared, SCENES, strict=True):
         assert isinstance(one, Result)
         assert isinstance(other, Result)
@@ -70,8 +70,8 @@ def test_two_processes_give_the_same_bits_in_the_same_order_and_tell_how_far_the
 def test_a_press_without_a_solution_comes_back_whole_beside_those_that_have_one() -> None:
     numerics = replace(NUMERICS, newton_max=3)
     scenes = [Scene(sphere(3e-3), press([2e-6]), BODY), Scene(sphere(3e-3), press([1e-3]), BODY)]
-    fine, diverged = simulate_many(scenes, numerics=numerics, processes=2)
-    _, here = simulate_many(scenes, numerics=numerics)
+    fine, diverged = simulate_many(scenes, numerics, processes=2)
+    _, here = simulate_many(scenes, numerics)
     assert isinstance(fine, Result)
     assert isinstance(diverged, SimulationDiverged)
     assert isinstance(here, SimulationDiverged)
@@ -90,9 +90,9 @@ def test_a_press_without_a_solution_comes_back_whole_beside_those_that_have_one(
 def test_a_scene_that_means_nothing_is_refused_here_as_itself() -> None:
     numerics = replace(NUMERICS, spacing=0.3e-6)
     with pytest.raises(SceneError) as here:
-        simulate_many(SCENES, numerics=numerics)
+        simulate_many(SCENES, numerics)
     with pytest.raises(SceneError) as there:
-        simulate_many(SCENES, numerics=numerics, processes=2)
+        simulate_many(SCENES, numerics, processes=2)
     assert str(there.value) == str(here.value)
     assert not workers()
 
@@ -100,7 +100,7 @@ def test_a_scene_that_means_nothing_is_refused_here_as_itself() -> None:
 @pytest.mark.parametrize("processes", [0, -1, True, 2.0, "2"])
 def test_a_number_of_processes_is_whole_and_positive(processes: int) -> None:
     with pytest.raises(SceneError, match=r"processes: .*; allowed: whole numbers from 1 up"):
-        simulate_many(SCENES, numerics=NUMERICS, processes=processes)
+        simulate_many(SCENES, NUMERICS, processes=processes)
 
 
 def test_a_gpu_is_not_shared_among_processes() -> None:
@@ -110,13 +110,13 @@ def test_a_gpu_is_not_shared_among_processes() -> None:
 
 
 def test_meshes_of_separate_processes_cannot_be_made_to_agree() -> None:
-    with pytest.raises(SceneError, match=r"numerics.one_topology: True with 2 processes"):
-        simulate_many(SCENES, numerics=replace(NUMERICS, one_topology=True), processes=2)
+    with pytest.raises(SceneError, match=r"fem.one_topology: True with 2 processes"):
+        simulate_many(SCENES, replace(NUMERICS, one_topology=True), processes=2)
 
 
 def test_other_tiers_are_shared_too() -> None:
-    alone = simulate_many(SCENES[:2], "layer")
-    shared = simulate_many(SCENES[:2], "layer", processes=2)
+    alone = simulate_many(SCENES[:2], Layer())
+    shared = simulate_many(SCENES[:2], Layer(), processes=2)
     for one, other in zip(alone, shared, strict=True):
         assert isinstance(one, Result)
         assert isinstance(other, Result)
@@ -152,7 +152,7 @@ def test_a_worker_that_is_killed_is_told_of_and_takes_the_others_with_it() -> No
     with pytest.raises(
         WorkerLost, match=r"killed by SIGKILL, most likely for lack of memory, 0 of"
     ):
-        simulate_many([HEAVY] * 3, numerics=HEAVY_NUMERICS, processes=2)
+        simulate_many([HEAVY] * 3, HEAVY_NUMERICS, processes=2)
     assert time.monotonic() - began < 20
     thread.join()
     assert not workers()
@@ -167,7 +167,7 @@ def test_ctrl_c_stops_the_workers_at_once() -> None:
 
     thread = once_two_work(press_it)
     with pytest.raises(KeyboardInterrupt):
-        simulate_many([HEAVY] * 3, numerics=HEAVY_NUMERICS, processes=2)
+        simulate_many([HEAVY] * 3, HEAVY_NUMERICS, processes=2)
     assert time.monotonic() - pressed[0] < 3
     thread.join()
     assert not workers()
@@ -176,11 +176,11 @@ def test_ctrl_c_stops_the_workers_at_once() -> None:
 SCRIPT = """
 import sys
 from sim import Scene, press, simulate_many
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 from sim.indenters import sphere
 {guard}
     print("begun", flush=True)
-    simulate_many([Scene(sphere(4e-3), press([1e-3]))] * 3, numerics=Numerics(spacing=0.3e-3),
+    simulate_many([Scene(sphere(4e-3), press([1e-3]))] * 3, Fem(spacing=0.3e-3),
                   processes=2)
 """
 
@@ -240,6 +240,6 @@ def test_a_script_without_its_guard_is_told_so(tmp_path: Path) -> None:
 
 
 def test_workers_say_nothing_of_their_own(capfd: pytest.CaptureFixture[str]) -> None:
-    simulate_many(SCENES[:2], numerics=NUMERICS, processes=2)
+    simulate_many(SCENES[:2], NUMERICS, processes=2)
     message = capfd.readouterr()
     assert (message.out, message.err) == ("", "")

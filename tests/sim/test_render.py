@@ -18,7 +18,7 @@ from benchmarks.sim.render.states import RenderState, dent, fold, state_of
 from benchmarks.sim.render.timing import measure
 from recorder.markers import Lattice, count_markers, pack
 from sim.errors import SceneError
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 from sim.indenters import sphere
 from sim.markers import (
     SIMULATED,
@@ -433,7 +433,7 @@ def test_the_check_and_the_bench_measure_what_they_say() -> None:
 def test_a_solved_press_renders_as_rays_see_it_and_symmetrically(
     renderer: Renderer, textures: Textures
 ) -> None:
-    result = simulate(Scene(sphere(4e-3), press([1.2e-3])), numerics=Numerics(spacing=1e-3))
+    result = simulate(Scene(sphere(4e-3), press([1.2e-3])), Fem(spacing=1e-3))
     state = state_of("pressed", result, -1)
     drawn = masks(renderer, textures, state)
     rays = cast_rays(state.body, renderer.camera, state.x, state.y, state.surface)

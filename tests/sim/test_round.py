@@ -8,14 +8,27 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.sim.independent.axisymmetric import AxisymmetricPress, Layer
+from benchmarks.sim.independent import axisymmetric
+from benchmarks.sim.independent.axisymmetric import AxisymmetricPress
 from benchmarks.sim.independent.mesh import Fine, layer_grid
 from benchmarks.sim.independent.profile import punch
 from benchmarks.sim.independent.profile import sphere as ball
-from sim import Body, Effects, Friction, Motion, Result, Scene, SceneError, press, simulate
+from sim import (
+    Body,
+    Effects,
+    Friction,
+    Layer,
+    Motion,
+    Mpm,
+    Result,
+    Scene,
+    SceneError,
+    press,
+    simulate,
+)
 from sim.error_estimate import unknown_at_side
 from sim.fem.mesh import SHARE_LEAST, build_mesh
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 from sim.indenters import plane, sphere
 from sim.markers import Camera, Renderer, named
 from sim.markers.textures import distance_texture
@@ -32,7 +45,7 @@ DOME = Body(28 * MM, 28 * MM, 5.5 * MM, dome_radius=28.4 * MM, footprint="ellips
 # 0.56 mm high at its rim.
 THIN = replace(DOME, size_x=32 * MM, size_y=32 * MM)
 BALL = sphere(2 * MM)
-COARSE = Numerics(spacing=1 * MM)
+COARSE = Fem(spacing=1 * MM)
 
 
 def _pressed(body: Body, depth: float, at: tuple[float, float] = (0.0, 0.0)) -> Result:
@@ -148,7 +161,7 @@ def _independent(
     half, wide = body.size_x / 2, 1.2 * math.sqrt(radius * depth)
     places = [Fine(0.0, wide, wide / elements), Fine(half, half, half / 40)]
     grid = layer_grid(half, body.thickness, places, 0.3, body.dome_radius)
-    layer = Layer(half, body.thickness, body.modulus, body.poisson)
+    layer = axisymmetric.Layer(half, body.thickness, body.modulus, body.poisson)
     path = [depth * (step / steps) ** 2 for step in range(1, steps + 1)]
     return AxisymmetricPress(layer, ball(radius), grid, 0.0, wide).run([depth], path)[0].force
 
@@ -171,12 +184,12 @@ def test_forces_at_the_apex_agree_with_axisymmetric_elements(radius: float, body
 @pytest.mark.slow
 def test_a_plate_on_a_disc_comes_near_to_axisymmetric_elements_as_elements_shrink() -> None:
     grid = layer_grid(6 * MM, 4 * MM, [Fine(6 * MM, 6 * MM, 0.1 * MM)], 0.25)
-    truth = AxisymmetricPress(Layer(6 * MM, 4 * MM), punch(18 * MM, 3 * MM), grid, 0.0, 6 * MM)
+    truth = AxisymmetricPress(
+        axisymmetric.Layer(6 * MM, 4 * MM), punch(18 * MM, 3 * MM), grid, 0.0, 6 * MM
+    )
     force = truth.run([0.2 * MM], [])[0].force
     errors = [
-        _push(simulate(Scene(plane(), press((0.2 * MM,)), DISC), numerics=Numerics(fineness=fine)))
-        / force
-        - 1
+        _push(simulate(Scene(plane(), press((0.2 * MM,)), DISC), Fem(fineness=fine))) / force - 1
         for fine in (0.75, 1.5, 2.5)
     ]
     assert 0.03 > errors[0] > errors[1] > errors[2] > 0
@@ -209,10 +222,7 @@ def test_a_large_ellipse_answers_as_the_rectangle_around_it_does() -> None:
 @pytest.mark.slow
 def test_forces_beside_the_rim_settle_as_elements_shrink() -> None:
     scene = Scene(BALL, press((1 * MM,), at=(3 * MM, 2 * MM)), DISC)
-    forces = [
-        _push(simulate(scene, numerics=Numerics(fineness=fineness)))
-        for fineness in (0.75, 1.2, 1.8)
-    ]
+    forces = [_push(simulate(scene, Fem(fineness=fineness))) for fineness in (0.75, 1.2, 1.8)]
     assert abs(forces[2] - forces[1]) < abs(forces[1] - forces[0])
     assert forces[0] == pytest.approx(forces[2], rel=0.02)
 
@@ -246,7 +256,7 @@ def test_a_thin_rim_is_pressed_and_sheared() -> None:
 
 
 def test_what_lies_beside_a_disc_neither_feels_nor_bends_anything() -> None:
-    result = simulate(Scene(BALL, press((1 * MM,), at=(3 * MM, 0.0)), DISC), numerics=COARSE)
+    result = simulate(Scene(BALL, press((1 * MM,), at=(3 * MM, 0.0)), DISC), COARSE)
     x, y = result.surface_x[:, None], result.surface_y
     far = DISC.from_side(x, y) < -1.5 * MM
     assert far.any()
@@ -260,11 +270,11 @@ def test_round_and_square_bodies_are_solved_side_by_side_as_alone() -> None:
     square = replace(DISC, footprint="rectangle")
     scenes = [Scene(BALL, press((0.5 * MM,)), body) for body in (DISC, square)]
     numerics = replace(COARSE, graded=False)
-    both = simulate_many(scenes, numerics=numerics)
+    both = simulate_many(scenes, numerics)
     for scene, found in zip(scenes, both, strict=True):
         assert isinstance(found, Result)
         assert found.record["environments"] == 2
-        assert (found.wrench == simulate(scene, numerics=numerics).wrench).all()
+        assert (found.wrench == simulate(scene, numerics).wrench).all()
 
 
 # The side.
@@ -272,7 +282,7 @@ def test_round_and_square_bodies_are_solved_side_by_side_as_alone() -> None:
 
 def test_a_contact_at_the_rim_says_that_its_error_is_not_known() -> None:
     scene = Scene(BALL, press((0.5 * MM,), at=(5.5 * MM, 0.0)), DISC)
-    result = simulate(scene, numerics=COARSE)
+    result = simulate(scene, COARSE)
     assert result.record["error"]["status"] == "none"
     assert "rim" in result.record["error"]["why"]
     assert unknown_at_side(result, measured=True) is None
@@ -281,7 +291,7 @@ def test_a_contact_at_the_rim_says_that_its_error_is_not_known() -> None:
 
 def test_an_indenter_in_the_round_wall_is_never_silent() -> None:
     motion = Motion(((9 * MM, 0.0, -3 * MM), (6.6 * MM, 0.0, -3 * MM)), (0.0, 1.0))
-    result = simulate(Scene(sphere(1 * MM), motion, DISC), numerics=COARSE)
+    result = simulate(Scene(sphere(1 * MM), motion, DISC), COARSE)
     assert result.record["wall"] == [1]
     assert result.record["error"]["status"] == "none"
     assert "side wall" in result.record["error"]["why"]
@@ -291,16 +301,16 @@ def test_an_indenter_in_the_round_wall_is_never_silent() -> None:
 def test_layer_presses_a_disc_and_says_where_it_knows_nothing() -> None:
     wide = Body(20 * MM, 20 * MM, 2 * MM, footprint="ellipse")
     scene = Scene(BALL, press((0.2 * MM,)), wide)
-    inside = simulate(scene, "layer")
-    square = simulate(replace(scene, body=replace(wide, footprint="rectangle")), "layer")
+    inside = simulate(scene, Layer())
+    square = simulate(replace(scene, body=replace(wide, footprint="rectangle")), Layer())
     assert _push(inside) == pytest.approx(_push(square), rel=1e-6)
     assert inside.record["error"]["status"] == "estimated"
     diagonal = (6.2 * MM, 6.2 * MM)  # 1.2 mm from the side of the disc, 3.8 mm from the square's
-    beside = simulate(Scene(BALL, press((0.2 * MM,), at=diagonal), wide), "layer")
+    beside = simulate(Scene(BALL, press((0.2 * MM,), at=diagonal), wide), Layer())
     assert beside.record["error"]["status"] == "none"
-    outside = simulate(Scene(BALL, press((0.2 * MM,), at=(8.5 * MM, 8.5 * MM)), wide), "layer")
+    outside = simulate(Scene(BALL, press((0.2 * MM,), at=(8.5 * MM, 8.5 * MM)), wide), Layer())
     assert not outside.force.any()
-    dome = simulate(Scene(BALL, press((0.2 * MM,)), THIN), "layer")
+    dome = simulate(Scene(BALL, press((0.2 * MM,)), THIN), Layer())
     assert dome.record["error"]["status"] == "none"
 
 
@@ -310,7 +320,7 @@ def test_layer_presses_a_disc_and_says_where_it_knows_nothing() -> None:
 )
 def test_mpm_refuses_what_it_does_not_know(body: Body, field: str) -> None:
     with pytest.raises(SceneError, match=rf"body\.{field}.*"):
-        simulate(Scene(BALL, press((0.2 * MM,)), body), "mpm")
+        simulate(Scene(BALL, press((0.2 * MM,)), body), Mpm())
 
 
 def test_taxels_refuse_round_bodies() -> None:
@@ -359,7 +369,7 @@ def test_what_a_picture_of_markers_shows_beside_the_gel_is_cut_off() -> None:
 
 
 def test_a_drawn_surface_ends_at_the_round_outline() -> None:
-    result = simulate(Scene(BALL, press((0.5 * MM,)), DISC), numerics=COARSE)
+    result = simulate(Scene(BALL, press((0.5 * MM,)), DISC), COARSE)
     drawn = surface_of(result, -1)
     heights, _ = drawn.at(np.array([0.0, 5.9, 4.1, 4.4]) * MM, np.array([0.0, 0.0, 4.1, 4.4]) * MM)
     assert np.isfinite(heights).tolist() == [True, True, True, False]

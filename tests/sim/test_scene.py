@@ -10,6 +10,7 @@ import pytest
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError
 from sim.indenters import sphere
+from sim.layer import Layer
 from sim.scene import Body, Scene, press
 from sim.simulate import simulate, simulate_many
 
@@ -87,14 +88,15 @@ def test_effects_that_mean_nothing_are_refused(make: object, message: str) -> No
 
 
 def test_a_tier_that_is_not_there_is_refused() -> None:
-    with pytest.raises(SceneError, match=r"^tier: 'mesh'; allowed: layer, fem, mpm$"):
-        simulate(Scene(sphere(4e-3), press([1e-3])), "mesh")
+    for tier in ("mesh", Layer):
+        with pytest.raises(SceneError, match=r"^tier: .*; allowed: a Layer, a Fem or an Mpm$"):
+            simulate(Scene(sphere(4e-3), press([1e-3])), tier)  # type: ignore[arg-type]
 
 
 def test_many_scenes_give_many_results_in_their_order() -> None:
     scenes = [Scene(sphere(4e-3), press([depth])) for depth in (0.4e-3, 0.1e-3, 0.2e-3)]
     shares: list[float] = []
-    results = simulate_many(scenes, "layer", progress=shares.append)
+    results = simulate_many(scenes, Layer(), progress=shares.append)
     assert [result.scene for result in results] == scenes
     forces = [-result.force[-1, 2] for result in results]
     assert forces[1] < forces[2] < forces[0]
@@ -102,4 +104,4 @@ def test_many_scenes_give_many_results_in_their_order() -> None:
     assert forces[0] / forces[2] > 2**1.5
     assert shares == sorted(shares)
     assert shares[-1] == 1
-    assert simulate_many([], "layer") == []
+    assert simulate_many([], Layer()) == []

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sim.effects import Effects, Friction
 from sim.errors import SceneError
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 from sim.fem.solver import Collector, Snapshot
 from sim.indenters import named
 from sim.scene import Body, Scene, press_shear_return
@@ -117,7 +117,7 @@ def test_it_agrees_with_the_inside_that_fem_solves(
         press_shear_return(1e-3, 0.5e-3, steps=1),
         effects=Effects(friction=Friction(0.5)),
     )
-    result = simulate(scene, "fem", numerics=Numerics(spacing=BODY.thickness / 6))
+    result = simulate(scene, Fem(spacing=BODY.thickness / 6))
     for frame in (1, 2):
         nodes, moved = inside[frame]
         level = nodes[np.abs(nodes[:, 2] + 1.5e-3).argmin(), 2]

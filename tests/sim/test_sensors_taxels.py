@@ -13,6 +13,7 @@ from recorder.markers import draw_discs, find_blobs
 from sim.effects import Effects, Friction
 from sim.errors import SceneError
 from sim.indenters import named
+from sim.layer import Layer
 from sim.result import Result
 from sim.scene import Body, Scene, through
 from sim.sensors import SurfaceField, TaxelPad, TaxelSignal, readout, sensor
@@ -39,7 +40,7 @@ def dipole(moment: Array, apart: Array) -> Array:
 def pressed(x: float, y: float, aside: float = 0.0) -> Result:
     motion = through([(x, y, 0.0), (x, y, -1e-3), (x + aside + 1e-9, y, -1e-3)], speed=5e-3)
     scene = Scene(named("prism"), motion, body=BODY, effects=Effects(friction=Friction(0.5)))
-    return simulate(scene, "layer")
+    return simulate(scene, Layer())
 
 
 def test_an_untouched_pad_counts_nothing_and_draws_16_discs_of_481_px() -> None:

@@ -13,6 +13,7 @@ import zarr
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError
 from sim.indenters import NAMES, named, plane, rounded_cone, sphere
+from sim.layer import Layer
 from sim.result import Quality, Result, scene_from_json, scene_to_json
 from sim.scene import Body, Motion, Scene, press, press_shear_return, ramp_hold
 from sim.simulate import simulate
@@ -34,9 +35,9 @@ def results() -> list[Result]:
     body = Body(thickness=4e-3, dome_radius=60e-3)
     effects = Effects(friction=Friction(0.4))
     return [
-        simulate(Scene(sphere(4e-3), press([0.2e-3, 0.5e-3])), "layer"),
+        simulate(Scene(sphere(4e-3), press([0.2e-3, 0.5e-3])), Layer()),
         simulate(
-            Scene(named("moon"), press_shear_return(4e-4, 3e-4, steps=1), body, effects), "layer"
+            Scene(named("moon"), press_shear_return(4e-4, 3e-4, steps=1), body, effects), Layer()
         ),
     ]
 

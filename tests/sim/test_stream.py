@@ -10,9 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from sim import Effects, Inertia, SceneError, press, press_shear_return
+from sim import Effects, Inertia, Layer, SceneError, press, press_shear_return
 from sim.indenters import named
-from sim.layer import Grid, simulate_layer
+from sim.layer.solver import simulate_layer
+from sim.layer.spectral import Grid
 from sim.sensors import Pins, SurfaceField, sensor
 from sim.stream import LiveMarkers, LivePress, LiveSensor, Slope
 from sim.stream.stream import SURE, LiveTips
@@ -35,7 +36,7 @@ def pressed(depth: float = 1e-3, steps: int = 6) -> LivePress:
 def test_told_the_poses_of_a_motion_it_finds_the_forces_of_the_simulation() -> None:
     motion = press([0.3e-3, 0.6e-3, 0.9e-3, 0.5e-3], speed=5e-3)
     scene = GELSIGHT.scene(named("sphere"), motion)
-    expected = simulate_layer(scene, grid=COARSE)
+    expected = simulate_layer(scene, Layer(grid=COARSE))
     each, before = live(), 0.0
     for frame, (tip, time) in enumerate(zip(motion.tip, motion.time, strict=True)):
         each.move(np.array(tip), time - before)
@@ -46,7 +47,7 @@ def test_told_the_poses_of_a_motion_it_finds_the_forces_of_the_simulation() -> N
 
 def test_sheared_it_drags_as_the_simulation_does() -> None:
     motion = press_shear_return(0.9e-3, 0.5e-3, steps=3, speed=5e-3)
-    expected = simulate_layer(GELSIGHT.scene(named("sphere"), motion), grid=COARSE)
+    expected = simulate_layer(GELSIGHT.scene(named("sphere"), motion), Layer(grid=COARSE))
     each, before, found = live(), 0.0, []
     for tip, time in zip(motion.tip, motion.time, strict=True):
         each.move(np.array(tip), time - before)

@@ -24,7 +24,7 @@ from sim import (
 from sim.effects import Gravity
 from sim.error_estimate import with_estimate
 from sim.extrapolation import extrapolated
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 from sim.indenters import Indenter, box, flat_punch, from_stl, named, plane, sphere
 from sim.symmetry import PLANES, asymmetry, planes_of, vanishing_share
 
@@ -94,7 +94,7 @@ def test_a_scenes_planes_hold_its_body_its_motion_and_gravity(
 def _pushed(force: tuple[float, float, float]) -> Result:
     """Return a press along y = 0 with a different force, and no error estimate yet."""
     motion = press([0.4e-3, 0.3e-3], at=(1e-3, 0.0))
-    result = simulate(Scene(sphere(3e-3), motion, SMALL), numerics=Numerics(spacing=4e-3 / 4))
+    result = simulate(Scene(sphere(3e-3), motion, SMALL), Fem(spacing=4e-3 / 4))
     wrench = result.wrench.copy()
     wrench[1, :3] = force
     record = {name: one for name, one in result.record.items() if name != "error"}
@@ -117,8 +117,8 @@ def test_a_force_that_symmetry_forbids_is_part_of_the_error_and_worth_a_warning(
 
 
 def test_forces_of_two_meshes_say_what_symmetry_forbids_of_them() -> None:
-    numerics = Numerics(spacing=4e-3 / 4), Numerics(spacing=4e-3 / 3)
-    fine, coarse = (simulate(Scene(sphere(3e-3), PRESS, SMALL), numerics=one) for one in numerics)
+    numerics = Fem(spacing=4e-3 / 4), Fem(spacing=4e-3 / 3)
+    fine, coarse = (simulate(Scene(sphere(3e-3), PRESS, SMALL), one) for one in numerics)
     assert fine.record["symmetry"]["percent"] < 1e-3
     wrench = coarse.wrench.copy()
     wrench[1, 1] -= 0.1
@@ -137,7 +137,7 @@ def test_a_shear_in_a_plane_stays_in_it(angle: float) -> None:
         (0.0, 0.1),
     )
     scene = Scene(sphere(3e-3), motion, SMALL, Effects(friction=Friction(0.5)))
-    result = simulate(scene, numerics=Numerics(spacing=4e-3 / 3))
+    result = simulate(scene, Fem(spacing=4e-3 / 3))
     assert result.record["symmetry"]["plane"] == ("y = 0" if angle == 0 else "x = 0")
     assert result.record["symmetry"]["percent"] < 0.05
     torque = result.record["symmetry"]["vanishing_torque_newton_metre"]

@@ -10,7 +10,7 @@ import pytest
 
 import sim.tolerance as module
 from benchmarks.sim.independent.comparison import round_tasks
-from sim import Body, Scene, press, simulate
+from sim import Body, Fem, Layer, Scene, plan, press, simulate
 from sim.effects import Effects, Friction
 from sim.errors import SceneError, SimulationDiverged
 from sim.indenters import flat_punch, named, sphere
@@ -35,19 +35,19 @@ def no_meshes(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("no_meshes")
 def test_layer_is_taken_where_its_estimate_is_below_and_says_why() -> None:
-    result = simulate(WIDE, tolerance="8 %")
-    alone = simulate(WIDE, "layer")
+    result = plan(WIDE, "8 %").run()
+    alone = simulate(WIDE, Layer())
     np.testing.assert_array_equal(result.wrench, alone.wrench)
-    error, plan = result.record["error"], result.record["plan"]
+    error, told = result.record["error"], result.record["plan"]
     assert error["status"] == "estimated"
     assert error["percent"] == alone.record["error"]["percent"] <= 8
     assert error["newton"] == pytest.approx(
         max(np.array(error["force"])[1:] * -result.force[1:, 2]), rel=1e-3
     )
-    assert plan["chosen"] == "layer"
-    assert plan["tried"] == []
-    assert 0 < plan["seconds"] < 60
-    (note,) = plan["notes"]
+    assert told["chosen"] == "layer"
+    assert told["tried"] == []
+    assert 0 < told["seconds"] < 60
+    (note,) = told["notes"]
     assert "up to 0.025 of the thickness" in note
     assert "33 pixels wide" in note
     assert "1.9 thicknesses from any side" in note
@@ -65,7 +65,7 @@ def test_layer_is_taken_where_its_estimate_is_below_and_says_why() -> None:
 @pytest.mark.usefixtures("no_meshes")
 def test_its_forces_are_within_the_tolerance_of_the_truth(name: str, percent: float) -> None:
     (task,) = round_tasks([name])
-    result = simulate(task.scene, tolerance=f"{percent:g} %")
+    result = plan(task.scene, f"{percent:g} %").run()
     assert result.tier == "layer"
     truths = np.array([-truth[2] for truth in task.truths])
     off = np.abs(-result.force[list(task.frames), 2] - truths)
@@ -85,8 +85,8 @@ def test_its_forces_are_within_the_tolerance_of_the_truth(name: str, percent: fl
     ids=["hemisphere", "leaning and sliding"],
 )
 def test_its_estimate_covers_what_meshes_measure(scene: Scene) -> None:
-    result = simulate(scene, tolerance="20 %")
-    meshes = simulate(scene, "fem", tolerance="3 %")
+    result = plan(scene, "20 %").run()
+    meshes = plan(scene, "3 %", only="fem").run()
     assert (result.tier, meshes.tier) == ("layer", "fem")
     off = np.abs(result.force - meshes.force).max(axis=1) / force_scale(meshes.force)
     own, theirs = (np.array(one.record["error"]["force"]) for one in (result, meshes))
@@ -94,14 +94,14 @@ def test_its_estimate_covers_what_meshes_measure(scene: Scene) -> None:
 
 
 def test_meshes_go_on_where_its_estimate_is_above_and_the_look_is_counted() -> None:
-    result = simulate(WIDE, tolerance="5 %")
-    plan = result.record["plan"]
-    assert result.tier == plan["chosen"] == "fem"
+    result = plan(WIDE, "5 %").run()
+    told = result.record["plan"]
+    assert result.tier == told["chosen"] == "fem"
     assert result.record["error"]["status"] == "measured"
-    assert plan["tried"][0].startswith("layer: ")
-    assert "estimated" in plan["tried"][0]
+    assert told["tried"][0].startswith("layer: ")
+    assert "estimated" in told["tried"][0]
     parts = result.record["seconds"]
-    assert plan["seconds"] > sum(value for value in parts.values() if isinstance(value, float))
+    assert told["seconds"] > sum(value for value in parts.values() if isinstance(value, float))
 
 
 @pytest.mark.parametrize(
@@ -130,7 +130,7 @@ def test_scenes_that_it_was_not_held_against_are_not_tried(
     monkeypatch.setattr(module._Meshes, "solved", mesh)
     tolerance = "30 %" if scene.motion.depth_max > 1e-3 else "8 %"
     with pytest.raises(SimulationDiverged, match="a mesh was tried"):
-        simulate(scene, tolerance=tolerance)
+        plan(scene, tolerance).run()
 
 
 @pytest.mark.parametrize(
@@ -163,38 +163,53 @@ def test_answers_that_are_no_such_thing_are_left_to_meshes(
     monkeypatch.setattr(module, "_of_layer", kept)
     monkeypatch.setattr(module._Meshes, "solved", mesh)
     with pytest.raises(SimulationDiverged, match="a mesh was tried"):
-        simulate(scene, tolerance=tolerance)
+        plan(scene, tolerance).run()
     assert len(reported) == 1
     assert tried in reported[0]
 
 
 @pytest.mark.usefixtures("no_meshes")
 def test_a_tier_that_is_named_is_taken_or_refused() -> None:
-    assert simulate(WIDE, "layer", tolerance="8 %").tier == "layer"
+    assert plan(WIDE, "8 %", only="layer").run().tier == "layer"
     rubs = replace(WIDE, effects=Effects(friction=Friction(0.3)))
-    assert simulate(rubs, "layer", tolerance="8 %").record["plan"]["chosen"] == "layer"
+    assert plan(rubs, "8 %", only="layer").run().record["plan"]["chosen"] == "layer"
     with pytest.raises(SceneError, match=r"'5 %' with tier 'layer'; layer: 5.*estimated; allowed"):
-        simulate(WIDE, "layer", tolerance="5 %")
+        plan(WIDE, "5 %", only="layer").run()
     with pytest.raises(SceneError, match=r"markers not known.*allowed: tier 'fem'"):
-        simulate(WIDE, "layer", tolerance="5 px")
+        plan(WIDE, "5 px", only="layer").run()
     near = replace(WIDE, motion=ASIDE)
     with pytest.raises(SceneError, match="from a side of the body"):
-        simulate(near, "layer", tolerance="50 %")
+        plan(near, "50 %", only="layer").run()
     with pytest.raises(AssertionError, match="fem was solved"):
-        simulate(WIDE, "fem", tolerance="8 %")
-    with pytest.raises(AssertionError, match="fem was solved"):
-        simulate(WIDE, tolerance="8 %", error_bar=True)
+        plan(WIDE, "8 %", only="fem").run()
 
 
 @pytest.mark.parametrize(
     ("options", "reported"),
     [
-        ({"tier": "mpm"}, "tier: 'mpm' with a tolerance; allowed: None, 'layer', 'fem'"),
-        ({"tier": "layer", "error_bar": True}, "error_bar: True with tolerance '8 %' and tier"),
-        ({"numerics": 3}, "numerics: 3 with a tolerance; allowed: None"),
+        ({"only": "mpm"}, "only: 'mpm'; allowed: None, 'layer', 'fem'"),
         ({"device": "cuda:99"}, "device: 'cuda:99'; allowed"),
     ],
 )
 def test_what_goes_with_no_tolerance_is_refused(options: dict[str, Any], reported: str) -> None:
     with pytest.raises(SceneError, match=reported):
-        simulate(WIDE, tolerance="8 %", **options)
+        plan(WIDE, "8 %", **options).run()
+
+
+def test_a_plan_says_what_it_would_try() -> None:
+    assert plan(WIDE, "8 %").tiers[0] == Layer()
+    coarse, fine = plan(WIDE, "8 %", only="fem").tiers
+    assert isinstance(coarse, Fem)
+    assert isinstance(fine, Fem)
+    result = plan(WIDE, "8 %", only="fem").run()
+    assert result.record["mesh"]["fineness"] == pytest.approx(fine.fineness)
+    told = str(plan(WIDE, "8 %")).splitlines()
+    assert told[0] == "error of up to 8 %; effects solved: none"
+    cells = " x ".join(map(str, result.record["mesh"]["cells"]))
+    assert [line.split(",")[0] for line in told[1:]] == [
+        "layer",
+        "fem",
+        "fem",
+        "finer meshes of fem",
+    ]
+    assert f"fem, {cells} elements: " in told[3]

@@ -9,7 +9,7 @@ import pytest
 
 from sim import Body, Effects, Scene, press
 from sim.effects import Viscosity
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 from sim.fem.sizing import Sizes, Span
 from sim.fem.solver import Asked, simulate_fem
 from sim.indenters import sphere
@@ -43,7 +43,7 @@ def test_what_a_solution_asks_for_spares_the_next_mesh_being_made_anew() -> None
     key = 0, len(BALL.motion)
     far_too_coarse = Span(-3e-3, 3e-3, 1.5e-3)
     asked: Asked = {key: Sizes((far_too_coarse,), (far_too_coarse,), 1.5e-3, 2e-3)}
-    numerics = Numerics(fineness=0.5, tolerance=1e-3)
+    numerics = Fem(fineness=0.5, tolerance=1e-3)
     (first,) = simulate_fem([BALL], numerics, asked=asked)
     assert isinstance(first, Result)
     assert first.record["mesh"]["made_anew"] >= 1
@@ -58,7 +58,7 @@ def test_states_of_a_contact_far_smaller_than_the_thickness_are_balanced() -> No
     """The force is 2 mN, a thirtieth of the least force that the thickness alone would suggest."""
     scene = Scene(sphere(0.5e-3), press([0.05e-3]), Body(80e-3, 80e-3, 20e-3))
     loose, exact = (
-        simulate(scene, numerics=Numerics(fineness=0.3, tolerance=one, path_tolerance=one)).force
+        simulate(scene, Fem(fineness=0.3, tolerance=one, path_tolerance=one)).force
         for one in (1e-2, 1e-5)
     )
     np.testing.assert_allclose(loose[-1, 2], exact[-1, 2], rtol=0.01)
@@ -70,7 +70,7 @@ def test_a_light_touch_is_balanced_well_enough_for_a_tolerance() -> None:
     scene = Scene(sphere(20e-3), press([0.02e-3]), body)
     forces = []
     for tolerance in (_states(scene, 0.01).tolerance, _states(scene, 0.03).tolerance, 1e-5):
-        (found,) = simulate_fem([scene], Numerics(fineness=0.95, tolerance=tolerance))
+        (found,) = simulate_fem([scene], Fem(fineness=0.95, tolerance=tolerance))
         assert isinstance(found, Result)
         forces.append(found.force[-1, 2])
     np.testing.assert_allclose(forces[:2], forces[2], rtol=2e-3)

@@ -22,7 +22,7 @@ from sim import (
     simulate,
     simulate_many,
 )
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 from sim.indenters import sphere
 
 SCENE = Scene(sphere(4e-3), press([0.5e-3]))
@@ -54,13 +54,12 @@ WRONG: dict[str, tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]] = {
     "scene.body: 4; allowed: a Body": (Scene, (SCENE.indenter, SCENE.motion, 4), {}),
     "scene: 'x'; allowed: a Scene": (simulate, ("x",), {}),
     "scene: 3; allowed: a Scene": (simulate_many, ([3],), {}),
-    "tier: 3; allowed: layer, fem, mpm": (simulate, (SCENE,), {"tier": 3}),
-    "tier: ''; allowed: layer, fem, mpm": (simulate, (SCENE,), {"tier": ""}),
-    "numerics: 3; allowed with tier 'fem': Numerics": (simulate, (SCENE,), {"numerics": 3}),
-    "numerics.tolerance: '1'; allowed": (Numerics, (), {"tolerance": "1"}),
-    "numerics.halvings: 2.5; allowed: a whole": (Numerics, (), {"halvings": 2.5}),
-    "numerics.graded: 'no'; allowed: True or False": (Numerics, (), {"graded": "no"}),
-    "numerics.grading: 1; allowed: a Grading": (Numerics, (), {"grading": 1}),
+    "tier: 3; allowed: a Layer, a Fem or an Mpm": (simulate, (SCENE, 3), {}),
+    "tier: 'fem'; allowed: a Layer, a Fem or an Mpm": (simulate_many, ([SCENE], "fem"), {}),
+    "fem.tolerance: '1'; allowed": (Fem, (), {"tolerance": "1"}),
+    "fem.halvings: 2.5; allowed: a whole": (Fem, (), {"halvings": 2.5}),
+    "fem.graded: 'no'; allowed: True or False": (Fem, (), {"graded": "no"}),
+    "fem.grading: 1; allowed: a Grading": (Fem, (), {"grading": 1}),
 }
 
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from learning.markers import CameraPreset, Segmenter, find_centres, grey, preset
 from rig.bench.worlds import MarkerView
 from rig.mock.world.picture import MarkerCamera, Surface
+from sim.layer import Layer
 
 # Views of the mock benches, by the preset intended for them.
 VIEWS = {
@@ -82,7 +83,7 @@ def simulated_pictures() -> Iterator[Known]:
 
     each = sensor("gelsight")
     motion = press([0.3e-3, 0.6e-3, 1.0e-3], speed=each.speed)
-    top = SurfaceField.of(simulate(each.scene(named("sphere"), motion), tier="layer"))
+    top = SurfaceField.of(simulate(each.scene(named("sphere"), motion), Layer()))
     reader = readout(each)
     if not isinstance(reader, CameraReadout):
         raise TypeError("the GelSight has a camera")

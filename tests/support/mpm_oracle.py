@@ -11,16 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim import Scene
-from sim.mpm import MpmNumerics
-from sim.mpm.kernels import FIXED_POINT
+from sim.mpm import Mpm
 from sim.mpm.lattice import Lattice, Pace, build_lattice, pace_of
-from sim.mpm.state import ParticleState
+from sim.mpm.state import FIXED_POINT, ParticleState
 
 Array = NDArray[np.float64]
 
 
 def state_of(
-    scenes: Sequence[Scene], numerics: MpmNumerics, *, free: bool = False, settle: bool = True
+    scenes: Sequence[Scene], numerics: Mpm, *, free: bool = False, settle: bool = True
 ) -> tuple[ParticleState, Lattice, list[Pace]]:
     """Return a batch before its first step; `free` releases every held particle."""
     lattice = build_lattice(scenes, numerics)

@@ -7,10 +7,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from sim.errors import SceneError, SimulationDiverged
+from sim.layer import Layer
 from sim.metrics import tolerance_of
+from sim.mpm import Mpm
 from sim.result import Result
 from sim.scene import Scene
-from sim.simulate import simulate, simulate_many
+from sim.simulate import plan, simulate_many
 
 Outcomes = list[Result | SimulationDiverged]
 
@@ -49,16 +51,16 @@ class Competitor:
 
 
 def _layer(scenes: Sequence[Scene], _device: str) -> Outcomes:
-    return simulate_many(scenes, "layer")
+    return simulate_many(scenes, Layer())
 
 
 def _fem(**chosen: Any) -> Callable[[Sequence[Scene], str], Outcomes]:
-    """Return a solver that calls `fem` with these fields of `Numerics`."""
+    """Return a solver that calls `fem` with these fields of `Fem`."""
 
     def solve(scenes: Sequence[Scene], device: str) -> Outcomes:
-        from sim.fem.numerics import Numerics
+        from sim.fem.numerics import Fem
 
-        return simulate_many(scenes, "fem", numerics=Numerics(**chosen), device=device)
+        return simulate_many(scenes, Fem(**chosen), device=device)
 
     return solve
 
@@ -68,7 +70,7 @@ def _within(tolerance: str) -> Callable[[Sequence[Scene], str], Outcomes]:
         found: Outcomes = []
         for scene in scenes:
             try:
-                found.append(simulate(scene, tolerance=tolerance, device=device))
+                found.append(plan(scene, tolerance, device=device).run())
             except SimulationDiverged as diverged:
                 found.append(diverged)
             except SceneError as rejected:  # not attainable: reported as no solution
@@ -80,19 +82,17 @@ def _within(tolerance: str) -> Callable[[Sequence[Scene], str], Outcomes]:
 
 def _mpm(cell: float | None) -> Callable[[Sequence[Scene], str], Outcomes]:
     def solve(scenes: Sequence[Scene], device: str) -> Outcomes:
-        from sim.mpm import MpmNumerics, simulate_mpm
-
-        numerics = MpmNumerics.authors() if cell is None else MpmNumerics(cell=cell)
-        return simulate_mpm(scenes, numerics, device=device)
+        tier = Mpm.authors() if cell is None else Mpm(cell=cell)
+        return simulate_many(scenes, tier, device=device)
 
     return solve
 
 
 def competitors() -> list[Competitor]:
     """Return all competitors, each ladder from coarse to fine."""
-    from sim.fem.numerics import Numerics
+    from sim.fem.numerics import Fem
 
-    default = Numerics().fineness
+    default = Fem().fineness
     found = [Competitor("layer", "", 0.0, _layer, cpu_only=True)]
     for one in sorted({*FINENESS, default}):
         label = "default" if one == default else f"fineness {one:g}"
@@ -136,7 +136,7 @@ def competitors() -> list[Competitor]:
             0.0,
             _mpm(None),
             cpu_cases=("sphere",),
-            settings={"preset": "MpmNumerics.authors()"},
+            settings={"preset": "Mpm.authors()"},
         )
     )
     return found

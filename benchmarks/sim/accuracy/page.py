@@ -13,7 +13,7 @@ from benchmarks.sim.accuracy.chart import Colour, Mark, Panel, Series, save_char
 from benchmarks.sim.accuracy.reference import COARSER
 from benchmarks.sim.accuracy.row import Measured, Row
 from recorder.pages import render
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 
 # Colour of each ladder; the shape of the mark gives the device.
 COLOURS: dict[str, Colour] = {
@@ -76,7 +76,7 @@ def write_page(path: Path, folder: Path, measured: Sequence[Measured]) -> None:
         devices=lambda case: _devices(case, measured),
         cheapest=_cheapest,
         charts=CHARTS,
-        numerics=Numerics(),
+        numerics=Fem(),
         coarser=COARSER,
         rows=lambda case: sorted(
             _rows(case, measured),

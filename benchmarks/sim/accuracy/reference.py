@@ -18,7 +18,7 @@ from sim.scene import Motion, Scene
 from sim.simulate import simulate_many
 
 if TYPE_CHECKING:
-    from sim.fem.numerics import Numerics
+    from sim.fem.numerics import Fem
 
 # Element size of the second reference over that of the first. If errors decrease with the square of
 # the element size, the error of the first is 0.8 of the difference.
@@ -42,11 +42,11 @@ class Reference:
 ELEMENTS_MAX = 1_000_000
 
 
-def reference_numerics(fineness: float) -> Numerics:
+def reference_numerics(fineness: float) -> Fem:
     """Return settings with the finest mesh, no penetration, and a tenth of the tolerance."""
-    from sim.fem.numerics import Numerics
+    from sim.fem.numerics import Fem
 
-    return Numerics(
+    return Fem(
         fineness=fineness,
         precision="float64",
         tolerance=1e-5,
@@ -68,7 +68,7 @@ def solve_references(
     kept: list[Outcome | SimulationDiverged] = []
 
     def solve(some: Sequence[Scene], where: str) -> list[Result | SimulationDiverged]:
-        return simulate_many(some, numerics=numerics, device=where)
+        return simulate_many(some, numerics, device=where)
 
     for scene, one in zip(scenes, in_launches(solve, cut, device), strict=True):
         if isinstance(one, SimulationDiverged):

@@ -73,7 +73,7 @@ def combinations() -> Iterator[Combination]:
     for count in range(len(EFFECTS) + 1):
         for key in itertools.combinations(EFFECTS, count):
             with launches(compiled) as found:
-                simulate(scene(*key), numerics=NUMERICS)
+                simulate(scene(*key), NUMERICS)
             if not key:
                 plain = set(found)
             seconds = sum(compiled[name] for name in found)
@@ -83,9 +83,9 @@ def combinations() -> Iterator[Combination]:
 def cost(name: str, repeats: int) -> Cost:
     """Measure one effect; times are the minimum of `repeats` pairs."""
     others = scene(*(other for other in EFFECTS if other != name))
-    here = simulate(others, numerics=NUMERICS)
+    here = simulate(others, NUMERICS)
     with built_without(name):
-        never = simulate(others, numerics=NUMERICS)
+        never = simulate(others, NUMERICS)
     off_ratio = _ratio(scene(), scene(), repeats, lambda: built_without(name))
     on_ratio = _ratio(scene(name), scene(), repeats, nullcontext)
     off, on = _assembly(), _assembly(name)
@@ -121,7 +121,7 @@ def _ratio(
 
 def _seconds(pressed: Scene) -> float:
     began = time.process_time()
-    simulate(pressed, numerics=NUMERICS)
+    simulate(pressed, NUMERICS)
     return time.process_time() - began
 
 
@@ -155,10 +155,9 @@ def _assembly(*names: str) -> Assembly:
 
 
 def _limits(name: str) -> tuple[float, ...]:
-    plain = simulate(scene(), numerics=EXACT).force[-1]
+    plain = simulate(scene(), EXACT).force[-1]
     weak = (
-        simulate(scene(name, share=TRIALS[name].share * part), numerics=EXACT).force[-1]
-        for part in PARTS
+        simulate(scene(name, share=TRIALS[name].share * part), EXACT).force[-1] for part in PARTS
     )
     size = np.linalg.norm(plain)
     return tuple(float(np.linalg.norm(force - plain) / size) for force in weak)

@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 from sim.indenters import sphere
 from sim.scene import Body, Motion, Scene
 
 BODY = Body(size_x=12e-3, size_y=12e-3, thickness=4e-3)
-NUMERICS = Numerics(spacing=1e-3, precision="float64")
+NUMERICS = Fem(spacing=1e-3, precision="float64")
 # For differences far below the usual tolerance.
-EXACT = Numerics(
-    spacing=1e-3, precision="float64", tolerance=1e-10, penalty=3000.0, augmentations=10
-)
+EXACT = Fem(spacing=1e-3, precision="float64", tolerance=1e-10, penalty=3000.0, augmentations=10)
 # Half a millimetre down, then 0.15 mm sideways, in 1 ms: fast enough for inertia to matter.
 MOTION = Motion(
     ((0.0, 0.0, 0.0), (0.0, 0.0, -0.5e-3), (0.15e-3, 0.0, -0.5e-3)), (0.0, 0.5e-3, 1e-3)

@@ -12,6 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sim.errors import SceneError
+from sim.fem import Fem
+from sim.layer import Layer
+from sim.mpm import Mpm
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -89,7 +92,8 @@ def run(options: argparse.Namespace) -> int:
         return 0
     rows: list[Row] = []
     print(HEAD)
-    settings = Settings(options.tier, options.tolerance)
+    tier = {"layer": Layer, "fem": Fem, "mpm": Mpm}[options.tier or "fem"]()
+    settings = Settings(tier, options.tolerance)
     for found in all_compared(tasks, settings, options.processes):
         print("\n".join(map(line, found)), flush=True)
         rows += found

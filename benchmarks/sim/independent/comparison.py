@@ -14,6 +14,7 @@ from benchmarks.sim.independent.truth import load
 from recorder.processes import Workers
 from sim.effects import Effects, Friction
 from sim.errors import SceneError, SimulationDiverged
+from sim.fem import Fem
 from sim.indenters import (
     Indenter,
     bar,
@@ -27,7 +28,7 @@ from sim.indenters import (
 )
 from sim.indenters.outline import Part
 from sim.scene import Body, Scene, press, through
-from sim.simulate import simulate
+from sim.simulate import plan, simulate
 from sim.tiers import Tier
 
 # Error that counts as good [%].
@@ -36,9 +37,9 @@ WITHIN = 3.0
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of `sim`; without both, its default."""
+    """Settings of `sim`; a tolerance is in place of the tier."""
 
-    tier: Tier | None = None
+    tier: Tier = Fem()
     tolerance: str | None = None
 
 
@@ -177,7 +178,10 @@ def compared(task: Task, settings: Settings) -> list[Row]:
     reported, own = "", math.nan
     forces = [(math.nan, math.nan, math.nan)] * len(task.frames)
     try:
-        result = simulate(task.scene, settings.tier, tolerance=settings.tolerance)
+        if settings.tolerance is not None:
+            result = plan(task.scene, settings.tolerance).run()
+        else:
+            result = simulate(task.scene, settings.tier)
         forces = [tuple(result.force[frame]) for frame in task.frames]
         own = own_error(result.record)
     except (SceneError, SimulationDiverged) as error:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.sim.reference_solutions import NEO_HOOKEAN_SPHERE
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 from sim.indenters import sphere
 from sim.result import Result
 from sim.scene import Body, Scene, press
@@ -48,10 +48,10 @@ def bench_rows(spacings: Sequence[float], device: str) -> Iterator[BenchRow]:
     reference = NEO_HOOKEAN_SPHERE
     scene = Scene(sphere(reference.radius), press(reference.depths), body=Body())
     finest: Result | None = None
-    simulate(scene, numerics=Numerics(spacing=max(spacings)), device=device)
+    simulate(scene, Fem(spacing=max(spacings)), device=device)
     for spacing in sorted(spacings):
         began = time.perf_counter()
-        result = simulate(scene, numerics=Numerics(spacing=spacing), device=device)
+        result = simulate(scene, Fem(spacing=spacing), device=device)
         seconds = time.perf_counter() - began
         finest = finest or result
         force = -result.force[1:, 2]

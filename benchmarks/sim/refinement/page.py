@@ -8,7 +8,7 @@ from pathlib import Path
 from benchmarks.sim.refinement.bench import FAR, BenchRow, convergence_rate
 from benchmarks.sim.refinement.shapes import DEPTH, FRICTION, SHEAR, ShapeRow
 from recorder.pages import render
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 
 
 def write_page(
@@ -27,7 +27,7 @@ def write_page(
             convergence_rate=convergence_rate,
             shapes=shapes,
             by_shape=list(zip(*(rows for _, _, rows in shapes), strict=True)),
-            numerics=Numerics(),
+            numerics=Fem(),
             far=FAR,
             depth=DEPTH,
             shear=SHEAR,

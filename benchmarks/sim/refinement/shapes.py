@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from sim.effects import Effects, Friction
 from sim.errors import SimulationDiverged
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 from sim.indenters import NAMES, Indenter, named
 from sim.result import Result
 from sim.scene import Scene, press_shear_return
@@ -63,7 +63,7 @@ def shape_rows(
     ]
     for spacing in spacings:
         began = time.perf_counter()
-        outcomes = simulate_many(scenes, numerics=Numerics(spacing=spacing), device=device)
+        outcomes = simulate_many(scenes, Fem(spacing=spacing), device=device)
         seconds = time.perf_counter() - began
         rows = [
             _row(scene.indenter, spacing, outcome)

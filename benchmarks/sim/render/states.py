@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.effects import Effects, Friction
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 from sim.indenters import named, sphere
 from sim.result import Result
 from sim.scene import Body, Scene, press, press_shear_return
@@ -81,10 +81,10 @@ def solved(*, spacing: float | None = None, device: str = "cpu") -> list[RenderS
             effects=Effects(friction=Friction(0.8)),
         ),
     }
-    numerics = Numerics() if spacing is None else Numerics(spacing=spacing)
+    numerics = Fem() if spacing is None else Fem(spacing=spacing)
     states = []
     for name, scene in scenes.items():
-        result = simulate(scene, numerics=numerics, device=device)
+        result = simulate(scene, numerics, device=device)
         aside = np.abs(np.array(scene.motion.tip)[:, :2]).sum(axis=1)
         states.append(state_of(name, result, int(np.argmax(aside)) if "sheared" in name else -1))
     return states

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from benchmarks.sim.sensors.fit import SPACING
 from sim.device import ready_device
 from sim.errors import SimulationDiverged
-from sim.fem.numerics import FOR_EDGES, Numerics
+from sim.fem.numerics import FOR_EDGES, Fem
 from sim.indenters import Indenter, named
+from sim.layer import Layer
 from sim.scene import Motion, press_shear_return
 from sim.sensors import HETEROGENEOUS, SimulatedSensor, sensor
 from sim.simulate import simulate
@@ -62,10 +63,10 @@ def lines(each: SimulatedSensor, indenter: Indenter, grid: int, device: str) -> 
     scene = each.scene(indenter, motion)
     live = live_forces(each, indenter, motion, grid)
     title = f"{each.name} {indenter.name}"
-    yield _line(f"{title}: layer", live, simulate(scene, "layer").force)
-    numerics = Numerics(spacing=SPACING[each.name], grading=FOR_EDGES)
+    yield _line(f"{title}: layer", live, simulate(scene, Layer()).force)
+    numerics = Fem(spacing=SPACING[each.name], grading=FOR_EDGES)
     try:
-        solved = simulate(scene, "fem", numerics=numerics, device=device).force
+        solved = simulate(scene, numerics, device=device).force
     except SimulationDiverged as error:
         yield f"{title}: fem: {error}"
     else:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from benchmarks.sim.sensors.relaxation import fitted, hysteresis, relaxed
 from sim.device import ready_device
 from sim.effects import Viscosity
-from sim.fem.numerics import FOR_EDGES, Numerics
+from sim.fem.numerics import FOR_EDGES, Fem
 from sim.indenters import named
 from sim.result import Result
 from sim.scene import Motion, Scene, through
@@ -80,7 +80,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     def solved(name: str, scene: Scene) -> Result:
         size = SPACING[name] * (2 / 3 if options.finer else 1.0)
-        return _solved(name, scene, Numerics(spacing=size, grading=FOR_EDGES), options.device)
+        return _solved(name, scene, Fem(spacing=size, grading=FOR_EDGES), options.device)
 
     presses = {name: solved(name, prism_press(each)) for name, each in sensors.items()}
     lines = fit_forces(sensors, presses)
@@ -185,13 +185,13 @@ def _curve(result: Result) -> tuple[Array, Array]:
     return -np.array(result.scene.motion.tip)[:, 2], -result.force[:, 2]
 
 
-def _solved(name: str, scene: Scene, numerics: Numerics, device: str) -> Result:
+def _solved(name: str, scene: Scene, numerics: Fem, device: str) -> Result:
     """Solve a scene and report when it is done.
 
     Raises:
         SimulationDiverged: No solution.
     """
-    result = simulate(scene, "fem", numerics=numerics, device=device)
+    result = simulate(scene, numerics, device=device)
     print(f"solved: {name}, {len(scene.motion)} frames", file=sys.stderr)
     return result
 

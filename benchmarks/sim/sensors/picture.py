@@ -21,14 +21,15 @@ from scipy.ndimage import binary_erosion
 
 from recorder.plot import INK, PAPER, SOFT, font
 from sim.device import ready_device
-from sim.fem.numerics import FOR_EDGES, Numerics
+from sim.fem.numerics import FOR_EDGES, Fem
 from sim.indenters import named
+from sim.layer import Layer
 from sim.result import Result
 from sim.scene import press
 from sim.sensors.field import SurfaceField
 from sim.sensors.readout import CameraReadout, readout
 from sim.sensors.sensor import HETEROGENEOUS, HOMOGENEOUS, MATERIAL, SimulatedSensor, sensor
-from sim.simulate import Tier, simulate
+from sim.simulate import simulate
 
 Colours = NDArray[np.uint8]
 
@@ -98,14 +99,12 @@ def outlined(mask: NDArray[np.bool_], untouched: NDArray[np.bool_]) -> Colours:
     return pixels
 
 
-def _pressed(each: SimulatedSensor, tier: Tier) -> Result:
+def _pressed(each: SimulatedSensor, name: str) -> Result:
     depth = each.depth_max if each.force_depth is None else each.force_depth.depth_max
     motion = press([depth / 2, depth], speed=each.speed)
-    numerics = None
-    if tier == "fem":
-        spacing = min(each.body.thickness / 6, SPACING)
-        numerics = Numerics(spacing=spacing, grading=FOR_EDGES)
-    return simulate(each.placed(named("prism"), motion, seed=SEED), tier, numerics=numerics)
+    fem = Fem(spacing=min(each.body.thickness / 6, SPACING), grading=FOR_EDGES)
+    tier = fem if name == "fem" else Layer()
+    return simulate(each.placed(named("prism"), motion, seed=SEED), tier)
 
 
 def _tiles(each: SimulatedSensor, result: Result) -> list[Tile]:

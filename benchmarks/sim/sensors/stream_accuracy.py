@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 from recorder import Session
 from sim.errors import SceneError
 from sim.indenters import named
-from sim.layer.solver import GRID, TOLERANCE
+from sim.layer import Layer
 from sim.sensors import (
     CameraReadout,
     SimulatedSensor,
@@ -103,11 +103,11 @@ class Offline:
     """Surface at each of the requested times."""
 
 
-def simulated(
-    found: Recorded, wanted: NDArray[np.int64], *, grid: int = GRID, tolerance: float = TOLERANCE
-) -> Offline:
+def simulated(found: Recorded, wanted: NDArray[np.int64], layer: Layer = Layer()) -> Offline:
     """Solve the contact at every recorded pose; keep the deformation at the times `wanted` (k,)."""
-    live = LivePress(found.sensor, named(found.indenter), grid=grid, tolerance=tolerance)
+    live = LivePress(
+        found.sensor, named(found.indenter), grid=layer.grid, tolerance=layer.tolerance
+    )
     wrench = np.zeros((len(found.time), 6))
     keep: dict[int, list[int]] = {}
     for place, time in enumerate(wanted):
@@ -134,7 +134,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks live-session", description=__doc__)
     parser.add_argument("session", type=Path)
     parser.add_argument(
-        "--grid", type=int, default=GRID, help="grid of the offline simulation (%(default)s)"
+        "--grid",
+        type=int,
+        default=Layer().grid,
+        help="grid of the offline simulation (%(default)s)",
     )
     options = parser.parse_args(argv)
     session = Session(options.session)
@@ -148,7 +151,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     images = _images(session, pressed) if "camera" in session.streams else {}
     scans = _scans(session, pressed) if "taxels" in session.streams else {}
     wanted = np.array([*images, *scans], np.int64)
-    offline = simulated(found, wanted, grid=options.grid)
+    offline = simulated(found, wanted, Layer(options.grid))
     print("\n".join(force_lines(found, offline.wrench)))
     reader = readout(found.sensor)
     if isinstance(reader, CameraReadout):

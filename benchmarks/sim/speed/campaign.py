@@ -24,8 +24,8 @@ from benchmarks.sim.speed.timing import Solve, fem, mpm, timed, warm_up, warm_up
 from benchmarks.sim.speed.work import PaperWork, TimedPress
 
 if TYPE_CHECKING:
-    from sim.fem.numerics import Numerics
-    from sim.mpm import MpmNumerics
+    from sim.fem.numerics import Fem
+    from sim.mpm import Mpm
 
 # Settings of the timed presses: residual over force at the depths that are stored and between
 # them, and number of multiplier updates. Tighter settings change no mesh's error by 0.1 %; see the
@@ -61,7 +61,7 @@ class SpeedCampaign:
     """On a CPU, also measure 810 presses."""
     kernels: Path | None
     """Warp's cache."""
-    mpm: dict[str, MpmNumerics] = field(default_factory=dict)
+    mpm: dict[str, Mpm] = field(default_factory=dict)
     """Presets of `mpm` by name, the first our own."""
 
     @property
@@ -75,11 +75,11 @@ class SpeedCampaign:
         return self.device != "cpu"
 
     @property
-    def numerics(self) -> Numerics:
+    def numerics(self) -> Fem:
         """Settings of the timed presses."""
-        from sim.fem.numerics import FOR_EDGES, Numerics
+        from sim.fem.numerics import FOR_EDGES, Fem
 
-        return Numerics(
+        return Fem(
             spacing=self.spacing,
             grading=FOR_EDGES,
             tolerance=TOLERANCE,
@@ -266,9 +266,7 @@ class _Campaign:
         measured, outcomes = timed(run, [one.scene() for one in presses], solve, plan.device)
         return measured, forces_of(presses, outcomes)
 
-    def _mpm(
-        self, name: str, presses: Sequence[TimedPress], numerics: MpmNumerics, speed: float
-    ) -> None:
+    def _mpm(self, name: str, presses: Sequence[TimedPress], numerics: Mpm, speed: float) -> None:
         plan = self._plan
         spacing = (numerics.cell or 0.5e-3) * 1e3
         run = replace(self._run("mpm", name), spacing_mm=spacing, tolerance=math.nan)

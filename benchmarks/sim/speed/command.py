@@ -15,7 +15,7 @@ from sim.errors import SceneError
 
 if TYPE_CHECKING:
     from sim.cli.options import Subcommands
-    from sim.mpm import MpmNumerics
+    from sim.mpm import Mpm
 
 # Parts to measure; `page` draws.
 PARTS = ("presses", "scaling", "steps", "mpm", "meshes", "reference")
@@ -136,12 +136,12 @@ def _measure(options: argparse.Namespace, parts: tuple[str, ...]) -> None:
     print(f"{plan.file}: written")
 
 
-def _presets(smoke: bool) -> dict[str, MpmNumerics]:
-    from sim.mpm import MpmNumerics
+def _presets(smoke: bool) -> dict[str, Mpm]:
+    from sim.mpm import Mpm
 
     if smoke:
-        return {"coarse": MpmNumerics(cell=1e-3, per_cell=1.0, speed_ratio=0.1)}
-    return {"ours": MpmNumerics(), "as the authors have it": MpmNumerics.authors()}
+        return {"coarse": Mpm(cell=1e-3, per_cell=1.0, speed_ratio=0.1)}
+    return {"ours": Mpm(), "as the authors have it": Mpm.authors()}
 
 
 def _draw(folder: Path) -> None:

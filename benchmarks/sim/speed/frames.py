@@ -18,8 +18,9 @@ import numpy as np
 from benchmarks.sim.speed.campaign import AUGMENTATIONS, PATH_TOLERANCE, TOLERANCE
 from benchmarks.sim.speed.machine import machine_name
 from sim.errors import SceneError, SimulationDiverged
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 from sim.indenters import sphere
+from sim.layer import Layer
 from sim.metrics import force_scale
 from sim.result import Outcome
 from sim.scene import Body, Scene, press
@@ -43,15 +44,14 @@ class Way:
     """One way to solve the presses."""
 
     name: str
-    numerics: Numerics | None
-    """None: `layer`."""
+    tier: Layer | Fem
 
 
 def ways() -> list[Way]:
     """Return `layer`, three coarse meshes of `fem` with matching tolerances, and the default."""
-    found = [Way("layer", None)]
+    found = [Way("layer", Layer())]
     for spacing in (1.33, 1.0, 0.8):
-        quick = Numerics(
+        quick = Fem(
             spacing=spacing * MM,
             tolerance=TOLERANCE,
             path_tolerance=PATH_TOLERANCE,
@@ -59,7 +59,7 @@ def ways() -> list[Way]:
             one_topology=True,
         )
         found.append(Way(f"fem, {spacing:g} mm", quick))
-    return [*found, Way("fem, default", Numerics(one_topology=True))]
+    return [*found, Way("fem, default", Fem(one_topology=True))]
 
 
 def scenes(count: int) -> list[Scene]:
@@ -74,16 +74,14 @@ def solved(
     way: Way, some: Sequence[Scene], device: str, processes: int
 ) -> tuple[float, list[Outcome]]:
     """Return the time to solve the presses [s], and their outcomes."""
-    tier = "layer" if way.numerics is None else "fem"
-    on_cpu = device == "cpu" or tier == "layer"
-    numerics = way.numerics
-    if numerics is not None and on_cpu:
-        numerics = replace(numerics, one_topology=False)
+    tier = way.tier
+    on_cpu = device == "cpu" or isinstance(tier, Layer)
+    if isinstance(tier, Fem) and on_cpu:
+        tier = replace(tier, one_topology=False)
     began = time.perf_counter()
     outcomes = simulate_many(
         some,
-        tier,  # type: ignore[arg-type]  # one of two literals
-        numerics=numerics,
+        tier,
         device="cpu" if on_cpu else device,
         processes=min(processes, len(some)) if on_cpu else 1,
     )
@@ -141,7 +139,7 @@ def run(options: argparse.Namespace, say: Callable[[str], None] = print) -> int:
     ready_device(options.device)
     say(f"solving {JUDGED} presses on a fine mesh, as the reference")
     _seconds, truths = solved(
-        Way("", Numerics(fineness=1.5, elements_max=400_000, one_topology=True)),
+        Way("", Fem(fineness=1.5, elements_max=400_000, one_topology=True)),
         scenes(JUDGED),
         options.device,
         1,

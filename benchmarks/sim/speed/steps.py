@@ -20,7 +20,7 @@ from sim.result import Outcome
 from sim.scene import Scene
 
 if TYPE_CHECKING:
-    from sim.fem.numerics import Numerics
+    from sim.fem.numerics import Fem
 
 Where = Literal["cpu", "gpu", "both"]
 
@@ -41,7 +41,7 @@ class Step:
     predicted: str
     """Speed-up predicted before it was built."""
     reason: str
-    solve: Callable[[Numerics, str, int], Solve]
+    solve: Callable[[Fem, str, int], Solve]
     """Returns the solver without it (with it: see `put_in`) for numerics, device and processes."""
     put_in: bool = False
     """True if the run `AS_IT_IS` is the one without the step."""
@@ -49,38 +49,38 @@ class Step:
     """Name on the page, if it differs from the name in the records."""
 
 
-def _changed(**values: Any) -> Callable[[Numerics, str, int], Solve]:
-    def solver(numerics: Numerics, device: str, _processes: int) -> Solve:
+def _changed(**values: Any) -> Callable[[Fem, str, int], Solve]:
+    def solver(numerics: Fem, device: str, _processes: int) -> Solve:
         return fem(replace(numerics, **values), device)
 
     return solver
 
 
-def _coarser_in_plan(numerics: Numerics, device: str, _processes: int) -> Solve:
+def _coarser_in_plan(numerics: Fem, device: str, _processes: int) -> Solve:
     from sim.fem.numerics import Grading
 
     return fem(replace(numerics, grading=Grading()), device)
 
 
-def _even(numerics: Numerics, device: str, _processes: int) -> Solve:
+def _even(numerics: Fem, device: str, _processes: int) -> Solve:
     spacing = None if numerics.spacing is None else EVEN * numerics.spacing
     return fem(replace(numerics, graded=False, spacing=spacing), device)
 
 
 def _without(
     step: Callable[[], contextlib.AbstractContextManager[None]],
-) -> Callable[[Numerics, str, int], Solve]:
-    def solver(numerics: Numerics, device: str, _processes: int) -> Solve:
+) -> Callable[[Fem, str, int], Solve]:
+    def solver(numerics: Fem, device: str, _processes: int) -> Solve:
         return _inside(step, fem(numerics, device))
 
     return solver
 
 
-def _shared(numerics: Numerics, device: str, processes: int) -> Solve:
+def _shared(numerics: Fem, device: str, processes: int) -> Solve:
     return fem(numerics, device, processes)
 
 
-def _one_by_one(numerics: Numerics, device: str, _processes: int) -> Solve:
+def _one_by_one(numerics: Fem, device: str, _processes: int) -> Solve:
     solve = fem(numerics, device)
 
     def each(scenes: Sequence[Scene], progress: Callable[[float], None]) -> list[Outcome]:

@@ -23,8 +23,8 @@ from sim.scene import Body, Scene, press
 from sim.simulate import simulate_many
 
 if TYPE_CHECKING:
-    from sim.fem.numerics import Numerics
-    from sim.mpm import MpmNumerics
+    from sim.fem.numerics import Fem
+    from sim.mpm import Mpm
 
 Value = TypeVar("Value")
 # Function from scenes and a progress callback to outcomes.
@@ -60,22 +60,22 @@ def timed(
     ), outcomes
 
 
-def fem(numerics: Numerics, device: str, processes: int = 1) -> Solve:
+def fem(numerics: Fem, device: str, processes: int = 1) -> Solve:
     """Return a function that solves scenes by finite elements."""
 
     def solve(scenes: Sequence[Scene], progress: Callable[[float], None]) -> list[Outcome]:
         return simulate_many(
-            scenes, numerics=numerics, device=device, processes=processes, progress=progress
+            scenes, numerics, device=device, processes=processes, progress=progress
         )
 
     return solve
 
 
-def mpm(numerics: MpmNumerics, device: str) -> Solve:
+def mpm(numerics: Mpm, device: str) -> Solve:
     """Return a function that solves scenes by material points."""
 
     def solve(scenes: Sequence[Scene], progress: Callable[[float], None]) -> list[Outcome]:
-        return simulate_many(scenes, "mpm", numerics=numerics, device=device, progress=progress)
+        return simulate_many(scenes, numerics, device=device, progress=progress)
 
     return solve
 
@@ -113,9 +113,7 @@ def _first(newton: NDArray[np.int64]) -> float:
     return float(newton[1] - newton[2:].mean()) if len(newton) > 2 else 0.0
 
 
-def warm_up(
-    scene: Scene, numerics: Numerics, device: str, kernels: Path | None
-) -> tuple[float, int]:
+def warm_up(scene: Scene, numerics: Fem, device: str, kernels: Path | None) -> tuple[float, int]:
     """Return seconds of a first, shallow press in both precisions, and the modules compiled.
 
     Both are needed because presses that fail in float32 are solved again in float64.
@@ -127,14 +125,14 @@ def warm_up(
     with Progress("first presses", sys.stderr, kernels=kernels):
         shallow = replace(scene, motion=press([WARM]))
         for precision in ("float32", "float64"):
-            simulate_many([shallow], numerics=replace(numerics, precision=precision), device=device)
+            simulate_many([shallow], replace(numerics, precision=precision), device=device)
     return time.perf_counter() - began, _entries(kernels) - before
 
 
-def warm_up_mpm(scene: Scene, numerics: MpmNumerics, device: str) -> None:
+def warm_up_mpm(scene: Scene, numerics: Mpm, device: str) -> None:
     """Load the kernels of `mpm` with the same scene on a body of a few particles."""
     tiny = replace(scene, motion=press([1e-6]), body=TINY)
-    simulate_many([tiny], "mpm", numerics=numerics, device=device)
+    simulate_many([tiny], numerics, device=device)
 
 
 def spent_with_workers(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from benchmarks.sim.stability.laws import Law
 from sim.errors import SimulationDiverged
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 from sim.result import Result
 from sim.scene import Scene
 from sim.simulate import simulate_many
@@ -19,12 +19,12 @@ class Solver:
 
     device: str = "cpu"
 
-    def numerics(self, spacing: float | None = 1e-3, **others: object) -> Numerics:
+    def numerics(self, spacing: float | None = 1e-3, **others: object) -> Fem:
         """Return settings with this mesh; 1 mm is coarse, but laws of mechanics hold on it as well.
 
         None: the default, which adapts to the contact.
         """
-        return Numerics(spacing=spacing, **others)  # type: ignore[arg-type]
+        return Fem(spacing=spacing, **others)  # type: ignore[arg-type]
 
     def one(self, scene: Scene, **numerics: object) -> Result:
         """Return the result of one scene.
@@ -42,7 +42,7 @@ class Solver:
         """
         chosen = self.numerics(**numerics)  # type: ignore[arg-type]
         results = []
-        for outcome in simulate_many(scenes, numerics=chosen, device=self.device):
+        for outcome in simulate_many(scenes, chosen, device=self.device):
             if isinstance(outcome, SimulationDiverged):
                 raise outcome
             results.append(outcome)

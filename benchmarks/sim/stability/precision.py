@@ -23,6 +23,7 @@ from benchmarks.sim.stability.laws import (
 )
 from sim.effects import Effects, Friction
 from sim.indenters import Indenter, shapes
+from sim.layer import Layer
 from sim.result import Result
 from sim.scene import Body, Scene, press, press_shear_return
 from sim.simulate import simulate
@@ -178,7 +179,7 @@ def layer_against_fem(solver: Solver) -> list[Law]:
     """At 0.2 and 0.3 mm the linear layer and the finite elements agree within 2 %."""
     scene = Scene(SPHERE, press([0.2 * MM, 0.3 * MM]), MAT)
     fem = solver.one(scene, spacing=0.5 * MM)
-    layer = simulate(scene, "layer")
+    layer = simulate(scene, Layer())
     # Large strain adds 0.7 % at 0.3 mm, elements of 0.5 mm on a contact of 1 mm radius add 1 %.
     return [
         *validity_laws(fem, det_f=0.5),

@@ -15,7 +15,7 @@ from benchmarks.sim.stability.divergence import evidence
 from benchmarks.sim.stability.laws import Law, at_least, at_most
 from sim.effects import Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError, SimulationDiverged
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 from sim.indenters import Part, named, shapes
 from sim.scene import Body, Motion, Scene, press, press_shear_return, ramp_hold
 from sim.simulate import simulate, simulate_many
@@ -150,8 +150,8 @@ def numerics_not_a_number(solver: Solver) -> list[Law]:
     def with_field(name: str) -> Make:
         def make(value: float) -> object:
             changed: dict[str, Any] = {name: value}
-            numerics = replace(Numerics(spacing=1 * MM, halvings=0), **changed)
-            return simulate(scene, numerics=numerics, device=solver.device, progress=steps.append)
+            numerics = replace(Fem(spacing=1 * MM, halvings=0), **changed)
+            return simulate(scene, numerics, device=solver.device, progress=steps.append)
 
         return make
 
@@ -169,13 +169,13 @@ def unlike_bodies_in_a_batch(solver: Solver) -> list[Law]:
         replace(base, body=replace(PAD, size_x=11 * MM)),
         replace(base, effects=replace(base.effects, friction=Friction(0.1))),
     ]
-    numerics = Numerics(spacing=1 * MM)
-    together = simulate_many(scenes, numerics=numerics, device=solver.device)
+    numerics = Fem(spacing=1 * MM)
+    together = simulate_many(scenes, numerics, device=solver.device)
     laws = []
     for scene, result in zip(scenes, together, strict=True):
         if isinstance(result, SimulationDiverged):
             return [at_least("solved", 0, 1)]
-        alone = simulate(scene, numerics=numerics, device=solver.device)
+        alone = simulate(scene, numerics, device=solver.device)
         gap = float(np.abs(alone.force - result.force).max() / np.abs(alone.force).max())
         laws.append(at_most("difference from the result alone", gap, 0))
     return laws
@@ -205,8 +205,8 @@ def diverges_in_a_batch(solver: Solver) -> list[Law]:
     good = Scene(SPHERE, press([0.5 * MM]), PAD)
     bad = Scene(named("prism"), press([3.4 * MM]), PAD)
     numerics = solver.numerics(newton_max=20, halvings=0, step_travel=1.0)
-    alone = simulate(good, numerics=numerics, device=solver.device)
-    beside, rejected = simulate_many([good, bad], numerics=numerics, device=solver.device)
+    alone = simulate(good, numerics, device=solver.device)
+    beside, rejected = simulate_many([good, bad], numerics, device=solver.device)
     if isinstance(beside, SimulationDiverged):
         raise beside
     laws = [at_most("values that differ", int((alone.wrench != beside.wrench).sum()), 0)]

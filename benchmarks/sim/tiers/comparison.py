@@ -12,7 +12,7 @@ from scipy.interpolate import RegularGridInterpolator
 
 from sim.errors import SimulationDiverged
 from sim.indenters import sphere
-from sim.mpm.numerics import AUTHORS_CELL, MpmNumerics
+from sim.mpm.numerics import AUTHORS_CELL, Mpm
 from sim.mpm.solver import simulate_mpm
 from sim.result import Result
 from sim.scene import Body, Scene, press
@@ -77,29 +77,29 @@ def sphere_scene(body: Body | None = None, *, speed: float = SPEED) -> Scene:
     return Scene(sphere(RADIUS), press(DEPTHS, speed=speed), body=body or Body())
 
 
-def choices(*, fine: bool = False) -> dict[str, tuple[Scene, MpmNumerics]]:
+def choices(*, fine: bool = False) -> dict[str, tuple[Scene, Mpm]]:
     """Return the settings to compare by name: two presets of the authors, then ours by fineness."""
     paper = sphere_scene()
     found = {
-        "authors": (paper, MpmNumerics.authors()),
+        "authors": (paper, Mpm.authors()),
         "authors, as released": (
             sphere_scene(BODY_RELEASED, speed=SPEED_RELEASED),
-            MpmNumerics.authors_released(),
+            Mpm.authors_released(),
         ),
     }
     cells = (0.5e-3, 0.4e-3, 0.25e-3) if fine else (0.5e-3, 0.4e-3)
     for cell in cells:
         for reach in (0.0, 0.25, 0.5):
             name = f"cell {cell * 1e3:g} mm, reach {reach:g}"
-            found[name] = paper, MpmNumerics(cell=cell, reach=reach)
-    found["cell 0.4 mm, sticky"] = paper, MpmNumerics(cell=0.4e-3, contact="sticky")
+            found[name] = paper, Mpm(cell=cell, reach=reach)
+    found["cell 0.4 mm, sticky"] = paper, Mpm(cell=0.4e-3, contact="sticky")
     return found
 
 
 def measure(
     name: str,
     scene: Scene,
-    numerics: MpmNumerics,
+    numerics: Mpm,
     *,
     device: str = "cpu",
     progress: Progress | None = None,
@@ -141,7 +141,7 @@ def measure_elements(*, device: str = "cpu", progress: Progress | None = None) -
     scene = sphere_scene()
     simulate(Scene(sphere(RADIUS), press([1e-6]), body=Body(4e-3, 4e-3, 4e-3)), device=device)
     wall, cpu = time.perf_counter(), time.process_time()
-    result = simulate(scene, "fem", device=device, progress=progress)
+    result = simulate(scene, device=device, progress=progress)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     return _row(
         "finite elements",
@@ -180,9 +180,9 @@ def _row(name: str, result: Result, *, volume: float, **cost: object) -> Row:
     )
 
 
-def _coarse(numerics: MpmNumerics) -> MpmNumerics:
+def _coarse(numerics: Mpm) -> Mpm:
     """Return settings with the same kernels on the coarsest grid."""
-    return MpmNumerics(
+    return Mpm(
         cell=1e-3,
         contact=numerics.contact,
         base=numerics.base,

@@ -12,7 +12,8 @@ import numpy as np
 from benchmarks.sim.reference_solutions import layer_sphere
 from sim.effects import Effects, Friction, Viscosity
 from sim.indenters import sphere
-from sim.layer.solver import GRID, TOLERANCE, LayerPress, simulate_layer
+from sim.layer import Layer
+from sim.layer.solver import LayerPress, simulate_layer
 from sim.layer.spectral import Grid
 from sim.scene import Body, Motion, Scene, press, through
 
@@ -35,7 +36,7 @@ EFFECTS = {
 }
 
 
-def errors(grid: int, tolerance: float) -> list[str]:
+def errors(layer: Layer) -> list[str]:
     """Return a line for each sphere and depth: force, and its largest error over all places."""
     body = Body()
     lines = ["sphere mm  depth mm  exact N   layer N   worst error"]
@@ -44,8 +45,7 @@ def errors(grid: int, tolerance: float) -> list[str]:
             [
                 -simulate_layer(
                     Scene(sphere(radius), press(DEPTHS, at=place), body=body),
-                    grid=grid,
-                    tolerance=tolerance,
+                    layer,
                 ).force[1:, 2]
                 for place in PLACES
             ]
@@ -61,15 +61,14 @@ def errors(grid: int, tolerance: float) -> list[str]:
     return lines
 
 
-def rates(grid: int, tolerance: float, repeats: int) -> list[str]:
+def rates(layer: Layer, repeats: int) -> list[str]:
     """Return a line for each set of effects: CPU time per frame of a press, shear and return."""
     lines = ["effects                frames  steps  mean ms  worst ms  frames/s  worst frames/s"]
     motion = down_aside_back_up()
     for name, effects in EFFECTS.items():
-        runs = [_timed(Scene(sphere(4e-3), motion, effects=effects), grid, tolerance)]
+        runs = [_timed(Scene(sphere(4e-3), motion, effects=effects), layer)]
         runs += [
-            _timed(Scene(sphere(4e-3), motion, effects=effects), grid, tolerance)
-            for _ in range(repeats - 1)
+            _timed(Scene(sphere(4e-3), motion, effects=effects), layer) for _ in range(repeats - 1)
         ]
         seconds = np.min([run[0] for run in runs], axis=0)
         mean, worst = seconds.mean() * 1e3, seconds.max() * 1e3
@@ -91,9 +90,9 @@ def down_aside_back_up() -> Motion:
     return through(tips, speed=SPEED)
 
 
-def _timed(scene: Scene, grid: int, tolerance: float) -> tuple[list[float], int]:
+def _timed(scene: Scene, layer: Layer) -> tuple[list[float], int]:
     """Return the CPU time of each frame [s], and the total number of steps."""
-    state = LayerPress(scene, Grid(scene.body, grid), tolerance)
+    state = LayerPress(scene, Grid(scene.body, layer.grid), layer.tolerance)
     seconds, before = [], 0.0
     for tip, now in zip(scene.motion.tip, scene.motion.time, strict=True):
         start = time.process_time()
@@ -106,13 +105,17 @@ def _timed(scene: Scene, grid: int, tolerance: float) -> tuple[list[float], int]
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print both tables."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks layer", description=__doc__)
+    default = Layer()
     parser.add_argument(
-        "--grid", type=int, default=GRID, help="pixels along the longer side (default %(default)s)"
+        "--grid",
+        type=int,
+        default=default.grid,
+        help="pixels along the longer side (default %(default)s)",
     )
     parser.add_argument(
         "--tolerance",
         type=float,
-        default=TOLERANCE,
+        default=default.tolerance,
         help="residual of the contact (default %(default)s)",
     )
     parser.add_argument(
@@ -122,17 +125,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
         help="number of runs, of which each frame's fastest counts (default %(default)s)",
     )
     options = parser.parse_args(arguments)
+    layer = Layer(options.grid, options.tolerance)
     body = Body()
     millimetres = " x ".join(
         f"{size * 1e3:g}" for size in (body.size_x, body.size_y, body.thickness)
     )
     print(f"body {millimetres} mm, grid {options.grid}, tolerance {options.tolerance:g}\n")
-    print("\n".join(errors(options.grid, options.tolerance)), end="\n\n")
+    print("\n".join(errors(layer)), end="\n\n")
     print(
         f"sphere R = 4 mm: {DEPTH * 1e3:g} mm down, {SHEAR * 1e3:g} mm aside, back, up at "
         f"{SPEED * 1e3:g} mm/s, {RATE:g} frames a second; CPU time of one thread"
     )
-    print("\n".join(rates(options.grid, options.tolerance, options.repeats)))
+    print("\n".join(rates(layer, options.repeats)))
 
 
 if __name__ == "__main__":

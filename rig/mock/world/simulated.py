@@ -212,7 +212,7 @@ def markers_of(spec: SimulatedSpec) -> tuple[LiveMarkers, tuple[int, int]]:
         ConfigError: The sensor is unknown or has no camera, or the simulator is not installed.
     """
     try:
-        from sim.layer import Grid
+        from sim.layer.spectral import Grid
         from sim.stream import LiveMarkers
 
         row = _row(spec)

@@ -9,6 +9,7 @@ from scipy.ndimage import distance_transform_edt
 
 from benchmarks.sim.stability.chance.footprint import Footprint, footprint, inside_by
 from sim.errors import SceneError, SimulationDiverged
+from sim.layer import Layer
 from sim.result import Result
 from sim.scene import Body, Motion, Scene
 from sim.tiers import simulate_many
@@ -80,7 +81,7 @@ def layer_force(scene: Scene, tip: tuple[float, float, float]) -> float | None:
     still = Body(body.size_x, body.size_y, body.thickness, body.modulus, body.poisson)
     motion = Motion((tip,), (0.0,))
     try:
-        (outcome,) = simulate_many([Scene(scene.indenter, motion, still)], "layer")
+        (outcome,) = simulate_many([Scene(scene.indenter, motion, still)], Layer())
     except SceneError:
         return None
     if isinstance(outcome, SimulationDiverged):

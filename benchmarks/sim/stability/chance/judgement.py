@@ -18,7 +18,7 @@ from benchmarks.sim.stability.chance.referee import Held, held
 from benchmarks.sim.stability.chance.scenes import Drawn
 from benchmarks.sim.stability.chance.twins import KINDS, Twin, agrees, symmetric, twin_of
 from sim.errors import SceneError, SimulationDiverged
-from sim.fem.numerics import Numerics
+from sim.fem.numerics import Fem
 from sim.result import Outcome, Result
 from sim.scene import Scene
 from sim.tiers import simulate_many
@@ -71,9 +71,9 @@ class Settings:
             OutOfTime: It took too long.
             SceneError: The scene is rejected.
         """
-        numerics = Numerics(precision=self.precision, elements_max=SOLVED_MAX)
+        numerics = Fem(precision=self.precision, elements_max=SOLVED_MAX)
         with time_limit(self.seconds):
-            (outcome,) = simulate_many([scene], numerics=numerics, device=self.device)
+            (outcome,) = simulate_many([scene], numerics, device=self.device)
         return outcome
 
 

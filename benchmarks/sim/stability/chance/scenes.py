@@ -13,7 +13,7 @@ from benchmarks.sim.stability.chance.shapes import blade, draw_shape
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError
 from sim.fem.mesh import meshes_of
-from sim.fem.numerics import Grading, Numerics
+from sim.fem.numerics import Fem, Grading
 from sim.indenters import Indenter, shapes
 from sim.scene import Body, Motion, Scene, through
 
@@ -71,7 +71,7 @@ def within_budget(scene: Scene) -> Scene:
     """Reduce the gel until the scene has at most `ELEMENTS_MAX` elements of a sixth of it."""
     for _ in range(16):
         try:
-            (mesh,) = meshes_of([scene], Numerics(grading=Grading()))
+            (mesh,) = meshes_of([scene], Fem(grading=Grading()))
         except SceneError:
             return scene  # the solver will raise the same error
         if len(mesh.elements) <= ELEMENTS_MAX:

@@ -1,0 +1,17 @@
+"""Settings of the bonded layer: numerical choices, not physical properties."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """Pixels and tolerance of the `layer` tier; checked when a scene is solved."""
+
+    grid: int = 128
+    """Pixels along the body's longer side, 16 to 512. On a body of 20 mm, forces of spheres are
+    within 0.1 % with 128."""
+    tolerance: float = 2e-3
+    """Target residual of the contact, 1e-10 to 0.1 (`Contact.residual`); changes forces by about a
+    twentieth of it."""
