@@ -45,8 +45,12 @@ def radar(before: Sequence[ForceRow], after: Sequence[ForceRow], names: tuple[st
                     axes.plot(closed, values, label=AXES_NAMED[place], marker=".")
                 pairs = [f"{row.source}\nto {row.target}" for row in rows]
                 axes.set_xticks(angles, pairs, fontsize=6)
+                axes.tick_params(axis="x", pad=8)
                 axes.set_ylim(0, 1.05 * largest or 1)
-                axes.set_title(f"{name}: mean absolute error [N]")
+                # Few numbers, between two pairs.
+                axes.yaxis.get_major_locator().base.set_params(nbins=4)
+                axes.set_rlabel_position(180 / len(rows))
+                axes.set_title(f"{name}: mean absolute error [N]", loc="center", pad=20)
                 axes.legend(loc="lower left", bbox_to_anchor=(-0.15, -0.12))
     return png.getvalue()
 
