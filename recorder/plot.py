@@ -1,4 +1,8 @@
-"""Line plots and taxel pictures, using only Pillow."""
+"""Line plots of the contact sheet and of presses, and the look of image sheets, by Pillow.
+
+Both plots are drawn on the rig's computer after a recording, without matplotlib: it would add
+57 MB to the extra `rig`. All other charts are drawn by `recorder.charts`.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +17,7 @@ Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
 
 INK: Color = (38, 42, 51)
 SOFT: Color = (120, 127, 140)
-GRID: Color = (228, 231, 236)
+_GRID: Color = (228, 231, 236)
 PAPER: Color = (255, 255, 255)
 PANEL: Color = (247, 248, 250)
 
@@ -43,7 +47,7 @@ def line_plot(
     curves: Sequence[Curve],
     *,
     title: str,
-    marks: Floats,
+    marks: Floats | tuple[()] = (),
     x_label: str = "",
 ) -> Image.Image:
     """Return a plot of curves over a common x.
@@ -63,7 +67,9 @@ def line_plot(
     draw = ImageDraw.Draw(picture)
     draw.rectangle(box, fill=PANEL)
     x_low, x_high = (float(x[0]), float(x[-1])) if len(x) else (0.0, 1.0)
-    y_low, y_high = _limits(curves)
+    known = np.concatenate([np.zeros(1), *(c.values[np.isfinite(c.values)] for c in curves)])
+    margin = 0.08 * float(np.ptp(known)) or 0.5
+    y_low, y_high = float(known.min()) - margin, float(known.max()) + margin
 
     def to_x(value: Floats | float) -> Floats:
         return box[0] + (np.asarray(value) - x_low) / max(x_high - x_low, 1e-9) * (box[2] - box[0])
@@ -73,23 +79,24 @@ def line_plot(
 
     for tick in _ticks(y_low, y_high, 4):
         y = float(to_y(tick))
-        draw.line((box[0], y, box[2], y), fill=(200, 204, 212) if tick == 0 else GRID)
+        draw.line((box[0], y, box[2], y), fill=(200, 204, 212) if tick == 0 else _GRID)
         draw.text((left - 8, y), f"{tick:g}", fill=SOFT, font=font(13), anchor="rm")
     for tick in _ticks(x_low, x_high, 10) if x_label else ():
         draw.text((float(to_x(tick)), box[3] + 6), f"{tick:g}", SOFT, font(13), anchor="mt")
     for number, mark in enumerate(marks, 1):
         at = float(to_x(mark))
         draw.line((at, box[1], at, box[3]), fill=(214, 218, 226))
-        draw.rounded_rectangle((at - 9, box[1] - 7, at + 9, box[1] + 7), 7, PAPER, GRID)
+        draw.rounded_rectangle((at - 9, box[1] - 7, at + 9, box[1] + 7), 7, PAPER, _GRID)
         draw.text((at, box[1]), str(number), fill=SOFT, font=font(11), anchor="mm")
-    lines = Image.new("L", (width * _SMOOTH, height * _SMOOTH))
     for curve in curves:
-        lines.paste(0, (0, 0, *lines.size))
-        pen = ImageDraw.Draw(lines)
-        for part in _parts(to_x(x), to_y(curve.values), box[2] - box[0]):
-            pen.line([(a * _SMOOTH, b * _SMOOTH) for a, b in part], 255, 5, joint="curve")
-        mask = lines.resize(size, Image.Resampling.BOX)
-        picture.paste(curve.color, (0, 0), mask)
+        mask = Image.new("L", (width * _SMOOTH, height * _SMOOTH))
+        pen = ImageDraw.Draw(mask)
+        places = _SMOOTH * np.column_stack([to_x(x), to_y(curve.values)])
+        gaps = np.flatnonzero(np.diff(np.isfinite(curve.values))) + 1
+        for part in np.split(places, gaps):
+            if len(part) > 1 and np.isfinite(part).all():
+                pen.line([(a, b) for a, b in part.tolist()], 255, 5, joint="curve")
+        picture.paste(curve.color, (0, 0), mask.resize(size, Image.Resampling.BOX))
     draw.text((left, top - 10), title, fill=INK, font=font(15), anchor="ls")
     at = float(width - right)
     named = [curve for curve in curves if curve.name]
@@ -103,49 +110,6 @@ def line_plot(
     return picture
 
 
-def taxel_picture(size: tuple[int, int], change: Floats, full_scale: float) -> Image.Image:
-    """Return a 4x4 taxel pad as discs: shifted by shear, larger and warmer under pressure.
-
-    Args:
-        size: Width and height [px].
-        change: Counts x y z relative to rest (16, 3).
-        full_scale: Counts that give the largest displacement and size.
-    """
-    width, height = size[0] * _SMOOTH, size[1] * _SMOOTH
-    picture = Image.new("RGB", (width, height), (30, 34, 42))
-    draw = ImageDraw.Draw(picture)
-    pitch = min(width, height) / 4.6
-    homes = [
-        (width / 2 + (column - 1.5) * pitch, height / 2 + (row - 1.5) * pitch)
-        for row in range(4)
-        for column in range(4)
-    ]
-    for home in homes:
-        draw.ellipse(_disc(*home, pitch * 0.42), outline=(58, 64, 76), width=2 * _SMOOTH)
-    for taxel, home in enumerate(homes):
-        shift_x, shift_y, press = np.nan_to_num(change[taxel]) / full_scale
-        x = home[0] + float(np.clip(shift_x, -1, 1)) * pitch * 0.45
-        y = home[1] + float(np.clip(shift_y, -1, 1)) * pitch * 0.45
-        strength = float(np.clip(abs(press), 0, 1))
-        radius = pitch * (0.14 + 0.26 * strength)
-        draw.line((*home, x, y), fill=(120, 130, 148), width=_SMOOTH)
-        cool, warm = np.array([92, 148, 196]), np.array([247, 178, 84])
-        tone = tuple(int(value) for value in cool + (warm - cool) * strength)
-        draw.ellipse(_disc(x, y, radius), fill=tone)
-    return picture.resize(size, Image.Resampling.LANCZOS)
-
-
-def _disc(x: float, y: float, radius: float) -> tuple[float, float, float, float]:
-    return (x - radius, y - radius, x + radius, y + radius)
-
-
-def _limits(curves: Sequence[Curve]) -> tuple[float, float]:
-    known = np.concatenate([np.zeros(1), *(c.values[np.isfinite(c.values)] for c in curves)])
-    low, high = float(known.min()), float(known.max())
-    margin = 0.08 * (high - low) or 0.5
-    return low - margin, high + margin
-
-
 def _ticks(low: float, high: float, about: int) -> list[float]:
     """Return about `about` round numbers inside the limits."""
     raw = (high - low) / about or 1.0
@@ -153,19 +117,3 @@ def _ticks(low: float, high: float, about: int) -> list[float]:
     step = float(min(power * np.array([1, 2, 5, 10]), key=lambda s: abs(s - raw)))
     first = int(np.ceil(low / step))
     return [round(k * step, 10) for k in range(first, int(np.floor(high / step)) + 1)]
-
-
-def _parts(x: Floats, y: Floats, pixels: int) -> list[list[tuple[float, float]]]:
-    """Return the unbroken parts of a line, reduced to extremes per pixel where it is denser."""
-    parts: list[list[tuple[float, float]]] = []
-    known = np.isfinite(y)
-    breaks = np.flatnonzero(np.diff(np.concatenate([[0], known.astype(np.int8), [0]])))
-    for start, stop in breaks.reshape(-1, 2):
-        xs, ys = x[start:stop], y[start:stop]
-        if len(xs) > 2 * pixels:
-            groups = np.array_split(np.arange(len(xs)), pixels)
-            order = [i for g in groups for i in sorted({g[ys[g].argmin()], g[ys[g].argmax()]})]
-            xs, ys = xs[order], ys[order]
-        if len(xs) > 1:
-            parts.append(list(zip(xs.tolist(), ys.tolist(), strict=True)))
-    return parts

@@ -49,7 +49,7 @@ VENDORS = {
     "peft": {"learning/translation/diffusion"},
     "transformers": {"learning/translation/diffusion"},
     "sklearn": {"learning/evaluation"},
-    "matplotlib": {"learning"},
+    "matplotlib": {"recorder/charts"},
     "onnxruntime": {"learning"},
     "mcap_protobuf": {"recorder/convert"},
     "foxglove_schemas_protobuf": {"recorder/convert"},

@@ -12,17 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.recording import alignment, charts, lateness, load, mock_session, store_benchmark
-from benchmarks.recording.alignment import Alignment
 from benchmarks.recording.measure import Scale
 from benchmarks.recording.page import ALIGNMENT_CHART, STORES_CHART, Results, machine, render
 from benchmarks.recording.steps import Steps
-from benchmarks.recording.store_benchmark import StoreRow
 from recorder.errors import SessionError
 from recorder.progress import Progress
 from rig.core.clock import SECOND_NS, SystemClock
 from rig.core.errors import ConfigError
-
-_COLORS = {"force": (46, 125, 180), "pose": (214, 120, 60), "image": (90, 160, 90)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,43 +94,12 @@ def write_page(results: Results, path: Path) -> list[Path]:
     """Write the page to `path` and its charts to `images/` next to it; return all files written."""
     written = [path]
     images = path.parent / "images"
-    images.mkdir(parents=True, exist_ok=True)
+    path.parent.mkdir(parents=True, exist_ok=True)
     if results.stores is not None:
         written.append(images / STORES_CHART)
-        stores_chart(results.stores).save(written[-1], optimize=True)
+        charts.stores_chart(written[-1], results.stores)
     if results.alignment is not None:
         written.append(images / ALIGNMENT_CHART)
-        alignment_chart(results.alignment).save(written[-1], optimize=True)
+        charts.alignment_chart(written[-1], results.alignment)
     path.write_text(render(results))
     return written
-
-
-def stores_chart(rows: Sequence[StoreRow]) -> Any:
-    """Plot frames per second written and read, one bar each."""
-    bars = []
-    for row in rows:
-        ours = row.key.startswith("ours")
-        name = row.title.replace("*", "").replace("`", "")
-        bars.append(charts.Bar(name, (row.rate, row.read_two or float("nan")), ours))
-    titles = ("written and closed [frames/s]", "random windows of 16, two processes [images/s]")
-    return charts.bars(bars, titles)
-
-
-def alignment_chart(found: Alignment) -> Any:
-    """Plot error against time per window: force in N, and orientation in degrees."""
-    pictures = []
-    for stream, unit, title in (
-        ("force", "N", "Force label"),
-        ("pose", "deg", "Orientation label"),
-    ):
-        points = [
-            charts.Point(one.method, 1e6 * one.per_window, one.errors[unit].rms, _COLORS[stream])
-            for one in found.methods
-            if one.stream == stream and unit in one.errors
-        ]
-        pictures.append(
-            charts.scatter(
-                points, title=title, x_label="us per window of 16", y_label=f"error rms [{unit}]"
-            )
-        )
-    return charts.beside(pictures)

@@ -42,6 +42,7 @@ from learning.data.genforce.format import Compensation, read_compensation
 from learning.errors import LearningError
 from recorder import MarkerArchive
 from recorder.archive import ArchivedSensor
+from recorder.charts import chart
 from recorder.store import replace_file
 
 FORMAT, FORMAT_VERSION = "tactile-rig compensation", 1
@@ -464,33 +465,27 @@ def draw_curves(found: StoredCompensation, gathered: Gathered, path: Path) -> No
     Raises:
         OSError: It cannot be written.
     """
-    from matplotlib import colormaps
-    from matplotlib.figure import Figure
-
     spans = [prior.depth_range for prior in found.priors.values()]
     alike = max(spans) - min(spans) < 0.05 * max(spans)
-    figure = Figure(figsize=(10.0, 4.2), layout="constrained")
-    axes = figure.subplots(1, 2, sharey=True)
-    colours = colormaps["viridis"](np.linspace(0.0, 0.9, len(spans)))
-    for loading, panel in zip((True, False), axes, strict=True):
-        for colour, (name, prior) in zip(colours, found.priors.items(), strict=True):
-            unit = 1e3 * prior.depth_range if alike else 1.0
-            if name in gathered.measured:
-                curve = gathered.measured[name]
-                points = curve.loading if loading else curve.unloading
-                points = points[:: max(1, len(points) // _POINTS)]
-                share = points[:, 0] / prior.depth_range
-                panel.plot(share * unit, points[:, 1], ".", color=colour, markersize=3, alpha=0.5)
-            share = np.linspace(0.0, prior.share_max, 100)
-            force = prior.branch(loading).compression(share)
-            panel.plot(share * unit, force, color=colour, label=name)
-        panel.set_title("loading" if loading else "unloading")
-        panel.set_xlabel("depth [mm]" if alike else "depth, of the sensor's range")
-        panel.grid(alpha=0.3)
-    axes[0].set_ylabel("compression [N]")
-    axes[0].legend(fontsize="small")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
+    with chart(path, 9, 3.8) as figure:
+        axes = figure.subplots(1, 2, sharey=True)
+        for loading, panel in zip((True, False), axes, strict=True):
+            for place, (name, prior) in enumerate(found.priors.items()):
+                colour = f"C{place}"
+                unit = 1e3 * prior.depth_range if alike else 1.0
+                if name in gathered.measured:
+                    curve = gathered.measured[name]
+                    points = curve.loading if loading else curve.unloading
+                    points = points[:: max(1, len(points) // _POINTS)]
+                    share = points[:, 0] / prior.depth_range
+                    panel.plot(share * unit, points[:, 1], ".", color=colour, ms=3, alpha=0.5)
+                share = np.linspace(0.0, prior.share_max, 100)
+                force = prior.branch(loading).compression(share)
+                panel.plot(share * unit, force, color=colour, label=name)
+            panel.set_title("loading" if loading else "unloading")
+            panel.set_xlabel("depth [mm]" if alike else "depth over the sensor's range [1]")
+        axes[0].set_ylabel("compression [N]")
+        axes[0].legend()
 
 
 def _said(prior: Prior, branch: Branch) -> str:

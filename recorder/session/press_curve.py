@@ -102,7 +102,6 @@ def save_curves(curves: PressCurves, path: Path, title: str) -> None:
         1e3 * curves.depth,
         lines,
         title=f"{title}: compression [N]",
-        marks=np.zeros(0),
         x_label="depth [mm]",
     )
     picture.save(path)

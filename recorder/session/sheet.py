@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from recorder.errors import SessionError
-from recorder.plot import INK, PAPER, SOFT, Curve, font, line_plot, taxel_picture
+from recorder.plot import INK, PAPER, SOFT, Curve, font, line_plot
 from recorder.session.align import NS
 from recorder.session.reader import Session
 from recorder.spec import PHASES
@@ -20,6 +20,7 @@ _CAPTION = 44
 _HEAD = 84
 _FORCE_COLORS = ((220, 92, 84), (72, 160, 110), (66, 106, 196))
 _DEPTH_COLOR = (132, 92, 172)
+_SMOOTH = 3  # supersampling factor, since Pillow does not anti-alias discs
 
 
 def contact_sheet(
@@ -95,7 +96,42 @@ def _pictures(session: Session, chosen: NDArray[np.intp]) -> list[Image.Image]:
     counts = frames["taxels"]
     change = counts[chosen] - _at_rest(session, counts)
     full_scale = float(np.nanmax(np.abs(change), initial=1.0))
-    return [taxel_picture(_THUMB, row, full_scale) for row in change]
+    return [_taxel_picture(row, full_scale) for row in change]
+
+
+def _taxel_picture(change: NDArray[Any], full_scale: float) -> Image.Image:
+    """Return a 4x4 taxel pad as discs: shifted by shear, larger and warmer under pressure.
+
+    Args:
+        change: Counts x y z relative to rest (16, 3).
+        full_scale: Counts that give the largest displacement and size.
+    """
+    width, height = _THUMB[0] * _SMOOTH, _THUMB[1] * _SMOOTH
+    picture = Image.new("RGB", (width, height), (30, 34, 42))
+    draw = ImageDraw.Draw(picture)
+    pitch = min(width, height) / 4.6
+    homes = [
+        (width / 2 + (column - 1.5) * pitch, height / 2 + (row - 1.5) * pitch)
+        for row in range(4)
+        for column in range(4)
+    ]
+    for home in homes:
+        draw.ellipse(_disc(*home, pitch * 0.42), outline=(58, 64, 76), width=2 * _SMOOTH)
+    for taxel, home in enumerate(homes):
+        shift_x, shift_y, press = np.nan_to_num(change[taxel]) / full_scale
+        x = home[0] + float(np.clip(shift_x, -1, 1)) * pitch * 0.45
+        y = home[1] + float(np.clip(shift_y, -1, 1)) * pitch * 0.45
+        strength = float(np.clip(abs(press), 0, 1))
+        radius = pitch * (0.14 + 0.26 * strength)
+        draw.line((*home, x, y), fill=(120, 130, 148), width=_SMOOTH)
+        cool, warm = np.array([92, 148, 196]), np.array([247, 178, 84])
+        tone = tuple(int(value) for value in cool + (warm - cool) * strength)
+        draw.ellipse(_disc(x, y, radius), fill=tone)
+    return picture.resize(_THUMB, Image.Resampling.LANCZOS)
+
+
+def _disc(x: float, y: float, radius: float) -> tuple[float, float, float, float]:
+    return (x - radius, y - radius, x + radius, y + radius)
 
 
 def _at_rest(session: Session, counts: NDArray[np.float64]) -> NDArray[Any]:

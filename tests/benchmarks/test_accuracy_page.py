@@ -10,7 +10,7 @@ from PIL import Image
 from benchmarks.sim.accuracy import campaign
 from benchmarks.sim.accuracy.campaign import CLOSED_FORM, AccuracyCampaign, measure, measure_here
 from benchmarks.sim.accuracy.cases import CASES, chosen
-from benchmarks.sim.accuracy.chart import Scale
+from benchmarks.sim.accuracy.chart import Panel, Series, save_chart
 from benchmarks.sim.accuracy.closed_form import closed_form
 from benchmarks.sim.accuracy.competitors import by_name, competitors
 from benchmarks.sim.accuracy.page import COLOURS, write_page
@@ -132,9 +132,18 @@ def test_the_page_names_the_cheapest_within_each_error(tmp_path):
             assert len(picture.getcolors(2**16) or range(300)) > 20
 
 
-def test_a_scale_is_logarithmic_and_ends_at_its_ends():
-    scale = Scale(0.1, 10, 100, 300)
-    assert [scale(value) for value in (0.01, 0.1, 1, 10, 99)] == [100, 100, 200, 300, 300]
+def test_a_chart_has_units_a_legend_and_the_band_of_the_reference(tmp_path):
+    timed = Series("fem", "#0072b2", "o", ((1.0, 0.5), (9.0, 0.02), (20.0, 0.0)))
+    closed = Series("closed form", "#787f8c", "<", ((0.0, 0.3),))
+    panels = (Panel("sphere", (timed, closed), 0.05), Panel("punch", (timed,), 0.001))
+    path = tmp_path / "chart.svg"
+    save_chart(path, "Error", panels, "error [%]", note="one point per mesh")
+    drawn = path.read_text()
+    for text in ("sphere", "punch", "fem", "closed form", "error [%]", "below the reference's"):
+        assert text in drawn
+    assert drawn.count("<!-- time [s] -->") == 2
+    save_chart(path, "Error", panels[1:], "error [%]", note="no bound above the axis")
+    assert "below the reference's" not in path.read_text()
 
 
 def test_a_measurement_says_what_it_took_and_missed():

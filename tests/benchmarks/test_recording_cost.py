@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import os
 import shutil
 import signal
@@ -17,13 +18,15 @@ import pytest
 from benchmarks.__main__ import main
 from benchmarks.recording import criteria, load, page, store_benchmark
 from benchmarks.recording.alignment import (
+    Alignment,
     Error,
+    Method,
     force_error,
     image_error,
     measure_latency,
     measure_methods,
 )
-from benchmarks.recording.charts import Bar, Point, bars, scatter
+from benchmarks.recording.charts import alignment_chart, stores_chart
 from benchmarks.recording.feed import Fed, Feed, record, samples
 from benchmarks.recording.frames import GelFrames, number_in_jpeg, number_in_pixels
 from benchmarks.recording.lateness import busy_processes, loop
@@ -397,16 +400,25 @@ def test_time_left_follows_the_pace_seen_so_far() -> None:
     assert out.getvalue() == "second: 20 %, 4 s, 16 s left\n"
 
 
-def test_charts_draw_what_is_known_and_say_what_is_not() -> None:
-    rows = [Bar("a", (10.0, float("nan")), True), Bar("b", (1.0, 5.0), False)]
-    picture = bars(rows, ("left", "right"))
-    colors = {color for _, color in picture.getcolors(1 << 24) or []}
-    assert (46, 125, 180) in colors
-    points = [Point("a", 1.0, 0.1, (10, 20, 30)), Point("nothing", 0.0, 1.0, (1, 2, 3))]
-    plot = scatter(points, title="t", x_label="x", y_label="y")
-    colors = {color for _, color in plot.getcolors(1 << 24) or []}
-    assert (10, 20, 30) in colors
-    assert (1, 2, 3) not in colors
+def test_charts_draw_what_is_known_and_say_what_is_not(tmp_path: Path) -> None:
+    rows = (store_row("ours-zstd"), StoreRow("png", "`store` png", "needs cv2"))
+    stores_chart(tmp_path / "stores.svg", rows)
+    drawn = (tmp_path / "stores.svg").read_text()
+    for text in ("store ours-zstd", "store png", "50", "2,600", "written and closed [frames/s]"):
+        assert f"<!-- {text} -->" in drawn
+    assert drawn.count("<!-- not measured -->") == 2
+    methods = (
+        Method("force", "held", 9, {"N": Error(0.2, 0.5)}, 2e-5),
+        Method("force", "untimed", 9, {"N": Error(0.2, 0.5)}, math.nan),
+        Method("pose", "slerp", 9, {"deg": Error(0.01, 0.1)}, 1e-4),
+        Method("image", "nearest", 9, {"px": Error(1.0, 4.0)}, 2e-5),
+    )
+    alignment_chart(tmp_path / "alignment.svg", Alignment(methods, (), 0.0, 0.0))
+    drawn = (tmp_path / "alignment.svg").read_text()
+    for text in ("held", "slerp", "error rms [N]", "error rms [deg]"):
+        assert f"<!-- {text} -->" in drawn
+    assert "untimed" not in drawn
+    assert "nearest" not in drawn
 
 
 # The command

@@ -22,7 +22,8 @@ TELL_AT_EXIT = """
 import atexit, os, sys
 
 def tell():
-    names = [name for name in sys.modules if name.partition(".")[0] == "rig"]
+    wanted = ("rig", "matplotlib")
+    names = [name for name in sys.modules if name.partition(".")[0] in wanted]
     with open(os.path.join(os.environ["TOLD"], f"{os.getpid()}.txt"), "w") as file:
         file.write("\\n".join([" ".join(sys.orig_argv), *names]))
 
@@ -78,6 +79,8 @@ def test_no_process_of_a_lab_collection_loads_an_emulator(sensor: str, tmp_path:
     assert len(streams) == 4
     assert any(names not in streams for names in movers)
     assert not sorted(name for name in loaded if STANDS_IN.search(name))
+    # The contact sheet after it is drawn by Pillow alone.
+    assert "matplotlib" not in loaded
 
 
 def test_the_collector_and_the_drivers_import_neither_mock_nor_page() -> None:

@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
+from recorder.charts import chart
+from sim import plot
 from sim.effects import Effects, Friction
 from sim.indenters import flat_punch, sphere
 from sim.layer import Layer
-from sim.plot import (
-    PRESSURE,
-    abscissa,
-    coloured,
-    draw_page,
-    round_below,
-    round_numbers,
-    sampled,
-    shown_frame,
-    surface_of,
-)
+from sim.plot import abscissa, sampled, save_picture, shown_frame, surface_of
 from sim.result import Result
 from sim.scene import Body, Scene, press, press_shear_return
 from sim.simulate import simulate
@@ -31,21 +28,39 @@ def pressed() -> Result:
     return simulate(Scene(sphere(4e-3), press([0.5e-3, 1e-3], at=(3e-3, -2e-3))), Layer())
 
 
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
+    """The figures that are drawn."""
+    figures: list[Figure] = []
+
+    @contextmanager
+    def kept(*arguments: Any) -> Iterator[Figure]:
+        with chart(*arguments) as figure:
+            figures.append(figure)
+            yield figure
+
+    monkeypatch.setattr(plot, "chart", kept)
+    return figures
+
+
 def test_the_surface_is_sampled_where_the_tip_is(pressed: Result) -> None:
-    seen = sampled(surface_of(pressed, 2), 200)
-    row, column = np.unravel_index(np.nanargmin(seen.height), seen.height.shape)
-    assert (column + 0.5 - 100) * seen.pixel == pytest.approx(3e-3, abs=2e-4)
-    assert (100 - row - 0.5) * seen.pixel == pytest.approx(-2e-3, abs=2e-4)
-    assert np.nanmin(seen.height) == pytest.approx(-1e-3, rel=0.01)
-    assert np.nanmax(seen.pressure) == pytest.approx(seen.pressure_max, rel=0.02)
-    assert np.nanmin(seen.pressure) == 0
+    surface = surface_of(pressed, 2)
+    height, pressure = sampled(surface, 200)
+    assert height.shape == (200, 200)
+    cell = 2 * surface.half_x / 200
+    row, column = np.unravel_index(np.nanargmin(height), height.shape)
+    assert (column + 0.5 - 100) * cell == pytest.approx(3e-3, abs=2e-4)
+    assert (row + 0.5 - 100) * cell == pytest.approx(-2e-3, abs=2e-4)
+    assert np.nanmin(height) == pytest.approx(-1e-3, rel=0.01)
+    assert np.nanmax(pressure) == pytest.approx(surface.pressure_max, rel=0.02)
+    assert np.nanmin(pressure) == 0
 
 
 def test_refining_never_draws_beyond_the_values_there_are(pressed: Result) -> None:
-    seen = sampled(surface_of(pressed, 2), 300)
+    height, _ = sampled(surface_of(pressed, 2), 300)
     rise = pressed.surface[2, :, :, 2]
-    assert np.nanmax(seen.height) <= rise.max() + 1e-9
-    assert np.nanmin(seen.height) >= rise.min() - 1e-9
+    assert np.nanmax(height) <= rise.max() + 1e-9
+    assert np.nanmin(height) >= rise.min() - 1e-9
 
 
 def test_large_strain_is_drawn_where_the_material_went(pressed: Result) -> None:
@@ -105,30 +120,53 @@ def test_the_force_of_a_press_is_drawn_over_depth(pressed: Result) -> None:
     assert x == pytest.approx([0, 0.5, 1])
 
 
-def test_a_surface_that_nothing_touches_is_drawn_too() -> None:
-    page = draw_page(simulate(Scene(sphere(4e-3), press([-0.5e-3])), Layer()))
-    assert page.size[0] == 1160
+def test_maps_and_section_show_the_press_where_it_is(
+    pressed: Result, drawn: list[Figure], tmp_path: Path
+) -> None:
+    save_picture(pressed, tmp_path / "press.png")
+    assert (tmp_path / "press.png").stat().st_size > 10_000
+    height, pressure, section, force, *_bars = drawn[0].axes
+    (map_drawn,) = height.images
+    values = np.asarray(map_drawn.get_array())
+    assert map_drawn.get_extent() == pytest.approx((-10, 10, -10, 10))
+    assert map_drawn.origin == "lower"
+    row, column = np.unravel_index(np.argmin(values), values.shape)
+    assert 20 * (column + 0.5) / values.shape[1] - 10 == pytest.approx(3, abs=0.2)
+    assert 20 * (row + 0.5) / values.shape[0] - 10 == pytest.approx(-2, abs=0.2)
+    assert pressure.images[0].get_clim() == pytest.approx((0, 1e-3 * pressed_most(pressed)))
+    x, z = section.lines[0].get_data()
+    assert np.min(z) == pytest.approx(-1, abs=0.02)
+    assert x[np.argmin(z)] == pytest.approx(3, abs=0.3)
+    assert section.get_aspect() == 1
+    assert [line.get_label() for line in force.lines] == ["normal"]
+    assert force.lines[0].get_ydata()[-1] == pytest.approx(-pressed.force[2, 2])
 
 
-def test_colours_of_pressure_run_from_paper_to_the_darkest() -> None:
-    shades = coloured(np.array([0.0, 0.5, 1.0, np.nan]), PRESSURE)
-    assert shades[0] == pytest.approx(PRESSURE[0])
-    assert shades[1] == pytest.approx(PRESSURE[2])
-    assert shades[2] == pytest.approx(PRESSURE[-1])
-    assert shades[3] == pytest.approx(PRESSURE[0])
-    darkness = coloured(np.linspace(0, 1, 50), PRESSURE) @ (0.2126, 0.7152, 0.0722)
-    assert (np.diff(darkness) < 0).all()
+def pressed_most(result: Result) -> float:
+    return float(np.nanmax(-result.traction[2, :, :, 2]))
 
 
-@pytest.mark.parametrize(
-    ("value", "below"), [(1.0, 1.0), (6.0, 5.0), (19.9, 10.0), (0.31, 0.2), (0.02, 0.02)]
-)
-def test_scale_bars_have_round_lengths(value: float, below: float) -> None:
-    assert round_below(value) == pytest.approx(below)
+def test_every_axis_has_its_unit_and_shear_its_own_curve(
+    drawn: list[Figure], tmp_path: Path
+) -> None:
+    motion = press_shear_return(0.8e-3, 0.5e-3, steps=2)
+    scene = Scene(flat_punch(2e-3, 0.3e-3), motion, effects=Effects(friction=Friction(1.0)))
+    save_picture(simulate(scene, Layer()), tmp_path / "x.png")
+    axes = drawn[0].axes[:4]
+    labels = [(one.get_xlabel(), one.get_ylabel()) for one in axes]
+    assert labels[:2] == [("x [mm]", "y [mm]")] * 2
+    assert labels[2:] == [("x [mm]", "z [mm]"), ("path of the tip [mm]", "force [N]")]
+    assert [one.get_title(loc="left") for one in axes[:2]] == [
+        "height [mm]",
+        "contact pressure [kPa]",
+    ]
+    assert [line.get_label() for line in axes[3].lines] == ["normal", "shear"]
+    assert axes[3].lines[1].get_ydata().max() > 0
 
 
-def test_scales_are_ticked_at_round_numbers_within_their_limits() -> None:
-    assert round_numbers(-1.53, 0.06, 7) == pytest.approx(
-        [-1.4, -1.2, -1, -0.8, -0.6, -0.4, -0.2, 0]
-    )
-    assert round_numbers(0.0, 0.0, 7) == [0.0]
+def test_a_surface_that_nothing_touches_is_drawn_too(drawn: list[Figure], tmp_path: Path) -> None:
+    scene = Scene(sphere(4e-3), press([-0.5e-3]))
+    save_picture(simulate(scene, Layer()), tmp_path / "x.png")
+    height, pressure, *_ = drawn[0].axes
+    assert height.images[0].get_clim() == pytest.approx((-5e-4, 5e-4))
+    assert pressure.images[0].get_clim() == (0, 1e-3)

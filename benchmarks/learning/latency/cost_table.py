@@ -8,10 +8,12 @@ from dataclasses import asdict, fields
 from pathlib import Path
 
 from benchmarks.learning.latency.costs import Cost
+from recorder.charts import SOFT, chart
 from recorder.pages import render
 
 # Target rate of a live model.
 LIVE_HZ = 60
+MARKS = {"fp32": "o", "bf16": "s", "int8": "^"}
 
 
 def markdown(rows: Sequence[Cost]) -> str:
@@ -29,31 +31,24 @@ def write_csv(rows: Sequence[Cost], path: Path) -> None:
 
 def draw(rows: Sequence[Cost], path: Path) -> None:
     """Plot accuracy against time; without labels, the difference from fp32 against time."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
     labelled = any(row.mae_n is not None for row in rows)
-    figure, axes = pyplot.subplots(figsize=(8, 5), layout="constrained")
-    markers = dict(zip(("fp32", "bf16", "int8"), "os^", strict=True))
     runtimes = sorted({row.runtime for row in rows})
-    for row in rows:
-        height = row.mae_n if labelled else row.difference_n
-        if row.p50_ms is None or height is None:
-            continue
-        colour = f"C{runtimes.index(row.runtime)}"
-        axes.plot(row.p50_ms, height, markers[row.precision], color=colour)
-        axes.annotate(f" {row.model}", (row.p50_ms, height), fontsize=7, va="bottom", color=colour)
-    for number, runtime in enumerate(runtimes):
-        axes.plot([], [], "o", color=f"C{number}", label=runtime)
-    for precision, marker in markers.items():
-        axes.plot([], [], marker, color="grey", label=precision)
-    axes.axvline(1e3 / LIVE_HZ, color="grey", linestyle=":", linewidth=1)
-    axes.text(1e3 / LIVE_HZ, axes.get_ylim()[1], f"{LIVE_HZ} Hz ", ha="right", va="top", fontsize=8)
-    axes.set_xscale("log")
-    axes.set_xlabel("time of a frame, median [ms]")
-    axes.set_ylabel("mean absolute error [N]" if labelled else "largest difference from fp32 [N]")
-    axes.legend(fontsize=8)
-    figure.savefig(path, dpi=150)
-    pyplot.close(figure)
+    models = list(dict.fromkeys(row.model for row in rows))
+    with chart(path, 9, 3.6) as figure:
+        every = figure.subplots(1, len(runtimes), sharex=True, sharey=True, squeeze=False)[0]
+        for axes, runtime in zip(every, runtimes, strict=True):
+            for row in rows:
+                height = row.mae_n if labelled else row.difference_n
+                if row.runtime == runtime and row.p50_ms is not None and height is not None:
+                    colour = f"C{models.index(row.model)}"
+                    axes.plot(row.p50_ms, height, MARKS[row.precision], color=colour)
+            live = axes.axvline(1e3 / LIVE_HZ, color=SOFT, linestyle=":")
+            axes.set(title=runtime, xscale="log", xlabel="time of a frame, median [ms]")
+        every[0].set_ylabel(
+            "mean absolute error [N]" if labelled else "largest difference from fp32 [N]"
+        )
+        axes = every[0]
+        named = [axes.plot([], [], "o", color=f"C{k}")[0] for k in range(len(models))]
+        named += [axes.plot([], [], mark, color=SOFT)[0] for mark in MARKS.values()]
+        names = (*models, *MARKS, f"{LIVE_HZ} Hz")
+        figure.legend([*named, live], names, loc="outside right upper")

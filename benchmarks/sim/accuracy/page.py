@@ -9,22 +9,23 @@ from pathlib import Path
 
 from benchmarks.sim.accuracy.campaign import CLOSED_FORM
 from benchmarks.sim.accuracy.cases import CASES, Case
-from benchmarks.sim.accuracy.chart import Colour, Mark, Panel, Series, save_chart
+from benchmarks.sim.accuracy.chart import Mark, Panel, Series, save_chart
 from benchmarks.sim.accuracy.reference import COARSER
 from benchmarks.sim.accuracy.row import Measured, Row
+from recorder.charts import BLUE, GREEN, INK, ORANGE, PURPLE, RED, SKY, SOFT
 from recorder.pages import render
 from sim.fem.numerics import Fem
 
 # Colour of each ladder; the shape of the mark gives the device.
-COLOURS: dict[str, Colour] = {
-    CLOSED_FORM: (128, 132, 142),
-    "layer": (52, 148, 96),
-    "fem": (50, 112, 196),
-    "fem float64": (30, 52, 110),
-    "tolerance": (150, 70, 180),
-    "fem even": (120, 180, 230),
-    "mpm": (232, 150, 44),
-    "mpm as published": (200, 62, 54),
+COLOURS = {
+    CLOSED_FORM: SOFT,
+    "layer": GREEN,
+    "fem": BLUE,
+    "fem float64": INK,
+    "tolerance": PURPLE,
+    "fem even": SKY,
+    "mpm": ORANGE,
+    "mpm as published": RED,
 }
 
 
@@ -117,7 +118,7 @@ def _panel(case: Case, chart: Chart, measured: Sequence[Measured]) -> Panel:
             chosen = [row for row in chosen if math.isfinite(_value(row, chart))]
             if not chosen:
                 continue
-            mark: Mark = "left" if ladder == CLOSED_FORM else "diamond" if gpu else "disc"
+            mark: Mark = "<" if ladder == CLOSED_FORM else "D" if gpu else "o"
             series.append(
                 Series(
                     name=f"{ladder}, GPU" if gpu else ladder,

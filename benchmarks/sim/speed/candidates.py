@@ -8,20 +8,21 @@ from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 
-from benchmarks.sim.accuracy.chart import Colour, Mark, Panel, Series, save_chart
+from benchmarks.sim.accuracy.chart import Mark, Panel, Series, save_chart
 from benchmarks.sim.speed.campaign import meshes_file, presses_file
 from benchmarks.sim.speed.forces import SHALLOW_MM, Errors, Forces, errors, read_forces, read_runs
 from benchmarks.sim.speed.record import Run, SpeedRecord
+from recorder.charts import BLUE, GREEN, PURPLE, RED
 from sim.extrapolation import COARSER, left_of_difference
 
 # Minimum ratio of the element sizes of two meshes; closer meshes amplify random errors.
 APART = 1.3
 # Colours of devices.
-COLOURS: tuple[Colour, ...] = ((59, 111, 182), (217, 130, 43), (63, 155, 107), (176, 64, 62))
+COLOURS = (BLUE, RED, GREEN, PURPLE)
 # True if there are two meshes, with their mark and name in the chart.
 KINDS: tuple[tuple[bool, Mark, str], ...] = (
-    (False, "disc", "a mesh"),
-    (True, "diamond", "two meshes"),
+    (False, "o", "a mesh"),
+    (True, "D", "two meshes"),
 )
 
 
@@ -124,6 +125,6 @@ def save_offer_chart(
         path,
         "Cost of accuracy on the paper's 162 presses",
         panels,
-        "error of the force, %",
+        "error of the force [%]",
         note="Two meshes: their forces extrapolated to zero element size.",
     )
