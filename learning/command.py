@@ -1,43 +1,12 @@
-"""Common parts of the commands: error handling, exit codes, shared options."""
+"""Options that several commands share."""
 
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from learning.errors import LearningError
 from learning.indenters import UNSEEN
-from recorder.errors import SessionError
-from recorder.processes import WorkerLost
-
-if TYPE_CHECKING:
-    Subcommands = argparse._SubParsersAction[argparse.ArgumentParser]
-
-
-EXIT_WRONG_INPUT = 2
-EXIT_INTERRUPTED = 130
-
-
-def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
-    """Run the command that `argv` names; print errors and return the exit code."""
-    options = parser.parse_args(argv)
-    try:
-        return int(options.run(options))
-    except (LearningError, SessionError) as error:
-        print(f"wrong input: {error}", file=sys.stderr)
-        return EXIT_WRONG_INPUT
-    except OSError as error:
-        print(f"cannot read or write: {error}", file=sys.stderr)
-        return EXIT_WRONG_INPUT
-    except WorkerLost as error:
-        print(f"cannot continue: {error}", file=sys.stderr)
-        return EXIT_WRONG_INPUT
-    except KeyboardInterrupt:
-        print("interrupted; repeat the command to continue an archive", file=sys.stderr)
-        return EXIT_INTERRUPTED
 
 
 def add_inputs(parser: argparse.ArgumentParser) -> None:

@@ -8,8 +8,9 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from command_line.errors import EXIT_INTERRUPTED
 from learning.data.splits import Split, read_split
-from learning.training.run import EXIT_INTERRUPTED, RunFolder, Stop, accelerator, described
+from learning.training.run import RunFolder, Stop, accelerator, described
 from recorder import MarkerArchive
 from recorder.progress import ItemProgress
 

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
 
 from benchmarks.sim.stability.chance.dice import Dice
 from benchmarks.sim.stability.chance.scenes import drawn
@@ -32,9 +31,6 @@ from sim.needed import FINENESS, EffectsPlan, plan_many
 from sim.result import Outcome, Result
 from sim.scene import Scene
 from sim.tiers import simulate_many
-
-if TYPE_CHECKING:
-    from sim.cli.options import Subcommands
 
 # Maximum steps of a motion and elements of a probe's mesh, for scenes that take seconds.
 STEPS_MAX, COARSE_MAX = 15, 700
@@ -65,11 +61,8 @@ class Row:
         return self.true[self.found.tolerance.kind]
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the subcommand and its options."""
-    parser = subcommands.add_parser(
-        "needed", help="neglect insignificant effects in random scenes, and check the error"
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     parser.add_argument(
         "--scenes", type=int, default=60, metavar="N", help="number of scenes (%(default)s)"
     )
@@ -93,7 +86,6 @@ def add_to(subcommands: Subcommands) -> None:
     parser.add_argument(
         "--processes", type=int, default=1, help="parallel processes on a CPU (%(default)s)"
     )
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:

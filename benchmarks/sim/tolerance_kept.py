@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -32,9 +32,6 @@ from sim.scene import Scene
 from sim.simulate import simulate
 from sim.tiers import simulate_one
 from sim.tolerance import elements_ratio
-
-if TYPE_CHECKING:
-    from sim.cli.options import Subcommands
 
 # Element size of the answer over that of the reference.
 FINER = 1.6
@@ -153,13 +150,11 @@ def line(row: Row) -> str:
     )
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the subcommand and its options."""
-    parser = subcommands.add_parser(
-        "tolerance",
-        help="are tolerances met on random scenes",
-        description="Draws scenes, solves each within a tolerance and again on finer meshes, and "
-        "reports how often the tolerance was met. Exit code 1 if this is below 95 %.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Draws scenes, solves each within a tolerance and again on finer meshes, and "
+        "reports how often the tolerance was met. Exit code 1 if this is below 95 %."
     )
     parser.add_argument("--scenes", type=int, default=200, help="number of scenes (%(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="random seed (%(default)s)")
@@ -172,7 +167,6 @@ def add_to(subcommands: Subcommands) -> None:
         "--seconds", type=float, default=300.0, help="time limit of a solve (%(default)g)"
     )
     parser.add_argument("--csv", type=Path, metavar="FILE", help="also write the rows to this file")
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace, say: Callable[[str], None] = print) -> int:

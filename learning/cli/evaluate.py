@@ -5,24 +5,19 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from learning.errors import LearningError
 from recorder.progress import ItemProgress
 
-if TYPE_CHECKING:
-    from learning.command import Subcommands
-
 ROLES = "new_indenter"
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the command and its options."""
-    parser = subcommands.add_parser(
-        "evaluate",
-        description="Collects results of `predict`, and scores of translated frames, in one HTML "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Collects results of `predict`, and scores of translated frames, in one HTML "
         "page with CSV tables. With --archive and --translated, translated frames are scored first "
-        "(Dice, SSIM, markers [px, mm], distances) and the scores are kept in FOLDER.",
+        "(Dice, SSIM, markers [px, mm], distances) and the scores are kept in FOLDER."
     )
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder of .npz results")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="report folder")
@@ -51,10 +46,10 @@ def add_to(subcommands: Subcommands) -> None:
     scoring.add_argument("--frames", type=int, default=1000, help="maximum pairs per role (1000)")
     scoring.add_argument("--device", default="cpu", help="device for features (cpu)")
     parser.add_argument("--seed", type=int, default=0, help="of random draws (0)")
-    parser.set_defaults(run=_run)
 
 
-def _run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
     from learning.evaluation.report import read_folder, write_report
 
     if options.translated or options.archive:

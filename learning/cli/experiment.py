@@ -5,22 +5,17 @@ from __future__ import annotations
 import argparse
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from learning.command import add_settings
 
-if TYPE_CHECKING:
-    from learning.command import Subcommands
 
-
-def add_to(subcommands: Subcommands) -> None:
-    """Add the command and its options."""
-    parser = subcommands.add_parser(
-        "experiment",
-        description="Transfers force sensing between the sensors of an archive: trains the "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Transfers force sensing between the sensors of an archive: trains the "
         "translators, a force model for each source and one for each pair on translated frames, "
         "then reports their errors on held-out presses, before and after the transfer. An "
-        "interrupted experiment continues when the command is repeated.",
+        "interrupted experiment continues when the command is repeated."
     )
     parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="result folder")
@@ -41,10 +36,10 @@ def add_to(subcommands: Subcommands) -> None:
         metavar="N",
         help="models trained in parallel, as far as memory allows (1)",
     )
-    parser.set_defaults(run=_run)
 
 
-def _run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
     from learning.config import read_settings
     from learning.experiment.running import gained, run_experiment
     from learning.experiment.settings import PRESETS, ExperimentSettings

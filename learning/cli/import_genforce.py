@@ -5,21 +5,16 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from learning.command import add_unseen, by_name, unseen
 from recorder.progress import ItemProgress
 
-if TYPE_CHECKING:
-    from learning.command import Subcommands
 
-
-def add_to(subcommands: Subcommands) -> None:
-    """Add the command and its options."""
-    parser = subcommands.add_parser(
-        "import-genforce",
-        description="Reads a folder of the published recordings: one with img, force and depth, "
-        "one of simulated pictures, or a raw collection run. Repeat the command to continue.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Reads a folder of the published recordings: one with img, force and depth, "
+        "one of simulated pictures, or a raw collection run. Repeat the command to continue."
     )
     parser.add_argument("folder", type=Path, metavar="DIR")
     parser.add_argument("--out", type=Path, metavar="PATH", required=True, help="X.markers.zarr")
@@ -42,10 +37,10 @@ def add_to(subcommands: Subcommands) -> None:
         "--compensation", type=Path, metavar="DIR", help="<sensor>_down.csv and _up.csv"
     )
     add_unseen(parser)
-    parser.set_defaults(run=_run)
 
 
-def _run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
     from learning.data.genforce import import_folder, read_compensation
     from learning.data.genforce.importing import Choices
     from learning.data.genforce.training import SURFACES_MM

@@ -6,7 +6,6 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,18 +13,14 @@ from learning.errors import LearningError
 from learning.evaluation.predictions import METHODS, TRANSLATED
 from recorder.progress import ItemProgress
 
-if TYPE_CHECKING:
-    from learning.command import Subcommands
-
 ROLES = "new_indenter,new_press"
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the command and its options."""
-    parser = subcommands.add_parser(
-        "predict",
-        description="Runs a force model over whole presses of a sensor and writes its forces [N] "
-        "with the labels [N], for `evaluate`.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Runs a force model over whole presses of a sensor and writes its forces [N] "
+        "with the labels [N], for `evaluate`."
     )
     parser.add_argument("model", type=Path, metavar="MODEL", help="folder of a trained force model")
     parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr with labels")
@@ -48,10 +43,10 @@ def add_to(subcommands: Subcommands) -> None:
     )
     parser.add_argument("--device", default="cpu", help="device (cpu), e.g. cuda:0")
     parser.add_argument("--out", type=Path, required=True, metavar="NPZ", help="file to write")
-    parser.set_defaults(run=_run)
 
 
-def _run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
     from learning.data.presses import Form, load_presses
     from learning.data.splits import read_split
     from learning.evaluation.predictions import predictions_of

@@ -7,17 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from learning.command import Subcommands
     from learning.data.splits import Split
     from recorder import MarkerArchive
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the command and its options."""
-    parser = subcommands.add_parser(
-        "split",
-        description="Gives every press of an archive a role, the same for all sensors. A press "
-        "is a location; all presses of unseen indenters are in the test.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Gives every press of an archive a role, the same for all sensors. A press "
+        "is a location; all presses of unseen indenters are in the test."
     )
     parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
     parser.add_argument("--out", type=Path, metavar="JSON", required=True, help="file to write")
@@ -47,10 +45,10 @@ def add_to(subcommands: Subcommands) -> None:
         help="indenters excluded from training (the archive's list; none: '')",
     )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the choice (0)")
-    parser.set_defaults(run=_run)
 
 
-def _run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
     from learning.data.splits import make_split
     from recorder import MarkerArchive
 

@@ -12,18 +12,16 @@ from learning.errors import LearningError
 from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
-    from learning.command import Subcommands
     from learning.translation.archive import Pair
     from recorder import MarkerArchive
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the command and its options."""
-    parser = subcommands.add_parser(
-        "translate",
-        description="Writes a marker archive with a sensor A-to-B for each pair: translated frames "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Writes a marker archive with a sensor A-to-B for each pair: translated frames "
         "and labels of A, references and scale of B. Repeat the command with the same options to "
-        "continue.",
+        "continue."
     )
     parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
     parser.add_argument("--source", metavar="A,...", help="sensors whose frames are translated")
@@ -42,10 +40,10 @@ def add_to(subcommands: Subcommands) -> None:
     )
     parser.add_argument("--device", default="cpu", help="device of the model (%(default)s)")
     parser.add_argument("--sheet", type=Path, metavar="PNG", help="draw a contact sheet as well")
-    parser.set_defaults(run=_run)
 
 
-def _run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
     if (options.split is None) != (options.role is None):
         raise LearningError("--split, --role: found one; allowed: both or neither")
 

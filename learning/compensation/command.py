@@ -13,18 +13,16 @@ from learning.errors import LearningError
 from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
-    from learning.command import Subcommands
     from learning.compensation.fit import Search
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the command and its options."""
-    parser = subcommands.add_parser(
-        "compensate",
-        description="Fits force over depth of each sensor (degree 2, loading and unloading) and "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Fits force over depth of each sensor (degree 2, loading and unloading) and "
         "writes, for each pair, d0 and lambda of the supplement's equations 7 to 9: a fixed "
         "default, a label-free choice by the priors' fits, and an oracle that uses the target's "
-        "labels. train-force --compensation reads the file.",
+        "labels. train-force --compensation reads the file."
     )
     parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
     parser.add_argument("--out", type=Path, metavar="JSON", required=True, help="file to write")
@@ -79,10 +77,10 @@ def add_to(subcommands: Subcommands) -> None:
     parser.add_argument(
         "--picture", type=Path, metavar="PNG", help="curves (default: next to the file)"
     )
-    parser.set_defaults(run=_run)
 
 
-def _run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
     from learning.compensation.fit import Curves, draw_curves, find_compensation, tables
     from recorder import MarkerArchive
 

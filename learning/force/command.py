@@ -15,7 +15,6 @@ from recorder.progress import ItemProgress
 if TYPE_CHECKING:
     import torch
 
-    from learning.command import Subcommands
     from learning.data.presses import Presses
     from learning.data.splits import Role, Split
     from learning.force.data import Compensation
@@ -24,12 +23,11 @@ if TYPE_CHECKING:
     from recorder.archive import ArchivedSensor
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the verb and its options."""
-    parser = subcommands.add_parser(
-        "train-force",
-        description="Trains a model of Fx, Fy, Fz [N] on sequences of marker images of a sensor, "
-        "or of a translated one (A-to-B). Ctrl-C saves a checkpoint; --resume continues from it.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Trains a model of Fx, Fy, Fz [N] on sequences of marker images of a sensor, "
+        "or of a translated one (A-to-B). Ctrl-C saves a checkpoint; --resume continues from it."
     )
     parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
     parser.add_argument("--sensor", metavar="NAME,...", required=True, help="sensors to train on")
@@ -54,10 +52,10 @@ def add_to(subcommands: Subcommands) -> None:
         "--choice", default="default", metavar="NAME", help="its choice of d0 and lambda (default)"
     )
     add_resume(parser, "continue the run in --out")
-    parser.set_defaults(run=_run)
 
 
-def _run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
     from learning.archive_writer import archive_fingerprint
     from learning.config import read_settings
     from learning.force.data import labels_of

@@ -12,25 +12,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE
 from rig.acquire.control import InterruptFlag
 from rig.cli.options import bench_options, chosen_bench
 from rig.core.clock import Clock, SystemClock
-from rig.core.errors import EXIT_DEVICE_LOST, EXIT_DONE, ConfigError, DeviceLost
+from rig.core.errors import ConfigError, DeviceLost
 
 if TYPE_CHECKING:
-    from rig.cli.options import Subcommands
     from rig.monitor.watched import Watched
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the verb and its options."""
-    parser = subcommands.add_parser(
-        "live",
-        parents=[bench_options()],
-        help="predict forces with a trained model as the sensor is touched; nothing moves",
-        description="Read the sensor, print Fx, Fy, Fz for every frame, and finally the latency. "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    bench_options(parser)
+    parser.description = (
+        "Read the sensor, print Fx, Fy, Fz for every frame, and finally the latency. "
         "No arm moves; on a mock bench an emulated finger presses along its trajectory. "
-        "Start with the sensor untouched: its first frames are the reference.",
+        "Start with the sensor untouched: its first frames are the reference."
     )
     parser.add_argument(
         "--model", type=Path, required=True, metavar="DIR", help="folder of a trained force model"
@@ -56,7 +54,6 @@ def add_to(subcommands: Subcommands) -> None:
     parser.add_argument(
         "--out", type=Path, metavar="CSV", help="write every force to this new file"
     )
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:

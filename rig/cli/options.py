@@ -19,19 +19,20 @@ from rig.core.sources import Sources
 from rig.monitor.page.access import DEFAULT_PORT, LOOPBACK_HOST, AccessPolicy, is_loopback
 
 if TYPE_CHECKING:
-    Subcommands = argparse._SubParsersAction[argparse.ArgumentParser]
     from rig.acquire.request import CollectRequest
     from rig.monitor.page.page import Page
     from trajectories import Plan
 
 
-# Title of the options that a lab bench rejects.
-MOCK_ONLY = "mock bench only"
+def bench_options(
+    parser: argparse.ArgumentParser, *, sources: bool = False
+) -> argparse._ArgumentGroup:
+    """Add --sensor or --bench, --benches and --world; return the group of a mock bench's options.
 
-
-def bench_options() -> argparse.ArgumentParser:
-    """Return a parser of the options that select a bench: --sensor or --bench, and --benches."""
-    parser = argparse.ArgumentParser(add_help=False)
+    Args:
+        parser: Parser of the command.
+        sources: If true, add the options for real recordings that a mock bench plays.
+    """
     chosen = parser.add_mutually_exclusive_group()
     chosen.add_argument(
         "--sensor",
@@ -46,33 +47,28 @@ def bench_options() -> argparse.ArgumentParser:
         metavar="DIR",
         help="folder of bench files (%(default)s)",
     )
-    parser.add_argument_group(MOCK_ONLY).add_argument(
+    group = parser.add_argument_group("mock bench only")
+    group.add_argument(
         "--world",
         choices=("sim",),
         help="use the simulator in place of the bench file's world",
     )
-    return parser
-
-
-def source_options() -> argparse.ArgumentParser:
-    """Return a parser of the options for real recordings that a mock bench plays."""
-    parser = argparse.ArgumentParser(add_help=False)
-    group = parser.add_argument_group(MOCK_ONLY)
-    group.add_argument(
-        "--camera",
-        type=Path,
-        metavar="PATH",
-        help="play this folder of images or video file in place of the World's view",
-    )
-    group.add_argument(
-        "--still",
-        action="store_true",
-        help="declare --camera a still scene: each image is held for seconds",
-    )
-    group.add_argument(
-        "--taxels", type=Path, metavar="FILE", help="play this .npy file of raw counts (T, 48)"
-    )
-    return parser
+    if sources:
+        group.add_argument(
+            "--camera",
+            type=Path,
+            metavar="PATH",
+            help="play this folder of images or video file in place of the World's view",
+        )
+        group.add_argument(
+            "--still",
+            action="store_true",
+            help="declare --camera a still scene: each image is held for seconds",
+        )
+        group.add_argument(
+            "--taxels", type=Path, metavar="FILE", help="play this .npy file of raw counts (T, 48)"
+        )
+    return group
 
 
 def bench_path(options: argparse.Namespace) -> Path:

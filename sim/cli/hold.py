@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
 
 from sim.cli.options import add_scene_options, check_motion, metres
 from sim.scene import ramp_hold
 
-if TYPE_CHECKING:
-    from sim.cli.options import Subcommands
 
-
-def add_to(subcommands: Subcommands) -> None:
-    """Add the subcommand and its options."""
-    parser = subcommands.add_parser("hold", help="press within a given time and hold: relaxation")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     group = parser.add_argument_group("motion")
     group.add_argument(
         "--depth", type=float, default=1.0, metavar="MM", help="depth [mm] (%(default)s)"
@@ -41,7 +36,6 @@ def add_to(subcommands: Subcommands) -> None:
         help="frames of the press, and of the hold (%(default)s)",
     )
     add_scene_options(parser, viscosity="0.5:0.5")
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -4,20 +4,13 @@ from __future__ import annotations
 
 import argparse
 import math
-from typing import TYPE_CHECKING
 
 from sim.cli.options import add_scene_options, add_speed, check_motion, metres
 from sim.scene import press_shear_return
 
-if TYPE_CHECKING:
-    from sim.cli.options import Subcommands
 
-
-def add_to(subcommands: Subcommands) -> None:
-    """Add the subcommand and its options."""
-    parser = subcommands.add_parser(
-        "loop", help="press, shear, return and lift: hysteresis and slip"
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     group = parser.add_argument_group("motion")
     group.add_argument(
         "--depth", type=float, default=1.0, metavar="MM", help="depth [mm] (%(default)s)"
@@ -45,7 +38,6 @@ def add_to(subcommands: Subcommands) -> None:
     )
     add_speed(group)
     add_scene_options(parser, friction=0.5)
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:

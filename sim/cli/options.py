@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 import math
-import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
+from command_line.options import numbers
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError
 from sim.scene import Body, Footprint
@@ -18,8 +18,6 @@ from sim.scene import Body, Footprint
 if TYPE_CHECKING:
     from sim.fem.numerics import Numerics
     from sim.indenters import Indenter
-
-    Subcommands = argparse._SubParsersAction[argparse.ArgumentParser]
 
 
 # Readers of option values: numbers, lists of numbers, pairs.
@@ -30,25 +28,6 @@ MM = 1e-3
 def metres(millimetres: float) -> float:
     """Convert a length to [m]; by division, so that 9 mm are 0.009 m to the last digit."""
     return millimetres / 1e3
-
-
-def numbers(count: int | None = None) -> Callable[[str], tuple[float, ...]]:
-    """Return a reader of comma-separated numbers: `count` of them, or one or more."""
-    allowed = f"{count} numbers" if count else "numbers"
-    example = ",".join(["1.5", "2", "0"][: count or 3])
-
-    def read(text: str) -> tuple[float, ...]:
-        try:
-            values = tuple(float(part) for part in text.split(","))
-        except ValueError:
-            values = ()
-        if not values or (count is not None and len(values) != count):
-            raise argparse.ArgumentTypeError(
-                f"{text!r}; allowed: {allowed} between commas, such as {example}"
-            )
-        return values
-
-    return read
 
 
 def branches(text: str) -> tuple[tuple[float, float], ...] | None:
@@ -62,21 +41,6 @@ def branches(text: str) -> tuple[tuple[float, float], ...] | None:
         raise argparse.ArgumentTypeError(
             f"{text!r}; allowed: ratio:seconds between commas, such as 0.3:0.1,0.5:2, or none"
         ) from None
-
-
-def joined(argv: Sequence[str]) -> list[str]:
-    """Return `argv` with values such as `-4,0` joined to the option before them by `=`.
-
-    argparse would take them for options: it recognises negative numbers, but no lists of them.
-    """
-    tied: list[str] = []
-    for word in argv:
-        after_option = bool(tied) and tied[-1].startswith("--") and "=" not in tied[-1]
-        if after_option and re.match(r"-[.\d][^=]*,", word):
-            tied[-1] += f"={word}"
-        else:
-            tied.append(word)
-    return tied
 
 
 # The indenter: one of the 18 by name, a shape by its measures, or an STL file; and its tilt.

@@ -275,7 +275,7 @@ def test_what_cannot_be_opened_says_why(
     for place, message in cases.items():
         assert main(["info", place]) == 2
         reported = capsys.readouterr().err
-        assert reported.startswith(f"error: {place}")
+        assert reported.startswith(f"wrong input: {place}")
         assert message in reported
         assert reported.count("\n") == 1
     for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
+import importlib
 import json
 import os
 import re
@@ -15,7 +17,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sim.__main__ import arguments, main
+from sim.__main__ import main
 from sim.cli import report
 from sim.cli.options import indenter_of
 from sim.errors import SimulationDiverged
@@ -313,8 +315,10 @@ def test_the_commands_of_the_tutorial_are_understood() -> None:
     commands = re.findall(r"^tactile (sim [^#\n]*)", text, re.MULTILINE)
     assert len(commands) >= 2
     for command in commands:
-        options = arguments().parse_args(shlex.split(command)[1:])
-        assert indenter_of(options).parts
+        _, verb, *words = shlex.split(command)
+        parser = argparse.ArgumentParser()
+        importlib.import_module(f"sim.cli.{verb}").add_arguments(parser)
+        assert indenter_of(parser.parse_args(words)).parts
 
 
 def test_the_python_of_the_documentation_runs() -> None:

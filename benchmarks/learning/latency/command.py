@@ -13,20 +13,17 @@ from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
     from benchmarks.learning.latency.costs import Cost, Sample
-    from learning.command import Subcommands
     from learning.force.predict import ForcePredictor
 
 PRESETS = "paper,half,quarter,tiny,displacement"
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the subcommand and its options."""
-    parser = subcommands.add_parser(
-        "latency",
-        help="time force models, one frame at a time",
-        description="Processes frames one by one as from a live sensor and reports the time "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Processes frames one by one as from a live sensor and reports the time "
         "per frame and the force error: from labels with --archive, else from torch in fp32. "
-        "Models are trained, or presets with random weights, which take the same time.",
+        "Models are trained, or presets with random weights, which take the same time."
     )
     parser.add_argument(
         "--model",
@@ -59,10 +56,10 @@ def add_to(subcommands: Subcommands) -> None:
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="folder for bench.csv, bench.md and bench.png"
     )
-    parser.set_defaults(run=_run)
 
 
-def _run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
     from benchmarks.learning.latency.cost_table import draw, markdown, write_csv
     from benchmarks.learning.latency.costs import VARIANTS, costs
 

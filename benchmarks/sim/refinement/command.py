@@ -8,20 +8,13 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from sim.cli.options import MM, numbers
-
-if TYPE_CHECKING:
-    from sim.cli.options import Subcommands
+from command_line.options import numbers
+from sim.cli.options import MM
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the subcommand and its options."""
-    parser = subcommands.add_parser(
-        "refine",
-        help="the bench problem and the 18 shapes on successively finer meshes; writes a page",
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     parser.add_argument(
         "--bench",
         type=numbers(),
@@ -45,7 +38,6 @@ def add_to(subcommands: Subcommands) -> None:
         default=Path("docs/results/refinement.md"),
         help="page to write (%(default)s)",
     )
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:

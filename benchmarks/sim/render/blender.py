@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -116,13 +115,15 @@ def draw_texture(name: str, state: RenderState, path: Path) -> None:
     Image.fromarray(np.round(share[::-1] * 255).astype(np.uint8)).save(path)
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Render every state and pattern, write both images and print their similarity."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks blender", description=__doc__)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
     parser.add_argument("out", type=Path, help="folder for the images")
     parser.add_argument("--patterns", default=",".join(PATTERNS), help="default %(default)s")
     parser.add_argument("--made-up", action="store_true", help="skip the solved presses")
-    options = parser.parse_args(arguments)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Render every state and pattern, write both images and print their similarity."""
     options.out.mkdir(parents=True, exist_ok=True)
     ready_device("cpu")
     states = [dent(at=(2e-3, -1e-3), aside=(0.6e-3, 0.3e-3))]
@@ -143,7 +144,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
             print(
                 f"| {state.name} | {name} | {iou(mask, theirs):.5f} | {share:.4f} % |", flush=True
             )
-
-
-if __name__ == "__main__":
-    main()
+    return 0

@@ -101,9 +101,8 @@ def _line(state: RenderState, what: str, one: Masks, other: Masks) -> Line:
     )
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks render-check", description=__doc__)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
     parser.add_argument("--device", default="cpu", help="cpu, cuda:0 ... (default %(default)s)")
     parser.add_argument(
         "--rays",
@@ -112,7 +111,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         help="rays along each side of a pixel (default %(default)s)",
     )
     parser.add_argument("--made-up", action="store_true", help="skip the solved presses")
-    options = parser.parse_args(arguments)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print the table."""
     ready_device(options.device)
     states = [dent(at=(2e-3, -1e-3), aside=(0.6e-3, 0.3e-3)), fold()]
     if not options.made_up:
@@ -121,7 +123,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print("|---|---|---|---|---|")
     for line in lines(states, ray_samples=options.rays, device=options.device):
         print(line, flush=True)
-
-
-if __name__ == "__main__":
-    main()
+    return 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -84,9 +84,8 @@ def measure(
     ]
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Print one line per stage."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks render-speed", description=__doc__)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
     parser.add_argument("--device", default="cpu", help="cpu, cuda:0 ... (default %(default)s)")
     parser.add_argument("--frames", type=int, default=9, help="frames per batch")
     parser.add_argument("--samples", type=int, default=1, help="samples along a pixel's side, odd")
@@ -99,7 +98,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         default=REPEATS,
         help="number of repeats, of which the fastest counts",
     )
-    options = parser.parse_args(arguments)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print one line per stage."""
     ready_device(options.device)
     rows = measure(
         options.frames,
@@ -117,7 +119,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for name, seconds, count in rows:
         rate = count / max(seconds, 1e-9)
         print(f"{name:31} {1e3 * seconds / count:9.4f} ms each {rate:12.0f} /s")
-
-
-if __name__ == "__main__":
-    main()
+    return 0

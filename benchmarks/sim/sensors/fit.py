@@ -67,14 +67,16 @@ class Line:
         return abs(self.row / self.found - 1) <= AGREED
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Fit, print and compare with the rows; return 1 if they differ."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks sensor-fit", description=__doc__)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("--finer", action="store_true", help="elements of two thirds the size")
     parser.add_argument("--check", action="store_true", help="solve the viscous presses as well")
     parser.add_argument("--device", default="cpu", help="cpu, or cuda:0 and the like (%(default)s)")
-    options = parser.parse_args(argv)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Fit, print and compare with the rows; return 1 if they differ."""
     ready_device(options.device)
     sensors = {name: sensor(name) for name in FORCES}
 
@@ -194,7 +196,3 @@ def _solved(name: str, scene: Scene, numerics: Numerics, device: str) -> Result:
     result = simulate(scene, "fem", numerics=numerics, device=device)
     print(f"solved: {name}, {len(scene.motion)} frames", file=sys.stderr)
     return result
-
-
-if __name__ == "__main__":
-    sys.exit(main())

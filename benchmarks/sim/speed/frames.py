@@ -11,7 +11,6 @@ import argparse
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,9 +23,6 @@ from sim.metrics import force_scale
 from sim.result import Outcome
 from sim.scene import Body, Scene, press
 from sim.tiers import simulate_many
-
-if TYPE_CHECKING:
-    from sim.cli.options import Subcommands
 
 MM = 1e-3
 FRAME, FRAMES = 0.05 * MM, 20
@@ -101,13 +97,11 @@ def errors(outcomes: Sequence[Outcome], truths: Sequence[Outcome]) -> tuple[floa
     return (float(np.mean(found)), float(np.max(found))) if found else (np.nan, np.nan)
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the subcommand and its options."""
-    parser = subcommands.add_parser(
-        "frames",
-        help="frames per second, one press or many at once",
-        description="Times presses of 20 frames of 0.05 mm with `layer` and with meshes of `fem`, "
-        "and reports the errors of their forces. Kernels are compiled before.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Times presses of 20 frames of 0.05 mm with `layer` and with meshes of `fem`, "
+        "and reports the errors of their forces. Kernels are compiled before."
     )
     parser.add_argument("--device", default="cpu", help="cpu, or cuda:0 and the like (%(default)s)")
     parser.add_argument(
@@ -121,7 +115,6 @@ def add_to(subcommands: Subcommands) -> None:
     parser.add_argument(
         "--only", default="", metavar="WORD", help="only methods whose name contains this"
     )
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace, say: Callable[[str], None] = print) -> int:

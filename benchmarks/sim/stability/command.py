@@ -16,17 +16,14 @@ if TYPE_CHECKING:
 
     from benchmarks.sim.stability.case import Case
     from benchmarks.sim.stability.runner import Report
-    from sim.cli.options import Subcommands
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the subcommand and its options."""
-    parser = subcommands.add_parser(
-        "hard-cases",
-        help="simulate hard cases and check them against laws of mechanics",
-        description="Runs named cases and checks each against laws of mechanics. Exit code 1 if "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Runs named cases and checks each against laws of mechanics. Exit code 1 if "
         "any law fails; with --planted, if no case detects a deliberate bug. Takes about 10 min. "
-        "With --random, random scenes are judged by a referee that is independent of the solver.",
+        "With --random, random scenes are judged by a referee that is independent of the solver."
     )
     parser.add_argument(
         "--only",
@@ -55,7 +52,6 @@ def add_to(subcommands: Subcommands) -> None:
         help="page to write (default: docs/results/stability.md; with --random none)",
     )
     _add_random(parser)
-    parser.set_defaults(run=run)
 
 
 def _add_random(parser: argparse.ArgumentParser) -> None:

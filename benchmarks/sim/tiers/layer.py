@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -103,9 +102,8 @@ def _timed(scene: Scene, grid: int, tolerance: float) -> tuple[list[float], int]
     return seconds, state.spent.steps
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Print both tables."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks layer", description=__doc__)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
     parser.add_argument(
         "--grid", type=int, default=GRID, help="pixels along the longer side (default %(default)s)"
     )
@@ -121,7 +119,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         default=3,
         help="number of runs, of which each frame's fastest counts (default %(default)s)",
     )
-    options = parser.parse_args(arguments)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print both tables."""
     body = Body()
     millimetres = " x ".join(
         f"{size * 1e3:g}" for size in (body.size_x, body.size_y, body.thickness)
@@ -133,7 +134,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
         f"{SPEED * 1e3:g} mm/s, {RATE:g} frames a second; CPU time of one thread"
     )
     print("\n".join(rates(options.grid, options.tolerance, options.repeats)))
-
-
-if __name__ == "__main__":
-    main()
+    return 0

@@ -11,18 +11,16 @@ from learning.command import add_resume, add_sensors, add_settings
 from learning.errors import LearningError
 
 if TYPE_CHECKING:
-    from learning.command import Subcommands
     from learning.translation.diffusion.settings import TranslatorSettings
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the verb and its options."""
-    parser = subcommands.add_parser(
-        "train-diffusion",
-        description="Trains one translator for all pairs of an archive's sensors, from published "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Trains one translator for all pairs of an archive's sensors, from published "
         "weights that you supply: SD-Turbo, CLIP ViT-B/32, VGG16, LPIPS. After Ctrl-C, the same "
         "command with --resume continues. Several GPUs: torchrun --nproc-per-node N -m learning "
-        "...",
+        "..."
     )
     parser.add_argument("archive", nargs="?", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
     parser.add_argument("--split", type=Path, metavar="JSON", help="split of its presses")
@@ -56,10 +54,10 @@ def add_to(subcommands: Subcommands) -> None:
         help="moved: python -m benchmarks diffusion-full-size",
     )
     parser.add_argument("--batches", default="4,8,16", metavar="N,...", help="moved with it")
-    parser.set_defaults(run=_run)
 
 
-def _run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
     if options.full_size_check is not None:
         raise LearningError(
             "--full-size-check: moved; run, from the repository: python -m benchmarks "

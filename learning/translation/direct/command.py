@@ -11,20 +11,18 @@ from learning.command import add_inputs, add_resume, add_sensors, add_settings
 from learning.errors import LearningError
 
 if TYPE_CHECKING:
-    from learning.command import Subcommands
     from learning.translation.direct.network import DirectNetwork
     from learning.translation.direct.settings import DirectSettings
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the verb and its options."""
-    parser = subcommands.add_parser(
-        "train-direct",
-        description="Trains one network for all pairs of an archive's sensors, on location pairs. "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Trains one network for all pairs of an archive's sensors, on location pairs. "
         "As in the paper: first on simulated states with the encoder of an autoencoder "
         "(--autoencoder), then from there on each group of sensors (--from). After Ctrl-C, "
         "the same command with --resume continues. Several GPUs: torchrun --nproc-per-node N -m "
-        "learning train-direct ...",
+        "learning train-direct ..."
     )
     add_inputs(parser)
     start = parser.add_mutually_exclusive_group(required=True)
@@ -40,10 +38,10 @@ def add_to(subcommands: Subcommands) -> None:
     add_settings(parser)
     add_sensors(parser)
     add_resume(parser)
-    parser.set_defaults(run=_run)
 
 
-def _run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
     from learning.archive_writer import archive_fingerprint
     from learning.config import read_settings
     from learning.train_command import Training, open_data, run_training

@@ -1,0 +1,72 @@
+"""Types of option values, and the options that commands of several packages have."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable
+
+
+def positive(text: str) -> float:
+    """Read a finite number above 0."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value > 0):
+        raise argparse.ArgumentTypeError(f"found {text!r}; allowed: a number above 0")
+    return value
+
+
+def whole(low: int = 1, high: int | None = None) -> Callable[[str], int]:
+    """Return a reader of whole numbers from `low` to `high`."""
+    allowed = f"{low} or more" if high is None else f"{low} to {high}"
+
+    def read(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            value = low - 1
+        if value < low or (high is not None and value > high):
+            raise argparse.ArgumentTypeError(f"found {text!r}; allowed: whole numbers, {allowed}")
+        return value
+
+    return read
+
+
+def numbers(count: int | None = None) -> Callable[[str], tuple[float, ...]]:
+    """Return a reader of comma-separated numbers: `count` of them, or one or more."""
+    allowed = f"{count} numbers" if count else "numbers"
+    example = ",".join(["1.5", "2", "0"][: count or 3])
+
+    def read(text: str) -> tuple[float, ...]:
+        try:
+            values = tuple(float(part) for part in text.split(","))
+        except ValueError:
+            values = ()
+        if not values or (count is not None and len(values) != count):
+            raise argparse.ArgumentTypeError(
+                f"found {text!r}; allowed: {allowed} between commas, such as {example}"
+            )
+        return values
+
+    return read
+
+
+def names(text: str) -> tuple[str, ...]:
+    """Read comma-separated names; an empty text has none."""
+    return tuple(name for name in text.split(",") if name)
+
+
+def add_device(parser: argparse._ActionsContainer, purpose: str = "device") -> None:
+    """Add `--device`, the CPU unless another is named."""
+    parser.add_argument(
+        "--device", default="cpu", help=f"{purpose}: cpu, or cuda:0 and the like (%(default)s)"
+    )
+
+
+def add_seed(parser: argparse._ActionsContainer) -> None:
+    """Add `--seed`, the seed of all random draws."""
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="seed of random draws (%(default)s)"
+    )
