@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from importlib import import_module
 
-from command_line.run import run_module
+from command_line.errors import EXIT_WRONG_INPUT
+from command_line.run import HELP, ended, run_module
 
 # The module of each benchmark, and its line of help.
 BENCHMARKS = {
@@ -60,27 +60,21 @@ BENCHMARKS = {
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one benchmark and return its exit code."""
-    arguments = list(sys.argv[1:] if argv is None else argv)
-    if not arguments or arguments[0] in ("-h", "--help"):
-        print(_listing())
-        return 0
-    name = arguments[0]
-    known = BENCHMARKS.get(name)
-    if known is None:
+    name, *options = (sys.argv[1:] if argv is None else argv) or ["--help"]
+    if name in HELP:
+        return ended(_list)
+    if name not in BENCHMARKS:
         print(f"wrong input: {name!r}; allowed: {', '.join(BENCHMARKS)}", file=sys.stderr)
-        return 2
-    module = import_module(known[0])
-    return run_module(
-        module, arguments[1:], prog=f"python -m benchmarks {name}", description=module.__doc__ or ""
-    )
+        return EXIT_WRONG_INPUT
+    return run_module(BENCHMARKS[name][0], options, prog=f"python -m benchmarks {name}")
 
 
-def _listing() -> str:
+def _list() -> int:
     width = max(map(len, BENCHMARKS))
-    rows = [f"  {name:{width}}  {text}" for name, (_, text) in BENCHMARKS.items()]
-    return "\n".join(
-        ["usage: python -m benchmarks NAME [options]; NAME --help has them", "", *rows]
-    )
+    print("usage: python -m benchmarks NAME [options]; NAME --help has them\n")
+    for name, (_, text) in BENCHMARKS.items():
+        print(f"  {name:{width}}  {text}")
+    return 0
 
 
 if __name__ == "__main__":

@@ -1,10 +1,25 @@
-"""Types of option values, and the options that commands of several packages have."""
+"""Parser of a command, types of values, and options of commands of several packages."""
 
 from __future__ import annotations
 
 import argparse
 import math
 from collections.abc import Callable
+from typing import NoReturn
+
+from command_line.errors import CommandError
+
+
+class Parser(argparse.ArgumentParser):
+    """Parser of one command, whose errors are one line and not preceded by all options."""
+
+    def error(self, message: str) -> NoReturn:
+        """Reject the options.
+
+        Raises:
+            CommandError: Always; the message names the option.
+        """
+        raise CommandError(f"{message.removeprefix('argument ')}; see {self.prog} --help")
 
 
 def positive(text: str) -> float:
@@ -54,19 +69,30 @@ def numbers(count: int | None = None) -> Callable[[str], tuple[float, ...]]:
 
 
 def names(text: str) -> tuple[str, ...]:
-    """Read comma-separated names; an empty text has none."""
-    return tuple(name for name in text.split(",") if name)
+    """Read comma-separated names."""
+    found = tuple(text.split(","))
+    if not all(found):
+        raise argparse.ArgumentTypeError(f"found {text!r}; allowed: names between commas")
+    return found
+
+
+def names_or_none(text: str) -> tuple[str, ...]:
+    """Read comma-separated names; an empty text is the empty list."""
+    return names(text) if text else ()
 
 
 def add_device(parser: argparse._ActionsContainer, purpose: str = "device") -> None:
     """Add `--device`, the CPU unless another is named."""
     parser.add_argument(
-        "--device", default="cpu", help=f"{purpose}: cpu, or cuda:0 and the like (%(default)s)"
+        "--device",
+        default="cpu",
+        metavar="NAME",
+        help=f"{purpose}: cpu, or cuda:0 and the like (%(default)s)",
     )
 
 
-def add_seed(parser: argparse._ActionsContainer) -> None:
+def add_seed(parser: argparse._ActionsContainer, default: int = 0) -> None:
     """Add `--seed`, the seed of all random draws."""
     parser.add_argument(
-        "--seed", type=int, default=0, metavar="N", help="seed of random draws (%(default)s)"
+        "--seed", type=int, default=default, metavar="N", help="seed of random draws (%(default)s)"
     )

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import os
 import re
+import select
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from importlib import import_module
 from typing import Any
 
@@ -22,6 +23,8 @@ from command_line.errors import (
 )
 
 HELP = ("-h", "--help")
+# File descriptor of standard output.
+STDOUT = 1
 
 
 def main(argv: Sequence[str] | None = None, package: str = "") -> int:
@@ -40,8 +43,12 @@ def main(argv: Sequence[str] | None = None, package: str = "") -> int:
     rest = words[1:] if family else words
     if rest and rest[0] not in HELP:
         return _unknown(" ".join(words[:2] if family else words[:1]), known, _program(package))
-    print(overview(package, family), file=sys.stdout if rest else sys.stderr)
-    return 0 if rest else EXIT_WRONG_INPUT
+
+    def show() -> int:
+        print(overview(package, family), file=sys.stdout if rest else sys.stderr)
+        return 0 if rest else EXIT_WRONG_INPUT
+
+    return ended(show)
 
 
 def commands_of(package: str) -> dict[str, Command]:
@@ -72,30 +79,34 @@ def overview(package: str = "", family: str = "") -> str:
 
 
 def run_module(
-    module: Any,
-    argv: Iterable[str],
-    *,
-    prog: str,
-    description: str,
-    interrupted: str = "",
+    name: str, argv: Iterable[str], *, prog: str, description: str = "", interrupted: str = ""
 ) -> int:
-    """Parse the options of a command, run its module and return the exit code.
+    """Import the module of a command, parse its options, run it and return the exit code.
 
     Args:
-        module: Module of the command.
+        name: Name of the module.
         argv: Options of the command.
-        prog: Its name in the usage, and `prog` of the options that the module gets.
-        description: Its description in the help, unless the module sets another.
+        prog: Command in the usage, and `prog` of the options that the module gets.
+        description: Description in the help, unless the module sets another; empty: its docstring.
         interrupted: Consequence of Ctrl-C, printed when it has ended the command.
     """
-    from argparse import ArgumentParser
 
-    parser = ArgumentParser(prog=prog, description=description)
-    module.add_arguments(parser)
-    parser.set_defaults(prog=prog)
-    options = parser.parse_args(joined(argv))
+    def call() -> int:
+        from command_line.options import Parser
+
+        module: Any = import_module(name)
+        parser = Parser(prog=prog, description=description or module.__doc__)
+        module.add_arguments(parser)
+        parser.set_defaults(prog=prog)
+        return int(module.run(parser.parse_args(joined(argv))))
+
+    return ended(call, interrupted)
+
+
+def ended(call: Callable[[], int], interrupted: str = "") -> int:
+    """Return the exit code of `call`; print the line of a known error or of Ctrl-C."""
     try:
-        code = int(module.run(options))
+        code = call()
         sys.stdout.flush()
         return code
     except CommandError as error:
@@ -134,7 +145,7 @@ def _run(command: Command, argv: Sequence[str], package: str) -> int:
     prog = f"{_program(package)} {command.name if package else command.words}"
     try:
         return run_module(
-            import_module(command.module),
+            command.module,
             argv,
             prog=prog,
             description=f"{command.help[0].upper()}{command.help[1:]}.",
@@ -173,11 +184,9 @@ def _nobody_reads(error: OSError) -> bool:
 
     Other broken pipes are errors. Python would fail again at its exit, so output is discarded.
     """
-    if not isinstance(error, BrokenPipeError):
+    events = select.poll()
+    events.register(STDOUT, 0)
+    if not isinstance(error, BrokenPipeError) or not events.poll(0):
         return False
-    try:
-        sys.stdout.flush()
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return True
-    return False
+    os.dup2(os.open(os.devnull, os.O_WRONLY), STDOUT)
+    return True

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from learning.errors import LearningError
+from command_line.options import names, names_or_none
 from learning.indenters import UNSEEN
 
 
@@ -44,7 +44,10 @@ def add_settings(
 def add_sensors(parser: argparse.ArgumentParser) -> None:
     """Add the option that chooses some of an archive's sensors."""
     parser.add_argument(
-        "--sensors", metavar="NAME,...", help="learn from these (all that are not held out)"
+        "--sensors",
+        type=names,
+        metavar="NAME,...",
+        help="learn from these (all that are not held out)",
     )
 
 
@@ -59,27 +62,17 @@ def add_unseen(parser: argparse.ArgumentParser) -> None:
     """Add the option for held-out indenters."""
     parser.add_argument(
         "--unseen",
+        type=names_or_none,
+        default=UNSEEN,
         metavar="NAME,...",
         help=f"indenters excluded from training ({','.join(UNSEEN)}; none: '')",
     )
 
 
-def unseen(listed: str | None) -> tuple[str, ...]:
-    """Return the indenters that are held out."""
-    return UNSEEN if listed is None else tuple(name for name in listed.split(",") if name)
-
-
-def by_name(given: list[str] | None, option: str) -> dict[str, float]:
-    """Parse numbers given as NAME=NUMBER.
-
-    Raises:
-        LearningError: A text is not of that form.
-    """
-    found = {}
-    for text in given or []:
-        name, _, number = text.partition("=")
-        try:
-            found[name] = float(number)
-        except ValueError:
-            raise LearningError(f"{option}: found {text!r}; allowed: NAME=NUMBER") from None
-    return found
+def named_number(text: str) -> tuple[str, float]:
+    """Read NAME=NUMBER."""
+    name, _, number = text.partition("=")
+    try:
+        return name, float(number)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"found {text!r}; allowed: NAME=NUMBER") from None

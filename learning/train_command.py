@@ -59,7 +59,7 @@ def open_data(options: argparse.Namespace) -> tuple[MarkerArchive, Split]:
 
 def trained_on(options: argparse.Namespace, archive: MarkerArchive, split: Split) -> list[str]:
     """Return the sensors that the options name, or all that the split does not hold out."""
-    return options.sensors.split(",") if options.sensors else [*split.trained_sensors(archive)]
+    return [*(options.sensors or split.trained_sensors(archive))]
 
 
 def run_training(

@@ -15,6 +15,7 @@ from typing import Any
 
 import torch
 
+from command_line.options import add_device
 from learning.config import read_settings
 from learning.data.images import shrink_masks
 from learning.training.run import accelerator, generator
@@ -32,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the benchmark."""
     parser.description = "Frames per second of the field translator."
     parser.add_argument("--preset", default="ours", help="preset of the networks (%(default)s)")
-    parser.add_argument("--device", default="cpu", help="cpu or cuda (%(default)s)")
+    add_device(parser)
     parser.add_argument("--batch", type=int, default=64, help="batch size (%(default)s)")
     parser.add_argument("--steps", type=int, default=30, help="steps of each stage (%(default)s)")
 

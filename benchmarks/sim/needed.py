@@ -19,6 +19,7 @@ from tempfile import TemporaryDirectory
 from benchmarks.sim.stability.chance.dice import Dice
 from benchmarks.sim.stability.chance.scenes import drawn
 from benchmarks.sim.stability.runner import INTERRUPTED, done_counts, side_by_side
+from command_line.options import add_seed
 from recorder.progress import duration
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError
@@ -66,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scenes", type=int, default=60, metavar="N", help="number of scenes (%(default)s)"
     )
-    parser.add_argument("--seed", type=int, default=1, help="random seed (%(default)s)")
+    add_seed(parser, 1)
     parser.add_argument(
         "--tolerance", default="2 %", help='"2 %%", "0.05 N" or "0.5 px" (%(default)s)'
     )

@@ -22,6 +22,7 @@ import numpy as np
 from benchmarks.sim.stability.chance.judgement import OutOfTime, time_limit
 from benchmarks.sim.stability.chance.scenes import Drawn, drawn
 from benchmarks.sim.stability.runner import INTERRUPTED, done_counts, side_by_side
+from command_line.options import add_device, add_seed
 from recorder.progress import duration
 from sim.errors import SceneError, SimulationDiverged
 from sim.extrapolation import left_of_difference
@@ -157,9 +158,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "reports how often the tolerance was met. Exit code 1 if this is below 95 %."
     )
     parser.add_argument("--scenes", type=int, default=200, help="number of scenes (%(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="random seed (%(default)s)")
+    add_seed(parser)
     parser.add_argument("--tolerance", default="3 %", help="force tolerance (3 %%)")
-    parser.add_argument("--device", default="cpu", help="cpu, or cuda:0 and the like (%(default)s)")
+    add_device(parser)
     parser.add_argument(
         "--processes", type=int, default=1, help="number of parallel processes (%(default)s)"
     )

@@ -6,6 +6,7 @@ import argparse
 import os
 from pathlib import Path
 
+from command_line.options import add_device, names
 from learning.command import add_settings
 
 
@@ -20,8 +21,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="result folder")
     add_settings(parser, "demo")
-    parser.add_argument("--pairs", metavar="A:B,...", help="pairs from A to B (all directed pairs)")
-    parser.add_argument("--device", default="cpu", metavar="NAME", help="cpu, cuda:0, ... (cpu)")
+    parser.add_argument(
+        "--pairs", type=names, metavar="A:B,...", help="pairs from A to B (all directed pairs)"
+    )
+    add_device(parser)
     parser.add_argument(
         "--processes",
         type=int,
@@ -49,7 +52,7 @@ def run(options: argparse.Namespace) -> int:
         options.archive,
         options.out,
         settings,
-        pairs=options.pairs.split(",") if options.pairs else None,
+        pairs=options.pairs,
         device=options.device,
         processes=options.processes,
         jobs=options.jobs,

@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from learning.command import add_unseen, by_name, unseen
+from learning.command import add_unseen, named_number
 from recorder.progress import ItemProgress
 
 
@@ -20,7 +20,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, metavar="PATH", required=True, help="X.markers.zarr")
     parser.add_argument("--preset", metavar="NAME", help="marker detection in raw pictures")
     parser.add_argument(
-        "--mm-per-px", action="append", metavar="SENSOR=MM", help="size of a pixel (0.0249)"
+        "--mm-per-px",
+        type=named_number,
+        action="append",
+        default=[],
+        metavar="SENSOR=MM",
+        help="size of a pixel (0.0249)",
     )
     parser.add_argument(
         "--heights",
@@ -29,7 +34,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--surface-mm",
+        type=named_number,
         action="append",
+        default=[],
         metavar="SENSOR=MM",
         help="depth files hold heights; this is the surface's",
     )
@@ -47,12 +54,12 @@ def run(options: argparse.Namespace) -> int:
     from learning.markers.build import told
 
     surfaces = dict(SURFACES_MM) if options.heights else {}
-    surfaces |= by_name(options.surface_mm, "--surface-mm")
+    surfaces |= dict(options.surface_mm)
     choices = Choices(
         preset_name=options.preset,
-        mm_per_px=by_name(options.mm_per_px, "--mm-per-px"),
+        mm_per_px=dict(options.mm_per_px),
         surfaces_mm=surfaces,
-        unseen=unseen(options.unseen),
+        unseen=options.unseen,
         compensation={}
         if options.compensation is None
         else read_compensation(options.compensation),

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from learning.command import add_unseen, unseen
+from learning.command import add_unseen
 from learning.errors import LearningError
 from recorder.progress import ItemProgress
 
@@ -59,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
             preset_name=options.preset,
             sensor=options.sensor,
             mm_per_px=options.mm_per_px,
-            unseen=unseen(options.unseen),
+            unseen=options.unseen,
             sam=sam,
             progress=progress,
         )

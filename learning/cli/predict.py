@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from command_line.options import add_device, names
 from learning.errors import LearningError
 from learning.evaluation.predictions import METHODS, TRANSLATED
 from recorder.progress import ItemProgress
@@ -27,7 +28,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sensor", required=True, metavar="NAME", help="target sensor")
     parser.add_argument("--split", type=Path, required=True, metavar="JSON", help="made by `split`")
     parser.add_argument(
-        "--role", default=ROLES, metavar="ROLE,...", help=f"which presses of the split ({ROLES})"
+        "--role",
+        type=names,
+        default=ROLES,
+        metavar="ROLE,...",
+        help=f"which presses of the split ({ROLES})",
     )
     parser.add_argument(
         "--source", metavar="NAME", help="sensor of its training labels (from the model)"
@@ -41,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--translator", default="", metavar="NAME", help="translator of its training images (none)"
     )
-    parser.add_argument("--device", default="cpu", help="device (cpu), e.g. cuda:0")
+    add_device(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="NPZ", help="file to write")
 
 
@@ -63,10 +68,11 @@ def run(options: argparse.Namespace) -> int:
         raise LearningError(f"--sensor: found {options.sensor!r}; known: {known}")
     sensor, split = archive[options.sensor], read_split(options.split)
     split.check(archive)
-    roles = [role for role in options.role.split(",") if role]
-    rows = np.sort(np.concatenate([split.rows(sensor.table, role) for role in roles]))
+    rows = np.sort(np.concatenate([split.rows(sensor.table, role) for role in options.role]))
     if not len(rows):
-        raise LearningError(f"--role: found no frames of {options.role} of {options.sensor}")
+        raise LearningError(
+            f"--role: found no frames of {','.join(options.role)} of {options.sensor}"
+        )
     if (unlabelled := ~np.isfinite(sensor.table["wrench"][rows]).all(axis=1)).any():
         raise LearningError(
             f"{options.sensor}: found no label in row {rows[unlabelled][0]}, and "

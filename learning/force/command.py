@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from command_line.options import names
 from learning.command import add_resume, add_settings
 from learning.errors import LearningError
 from recorder.progress import ItemProgress
@@ -30,7 +31,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "or of a translated one (A-to-B). Ctrl-C saves a checkpoint; --resume continues from it."
     )
     parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
-    parser.add_argument("--sensor", metavar="NAME,...", required=True, help="sensors to train on")
+    parser.add_argument(
+        "--sensor", type=names, metavar="NAME,...", required=True, help="sensors to train on"
+    )
     parser.add_argument("--split", type=Path, metavar="FILE", required=True, help="split.json")
     parser.add_argument("--out", type=Path, metavar="DIR", required=True, help="the run's folder")
     add_settings(
@@ -108,7 +111,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _sensors(options: argparse.Namespace, archive: MarkerArchive, split: Split) -> list[str]:
-    sensors: list[str] = options.sensor.split(",")
+    sensors: list[str] = [*options.sensor]
     if unknown := [name for name in sensors if name not in archive]:
         raise LearningError(f"--sensor: found {', '.join(unknown)}; known: {', '.join(archive)}")
     if held_out := [name for name in sensors if name in split.held_out_sensors]:
@@ -153,6 +156,6 @@ def _compensation(options: argparse.Namespace, sensors: list[str]) -> Compensati
     source, to, target = (options.pair or sensors[0]).partition("-to-")
     if not to or (options.pair is None and len(sensors) > 1):
         raise LearningError(
-            f"--pair: found {options.pair or options.sensor}; allowed: A-to-B, of one pair"
+            f"--pair: found {options.pair or ','.join(sensors)}; allowed: A-to-B, of one pair"
         )
     return read_stored(options.compensation).pair(source, target, options.choice).applied

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from command_line.options import whole
 from recorder import Session
 from rig.acquire.calibration import store
 from rig.acquire.calibration.calibration import Calibration
@@ -187,7 +188,7 @@ def watch_options(parser: argparse.ArgumentParser) -> None:
     """Add --watch and --watch-host."""
     parser.add_argument(
         "--watch",
-        type=int,
+        type=whole(0, 0xFFFF),
         nargs="?",
         const=DEFAULT_PORT,
         metavar="PORT",
@@ -221,8 +222,6 @@ def opened_page(
             raise ConfigError("--watch-host: goes with --watch only")
         yield None
         return
-    if not 0 <= options.watch <= 0xFFFF:
-        raise ConfigError(f"--watch: found {options.watch}; allowed: 0 to 65535")
     from rig.monitor.page.messages import page_job
     from rig.monitor.page.page import Page
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from command_line.errors import EXIT_INTERRUPTED, EXIT_WRONG_INPUT
+from command_line.options import add_device, add_seed, names
 from sim.cli.options import metres
 from sim.errors import SceneError
 
@@ -37,7 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "states",
         help="18 indenters x 9 places x 5 depths under 12 patterns: the paper's simulated data",
     )
-    states.add_argument("--patterns", metavar="NAME,...", help="some of the gel's (all 12)")
+    states.add_argument(
+        "--patterns", type=names, metavar="NAME,...", help="some of the gel's (all 12)"
+    )
     states.add_argument("--smoke", action="store_true", help="2 indenters on a coarse mesh")
     _add_plan_options(states, Path("data/states.markers.zarr"))
     states.set_defaults(make=_states)
@@ -46,7 +49,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     sensors.add_argument("--group", choices=GROUPS, help="sensors of one of the paper's tests")
     sensors.add_argument(
-        "--sensors", metavar="NAME,...", help="in place of --group: rows of sim/sensors, YAML files"
+        "--sensors",
+        type=names,
+        metavar="NAME,...",
+        help="in place of --group: rows of sim/sensors, YAML files",
     )
     sensors.add_argument(
         "--scale",
@@ -69,8 +75,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_plan_options(parser: argparse.ArgumentParser, out: Path | None) -> None:
     group = parser.add_argument_group("contents")
-    group.add_argument("--indenters", metavar="NAME,...", help="some of the 18 (all)")
-    group.add_argument("--seed", type=int, default=0, help="random seed (%(default)s)")
+    group.add_argument("--indenters", type=names, metavar="NAME,...", help="some of the 18 (all)")
+    add_seed(group)
     shown = out or "data/GROUP.markers.zarr"
     group.add_argument("--out", type=Path, default=out, metavar="PATH", help=f"archive ({shown})")
     group = parser.add_argument_group("solver")
@@ -93,7 +99,7 @@ def _add_plan_options(parser: argparse.ArgumentParser, out: Path | None) -> None
 
 def _add_run_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("execution")
-    group.add_argument("--device", default="cpu", help="cpu, or cuda:0 and the like (%(default)s)")
+    add_device(group)
     group.add_argument(
         "--processes",
         type=int,
@@ -119,10 +125,9 @@ def run(options: argparse.Namespace) -> int:
 def _states(options: argparse.Namespace) -> int:
     from sim.dataset import DatasetPlan, gel
 
-    patterns = None if options.patterns is None else tuple(options.patterns.split(","))
     plan = DatasetPlan(
         "states",
-        (gel(patterns),),
+        (gel(options.patterns),),
         indenters=_indenters(options.indenters, smoke=options.smoke),
         solving=_solving(options, smoke=options.smoke),
         seed=options.seed,
@@ -326,15 +331,14 @@ def _solving(options: argparse.Namespace, *, smoke: bool) -> Solving:
     return solving
 
 
-def _indenters(listed: str | None, *, smoke: bool) -> tuple[str, ...]:
+def _indenters(listed: Sequence[str] | None, *, smoke: bool) -> tuple[str, ...]:
     from sim.indenters import NAMES
 
     if listed is None:
         return tuple(name for name in NAMES if not smoke or name in SMOKE_SHAPES)
-    wanted = listed.split(",")
-    if unknown := [name for name in wanted if name not in NAMES]:
+    if unknown := [name for name in listed if name not in NAMES]:
         raise SceneError(f"--indenters: {', '.join(unknown)}; allowed: {', '.join(NAMES)}")
-    return tuple(name for name in NAMES if name in wanted)
+    return tuple(name for name in NAMES if name in listed)
 
 
 def _share(text: str) -> tuple[bool, float]:
@@ -360,8 +364,7 @@ def _chosen_sensors(options: argparse.Namespace) -> tuple[SimulatedSensor, ...]:
     if options.group is not None:
         of_group = dict(zip(GROUPS, (HOMOGENEOUS, MATERIAL, HETEROGENEOUS), strict=True))
         return tuple(sensor(name) for name in of_group[options.group])
-    files = [name for name in options.sensors.split(",")]
     return tuple(
         read_sensor(Path(name)) if name.endswith((".yaml", ".yml")) else sensor(name)
-        for name in files
+        for name in options.sensors
     )

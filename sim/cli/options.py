@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
-from command_line.options import numbers
+from command_line.options import add_device, names, numbers, positive
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError
 from sim.scene import Body, Footprint
@@ -231,6 +231,8 @@ def _option(name: str) -> str:
     return "--" + name.replace("_", "-")
 
 
+# Most frames of a phase of a motion.
+STEPS_MAX = 1000
 PRECISIONS = ("auto", "float32", "float64")
 
 
@@ -254,20 +256,6 @@ def add_speed(group: argparse._ArgumentGroup) -> None:
         metavar="MM/S",
         help="speed of the tip; matters to viscosity and inertia only [mm/s] (%(default)s)",
     )
-
-
-def check_motion(options: argparse.Namespace, units: dict[str, str]) -> None:
-    """Check that a motion's measures, named with their units, are above 0; and its steps.
-
-    Raises:
-        SceneError: A value is invalid; names the option, its value and the allowed ones.
-    """
-    for name, unit in units.items():
-        value = getattr(options, name)
-        if not (math.isfinite(value) and value > 0):
-            raise SceneError(f"--{name}: {value!r} {unit}; allowed: above 0")
-    if not 1 <= options.steps <= 1000:
-        raise SceneError(f"--steps: {options.steps!r}; allowed: 1 to 1000")
 
 
 def body_of(options: argparse.Namespace) -> Body:
@@ -332,8 +320,6 @@ def numerics_of(options: argparse.Namespace) -> Numerics | None:
         return None
     from sim.fem.numerics import FOR_EDGES, Numerics
 
-    if options.mesh is not None and not options.mesh > 0:
-        raise SceneError(f"--mesh: {options.mesh!r} mm; allowed: above 0")
     spacing = None if options.mesh is None else metres(options.mesh)
     grading = FOR_EDGES if options.extrapolate else None
     return Numerics(spacing=spacing, precision=options.precision, grading=grading)
@@ -459,7 +445,7 @@ def _add_solver_options(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--mesh",
-        type=float,
+        type=positive,
         metavar="MM",
         help="element size of fem [mm] (a sixth of the thickness)",
     )
@@ -469,9 +455,7 @@ def _add_solver_options(parser: argparse.ArgumentParser) -> None:
         default="auto",
         help="of fem; auto switches from float32 to float64 where necessary (%(default)s)",
     )
-    group.add_argument(
-        "--device", default="cpu", help="device of fem: cpu, or cuda:0 and the like (%(default)s)"
-    )
+    add_device(group, "device of fem")
 
 
 # Fields that `--fields` can add to `--json`.
@@ -480,12 +464,12 @@ FIELDS = ("surface", "traction")
 
 def fields(text: str) -> tuple[str, ...]:
     """Read comma-separated names from `FIELDS`."""
-    names = tuple(text.split(","))
-    if not set(names) <= set(FIELDS):
+    chosen = names(text)
+    if not set(chosen) <= set(FIELDS):
         raise argparse.ArgumentTypeError(
             f"{text!r}; allowed: one or more of {', '.join(FIELDS)} between commas"
         )
-    return names
+    return chosen
 
 
 def _add_output_options(parser: argparse.ArgumentParser) -> None:

@@ -8,6 +8,7 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from command_line.options import add_device
 from learning.errors import LearningError
 from recorder.progress import ItemProgress
 
@@ -49,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--presses", type=int, default=10, help="number of presses (10)")
     parser.add_argument("--frames", type=int, default=100, help="number of frames to time (100)")
     parser.add_argument("--threads", type=int, default=2, help="CPU threads of a step (2)")
-    parser.add_argument("--device", default="cpu", help="device of torch, e.g. cuda (cpu)")
+    add_device(parser)
     parser.add_argument(
         "--runtimes", metavar="NAME,...", help="torch, torch.compile, onnxruntime, openvino (all)"
     )

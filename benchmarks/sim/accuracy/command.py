@@ -9,6 +9,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from command_line.options import add_device
 from sim.errors import SceneError
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "page from all files. On a machine with a GPU: --device cuda:0 --only measure "
         "--out DIR; copy the file here and --only page includes it."
     )
-    parser.add_argument("--device", default="cpu", help="cpu, cuda:0, ... (%(default)s)")
+    add_device(parser)
     parser.add_argument("--only", choices=("measure", "page"), help="run this step only (both)")
     parser.add_argument(
         "--case", action="append", default=[], metavar="NAME", help="this case only (repeatable)"

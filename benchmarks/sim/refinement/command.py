@@ -9,7 +9,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from command_line.options import numbers
+from command_line.options import add_device, numbers
 from sim.cli.options import MM
 
 
@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="element sizes for the 18 shapes [mm] (%(default)s); half an hour each on a CPU",
     )
     parser.add_argument("--only", choices=("bench", "shapes"), help="run this part only")
-    parser.add_argument("--device", default="cpu", help="cpu, cuda:0, ... (%(default)s)")
+    add_device(parser)
     parser.add_argument(
         "--out",
         type=Path,

@@ -20,6 +20,7 @@ from PIL import Image
 from benchmarks.sim.render.compare import iou, mismatch
 from benchmarks.sim.render.raycast import smooth
 from benchmarks.sim.render.states import RenderState, dent, solved
+from command_line.options import names
 from sim.device import ready_device
 from sim.markers import HEIGHT, WIDTH, Camera, named
 from sim.markers.camera import FILM, LENS
@@ -118,7 +119,9 @@ def draw_texture(name: str, state: RenderState, path: Path) -> None:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the benchmark."""
     parser.add_argument("out", type=Path, help="folder for the images")
-    parser.add_argument("--patterns", default=",".join(PATTERNS), help="default %(default)s")
+    parser.add_argument(
+        "--patterns", type=names, default=",".join(PATTERNS), help="default %(default)s"
+    )
     parser.add_argument("--made-up", action="store_true", help="skip the solved presses")
 
 
@@ -129,7 +132,7 @@ def run(options: argparse.Namespace) -> int:
     states = [dent(at=(2e-3, -1e-3), aside=(0.6e-3, 0.3e-3))]
     if not options.made_up:
         states += solved()
-    names = options.patterns.split(",")
+    names = options.patterns
     print("| state | pattern | IoU | pixels that differ |\n|---|---|---|---|")
     for index, state in enumerate(states):
         renderer = Renderer(state.body)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from benchmarks.sim.render.compare import iou, mismatch
 from benchmarks.sim.render.raycast import cast_rays, marked
 from benchmarks.sim.render.states import RenderState, dent, fold, solved
+from command_line.options import add_device
 from recorder.markers import Lattice
 from sim.device import ready_device
 from sim.markers import Camera, named
@@ -103,7 +104,7 @@ def _line(state: RenderState, what: str, one: Masks, other: Masks) -> Line:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the benchmark."""
-    parser.add_argument("--device", default="cpu", help="cpu, cuda:0 ... (default %(default)s)")
+    add_device(parser)
     parser.add_argument(
         "--rays",
         type=int,

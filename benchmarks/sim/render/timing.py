@@ -11,6 +11,7 @@ import numpy as np
 import warp as wp
 
 from benchmarks.sim.render.states import dent
+from command_line.options import add_device
 from sim.device import ready_device
 from sim.markers import SIMULATED, Camera, named
 from sim.markers.kernels import (
@@ -86,7 +87,7 @@ def measure(
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the benchmark."""
-    parser.add_argument("--device", default="cpu", help="cpu, cuda:0 ... (default %(default)s)")
+    add_device(parser)
     parser.add_argument("--frames", type=int, default=9, help="frames per batch")
     parser.add_argument("--samples", type=int, default=1, help="samples along a pixel's side, odd")
     parser.add_argument(

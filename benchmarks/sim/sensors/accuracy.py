@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.sim.sensors.fit import SPACING
+from command_line.options import add_device
 from sim.device import ready_device
 from sim.errors import SimulationDiverged
 from sim.fem.numerics import FOR_EDGES, Numerics
@@ -42,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--grid", type=int, default=GRID, help="grid of the live sensor (%(default)s)"
     )
-    parser.add_argument("--device", default="cpu", help="device of `fem` (%(default)s)")
+    add_device(parser, "device of `fem`")
 
 
 def run(options: argparse.Namespace) -> int:

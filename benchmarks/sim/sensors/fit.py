@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.sim.sensors.relaxation import fitted, hysteresis, relaxed
+from command_line.options import add_device
 from sim.device import ready_device
 from sim.effects import Viscosity
 from sim.fem.numerics import FOR_EDGES, Numerics
@@ -72,7 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("--finer", action="store_true", help="elements of two thirds the size")
     parser.add_argument("--check", action="store_true", help="solve the viscous presses as well")
-    parser.add_argument("--device", default="cpu", help="cpu, or cuda:0 and the like (%(default)s)")
+    add_device(parser)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -15,6 +15,7 @@ from functools import partial
 
 import numpy as np
 
+from command_line.options import add_device
 from recorder.markers import draw_discs
 from sim.device import ready_device
 from sim.scene import Body
@@ -30,7 +31,7 @@ POINTS = 41
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the benchmark."""
     parser.add_argument("--frames", type=int, default=64, help="frames per batch (%(default)s)")
-    parser.add_argument("--device", default="cpu", help="device of rendering (%(default)s)")
+    add_device(parser)
 
 
 def run(options: argparse.Namespace) -> int:

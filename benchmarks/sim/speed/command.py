@@ -10,6 +10,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from command_line.options import add_device
 from sim.cli.options import metres
 from sim.errors import SceneError
 
@@ -31,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "page from all files. On a machine with a GPU: --device cuda:0 --only "
         f"{','.join(PARTS)} --out DIR; copy its files here and --only page includes them."
     )
-    parser.add_argument("--device", default="cpu", help="cpu, cuda:0, ... (%(default)s)")
+    add_device(parser)
     parser.add_argument(
         "--processes", type=int, metavar="N", help="processes on a CPU (2); a GPU uses one"
     )

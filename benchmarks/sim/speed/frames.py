@@ -16,6 +16,7 @@ import numpy as np
 
 from benchmarks.sim.speed.campaign import AUGMENTATIONS, PATH_TOLERANCE, TOLERANCE
 from benchmarks.sim.speed.machine import machine_name
+from command_line.options import add_device
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem.numerics import Numerics
 from sim.indenters import sphere
@@ -103,7 +104,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Times presses of 20 frames of 0.05 mm with `layer` and with meshes of `fem`, "
         "and reports the errors of their forces. Kernels are compiled before."
     )
-    parser.add_argument("--device", default="cpu", help="cpu, or cuda:0 and the like (%(default)s)")
+    add_device(parser)
     parser.add_argument(
         "--counts",
         default=",".join(map(str, COUNTS)),

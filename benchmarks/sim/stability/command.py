@@ -9,6 +9,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from command_line.options import add_device, add_seed
 from sim.errors import SceneError
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         help="number of parallel processes (default: 2 on a CPU, 1 on a GPU)",
     )
-    parser.add_argument("--device", default="cpu", help="cpu, or cuda:0 and the like (%(default)s)")
+    add_device(parser)
     parser.add_argument(
         "--out",
         type=Path,
@@ -62,7 +63,7 @@ def _add_random(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="number of scenes; exit code 1 on a silently wrong answer, or on a crash",
     )
-    group.add_argument("--seed", type=int, default=0, help="random seed (%(default)s)")
+    add_seed(group)
     group.add_argument(
         "--scene", type=int, default=0, metavar="I", help="number of the first scene (%(default)s)"
     )

@@ -25,6 +25,7 @@ from benchmarks.sim.tiers.comparison import (
     measure,
     measure_elements,
 )
+from command_line.options import add_device
 from recorder.progress import Progress
 from sim.device import ready_device
 from sim.errors import SimulationDiverged
@@ -74,7 +75,7 @@ def _numbers(values: Sequence[float], width: int, digits: int, factor: float = 1
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the benchmark."""
     parser.add_argument("--fine", action="store_true", help="also cells of 0.25 mm: some minutes")
-    parser.add_argument("--device", default="cpu", help="cpu, cuda:0 ... (default %(default)s)")
+    add_device(parser)
     parser.add_argument("--only", default="", help="rows whose name contains this (default: all)")
     parser.add_argument(
         "--file",
