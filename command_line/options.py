@@ -4,14 +4,35 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable
-from typing import NoReturn
+from collections.abc import Callable, Iterable
+from typing import Any, NoReturn
 
 from command_line.errors import CommandError
 
 
+class _Help(argparse.HelpFormatter):
+    """Help whose usage has only the required arguments; all options are listed below it."""
+
+    def add_usage(
+        self,
+        usage: str | None,
+        actions: Iterable[argparse.Action],
+        groups: Iterable[argparse._MutuallyExclusiveGroup],
+        prefix: str | None = None,
+    ) -> None:
+        """Add the usage; argparse also asks for that of subcommands, with an empty prefix."""
+        choices = [group for group in groups if group.required]
+        either = [action for group in choices for action in group._group_actions]
+        needed = [each for each in actions if each.required or each in either]
+        rest = [] if prefix == "" else [argparse.Action([], "options", nargs="?")]
+        super().add_usage(usage, [*needed, *rest], choices, prefix)
+
+
 class Parser(argparse.ArgumentParser):
     """Parser of one command, whose errors are one line and not preceded by all options."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**{"formatter_class": _Help, **settings})
 
     def error(self, message: str) -> NoReturn:
         """Reject the options.

@@ -34,14 +34,15 @@ def bench_options(
         parser: Parser of the command.
         sources: If true, add the options for real recordings that a mock bench plays.
     """
-    chosen = parser.add_mutually_exclusive_group()
+    bench = parser.add_argument_group("bench")
+    chosen = bench.add_mutually_exclusive_group()
     chosen.add_argument(
         "--sensor",
         metavar="NAME",
         help="name of a bench file, searched in benches/lab/, benches/ and the package",
     )
     chosen.add_argument("--bench", type=Path, metavar="FILE", help="path of a bench file")
-    parser.add_argument(
+    bench.add_argument(
         "--benches",
         type=Path,
         default=Path("benches"),
@@ -151,6 +152,7 @@ def calibration_options(parser: argparse.ArgumentParser) -> None:
         "--calibrations",
         type=Path,
         default=store.FOLDER,
+        metavar="DIR",
         help="folder of the results of home and calibrate-latency (%(default)s)",
     )
 
@@ -186,7 +188,8 @@ def calibration_of(options: argparse.Namespace, bench: Bench, indenter: str) -> 
 
 def watch_options(parser: argparse.ArgumentParser) -> None:
     """Add --watch and --watch-host."""
-    parser.add_argument(
+    page = parser.add_argument_group("monitoring page")
+    page.add_argument(
         "--watch",
         type=whole(0, 0xFFFF),
         nargs="?",
@@ -194,7 +197,7 @@ def watch_options(parser: argparse.ArgumentParser) -> None:
         metavar="PORT",
         help=f"serve a monitoring page (default port {DEFAULT_PORT}; 0: any free port)",
     )
-    parser.add_argument(
+    page.add_argument(
         "--watch-host",
         default=LOOPBACK_HOST,
         metavar="ADDRESS",
