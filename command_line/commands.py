@@ -1,16 +1,15 @@
 """Table of all commands: name, help text and implementing module.
 
-Nothing is imported here: `tactile --help` needs only this table. `docs/reference/commands.md` is
+No package is imported here: `tactile --help` needs only this table. `docs/reference/commands.md` is
 generated from it (`make reference`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 
-@dataclass(frozen=True, slots=True)
-class Command:
+class Command(NamedTuple):
     """One row of the table."""
 
     words: str

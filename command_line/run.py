@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import re
-import select
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from importlib import import_module
@@ -184,6 +183,8 @@ def _nobody_reads(error: OSError) -> bool:
 
     Other broken pipes are errors. Python would fail again at its exit, so output is discarded.
     """
+    import select
+
     events = select.poll()
     events.register(STDOUT, 0)
     if not isinstance(error, BrokenPipeError) or not events.poll(0):

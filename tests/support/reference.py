@@ -40,7 +40,8 @@ EXIT_CODES = """
 | 2 | invalid input: an unknown command or option, an unusable file, a missing extra |
 | 3 | a device was lost |
 | 4 | a safety stop |
-| 130 | interrupted |"""
+| 130 | interrupted |
+| 141 | nobody reads the output any more, such as `head` after its last line |"""
 ABOUT_NAMES = """\
 # Public names
 

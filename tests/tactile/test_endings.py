@@ -1,4 +1,4 @@
-"""How a command ends: exit code and printed line of every kind of error."""
+"""The end of a command: exit code and printed line of every kind of error."""
 
 from __future__ import annotations
 
