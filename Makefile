@@ -193,7 +193,7 @@ learning-ablations: $(VENV)/.demo  ## Write the ablations of these tables; run a
 
 #: [OUT=runs/tables] [ARGS="--only material,half --gpus 0,1"]
 learning-on-gpus: $(VENV)/.demo  ## Run all of these tables and ablations in parallel on all GPUs
-	@$(PY) benchmarks/learning/tables/on_gpus.py $(or $(OUT),runs/tables) $(ARGS)
+	@$(PY) -m benchmarks learning-on-gpus $(or $(OUT),runs/tables) $(ARGS)
 
 ##@ Develop
 

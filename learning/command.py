@@ -1,43 +1,12 @@
-"""Common parts of the commands: error handling, exit codes, shared options."""
+"""Options that several commands share."""
 
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from learning.errors import LearningError
+from command_line.options import names, names_or_none
 from learning.indenters import UNSEEN
-from recorder.errors import SessionError
-from recorder.processes import WorkerLost
-
-if TYPE_CHECKING:
-    Subcommands = argparse._SubParsersAction[argparse.ArgumentParser]
-
-
-EXIT_WRONG_INPUT = 2
-EXIT_INTERRUPTED = 130
-
-
-def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
-    """Run the command that `argv` names; print errors and return the exit code."""
-    options = parser.parse_args(argv)
-    try:
-        return int(options.run(options))
-    except (LearningError, SessionError) as error:
-        print(f"wrong input: {error}", file=sys.stderr)
-        return EXIT_WRONG_INPUT
-    except OSError as error:
-        print(f"cannot read or write: {error}", file=sys.stderr)
-        return EXIT_WRONG_INPUT
-    except WorkerLost as error:
-        print(f"cannot continue: {error}", file=sys.stderr)
-        return EXIT_WRONG_INPUT
-    except KeyboardInterrupt:
-        print("interrupted; repeat the command to continue an archive", file=sys.stderr)
-        return EXIT_INTERRUPTED
 
 
 def add_inputs(parser: argparse.ArgumentParser) -> None:
@@ -75,7 +44,10 @@ def add_settings(
 def add_sensors(parser: argparse.ArgumentParser) -> None:
     """Add the option that chooses some of an archive's sensors."""
     parser.add_argument(
-        "--sensors", metavar="NAME,...", help="learn from these (all that are not held out)"
+        "--sensors",
+        type=names,
+        metavar="NAME,...",
+        help="learn from these (all that are not held out)",
     )
 
 
@@ -90,27 +62,17 @@ def add_unseen(parser: argparse.ArgumentParser) -> None:
     """Add the option for held-out indenters."""
     parser.add_argument(
         "--unseen",
+        type=names_or_none,
+        default=UNSEEN,
         metavar="NAME,...",
         help=f"indenters excluded from training ({','.join(UNSEEN)}; none: '')",
     )
 
 
-def unseen(listed: str | None) -> tuple[str, ...]:
-    """Return the indenters that are held out."""
-    return UNSEEN if listed is None else tuple(name for name in listed.split(",") if name)
-
-
-def by_name(given: list[str] | None, option: str) -> dict[str, float]:
-    """Parse numbers given as NAME=NUMBER.
-
-    Raises:
-        LearningError: A text is not of that form.
-    """
-    found = {}
-    for text in given or []:
-        name, _, number = text.partition("=")
-        try:
-            found[name] = float(number)
-        except ValueError:
-            raise LearningError(f"{option}: found {text!r}; allowed: NAME=NUMBER") from None
-    return found
+def named_number(text: str) -> tuple[str, float]:
+    """Read NAME=NUMBER."""
+    name, _, number = text.partition("=")
+    try:
+        return name, float(number)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"found {text!r}; allowed: NAME=NUMBER") from None

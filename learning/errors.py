@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from command_line.errors import CommandError
 
-class LearningError(ValueError):
+
+class LearningError(CommandError, ValueError):
     """Invalid input; the message names the file or field, its value and the allowed values.
 
     Corrupt sessions and archives raise `recorder.SessionError`, whose messages have the same form.

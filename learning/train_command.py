@@ -7,8 +7,9 @@ import sys
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
+from command_line.errors import EXIT_INTERRUPTED
 from learning.data.splits import Split, read_split
-from learning.training.run import EXIT_INTERRUPTED, RunFolder, Session, Stop, accelerator, described
+from learning.training.run import RunFolder, Session, Stop, accelerator, described
 from recorder import MarkerArchive
 from recorder.progress import ItemProgress
 
@@ -27,7 +28,7 @@ def open_data(options: argparse.Namespace) -> tuple[MarkerArchive, Split]:
 
 def trained_on(options: argparse.Namespace, archive: MarkerArchive, split: Split) -> list[str]:
     """Return the sensors that the options name, or all that the split does not hold out."""
-    return options.sensors.split(",") if options.sensors else [*split.trained_sensors(archive)]
+    return [*(options.sensors or split.trained_sensors(archive))]
 
 
 def run_training(

@@ -1,7 +1,9 @@
 """The only error that this package raises deliberately."""
 
+from command_line.errors import CommandError
 
-class SessionError(RuntimeError):
+
+class SessionError(CommandError, RuntimeError):
     """Raised for a session, an archive or a row to be written that violates the format.
 
     The message names the location, the value found and the value expected.

@@ -14,12 +14,16 @@ from multiprocessing.context import SpawnContext, SpawnProcess
 from types import TracebackType
 from typing import Any, ParamSpec, Self, TypeVar
 
+from command_line.errors import CommandError
+
 Given = ParamSpec("Given")
 Answer = TypeVar("Answer")
 
 
-class WorkerLost(RuntimeError):
+class WorkerLost(CommandError, RuntimeError):
     """A worker process ended without a result; the state of its current call is unknown."""
+
+    label = "cannot continue"
 
 
 class Workers:

@@ -7,22 +7,34 @@ from numbers import Real
 from pathlib import Path
 from typing import Any
 
+from command_line.errors import CommandError
 
-class SceneError(ValueError):
+# Most recent attempts that are listed when there is no solution.
+TRIED_SHOWN = 5
+
+
+class SceneError(CommandError, ValueError):
     """Scene that is not physical or not solvable; the message has field, value, allowed values."""
 
 
-class SimulationDiverged(RuntimeError):
+class SimulationDiverged(CommandError, RuntimeError):
     """No converged state was found, even with the smallest step; nothing unconverged is returned.
 
     `tried` lists the attempts (step, iterations, residual); `dump` is the `.npz` with the last
     converged state and the scene, or None if it could not be written.
     """
 
+    exit_code = 1
+
     def __init__(self, message: str, tried: tuple[str, ...] = (), dump: Path | None = None) -> None:
         super().__init__(message)
         self.tried = tried
         self.dump = dump
+
+    def report(self) -> str:
+        """Return the message and the most recent attempts."""
+        tried = [f"  tried: {attempt}" for attempt in self.tried[-TRIED_SHOWN:]]
+        return "\n".join([f"no solution: {self}", *tried])
 
 
 # Checks of fields, with messages of one form.

@@ -3,56 +3,34 @@
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    Subcommands = argparse._SubParsersAction[argparse.ArgumentParser]
+from command_line.errors import CommandError
 
-EXIT_WRONG_INPUT = 2
 FOLDERS = ("benches/lab", "calibrations", "campaigns", "sessions")
 # Number of existing entries that an error lists.
 SHOWN = 5
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the command and its options."""
-    parser = subcommands.add_parser(
-        "init",
-        help="create the folder of a lab",
-        description="Creates DIR with benches/lab, calibrations, campaigns (with an example), "
-        "sessions and a README. Commands run in DIR read and write their files there.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Creates DIR with benches/lab, calibrations, campaigns (with an example), "
+        "sessions and a README. Commands run in DIR read and write their files there."
     )
     parser.add_argument("folder", type=Path, metavar="DIR", help="new, or empty")
-    parser.set_defaults(run=_run)
 
 
-def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
-    """Run the command that `argv` names and return the exit code."""
-    options = parser.parse_args(argv)
-    try:
-        return int(options.run(options))
-    except OSError as error:
-        print(f"cannot write: {error}", file=sys.stderr)
-        return EXIT_WRONG_INPUT
-
-
-def _run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
     folder: Path = options.folder
     if folder.exists() and not folder.is_dir():
-        print(f"wrong input: {folder}: a file; allowed: a new or empty folder", file=sys.stderr)
-        return EXIT_WRONG_INPUT
+        raise CommandError(f"{folder}: a file; allowed: a new or empty folder")
     if folder.exists() and (there := sorted(path.name for path in folder.iterdir())):
         more = f" and {len(there) - SHOWN} more" if len(there) > SHOWN else ""
-        print(
-            f"wrong input: {folder}: holds {', '.join(there[:SHOWN])}{more}; allowed: a new or "
-            "empty folder",
-            file=sys.stderr,
-        )
-        return EXIT_WRONG_INPUT
+        listed = ", ".join(there[:SHOWN])
+        raise CommandError(f"{folder}: holds {listed}{more}; allowed: a new or empty folder")
     lay_out(folder)
     print(f"{folder}: created; README.md describes the folders; next:")
     print(f"  cd {folder} && tactile collect --sensor tacpalm --targets 2")

@@ -6,28 +6,22 @@ import argparse
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    Subcommands = argparse._SubParsersAction[argparse.ArgumentParser]
+from typing import Any
 
 KINDS = ("bench", "campaign", "sensor")
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the command and its options."""
-    parser = subcommands.add_parser(
-        "schema",
-        help="write the JSON Schema of bench, campaign or sensor files",
-        description="Writes the JSON Schema of a kind of YAML file. Editors with a YAML language "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Writes the JSON Schema of a kind of YAML file. Editors with a YAML language "
         "server use it for a file that begins with "
-        "'# yaml-language-server: $schema=bench.schema.json'.",
+        "'# yaml-language-server: $schema=bench.schema.json'."
     )
     parser.add_argument("kind", choices=KINDS, help="kind of file")
     parser.add_argument(
         "--out", type=Path, metavar="FILE", help="file to write (default: standard output)"
     )
-    parser.set_defaults(run=_run)
 
 
 def schema_of(kind: str) -> dict[str, Any]:
@@ -50,7 +44,8 @@ def schema_of(kind: str) -> dict[str, Any]:
     return found
 
 
-def _run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
     text = json.dumps(schema_of(options.kind), indent=1) + "\n"
     if options.out is None:
         sys.stdout.write(text)

@@ -6,23 +6,15 @@ import argparse
 import sys
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from recorder.progress import Progress
 from rig.cli.options import bench_options, bench_path
 from rig.core.errors import ConfigError
 
-if TYPE_CHECKING:
-    from rig.cli.options import Subcommands
 
-
-def add_to(subcommands: Subcommands) -> None:
-    """Add the subcommand and its options."""
-    parser = subcommands.add_parser(
-        "endurance",
-        parents=[bench_options()],
-        help="memory and dropped samples of a long mock collection",
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    bench_options(parser)
     parser.add_argument(
         "--minutes", type=float, default=30.0, help="minimum length of the plan [min] (%(default)s)"
     )
@@ -33,7 +25,6 @@ def add_to(subcommands: Subcommands) -> None:
         help="page to write (%(default)s)",
     )
     parser.add_argument("--session", type=Path, help="keep the session here (default: deleted)")
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -7,23 +7,17 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rig.core.errors import ConfigError
 from rig.core.packaged import BENCHES
 
-if TYPE_CHECKING:
-    from rig.cli.options import Subcommands
 
-
-def add_to(subcommands: Subcommands) -> None:
-    """Add the subcommand and its options."""
-    parser = subcommands.add_parser(
-        "faults",
-        help="inject faults into mock collections; report losses",
-        description="Injects faults into short mock collections, one after the other, and checks "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Injects faults into short mock collections, one after the other, and checks "
         "the session of each. Exit code 1 if any row loses samples, hangs or leaves the "
-        "arm moving. About half an hour; with --quick, and fewer kills, about ten minutes.",
+        "arm moving. About half an hour; with --quick, and fewer kills, about ten minutes."
     )
     parser.add_argument(
         "--only",
@@ -49,7 +43,6 @@ def add_to(subcommands: Subcommands) -> None:
     parser.add_argument(
         "--keep", type=Path, metavar="FOLDER", help="keep sessions and logs of bad rows here"
     )
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:

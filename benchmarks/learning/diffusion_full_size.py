@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
+from command_line.options import numbers
 from learning.config import read_settings, settings_to_dict
 from learning.data.images import SIDE, enlarge_images
 from learning.data.synthetic import before, random_fields, sample_patterns, untouched
@@ -316,16 +317,19 @@ def _now(device: torch.device) -> float:
     return time.perf_counter()
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure, write and print the results, and return the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks diffusion-full-size",
-        description="Measures memory, speed and decreasing loss of the full-size networks with "
-        "random weights; needs a GPU, but no archive and no weights.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
+    parser.description = (
+        "Measures memory, speed and decreasing loss of the full-size networks with "
+        "random weights; needs a GPU, but no archive and no weights."
     )
     parser.add_argument("out", type=Path, metavar="JSON", help="file to write")
     parser.add_argument(
-        "--batches", default="4,8,16", metavar="N,...", help="batch sizes (%(default)s)"
+        "--batches",
+        type=numbers(),
+        default="4,8,16",
+        metavar="N,...",
+        help="batch sizes (%(default)s)",
     )
     parser.add_argument(
         "--set",
@@ -334,11 +338,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         metavar="KEY=VALUE",
         help="override the preset `ours`",
     )
-    options = parser.parse_args(arguments)
-    try:
-        batches = [int(text) for text in options.batches.split(",")]
-    except ValueError:
-        parser.error(f"--batches: found {options.batches!r}; allowed: N,...")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measure, write and print the results, and return the exit code."""
+    batches = [int(count) for count in options.batches]
     with ItemProgress("steps", sys.stderr) as steps:
         found = check(batches, options.out, overrides=options.set, progress=steps)
     print(table(found))

@@ -15,6 +15,7 @@ from typing import Any
 
 import torch
 
+from command_line.options import add_device
 from learning.config import read_settings
 from learning.data.images import shrink_masks
 from learning.training.run import Session, accelerator, generator
@@ -28,14 +29,17 @@ _SECONDS = 3.0
 _PITCH_PX, _RADIUS_PX = 64, 14
 
 
-def main(argv: list[str] | None = None) -> None:
-    """Measure and print the speed."""
-    parser = argparse.ArgumentParser(description="Frames per second of the field translator.")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
+    parser.description = "Frames per second of the field translator."
     parser.add_argument("--preset", default="ours", help="preset of the networks (%(default)s)")
-    parser.add_argument("--device", default="cpu", help="cpu or cuda (%(default)s)")
+    add_device(parser)
     parser.add_argument("--batch", type=int, default=64, help="batch size (%(default)s)")
     parser.add_argument("--steps", type=int, default=30, help="steps of each stage (%(default)s)")
-    options = parser.parse_args(argv)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measure and print the speed."""
     sets = [
         f"launch.device={options.device}",
         *(
@@ -73,6 +77,7 @@ def main(argv: list[str] | None = None) -> None:
         print(f"training, {stage} stage: {rate:,.0f} frames/s")
     if device.type == "cuda":
         print(f"memory: {torch.cuda.max_memory_allocated() / 2**30:.1f} GiB")
+    return 0
 
 
 def _frames(count: int, device: torch.device) -> Frames:
@@ -112,7 +117,3 @@ def _rate(work: Callable[[], Any], count: int, device: torch.device) -> float:
 def _wait(device: torch.device) -> None:
     if device.type == "cuda":
         torch.cuda.synchronize(device)
-
-
-if __name__ == "__main__":
-    main()

@@ -4,26 +4,21 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from command_line.errors import EXIT_DONE
 from rig.bench.bench import find_bench
-from rig.core.errors import EXIT_DONE, ConfigError
+from rig.core.errors import ConfigError
 from rig.core.packaged import BENCHES
-
-if TYPE_CHECKING:
-    from rig.cli.options import Subcommands
 
 _PARTS = ("stores", "share", "lateness", "cameras", "full", "alignment")
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the subcommand and its options."""
-    parser = subcommands.add_parser(
-        "recording",
-        help="measure the cost of recording and write docs/results/recording.md (about 12 minutes)",
-        description="Measures frames/s, MB/s, CPU share [% of a core], lateness [ms] and the error "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Measures frames/s, MB/s, CPU share [% of a core], lateness [ms] and the error "
         "of alignment [N, mm, deg, px]. Needs about 16 GB of disk temporarily. Other stores need "
-        "the extra `bench`; LeRobot runs in the Python that LEROBOT_PYTHON names.",
+        "the extra `bench`; LeRobot runs in the Python that LEROBOT_PYTHON names."
     )
     parser.add_argument("--quick", action="store_true", help="a minute or two; numbers mean little")
     parser.add_argument(
@@ -44,7 +39,6 @@ def add_to(subcommands: Subcommands) -> None:
         help="folder on the disk to measure; all files written there are removed",
     )
     parser.add_argument("--benches", type=Path, default=BENCHES, help="folder of benches")
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -15,11 +15,11 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
 
 from benchmarks.sim.stability.chance.dice import Dice
 from benchmarks.sim.stability.chance.scenes import drawn
 from benchmarks.sim.stability.runner import INTERRUPTED, done_counts, side_by_side
+from command_line.options import add_seed
 from recorder.progress import duration
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError
@@ -32,9 +32,6 @@ from sim.needed import FINENESS, EffectsPlan, plan_many
 from sim.result import Outcome, Result
 from sim.scene import Scene
 from sim.tiers import simulate_many
-
-if TYPE_CHECKING:
-    from sim.cli.options import Subcommands
 
 # Maximum steps of a motion and elements of a probe's mesh, for scenes that take seconds.
 STEPS_MAX, COARSE_MAX = 15, 700
@@ -65,15 +62,12 @@ class Row:
         return self.true[self.found.tolerance.kind]
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the subcommand and its options."""
-    parser = subcommands.add_parser(
-        "needed", help="neglect insignificant effects in random scenes, and check the error"
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     parser.add_argument(
         "--scenes", type=int, default=60, metavar="N", help="number of scenes (%(default)s)"
     )
-    parser.add_argument("--seed", type=int, default=1, help="random seed (%(default)s)")
+    add_seed(parser, 1)
     parser.add_argument(
         "--tolerance", default="2 %", help='"2 %%", "0.05 N" or "0.5 px" (%(default)s)'
     )
@@ -93,7 +87,6 @@ def add_to(subcommands: Subcommands) -> None:
     parser.add_argument(
         "--processes", type=int, default=1, help="parallel processes on a CPU (%(default)s)"
     )
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:

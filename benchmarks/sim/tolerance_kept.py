@@ -15,13 +15,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
 from benchmarks.sim.stability.chance.judgement import OutOfTime, time_limit
 from benchmarks.sim.stability.chance.scenes import Drawn, drawn
 from benchmarks.sim.stability.runner import INTERRUPTED, done_counts, side_by_side
+from command_line.options import add_device, add_seed
 from recorder.progress import duration
 from sim.errors import SceneError, SimulationDiverged
 from sim.extrapolation import left_of_difference
@@ -32,9 +33,6 @@ from sim.scene import Scene
 from sim.simulate import plan
 from sim.tiers import simulate_one
 from sim.tolerance import elements_ratio
-
-if TYPE_CHECKING:
-    from sim.cli.options import Subcommands
 
 # Element size of the answer over that of the reference.
 FINER = 1.6
@@ -124,11 +122,7 @@ def _truth(scene: Scene, result: Result, device: str) -> tuple[np.ndarray, np.nd
     most = TRUTH_ELEMENTS_MAX["cpu" if device == "cpu" else "cuda"]
     fineness = result.record["mesh"].get("fineness", COARSEST)
     finest, middle = (
-        simulate_one(
-            scene,
-            numerics=Fem(fineness=one, elements_max=most),
-            device=device,
-        )
+        simulate_one(scene, Fem(fineness=one, elements_max=most), device=device)
         for one in (max(COARSEST, fineness) * FINER, max(COARSEST, fineness))
     )
     ratio = elements_ratio(middle, finest)
@@ -164,18 +158,16 @@ def line(row: Row) -> str:
     )
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the subcommand and its options."""
-    parser = subcommands.add_parser(
-        "tolerance",
-        help="are tolerances met on random scenes",
-        description="Draws scenes, solves each within a tolerance and again on finer meshes, and "
-        "reports how often the tolerance was met. Exit code 1 if this is below 95 %.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Draws scenes, solves each within a tolerance and again on finer meshes, and "
+        "reports how often the tolerance was met. Exit code 1 if this is below 95 %."
     )
     parser.add_argument("--scenes", type=int, default=200, help="number of scenes (%(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="random seed (%(default)s)")
+    add_seed(parser)
     parser.add_argument("--tolerance", default="3 %", help="force tolerance (3 %%)")
-    parser.add_argument("--device", default="cpu", help="cpu, or cuda:0 and the like (%(default)s)")
+    add_device(parser)
     parser.add_argument(
         "--processes", type=int, default=1, help="number of parallel processes (%(default)s)"
     )
@@ -183,7 +175,6 @@ def add_to(subcommands: Subcommands) -> None:
         "--seconds", type=float, default=300.0, help="time limit of a solve (%(default)g)"
     )
     parser.add_argument("--csv", type=Path, metavar="FILE", help="also write the rows to this file")
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace, say: Callable[[str], None] = print) -> int:

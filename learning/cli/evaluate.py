@@ -5,24 +5,20 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from command_line.options import add_device, add_seed, names, whole
 from learning.errors import LearningError
 from recorder.progress import ItemProgress
-
-if TYPE_CHECKING:
-    from learning.command import Subcommands
 
 ROLES = "new_indenter"
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the command and its options."""
-    parser = subcommands.add_parser(
-        "evaluate",
-        description="Collects results of `predict`, and scores of translated frames, in one HTML "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Collects results of `predict`, and scores of translated frames, in one HTML "
         "page with CSV tables. With --archive and --translated, translated frames are scored first "
-        "(Dice, SSIM, markers [px, mm], distances) and the scores are kept in FOLDER.",
+        "(Dice, SSIM, markers [px, mm], distances) and the scores are kept in FOLDER."
     )
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder of .npz results")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="report folder")
@@ -39,7 +35,11 @@ def add_to(subcommands: Subcommands) -> None:
     )
     scoring.add_argument("--split", type=Path, metavar="JSON", help="made by `split`")
     scoring.add_argument(
-        "--role", default=ROLES, metavar="ROLE,...", help=f"which presses are scored ({ROLES})"
+        "--role",
+        type=names,
+        default=ROLES,
+        metavar="ROLE,...",
+        help=f"which presses are scored ({ROLES})",
     )
     scoring.add_argument(
         "--features",
@@ -48,13 +48,15 @@ def add_to(subcommands: Subcommands) -> None:
         help="features for distances: marker-grid, the folder of a marker autoencoder, or "
         "pt_inception-2015-12-05-6726825d.pth, for FID and KID (marker-grid)",
     )
-    scoring.add_argument("--frames", type=int, default=1000, help="maximum pairs per role (1000)")
-    scoring.add_argument("--device", default="cpu", help="device for features (cpu)")
-    parser.add_argument("--seed", type=int, default=0, help="of random draws (0)")
-    parser.set_defaults(run=_run)
+    scoring.add_argument(
+        "--frames", type=whole(), default=1000, help="maximum pairs per role (1000)"
+    )
+    add_device(scoring, "device of the features")
+    add_seed(parser)
 
 
-def _run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
     from learning.evaluation.report import read_folder, write_report
 
     if options.translated or options.archive:
@@ -88,11 +90,8 @@ def _score(options: argparse.Namespace) -> None:
             raise LearningError(
                 f"--{name}: missing; allowed: --archive, --translated and --split together"
             )
-    if options.frames < 1:
-        raise LearningError(f"--frames: found {options.frames}; allowed: 1 or more")
     archive, split = MarkerArchive(options.archive), read_split(options.split)
     extractor = load_extractor(options.features, options.device)
-    roles = [role for role in options.role.split(",") if role]
     for path in options.translated:
         for name, sensor in MarkerArchive(path).items():
             print(f"scoring {name} of {path.name}", file=sys.stderr)
@@ -101,7 +100,7 @@ def _score(options: argparse.Namespace) -> None:
                     archive,
                     sensor,
                     split,
-                    roles,
+                    options.role,
                     extractor,
                     frames=options.frames,
                     seed=options.seed,

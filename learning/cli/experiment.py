@@ -5,28 +5,26 @@ from __future__ import annotations
 import argparse
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from command_line.options import add_device, names
 from learning.command import add_settings
 
-if TYPE_CHECKING:
-    from learning.command import Subcommands
 
-
-def add_to(subcommands: Subcommands) -> None:
-    """Add the command and its options."""
-    parser = subcommands.add_parser(
-        "experiment",
-        description="Transfers force sensing between the sensors of an archive: trains the "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Transfers force sensing between the sensors of an archive: trains the "
         "translators, a force model for each source and one for each pair on translated frames, "
         "then reports their errors on held-out presses, before and after the transfer. An "
-        "interrupted experiment continues when the command is repeated.",
+        "interrupted experiment continues when the command is repeated."
     )
     parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="result folder")
     add_settings(parser, "demo")
-    parser.add_argument("--pairs", metavar="A:B,...", help="pairs from A to B (all directed pairs)")
-    parser.add_argument("--device", default="cpu", metavar="NAME", help="cpu, cuda:0, ... (cpu)")
+    parser.add_argument(
+        "--pairs", type=names, metavar="A:B,...", help="pairs from A to B (all directed pairs)"
+    )
+    add_device(parser)
     parser.add_argument(
         "--processes",
         type=int,
@@ -41,10 +39,10 @@ def add_to(subcommands: Subcommands) -> None:
         metavar="N",
         help="models trained in parallel, as far as memory allows (1)",
     )
-    parser.set_defaults(run=_run)
 
 
-def _run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
     from learning.config import read_settings
     from learning.experiment.running import gained, run_experiment
     from learning.experiment.settings import PRESETS, ExperimentSettings
@@ -54,7 +52,7 @@ def _run(options: argparse.Namespace) -> int:
         options.archive,
         options.out,
         settings,
-        pairs=options.pairs.split(",") if options.pairs else None,
+        pairs=options.pairs,
         device=options.device,
         processes=options.processes,
         jobs=options.jobs,

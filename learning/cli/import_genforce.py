@@ -5,27 +5,27 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from learning.command import add_unseen, by_name, unseen
+from learning.command import add_unseen, named_number
 from recorder.progress import ItemProgress
 
-if TYPE_CHECKING:
-    from learning.command import Subcommands
 
-
-def add_to(subcommands: Subcommands) -> None:
-    """Add the command and its options."""
-    parser = subcommands.add_parser(
-        "import-genforce",
-        description="Reads a folder of the published recordings: one with img, force and depth, "
-        "one of simulated pictures, or a raw collection run. Repeat the command to continue.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Reads a folder of the published recordings: one with img, force and depth, "
+        "one of simulated pictures, or a raw collection run. Repeat the command to continue."
     )
     parser.add_argument("folder", type=Path, metavar="DIR")
     parser.add_argument("--out", type=Path, metavar="PATH", required=True, help="X.markers.zarr")
     parser.add_argument("--preset", metavar="NAME", help="marker detection in raw pictures")
     parser.add_argument(
-        "--mm-per-px", action="append", metavar="SENSOR=MM", help="size of a pixel (0.0249)"
+        "--mm-per-px",
+        type=named_number,
+        action="append",
+        default=[],
+        metavar="SENSOR=MM",
+        help="size of a pixel (0.0249)",
     )
     parser.add_argument(
         "--heights",
@@ -34,7 +34,9 @@ def add_to(subcommands: Subcommands) -> None:
     )
     parser.add_argument(
         "--surface-mm",
+        type=named_number,
         action="append",
+        default=[],
         metavar="SENSOR=MM",
         help="depth files hold heights; this is the surface's",
     )
@@ -42,22 +44,22 @@ def add_to(subcommands: Subcommands) -> None:
         "--compensation", type=Path, metavar="DIR", help="<sensor>_down.csv and _up.csv"
     )
     add_unseen(parser)
-    parser.set_defaults(run=_run)
 
 
-def _run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
     from learning.data.genforce import import_folder, read_compensation
     from learning.data.genforce.importing import Choices
     from learning.data.genforce.training import SURFACES_MM
     from learning.markers.build import told
 
     surfaces = dict(SURFACES_MM) if options.heights else {}
-    surfaces |= by_name(options.surface_mm, "--surface-mm")
+    surfaces |= dict(options.surface_mm)
     choices = Choices(
         preset_name=options.preset,
-        mm_per_px=by_name(options.mm_per_px, "--mm-per-px"),
+        mm_per_px=dict(options.mm_per_px),
         surfaces_mm=surfaces,
-        unseen=unseen(options.unseen),
+        unseen=options.unseen,
         compensation={}
         if options.compensation is None
         else read_compensation(options.compensation),

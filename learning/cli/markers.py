@@ -7,21 +7,19 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from learning.command import add_unseen, unseen
+from learning.command import add_unseen
 from learning.errors import LearningError
 from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
-    from learning.command import Subcommands
     from learning.markers import EfficientSam
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the command and its options."""
-    parser = subcommands.add_parser(
-        "markers",
-        description="Finds the markers in pictures or taxels of sessions, one session for each "
-        "indenter on each sensor. Repeat the command with the same sessions to continue.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Finds the markers in pictures or taxels of sessions, one session for each "
+        "indenter on each sensor. Repeat the command with the same sessions to continue."
     )
     parser.add_argument("sessions", nargs="+", type=Path, metavar="SESSION", help="NAME.zarr")
     parser.add_argument("--out", type=Path, metavar="PATH", help="archive to write, X.markers.zarr")
@@ -37,10 +35,10 @@ def add_to(subcommands: Subcommands) -> None:
     parser.add_argument("--sam-encoder", type=Path, metavar="ONNX", help="EfficientSAM encoder")
     parser.add_argument("--sam-decoder", type=Path, metavar="ONNX", help="and its decoder")
     add_unseen(parser)
-    parser.set_defaults(run=_run)
 
 
-def _run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
     from learning.markers import archive_sessions
     from learning.markers.build import draw_sheet, rates
     from learning.markers.recording import read_group
@@ -61,7 +59,7 @@ def _run(options: argparse.Namespace) -> int:
             preset_name=options.preset,
             sensor=options.sensor,
             mm_per_px=options.mm_per_px,
-            unseen=unseen(options.unseen),
+            unseen=options.unseen,
             sam=sam,
             progress=progress,
         )

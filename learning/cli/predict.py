@@ -6,33 +6,33 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from command_line.options import add_device, names
 from learning.errors import LearningError
 from learning.evaluation.predictions import METHODS, TRANSLATED
 from recorder.progress import ItemProgress
 
-if TYPE_CHECKING:
-    from learning.command import Subcommands
-
 ROLES = "new_indenter,new_press"
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the command and its options."""
-    parser = subcommands.add_parser(
-        "predict",
-        description="Runs a force model over whole presses of a sensor and writes its forces [N] "
-        "with the labels [N], for `evaluate`.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Runs a force model over whole presses of a sensor and writes its forces [N] "
+        "with the labels [N], for `evaluate`."
     )
     parser.add_argument("model", type=Path, metavar="MODEL", help="folder of a trained force model")
     parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr with labels")
     parser.add_argument("--sensor", required=True, metavar="NAME", help="target sensor")
     parser.add_argument("--split", type=Path, required=True, metavar="JSON", help="made by `split`")
     parser.add_argument(
-        "--role", default=ROLES, metavar="ROLE,...", help=f"which presses of the split ({ROLES})"
+        "--role",
+        type=names,
+        default=ROLES,
+        metavar="ROLE,...",
+        help=f"which presses of the split ({ROLES})",
     )
     parser.add_argument(
         "--source", metavar="NAME", help="sensor of its training labels (from the model)"
@@ -46,12 +46,12 @@ def add_to(subcommands: Subcommands) -> None:
     parser.add_argument(
         "--translator", default="", metavar="NAME", help="translator of its training images (none)"
     )
-    parser.add_argument("--device", default="cpu", help="device (cpu), e.g. cuda:0")
+    add_device(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="NPZ", help="file to write")
-    parser.set_defaults(run=_run)
 
 
-def _run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
     from learning.data.presses import Form, load_presses
     from learning.data.splits import read_split
     from learning.evaluation.predictions import predictions_of
@@ -68,10 +68,11 @@ def _run(options: argparse.Namespace) -> int:
         raise LearningError(f"--sensor: found {options.sensor!r}; known: {known}")
     sensor, split = archive[options.sensor], read_split(options.split)
     split.check(archive)
-    roles = [role for role in options.role.split(",") if role]
-    rows = np.sort(np.concatenate([split.rows(sensor.table, role) for role in roles]))
+    rows = np.sort(np.concatenate([split.rows(sensor.table, role) for role in options.role]))
     if not len(rows):
-        raise LearningError(f"--role: found no frames of {options.role} of {options.sensor}")
+        raise LearningError(
+            f"--role: found no frames of {','.join(options.role)} of {options.sensor}"
+        )
     if (unlabelled := ~np.isfinite(sensor.table["wrench"][rows]).all(axis=1)).any():
         raise LearningError(
             f"{options.sensor}: found no label in row {rows[unlabelled][0]}, and "

@@ -6,18 +6,18 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from command_line.options import add_seed, names_or_none
+
 if TYPE_CHECKING:
-    from learning.command import Subcommands
     from learning.data.splits import Split
     from recorder import MarkerArchive
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the command and its options."""
-    parser = subcommands.add_parser(
-        "split",
-        description="Gives every press of an archive a role, the same for all sensors. A press "
-        "is a location; all presses of unseen indenters are in the test.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Gives every press of an archive a role, the same for all sensors. A press "
+        "is a location; all presses of unseen indenters are in the test."
     )
     parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
     parser.add_argument("--out", type=Path, metavar="JSON", required=True, help="file to write")
@@ -37,20 +37,22 @@ def add_to(subcommands: Subcommands) -> None:
     )
     parser.add_argument(
         "--hold-out-sensors",
-        default="",
+        type=names_or_none,
+        default=(),
         metavar="NAME,...",
         help="sensors that no model may be trained on",
     )
     parser.add_argument(
         "--unseen",
+        type=names_or_none,
         metavar="NAME,...",
         help="indenters excluded from training (the archive's list; none: '')",
     )
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the choice (0)")
-    parser.set_defaults(run=_run)
+    add_seed(parser)
 
 
-def _run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
     from learning.data.splits import make_split
     from recorder import MarkerArchive
 
@@ -59,9 +61,9 @@ def _run(options: argparse.Namespace) -> int:
         archive,
         validation=options.validation,
         new_press=options.new_press,
-        held_out_sensors=_names(options.hold_out_sensors),
+        held_out_sensors=options.hold_out_sensors,
         seed=options.seed,
-        unseen=None if options.unseen is None else _names(options.unseen),
+        unseen=options.unseen,
     )
     split.write(options.out)
     for line in told(split, archive):
@@ -89,7 +91,3 @@ def told(split: Split, archive: MarkerArchive) -> list[str]:
         lines.append(f"{name:16s}" + "".join(cells) + held)
     lines.append("a sensor's cells: frames of presses")
     return lines
-
-
-def _names(listed: str) -> tuple[str, ...]:
-    return tuple(name for name in listed.split(",") if name)

@@ -8,26 +8,29 @@ from itertools import permutations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from command_line.options import add_device, names
 from learning.errors import LearningError
 from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
-    from learning.command import Subcommands
     from learning.translation.archive import Pair
     from recorder import MarkerArchive
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the command and its options."""
-    parser = subcommands.add_parser(
-        "translate",
-        description="Writes a marker archive with a sensor A-to-B for each pair: translated frames "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Writes a marker archive with a sensor A-to-B for each pair: translated frames "
         "and labels of A, references and scale of B. Repeat the command with the same options to "
-        "continue.",
+        "continue."
     )
     parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
-    parser.add_argument("--source", metavar="A,...", help="sensors whose frames are translated")
-    parser.add_argument("--target", metavar="B,...", help="sensors that they are translated to")
+    parser.add_argument(
+        "--source", type=names, metavar="A,...", help="sensors whose frames are translated"
+    )
+    parser.add_argument(
+        "--target", type=names, metavar="B,...", help="sensors that they are translated to"
+    )
     parser.add_argument("--all", action="store_true", help="every sensor to every other")
     parser.add_argument(
         "--model",
@@ -38,14 +41,17 @@ def add_to(subcommands: Subcommands) -> None:
     parser.add_argument("--out", type=Path, required=True, metavar="PATH", help="Y.markers.zarr")
     parser.add_argument("--split", type=Path, metavar="JSON", help="a split, for --role")
     parser.add_argument(
-        "--role", metavar="NAME,...", help="only these parts of the split, e.g. new_press"
+        "--role",
+        type=names,
+        metavar="NAME,...",
+        help="only these parts of the split, e.g. new_press",
     )
-    parser.add_argument("--device", default="cpu", help="device of the model (%(default)s)")
+    add_device(parser)
     parser.add_argument("--sheet", type=Path, metavar="PNG", help="draw a contact sheet as well")
-    parser.set_defaults(run=_run)
 
 
-def _run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
     if (options.split is None) != (options.role is None):
         raise LearningError("--split, --role: found one; allowed: both or neither")
 
@@ -65,7 +71,7 @@ def _run(options: argparse.Namespace) -> int:
             pairs,
             model,
             split=None if options.split is None else read_split(options.split),
-            roles=[] if options.role is None else options.role.split(","),
+            roles=options.role or [],
             progress=progress,
         )
     if options.sheet is not None:
@@ -85,8 +91,9 @@ def _pairs(archive: MarkerArchive, options: argparse.Namespace) -> list[Pair]:
         return [Pair(*names) for names in permutations(archive, 2)]
     if None in given:
         raise LearningError("--source, --target: missing; allowed: both, or --all")
-    sources, targets = (text.split(",") for text in given)
-    pairs = [Pair(one, other) for one in sources for other in targets if one != other]
+    pairs = [Pair(one, other) for one in options.source for other in options.target if one != other]
     if not pairs:
-        raise LearningError(f"--target: found {options.target}, the source itself; allowed: others")
+        raise LearningError(
+            f"--target: found {','.join(options.target)}, the source itself; allowed: others"
+        )
     return pairs

@@ -8,28 +8,30 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from learning.command import by_name
+from command_line.options import numbers
+from learning.command import named_number
 from learning.errors import LearningError
 from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
-    from learning.command import Subcommands
     from learning.compensation.fit import Search
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the command and its options."""
-    parser = subcommands.add_parser(
-        "compensate",
-        description="Fits force over depth of each sensor (degree 2, loading and unloading) and "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Fits force over depth of each sensor (degree 2, loading and unloading) and "
         "writes, for each pair, d0 and lambda of the supplement's equations 7 to 9: a fixed "
         "default, a label-free choice by the priors' fits, and an oracle that uses the target's "
-        "labels. train-force --compensation reads the file.",
+        "labels. train-force --compensation reads the file."
     )
     parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
     parser.add_argument("--out", type=Path, metavar="JSON", required=True, help="file to write")
     parser.add_argument(
-        "--pairs", metavar="A:B,...", help="labels of A for B (default: all pairs with priors)"
+        "--pairs",
+        type=_pairs,
+        metavar="A:B,...",
+        help="labels of A for B (default: all pairs with priors)",
     )
     parser.add_argument(
         "--split",
@@ -57,12 +59,15 @@ def add_to(subcommands: Subcommands) -> None:
     )
     parser.add_argument(
         "--range-mm",
+        type=named_number,
         action="append",
+        default=[],
         metavar="SENSOR=MM",
         help="depth that counts as 1 (default: the sensor's deepest located press)",
     )
     parser.add_argument(
         "--d0",
+        type=numbers(),
         metavar="SHARE,...",
         help="starting depths to try, as shares of the source's depth range, 0 to 1 (default: the "
         "supplement's, 0, 0.4, 0.8 mm for skins of one depth range, else 0, 0.25, 0.5, 0.75)",
@@ -70,19 +75,23 @@ def add_to(subcommands: Subcommands) -> None:
     parser.add_argument(
         "--lambda",
         dest="weights",
+        type=numbers(),
         metavar="WEIGHT,...",
         help="weights to try, 0 to 1 (default: 0, 0.25, 0.5, 0.75, 1)",
     )
     parser.add_argument(
-        "--default", metavar="D0,LAMBDA", help="the fixed, label-free choice (0,0.75)"
+        "--default",
+        type=numbers(2),
+        metavar="D0,LAMBDA",
+        help="the fixed, label-free choice (0,0.75)",
     )
     parser.add_argument(
         "--picture", type=Path, metavar="PNG", help="curves (default: next to the file)"
     )
-    parser.set_defaults(run=_run)
 
 
-def _run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
     from learning.compensation.fit import Curves, draw_curves, find_compensation, tables
     from recorder import MarkerArchive
 
@@ -93,12 +102,12 @@ def _run(options: argparse.Namespace) -> int:
         sessions=tuple(options.session),
         coefficients=options.coefficients,
         per_mm=options.coefficients_of == "mm",
-        ranges_mm=by_name(options.range_mm, "--range-mm"),
+        ranges_mm=dict(options.range_mm),
     )
     with ItemProgress("pairs", sys.stderr) as progress:
         found, gathered = find_compensation(
             archive,
-            pairs=_pairs(options.pairs),
+            pairs=options.pairs,
             curves=curves,
             search=_search(options),
             progress=progress,
@@ -117,31 +126,19 @@ def _search(options: argparse.Namespace) -> Search:
 
     search = Search(split=options.split)
     if options.d0 is not None:
-        search = replace(search, d0=_numbers(options.d0, "--d0"))
+        search = replace(search, d0=options.d0)
     if options.weights is not None:
-        search = replace(search, weights=_numbers(options.weights, "--lambda"))
+        search = replace(search, weights=options.weights)
     if options.default is not None:
-        default = _numbers(options.default, "--default")
-        if len(default) != 2:
-            raise LearningError(f"--default: found {options.default!r}; allowed: D0,LAMBDA")
-        search = replace(search, default=(default[0], default[1]))
+        search = replace(search, default=options.default)
     return search
 
 
-def _pairs(text: str | None) -> list[tuple[str, str]] | None:
-    if text is None:
-        return None
+def _pairs(text: str) -> list[tuple[str, str]]:
     pairs = []
     for one in text.split(","):
         source, _, target = one.partition(":")
         if not source or not target or source == target:
-            raise LearningError(f"--pairs: found {one!r}; allowed: SOURCE:TARGET, two sensors")
+            raise argparse.ArgumentTypeError(f"found {one!r}; allowed: SOURCE:TARGET, two sensors")
         pairs.append((source, target))
     return pairs
-
-
-def _numbers(text: str, option: str) -> tuple[float, ...]:
-    try:
-        return tuple(float(one) for one in text.split(","))
-    except ValueError:
-        raise LearningError(f"{option}: found {text!r}; allowed: numbers with commas") from None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
@@ -12,8 +11,8 @@ from pathlib import Path
 
 import torch
 
-from learning.command import run
-from learning.compensation import command as compensate
+from command_line.errors import EXIT_INTERRUPTED
+from command_line.run import main
 from learning.data.presses import Presses
 from learning.errors import LearningError
 from learning.experiment.parts import Pair
@@ -22,11 +21,8 @@ from learning.experiment.translating import WithoutSourceReference
 from learning.force.model import ForceModel
 from learning.force.together import train_together
 from learning.force.train import Compensation, ForceSettings
-from learning.training.run import EXIT_INTERRUPTED, RunFolder, Stop
+from learning.training.run import RunFolder, Stop
 from learning.translation.archive import Model, hash_of
-from learning.translation.direct import autoencoder_command as train_autoencoder
-from learning.translation.direct import command as train_direct
-from learning.translation.field import command as train_field
 from learning.translation.loading import load_translator
 from learning.translation.translator import FLOW
 from recorder.progress import ItemProgress
@@ -111,19 +107,11 @@ def run_command(command: Sequence[str], say: Callable[[str], None]) -> None:
     """
     message = "python -m learning " + " ".join(command)
     say(message)
-    code = run(_parser(), command)
+    code = main(command, "learning")
     if code == EXIT_INTERRUPTED:
         raise KeyboardInterrupt
     if code:
         raise LearningError(f"`{message}` ended with exit code {code}")
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m learning")
-    subcommands = parser.add_subparsers(dest="verb", required=True)
-    for verb in (compensate, train_field, train_autoencoder, train_direct):
-        verb.add_to(subcommands)
-    return parser
 
 
 def _commands(

@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from command_line.options import names
 from learning.command import add_resume, add_settings
 
-if TYPE_CHECKING:
-    from learning.command import Subcommands
 
-
-def add_to(subcommands: Subcommands) -> None:
-    """Add the verb and its options."""
-    parser = subcommands.add_parser(
-        "train-force",
-        description="Trains a model of Fx, Fy, Fz [N] on sequences of marker images of a sensor, "
-        "or of a translated one (A-to-B). Ctrl-C saves a checkpoint; --resume continues from it.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Trains a model of Fx, Fy, Fz [N] on sequences of marker images of a sensor, "
+        "or of a translated one (A-to-B). Ctrl-C saves a checkpoint; --resume continues from it."
     )
     parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
-    parser.add_argument("--sensor", metavar="NAME,...", required=True, help="sensors to train on")
+    parser.add_argument(
+        "--sensor", type=names, metavar="NAME,...", required=True, help="sensors to train on"
+    )
     parser.add_argument("--split", type=Path, metavar="FILE", required=True, help="split.json")
     parser.add_argument("--out", type=Path, metavar="DIR", required=True, help="the run's folder")
     add_settings(
@@ -42,10 +40,10 @@ def add_to(subcommands: Subcommands) -> None:
         "--choice", default="default", metavar="NAME", help="its choice of d0 and lambda (default)"
     )
     add_resume(parser, "continue the run in --out")
-    parser.set_defaults(run=_run)
 
 
-def _run(options: argparse.Namespace) -> int:
-    from learning.force.train import run
+def run(options: argparse.Namespace) -> int:
+    """Train, and return the exit code."""
+    from learning.force.train import run as train
 
-    return run(options)
+    return train(options)

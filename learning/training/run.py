@@ -516,9 +516,6 @@ def _entropy(seed: int, words: tuple[str | int, ...]) -> int:
 #
 # SIGTERM, which cluster schedulers send before they reclaim a machine, has the same effect.
 
-# Exit code of a training that stopped on request.
-EXIT_INTERRUPTED = 130
-
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 # A signal within this time [s] of the first is a duplicate: torchrun forwards signals that all get.
 _ECHO = 1.0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import datetime
 import hashlib
 import shutil
@@ -13,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from recorder.convert.import_force import FORCE_UNITS, TORQUE_UNITS, Wrenches, read_force
+from recorder.convert.import_force import Wrenches, read_force
 from recorder.convert.import_taxels import Counts, read_taxels
 from recorder.convert.import_video import Film, open_film
 from recorder.errors import SessionError
@@ -262,49 +261,3 @@ def _write(
             (s for name in ("camera", "taxels", "force") for s in specs if s.name == name), specs[0]
         )
         session.finish("complete", rate_hz=signal.rate_hz)
-
-
-# Options of `python -m recorder import`.
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of an import."""
-    add = parser.add_argument
-    add("--video", type=Path, metavar="PATH", help="video file, or folder of images in name order")
-    add("--force", type=Path, metavar="PATH", help="forces: .csv with a header, or .npy")
-    add("--taxels", type=Path, metavar="PATH", help="taxel counts: .npy (n, 48) or (n, 16, 3)")
-    add("--sensor", required=True, help="name of the sensor")
-    add("--indenter", required=True, help="name of what touched it")
-    add("--operator", default="", help="who recorded it")
-    add("--fps", type=float, metavar="HZ", help="images per second (default: as the video says)")
-    add("--force-hz", type=float, metavar="HZ", help="force rows per second, without a time column")
-    add("--taxels-hz", type=float, metavar="HZ", help="taxel rows per second")
-    forces, torques = ", ".join(FORCE_UNITS), ", ".join(TORQUE_UNITS)
-    add("--units", metavar="UNIT", help=f"of forces that do not say theirs: {forces}")
-    add("--torque-units", metavar="UNIT", help=f"of torques that do not say theirs: {torques}")
-    add("--ignore", action="append", default=[], metavar="NAME", help="leave out this CSV column")
-    add("--trim", action="store_true", help="cut all to the shortest of the recordings")
-
-
-def order_of(options: argparse.Namespace) -> ImportOrder:
-    """Return the import order that the options describe.
-
-    Raises:
-        SessionError: No files, or an impossible rate.
-    """
-    return ImportOrder(
-        out=options.session,
-        sensor=options.sensor,
-        indenter=options.indenter,
-        video=options.video,
-        force=options.force,
-        taxels=options.taxels,
-        fps=options.fps,
-        force_hz=options.force_hz,
-        taxels_hz=options.taxels_hz,
-        units=options.units,
-        torque_units=options.torque_units,
-        ignore=tuple(options.ignore),
-        trim=options.trim,
-        operator=options.operator,
-    )

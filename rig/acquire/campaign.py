@@ -10,13 +10,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from command_line.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_WRONG_INPUT
 from recorder import Session, SessionError
 from recorder.progress import duration
 from rig.acquire.request import first_open_target
 from rig.acquire.summary import show_curve
 from rig.bench.bench import Bench, find_bench, load_bench
 from rig.core.config import build, read_yaml
-from rig.core.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_WRONG_INPUT, ConfigError
+from rig.core.errors import ConfigError
 from rig.core.packaged import CAMPAIGNS, packaged
 from trajectories import Plan, dry_run, plan_from_json
 

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE, EXIT_INTERRUPTED, EXIT_SAFETY_STOP
 from recorder import Session, SessionError, SessionWriter
 from recorder.session import clock_lines, contact_sheet, fit_clocks
 from rig.acquire import summary
@@ -28,14 +29,7 @@ from rig.acquire.streams import Streams
 from rig.bench.bench import Bench
 from rig.bench.stream_kinds import stream_names, stream_spec
 from rig.core.clock import ClockAnchor, SystemClock
-from rig.core.errors import (
-    EXIT_DEVICE_LOST,
-    EXIT_DONE,
-    EXIT_INTERRUPTED,
-    EXIT_SAFETY_STOP,
-    DeviceLost,
-    SafetyStop,
-)
+from rig.core.errors import DeviceLost, SafetyStop
 from rig.core.geometry import compose, transform
 from rig.devices.arm.arm import Arm
 from trajectories import Plan, plan_to_json

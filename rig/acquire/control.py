@@ -10,13 +10,21 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Protocol
 
+from command_line.errors import EXIT_INTERRUPTED, CommandError
+
 logger = logging.getLogger(__name__)
 
 # Ctrl-C is a request, not an exception: the current row is finished, then the arm retracts.
 
 
-class Interrupted(Exception):
+class Interrupted(CommandError):
     """The operator requested a stop."""
+
+    exit_code = EXIT_INTERRUPTED
+
+    def report(self) -> str:
+        """Return the line of a command that had not begun to record."""
+        return "interrupted; nothing was recorded"
 
 
 class InterruptFlag:

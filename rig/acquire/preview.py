@@ -8,9 +8,9 @@ from pathlib import Path
 
 from PIL import Image, ImageDraw, ImageFont
 
+from command_line.errors import EXIT_DONE, EXIT_WRONG_INPUT
 from recorder.progress import duration
 from rig.bench.bench import Bench
-from rig.core.errors import EXIT_DONE, EXIT_WRONG_INPUT
 from trajectories import DryRun, Target, dry_run
 
 _SIZE = (1180, 620)

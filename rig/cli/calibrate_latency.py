@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from command_line.errors import EXIT_DONE, EXIT_SAFETY_STOP
 from recorder import Session
 from rig.acquire.calibration import store
 from rig.acquire.calibration.calibration import Calibration, LatencyCalibration
@@ -19,19 +19,12 @@ from rig.cli.options import (
 )
 from rig.core.clock import file_stamp
 from rig.core.config import to_si
-from rig.core.errors import EXIT_DONE, EXIT_SAFETY_STOP, SafetyStop
-
-if TYPE_CHECKING:
-    from rig.cli.options import Subcommands
+from rig.core.errors import SafetyStop
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the verb and its options."""
-    parser = subcommands.add_parser(
-        "calibrate-latency",
-        parents=[bench_options()],
-        help="measure and store the latency of the camera or taxels by light taps",
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    bench_options(parser)
     parser.add_argument("--indenter", help="name of the indenter on the arm")
     parser.add_argument("--taps", type=int, default=16, help="number of taps (%(default)s)")
     parser.add_argument(
@@ -40,7 +33,6 @@ def add_to(subcommands: Subcommands) -> None:
     parser.add_argument("--out", type=Path, help="session to write (default: in sessions/)")
     parser.add_argument("--operator", default="", help="operator's name (default: the login name)")
     calibration_options(parser)
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -7,19 +7,16 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from command_line.errors import EXIT_DONE
 from rig.cli.options import calibration_options
-from rig.core.errors import EXIT_DONE, ConfigError
+from rig.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from rig.acquire.campaign import Item
-    from rig.cli.options import Subcommands
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the verb and its options."""
-    parser = subcommands.add_parser(
-        "campaign", help="record the remaining sessions of a campaign file"
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     parser.add_argument("--file", type=Path, required=True, help="YAML like campaigns/day.yaml")
     parser.add_argument("--benches", type=Path, default=Path("benches"), help="folder of benches")
     parser.add_argument("--out", type=Path, help="folder of the sessions (default: the file's)")
@@ -31,7 +28,6 @@ def add_to(subcommands: Subcommands) -> None:
         help="continue with the next session after a lost device or a safety stop",
     )
     calibration_options(parser)
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:

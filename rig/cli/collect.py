@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rig.cli.options import (
-    MOCK_ONLY,
     banner,
     bench_options,
     calibration_of,
@@ -15,33 +13,25 @@ from rig.cli.options import (
     chosen_bench,
     log_to,
     opened_page,
-    source_options,
     sources_of,
     watch_options,
 )
 from rig.core.clock import file_stamp
 from rig.core.errors import ConfigError
 
-if TYPE_CHECKING:
-    from rig.cli.options import Subcommands
 
-
-def add_to(subcommands: Subcommands) -> None:
-    """Add the verb and its options."""
-    truth = argparse.ArgumentParser(add_help=False)
-    truth.add_argument_group(MOCK_ONLY).add_argument(
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    bench_options(parser, sources=True).add_argument(
         "--truth", type=Path, metavar="FILE", help="log the World's truth here"
     )
-    parser = subcommands.add_parser(
-        "collect",
-        parents=[bench_options(), source_options(), truth],
-        help="record one session with the bench's plan",
-        description="Records one session: checks the rates of all streams, tares the gauge, and "
+    parser.description = (
+        "Records one session: checks the rates of all streams, tares the gauge, and "
         "presses the targets of the bench's plan. Ctrl-C stops after the current move and loses "
         "nothing; --resume continues. Exit code 0 done, 2 wrong input, 3 device lost, 4 safety "
-        "stop, 130 interrupted.",
-        epilog="Example: tactile collect --sensor tacpalm --targets 8",
+        "stop, 130 interrupted."
     )
+    parser.epilog = "Example: tactile collect --sensor tacpalm --targets 8"
     group = parser.add_argument_group("session")
     group.add_argument(
         "--out", type=Path, metavar="PATH", help="session to write (default: in sessions/)"
@@ -59,7 +49,6 @@ def add_to(subcommands: Subcommands) -> None:
     )
     watch_options(parser)
     calibration_options(parser)
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:

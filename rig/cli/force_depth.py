@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rig.cli.options import (
     banner,
@@ -17,24 +16,16 @@ from rig.cli.options import (
 from rig.core.clock import file_stamp
 from rig.core.errors import ConfigError
 
-if TYPE_CHECKING:
-    from rig.cli.options import Subcommands
 
-
-def add_to(subcommands: Subcommands) -> None:
-    """Add the verb and its options."""
-    parser = subcommands.add_parser(
-        "force-depth",
-        parents=[bench_options()],
-        help="press and release along the bench's force_depth and plot the curve",
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    bench_options(parser)
     parser.add_argument(
         "--indenter", default="prism", help="name of the indenter on the arm (%(default)s)"
     )
     parser.add_argument("--out", type=Path, help="session to write (default: in sessions/)")
     parser.add_argument("--operator", default="", help="operator's name (default: the login name)")
     calibration_options(parser)
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -3,27 +3,20 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
 
 from rig.bench.bench import load_bench
 from rig.cli.options import banner, bench_options, bench_path
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError, DeviceLost
 
-if TYPE_CHECKING:
-    from rig.cli.options import Subcommands
-
 # Activation opens and closes the fingers once; it takes one to two seconds [s].
 _OPENING = 5.0
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the verb and its options."""
-    parser = subcommands.add_parser(
-        "grip", parents=[bench_options()], help="open the gripper, then close it on the indenter"
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    bench_options(parser)
     parser.add_argument("--open", action="store_true", help="only open; a held indenter falls")
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -17,19 +17,13 @@ from rig.core.errors import ConfigError, SafetyStop
 
 if TYPE_CHECKING:
     from rig.bench.bench import Bench
-    from rig.cli.options import Subcommands
 
 logger = logging.getLogger(__name__)
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the verb and its options."""
-    parser = subcommands.add_parser(
-        "jog",
-        parents=[bench_options()],
-        help="move the arm with a SpaceMouse; its first button sets the contact origin",
-    )
-    parser.set_defaults(run=run)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    bench_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -12,33 +12,32 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE
+from command_line.options import positive, whole
 from rig.acquire.control import InterruptFlag
 from rig.cli.options import bench_options, chosen_bench
 from rig.core.clock import Clock, SystemClock
-from rig.core.errors import EXIT_DEVICE_LOST, EXIT_DONE, ConfigError, DeviceLost
+from rig.core.errors import ConfigError, DeviceLost
 
 if TYPE_CHECKING:
-    from rig.cli.options import Subcommands
     from rig.monitor.watched import Watched
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the verb and its options."""
-    parser = subcommands.add_parser(
-        "live",
-        parents=[bench_options()],
-        help="predict forces with a trained model as the sensor is touched; nothing moves",
-        description="Read the sensor, print Fx, Fy, Fz for every frame, and finally the latency. "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    bench_options(parser)
+    parser.description = (
+        "Read the sensor, print Fx, Fy, Fz for every frame, and finally the latency. "
         "No arm moves; on a mock bench an emulated finger presses along its trajectory. "
-        "Start with the sensor untouched: its first frames are the reference.",
+        "Start with the sensor untouched: its first frames are the reference."
     )
     parser.add_argument(
         "--model", type=Path, required=True, metavar="DIR", help="folder of a trained force model"
     )
     parser.add_argument("--session", type=Path, help="replay this session instead of a bench")
-    parser.add_argument("--seconds", type=float, help="duration [s] (default: until Ctrl-C)")
+    parser.add_argument("--seconds", type=positive, help="duration [s] (default: until Ctrl-C)")
     parser.add_argument(
-        "--rate-hz", type=float, help="mock bench: frames per second (default: the bench file's)"
+        "--rate-hz", type=positive, help="mock bench: frames per second (default: the bench file's)"
     )
     parser.add_argument(
         "--runtime",
@@ -48,7 +47,7 @@ def add_to(subcommands: Subcommands) -> None:
         "python -m learning export-onnx; openvino-bf16 is the fastest on CPUs that support it)",
     )
     parser.add_argument(
-        "--threads", type=int, default=0, help="model threads (default: the runtime's choice)"
+        "--threads", type=whole(0), default=0, help="model threads (default: the runtime's choice)"
     )
     parser.add_argument(
         "--preset", metavar="NAME", help="marker detection preset (default: that of the sensor)"
@@ -56,7 +55,6 @@ def add_to(subcommands: Subcommands) -> None:
     parser.add_argument(
         "--out", type=Path, metavar="CSV", help="write every force to this new file"
     )
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -116,12 +114,6 @@ def run(options: argparse.Namespace) -> int:
 def _check(options: argparse.Namespace) -> None:
     if options.session is not None and (options.sensor or options.bench or options.world):
         raise ConfigError("--session: goes without --sensor, --bench and --world")
-    for name in ("seconds", "rate_hz"):
-        value = getattr(options, name)
-        if value is not None and not value > 0:
-            raise ConfigError(f"--{name.replace('_', '-')}: found {value:g}; allowed: above 0")
-    if options.threads < 0:
-        raise ConfigError(f"--threads: found {options.threads}; allowed: 0 or more")
     if options.out is not None and options.out.exists():
         raise ConfigError(f"{options.out}: exists; allowed: a new file")
 

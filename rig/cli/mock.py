@@ -6,23 +6,14 @@ import argparse
 import contextlib
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from rig.cli.options import banner, bench_options, chosen_bench, source_options, sources_of
+from rig.cli.options import banner, bench_options, chosen_bench, sources_of
 from rig.core.errors import ConfigError
 
-if TYPE_CHECKING:
-    from rig.cli.options import Subcommands
 
-
-def add_to(subcommands: Subcommands) -> None:
-    """Add the verb and its options."""
-    parser = subcommands.add_parser(
-        "mock",
-        parents=[bench_options(), source_options()],
-        help="run the emulators of a bench until Ctrl-C",
-    )
-    parser.set_defaults(run=run)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    bench_options(parser, sources=True)
 
 
 def run(options: argparse.Namespace) -> int:

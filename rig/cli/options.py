@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from command_line.options import whole
 from recorder import Session
 from rig.acquire.calibration import store
 from rig.acquire.calibration.calibration import Calibration
@@ -19,60 +20,57 @@ from rig.core.sources import Sources
 from rig.monitor.page.access import DEFAULT_PORT, LOOPBACK_HOST, AccessPolicy, is_loopback
 
 if TYPE_CHECKING:
-    Subcommands = argparse._SubParsersAction[argparse.ArgumentParser]
     from rig.acquire.request import CollectRequest
     from rig.monitor.page.page import Page
     from trajectories import Plan
 
 
-# Title of the options that a lab bench rejects.
-MOCK_ONLY = "mock bench only"
+def bench_options(
+    parser: argparse.ArgumentParser, *, sources: bool = False
+) -> argparse._ArgumentGroup:
+    """Add --sensor or --bench, --benches and --world; return the group of a mock bench's options.
 
-
-def bench_options() -> argparse.ArgumentParser:
-    """Return a parser of the options that select a bench: --sensor or --bench, and --benches."""
-    parser = argparse.ArgumentParser(add_help=False)
-    chosen = parser.add_mutually_exclusive_group()
+    Args:
+        parser: Parser of the command.
+        sources: If true, add the options for real recordings that a mock bench plays.
+    """
+    bench = parser.add_argument_group("bench")
+    chosen = bench.add_mutually_exclusive_group()
     chosen.add_argument(
         "--sensor",
         metavar="NAME",
         help="name of a bench file, searched in benches/lab/, benches/ and the package",
     )
     chosen.add_argument("--bench", type=Path, metavar="FILE", help="path of a bench file")
-    parser.add_argument(
+    bench.add_argument(
         "--benches",
         type=Path,
         default=Path("benches"),
         metavar="DIR",
         help="folder of bench files (%(default)s)",
     )
-    parser.add_argument_group(MOCK_ONLY).add_argument(
+    group = parser.add_argument_group("mock bench only")
+    group.add_argument(
         "--world",
         choices=("sim",),
         help="use the simulator in place of the bench file's world",
     )
-    return parser
-
-
-def source_options() -> argparse.ArgumentParser:
-    """Return a parser of the options for real recordings that a mock bench plays."""
-    parser = argparse.ArgumentParser(add_help=False)
-    group = parser.add_argument_group(MOCK_ONLY)
-    group.add_argument(
-        "--camera",
-        type=Path,
-        metavar="PATH",
-        help="play this folder of images or video file in place of the World's view",
-    )
-    group.add_argument(
-        "--still",
-        action="store_true",
-        help="declare --camera a still scene: each image is held for seconds",
-    )
-    group.add_argument(
-        "--taxels", type=Path, metavar="FILE", help="play this .npy file of raw counts (T, 48)"
-    )
-    return parser
+    if sources:
+        group.add_argument(
+            "--camera",
+            type=Path,
+            metavar="PATH",
+            help="play this folder of images or video file in place of the World's view",
+        )
+        group.add_argument(
+            "--still",
+            action="store_true",
+            help="declare --camera a still scene: each image is held for seconds",
+        )
+        group.add_argument(
+            "--taxels", type=Path, metavar="FILE", help="play this .npy file of raw counts (T, 48)"
+        )
+    return group
 
 
 def bench_path(options: argparse.Namespace) -> Path:
@@ -154,6 +152,7 @@ def calibration_options(parser: argparse.ArgumentParser) -> None:
         "--calibrations",
         type=Path,
         default=store.FOLDER,
+        metavar="DIR",
         help="folder of the results of home and calibrate-latency (%(default)s)",
     )
 
@@ -189,15 +188,16 @@ def calibration_of(options: argparse.Namespace, bench: Bench, indenter: str) -> 
 
 def watch_options(parser: argparse.ArgumentParser) -> None:
     """Add --watch and --watch-host."""
-    parser.add_argument(
+    page = parser.add_argument_group("monitoring page")
+    page.add_argument(
         "--watch",
-        type=int,
+        type=whole(0, 0xFFFF),
         nargs="?",
         const=DEFAULT_PORT,
         metavar="PORT",
         help=f"serve a monitoring page (default port {DEFAULT_PORT}; 0: any free port)",
     )
-    parser.add_argument(
+    page.add_argument(
         "--watch-host",
         default=LOOPBACK_HOST,
         metavar="ADDRESS",
@@ -225,8 +225,6 @@ def opened_page(
             raise ConfigError("--watch-host: goes with --watch only")
         yield None
         return
-    if not 0 <= options.watch <= 0xFFFF:
-        raise ConfigError(f"--watch: found {options.watch}; allowed: 0 to 65535")
     from rig.monitor.page.messages import page_job
     from rig.monitor.page.page import Page
 

@@ -4,22 +4,15 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rig.bench.bench import load_bench
 from rig.cli.options import bench_options, bench_path
 
-if TYPE_CHECKING:
-    from rig.cli.options import Subcommands
 
-
-def add_to(subcommands: Subcommands) -> None:
-    """Add the verb and its options."""
-    parser = subcommands.add_parser(
-        "preview", parents=[bench_options()], help="draw the plan and check its limits"
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    bench_options(parser)
     parser.add_argument("--out", type=Path, help="PNG to write (default: in sessions/)")
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:

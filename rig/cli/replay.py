@@ -4,21 +4,15 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rig.core.clock import file_stamp
 
-if TYPE_CHECKING:
-    from rig.cli.options import Subcommands
 
-
-def add_to(subcommands: Subcommands) -> None:
-    """Add the verb and its options."""
-    parser = subcommands.add_parser(
-        "replay",
-        help="play a session through the emulators and record it again; nothing moves",
-        description="Play a session through the emulators, record it again with the real drivers, "
-        "and compare. Exit code 0: every stream has the same bytes; 1: some stream differs.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Play a session through the emulators, record it again with the real drivers, "
+        "and compare. Exit code 0: every stream has the same bytes; 1: some stream differs."
     )
     parser.add_argument("--session", type=Path, required=True, help="the session to replay")
     parser.add_argument(
@@ -35,7 +29,6 @@ def add_to(subcommands: Subcommands) -> None:
         metavar="STREAM",
         help="leave out this stream, such as a camera whose images are stored as pixels",
     )
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE, EXIT_INTERRUPTED
 from recorder import Session, SessionError, SessionWriter, StreamWriter
 from recorder.info import session_digest, stream_digest
 from recorder.progress import ItemProgress
@@ -24,7 +25,7 @@ from recorder.session import fit_clocks
 from rig.acquire.collector import software
 from rig.acquire.control import Interrupted, InterruptFlag
 from rig.core.clock import ClockAnchor, SystemClock
-from rig.core.errors import EXIT_DEVICE_LOST, EXIT_DONE, EXIT_INTERRUPTED, DeviceLost
+from rig.core.errors import DeviceLost
 from rig.devices.playback.wire import replayable
 from rig.mock.bench import free_loopback
 from rig.mock.players import replay_bench

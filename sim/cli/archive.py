@@ -10,15 +10,15 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from command_line.errors import EXIT_INTERRUPTED, EXIT_WRONG_INPUT
+from command_line.options import add_device, add_seed, names
 from sim.cli.options import metres
 from sim.errors import SceneError
 
 if TYPE_CHECKING:
-    from sim.cli.options import Subcommands
     from sim.dataset import DatasetPlan, OpenArchive, Solving, Stop, Unit, UnitStats
     from sim.sensors import SimulatedSensor
 
-EXIT_STOPPED, EXIT_INTERRUPTED = 2, 130
 GROUPS = ("homogeneous", "material", "heterogeneous")
 # Indenters with --smoke, and elements over the thickness.
 SMOKE_SHAPES, SMOKE_CELLS = ("sphere", "prism"), 3
@@ -27,29 +27,32 @@ SMOKE_SHARE, SMOKE_STEPS = 0.01, 3
 TOGETHER_GPU = 162
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the subcommand and its kinds of archive."""
-    parser = subcommands.add_parser(
-        "archive",
-        help="write or draw marker archives of simulated sensors",
-        description="Makes archives of binary marker images with forces and displacement. Started "
-        "again with the same options, it continues where it stopped; so does `resume PATH`.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Makes archives of binary marker images with forces and displacement. Started "
+        "again with the same options, it continues where it stopped; so does `resume PATH`."
     )
     kinds = parser.add_subparsers(dest="kind", required=True)
     states = kinds.add_parser(
         "states",
         help="18 indenters x 9 places x 5 depths under 12 patterns: the paper's simulated data",
     )
-    states.add_argument("--patterns", metavar="NAME,...", help="some of the gel's (all 12)")
+    states.add_argument(
+        "--patterns", type=names, metavar="NAME,...", help="some of the gel's (all 12)"
+    )
     states.add_argument("--smoke", action="store_true", help="2 indenters on a coarse mesh")
     _add_plan_options(states, Path("data/states.markers.zarr"))
-    states.set_defaults(run=_states)
+    states.set_defaults(make=_states)
     sensors = kinds.add_parser(
         "sensors", help="press, shear and release of the paper's sensors, and force-depth presses"
     )
     sensors.add_argument("--group", choices=GROUPS, help="sensors of one of the paper's tests")
     sensors.add_argument(
-        "--sensors", metavar="NAME,...", help="in place of --group: rows of sim/sensors, YAML files"
+        "--sensors",
+        type=names,
+        metavar="NAME,...",
+        help="in place of --group: rows of sim/sensors, YAML files",
     )
     sensors.add_argument(
         "--scale",
@@ -59,21 +62,21 @@ def add_to(subcommands: Subcommands) -> None:
     )
     sensors.add_argument("--steps", type=int, metavar="N", help="frames per phase (10; smoke: 3)")
     _add_plan_options(sensors, None)
-    sensors.set_defaults(run=_sensors)
+    sensors.set_defaults(make=_sensors)
     resume = kinds.add_parser("resume", help="continue an archive with its original plan")
     resume.add_argument("path", type=Path)
     _add_run_options(resume)
-    resume.set_defaults(run=_resume)
+    resume.set_defaults(make=_resume)
     sheet = kinds.add_parser("sheet", help="draw every sensor and indenter of an archive")
     sheet.add_argument("path", type=Path)
     sheet.add_argument("--out", type=Path, default=Path("docs/images/simulated.png"))
-    sheet.set_defaults(run=_sheet)
+    sheet.set_defaults(make=_sheet)
 
 
 def _add_plan_options(parser: argparse.ArgumentParser, out: Path | None) -> None:
     group = parser.add_argument_group("contents")
-    group.add_argument("--indenters", metavar="NAME,...", help="some of the 18 (all)")
-    group.add_argument("--seed", type=int, default=0, help="random seed (%(default)s)")
+    group.add_argument("--indenters", type=names, metavar="NAME,...", help="some of the 18 (all)")
+    add_seed(group)
     shown = out or "data/GROUP.markers.zarr"
     group.add_argument("--out", type=Path, default=out, metavar="PATH", help=f"archive ({shown})")
     group = parser.add_argument_group("solver")
@@ -96,7 +99,7 @@ def _add_plan_options(parser: argparse.ArgumentParser, out: Path | None) -> None
 
 def _add_run_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("execution")
-    group.add_argument("--device", default="cpu", help="cpu, or cuda:0 and the like (%(default)s)")
+    add_device(group)
     group.add_argument(
         "--processes",
         type=int,
@@ -110,13 +113,21 @@ def _add_run_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--no-check", action="store_true", help="do not count markers at the end")
 
 
+def run(options: argparse.Namespace) -> int:
+    """Make, resume or draw an archive and return the exit code.
+
+    Raises:
+        SceneError: An option is invalid; nothing has been written.
+    """
+    return int(options.make(options))
+
+
 def _states(options: argparse.Namespace) -> int:
     from sim.dataset import DatasetPlan, gel
 
-    patterns = None if options.patterns is None else tuple(options.patterns.split(","))
     plan = DatasetPlan(
         "states",
-        (gel(patterns),),
+        (gel(options.patterns),),
         indenters=_indenters(options.indenters, smoke=options.smoke),
         solving=_solving(options, smoke=options.smoke),
         seed=options.seed,
@@ -182,7 +193,7 @@ def _fill(options: argparse.Namespace, opened: OpenArchive) -> int:
     try:
         return _filled(options, opened) or _summed(options, opened)
     except SessionError as error:
-        raise SceneError(f"{error}; {_go_on(opened)}") from error
+        raise SceneError(f"{error}; {_go_on(options, opened)}") from error
 
 
 def _filled(options: argparse.Namespace, opened: OpenArchive) -> int:
@@ -192,6 +203,7 @@ def _filled(options: argparse.Namespace, opened: OpenArchive) -> int:
     from sim.dataset import Stop, fill
     from sim.device import ready_device
 
+    go_on = _go_on(options, opened)
     kernels = ready_device("cpu" if options.scheduler else options.device)
     processes = _processes(options, opened)
     missing = opened.missing()
@@ -202,14 +214,18 @@ def _filled(options: argparse.Namespace, opened: OpenArchive) -> int:
             with Progress("archive", sys.stderr, kernels=kernels) as progress:
                 run_summary = fill(opened, maker, stop, progress)
         except KeyboardInterrupt:
-            print(f"interrupted; written files are kept; {_go_on(opened)}", file=sys.stderr)
+            print(f"interrupted; written files are kept; {go_on}", file=sys.stderr)
             return EXIT_INTERRUPTED
         except (OSError, WorkerLost) as error:
-            print(f"stopped: {error}; written files are kept; {_go_on(opened)}", file=sys.stderr)
-            return EXIT_STOPPED
+            print(
+                f"stopped: {error}; written files are kept; {go_on}",
+                file=sys.stderr,
+            )
+            return EXIT_WRONG_INPUT
     if not run_summary.complete:
         print(
-            f"interrupted, {run_summary.left} units are missing; {_go_on(opened)}", file=sys.stderr
+            f"interrupted, {run_summary.left} units are missing; {go_on}",
+            file=sys.stderr,
         )
         return EXIT_INTERRUPTED
     if run_summary.images:
@@ -236,8 +252,8 @@ def _summed(options: argparse.Namespace, opened: OpenArchive) -> int:
     return 0
 
 
-def _go_on(opened: OpenArchive) -> str:
-    return f"to continue: python -m sim archive resume {opened.path}"
+def _go_on(options: argparse.Namespace, opened: OpenArchive) -> str:
+    return f"to continue: {options.prog} resume {opened.path}"
 
 
 def _maker(
@@ -315,15 +331,14 @@ def _solving(options: argparse.Namespace, *, smoke: bool) -> Solving:
     return solving
 
 
-def _indenters(listed: str | None, *, smoke: bool) -> tuple[str, ...]:
+def _indenters(listed: Sequence[str] | None, *, smoke: bool) -> tuple[str, ...]:
     from sim.indenters import NAMES
 
     if listed is None:
         return tuple(name for name in NAMES if not smoke or name in SMOKE_SHAPES)
-    wanted = listed.split(",")
-    if unknown := [name for name in wanted if name not in NAMES]:
+    if unknown := [name for name in listed if name not in NAMES]:
         raise SceneError(f"--indenters: {', '.join(unknown)}; allowed: {', '.join(NAMES)}")
-    return tuple(name for name in NAMES if name in wanted)
+    return tuple(name for name in NAMES if name in listed)
 
 
 def _share(text: str) -> tuple[bool, float]:
@@ -349,8 +364,7 @@ def _chosen_sensors(options: argparse.Namespace) -> tuple[SimulatedSensor, ...]:
     if options.group is not None:
         of_group = dict(zip(GROUPS, (HOMOGENEOUS, MATERIAL, HETEROGENEOUS), strict=True))
         return tuple(sensor(name) for name in of_group[options.group])
-    files = [name for name in options.sensors.split(",")]
     return tuple(
         read_sensor(Path(name)) if name.endswith((".yaml", ".yml")) else sensor(name)
-        for name in files
+        for name in options.sensors
     )

@@ -3,45 +3,40 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
 
-from sim.cli.options import add_scene_options, check_motion, metres
+from command_line.options import positive, whole
+from sim.cli.options import STEPS_MAX, add_scene_options, metres
 from sim.scene import ramp_hold
 
-if TYPE_CHECKING:
-    from sim.cli.options import Subcommands
 
-
-def add_to(subcommands: Subcommands) -> None:
-    """Add the subcommand and its options."""
-    parser = subcommands.add_parser("hold", help="press within a given time and hold: relaxation")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     group = parser.add_argument_group("motion")
     group.add_argument(
-        "--depth", type=float, default=1.0, metavar="MM", help="depth [mm] (%(default)s)"
+        "--depth", type=positive, default=1.0, metavar="MM", help="depth [mm] (%(default)s)"
     )
     group.add_argument(
         "--ramp",
-        type=float,
+        type=positive,
         default=0.1,
         metavar="S",
         help="duration of the press [s] (%(default)s)",
     )
     group.add_argument(
         "--hold",
-        type=float,
+        type=positive,
         default=2.0,
         metavar="S",
         help="duration of the hold [s] (%(default)s)",
     )
     group.add_argument(
         "--steps",
-        type=int,
+        type=whole(1, STEPS_MAX),
         default=10,
         metavar="N",
         help="frames of the press, and of the hold (%(default)s)",
     )
     add_scene_options(parser, viscosity="0.5:0.5")
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -52,7 +47,6 @@ def run(options: argparse.Namespace) -> int:
     """
     from sim.cli.report import run_motion
 
-    check_motion(options, {"depth": "mm", "ramp": "s", "hold": "s"})
     motion = ramp_hold(
         metres(options.depth),
         ramp=options.ramp,

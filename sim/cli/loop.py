@@ -4,27 +4,21 @@ from __future__ import annotations
 
 import argparse
 import math
-from typing import TYPE_CHECKING
 
-from sim.cli.options import add_scene_options, add_speed, check_motion, metres
+from command_line.options import positive, whole
+from sim.cli.options import STEPS_MAX, add_scene_options, add_speed, metres
 from sim.scene import press_shear_return
 
-if TYPE_CHECKING:
-    from sim.cli.options import Subcommands
 
-
-def add_to(subcommands: Subcommands) -> None:
-    """Add the subcommand and its options."""
-    parser = subcommands.add_parser(
-        "loop", help="press, shear, return and lift: hysteresis and slip"
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     group = parser.add_argument_group("motion")
     group.add_argument(
-        "--depth", type=float, default=1.0, metavar="MM", help="depth [mm] (%(default)s)"
+        "--depth", type=positive, default=1.0, metavar="MM", help="depth [mm] (%(default)s)"
     )
     group.add_argument(
         "--shear",
-        type=float,
+        type=positive,
         default=1.0,
         metavar="MM",
         help="lateral displacement at that depth [mm] (%(default)s)",
@@ -38,14 +32,13 @@ def add_to(subcommands: Subcommands) -> None:
     )
     group.add_argument(
         "--steps",
-        type=int,
+        type=whole(1, STEPS_MAX),
         default=5,
         metavar="N",
         help="frames of each of the 4 phases (%(default)s)",
     )
     add_speed(group)
     add_scene_options(parser, friction=0.5)
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -56,7 +49,6 @@ def run(options: argparse.Namespace) -> int:
     """
     from sim.cli.report import run_motion
 
-    check_motion(options, {"depth": "mm", "shear": "mm"})
     motion = press_shear_return(
         metres(options.depth),
         metres(options.shear),

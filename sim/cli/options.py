@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 import math
-import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
+from command_line.options import add_device, names, numbers, positive
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError
 from sim.fem import FOR_EDGES, Fem
@@ -21,8 +21,6 @@ from sim.simulate import Extrapolated, Measured
 if TYPE_CHECKING:
     from sim.indenters import Indenter
 
-    Subcommands = argparse._SubParsersAction[argparse.ArgumentParser]
-
 
 # Readers of option values: numbers, lists of numbers, pairs.
 
@@ -32,25 +30,6 @@ MM = 1e-3
 def metres(millimetres: float) -> float:
     """Convert a length to [m]; by division, so that 9 mm are 0.009 m to the last digit."""
     return millimetres / 1e3
-
-
-def numbers(count: int | None = None) -> Callable[[str], tuple[float, ...]]:
-    """Return a reader of comma-separated numbers: `count` of them, or one or more."""
-    allowed = f"{count} numbers" if count else "numbers"
-    example = ",".join(["1.5", "2", "0"][: count or 3])
-
-    def read(text: str) -> tuple[float, ...]:
-        try:
-            values = tuple(float(part) for part in text.split(","))
-        except ValueError:
-            values = ()
-        if not values or (count is not None and len(values) != count):
-            raise argparse.ArgumentTypeError(
-                f"{text!r}; allowed: {allowed} between commas, such as {example}"
-            )
-        return values
-
-    return read
 
 
 def branches(text: str) -> tuple[tuple[float, float], ...] | None:
@@ -64,21 +43,6 @@ def branches(text: str) -> tuple[tuple[float, float], ...] | None:
         raise argparse.ArgumentTypeError(
             f"{text!r}; allowed: ratio:seconds between commas, such as 0.3:0.1,0.5:2, or none"
         ) from None
-
-
-def joined(argv: Sequence[str]) -> list[str]:
-    """Return `argv` with values such as `-4,0` joined to the option before them by `=`.
-
-    argparse would take them for options: it recognises negative numbers, but no lists of them.
-    """
-    tied: list[str] = []
-    for word in argv:
-        after_option = bool(tied) and tied[-1].startswith("--") and "=" not in tied[-1]
-        if after_option and re.match(r"-[.\d][^=]*,", word):
-            tied[-1] += f"={word}"
-        else:
-            tied.append(word)
-    return tied
 
 
 # The indenter: one of the 18 by name, a shape by its measures, or an STL file; and its tilt.
@@ -269,6 +233,8 @@ def _option(name: str) -> str:
     return "--" + name.replace("_", "-")
 
 
+# Most frames of a phase of a motion.
+STEPS_MAX = 1000
 PRECISIONS = ("auto", "float32", "float64")
 
 
@@ -292,20 +258,6 @@ def add_speed(group: argparse._ArgumentGroup) -> None:
         metavar="MM/S",
         help="speed of the tip; matters to viscosity and inertia only [mm/s] (%(default)s)",
     )
-
-
-def check_motion(options: argparse.Namespace, units: dict[str, str]) -> None:
-    """Check that a motion's measures, named with their units, are above 0; and its steps.
-
-    Raises:
-        SceneError: A value is invalid; names the option, its value and the allowed ones.
-    """
-    for name, unit in units.items():
-        value = getattr(options, name)
-        if not (math.isfinite(value) and value > 0):
-            raise SceneError(f"--{name}: {value!r} {unit}; allowed: above 0")
-    if not 1 <= options.steps <= 1000:
-        raise SceneError(f"--steps: {options.steps!r}; allowed: 1 to 1000")
 
 
 def body_of(options: argparse.Namespace) -> Body:
@@ -385,8 +337,6 @@ def tier_of(options: argparse.Namespace) -> Layer | Fem | Measured | Extrapolate
     """
     if options.tier == "layer":
         return Measured(Layer()) if options.error_bar else Layer()
-    if options.mesh is not None and not options.mesh > 0:
-        raise SceneError(f"--mesh: {options.mesh!r} mm; allowed: above 0")
     spacing = None if options.mesh is None else metres(options.mesh)
     fem = Fem(spacing=spacing, precision=options.precision)
     if options.extrapolate:
@@ -514,7 +464,7 @@ def _add_solver_options(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--mesh",
-        type=float,
+        type=positive,
         metavar="MM",
         help="element size of fem [mm] (a sixth of the thickness)",
     )
@@ -524,9 +474,7 @@ def _add_solver_options(parser: argparse.ArgumentParser) -> None:
         default="auto",
         help="of fem; auto switches from float32 to float64 where necessary (%(default)s)",
     )
-    group.add_argument(
-        "--device", default="cpu", help="device of fem: cpu, or cuda:0 and the like (%(default)s)"
-    )
+    add_device(group, "device of fem")
 
 
 # Fields that `--fields` can add to `--json`.
@@ -535,12 +483,12 @@ FIELDS = ("surface", "traction")
 
 def fields(text: str) -> tuple[str, ...]:
     """Read comma-separated names from `FIELDS`."""
-    names = tuple(text.split(","))
-    if not set(names) <= set(FIELDS):
+    chosen = names(text)
+    if not set(chosen) <= set(FIELDS):
         raise argparse.ArgumentTypeError(
             f"{text!r}; allowed: one or more of {', '.join(FIELDS)} between commas"
         )
-    return names
+    return chosen
 
 
 def _add_output_options(parser: argparse.ArgumentParser) -> None:

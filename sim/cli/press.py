@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
 
-from sim.cli.options import add_scene_options, add_speed, metres, numbers
+from command_line.options import numbers
+from sim.cli.options import add_scene_options, add_speed, metres
 from sim.errors import SceneError
 from sim.scene import press
 
-if TYPE_CHECKING:
-    from sim.cli.options import Subcommands
 
-
-def add_to(subcommands: Subcommands) -> None:
-    """Add the subcommand and its options."""
-    parser = subcommands.add_parser("press", help="press straight down: force, surface, pressure")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     group = parser.add_argument_group("motion")
     group.add_argument(
         "--depths",
@@ -26,7 +22,6 @@ def add_to(subcommands: Subcommands) -> None:
     )
     add_speed(group)
     add_scene_options(parser)
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:

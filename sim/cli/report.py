@@ -267,7 +267,7 @@ def _tell_effects(scene: Scene, options: argparse.Namespace) -> int:
     if options.tier is not None:
         raise SceneError(f"--tier: {options.tier!r} with --plan-effects; allowed: without, fem")
     kernels = ready_device(options.device)
-    with LateProgress(options.verb, sys.stderr, kernels) as progress:
+    with LateProgress(_name(options), sys.stderr, kernels) as progress:
         found = plan_effects(scene, options.tolerance, device=options.device, progress=progress)
     print(json.dumps(found.record(), allow_nan=False) if options.json else found)
     return 0
@@ -281,7 +281,7 @@ def _simulated(scene: Scene, options: argparse.Namespace) -> Result:
         from sim.device import ready_device
 
         kernels = ready_device(options.device)
-    with LateProgress(options.verb, sys.stderr, kernels) as progress:
+    with LateProgress(_name(options), sys.stderr, kernels) as progress:
         if options.tolerance is None:
             return simulate(scene, tier, device=options.device, progress=progress)
         found = plan(
@@ -295,11 +295,16 @@ def _simulated(scene: Scene, options: argparse.Namespace) -> Result:
         return found.run(progress=progress)
 
 
+def _name(options: argparse.Namespace) -> str:
+    """Return the last word of the command: press, loop or hold."""
+    return str(options.prog).rpartition(" ")[2]
+
+
 def _picture_path(options: argparse.Namespace) -> Path | None:
     """Return the path of the picture, or None if no picture is requested."""
     path: Path | None = options.out
     if path is None:
-        return None if options.json else Path(f"{options.verb}-{Path(options.shape).stem}.png")
+        return None if options.json else Path(f"{_name(options)}-{Path(options.shape).stem}.png")
     if path.suffix.lower() != ".png":
         raise SceneError(f"--out: {path}; allowed: a name that ends in .png")
     return path

@@ -1,19 +1,11 @@
 """The command `accuracy`: its arguments, its errors and its output files."""
 
-import argparse
-
 import pytest
+from support.commands import run_module
 
 from benchmarks.sim.accuracy import command as accuracy
 from benchmarks.sim.accuracy.row import read
 from sim.errors import SceneError
-
-
-def run(verb, *words):
-    parser = argparse.ArgumentParser()
-    verb.add_to(parser.add_subparsers(required=True))
-    options = parser.parse_args(["accuracy", *words])
-    return options.run(options)
 
 
 @pytest.mark.parametrize(
@@ -27,13 +19,13 @@ def run(verb, *words):
 )
 def test_accuracy_refuses_what_means_nothing(tmp_path, words, message):
     with pytest.raises(SceneError, match=message):
-        run(accuracy, "--out", str(tmp_path), *words)
+        run_module(accuracy, "--out", str(tmp_path), *words)
 
 
 @pytest.mark.slow
 def test_accuracy_measures_and_draws(tmp_path):
     words = ["--smoke", "--out", str(tmp_path / "accuracy"), "--references", str(tmp_path)]
-    assert run(accuracy, *words) == 0
+    assert run_module(accuracy, *words) == 0
     kept = read(tmp_path / "accuracy" / "cpu.jsonl")
     names = [row.name for row in kept.rows]
     assert names == ["closed form", "layer", "fem fineness 0.5", "fem even 1.25 mm"]
@@ -41,5 +33,5 @@ def test_accuracy_measures_and_draws(tmp_path):
     assert (tmp_path / "accuracy.md").read_text().startswith("# Cost of accuracy")
     assert (tmp_path / "images" / "accuracy.png").exists()
     before = (tmp_path / "accuracy" / "cpu.jsonl").read_text()
-    assert run(accuracy, *words) == 0
+    assert run_module(accuracy, *words) == 0
     assert (tmp_path / "accuracy" / "cpu.jsonl").read_text() == before

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from support.commands import run_module
 
 from benchmarks.sim.tiers import mpm
 from benchmarks.sim.tiers.comparison import (
@@ -54,7 +55,7 @@ def test_a_row_is_measured_and_not_measured_again(
     monkeypatch.setattr(mpm, "measure", once)
     file = tmp_path / "rows.json"
     for _ in range(2):
-        mpm.main(["--only", "0.5 mm", "--file", str(file)])
+        run_module(mpm, "--only", "0.5 mm", "--file", file)
     assert asked == [name for name in choices() if "0.5 mm" in name]
     printed = capsys.readouterr().out
     assert printed.count("cell 0.5 mm, reach 0.25") == 2

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import pytest
+from support.commands import run_module
 
 from benchmarks.sim.speed import command
 from benchmarks.sim.speed.record import PARTS as RECORDED
@@ -14,9 +14,7 @@ from sim.errors import SceneError
 
 
 def run(*words: str) -> int:
-    parser = argparse.ArgumentParser()
-    command.add_to(parser.add_subparsers(required=True))
-    return command.run(parser.parse_args(["speed", *words]))
+    return run_module(command, *words)
 
 
 @pytest.mark.parametrize(

@@ -254,7 +254,7 @@ def _helped(reported: str) -> dict[str, Any]:
     if subcommands := re.search(r"^ +\{([\w,-]+)\}", reported, re.MULTILINE):
         found["verbs"] = sorted({*subcommands.group(1).split(",")} - MEASURING)
     else:
-        names = re.findall(r"^    ([a-z][a-z-]*)  ", reported, re.MULTILINE)
+        names = re.findall(r"^ {2,4}([a-z][a-z-]*)  ", reported, re.MULTILINE)
         if "COMMAND" in reported:
             found["verbs"] = sorted(names)
     found["options"] = sorted(set(re.findall(r"(?<![\w-])--[a-z][a-z0-9-]*", reported)))

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.commands import run_module
 from support.made_up_archives import made_up_archive
 
-from learning.cli.split import add_to
+from learning.cli import split as command
 from learning.data.splits import NO_ROLE, ROLES, Split, make_split, presses_of, read_split
 from learning.errors import LearningError
 from recorder import MarkerArchive, SessionError
@@ -210,11 +210,7 @@ def test_the_verb_writes_the_split_and_says_what_is_in_it(
     archive: MarkerArchive, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "split.json"
-    parser = argparse.ArgumentParser()
-    add_to(parser.add_subparsers())
-    command = ["split", archive.name, "--out", str(path), "--hold-out-sensors", "grid"]
-    options = parser.parse_args(command)
-    assert options.run(options) == 0
+    assert run_module(command, archive.name, "--out", path, "--hold-out-sensors", "grid") == 0
     message = capsys.readouterr().out
     assert "held out" in message
     assert read_split(path) == make_split(archive, held_out_sensors=("grid",))

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import shutil
+from functools import partial
 from pathlib import Path
 
 import pytest
 import torch
+from support.commands import run_module
 from support.made_up_archives import made_up_archive
 from support.tiny_diffusion import DEEP_VAE, tiny_pretrained, tiny_settings, write_base
 
@@ -135,33 +136,22 @@ def test_verbs_train_both_stages_and_resume(
     shared = ["--split", str(tmp_path / "split.json"), "--base", str(base)]
     tiny = ["--set", "steps=2", "--set", "batch=1", "--set", "launch.device=cpu",
             "--set", "optimiser.rate={kind: constant, rate: 0.001}"]  # fmt: skip
-    run = _verb(vae_command, "train-marker-vae")
+    run = partial(run_module, vae_command)
     vae = tmp_path / "vae"
-    assert run([str(archive.path), *shared, *tiny, "--out", str(vae)]) == 0
-    assert run([str(archive.path), *shared, *tiny, "--out", str(vae), "--resume"]) == 0
+    assert run(*[str(archive.path), *shared, *tiny, "--out", str(vae)]) == 0
+    assert run(*[str(archive.path), *shared, *tiny, "--out", str(vae), "--resume"]) == 0
     assert "is finished" in capsys.readouterr().out
-    run = _verb(command, "train-diffusion")
+    run = partial(run_module, command)
     none = ["--set", "losses.adversarial=0", "--set", "losses.perceptual=0"]
     begin = [str(archive.path), *shared, *tiny, *none]
     out = tmp_path / "m2m"
-    assert run([*begin, "--marker-vae", str(vae), "--out", str(out)]) == 0
-    assert run([*begin, "--from", str(out), "--out", str(tmp_path / "fine")]) == 0
+    assert run(*[*begin, "--marker-vae", str(vae), "--out", str(out)]) == 0
+    assert run(*[*begin, "--from", str(out), "--out", str(tmp_path / "fine")]) == 0
     masks, target, source = _masks(archive)
     assert load_translator(tmp_path / "fine").translate(masks, target, source).shape == masks.shape
     with pytest.raises(LearningError, match="a run is there"):
-        run([*begin, "--marker-vae", str(vae), "--out", str(out)])
+        run(*[*begin, "--marker-vae", str(vae), "--out", str(out)])
     with pytest.raises(LearningError, match="found both"):
-        run([*begin, "--marker-vae", str(vae), "--from", str(out), "--out", str(tmp_path / "x")])
+        run(*[*begin, "--marker-vae", str(vae), "--from", str(out), "--out", str(tmp_path / "x")])
     with pytest.raises(LearningError, match="clip: found ''"):
-        run([str(archive.path), *shared, *tiny, "--out", str(tmp_path / "judged")])
-
-
-def _verb(module, name):  # type: ignore[no-untyped-def]
-    parser = argparse.ArgumentParser()
-    module.add_to(parser.add_subparsers(dest="verb"))
-
-    def run(arguments: list[str]) -> int:
-        options = parser.parse_args([name, *arguments])
-        return int(options.run(options))
-
-    return run
+        run(*[str(archive.path), *shared, *tiny, "--out", str(tmp_path / "judged")])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import csv
 import shutil
 from dataclasses import replace
@@ -11,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from support.commands import run_module
 from support.made_up_archives import made_up_archive
 from support.predicted_forces import predictions
 
@@ -234,10 +234,7 @@ def test_every_figure_of_the_paper_names_pairs_of_its_test() -> None:
 
 
 def run(*words: str) -> int:
-    parser = argparse.ArgumentParser()
-    evaluate.add_to(parser.add_subparsers())
-    options = parser.parse_args(["evaluate", *words])
-    return int(options.run(options))
+    return run_module(evaluate, *words)
 
 
 @pytest.mark.slow

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import pytest
 import torch
+from support.commands import run_module
 from support.force_models import TOY
 from support.made_up_archives import made_up_archive
 
@@ -38,11 +38,8 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(lab: Path, model: str, *words: str, sensor: str = "dots") -> int:
-    parser = argparse.ArgumentParser()
-    predict.add_to(parser.add_subparsers())
     places = [str(lab / model), str(lab / "x.markers.zarr"), "--split", str(lab / "split.json")]
-    options = parser.parse_args(["predict", *places, "--sensor", sensor, *words])
-    return int(options.run(options))
+    return run_module(predict, *places, "--sensor", sensor, *words)
 
 
 def test_predict_writes_what_a_model_says_of_whole_held_out_presses(

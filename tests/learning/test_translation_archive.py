@@ -1,12 +1,12 @@
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from support.commands import run_module
 from support.made_up_archives import made_up_archive
 
 from learning.archive_writer import UNIT_ROWS
@@ -203,10 +203,7 @@ def test_weights_tell_models_apart(tmp_path):
 
 
 def run(*given: object) -> int:
-    parser = argparse.ArgumentParser()
-    verb.add_to(parser.add_subparsers())
-    options = parser.parse_args(["translate", *map(str, given)])
-    return int(options.run(options))
+    return run_module(verb, *given)
 
 
 def test_the_verb_translates_and_draws(tmp_path, capsys):

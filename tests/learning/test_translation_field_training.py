@@ -1,12 +1,12 @@
 from __future__ import annotations
 
-import argparse
 import json
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
+from support.commands import run_module
 from support.made_up_archives import MM_PER_PX, made_up_archive
 from support.tiny_field import TINY, tiny
 from support.training import session
@@ -139,12 +139,9 @@ def test_weights_of_another_network_are_refused(frames: Frames, tmp_path: Path) 
 def test_the_verb_trains_a_model_that_translates(archive: MarkerArchive, tmp_path: Path) -> None:
     make_split(archive).write(tmp_path / "split.json")
     sets = [f"--set={key}={value}" for key, value in (TINY | steps(1, 1)).items()]
-    command = ["train-field", str(archive.path), "--split", str(tmp_path / "split.json")]
+    command = [str(archive.path), "--split", str(tmp_path / "split.json")]
     command += ["--out", str(tmp_path / "run"), "--preset", "cpu_smoke", *sets]
-    parser = argparse.ArgumentParser()
-    train_field_verb.add_to(parser.add_subparsers())
-    options = parser.parse_args(command)
-    assert options.run(options) == 0
+    assert run_module(train_field_verb, *command) == 0
     sensor = archive["dots"]
     made = load_translator(tmp_path / "run").translate(
         torch.from_numpy(sensor.masks([0, 2])),
@@ -153,9 +150,9 @@ def test_the_verb_trains_a_model_that_translates(archive: MarkerArchive, tmp_pat
     )
     assert made.shape == (2, 480, 640)
     with pytest.raises(LearningError, match="a run is there"):
-        options.run(options)
+        run_module(train_field_verb, *command)
     with pytest.raises(LearningError, match="was begun with other"):
-        options.run(parser.parse_args([*command, "--set=seed=1", "--resume"]))
+        run_module(train_field_verb, *command, "--set=seed=1", "--resume")
 
 
 @pytest.mark.slow

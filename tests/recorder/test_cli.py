@@ -64,7 +64,7 @@ def test_repack_writes_a_copy_or_says_why_not(
     assert main(["repack", str(recorded), str(copy)]) == 2
     captured = capsys.readouterr()
     assert captured.out == f"{copy}: written, profile portable\n"
-    assert captured.err == f"error: {copy}: exists already\n"
+    assert captured.err == f"wrong input: {copy}: exists already\n"
 
 
 @pytest.mark.parametrize("command", ["info", "check", "recover", "sheet"])
@@ -77,7 +77,7 @@ def test_wrong_input_is_one_line_and_no_traceback(command: str, tmp_path: Path) 
         cwd=Path(__file__).parents[2],
     )
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == f"error: {tmp_path / 'nowhere'}: no such session\n"
+    assert done.stderr == f"wrong input: {tmp_path / 'nowhere'}: no such session\n"
 
 
 @pytest.mark.parametrize("names", [("camera", "force", "pose"), ("taxels", "force"), ("camera",)])

@@ -36,7 +36,7 @@ def test_every_format_is_written_and_never_over_something(
     assert main(["export", str(recorded), str(target), "--to", to]) == 2
     captured = capsys.readouterr()
     assert captured.out == f"{target}: written, {to}\n"
-    assert captured.err == f"error: {target}: exists already\n"
+    assert captured.err == f"wrong input: {target}: exists already\n"
     assert [entry.name for entry in tmp_path.iterdir()] == ["out"]
 
 

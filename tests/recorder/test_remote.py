@@ -275,7 +275,7 @@ def test_what_cannot_be_opened_says_why(
     for place, message in cases.items():
         assert main(["info", place]) == 2
         reported = capsys.readouterr().err
-        assert reported.startswith(f"error: {place}")
+        assert reported.startswith(f"wrong input: {place}")
         assert message in reported
         assert reported.count("\n") == 1
     for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
@@ -302,9 +302,7 @@ def test_nothing_is_written_to_a_url(counted: str, tmp_path: Path) -> None:
     with pytest.raises(SessionError, match="remote stores are only read"):
         repack(counted, tmp_path / "copy.zarr")
     for command in (["recover", counted], ["repack", counted, str(tmp_path / "c")]):
-        with pytest.raises(SystemExit) as caught:
-            main(command)
-        assert caught.value.code == 2
+        assert main(command) == 2
     with pytest.raises(SessionError, match="storage options are for URLs"):
         Session(tmp_path, storage_options={"anon": True})
 

@@ -233,9 +233,15 @@ def test_pictures_stored_as_pixels_cannot_be_watched(tmp_path: Path) -> None:
     ("options", "message"),
     [
         (["--sensor", "uskin", "--session", "x.zarr"], "--session: goes without"),
-        (["--sensor", "uskin", "--seconds", "0"], "--seconds: found 0"),
-        (["--sensor", "uskin", "--rate-hz", "-1"], "--rate-hz: found -1"),
-        (["--sensor", "uskin", "--threads", "-1"], "--threads: found -1"),
+        (
+            ["--sensor", "uskin", "--seconds", "0"],
+            "--seconds: found '0'; allowed: a number",
+        ),
+        (["--sensor", "uskin", "--rate-hz", "-1"], "--rate-hz: found '-1'"),
+        (
+            ["--sensor", "uskin", "--threads", "-1"],
+            "--threads: found '-1'; allowed: whole",
+        ),
         (["--sensor", "uskin"], "no such file"),
         (["--sensor", "nothing"], "SENSOR: found 'nothing'"),
         ([], "--sensor, --bench: both missing"),

@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 from support.watching import BENCH, TARGETS
 
+from command_line.errors import CommandError
+from command_line.options import Parser
 from rig.acquire.request import CollectRequest
 from rig.cli.options import opened_page, watch_options
-from rig.core.errors import ConfigError
 from rig.monitor.page.access import AccessPolicy
 from rig.monitor.page.messages import page_job
 from rig.monitor.page.page import Page
@@ -19,7 +20,7 @@ from trajectories import ForceDepth
 
 
 def parse(*words: str) -> argparse.Namespace:
-    parser = argparse.ArgumentParser()
+    parser = Parser()
     watch_options(parser)
     return parser.parse_args(words)
 
@@ -44,13 +45,13 @@ def test_the_port_has_a_default() -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--watch", "70000"), "found 70000; allowed: 0 to 65535"),
-        (("--watch", "-1"), "found -1"),
+        (("--watch", "70000"), "--watch: found '70000'; allowed: whole numbers, 0 to 65535"),
+        (("--watch", "-1"), "--watch: found '-1'"),
         (("--watch-host", "0.0.0.0"), "goes with --watch only"),
     ],
 )
 def test_what_cannot_be_is_refused(tmp_path: Path, words: tuple[str, ...], message: str) -> None:
-    with contextlib.ExitStack() as stack, pytest.raises(ConfigError, match=message):
+    with contextlib.ExitStack() as stack, pytest.raises(CommandError, match=message):
         opened(parse(*words), tmp_path, stack)
 
 

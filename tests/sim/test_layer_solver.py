@@ -6,8 +6,9 @@ import json
 
 import numpy as np
 import pytest
+from support.commands import run_module
 
-from benchmarks.sim.tiers.layer import main
+from benchmarks.sim.tiers import layer
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError
 from sim.indenters import named, sphere
@@ -124,7 +125,7 @@ def test_a_flat_tip_just_touching_bears_nothing() -> None:
 
 
 def test_the_bench_prints_error_and_rate_of_one_grid(capsys: pytest.CaptureFixture[str]) -> None:
-    main(["--grid", "32", "--repeats", "1"])
+    run_module(layer, "--grid", "32", "--repeats", "1")
     message = capsys.readouterr().out
     assert "grid 32" in message
     assert "worst error" in message

@@ -12,16 +12,16 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
-from tactile.commands import COMMANDS, EXTRAS, GROUPS, Command  # noqa: E402
+from command_line.commands import COMMANDS, EXTRAS, GROUPS, Command  # noqa: E402
 
 FOLDER = ROOT / "docs" / "reference"
 # Longest value [characters] that is shown for a name without a description.
 SHORT = 60
-PACKAGES = ("trajectories", "recorder", "rig", "sim", "learning", "tactile")
+PACKAGES = ("command_line", "trajectories", "recorder", "rig", "sim", "learning", "tactile")
 ABOUT_COMMANDS = """\
 # Commands
 
-Generated from `tactile/commands.py` by `make reference`.
+Generated from `command_line/commands.py` by `make reference`.
 
 `tactile --help` lists all commands, `tactile COMMAND --help` the options of one with their units.
 `tactile COMMAND` and the command in the third column are equivalent in options, messages and exit
@@ -40,7 +40,8 @@ EXIT_CODES = """
 | 2 | invalid input: an unknown command or option, an unusable file, a missing extra |
 | 3 | a device was lost |
 | 4 | a safety stop |
-| 130 | interrupted |"""
+| 130 | interrupted |
+| 141 | nobody reads the output any more, such as `head` after its last line |"""
 ABOUT_NAMES = """\
 # Public names
 

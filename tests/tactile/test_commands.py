@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import subprocess
 import sys
@@ -11,29 +10,37 @@ from pathlib import Path
 import pytest
 from support import reference
 
-from tactile.__main__ import family, main, overview
-from tactile.commands import COMMANDS, EXTRAS, FAMILIES, FRONTS, GROUPS, Command
+from command_line.commands import COMMANDS, EXTRAS, FAMILIES, GROUPS, INTERRUPTED, Command
+from command_line.run import overview
+from tactile.__main__ import main
 
 OURS = ("trajectories", "recorder", "rig", "sim", "learning")
 
 
-def _verbs(package: str) -> dict[str, argparse.ArgumentParser]:
-    """Return the commands of `python -m PACKAGE` and their parsers."""
-    front = importlib.import_module(f"{package}.__main__")
-    if package == "rig":
-        parser = front._arguments([])  # without a command it has the parsers of all
-    else:
-        parser = front.parser() if package == "recorder" else front.arguments()
-    (subcommands,) = (
-        each for each in parser._actions if isinstance(each, argparse._SubParsersAction)
-    )
-    return dict(subcommands.choices)
+@pytest.mark.parametrize("package", ["rig", "recorder", "sim", "learning", "tactile"])
+def test_every_module_of_commands_is_in_the_table_once(package: str) -> None:
+    found = [
+        ".".join(path.relative_to(reference.ROOT).with_suffix("").parts)
+        for path in reference.ROOT.joinpath(package).rglob("*.py")
+        if "\ndef add_arguments(parser" in path.read_text()
+    ]
+    listed = [command.module for command in COMMANDS.values() if command.package == package]
+    assert sorted(listed) == sorted(found)
 
 
-@pytest.mark.parametrize("package", ["rig", "recorder", "sim", "learning"])
-def test_every_verb_of_a_package_is_reached_by_one_command(package: str) -> None:
-    reached = [command.name for command in COMMANDS.values() if command.package == package]
-    assert sorted(reached) == sorted(_verbs(package))
+@pytest.mark.parametrize(
+    "command",
+    [command for command in COMMANDS.values() if command.package != "tactile"],
+    ids=lambda each: each.door,
+)
+def test_a_package_runs_its_commands_by_their_names(
+    command: Command, capsys: pytest.CaptureFixture[str]
+) -> None:
+    front = importlib.import_module(f"{command.package}.__main__")
+    with pytest.raises(SystemExit) as ended:
+        front.main([command.name, "--help"])
+    assert ended.value.code == 0
+    assert capsys.readouterr().out.startswith(f"usage: {command.door} ")
 
 
 def test_the_words_of_a_command_are_its_own_and_none_is_lost_between_groups() -> None:
@@ -41,7 +48,7 @@ def test_the_words_of_a_command_are_its_own_and_none_is_lost_between_groups() ->
     for words in COMMANDS:
         first, *rest = words.split()
         assert len(rest) == (first in FAMILIES)
-    assert {command.package for command in COMMANDS.values()} == set(FRONTS) == set(EXTRAS)
+    assert {command.package for command in COMMANDS.values()} == set(EXTRAS) > set(INTERRUPTED)
 
 
 @pytest.mark.parametrize("command", COMMANDS.values(), ids=lambda each: each.words)
@@ -100,7 +107,7 @@ def test_the_overview_names_every_command_in_lines_of_a_terminal() -> None:
 
 @pytest.mark.parametrize("first", FAMILIES)
 def test_a_family_lists_its_commands_and_no_other(first: str) -> None:
-    listed = [line.split()[:2] for line in family(first).splitlines()[3:]]
+    listed = [line.split()[:2] for line in overview(family=first).splitlines()[3:]]
     assert listed == [words.split() for words in COMMANDS if words.split()[0] == first]
 
 
@@ -130,7 +137,11 @@ def test_an_unknown_command_is_refused_and_the_nearest_are_named(
     [
         ("session info nosuch.zarr", 2, "no such session"),
         ("collect --sensor nosuch", 2, "known in benches/ or packaged"),
-        ("compare --session nosuch.zarr --truth none", 2, "session:"),
+        (
+            "compare --session nosuch.zarr --truth none",
+            2,
+            "wrong input: nosuch.zarr: no such",
+        ),
         ("sim press --depths 1,1", 2, "wrong input: --depths[1]"),
         ("split nosuch.markers.zarr --out x.json", 2, "nosuch.markers.zarr"),
     ],
@@ -142,13 +153,24 @@ def test_messages_and_exit_codes_are_those_of_the_verb(
     assert message in capsys.readouterr().err
 
 
-def test_a_wrong_option_ends_with_the_usage_of_the_command(
-    capsys: pytest.CaptureFixture[str],
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("session check", "the following arguments are required: session"),
+        ("session check x.zarr --deep", "unrecognized arguments: --deep"),
+        ("sim hold --ramp 0", "--ramp: found '0'; allowed: a number above 0"),
+        ("sim archive states --indenters cone,", "--indenters: found 'cone,'; allowed: names"),
+        ("evaluate x --out y --frames 1.5", "--frames: found '1.5'; allowed: whole numbers, 1"),
+        ("collect --sensor a --bench b", "--bench: not allowed with argument --sensor"),
+    ],
+)
+def test_a_wrong_option_is_one_line_that_names_its_help(
+    words: str, message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(["session", "check"])
-    assert ended.value.code == 2
-    assert "tactile session check: error: " in capsys.readouterr().err
+    assert main(words.split()) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"wrong input: {message}")
+    assert line.endswith(" --help")
 
 
 @pytest.mark.parametrize(

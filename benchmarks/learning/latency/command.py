@@ -8,25 +8,23 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from command_line.options import add_device
 from learning.errors import LearningError
 from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
     from benchmarks.learning.latency.costs import Cost, Sample
-    from learning.command import Subcommands
     from learning.force.model import ForceModel
 
 PRESETS = "paper,half,quarter,tiny,displacement"
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the subcommand and its options."""
-    parser = subcommands.add_parser(
-        "latency",
-        help="time force models, one frame at a time",
-        description="Processes frames one by one as from a live sensor and reports the time "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Processes frames one by one as from a live sensor and reports the time "
         "per frame and the force error: from labels with --archive, else from torch in fp32. "
-        "Models are trained, or presets with random weights, which take the same time.",
+        "Models are trained, or presets with random weights, which take the same time."
     )
     parser.add_argument(
         "--model",
@@ -52,17 +50,17 @@ def add_to(subcommands: Subcommands) -> None:
     parser.add_argument("--presses", type=int, default=10, help="number of presses (10)")
     parser.add_argument("--frames", type=int, default=100, help="number of frames to time (100)")
     parser.add_argument("--threads", type=int, default=2, help="CPU threads of a step (2)")
-    parser.add_argument("--device", default="cpu", help="device of torch, e.g. cuda (cpu)")
+    add_device(parser)
     parser.add_argument(
         "--runtimes", metavar="NAME,...", help="torch, torch.compile, onnxruntime, openvino (all)"
     )
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="folder for bench.csv, bench.md and bench.png"
     )
-    parser.set_defaults(run=_run)
 
 
-def _run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
     from benchmarks.learning.latency.cost_table import draw, markdown, write_csv
     from benchmarks.learning.latency.costs import VARIANTS, costs
 

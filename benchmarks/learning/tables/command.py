@@ -7,22 +7,16 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from learning.errors import LearningError
 
-if TYPE_CHECKING:
-    from learning.command import Subcommands
 
-
-def add_to(subcommands: Subcommands) -> None:
-    """Add the subcommand and its options."""
-    parser = subcommands.add_parser(
-        "learning-tables",
-        help="write the paper's tables from experiments",
-        description="Collects experiments, complete or not, on one page: goals, means over pairs, "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Collects experiments, complete or not, on one page: goals, means over pairs, "
         "all pairs, the paper's numbers next to ours; forces in N and relative to the labels' "
-        "standard deviation. CSV files and plots go to a folder named after the page.",
+        "standard deviation. CSV files and plots go to a folder named after the page."
     )
     parser.add_argument(
         "experiments",
@@ -32,10 +26,10 @@ def add_to(subcommands: Subcommands) -> None:
     )
     parser.add_argument("--out", type=Path, required=True, metavar="PAGE.md", help="the page")
     parser.add_argument("--intro", type=Path, metavar="FILE", help="Markdown text above the tables")
-    parser.set_defaults(run=_run)
 
 
-def _run(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
     from benchmarks.learning.tables.group_results import read_group
     from benchmarks.learning.tables.page import write_tables
 

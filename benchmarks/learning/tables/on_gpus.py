@@ -1,7 +1,6 @@
-#!/usr/bin/env python3
 """Compute all tables and ablations in parallel, on all available GPUs.
 
-    python benchmarks/learning/tables/on_gpus.py OUT [--only NAME,...] [--gpus 0,1] [--jobs 8]
+    python -m benchmarks learning-on-gpus OUT [--only NAME,...] [--gpus 0,1] [--jobs 8]
 
 Does the work of run.sh and ablations.sh, starting each task as soon as its dependencies are done:
 presses are simulated on the CPU cores, two archives at a time at low priority; each table and each
@@ -224,16 +223,19 @@ def _page(out: Path, page: str, made: Sequence[Path], *options: str) -> None:
         subprocess.run([*learning, *map(str, made), "--out", str(out / page), *options], check=True)
 
 
-def main() -> int:
-    """Run the requested tasks; return 0, or 1 if a task failed."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
+    parser.description = __doc__.split("\n\n")[0]
     parser.add_argument("out", type=Path, help="output folder")
     parser.add_argument(
         "--only", help="tables and ablations, which run with their dependencies (all)"
     )
     parser.add_argument("--gpus", help="GPU numbers, e.g. 0,1 (all)")
     parser.add_argument("--jobs", type=int, default=8, help="models trained in parallel per table")
-    options = parser.parse_args()
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the requested tasks; return 0, or 1 if a task failed."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     gpus, memory = _gpus()
     gpus = options.gpus.split(",") if options.gpus else gpus
@@ -262,7 +264,3 @@ def chosen(known: Sequence[Task], only: str | None) -> list[Task]:
         kept.add(name := named.pop())
         named += by_name[name].needs
     return [task for task in known if task.name in kept]
-
-
-if __name__ == "__main__":
-    sys.exit(main())

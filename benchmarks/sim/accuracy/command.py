@@ -9,27 +9,25 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from command_line.options import add_device
 from sim.errors import SceneError
 
 if TYPE_CHECKING:
     from benchmarks.sim.accuracy.competitors import Competitor
-    from sim.cli.options import Subcommands
 
 SMOKE_CASES, SMOKE_COMPETITORS = ("sphere",), ("layer", "fem fineness 0.5", "fem even 1.25 mm")
 # Fineness of the reference mesh with --smoke.
 SMOKE_REFERENCE = 0.8
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the subcommand and its options."""
-    parser = subcommands.add_parser(
-        "accuracy",
-        help="error, time and memory of every tier, mesh and precision; writes a page",
-        description="Measures into one file per device, resumes an interrupted run, and draws the "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Measures into one file per device, resumes an interrupted run, and draws the "
         "page from all files. On a machine with a GPU: --device cuda:0 --only measure "
-        "--out DIR; copy the file here and --only page includes it.",
+        "--out DIR; copy the file here and --only page includes it."
     )
-    parser.add_argument("--device", default="cpu", help="cpu, cuda:0, ... (%(default)s)")
+    add_device(parser)
     parser.add_argument("--only", choices=("measure", "page"), help="run this step only (both)")
     parser.add_argument(
         "--case", action="append", default=[], metavar="NAME", help="this case only (repeatable)"
@@ -65,7 +63,6 @@ def add_to(subcommands: Subcommands) -> None:
     parser.add_argument(
         "--smoke", action="store_true", help="one case on coarse meshes: seconds, not minutes"
     )
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -9,21 +9,12 @@ import argparse
 import sys
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from sim.errors import SceneError
 
-if TYPE_CHECKING:
-    from sim.cli.options import Subcommands
 
-
-def add_to(subcommands: Subcommands) -> None:
-    """Add the subcommand and its options."""
-    parser = subcommands.add_parser(
-        "effects",
-        help="prove that disabled effects cost nothing, measure the cost of enabled ones; "
-        "writes a page (about 2 minutes)",
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     parser.add_argument(
         "--repeats",
         type=int,
@@ -37,7 +28,6 @@ def add_to(subcommands: Subcommands) -> None:
         default=Path("docs/results/effects.md"),
         help="page to write (%(default)s)",
     )
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:

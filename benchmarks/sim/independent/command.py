@@ -20,16 +20,13 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from benchmarks.sim.independent.comparison import Row
-    from sim.cli.options import Subcommands
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the subcommand and its options."""
-    parser = subcommands.add_parser(
-        "independent",
-        help="forces of presses compared with independent solutions",
-        description="Solves presses whose forces are known from finite elements that share no code "
-        "with `sim`, and reports the error of `sim`. The exit code is 0 for any error.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Solves presses whose forces are known from finite elements that share no code "
+        "with `sim`, and reports the error of `sim`. The exit code is 0 for any error."
     )
     parser.add_argument(
         "--only",
@@ -53,7 +50,6 @@ def add_to(subcommands: Subcommands) -> None:
         choices=("axisymmetric", "foreign"),
         help="solve the cases missing from the reference file, and add them",
     )
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:

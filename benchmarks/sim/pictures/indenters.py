@@ -89,12 +89,12 @@ def _write(
     pen.text(at, text, fill=colour, font=ImageFont.load_default(size))
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Run `python -m benchmarks indenters PATH`, which draws the sheet of all 18."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks indenters", description=__doc__)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
     parser.add_argument("path", type=Path, help="PNG to write")
-    draw_sheet(parser.parse_args(arguments).path)
 
 
-if __name__ == "__main__":
-    main()
+def run(options: argparse.Namespace) -> int:
+    """Run `python -m benchmarks indenters PATH`, which draws the sheet of all 18."""
+    draw_sheet(options.path)
+    return 0

@@ -92,12 +92,12 @@ def _frame(
             pen.line([end + (left, top)[k % 2] for k, end in enumerate(ends)], FRAME, 1)
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Draw the sheet of every named pattern."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks patterns", description=__doc__)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
     parser.add_argument("path", type=Path, help="PNG to write")
-    draw_sheet(parser.parse_args(arguments).path)
 
 
-if __name__ == "__main__":
-    main()
+def run(options: argparse.Namespace) -> int:
+    """Draw the sheet of every named pattern."""
+    draw_sheet(options.path)
+    return 0

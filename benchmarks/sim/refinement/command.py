@@ -8,20 +8,13 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from sim.cli.options import MM, numbers
-
-if TYPE_CHECKING:
-    from sim.cli.options import Subcommands
+from command_line.options import add_device, numbers
+from sim.cli.options import MM
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the subcommand and its options."""
-    parser = subcommands.add_parser(
-        "refine",
-        help="the bench problem and the 18 shapes on successively finer meshes; writes a page",
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
     parser.add_argument(
         "--bench",
         type=numbers(),
@@ -38,14 +31,13 @@ def add_to(subcommands: Subcommands) -> None:
         help="element sizes for the 18 shapes [mm] (%(default)s); half an hour each on a CPU",
     )
     parser.add_argument("--only", choices=("bench", "shapes"), help="run this part only")
-    parser.add_argument("--device", default="cpu", help="cpu, cuda:0, ... (%(default)s)")
+    add_device(parser)
     parser.add_argument(
         "--out",
         type=Path,
         default=Path("docs/results/refinement.md"),
         help="page to write (%(default)s)",
     )
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +20,7 @@ from PIL import Image
 from benchmarks.sim.render.compare import iou, mismatch
 from benchmarks.sim.render.raycast import smooth
 from benchmarks.sim.render.states import RenderState, dent, solved
+from command_line.options import names
 from sim.device import ready_device
 from sim.markers import HEIGHT, WIDTH, Camera, named
 from sim.markers.camera import FILM, LENS
@@ -116,19 +116,23 @@ def draw_texture(name: str, state: RenderState, path: Path) -> None:
     Image.fromarray(np.round(share[::-1] * 255).astype(np.uint8)).save(path)
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Render every state and pattern, write both images and print their similarity."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks blender", description=__doc__)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
     parser.add_argument("out", type=Path, help="folder for the images")
-    parser.add_argument("--patterns", default=",".join(PATTERNS), help="default %(default)s")
+    parser.add_argument(
+        "--patterns", type=names, default=",".join(PATTERNS), help="default %(default)s"
+    )
     parser.add_argument("--made-up", action="store_true", help="skip the solved presses")
-    options = parser.parse_args(arguments)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Render every state and pattern, write both images and print their similarity."""
     options.out.mkdir(parents=True, exist_ok=True)
     ready_device("cpu")
     states = [dent(at=(2e-3, -1e-3), aside=(0.6e-3, 0.3e-3))]
     if not options.made_up:
         states += solved()
-    names = options.patterns.split(",")
+    names = options.patterns
     print("| state | pattern | IoU | pixels that differ |\n|---|---|---|---|")
     for index, state in enumerate(states):
         renderer = Renderer(state.body)
@@ -143,7 +147,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
             print(
                 f"| {state.name} | {name} | {iou(mask, theirs):.5f} | {share:.4f} % |", flush=True
             )
-
-
-if __name__ == "__main__":
-    main()
+    return 0

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from benchmarks.sim.render.compare import iou, mismatch
 from benchmarks.sim.render.raycast import cast_rays, marked
 from benchmarks.sim.render.states import RenderState, dent, fold, solved
+from command_line.options import add_device
 from recorder.markers import Lattice
 from sim.device import ready_device
 from sim.markers import Camera, named
@@ -101,10 +102,9 @@ def _line(state: RenderState, what: str, one: Masks, other: Masks) -> Line:
     )
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks render-check", description=__doc__)
-    parser.add_argument("--device", default="cpu", help="cpu, cuda:0 ... (default %(default)s)")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
+    add_device(parser)
     parser.add_argument(
         "--rays",
         type=int,
@@ -112,7 +112,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         help="rays along each side of a pixel (default %(default)s)",
     )
     parser.add_argument("--made-up", action="store_true", help="skip the solved presses")
-    options = parser.parse_args(arguments)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print the table."""
     ready_device(options.device)
     states = [dent(at=(2e-3, -1e-3), aside=(0.6e-3, 0.3e-3)), fold()]
     if not options.made_up:
@@ -121,7 +124,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print("|---|---|---|---|---|")
     for line in lines(states, ray_samples=options.rays, device=options.device):
         print(line, flush=True)
-
-
-if __name__ == "__main__":
-    main()
+    return 0

@@ -60,16 +60,14 @@ def _drawn(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> NDArray[np.ui
     return drawn
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Solve the presses and draw them."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks render-picture", description=__doc__
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
     parser.add_argument("path", type=Path, help="PNG to write")
-    path = parser.parse_args(arguments).path
+
+
+def run(options: argparse.Namespace) -> int:
+    """Solve the presses and draw them."""
+    path = options.path
     ready_device("cpu")
     draw(path, solved())
-
-
-if __name__ == "__main__":
-    main()
+    return 0

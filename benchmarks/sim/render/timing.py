@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import warp as wp
 
 from benchmarks.sim.render.states import dent
+from command_line.options import add_device
 from sim.device import ready_device
 from sim.markers import SIMULATED, Camera, named
 from sim.markers.kernels import (
@@ -84,10 +85,9 @@ def measure(
     ]
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Print one line per stage."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks render-speed", description=__doc__)
-    parser.add_argument("--device", default="cpu", help="cpu, cuda:0 ... (default %(default)s)")
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
+    add_device(parser)
     parser.add_argument("--frames", type=int, default=9, help="frames per batch")
     parser.add_argument("--samples", type=int, default=1, help="samples along a pixel's side, odd")
     parser.add_argument(
@@ -99,7 +99,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         default=REPEATS,
         help="number of repeats, of which the fastest counts",
     )
-    options = parser.parse_args(arguments)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print one line per stage."""
     ready_device(options.device)
     rows = measure(
         options.frames,
@@ -117,7 +120,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for name, seconds, count in rows:
         rate = count / max(seconds, 1e-9)
         print(f"{name:31} {1e3 * seconds / count:9.4f} ms each {rate:12.0f} /s")
-
-
-if __name__ == "__main__":
-    main()
+    return 0

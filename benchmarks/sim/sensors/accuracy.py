@@ -8,14 +8,14 @@ receive the frames that are compared. Takes minutes per indenter, nearly all of 
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.sim.sensors.fit import SPACING
+from command_line.options import add_device
 from sim.device import ready_device
 from sim.errors import SimulationDiverged
 from sim.fem.numerics import FOR_EDGES, Fem
@@ -37,16 +37,18 @@ STEPS = 4
 ANGLE = 0.3
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Solve, compare and print."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks live-forces", description=__doc__)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
     parser.add_argument("--sensors", nargs="+", default=HETEROGENEOUS, choices=HETEROGENEOUS)
     parser.add_argument("--indenters", nargs="+", default=INDENTERS)
     parser.add_argument(
         "--grid", type=int, default=GRID, help="grid of the live sensor (%(default)s)"
     )
-    parser.add_argument("--device", default="cpu", help="device of `fem` (%(default)s)")
-    options = parser.parse_args(argv)
+    add_device(parser, "device of `fem`")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Solve, compare and print."""
     ready_device(options.device)
     print(f"{'':28} {'largest force [N]':>21}   {'rms error [N]':>20}   {'worst error [N]':>20}")
     for name in options.sensors:
@@ -106,7 +108,3 @@ def _line(title: str, live: Array, other: Array) -> str:
     )
     numbers = "   ".join(" ".join(f"{value:6.3f}" for value in part) for part in parts)
     return f"{title:28} {numbers}"
-
-
-if __name__ == "__main__":
-    sys.exit(main())

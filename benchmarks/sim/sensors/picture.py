@@ -55,15 +55,15 @@ class Tile:
     """(480, 640, 3)."""
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Simulate, read out and draw."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks sensor-picture", description=__doc__
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("--out", type=Path, default=Path("docs/images/sensors.png"))
     parser.add_argument("--tier", choices=("layer", "fem"), default="fem", help="(%(default)s)")
-    options = parser.parse_args(argv)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Simulate, read out and draw."""
     ready_device("cpu")
     tiles: list[Tile] = []
     for name in ORDER:
@@ -122,7 +122,3 @@ def _tiles(each: SimulatedSensor, result: Result) -> list[Tile]:
     if each.name == "gelsight" and isinstance(reader, CameraReadout):
         tiles.append(Tile(f"{each.name} in colour", text, reader.pictures(top)[-1]))
     return tiles
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import io
 import re
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -129,9 +128,8 @@ def simulated(found: Recorded, wanted: NDArray[np.int64], layer: Layer = Layer()
     return Offline(wrench, replace(live.field, displacement=surface))
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Compare, print and return the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks live-session", description=__doc__)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
     parser.add_argument("session", type=Path)
     parser.add_argument(
         "--grid",
@@ -139,15 +137,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         default=Layer().grid,
         help="grid of the offline simulation (%(default)s)",
     )
-    options = parser.parse_args(argv)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Compare, print and return the exit code."""
     session = Session(options.session)
-    try:
-        found = recorded(session)
-    except SceneError as error:
-        parser.error(str(error))
+    found = recorded(session)
     pressed = found.time[found.tip[:, 2] < 0]
     if not len(pressed):
-        parser.error("session: no pose below the surface; allowed: at least one target")
+        raise SceneError("session: no pose below the surface; allowed: at least one target")
     images = _images(session, pressed) if "camera" in session.streams else {}
     scans = _scans(session, pressed) if "taxels" in session.streams else {}
     wanted = np.array([*images, *scans], np.int64)
@@ -246,7 +244,3 @@ def _scans(session: Session, pressed: NDArray[np.int64]) -> dict[int, NDArray[np
     gap = np.full(len(near), np.iinfo(np.int64).max)
     gap[inside] = stream.t_ns[inside] - pressed[near[inside] - 1]
     return {int(stream.t_ns[row]): values[row] for row in np.flatnonzero(gap < 4_000_000)}
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -9,13 +9,13 @@ of 41 x 41 points that the readout has not seen before.
 from __future__ import annotations
 
 import argparse
-import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
 
+from command_line.options import add_device
 from recorder.markers import draw_discs
 from sim.device import ready_device
 from sim.scene import Body
@@ -28,12 +28,14 @@ REPEATS = 3
 POINTS = 41
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Measure every stage and print a table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks sensor-speed", description=__doc__)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
     parser.add_argument("--frames", type=int, default=64, help="frames per batch (%(default)s)")
-    parser.add_argument("--device", default="cpu", help="device of rendering (%(default)s)")
-    options = parser.parse_args(argv)
+    add_device(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measure every stage and print a table."""
     ready_device(options.device)
     print(f"{'stage':52} {'ms a frame':>10}")
     for name, work in stages(options.frames, options.device):
@@ -76,7 +78,3 @@ def _spent(work: Callable[[], object]) -> float:
     began = time.process_time()
     work()
     return time.process_time() - began
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -10,11 +10,11 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from command_line.options import add_device
 from sim.cli.options import metres
 from sim.errors import SceneError
 
 if TYPE_CHECKING:
-    from sim.cli.options import Subcommands
     from sim.mpm import Mpm
 
 # Parts to measure; `page` draws.
@@ -25,16 +25,14 @@ MESHES = (4e-3 / 3, 1e-3, 4e-3 / 6)
 SMOKE_SPACING, SMOKE_REFERENCE, SMOKE_MESHES = 4 / 3, 1.0, (1e-3,)
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the subcommand and its options."""
-    parser = subcommands.add_parser(
-        "speed",
-        help="time the paper's 162 presses; ablations and roofline bound; writes a page",
-        description="Measures into one file per device, resumes an interrupted run, and writes the "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Measures into one file per device, resumes an interrupted run, and writes the "
         "page from all files. On a machine with a GPU: --device cuda:0 --only "
-        f"{','.join(PARTS)} --out DIR; copy its files here and --only page includes them.",
+        f"{','.join(PARTS)} --out DIR; copy its files here and --only page includes them."
     )
-    parser.add_argument("--device", default="cpu", help="cpu, cuda:0, ... (%(default)s)")
+    add_device(parser)
     parser.add_argument(
         "--processes", type=int, metavar="N", help="processes on a CPU (2); a GPU uses one"
     )
@@ -69,7 +67,6 @@ def add_to(subcommands: Subcommands) -> None:
     parser.add_argument(
         "--smoke", action="store_true", help="a few presses on coarse meshes: seconds, not minutes"
     )
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -11,12 +11,12 @@ import argparse
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from benchmarks.sim.speed.campaign import AUGMENTATIONS, PATH_TOLERANCE, TOLERANCE
 from benchmarks.sim.speed.machine import machine_name
+from command_line.options import add_device
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem.numerics import Fem
 from sim.indenters import sphere
@@ -25,9 +25,6 @@ from sim.metrics import force_scale
 from sim.result import Outcome
 from sim.scene import Body, Scene, press
 from sim.tiers import simulate_many
-
-if TYPE_CHECKING:
-    from sim.cli.options import Subcommands
 
 MM = 1e-3
 FRAME, FRAMES = 0.05 * MM, 20
@@ -99,15 +96,13 @@ def errors(outcomes: Sequence[Outcome], truths: Sequence[Outcome]) -> tuple[floa
     return (float(np.mean(found)), float(np.max(found))) if found else (np.nan, np.nan)
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the subcommand and its options."""
-    parser = subcommands.add_parser(
-        "frames",
-        help="frames per second, one press or many at once",
-        description="Times presses of 20 frames of 0.05 mm with `layer` and with meshes of `fem`, "
-        "and reports the errors of their forces. Kernels are compiled before.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Times presses of 20 frames of 0.05 mm with `layer` and with meshes of `fem`, "
+        "and reports the errors of their forces. Kernels are compiled before."
     )
-    parser.add_argument("--device", default="cpu", help="cpu, or cuda:0 and the like (%(default)s)")
+    add_device(parser)
     parser.add_argument(
         "--counts",
         default=",".join(map(str, COUNTS)),
@@ -119,7 +114,6 @@ def add_to(subcommands: Subcommands) -> None:
     parser.add_argument(
         "--only", default="", metavar="WORD", help="only methods whose name contains this"
     )
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace, say: Callable[[str], None] = print) -> int:

@@ -9,6 +9,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from command_line.options import add_device, add_seed
 from sim.errors import SceneError
 
 if TYPE_CHECKING:
@@ -16,17 +17,14 @@ if TYPE_CHECKING:
 
     from benchmarks.sim.stability.case import Case
     from benchmarks.sim.stability.runner import Report
-    from sim.cli.options import Subcommands
 
 
-def add_to(subcommands: Subcommands) -> None:
-    """Add the subcommand and its options."""
-    parser = subcommands.add_parser(
-        "hard-cases",
-        help="simulate hard cases and check them against laws of mechanics",
-        description="Runs named cases and checks each against laws of mechanics. Exit code 1 if "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Runs named cases and checks each against laws of mechanics. Exit code 1 if "
         "any law fails; with --planted, if no case detects a deliberate bug. Takes about 10 min. "
-        "With --random, random scenes are judged by a referee that is independent of the solver.",
+        "With --random, random scenes are judged by a referee that is independent of the solver."
     )
     parser.add_argument(
         "--only",
@@ -48,14 +46,13 @@ def add_to(subcommands: Subcommands) -> None:
         type=int,
         help="number of parallel processes (default: 2 on a CPU, 1 on a GPU)",
     )
-    parser.add_argument("--device", default="cpu", help="cpu, or cuda:0 and the like (%(default)s)")
+    add_device(parser)
     parser.add_argument(
         "--out",
         type=Path,
         help="page to write (default: docs/results/stability.md; with --random none)",
     )
     _add_random(parser)
-    parser.set_defaults(run=run)
 
 
 def _add_random(parser: argparse.ArgumentParser) -> None:
@@ -66,7 +63,7 @@ def _add_random(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="number of scenes; exit code 1 on a silently wrong answer, or on a crash",
     )
-    group.add_argument("--seed", type=int, default=0, help="random seed (%(default)s)")
+    add_seed(group)
     group.add_argument(
         "--scene", type=int, default=0, metavar="I", help="number of the first scene (%(default)s)"
     )

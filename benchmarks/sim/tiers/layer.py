@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -102,9 +101,8 @@ def _timed(scene: Scene, layer: Layer) -> tuple[list[float], int]:
     return seconds, state.spent.steps
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Print both tables."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks layer", description=__doc__)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
     default = Layer()
     parser.add_argument(
         "--grid",
@@ -124,7 +122,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         default=3,
         help="number of runs, of which each frame's fastest counts (default %(default)s)",
     )
-    options = parser.parse_args(arguments)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print both tables."""
     layer = Layer(options.grid, options.tolerance)
     body = Body()
     millimetres = " x ".join(
@@ -137,7 +138,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
         f"{SPEED * 1e3:g} mm/s, {RATE:g} frames a second; CPU time of one thread"
     )
     print("\n".join(rates(layer, options.repeats)))
-
-
-if __name__ == "__main__":
-    main()
+    return 0

@@ -25,9 +25,10 @@ from benchmarks.sim.tiers.comparison import (
     measure,
     measure_elements,
 )
+from command_line.options import add_device
 from recorder.progress import Progress
 from sim.device import ready_device
-from sim.errors import SceneError, SimulationDiverged
+from sim.errors import SimulationDiverged
 
 ELEMENTS = "finite elements"
 
@@ -71,25 +72,24 @@ def _numbers(values: Sequence[float], width: int, digits: int, factor: float = 1
     return " ".join(f"{value * factor:{width}.{digits}f}" for value in values)
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure the rows that are not yet in the file, one after the other, and print all rows."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks mpm", description=__doc__)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
     parser.add_argument("--fine", action="store_true", help="also cells of 0.25 mm: some minutes")
-    parser.add_argument("--device", default="cpu", help="cpu, cuda:0 ... (default %(default)s)")
+    add_device(parser)
     parser.add_argument("--only", default="", help="rows whose name contains this (default: all)")
     parser.add_argument(
         "--file",
         type=Path,
         help="JSON file of measured rows; existing rows are not measured again",
     )
-    options = parser.parse_args(arguments)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measure the rows that are not yet in the file, one after the other, and print all rows."""
     wanted = choices(fine=options.fine)
     names = [name for name in (ELEMENTS, *wanted) if options.only in name]
     known = _load(options.file)
-    try:
-        kernels = ready_device(options.device)
-    except SceneError as error:
-        parser.error(str(error))
+    kernels = ready_device(options.device)
     with Progress("bench", sys.stderr, kernels=kernels) as progress:
         for done, name in enumerate(names):
             key = f"{options.device}: {name}"
@@ -111,6 +111,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             _save(options.file, known)
     keys = [f"{options.device}: {name}" for name in names]
     print("\n".join(table([known[key] for key in keys if key in known])))
+    return 0
 
 
 def _load(file: Path | None) -> dict[str, Row]:
@@ -132,7 +133,3 @@ def _save(file: Path | None, rows: dict[str, Row]) -> None:
     partial = file.with_suffix(".partial")
     partial.write_text(json.dumps({key: asdict(row) for key, row in rows.items()}, indent=1))
     partial.replace(file)
-
-
-if __name__ == "__main__":
-    main()

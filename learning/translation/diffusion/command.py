@@ -4,22 +4,17 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from learning.command import add_inputs, add_resume, add_sensors, add_settings
 
-if TYPE_CHECKING:
-    from learning.command import Subcommands
 
-
-def add_to(subcommands: Subcommands) -> None:
-    """Add the verb and its options."""
-    parser = subcommands.add_parser(
-        "train-diffusion",
-        description="Trains one translator for all pairs of an archive's sensors, from published "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Trains one translator for all pairs of an archive's sensors, from published "
         "weights that you supply: SD-Turbo, CLIP ViT-B/32, VGG16, LPIPS. After Ctrl-C, the same "
         "command with --resume continues. Several GPUs: torchrun --nproc-per-node N -m learning "
-        "...",
+        "..."
     )
     add_inputs(parser)
     add_settings(
@@ -44,10 +39,10 @@ def add_to(subcommands: Subcommands) -> None:
         help="rule for pairing frames of a press (%(default)s)",
     )
     add_resume(parser)
-    parser.set_defaults(run=_run)
 
 
-def _run(options: argparse.Namespace) -> int:
-    from learning.translation.diffusion.train import run
+def run(options: argparse.Namespace) -> int:
+    """Train, and return the exit code."""
+    from learning.translation.diffusion.train import run as train
 
-    return run(options)
+    return train(options)

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
 
 from learning.command import add_inputs, add_resume, add_sensors, add_settings
 
-if TYPE_CHECKING:
-    from learning.command import Subcommands
 
-
-def add_to(subcommands: Subcommands) -> None:
-    """Add the verb and its options."""
-    parser = subcommands.add_parser(
-        "train-marker-vae",
-        description="Trains the adapter of SD-Turbo's autoencoder on the frames of all sensors of "
-        "an archive. After Ctrl-C, the same command with --resume continues.",
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Trains the adapter of SD-Turbo's autoencoder on the frames of all sensors of "
+        "an archive. After Ctrl-C, the same command with --resume continues."
     )
     add_inputs(parser)
     add_settings(
@@ -26,10 +21,10 @@ def add_to(subcommands: Subcommands) -> None:
     parser.add_argument("--base", metavar="DIR", help="SD-Turbo: unet/, vae/ (weights.base)")
     add_sensors(parser)
     add_resume(parser)
-    parser.set_defaults(run=_run)
 
 
-def _run(options: argparse.Namespace) -> int:
-    from learning.translation.diffusion.train_vae import run
+def run(options: argparse.Namespace) -> int:
+    """Train, and return the exit code."""
+    from learning.translation.diffusion.train_vae import run as train
 
-    return run(options)
+    return train(options)

@@ -4,23 +4,18 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from learning.command import add_resume, add_run, add_settings
 
-if TYPE_CHECKING:
-    from learning.command import Subcommands
 
-
-def add_to(subcommands: Subcommands) -> None:
-    """Add the verb and its options."""
-    parser = subcommands.add_parser(
-        "train-autoencoder",
-        description="Trains a network to reconstruct marker images of archives and of random "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Trains a network to reconstruct marker images of archives and of random "
         "patterns under made-up deformations; without an archive only the latter. train-direct "
         "starts from its encoder, evaluate compares images by its features. After Ctrl-C, "
         "the same command with --resume continues. Several GPUs: torchrun --nproc-per-node N -m "
-        "learning train-autoencoder ...",
+        "learning train-autoencoder ..."
     )
     parser.add_argument("archives", nargs="*", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
     parser.add_argument(
@@ -34,10 +29,10 @@ def add_to(subcommands: Subcommands) -> None:
     add_run(parser)
     add_settings(parser)
     add_resume(parser)
-    parser.set_defaults(run=_run)
 
 
-def _run(options: argparse.Namespace) -> int:
-    from learning.translation.direct.train_autoencoder import run
+def run(options: argparse.Namespace) -> int:
+    """Train, and return the exit code."""
+    from learning.translation.direct.train_autoencoder import run as train
 
-    return run(options)
+    return train(options)

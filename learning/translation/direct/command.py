@@ -4,23 +4,18 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from learning.command import add_inputs, add_resume, add_sensors, add_settings
 
-if TYPE_CHECKING:
-    from learning.command import Subcommands
 
-
-def add_to(subcommands: Subcommands) -> None:
-    """Add the verb and its options."""
-    parser = subcommands.add_parser(
-        "train-direct",
-        description="Trains one network for all pairs of an archive's sensors, on location pairs. "
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Trains one network for all pairs of an archive's sensors, on location pairs. "
         "As in the paper: first on simulated states with the encoder of an autoencoder "
         "(--autoencoder), then from there on each group of sensors (--from). After Ctrl-C, "
         "the same command with --resume continues. Several GPUs: torchrun --nproc-per-node N -m "
-        "learning train-direct ...",
+        "learning train-direct ..."
     )
     add_inputs(parser)
     start = parser.add_mutually_exclusive_group(required=True)
@@ -36,10 +31,10 @@ def add_to(subcommands: Subcommands) -> None:
     add_settings(parser)
     add_sensors(parser)
     add_resume(parser)
-    parser.set_defaults(run=_run)
 
 
-def _run(options: argparse.Namespace) -> int:
-    from learning.translation.direct.train import run
+def run(options: argparse.Namespace) -> int:
+    """Train, and return the exit code."""
+    from learning.translation.direct.train import run as train
 
-    return run(options)
+    return train(options)

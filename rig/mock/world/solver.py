@@ -18,10 +18,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from command_line.errors import EXIT_DEVICE_LOST
 from rig.bench.worlds import SimulatedSpec
 from rig.core.clock import SECOND_NS, Clock, Pacer
 from rig.core.emulation import Served
-from rig.core.errors import EXIT_DEVICE_LOST, ConfigError
+from rig.core.errors import ConfigError
 from rig.core.realtime import SOLVER_PRIORITY
 from rig.core.samples import ARM_TRUTH, PRESS_STATE, surface_state
 from rig.core.shared_memory import SharedLatest

@@ -1,27 +1,23 @@
-"""Table of all commands of `tactile`: name, help text and implementing module.
+"""Table of all commands: name, help text and implementing module.
 
-Nothing is imported here: `tactile --help` needs only this table. Each module has
-`add_to(verbs)`, which adds the parser of the command. `docs/reference/commands.md` is generated
-from the table (`make reference`).
+No package is imported here: `tactile --help` needs only this table. `docs/reference/commands.md` is
+generated from it (`make reference`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 
-@dataclass(frozen=True, slots=True)
-class Command:
+class Command(NamedTuple):
     """One row of the table."""
 
     words: str
     """Words typed after `tactile`: one or two."""
     module: str
-    """Module whose `add_to` adds the command."""
+    """Module with `add_arguments` and `run`."""
     help: str
     """One-line help text."""
-    verb: str = ""
-    """Name in `python -m PACKAGE COMMAND`, if different from the last word."""
     extra: str = ""
     """Required extra, if different from the package's."""
 
@@ -32,8 +28,8 @@ class Command:
 
     @property
     def name(self) -> str:
-        """Name of the command within its package."""
-        return self.verb or self.words.split()[-1]
+        """Name of the command in `python -m PACKAGE`: `info`, `press`, `train-force`."""
+        return self.words.removeprefix("session ").removeprefix("sim ").replace(" ", "-")
 
     @property
     def door(self) -> str:
@@ -80,28 +76,32 @@ RECORD = (
 )
 SESSIONS = (
     Command(
-        "session info", "recorder.__main__", "show the contents of a session or a marker archive"
+        "session info", "recorder.cli.info", "show the contents of a session or a marker archive"
     ),
     Command(
         "session check",
-        "recorder.__main__",
+        "recorder.cli.check",
         "check a session or a marker archive for problems; exit 1 if any is found",
     ),
-    Command("session recover", "recorder.__main__", "close a session whose recording was killed"),
+    Command(
+        "session recover", "recorder.cli.recover", "close a session whose recording was killed"
+    ),
     Command(
         "session repack",
-        "recorder.__main__",
+        "recorder.cli.repack",
         "copy a session, storing its images in another encoding",
     ),
     Command(
         "session export",
-        "recorder.__main__",
+        "recorder.cli.export",
         "write a session as LeRobot, MCAP, HDF5 or GenForce",
         extra="export",
     ),
-    Command("session sheet", "recorder.__main__", "draw a session on one page"),
-    Command("session view", "recorder.__main__", "view a session in Rerun", extra="view"),
-    Command("import", "recorder.__main__", "convert a recording made elsewhere into a session"),
+    Command("session sheet", "recorder.cli.sheet", "draw a session on one page"),
+    Command("session view", "recorder.cli.view", "view a session in Rerun", extra="view"),
+    Command(
+        "import", "recorder.cli.import_session", "convert a recording made elsewhere into a session"
+    ),
 )
 SIMULATE = (
     Command("sim press", "sim.cli.press", "press straight down: force, surface, pressure"),
@@ -120,39 +120,33 @@ LEARN = (
         "train field",
         "learning.translation.field.command",
         "train the field translator on a group of sensors",
-        "train-field",
     ),
     Command(
         "train direct",
         "learning.translation.direct.command",
         "train the direct translator on a group of sensors",
-        "train-direct",
     ),
     Command(
         "train autoencoder",
         "learning.translation.direct.autoencoder_command",
         "train the marker autoencoder, from which the direct translator starts",
-        "train-autoencoder",
     ),
     Command(
         "train diffusion",
         "learning.translation.diffusion.command",
         "train the paper's translator from SD-Turbo's weights",
-        "train-diffusion",
-        "diffusion",
+        extra="diffusion",
     ),
     Command(
         "train marker-vae",
         "learning.translation.diffusion.vae_command",
         "train the autoencoder that the paper's translator needs",
-        "train-marker-vae",
-        "diffusion",
+        extra="diffusion",
     ),
     Command(
         "train force",
         "learning.force.command",
         "train a force model on labelled presses",
-        "train-force",
     ),
     Command(
         "translate",
@@ -210,13 +204,11 @@ FAMILIES = {
     "sim": "press rigid indenters into a soft layer; lengths in mm, forces in N",
     "train": "train translators and force models",
 }
-# Modules whose `run(parser, argv)` runs a package's commands, with its errors and exit codes.
-FRONTS = {
-    "rig": "rig.cli.ending",
-    "recorder": "recorder.__main__",
-    "sim": "sim.cli.ending",
-    "learning": "learning.command",
-    "tactile": "tactile.init",
-}
 # Extras that the commands of a package need.
 EXTRAS = {"rig": "rig", "recorder": "", "sim": "sim", "learning": "learning", "tactile": ""}
+# Consequence of Ctrl-C for the commands of a package.
+INTERRUPTED = {
+    "rig": "nothing was recorded",
+    "sim": "nothing was written",
+    "learning": "repeat the command to continue an archive",
+}

@@ -1,0 +1,119 @@
+"""Parser of a command, types of values, and options of commands of several packages."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable, Iterable
+from typing import Any, NoReturn
+
+from command_line.errors import CommandError
+
+
+class _Help(argparse.HelpFormatter):
+    """Help whose usage has only the required arguments; all options are listed below it."""
+
+    def add_usage(
+        self,
+        usage: str | None,
+        actions: Iterable[argparse.Action],
+        groups: Iterable[argparse._MutuallyExclusiveGroup],
+        prefix: str | None = None,
+    ) -> None:
+        """Add the usage; argparse also asks for that of subcommands, with an empty prefix."""
+        choices = [group for group in groups if group.required]
+        either = [action for group in choices for action in group._group_actions]
+        needed = [each for each in actions if each.required or each in either]
+        rest = [] if prefix == "" else [argparse.Action([], "options", nargs="?")]
+        super().add_usage(usage, [*needed, *rest], choices, prefix)
+
+
+class Parser(argparse.ArgumentParser):
+    """Parser of one command, whose errors are one line and not preceded by all options."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**{"formatter_class": _Help, **settings})
+
+    def error(self, message: str) -> NoReturn:
+        """Reject the options.
+
+        Raises:
+            CommandError: Always; the message names the option.
+        """
+        raise CommandError(f"{message.removeprefix('argument ')}; see {self.prog} --help")
+
+
+def positive(text: str) -> float:
+    """Read a finite number above 0."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value > 0):
+        raise argparse.ArgumentTypeError(f"found {text!r}; allowed: a number above 0")
+    return value
+
+
+def whole(low: int = 1, high: int | None = None) -> Callable[[str], int]:
+    """Return a reader of whole numbers from `low` to `high`."""
+    allowed = f"{low} or more" if high is None else f"{low} to {high}"
+
+    def read(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            value = low - 1
+        if value < low or (high is not None and value > high):
+            raise argparse.ArgumentTypeError(f"found {text!r}; allowed: whole numbers, {allowed}")
+        return value
+
+    return read
+
+
+def numbers(count: int | None = None) -> Callable[[str], tuple[float, ...]]:
+    """Return a reader of comma-separated numbers: `count` of them, or one or more."""
+    allowed = f"{count} numbers" if count else "numbers"
+    example = ",".join(["1.5", "2", "0"][: count or 3])
+
+    def read(text: str) -> tuple[float, ...]:
+        try:
+            values = tuple(float(part) for part in text.split(","))
+        except ValueError:
+            values = ()
+        if not values or (count is not None and len(values) != count):
+            raise argparse.ArgumentTypeError(
+                f"found {text!r}; allowed: {allowed} between commas, such as {example}"
+            )
+        return values
+
+    return read
+
+
+def names(text: str) -> tuple[str, ...]:
+    """Read comma-separated names."""
+    found = tuple(text.split(","))
+    if not all(found):
+        raise argparse.ArgumentTypeError(f"found {text!r}; allowed: names between commas")
+    return found
+
+
+def names_or_none(text: str) -> tuple[str, ...]:
+    """Read comma-separated names; an empty text is the empty list."""
+    return names(text) if text else ()
+
+
+def add_device(parser: argparse._ActionsContainer, purpose: str = "device") -> None:
+    """Add `--device`, the CPU unless another is named."""
+    parser.add_argument(
+        "--device",
+        default="cpu",
+        metavar="NAME",
+        help=f"{purpose}: cpu, or cuda:0 and the like (%(default)s)",
+    )
+
+
+def add_seed(parser: argparse._ActionsContainer, default: int = 0) -> None:
+    """Add `--seed`, the seed of all random draws."""
+    parser.add_argument(
+        "--seed", type=int, default=default, metavar="N", help="seed of random draws (%(default)s)"
+    )

@@ -1,0 +1,193 @@
+"""Run a command of the table: find it, parse its options, and end it with an exit code.
+
+`tactile COMMAND` and `python -m PACKAGE COMMAND` both come here. The module of a command has
+`add_arguments(parser)` and `run(options)`, which returns the exit code.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from importlib import import_module
+from typing import Any
+
+from command_line.commands import COMMANDS, EXTRAS, FAMILIES, GROUPS, INTERRUPTED, Command
+from command_line.errors import (
+    EXIT_BROKEN_PIPE,
+    EXIT_INTERRUPTED,
+    EXIT_WRONG_INPUT,
+    CommandError,
+)
+
+HELP = ("-h", "--help")
+# File descriptor of standard output.
+STDOUT = 1
+
+
+def main(argv: Sequence[str] | None = None, package: str = "") -> int:
+    """Run one command of `tactile`, or of `python -m PACKAGE`, and return the exit code."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    known = commands_of(package)
+    for count in (2, 1):
+        if command := known.get(" ".join(words[:count])):
+            return _run(command, words[count:], package)
+    if words == ["--version"]:
+        from importlib.metadata import version
+
+        print(f"tactile-rig {version('tactile-rig')}")
+        return 0
+    family = words[0] if words and not package and words[0] in FAMILIES else ""
+    rest = words[1:] if family else words
+    if rest and rest[0] not in HELP:
+        return _unknown(" ".join(words[:2] if family else words[:1]), known, _program(package))
+
+    def show() -> int:
+        print(overview(package, family), file=sys.stdout if rest else sys.stderr)
+        return 0 if rest else EXIT_WRONG_INPUT
+
+    return ended(show)
+
+
+def commands_of(package: str) -> dict[str, Command]:
+    """Return the commands of `python -m PACKAGE` by name; without a package, those of `tactile`."""
+    if not package:
+        return COMMANDS
+    return {each.name: each for each in COMMANDS.values() if each.package == package}
+
+
+def overview(package: str = "", family: str = "") -> str:
+    """Return the help of all commands by group, of a package, or of those with one first word."""
+    start = f"{_program(package)} {family}".strip()
+    lines = [f"usage: {start} COMMAND [options]; see {start} COMMAND --help"]
+    topic = FAMILIES.get(family or package)
+    if topic:
+        lines += ["", f"{topic}:"]
+    shown = {
+        name: each
+        for name, each in commands_of(package).items()
+        if not family or name.startswith(f"{family} ")
+    }
+    width = max(map(len, shown))
+    for title, group in GROUPS.items():
+        rows = [f"  {name:{width}}  {each.help}" for name, each in shown.items() if each in group]
+        if rows:
+            lines += rows if topic else ["", title, *rows]
+    return "\n".join(lines)
+
+
+def run_module(
+    name: str, argv: Iterable[str], *, prog: str, description: str = "", interrupted: str = ""
+) -> int:
+    """Import the module of a command, parse its options, run it and return the exit code.
+
+    Args:
+        name: Name of the module.
+        argv: Options of the command.
+        prog: Command in the usage, and `prog` of the options that the module gets.
+        description: Description in the help, unless the module sets another; empty: its docstring.
+        interrupted: Consequence of Ctrl-C, printed when it has ended the command.
+    """
+
+    def call() -> int:
+        from command_line.options import Parser
+
+        module: Any = import_module(name)
+        parser = Parser(prog=prog, description=description or module.__doc__)
+        module.add_arguments(parser)
+        parser.set_defaults(prog=prog)
+        return int(module.run(parser.parse_args(joined(argv))))
+
+    return ended(call, interrupted)
+
+
+def ended(call: Callable[[], int], interrupted: str = "") -> int:
+    """Return the exit code of `call`; print the line of a known error or of Ctrl-C."""
+    try:
+        code = call()
+        sys.stdout.flush()
+        return code
+    except CommandError as error:
+        line, code = error.report(), error.exit_code
+    except OSError as error:
+        if _nobody_reads(error):
+            return EXIT_BROKEN_PIPE
+        reason = f"{error.filename}: {error.strerror}" if error.filename else str(error)
+        line, code = f"cannot read or write: {reason}", EXIT_WRONG_INPUT
+    except KeyboardInterrupt:
+        line, code = "; ".join(filter(None, ["interrupted", interrupted])), EXIT_INTERRUPTED
+    print(line, file=sys.stderr)
+    return code
+
+
+def joined(argv: Iterable[str]) -> list[str]:
+    """Return `argv` with values such as `-4,0` joined to the option before them by `=`.
+
+    argparse would take them for options: it recognises negative numbers, but no lists of them.
+    """
+    tied: list[str] = []
+    for word in argv:
+        after_option = bool(tied) and tied[-1].startswith("--") and "=" not in tied[-1]
+        if after_option and re.match(r"-[.\d][^=]*,", word):
+            tied[-1] += f"={word}"
+        else:
+            tied.append(word)
+    return tied
+
+
+def _program(package: str) -> str:
+    return f"python -m {package}" if package else "tactile"
+
+
+def _run(command: Command, argv: Sequence[str], package: str) -> int:
+    prog = f"{_program(package)} {command.name if package else command.words}"
+    try:
+        return run_module(
+            command.module,
+            argv,
+            prog=prog,
+            description=f"{command.help[0].upper()}{command.help[1:]}.",
+            interrupted=INTERRUPTED.get(command.package, ""),
+        )
+    except ModuleNotFoundError as error:
+        extra = command.extra or EXTRAS[command.package]
+        if not extra or (error.name or "").partition(".")[0] in EXTRAS:
+            raise
+        print(
+            f"wrong input: {prog}: {error.name} is not installed; install the extra: "
+            f"pip install 'tactile-rig[{extra}]'",
+            file=sys.stderr,
+        )
+        return EXIT_WRONG_INPUT
+
+
+def _unknown(words: str, known: Iterable[str], program: str) -> int:
+    """Print that the command is unknown, with similar ones; return the exit code."""
+    from difflib import get_close_matches
+
+    last = words.split()[-1]
+    # A last word alone means the full command: `check` is `session check`; also `train-force`.
+    same = [each for each in known if last in (each.split()[-1], each.replace(" ", "-"))]
+    near = same or get_close_matches(words, known)
+    hint = f"did you mean {', '.join(near)}? " if near else ""
+    print(
+        f"wrong input: {words!r}: no such command; {hint}{program} --help lists all commands",
+        file=sys.stderr,
+    )
+    return EXIT_WRONG_INPUT
+
+
+def _nobody_reads(error: OSError) -> bool:
+    """Return True if standard output is a pipe that nobody reads any more, such as `| head`.
+
+    Other broken pipes are errors. Python would fail again at its exit, so output is discarded.
+    """
+    import select
+
+    events = select.poll()
+    events.register(STDOUT, 0)
+    if not isinstance(error, BrokenPipeError) or not events.poll(0):
+        return False
+    os.dup2(os.open(os.devnull, os.O_WRONLY), STDOUT)
+    return True

@@ -1,0 +1,37 @@
+"""`python -m recorder export`: write a session in a format of other programs."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from recorder.cli.options import add_session
+from recorder.convert import FORMATS, Options, export
+from recorder.progress import ItemProgress
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    add_session(parser, remote=True)
+    parser.add_argument("destination", type=Path, help="file or folder to make; must not exist")
+    known = "; ".join(f"{name}: {content}" for name, content in FORMATS.items())
+    parser.add_argument("--to", choices=FORMATS, required=True, help=known)
+    parser.add_argument(
+        "--decode", action="store_true", help="hdf5: pixels instead of the camera's JPEG bytes"
+    )
+    parser.add_argument(
+        "--valid-only",
+        action="store_true",
+        help="lerobot, genforce: leave out rows without a sample of every stream near enough "
+        "(docs/reference/data-format.md: max_age [s])",
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Write the file or folder."""
+    choices = Options(decode=options.decode, valid_only=options.valid_only)
+    with ItemProgress("rows", sys.stderr) as progress:
+        export(options.session, options.destination, options.to, options=choices, progress=progress)
+    print(f"{options.destination}: written, {options.to}")
+    return 0

@@ -1,0 +1,27 @@
+"""`python -m recorder recover`: close a session whose recording was killed."""
+
+from __future__ import annotations
+
+import argparse
+
+from recorder.cli.options import add_session
+from recorder.session.recover import recover
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    add_session(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Recover the session and print its streams."""
+    recovery = recover(options.session)
+    for stream in recovery.streams:
+        line = f"{stream.name:18s} {stream.rows:9d} rows"
+        if stream.touched:
+            line += f", {stream.recovered_rows} of them brought back"
+            line += f", {stream.torn_bytes} torn bytes and {stream.dropped_rows} half rows dropped"
+        print(line)
+    done = "recovered" if recovery.touched else "nothing to do"
+    print(f"{options.session}: {done}, status {recovery.status}")
+    return 0
