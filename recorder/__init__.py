@@ -1,35 +1,37 @@
 """Dataset store: record, read, align, check and export sessions; read marker archives.
 
 The format is specified in `docs/reference/data-format.md`; this package is its only implementation.
+A public name is imported when it is first used: progress and settings need neither Zarr nor NumPy.
 """
 
-from recorder.archive import MarkerArchive
-from recorder.check.check import check
-from recorder.convert.repack import repack
-from recorder.errors import SessionError
-from recorder.findings import Finding
-from recorder.session.reader import Session, Stream
-from recorder.session.recover import recover
-from recorder.session.sheet import contact_sheet
-from recorder.session.stream_writer import StreamWriter
-from recorder.session.window import Window
-from recorder.session.writer import SessionWriter
-from recorder.spec import (
-    FORMAT_VERSION,
-    OUTCOMES,
-    PHASES,
-    REFERENCE,
-    SEGMENTS,
-    Column,
-    StreamSpec,
-    camera_spec,
-    force_spec,
-    pose_spec,
-    taxels_spec,
-)
-from recorder.store import images as _codecs
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
-_codecs.register()
+if TYPE_CHECKING:
+    from recorder.archive import MarkerArchive
+    from recorder.checks.check import check
+    from recorder.convert.repack import repack
+    from recorder.errors import SessionError
+    from recorder.findings import Finding
+    from recorder.session.reader import Session, Stream
+    from recorder.session.recover import recover
+    from recorder.session.sheet import contact_sheet
+    from recorder.session.stream_writer import StreamWriter
+    from recorder.session.window import Window
+    from recorder.session.writer import SessionWriter
+    from recorder.spec import (
+        FORMAT_VERSION,
+        OUTCOMES,
+        PHASES,
+        REFERENCE,
+        SEGMENTS,
+        Column,
+        StreamSpec,
+        camera_spec,
+        force_spec,
+        pose_spec,
+        taxels_spec,
+    )
 
 __all__ = [
     "FORMAT_VERSION",
@@ -56,3 +58,29 @@ __all__ = [
     "repack",
     "taxels_spec",
 ]
+
+# Module of each name that is not in `spec`.
+_MODULES = {
+    "Finding": "findings",
+    "MarkerArchive": "archive",
+    "Session": "session.reader",
+    "SessionError": "errors",
+    "SessionWriter": "session.writer",
+    "Stream": "session.reader",
+    "StreamWriter": "session.stream_writer",
+    "Window": "session.window",
+    "check": "checks.check",
+    "contact_sheet": "session.sheet",
+    "recover": "session.recover",
+    "repack": "convert.repack",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULES.get(name, 'spec')}"), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

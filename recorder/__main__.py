@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from recorder.check.check import check
+from recorder.checks.check import check
 from recorder.convert import FORMATS, Options, export, import_session
 from recorder.convert.import_session import add_options, order_of
 from recorder.convert.repack import PROFILES, repack

@@ -94,8 +94,7 @@ def _exported(path: Path) -> list[str]:
 
 def _told(path: Path, name: str) -> str:
     """Return the first line of a name's docstring, wherever the name is defined."""
-    body = ast.parse(path.read_text()).body
-    for node in body:
+    for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.ClassDef | ast.FunctionDef) and node.name == name:
             return _summary(node)
         if isinstance(node, ast.Assign | ast.AnnAssign):
