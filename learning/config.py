@@ -70,7 +70,12 @@ def read_settings(
             raise LearningError(f"--set: found {override!r}; allowed: key=value or key.sub=value")
         value = READER.parse(text, f"--set {key}")
         content = merged(content, _nested(key.split("."), value))
-    return READER.build(kind, content, str(path))
+    try:
+        return READER.build(kind, content, str(path))
+    except LearningError as error:
+        # The file may be right, and the override wrong.
+        with_set = f" (with --set {', '.join(overrides)})" if overrides else ""
+        raise LearningError(f"{error}{with_set}") from None
 
 
 def settings_to_dict(settings: Any) -> dict[str, Any]:
