@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from recorder.checks.check import check
 from recorder.convert import FORMATS, Options, export, import_session
-from recorder.convert.import_session import add_options, order_of
+from recorder.convert.import_session import add_options, request_of
 from recorder.convert.repack import PROFILES, repack
 from recorder.convert.rerun_view import view
 from recorder.errors import SessionError
@@ -105,7 +105,7 @@ def _export(options: argparse.Namespace) -> int:
 
 def _import(options: argparse.Namespace) -> int:
     with ItemProgress("rows", sys.stderr) as progress:
-        lines = import_session(order_of(options), progress)
+        lines = import_session(request_of(options), progress)
     for line in lines:
         print(line)
     print(f"{options.session}: imported")
