@@ -20,7 +20,7 @@ _EXPONENT = (
 )
 
 
-_KINDS = {str: "text ", list: "the list ", dict: "the mapping "}
+_KINDS: dict[type[Any], str] = {str: "text ", list: "the list ", dict: "the mapping "}
 
 
 class YamlError(ValueError):
