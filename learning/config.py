@@ -74,8 +74,8 @@ def read_settings(
         return READER.build(kind, content, str(path))
     except LearningError as error:
         # The file may be right, and the override wrong.
-        with_set = f" (with --set {', '.join(overrides)})" if overrides else ""
-        raise LearningError(f"{error}{with_set}") from None
+        keys = ", ".join(each.partition("=")[0] for each in overrides)
+        raise LearningError(f"{error} (with --set {keys})" if keys else str(error)) from None
 
 
 def settings_to_dict(settings: Any) -> dict[str, Any]:
