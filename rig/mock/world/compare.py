@@ -46,9 +46,10 @@ def compare(session_path: Path, truth_path: Path) -> list[str]:
     Raises:
         ConfigError: There is no such truth, or it does not cover the session.
     """
+    session = Session(session_path)
     if not truth_path.is_file():
         raise ConfigError(f"{truth_path}: no such file; allowed: a file from collect --truth")
-    session, truth = Session(session_path), Truth(truth_path)
+    truth = Truth(truth_path)
     force = session.streams["force"]
     if len(truth.records) < 2 or truth.records["t_ns"][0] > force.t_ns[0]:
         raise ConfigError(f"{truth_path}: does not cover {session_path}")
