@@ -71,7 +71,12 @@ def read_settings(
             raise LearningError(f"--set: found {override!r}; allowed: key=value or key.sub=value")
         value = READER.parse(text, f"--set {key}")
         content = merged(content, _nested(key.split("."), value))
-    return READER.build(kind, content, str(path))
+    try:
+        return READER.build(kind, content, str(path))
+    except LearningError as error:
+        # The file may be right, and the override wrong.
+        keys = ", ".join(each.partition("=")[0] for each in overrides)
+        raise LearningError(f"{error} (with --set {keys})" if keys else str(error)) from None
 
 
 def require(

@@ -1,6 +1,7 @@
 """Dataset store: record, read, align, check and export sessions; read marker archives.
 
 The format is specified in `docs/reference/data-format.md`; this package is its only implementation.
+A public name is imported when it is first used: progress and settings need neither Zarr nor NumPy.
 """
 
 from importlib import import_module
@@ -8,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from recorder.archive import MarkerArchive
-    from recorder.check.check import check
+    from recorder.checks.check import check
     from recorder.convert.repack import repack
     from recorder.errors import SessionError
     from recorder.findings import Finding
@@ -58,6 +59,7 @@ __all__ = [
     "taxels_spec",
 ]
 
+# Module of each name that is not in `spec`.
 _MODULES = {
     "Finding": "findings",
     "MarkerArchive": "archive",
@@ -67,21 +69,18 @@ _MODULES = {
     "Stream": "session.reader",
     "StreamWriter": "session.stream_writer",
     "Window": "session.window",
-    "check": "check.check",
+    "check": "checks.check",
     "contact_sheet": "session.sheet",
     "recover": "session.recover",
     "repack": "convert.repack",
 }
 
-# An import binds the sub-package `check` once, here; afterwards the name belongs to its function.
-import_module(f"{__name__}.check")
-del globals()["check"]
-
 
 def __getattr__(name: str) -> Any:
-    """Import a public name on demand: settings and YAML are read without zarr."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(f"{__name__}.{_MODULES.get(name, 'spec')}"), name)
-    globals()[name] = value
-    return value
+    return getattr(import_module(f"{__name__}.{_MODULES.get(name, 'spec')}"), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

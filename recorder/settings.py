@@ -42,8 +42,9 @@ SI_PER_UNIT = {
     "ma_m2": 1e-3,
     "counts_per_mt": 1e3,
 }
-# JSON types of the plain values.
+# JSON types of the plain values, and how errors call those that a file must have.
 _JSON = {float: "number", int: "integer", bool: "boolean", str: "string", Path: "string"}
+_WORDS = {int: "a whole number", bool: "true or false", str: "text"}
 _NONE = type(None)
 
 
@@ -80,6 +81,8 @@ class Reader:
     """Raised for every invalid key or value."""
     units: Mapping[type, Mapping[str, str]] = field(default_factory=dict)
     """Units of fields whose metadata do not have them, by class and name."""
+    stored: bool = False
+    """True for values stored by a program: SI under the names of the fields, infinity as `inf`."""
 
     def read(self, path: Path, library: Path | None = None) -> dict[str, Any]:
         """Return the mapping in a YAML file, merged over the file that its `extends` names.
@@ -141,7 +144,8 @@ class Reader:
         try:
             return kind(**values)
         except ValueError as error:
-            raise self.error(f"{where}: {error}") from None
+            as_written = self._as_written(str(error), fields, content)
+            raise self.error(f"{where}: {error}{as_written}") from None
 
     def build_one_of(self, kinds: Sequence[Any], content: Any, where: str) -> Any:
         """Return the one of several dataclasses whose `KIND` a mapping names as its `kind`.
@@ -154,7 +158,8 @@ class Reader:
             allowed = f"a mapping with kind {' or '.join(by_kind)}"
             raise self.error(f"{where}: found {describe(content)}; allowed: {allowed}")
         if (kind := content.get("kind")) not in by_kind:
-            raise self.error(f"{where}.kind: found {kind!r}; allowed: {', '.join(by_kind)}")
+            found = f"found {kind!r}" if "kind" in content else "missing"
+            raise self.error(f"{where}.kind: {found}; allowed: {', '.join(by_kind)}")
         return self.build(by_kind[kind], content, where)
 
     def key_of(self, kind: type, each: dataclasses.Field[Any]) -> str:
@@ -177,7 +182,19 @@ class Reader:
             if each.init:
                 yield self.key_of(kind, each), each
 
+    def _as_written(
+        self, message: str, fields: Mapping[str, Any], content: Mapping[str, Any]
+    ) -> str:
+        """Return the key and value that a message about a field in SI does not show."""
+        name = message.partition(":")[0].rpartition(".")[2]
+        for key, each in fields.items():
+            if each.name == name != key and key in content:
+                return f" (in SI units; the file has {key}: {content[key]})"
+        return ""
+
     def _unit(self, kind: type, each: dataclasses.Field[Any]) -> str | None:
+        if self.stored:
+            return None
         unit: str | None = each.metadata.get("unit") or self.units.get(kind, {}).get(each.name)
         return unit
 
@@ -208,6 +225,8 @@ class Reader:
         if dataclasses.is_dataclass(hint):
             return self.build(hint, value, where)  # type: ignore[arg-type]
         if hint is float:
+            if self.stored and value in ("inf", "-inf"):
+                return float(value)
             if isinstance(value, bool) or not isinstance(value, int | float):
                 raise self.error(f"{where}: found {describe(value)}; allowed: a number{_in(unit)}")
             if not math.isfinite(value):
@@ -215,7 +234,7 @@ class Reader:
             return to_si(float(value), unit) if unit else float(value)
         if hint in (int, str, bool):
             if type(value) is not hint:
-                raise self.error(f"{where}: found {describe(value)}; allowed: {hint.__name__}")
+                raise self.error(f"{where}: found {describe(value)}; allowed: {_WORDS[hint]}")
             return value
         if hint is Path:
             return Path(self._value(str, value, where, unit))

@@ -20,6 +20,9 @@ _EXPONENT = (
 )
 
 
+_KINDS: dict[type[Any], str] = {str: "text ", list: "the list ", dict: "the mapping "}
+
+
 class YamlError(ValueError):
     """Error in a file: its place, the value found and the values allowed."""
 
@@ -71,8 +74,18 @@ def parse(text: str, name: str) -> Any:
             return loader.get_single_data()
         finally:
             loader.dispose()
+    except yaml.MarkedYAMLError as error:
+        raise YamlError(f"{name}: not YAML: {_in_one_line(error)}") from None
     except yaml.YAMLError as error:
         raise YamlError(f"{name}: not YAML: {error}") from None
+
+
+def _in_one_line(error: yaml.MarkedYAMLError) -> str:
+    """Return what is wrong and where, and where the part begins that contains it."""
+    marks = (error.problem, error.problem_mark), (error.context, error.context_mark)
+    return ", ".join(
+        f"{text} (line {mark.line + 1})" if mark else text for text, mark in marks if text
+    )
 
 
 def read_mapping(
@@ -108,6 +121,8 @@ def read_mapping(
     if library is not None and not extended.exists() and set(Path(parent).parts[:-1]) <= {".."}:
         shared = library / Path(parent).name
         extended = shared if shared.is_file() else extended
+    if not extended.exists():
+        raise YamlError(f"{path}.extends: found {parent!r}; no such file beside it")
     below = read_mapping(extended, (*above, path.resolve()), library=library)
     return merged(below, content)
 
@@ -128,8 +143,12 @@ def merged(below: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def describe(value: Any) -> str:
-    """Return a value's type and repr for error messages."""
-    return f"{type(value).__name__} {value!r}"
+    """Return a value for error messages, as a file has it: a text in quotes, with its kind."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{_KINDS.get(type(value), '')}{value!r}"
 
 
 # Natural sort order.

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import types
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -156,10 +155,6 @@ SIDES = {
 
 Value = TypeVar("Value")
 
-# Class constant that names a class among alternatives, and the JSON key that stores it.
-_KIND, _WORD = "KIND", "kind"
-_IN_WORDS = {int: "a whole number", bool: "true or false"}
-
 
 def scene_to_json(scene: Scene) -> dict[str, Any]:
     """Return the scene as plain JSON values, SI units; all digits are kept, infinity is "inf"."""
@@ -191,7 +186,10 @@ def from_json(kind: type[Value], stored: Any, where: str) -> Value:
     Raises:
         SceneError: A field is missing, unknown or of the wrong kind, or a value is rejected.
     """
-    return _dataclass(kind, stored, where)
+    # Only files need it: it imports YAML.
+    from recorder.settings import Reader
+
+    return Reader(SceneError, stored=True).build(kind, stored, where)
 
 
 def _plain(value: Any) -> Any:
@@ -201,8 +199,8 @@ def _plain(value: Any) -> Any:
             for field in dataclasses.fields(value)
             if not _unsaid(field, value)
         }
-        word = getattr(value, _KIND, None)
-        return fields if word is None else {_WORD: word, **fields}
+        word = getattr(value, "KIND", None)
+        return fields if word is None else {"kind": word, **fields}
     if isinstance(value, tuple | list):
         return [_plain(item) for item in value]
     if isinstance(value, str | bool | int) or value is None:
@@ -211,84 +209,7 @@ def _plain(value: Any) -> Any:
     return number if math.isfinite(number) else str(number)
 
 
-def _dataclass(kind: type[Value], stored: Any, where: str) -> Value:
-    word = getattr(kind, _KIND, None)
-    if word is not None and isinstance(stored, dict):
-        stored = dict(stored)
-        if (found := stored.pop(_WORD, word)) != word:
-            raise SceneError(f"{where}.{_WORD}: {found!r}; allowed: {word!r}")
-    known = get_type_hints(kind)
-    fields = dataclasses.fields(kind)  # type: ignore[arg-type]
-    # Values stored by versions without a field do not have it, and get its default.
-    needed = {field.name for field in fields if not _has_default(field)}
-    names = {field.name for field in fields}
-    if not isinstance(stored, dict) or not needed <= set(stored) <= names:
-        found = sorted(stored) if isinstance(stored, dict) else stored
-        raise SceneError(f"{where}: {found!r}; allowed: the fields {sorted(names)}")
-    return kind(
-        **{name: _value(known[name], item, f"{where}.{name}") for name, item in stored.items()}
-    )
-
-
 def _unsaid(field: dataclasses.Field[Any], value: Any) -> bool:
     """True if the field has its default, and is omitted as in files of versions without it."""
     later = field.metadata.get("stored") == "unless default"
     return later and getattr(value, field.name) == field.default
-
-
-def _has_default(field: dataclasses.Field[Any]) -> bool:
-    missing = dataclasses.MISSING
-    return field.default is not missing or field.default_factory is not missing
-
-
-def _value(hint: Any, stored: Any, where: str) -> Any:
-    """Return `stored` as the type of the field's annotation."""
-    kind, inner = get_origin(hint), get_args(hint)
-    if kind in (Union, types.UnionType):
-        if stored is None:
-            return None
-        kinds = [one for one in inner if one is not types.NoneType]
-        return _value(_chosen(kinds, stored, where), stored, where)
-    if kind is tuple:
-        if not isinstance(stored, list):
-            raise SceneError(f"{where}: {stored!r}; allowed: a list")
-        each = inner[:1] * len(stored) if inner[-1] is Ellipsis else inner
-        if len(each) != len(stored):
-            raise SceneError(f"{where}: {len(stored)} values; allowed: {len(each)}")
-        return tuple(
-            _value(one, item, f"{where}[{index}]")
-            for index, (one, item) in enumerate(zip(each, stored, strict=True))
-        )
-    if dataclasses.is_dataclass(hint):
-        return _dataclass(hint, stored, where)  # type: ignore[arg-type]
-    if hint is float:
-        return _number(stored, where)
-    if hint in (int, bool):
-        if type(stored) is not hint:
-            raise SceneError(f"{where}: {stored!r}; allowed: {_IN_WORDS[hint]}")
-        return stored
-    if kind is not Literal and hint is not str:
-        raise TypeError(f"{where}: no rule for {hint!r}")
-    if not isinstance(stored, str):
-        raise SceneError(f"{where}: {stored!r}; allowed: text")
-    return stored
-
-
-def _chosen(kinds: list[Any], stored: Any, where: str) -> Any:
-    """Return the one of `kinds` that `stored` names."""
-    if len(kinds) == 1:
-        return kinds[0]
-    words = {getattr(kind, _KIND, None): kind for kind in kinds}
-    found = stored.get(_WORD) if isinstance(stored, dict) else None
-    if found is None or found not in words:
-        allowed = " or ".join(str(word) for word in words)
-        raise SceneError(f"{where}.{_WORD}: {found!r}; allowed: {allowed}")
-    return words[found]
-
-
-def _number(stored: Any, where: str) -> float:
-    if stored in ("inf", "-inf"):
-        return float(stored)
-    if isinstance(stored, bool) or not isinstance(stored, int | float):
-        raise SceneError(f"{where}: {stored!r}; allowed: a number")
-    return stored

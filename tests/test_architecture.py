@@ -5,6 +5,8 @@ from __future__ import annotations
 import ast
 import functools
 from collections.abc import Iterable
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -126,3 +128,12 @@ def test_only_the_clock_touches_time() -> None:
     users = {_name(path) for path in MODULES if "time" in _imports(path)}
     wrong = {name for name in users if name.startswith("rig/")} - {"rig/core/clock.py"}
     assert not wrong, "use rig.core.clock"
+
+
+@pytest.mark.parametrize("package", ["recorder", "learning.force"])
+def test_names_imported_on_demand_exist_and_are_no_submodules(package: str) -> None:
+    module = import_module(package)
+    for name in module.__all__:
+        assert getattr(module, name) is not None
+        # A folder that only keeps bytecode of an older version is found without an origin.
+        assert getattr(find_spec(f"{package}.{name}"), "origin", None) is None

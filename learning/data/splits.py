@@ -251,7 +251,8 @@ def read_split(path: Path) -> Split:
             int(document["seed"]),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise LearningError(f"{path}: not a whole split: {error!r}") from error
+        problem = f"missing {error}" if isinstance(error, KeyError) else error
+        raise LearningError(f"{path}: not a whole split: {problem}") from error
     if len({press.location for press in presses}) != len(presses):
         raise LearningError(f"{path}: found a location twice; allowed: one role each")
     return split

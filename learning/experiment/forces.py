@@ -61,9 +61,11 @@ def force_settings(
         LearningError: A preset or value is invalid, or the model does not use images.
     """
     changed = experiment.force.set + (experiment.fine_tuning if tuning else ())
-    settings = read_settings(
-        ForceSettings, PRESETS, experiment.force.preset, (*changed, f"launch.device={device.type}")
-    )
+    changed = (*changed, f"launch.device={device.type}")
+    try:
+        settings = read_settings(ForceSettings, PRESETS, experiment.force.preset, changed)
+    except LearningError as error:
+        raise LearningError(f"force: {error}") from None
     if settings.input.stored_form != "images":
         raise LearningError(
             f"force: found {experiment.force.preset}, which sees marker fields; allowed: a model "

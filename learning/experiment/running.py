@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from learning.archive_writer import archive_fingerprint
 from learning.config import settings_to_dict
@@ -18,7 +19,7 @@ from learning.data.splits import make_split, read_split
 from learning.errors import LearningError
 from learning.evaluation.predictions import UNSEEN, ForceRow, after
 from learning.evaluation.report import Report, write_report
-from learning.experiment.forces import BEFORE, TRANSFERRED
+from learning.experiment.forces import BEFORE, TRANSFERRED, force_settings
 from learning.experiment.models import Places
 from learning.experiment.parts import Pair, pairs_of
 from learning.experiment.settings import ExperimentSettings
@@ -57,10 +58,15 @@ def run_experiment(
         SessionError: The archive is corrupt.
         KeyboardInterrupt: It was stopped; repeating the call continues it.
     """
+    if jobs < 1:
+        raise LearningError(f"--jobs: found {jobs}; allowed: 1 or more")
     archive, places = MarkerArchive(archive_path), Places(out, archive_path)
     if archive.warning:
         raise LearningError(archive.warning)
     wanted = pairs_of(archive, pairs)
+    for tuning in (False, True):
+        # Their preset is used after hours, and is wrong now.
+        force_settings(settings, archive, torch.device(device), tuning=tuning)
     _begin(places, settings, archive, wanted)
     _write_split(places, settings, archive)
     work = Job(archive_path, out, settings, wanted, device, max(1, processes // jobs))

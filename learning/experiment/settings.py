@@ -77,6 +77,11 @@ class ExperimentSettings:
                 f"source_reference: found false, with translators {self.translators}; allowed: "
                 "true, or direct alone"
             )
+        for name in ("validation", "new_press"):
+            if not 0 <= getattr(self, name) < 1:
+                raise LearningError(
+                    f"{name}: found {getattr(self, name)}; allowed: 0 to less than 1"
+                )
         for name in ("train_presses", "test_presses"):
             value = getattr(self, name)
             if value is not None and value < 1:

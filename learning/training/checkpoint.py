@@ -27,7 +27,7 @@ from torch import Tensor, nn
 from learning.config import READER
 from learning.errors import LearningError
 from recorder.store import replace_file
-from recorder.strict_yaml import yaml_text
+from recorder.strict_yaml import describe, yaml_text
 
 # Network weights in safetensors files.
 
@@ -245,8 +245,10 @@ def read_config(folder: Path) -> Config:
         raise LearningError(f"{path}: unknown {', '.join(unknown)}; known: {', '.join(known)}")
     for key, kind in (("kind", str), ("settings", dict), ("data", str), ("code_version", str)):
         if not isinstance(content.get(key), kind):
-            found = content.get(key)
-            raise LearningError(f"{path}.{key}: found {found!r}; allowed: {kind.__name__}")
+            allowed = "text" if kind is str else "a mapping of keys to values"
+            raise LearningError(
+                f"{path}.{key}: found {describe(content.get(key))}; allowed: {allowed}"
+            )
     return Config(**content)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from recorder.check.check import check
+from recorder.checks.check import check
 from recorder.cli.options import add_session
 
 

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from recorder.cli.options import add_session
-from recorder.convert import ImportOrder, import_session
+from recorder.convert import ImportRequest, import_session
 from recorder.convert.import_force import FORCE_UNITS, TORQUE_UNITS
 from recorder.progress import ItemProgress
 
@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write the session and print what was assumed."""
-    order = ImportOrder(
+    request = ImportRequest(
         out=options.session,
         sensor=options.sensor,
         indenter=options.indenter,
@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
         operator=options.operator,
     )
     with ItemProgress("rows", sys.stderr) as progress:
-        lines = import_session(order, progress)
+        lines = import_session(request, progress)
     for line in lines:
         print(line)
     print(f"{options.session}: imported")

@@ -6,13 +6,13 @@ docs/how-to/export-and-import.md describes the content of each format.
 
 from recorder.convert.export import FORMATS, Options, building, export, file_name
 from recorder.convert.genforce_format import FORCE_COLUMNS, POSE_COLUMNS
-from recorder.convert.import_session import ImportOrder, import_session
+from recorder.convert.import_session import ImportRequest, import_session
 
 __all__ = [
     "FORCE_COLUMNS",
     "FORMATS",
     "POSE_COLUMNS",
-    "ImportOrder",
+    "ImportRequest",
     "Options",
     "building",
     "export",

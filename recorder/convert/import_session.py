@@ -27,7 +27,7 @@ _BLOCK = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
-class ImportOrder:
+class ImportRequest:
     """Files of one recording that start together, and metadata that they do not contain."""
 
     out: Path
@@ -60,7 +60,7 @@ class ImportOrder:
     """Person who made the recording."""
 
     def __post_init__(self) -> None:
-        """Reject an order without files, and impossible rates.
+        """Reject a request without files, and impossible rates.
 
         Raises:
             SessionError: The message names the option.
@@ -111,30 +111,30 @@ _LENGTH_TOLERANCE = 0.05
 _LENGTH_LEAST = 0.1
 
 
-def import_session(order: ImportOrder, progress: Progress | None = None) -> list[str]:
-    """Write `order.out` and return messages on assumptions and changes.
+def import_session(request: ImportRequest, progress: Progress | None = None) -> list[str]:
+    """Write `request.out` and return messages on assumptions and changes.
 
     Args:
-        order: Files to import.
+        request: Files to import.
         progress: Called with the number of rows written and the total.
 
     Raises:
         SessionError: The files are invalid; nothing is left behind.
         OSError: A file cannot be read, or the disk is full; nothing is left behind.
     """
-    if order.out.exists():
-        raise SessionError(f"{order.out}: exists already; choose another name")
-    film = None if order.video is None else open_film(order.video, order.fps)
+    if request.out.exists():
+        raise SessionError(f"{request.out}: exists already; choose another name")
+    film = None if request.video is None else open_film(request.video, request.fps)
     wrenches = None
-    if order.force is not None:
+    if request.force is not None:
         wrenches = read_force(
-            order.force,
-            rate_hz=order.force_hz,
-            force_unit=order.units,
-            torque_unit=order.torque_units,
-            ignore=order.ignore,
+            request.force,
+            rate_hz=request.force_hz,
+            force_unit=request.units,
+            torque_unit=request.torque_units,
+            ignore=request.ignore,
         )
-    counts = None if order.taxels is None else read_taxels(order.taxels, order.taxels_hz)
+    counts = None if request.taxels is None else read_taxels(request.taxels, request.taxels_hz)
     seconds = {
         name: part.seconds
         for name, part in (("video", film), ("force", wrenches), ("taxels", counts))
@@ -143,17 +143,17 @@ def import_session(order: ImportOrder, progress: Progress | None = None) -> list
     assumed = ["all files start together"] if len(seconds) > 1 else []
     for part in (film, wrenches, counts):
         assumed += [] if part is None else part.assumed
-    end = _common_end(seconds, order.trim)
+    end = _common_end(seconds, request.trim)
     if end < max(seconds.values()):
         assumed.append(f"all cut to {end:.3f} s, the length of the shortest")
-    building = order.out.with_name(order.out.name + _IMPORTING)
+    building = request.out.with_name(request.out.name + _IMPORTING)
     shutil.rmtree(building, ignore_errors=True)
     try:
-        _write(building, order, _streams(film, wrenches, counts, end), assumed, progress)
-        building.rename(order.out)
+        _write(building, request, _streams(film, wrenches, counts, end), assumed, progress)
+        building.rename(request.out)
     finally:
         shutil.rmtree(building, ignore_errors=True)
-    sync_directory(order.out.parent)
+    sync_directory(request.out.parent)
     return assumed
 
 
@@ -225,7 +225,7 @@ def _scans(counts: Counts, times: Any) -> Rows:
 
 def _write(
     path: Path,
-    order: ImportOrder,
+    request: ImportRequest,
     streams: list[tuple[StreamSpec, int, Rows]],
     assumed: list[str],
     progress: Progress | None,
@@ -233,11 +233,11 @@ def _write(
     now = datetime.datetime.now(datetime.UTC).isoformat()
     attrs = {
         "mock": False,
-        "sensor": order.sensor,
-        "indenter": order.indenter,
-        **({"operator": order.operator} if order.operator else {}),
+        "sensor": request.sensor,
+        "indenter": request.indenter,
+        **({"operator": request.operator} if request.operator else {}),
         "calibration": {},
-        "imported": {"files": order.files(), "assumed": assumed, "utc": now},
+        "imported": {"files": request.files(), "assumed": assumed, "utc": now},
     }
     no_targets: dict[str, Any] = {
         "point": np.zeros(0, np.int16),

@@ -167,8 +167,7 @@ class JpegCodec(ArrayBytesCodec):
         return await asyncio.to_thread(self._encode_sync, chunk_data, chunk_spec)
 
 
-def register() -> None:
-    """Make zarr-python use this codec for `imagecodecs_jpeg`, even if others provide it too."""
-    register_codec(NAME, JpegCodec)
-    # Without this setting zarr-python warns if imagecodecs has registered the same name.
-    zarr.config.set({f"codecs.{NAME}": f"{JpegCodec.__module__}.{JpegCodec.__qualname__}"})
+# zarr-python uses this codec for the name, even if others provide it too, and without this setting
+# warns if imagecodecs has registered the same name.
+register_codec(NAME, JpegCodec)
+zarr.config.set({f"codecs.{NAME}": f"{JpegCodec.__module__}.{JpegCodec.__qualname__}"})

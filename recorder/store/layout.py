@@ -289,6 +289,15 @@ def decoded_rows(layout: Layout, data: bytes) -> np.ndarray[Any, Any]:
 # Attributes of a session or an archive.
 
 
+class _Attributes(dict[str, Any]):
+    """Attributes of a session or an archive; `attrs["x"]` raises `SessionError` without an x."""
+
+    where = ""
+
+    def __missing__(self, key: str) -> Any:
+        raise SessionError(f"{self.where}: attribute {key!r} is missing")
+
+
 def read_session_attrs(path: Path, files: Files = LOCAL) -> dict[str, Any]:
     """Return the attributes of a session.
 
@@ -323,7 +332,8 @@ def read_attrs(
             raise SessionError(f"{name}: no such {what} ({error})") from None
     except OSError as error:
         raise SessionError(f"{name}: {error}") from error
-    attrs: dict[str, Any] = read_document(files, path / "zarr.json").get("attributes", {})
+    attrs = _Attributes(read_document(files, path / "zarr.json").get("attributes", {}))
+    attrs.where = name
     if attrs.get("format") != format_:
         raise SessionError(f"{name}: found format {attrs.get('format')!r}, expected {format_!r}")
     found = attrs.get("format_version")

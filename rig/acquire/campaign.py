@@ -116,10 +116,7 @@ def load_campaign(path: Path, benches: Path) -> Campaign:
 
 
 def _item(entry: Entry, where: str, benches: Path) -> Item:
-    try:
-        bench_path = find_bench(entry.sensor, benches)
-    except ConfigError as error:
-        raise ConfigError(f"{where}: {error}") from None
+    bench_path = find_bench(entry.sensor, benches, f"{where}.sensor")
     bench, _ = load_bench(bench_path)
     plan: Plan | None = bench.trajectory if entry.plan == "press_shear" else bench.force_depth
     if plan is None or plan.kind != entry.plan:

@@ -55,7 +55,10 @@ def plan_of(request: CollectRequest, bench: Bench, plan: Plan | None = None) -> 
                 f"SENSOR: found {bench.sensor!r}; {request.path} was recorded with "
                 f"{attrs['sensor']!r}"
             )
-        plan = plan_from_json(attrs["plan"])
+        try:
+            plan = plan_from_json(attrs["plan"])
+        except (TypeError, ValueError) as error:
+            raise ConfigError(f"{request.path}: {error}") from None
         total = int(attrs["targets_wanted"])
     if not 1 <= total <= len(plan):
         raise ConfigError(f"TARGETS: found {total}; allowed: 1 to {len(plan)}")

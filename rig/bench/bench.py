@@ -161,12 +161,13 @@ class Bench:
         )
 
 
-def find_bench(sensor: str, folder: Path) -> Path:
+def find_bench(sensor: str, folder: Path, where: str = "SENSOR") -> Path:
     """Return the lab's bench file of `sensor` if it exists, else the mock bench's.
 
     Args:
         sensor: Name of the file without `.yaml`.
         folder: Searched first: its `lab/`, then itself; then the packaged mock benches.
+        where: Where the name was given, for errors.
 
     Raises:
         ConfigError: None of them exists.
@@ -178,7 +179,7 @@ def find_bench(sensor: str, folder: Path) -> Path:
     places = (folder / "lab", folder, BENCHES)
     known = {path.stem for place in places for path in place.glob("*.yaml")} - {"mock"}
     raise ConfigError(
-        f"SENSOR: found {sensor!r}; known in {folder}/ or packaged: {', '.join(sorted(known))}"
+        f"{where}: found {sensor!r}; known in {folder}/ or packaged: {', '.join(sorted(known))}"
     )
 
 

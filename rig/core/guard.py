@@ -88,7 +88,7 @@ class GuardLimits:
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class Violation:
     """Reason to stop the arm."""
 
     kind: Kind
@@ -96,16 +96,16 @@ class Verdict:
     """Message for the technician: value found, limit, units."""
 
 
-def judge_safety(status: int) -> Verdict | None:
+def judge_safety(status: int) -> Violation | None:
     """Return the reason to stop given by RTDE's safety_status_bits, None if the arm may move."""
     if status & _EMERGENCY_BITS:
-        return Verdict(
+        return Violation(
             "emergency_stop",
             f"emergency stop or safety violation (status bits 0x{status:x}): make the bench safe, "
             "then release it at the pendant",
         )
     if status & _STOPPED_BITS:
-        return Verdict(
+        return Violation(
             "protective_stop",
             f"the controller made a protective or safeguard stop (status bits 0x{status:x}): look "
             "for the cause, then unlock it at the pendant; nothing is reset from here",
@@ -172,7 +172,7 @@ class Guard:
         force_record: Any | None,
         pose_record: Any | None,
         mode: Mode = "guarded",
-    ) -> Verdict | None:
+    ) -> Violation | None:
         """Return the most serious reason to stop now, or None.
 
         Args:
@@ -194,7 +194,7 @@ class Guard:
 
     def _check_age(
         self, now_ns: int, force: Any | None, pose: Any | None, mode: Mode
-    ) -> Verdict | None:
+    ) -> Violation | None:
         if mode == "retreat":
             return None
         for what, kind, watched, record, limit in (
@@ -203,25 +203,25 @@ class Guard:
         ):
             if not watched:
                 continue
-            verdict: Kind = "stale_force" if kind == "stale_force" else "stale_pose"
+            stale: Kind = "stale_force" if kind == "stale_force" else "stale_pose"
             if record is None:
-                return Verdict(verdict, f"no {what} has arrived yet: is its stream running?")
+                return Violation(stale, f"no {what} has arrived yet: is its stream running?")
             age_ns = now_ns - int(record["t_ns"])
             if age_ns > round(limit * SECOND_NS):
-                return Verdict(
-                    verdict,
+                return Violation(
+                    stale,
                     f"newest {what} is {age_ns / 1e6:.0f} ms old, allowed {limit * 1e3:.0f} ms: "
                     f"check the {'F/T sensor' if what == 'force' else 'pose stream'} and its cable",
                 )
         return None
 
-    def _check_box(self, pose: Any | None, mode: Mode) -> Verdict | None:
+    def _check_box(self, pose: Any | None, mode: Mode) -> Violation | None:
         if pose is None or mode == "retreat":
             return None
         reason = _box_reason(self._limits, self._turn @ pose["value"][:3] + self._shift)
-        return Verdict("box", reason) if reason else None
+        return Violation("box", reason) if reason else None
 
-    def _check_force(self, now_ns: int, record: Any | None, mode: Mode) -> Verdict | None:
+    def _check_force(self, now_ns: int, record: Any | None, mode: Mode) -> Violation | None:
         if record is None or not self._watch_force:
             return None
         limits = self._limits
@@ -233,7 +233,7 @@ class Guard:
             return None
         status = int(record["status"]) & limits.force_status_mask
         if mode != "retreat" and (status or not all(map(math.isfinite, force))):
-            return Verdict(
+            return Violation(
                 "force_status",
                 f"the F/T sensor reports invalid values (status 0x{status:x}): "
                 "overloaded, or a cable is loose",
@@ -245,18 +245,18 @@ class Guard:
             if load > limits.hard_fraction:
                 if mode == "retreat" and not load_later > load + _GROWTH:
                     continue
-                return Verdict(
+                return Violation(
                     "force_hard", f"{name}: {text}, the hard limit is {limits.hard_fraction:.0%}"
                 )
         if mode == "retreat":
             return None
         for (name, text, load), (_, text_later, load_later) in zip(loads, later, strict=True):
             if load > limits.soft_fraction:
-                return Verdict(
+                return Violation(
                     "force_soft", f"{name}: {text}, the soft limit is {limits.soft_fraction:.0%}"
                 )
             if load_later > limits.soft_fraction and load_later > load:
-                return Verdict(
+                return Violation(
                     "force_soft",
                     f"{name}: {text}, in {limits.horizon * 1e3:.0f} ms {text_later}, "
                     f"the soft limit is {limits.soft_fraction:.0%}",

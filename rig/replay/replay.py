@@ -262,8 +262,8 @@ class Replay:
                 error = timing(self._source, replay, name, self._maps)
                 if error is not None:
                     lines.append(timing_line(name, error))
-        verdict = "equal" if equal else "DIFFERENT"
-        lines.append(f"{verdict}: {request.source} and its replay; readable at {request.out}")
+        outcome = "equal" if equal else "DIFFERENT"
+        lines.append(f"{outcome}: {request.source} and its replay; readable at {request.out}")
         print("\n".join(lines), flush=True)
         return EXIT_DONE if equal else EXIT_DIFFERENT
 

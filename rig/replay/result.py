@@ -103,8 +103,8 @@ def compared(
     lines = []
     for name, digest in source.items():
         equal = replay[name] == digest
-        verdict = "equal" if equal else "DIFFERENT"
-        lines.append(f"{name:<7}{rows[name]:>9} rows  sha256 {digest}  {verdict}")
+        outcome = "equal" if equal else "DIFFERENT"
+        lines.append(f"{name:<7}{rows[name]:>9} rows  sha256 {digest}  {outcome}")
         if not equal:
             lines.append(f"{'':<30}{replay[name]}  in the replay")
     return all(replay[name] == digest for name, digest in source.items()), lines

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from recorder.progress import Progress
 from sim.cli.options import body_of, check_solver_options, effects_of, indenter_of, tier_of
 from sim.error_estimate import describe_error
 from sim.errors import SceneError
-from sim.progress import LateProgress
 from sim.result import Quality, Result
 from sim.scene import Motion, Scene
 from sim.simulate import plan, plan_effects, simulate
@@ -267,7 +267,7 @@ def _tell_effects(scene: Scene, options: argparse.Namespace) -> int:
     if options.tier is not None:
         raise SceneError(f"--tier: {options.tier!r} with --plan-effects; allowed: without, fem")
     kernels = ready_device(options.device)
-    with LateProgress(_name(options), sys.stderr, kernels) as progress:
+    with Progress(_name(options), sys.stderr, kernels=kernels) as progress:
         found = plan_effects(scene, options.tolerance, device=options.device, progress=progress)
     print(json.dumps(found.record(), allow_nan=False) if options.json else found)
     return 0
@@ -281,7 +281,7 @@ def _simulated(scene: Scene, options: argparse.Namespace) -> Result:
         from sim.device import ready_device
 
         kernels = ready_device(options.device)
-    with LateProgress(_name(options), sys.stderr, kernels) as progress:
+    with Progress(_name(options), sys.stderr, kernels=kernels) as progress:
         if options.tolerance is None:
             return simulate(scene, tier, device=options.device, progress=progress)
         found = plan(

@@ -303,13 +303,13 @@ class DatasetPlan:
         return to_json(self)
 
     @classmethod
-    def of(cls, document: Any) -> DatasetPlan:
-        """Return the plan that `document()` stored.
+    def of(cls, document: Any, where: str = "plan") -> DatasetPlan:
+        """Return the plan that `document()` stored; `where` names it in errors.
 
         Raises:
             SceneError: The document is not a plan.
         """
-        return from_json(cls, document, "plan")
+        return from_json(cls, document, where)
 
 
 def names(sensor: SimulatedSensor) -> tuple[str, ...]:

@@ -110,7 +110,7 @@ def found(path: Path) -> OpenArchive:
         raise SceneError(str(error)) from error
     if PLAN not in attrs:
         raise SceneError(f"{path}: attribute {PLAN!r} is missing; allowed: a simulated archive")
-    plan = DatasetPlan.of(attrs[PLAN])
+    plan = DatasetPlan.of(attrs[PLAN], f"{path}.plan")
     changed = [
         name
         for name, stored in attrs.get("patterns", {}).items()

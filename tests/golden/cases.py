@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from golden import Case
+from wrong_files import WRONG_FILES
 
 GELSIGHT, USKIN = "{data}/gelsight.zarr", "{data}/uskin.zarr"
 ARCHIVE, SPLIT = "{data}/skins.markers.zarr", "{data}/split.json"
@@ -1022,4 +1023,4 @@ LEARNING_CASES = (
     ),
 )
 
-CASES = (*HELP, *RIG_CASES, *RECORDER_CASES, *SIM_CASES, *LEARNING_CASES)
+CASES = (*HELP, *RIG_CASES, *RECORDER_CASES, *SIM_CASES, *LEARNING_CASES, *WRONG_FILES.values())

@@ -208,7 +208,7 @@ def _prepare(step: tuple[Any, ...], places: dict[str, str]) -> None:
         document = json.loads(path.read_text())
         inner, *keys = document, *given[1].split(".")
         for key in keys[:-1]:
-            inner = inner[key]
+            inner = inner[int(key) if isinstance(inner, list) else key]
         if given[2] is None:
             inner.pop(keys[-1])
         else:

@@ -61,7 +61,7 @@ def test_the_authors_numbers_are_theirs() -> None:
         ("kind: lidar\n", r"x\.yaml\.kind: found 'lidar'; allowed: camera, taxels"),
         ("kind: camera\ndescription: a\n", "missing detectors"),
         ("kind: taxels\ndescription: a\ncolour: red\n", "unknown colour; known: description"),
-        ("kind: taxels\ndescription: 3\n", r"description: found int 3; allowed: str"),
+        ("kind: taxels\ndescription: 3\n", r"description: found 3; allowed: text"),
         ("kind: taxels\ndescription: a\nmm_per_px: .nan\n", "mm_per_px: found nan"),
         (
             "kind: camera\ndescription: a\ndetectors: [{kind: sonar}]\n",
@@ -76,7 +76,7 @@ def test_the_authors_numbers_are_theirs() -> None:
             "detectors: [{kind: blur_difference, kernel_px: 4, sigma_px: 1, least: 3}]\n",
             r"kernel_px: found 4; allowed: odd",
         ),
-        ("[1, 2]\n", r"found list \[1, 2\]; allowed: a mapping of keys"),
+        ("[1, 2]\n", r"found the list \[1, 2\]; allowed: a mapping of keys"),
         ("kind: [\n", "not YAML"),
     ],
 )

@@ -11,7 +11,7 @@ import pytest
 from support.sessions import T0, make_session
 
 from recorder import Session, SessionError, StreamWriter
-from recorder.check.check import check
+from recorder.checks.check import check
 from recorder.findings import CODES
 from recorder.session.frames import write_frames
 

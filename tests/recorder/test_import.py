@@ -14,7 +14,7 @@ from PIL import Image
 
 from recorder import Session, SessionError, check
 from recorder.__main__ import main
-from recorder.convert import ImportOrder, import_session
+from recorder.convert import ImportRequest, import_session
 from recorder.convert.import_force import FORCE_UNITS, TORQUE_UNITS, parse_header, parse_unit
 from recorder.convert.import_video import read_avi, whole_jpeg
 from recorder.session.sheet import contact_sheet
@@ -68,8 +68,8 @@ def avi(
     return file
 
 
-def order(folder: Path, **options: Any) -> ImportOrder:
-    return ImportOrder(out=folder / "s.zarr", sensor="wedge", indenter="ball", **options)
+def order(folder: Path, **options: Any) -> ImportRequest:
+    return ImportRequest(out=folder / "s.zarr", sensor="wedge", indenter="ball", **options)
 
 
 def rejected(folder: Path, match: str, **options: Any) -> None:

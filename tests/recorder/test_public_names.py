@@ -23,12 +23,12 @@ def test_settings_are_read_without_zarr() -> None:
 
 
 @pytest.mark.parametrize(
-    "before", ["recorder.check", "recorder.check.content", "recorder.settings"]
+    "before", ["recorder.checks", "recorder.checks.content", "recorder.settings"]
 )
 def test_check_is_the_function_whatever_was_imported_before(before: str) -> None:
-    code = f"import {before}; from recorder import check; import recorder.check.content; "
+    code = f"import {before}; from recorder import check; import recorder.checks.content; "
     code += "import recorder; print(check.__module__, recorder.check is check)"
-    assert python(code) == "recorder.check.check True\n"
+    assert python(code) == "recorder.checks.check True\n"
 
 
 def test_every_public_name_is_found_and_no_other() -> None:

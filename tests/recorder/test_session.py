@@ -28,7 +28,7 @@ from recorder import (
     recover,
     repack,
 )
-from recorder.check.check import check
+from recorder.checks.check import check
 from recorder.session.frames import depth_in, grid, write_frames
 
 

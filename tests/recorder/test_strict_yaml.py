@@ -48,10 +48,10 @@ def test_merging_changes_neither() -> None:
     [
         ("a: 1\nb: {c: 1,\n  c: 2}\n", r"it\.yaml: line 3: key 'c' is written twice"),
         ("a: [\n", r"it\.yaml: not YAML"),
-        ("- 1\n", r"it\.yaml: found list \[1\]; allowed: a mapping"),
-        ("extends: 3\n", r"it\.yaml\.extends: found int 3; allowed: the name of a file"),
+        ("- 1\n", r"it\.yaml: found the list \[1\]; allowed: a mapping"),
+        ("extends: 3\n", r"it\.yaml\.extends: found 3; allowed: the name of a file"),
         ("extends: it.yaml\n", "extend each other in a circle"),
-        ("extends: other.yaml\n", r"other\.yaml: no such file"),
+        ("extends: other.yaml\n", r"it\.yaml\.extends: found 'other\.yaml'; no such file"),
     ],
 )
 def test_what_is_wrong_is_said_with_its_place(tmp_path: Path, text: str, describe: str) -> None:

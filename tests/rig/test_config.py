@@ -65,16 +65,16 @@ def test_units_become_si() -> None:
     ("change", "words"),
     [
         ({"nmae": "y"}, ["f.yaml", "unknown nmae; did you mean name?", "known"]),
-        ({"name": None}, ["f.yaml.name", "nothing|NoneType"]),
-        ({"count": 3.0}, ["f.yaml.count", "float 3.0", "int"]),
-        ({"count": True}, ["f.yaml.count", "bool"]),
+        ({"name": None}, ["f.yaml.name", "nothing"]),
+        ({"count": 3.0}, ["f.yaml.count", "found 3.0", "a whole number"]),
+        ({"count": True}, ["f.yaml.count", "found true"]),
         ({"count": -1}, ["f.yaml", "count: -1", "0 or more"]),
         ({"speed_mm_s": "fast"}, ["f.yaml.speed_mm_s", "'fast'", "[mm_s]"]),
-        ({"speed_mm_s": True}, ["f.yaml.speed_mm_s", "bool"]),
+        ({"speed_mm_s": True}, ["f.yaml.speed_mm_s", "found true"]),
         ({"speed_mm_s": math.nan}, ["f.yaml.speed_mm_s", "nan", "finite"]),
         ({"speed_mm_s": math.inf}, ["f.yaml.speed_mm_s", "inf", "finite"]),
         ({"speed": 5}, ["unknown speed; did you mean speed_mm_s?", "speed_mm_s"]),
-        ({"on": 1}, ["f.yaml.on", "int 1", "bool"]),
+        ({"on": 1}, ["f.yaml.on", "found 1", "true or false"]),
         ({"mode": "c"}, ["f.yaml.mode", "'c'", "allowed: a, b"]),
         ({"box": [1]}, ["f.yaml.box", "1 values", "2"]),
         ({"box": 1}, ["f.yaml.box", "a list"]),
@@ -90,7 +90,7 @@ def test_a_wrong_value_is_named(change: dict[str, Any], words: list[str]) -> Non
     with pytest.raises(ConfigError) as caught:
         build(Thing, GOOD | change, "f.yaml")
     for word in words:
-        assert any(option in str(caught.value) for option in word.split("|")), str(caught.value)
+        assert word in str(caught.value)
 
 
 @pytest.mark.parametrize("key", sorted(GOOD))

@@ -131,8 +131,8 @@ def test_the_guard_stops_at_what_the_device_itself_does_not_trust(
     guard = Guard(bench.guard_limits, bench.contact_frame, watch_pose=False)
     record = np.zeros(1, FORCE_LATEST)[0]
     record["status"] = status
-    verdict = guard.check(0, record, None)
-    assert (verdict is not None and verdict.kind == "force_status") is stops
+    violation = guard.check(0, record, None)
+    assert (violation is not None and violation.kind == "force_status") is stops
 
 
 @pytest.mark.parametrize("rate_hz", [85.0, 200.0, 1000.0])
@@ -148,11 +148,11 @@ def test_the_guard_looks_ahead_at_the_rate_of_every_line(tmp_path: Path, rate_hz
     for k in range(1000):
         t = k / rate_hz
         record["t_ns"], record["value"][2] = round(1e9 * t), -speed * t
-        verdict = guard.check(int(record["t_ns"]), record, None)
-        if verdict is not None:
+        violation = guard.check(int(record["t_ns"]), record, None)
+        if violation is not None:
             break
-    assert verdict is not None
-    assert verdict.kind == "force_soft"
+    assert violation is not None
+    assert violation.kind == "force_soft"
     assert soft - 2.0 - speed / rate_hz < speed * t < soft
 
 

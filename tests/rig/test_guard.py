@@ -35,15 +35,15 @@ def check(guard: Guard, clock: FakeClock, value=(0.0,) * 6, mode="guarded", **pl
 
 
 def ramp(rate: float, *, axis: int = 2, mode="guarded", steps: int = 400):
-    """Apply a force growing at `rate` [N/s], sampled at 4 ms; return load share and verdict."""
+    """Apply a force growing at `rate` [N/s], sampled at 4 ms; return load share and violation."""
     guard, clock = Guard(LIMITS, FRAME), FakeClock()
     for _ in range(steps):
         clock.advance(0.004)
         value = np.zeros(6)
         value[axis] = rate * clock.now_ns() / 1e9
-        verdict = check(guard, clock, value, mode)
-        if verdict is not None:
-            return abs(value[axis]) / RATING[axis], verdict
+        violation = check(guard, clock, value, mode)
+        if violation is not None:
+            return abs(value[axis]) / RATING[axis], violation
     return None, None
 
 
@@ -59,31 +59,31 @@ def test_nothing_wrong_is_no_verdict():
 def test_each_axis_and_sign_has_its_limits(axis, sign, share, kind):
     value = np.zeros(6)
     value[axis] = sign * share * RATING[axis]
-    verdict = check(Guard(LIMITS, FRAME), FakeClock(), value)
-    assert (verdict and verdict.kind) == kind
-    if verdict:
+    violation = check(Guard(LIMITS, FRAME), FakeClock(), value)
+    assert (violation and violation.kind) == kind
+    if violation:
         name, unit = AXES[axis]
-        assert verdict.reason.startswith(f"{name}: ")
-        assert unit in verdict.reason
+        assert violation.reason.startswith(f"{name}: ")
+        assert unit in violation.reason
 
 
 def test_a_steep_ramp_trips_before_the_limit_is_reached():
-    share, verdict = ramp(100.0)
-    assert verdict.kind == "force_soft"
-    assert "in 20 ms" in verdict.reason
+    share, violation = ramp(100.0)
+    assert violation.kind == "force_soft"
+    assert "in 20 ms" in violation.reason
     # 100 N/s for 20 ms is 2 N of 12 N: about a sixth of the rating early.
     assert 0.85 - 2 / 12 - 0.04 < share < 0.85 - 2 / 12 + 0.04
 
 
 def test_a_steep_ramp_the_other_way_trips_early_too():
-    share, verdict = ramp(-100.0)
-    assert verdict.kind == "force_soft"
+    share, violation = ramp(-100.0)
+    assert violation.kind == "force_soft"
     assert share < 0.75
 
 
 def test_a_slow_ramp_trips_at_the_limit():
-    share, verdict = ramp(10.0)
-    assert verdict.kind == "force_soft"
+    share, violation = ramp(10.0)
+    assert violation.kind == "force_soft"
     assert share == pytest.approx(0.85 - 0.2 / 12, abs=0.01)
 
 
@@ -123,8 +123,8 @@ def test_the_same_sample_seen_again_is_no_slope():
 def test_data_is_stale_just_past_its_limit(force_age, pose_age, kind):
     now_ns = 10_000 * MS
     guard = Guard(LIMITS, FRAME)
-    verdict = guard.check(now_ns, force(now_ns - force_age), pose(now_ns - pose_age))
-    assert (verdict and verdict.kind) == kind
+    violation = guard.check(now_ns, force(now_ns - force_age), pose(now_ns - pose_age))
+    assert (violation and violation.kind) == kind
 
 
 def test_missing_data_is_stale_unless_it_is_not_watched():
@@ -144,9 +144,9 @@ def test_each_face_of_the_box_holds(axis, face):
     guard = Guard(LIMITS, FRAME)
     assert check(guard, FakeClock(), place=inside) is None
     for mode in ("guarded", "travel"):
-        verdict = check(guard, FakeClock(), place=outside, mode=mode)
-        assert verdict.kind == "box"
-        assert f"{'xyz'[axis]} = " in verdict.reason
+        violation = check(guard, FakeClock(), place=outside, mode=mode)
+        assert violation.kind == "box"
+        assert f"{'xyz'[axis]} = " in violation.reason
     assert check(guard, FakeClock(), place=outside, mode="retreat") is None
 
 
@@ -166,8 +166,8 @@ def test_retreat_may_leave_a_load_above_both_limits():
 
 
 def test_retreat_stops_while_a_load_above_the_hard_limit_grows():
-    share, verdict = ramp(-100.0, mode="retreat")
-    assert verdict.kind == "force_hard"
+    share, violation = ramp(-100.0, mode="retreat")
+    assert violation.kind == "force_hard"
     assert 1.0 < share < 1.1
 
 
@@ -184,8 +184,8 @@ def test_retreat_is_not_held_by_a_sensor_lost_while_its_load_grew():
     for load in (10.0, 11.0, 12.0, 13.0, 14.0):
         clock.advance(0.004)
         newest = force(clock.now_ns(), (0, 0, load, 0, 0, 0))
-        verdict = guard.check(clock.now_ns(), newest, None, "retreat")
-    assert verdict.kind == "force_hard"
+        violation = guard.check(clock.now_ns(), newest, None, "retreat")
+    assert violation.kind == "force_hard"
     clock.advance(0.0501)
     assert guard.check(clock.now_ns(), newest, None, "retreat") is None
 
@@ -207,13 +207,13 @@ def test_only_masked_status_bits_count():
     now_ns = 10_000 * MS
     guard = Guard(LIMITS, FRAME)
     assert guard.check(now_ns, force(now_ns, status=0x10000), pose(now_ns)) is None
-    verdict = guard.check(now_ns, force(now_ns, status=0x20000), pose(now_ns))
-    assert verdict.kind == "force_status"
+    violation = guard.check(now_ns, force(now_ns, status=0x20000), pose(now_ns))
+    assert violation.kind == "force_status"
 
 
 def test_a_force_that_is_not_a_number_stops():
-    verdict = check(Guard(LIMITS, FRAME), FakeClock(), (np.nan, 0, 0, 0, 0, 0))
-    assert verdict.kind == "force_status"
+    violation = check(Guard(LIMITS, FRAME), FakeClock(), (np.nan, 0, 0, 0, 0, 0))
+    assert violation.kind == "force_status"
 
 
 @pytest.mark.parametrize("mode", ["guarded", "travel", "retreat"])
@@ -223,8 +223,8 @@ def test_a_force_that_is_not_a_number_stops():
 )
 def test_safety_stops_count_in_every_mode(mode, bits, kind):
     now_ns = 10_000 * MS
-    verdict = Guard(LIMITS, FRAME).check(now_ns, force(now_ns), pose(now_ns, safety=bits), mode)
-    assert (verdict and verdict.kind) == kind
+    violation = Guard(LIMITS, FRAME).check(now_ns, force(now_ns), pose(now_ns, safety=bits), mode)
+    assert (violation and violation.kind) == kind
 
 
 @pytest.mark.parametrize("bit", range(11))
@@ -247,9 +247,9 @@ def test_combined_loads_count_only_when_asked():
     value = (0, 0, 0.7 * RATING[2], 0.5 * RATING[3], 0, 0)
     assert check(Guard(LIMITS, FRAME), FakeClock(), value) is None
     limits = GuardLimits(force_rating=RATING, box=BOX, combined_fraction=1.05)
-    verdict = check(Guard(limits, FRAME), FakeClock(), value)
-    assert verdict.kind == "force_hard"
-    assert "Fz and Txy together" in verdict.reason
+    violation = check(Guard(limits, FRAME), FakeClock(), value)
+    assert violation.kind == "force_hard"
+    assert "Fz and Txy together" in violation.reason
 
 
 @pytest.mark.parametrize(

@@ -125,17 +125,20 @@ def test_a_signal_of_another_kind_replaces_the_whole(tmp_path: Path) -> None:
             "body: {modulus: 145000.0}\n",
             r"mine\.yaml\.body: unknown modulus; did you mean modulus_kpa",
         ),
-        ("body: {modulus_kpa: soft}\n", r"\.body\.modulus_kpa: found str 'soft'.*number \[kpa\]"),
-        ("body: {modulus_kpa: true}\n", r"\.body\.modulus_kpa: found bool True"),
+        ("body: {modulus_kpa: soft}\n", r"\.body\.modulus_kpa: found text 'soft'.*number \[kpa\]"),
+        ("body: {modulus_kpa: true}\n", r"\.body\.modulus_kpa: found true"),
         ("body: {modulus_kpa: .nan}\n", r"\.body\.modulus_kpa: found nan; allowed: a finite"),
         ("body: {thickness_mm: 4000.0}\n", r"mine\.yaml\.body: body\.thickness: 4\.0 m; allowed"),
-        ("body: {footprint: round}\n", r"\.body\.footprint: found str 'round'; allowed: rectangle"),
-        ("body: 4\n", r"mine\.yaml\.body: found int 4; allowed: a mapping"),
+        (
+            "body: {footprint: round}\n",
+            r"\.body\.footprint: found text 'round'; allowed: rectangle",
+        ),
+        ("body: 4\n", r"mine\.yaml\.body: found 4; allowed: a mapping"),
         ("depth_max_mm: 3.9\n", r"mine\.depth_max: 0\.0039 m; allowed: above 0 to 0\.0036 m"),
         ("depth_max_mm: 0.9\n", r"mine\.trajectory\.depth_max: 0\.001 m; allowed: up to"),
         ("effects: {friction: {coefficient: -1}}\n", r"\.effects\.friction: friction\.coefficient"),
         ("effects: {viscosity: {ratios: [0.1]}}\n", r"\.effects\.viscosity: .*1 ratios and 2"),
-        ("effects: {viscosity: {ratios: 0.1}}\n", r"\.viscosity\.ratios: found float 0\.1.*list"),
+        ("effects: {viscosity: {ratios: 0.1}}\n", r"\.viscosity\.ratios: found 0\.1.*list"),
         ("signal: {patterns: [Array-IX]}\n", r"\.signal: pattern: 'Array-IX'; allowed: .*Array-I"),
         ("signal: {patterns: []}\n", r"\.signal: signal\.patterns: none"),
         ("signal: {distance_mm: 20.0}\n", r"\.signal: signal: scale .* allowed: one of both"),
@@ -166,5 +169,5 @@ def test_a_file_that_is_not_there_or_holds_no_mapping_is_refused(tmp_path: Path)
     with pytest.raises(SceneError, match=r"none\.yaml: no such file"):
         read_sensor(tmp_path / "none.yaml")
     (tmp_path / "list.yaml").write_text("- 1\n")
-    with pytest.raises(SceneError, match=r"list\.yaml: found list \[1\]; allowed: a mapping"):
+    with pytest.raises(SceneError, match=r"list\.yaml: found the list \[1\]; allowed: a mapping"):
         read_sensor(tmp_path / "list.yaml")

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from recorder.store import replace_file
-from recorder.strict_yaml import yaml_text
+from recorder.strict_yaml import describe, yaml_text
 from rig.acquire.calibration.calibration import Calibration, HomeCalibration, LatencyCalibration
 from rig.bench.bench import Bench
 from rig.core.clock import ClockAnchor
@@ -64,10 +64,10 @@ def load(folder: Path, bench: Bench, indenter: str) -> tuple[Calibration, list[s
             f"{path}.sensor: found {content.get('sensor')!r}; allowed: {bench.sensor!r}; {again}"
         )
     if unknown := sorted(set(content) - {"sensor", "home", "latency"}):
-        raise ConfigError(f"{path}: unknown {unknown}; known: ['home', 'latency', 'sensor']")
+        raise ConfigError(f"{path}: unknown {', '.join(unknown)}; known: home, latency, sensor")
     homes = content.get("home") or {}
     if not isinstance(homes, dict):
-        raise ConfigError(f"{path}.home: found {homes!r}; allowed: a mapping by indenter")
+        raise ConfigError(f"{path}.home: found {describe(homes)}; allowed: a mapping by indenter")
     warnings: list[str] = []
     home = latency = None
     if indenter in homes:

@@ -90,12 +90,12 @@ class Reply:
     end_ns: int
     reason: str = ""
     kind: Kind | None = None
-    """Kind of the guard's verdict, if a verdict ended the command."""
+    """Kind of the guard's violation, if a violation ended the command."""
 
 
 @dataclass(frozen=True, slots=True)
 class Alarm:
-    """Guard's verdict while no command was running."""
+    """Guard's violation while no command was running."""
 
     kind: Kind
     reason: str

@@ -180,13 +180,13 @@ class Motion:
         self._send(self._mover.move(move, lambda limit: self._send(Started(move.number, limit))))
 
     def _next_command(self) -> Command:
-        """Wait for a command, reporting each kind of guard verdict at most once meanwhile."""
+        """Wait for a command, reporting each kind of guard violation at most once meanwhile."""
         told: set[Kind] = {"force_soft", "box"}  # Resting in contact or outside is no alarm.
         while not self._command_waits():
-            verdict = self._mover.step("guarded")
-            if verdict is not None and self._watch.armed and verdict.kind not in told:
-                told.add(verdict.kind)
-                self._send(Alarm(verdict.kind, verdict.reason))
+            violation = self._mover.step("guarded")
+            if violation is not None and self._watch.armed and violation.kind not in told:
+                told.add(violation.kind)
+                self._send(Alarm(violation.kind, violation.reason))
         try:
             if self._pipe is None:
                 raise _ParentGoneError

@@ -10,7 +10,7 @@ import numpy as np
 from rig.core.clock import SECOND_NS, Clock, Pacer
 from rig.core.errors import DeviceLost
 from rig.core.geometry import Array, invert, rotation_between, transform
-from rig.core.guard import Guard, Kind, Mode, Verdict, judge_safety, outside_box
+from rig.core.guard import Guard, Kind, Mode, Violation, judge_safety, outside_box
 from rig.core.samples import FORCE_LATEST, POSE_LATEST
 from rig.core.shared_memory import AwaitedRecord
 from rig.devices.arm.messages import Move, Outcome, Reply, Setup
@@ -55,8 +55,8 @@ class Watch:
         """TCP pose (6,) in the base frame, from our own link [m, rad]; None before the first."""
         return None if self._sample is None else np.array(self._sample["value"])
 
-    def look(self, mode: Mode) -> Verdict | None:
-        """Process the samples that have arrived and return the guard's verdict.
+    def look(self, mode: Mode) -> Violation | None:
+        """Process the samples that have arrived and return the guard's violation.
 
         Raises:
             DeviceLost: The controller closed the link or is silent.
@@ -71,15 +71,15 @@ class Watch:
         pose = self._pose.read() if self._shared_pose else newest
         return self._guard.check(self._clock.now_ns(), self._force.read(), pose, mode)
 
-    def look_again(self, timeout: float) -> Verdict | None:
-        """Wait up to `timeout` [s] for an abnormal safety status; return its verdict or None."""
+    def look_again(self, timeout: float) -> Violation | None:
+        """Wait up to `timeout` [s] for an abnormal safety status; return its violation or None."""
         deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
         while self._clock.now_ns() < deadline_ns:
             for sample in self._link.receive(0.01):
                 self._take(sample)
-                verdict = judge_safety(sample["safety_status"])
-                if verdict is not None:
-                    return verdict
+                violation = judge_safety(sample["safety_status"])
+                if violation is not None:
+                    return violation
         return None
 
     def _take(self, sample: dict[str, Any]) -> None:
@@ -179,7 +179,7 @@ class Mover:
         self._interrupted = interrupted
         self._pacer = Pacer(clock, _LOOP_HZ)
         self._tick = 0
-        self.latched: Verdict | None = None
+        self.latched: Violation | None = None
         """Safety stop after which no command is sent any more."""
 
     def wait_for_pose(self, timeout: float) -> None:
@@ -194,30 +194,30 @@ class Mover:
             if self._clock.now_ns() > deadline_ns:
                 raise DeviceLost(f"arm at {self._config.host}: no pose for {timeout} s")
 
-    def step(self, mode: Mode) -> Verdict | None:
+    def step(self, mode: Mode) -> Violation | None:
         """Run one cycle of the loop: wait, check poses and forces, kick the watchdog.
 
         Raises:
             DeviceLost: The controller is silent, or no longer runs our program.
         """
         self._pacer.wait()
-        verdict = self._watch.look(mode)
-        if verdict is not None and verdict.kind in _SAFETY:
-            self.latched = verdict
+        violation = self._watch.look(mode)
+        if violation is not None and violation.kind in _SAFETY:
+            self.latched = violation
         self._tick += 1
         # Nothing is sent to a controller that has fallen silent: the call could hang for 300 s.
         due = self._tick % _KICK_TICKS == 0 and self.latched is None and self._watch.fresh()
         if due and not (self._control.connected() and self._control.kick()):
             # The safety status may reach us one package after the program's end.
-            verdict = self._watch.look_again(0.1)
-            if verdict is None:
+            violation = self._watch.look_again(0.1)
+            if violation is None:
                 raise DeviceLost(
                     f"arm at {self._config.host}: the control program stopped on the controller: "
                     "stopped at the pendant, or commands came too slowly "
                     f"(watchdog {self._config.watchdog_hz:g} Hz)"
                 )
-            self.latched = verdict
-        return verdict
+            self.latched = violation
+        return violation
 
     def halt(self) -> None:
         """Stop and wait until at rest; do nothing after a safety stop, which stops by itself.
@@ -269,9 +269,9 @@ class Mover:
             reason = outside_box(self._setup.limits, self._setup.contact_frame, goal[:3])
             if reason is not None:
                 return self._reply(command, "safety_stop", start_ns, f"target: {reason}", "box")
-        verdict = self.step(command.mode)
-        if verdict is not None:
-            return self._judged(command, start_ns, verdict)
+        violation = self.step(command.mode)
+        if violation is not None:
+            return self._judged(command, start_ns, violation)
         self._watch.require_fresh()
         if not self._control.reaches(goal.tolist()):
             return self._refused(command, start_ns, "finds the target out of reach")
@@ -285,9 +285,9 @@ class Mover:
 
     def _refused(self, command: Move, start_ns: int, what: str) -> Reply:
         # A command also fails when a safety stop has just ended the program: report that instead.
-        verdict = self._watch.look_again(0.05) or self.step(command.mode)
-        if verdict is not None:
-            return self._judged(command, start_ns, verdict)
+        violation = self._watch.look_again(0.05) or self.step(command.mode)
+        if violation is not None:
+            return self._judged(command, start_ns, violation)
         return self._reply(command, "stopped", start_ns, f"the controller {what}")
 
     def _follow(
@@ -297,10 +297,10 @@ class Mover:
         deadline_ns = start_ns + round(limit * SECOND_NS)
         finished_ns: int | None = None
         while True:
-            verdict = self.step(command.mode)
-            if verdict is not None:
+            violation = self.step(command.mode)
+            if violation is not None:
                 self.halt()
-                return self._judged(command, start_ns, verdict)
+                return self._judged(command, start_ns, violation)
             if self._interrupted():
                 self.halt()
                 return self._reply(command, "stopped", start_ns, "halted by the operator")
@@ -323,15 +323,15 @@ class Mover:
                 )
                 return self._reply(command, "stopped", start_ns, why)
 
-    def _judged(self, command: Move, start_ns: int, verdict: Verdict) -> Reply:
-        if verdict.kind in _SAFETY:
-            self.latched = verdict
+    def _judged(self, command: Move, start_ns: int, violation: Violation) -> Reply:
+        if violation.kind in _SAFETY:
+            self.latched = violation
         outcome: Outcome = "safety_stop"
-        if verdict.kind == "force_soft":
+        if violation.kind == "force_soft":
             outcome = "force_limited"
-        elif verdict.kind in _LOST:
+        elif violation.kind in _LOST:
             outcome = "device_lost"
-        return self._reply(command, outcome, start_ns, verdict.reason, verdict.kind)
+        return self._reply(command, outcome, start_ns, violation.reason, violation.kind)
 
     def _reply(
         self,

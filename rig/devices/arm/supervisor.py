@@ -143,7 +143,7 @@ class Child:
                 deadline_ns = self._clock.now_ns() + round(report.limit * SECOND_NS)
             elif report is not None:
                 if report.outcome == "device_lost" and report.kind is None:
-                    # The child's last report (a verdict has a kind): let it end before anybody
+                    # The child's last report (a violation has a kind): let it end before anybody
                     # checks whether it is alive.
                     self.join()
                     self.discard(report.reason)

@@ -44,9 +44,12 @@ def compare(session_path: Path, truth_path: Path) -> list[str]:
     """Return the session's deviations from the truth as lines.
 
     Raises:
-        ConfigError: The truth does not cover the session.
+        ConfigError: There is no such truth, or it does not cover the session.
     """
-    session, truth = Session(session_path), Truth(truth_path)
+    session = Session(session_path)
+    if not truth_path.is_file():
+        raise ConfigError(f"{truth_path}: no such file; allowed: a file from collect --truth")
+    truth = Truth(truth_path)
     force = session.streams["force"]
     if len(truth.records) < 2 or truth.records["t_ns"][0] > force.t_ns[0]:
         raise ConfigError(f"{truth_path}: does not cover {session_path}")

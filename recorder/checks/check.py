@@ -6,8 +6,8 @@ from pathlib import Path
 
 from recorder.archive.check import check_archive
 from recorder.archive.plan import FORMAT as ARCHIVE
-from recorder.check.content import check_frames, check_segments, check_stream
-from recorder.check.integrity import check_arrays, check_chunks, check_stream_files, check_table
+from recorder.checks.content import check_frames, check_segments, check_stream
+from recorder.checks.integrity import check_arrays, check_chunks, check_stream_files, check_table
 from recorder.errors import SessionError
 from recorder.findings import Finding
 from recorder.session.reader import Session
