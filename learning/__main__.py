@@ -3,7 +3,7 @@
 import sys
 from functools import partial
 
-from command_line import run
+from recorder.command_line import run
 
 main = partial(run.main, package="learning")
 

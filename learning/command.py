@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from command_line.options import names, names_or_none
 from learning.indenters import UNSEEN
+from recorder.command_line.options import names, names_or_none
 
 
 def add_inputs(parser: argparse.ArgumentParser) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from command_line.errors import CommandError
+from recorder.command_line.errors import CommandError
 
 
 class LearningError(CommandError, ValueError):

@@ -7,10 +7,10 @@ import sys
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-from command_line.errors import EXIT_INTERRUPTED
 from learning.data.splits import Split, read_split
 from learning.training.run import RunFolder, Session, Stop, accelerator, described
 from recorder import MarkerArchive
+from recorder.command_line.errors import EXIT_INTERRUPTED
 from recorder.progress import ItemProgress
 
 

@@ -1,6 +1,6 @@
 """The only error that this package raises deliberately."""
 
-from command_line.errors import CommandError
+from recorder.command_line.errors import CommandError
 
 
 class SessionError(CommandError, RuntimeError):

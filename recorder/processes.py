@@ -14,7 +14,7 @@ from multiprocessing.context import SpawnContext, SpawnProcess
 from types import TracebackType
 from typing import Any, ParamSpec, Self, TypeVar
 
-from command_line.errors import CommandError
+from recorder.command_line.errors import CommandError
 
 Given = ParamSpec("Given")
 Answer = TypeVar("Answer")

@@ -7,7 +7,7 @@ from numbers import Real
 from pathlib import Path
 from typing import Any
 
-from command_line.errors import CommandError
+from recorder.command_line.errors import CommandError
 
 # Most recent attempts that are listed when there is no solution.
 TRIED_SHOWN = 5

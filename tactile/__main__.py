@@ -2,7 +2,7 @@
 
 import sys
 
-from command_line.run import main
+from recorder.command_line.run import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -6,7 +6,7 @@ import argparse
 from importlib import resources
 from pathlib import Path
 
-from command_line.errors import CommandError
+from recorder.command_line.errors import CommandError
 
 FOLDERS = ("benches/lab", "calibrations", "campaigns", "sessions")
 # Number of existing entries that an error lists.

@@ -12,17 +12,15 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-PACKAGES = ("command_line", "trajectories", "recorder", "rig", "sim", "learning", "tactile")
+PACKAGES = ("trajectories", "recorder", "rig", "sim", "learning", "tactile")
 ALLOWED = {
-    # It lists modules in a table and imports the selected one.
-    "command_line": set(),
     "trajectories": set(),
-    "recorder": {"command_line"},
-    "rig": {"command_line", "trajectories", "recorder"},
-    "sim": {"command_line", "trajectories", "recorder"},
-    "learning": {"command_line", "trajectories", "recorder"},
+    "recorder": set(),
+    "rig": {"trajectories", "recorder"},
+    "sim": {"trajectories", "recorder"},
+    "learning": {"trajectories", "recorder"},
     # Schemas describe classes of these.
-    "tactile": {"command_line", "rig", "sim"},
+    "tactile": {"recorder", "rig", "sim"},
 }
 # Vendor libraries and the only modules that may import them.
 VENDORS = {

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-PACKAGES = "command_line|trajectories|recorder|rig|sim|learning|benchmarks"
+PACKAGES = "trajectories|recorder|rig|sim|learning|benchmarks"
 # Historical texts: they keep the names of their time.
 HISTORY = ("CHANGELOG.md", "docs/decisions/", "docs/reference/moved-modules.md")
 _PATH = re.compile(

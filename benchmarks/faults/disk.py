@@ -13,7 +13,7 @@ from benchmarks.faults.judge import FaultResult
 from benchmarks.faults.one_row import judge
 from benchmarks.faults.quick import quick_bench
 from benchmarks.faults.rows import Row
-from command_line.errors import EXIT_DEVICE_LOST
+from recorder.command_line.errors import EXIT_DEVICE_LOST
 from rig.core.clock import SECOND_NS, SystemClock
 
 # Row of the fault table, in the fields that it shares with the others.

@@ -8,7 +8,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from benchmarks.faults.collection_run import CollectionRun
-from command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE, EXIT_INTERRUPTED, EXIT_SAFETY_STOP
+from recorder.command_line.errors import (
+    EXIT_DEVICE_LOST,
+    EXIT_DONE,
+    EXIT_INTERRUPTED,
+    EXIT_SAFETY_STOP,
+)
 
 _STOPS = (EXIT_DEVICE_LOST,)
 _GOES_ON = (EXIT_DONE,)

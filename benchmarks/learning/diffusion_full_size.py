@@ -23,7 +23,6 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
-from command_line.options import numbers
 from learning.config import read_settings, settings_to_dict
 from learning.data.images import SIDE, enlarge_images
 from learning.data.synthetic import before, random_fields, sample_patterns, untouched
@@ -42,6 +41,7 @@ from learning.translation.diffusion.train import (
 )
 from learning.translation.diffusion.translator import DiffusionTranslator
 from learning.translation.diffusion.weights import WIDTHS, PerceptualDistance, vendor
+from recorder.command_line.options import numbers
 from recorder.progress import ItemProgress
 from recorder.store.durable import replace_file
 

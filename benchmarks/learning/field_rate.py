@@ -15,7 +15,6 @@ from typing import Any
 
 import torch
 
-from command_line.options import add_device
 from learning.config import read_settings
 from learning.data.images import shrink_masks
 from learning.training.run import Session, accelerator, generator
@@ -23,6 +22,7 @@ from learning.translation.field.data import Frames, distances_of, random_shifts
 from learning.translation.field.network import FieldModel
 from learning.translation.field.train import PRESETS, FieldSettings, train_field
 from learning.translation.field.translator import FieldTranslator
+from recorder.command_line.options import add_device
 from recorder.markers import HEIGHT, WIDTH
 
 _SECONDS = 3.0

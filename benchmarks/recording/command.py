@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from command_line.errors import EXIT_DONE
+from recorder.command_line.errors import EXIT_DONE
 from rig.bench.bench import find_bench
 from rig.core.errors import ConfigError
 from rig.core.packaged import BENCHES

@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 from benchmarks.sim.stability.chance.dice import Dice
 from benchmarks.sim.stability.chance.scenes import drawn
 from benchmarks.sim.stability.runner import INTERRUPTED, done_counts, side_by_side
-from command_line.options import add_seed
+from recorder.command_line.options import add_seed
 from recorder.progress import duration
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError

@@ -22,7 +22,7 @@ import numpy as np
 from benchmarks.sim.stability.chance.judgement import OutOfTime, time_limit
 from benchmarks.sim.stability.chance.scenes import Drawn, drawn
 from benchmarks.sim.stability.runner import INTERRUPTED, done_counts, side_by_side
-from command_line.options import add_device, add_seed
+from recorder.command_line.options import add_device, add_seed
 from recorder.progress import duration
 from sim.errors import SceneError, SimulationDiverged
 from sim.extrapolation import left_of_difference

@@ -6,8 +6,8 @@ import argparse
 import sys
 from pathlib import Path
 
-from command_line.options import add_device, add_seed, names, whole
 from learning.errors import LearningError
+from recorder.command_line.options import add_device, add_seed, names, whole
 from recorder.progress import ItemProgress
 
 ROLES = "new_indenter"

@@ -6,8 +6,8 @@ import argparse
 import os
 from pathlib import Path
 
-from command_line.options import add_device, names
 from learning.command import add_settings
+from recorder.command_line.options import add_device, names
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

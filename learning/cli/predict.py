@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from command_line.options import add_device, names
 from learning.errors import LearningError
 from learning.evaluation.predictions import METHODS, TRANSLATED
+from recorder.command_line.options import add_device, names
 from recorder.progress import ItemProgress
 
 ROLES = "new_indenter,new_press"

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from command_line.options import add_seed, names_or_none
+from recorder.command_line.options import add_seed, names_or_none
 
 if TYPE_CHECKING:
     from learning.data.splits import Split

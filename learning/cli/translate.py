@@ -8,8 +8,8 @@ from itertools import permutations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from command_line.options import add_device, names
 from learning.errors import LearningError
+from recorder.command_line.options import add_device, names
 from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:

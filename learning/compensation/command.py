@@ -8,9 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from command_line.options import numbers
 from learning.command import named_number
 from learning.errors import LearningError
+from recorder.command_line.options import numbers
 from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:

@@ -11,8 +11,6 @@ from pathlib import Path
 
 import torch
 
-from command_line.errors import EXIT_INTERRUPTED
-from command_line.run import main
 from learning.data.presses import Presses
 from learning.errors import LearningError
 from learning.experiment.parts import Pair
@@ -25,6 +23,8 @@ from learning.training.run import RunFolder, Stop
 from learning.translation.archive import Model, hash_of
 from learning.translation.loading import load_translator
 from learning.translation.translator import FLOW
+from recorder.command_line.errors import EXIT_INTERRUPTED
+from recorder.command_line.run import main
 from recorder.progress import ItemProgress
 
 

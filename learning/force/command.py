@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from command_line.options import names
 from learning.command import add_resume, add_settings
+from recorder.command_line.options import names
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

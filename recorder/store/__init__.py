@@ -1,6 +1,5 @@
 """Storage on disk: shards that act as logs, journals, columns and atomic file changes."""
 
-from recorder.store import images
 from recorder.store.durable import replace_file, sync_directory
 from recorder.store.images import decode_jpeg
 
@@ -9,5 +8,3 @@ __all__ = [
     "replace_file",
     "sync_directory",
 ]
-
-images.register()

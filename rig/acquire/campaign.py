@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from command_line.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_WRONG_INPUT
 from recorder import Session, SessionError
+from recorder.command_line.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_WRONG_INPUT
 from recorder.progress import duration
 from rig.acquire.request import first_open_target
 from rig.acquire.summary import show_curve

@@ -15,8 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE, EXIT_INTERRUPTED, EXIT_SAFETY_STOP
 from recorder import Session, SessionError, SessionWriter
+from recorder.command_line.errors import (
+    EXIT_DEVICE_LOST,
+    EXIT_DONE,
+    EXIT_INTERRUPTED,
+    EXIT_SAFETY_STOP,
+)
 from recorder.session import clock_lines, contact_sheet, fit_clocks
 from rig.acquire import summary
 from rig.acquire.control import Control, Interrupted, InterruptFlag, Onlooker

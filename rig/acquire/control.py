@@ -10,7 +10,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Protocol
 
-from command_line.errors import EXIT_INTERRUPTED, CommandError
+from recorder.command_line.errors import EXIT_INTERRUPTED, CommandError
 
 logger = logging.getLogger(__name__)
 

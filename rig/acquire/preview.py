@@ -8,7 +8,7 @@ from pathlib import Path
 
 from PIL import Image, ImageDraw, ImageFont
 
-from command_line.errors import EXIT_DONE, EXIT_WRONG_INPUT
+from recorder.command_line.errors import EXIT_DONE, EXIT_WRONG_INPUT
 from recorder.progress import duration
 from rig.bench.bench import Bench
 from trajectories import DryRun, Target, dry_run

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from command_line.errors import EXIT_DONE, EXIT_SAFETY_STOP
 from recorder import Session
+from recorder.command_line.errors import EXIT_DONE, EXIT_SAFETY_STOP
 from rig.acquire.calibration import store
 from rig.acquire.calibration.calibration import Calibration, LatencyCalibration
 from rig.cli.options import (

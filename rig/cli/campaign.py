@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from command_line.errors import EXIT_DONE
+from recorder.command_line.errors import EXIT_DONE
 from rig.cli.options import calibration_options
 from rig.core.errors import ConfigError
 

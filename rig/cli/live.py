@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE
-from command_line.options import positive, whole
+from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE
+from recorder.command_line.options import positive, whole
 from rig.acquire.control import InterruptFlag
 from rig.cli.options import bench_options, chosen_bench
 from rig.core.clock import Clock, SystemClock

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from command_line.options import whole
 from recorder import Session
+from recorder.command_line.options import whole
 from rig.acquire.calibration import store
 from rig.acquire.calibration.calibration import Calibration
 from rig.bench.bench import Bench, bench_from, find_bench, load_bench, with_simulated_world

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from command_line.errors import EXIT_DEVICE_LOST, EXIT_SAFETY_STOP, CommandError
+from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_SAFETY_STOP, CommandError
 
 
 class ConfigError(CommandError, ValueError):

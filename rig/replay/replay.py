@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE, EXIT_INTERRUPTED
 from recorder import Session, SessionError, SessionWriter, StreamWriter
+from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE, EXIT_INTERRUPTED
 from recorder.info import session_digest, stream_digest
 from recorder.progress import ItemProgress
 from recorder.session import fit_clocks

@@ -10,8 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from command_line.errors import EXIT_INTERRUPTED, EXIT_WRONG_INPUT
-from command_line.options import add_device, add_seed, names
+from recorder.command_line.errors import EXIT_INTERRUPTED, EXIT_WRONG_INPUT
+from recorder.command_line.options import add_device, add_seed, names
 from sim.cli.options import metres
 from sim.errors import SceneError
 

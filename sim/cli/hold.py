@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from command_line.options import positive, whole
+from recorder.command_line.options import positive, whole
 from sim.cli.options import STEPS_MAX, add_scene_options, metres
 from sim.scene import ramp_hold
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 
-from command_line.options import positive, whole
+from recorder.command_line.options import positive, whole
 from sim.cli.options import STEPS_MAX, add_scene_options, add_speed, metres
 from sim.scene import press_shear_return
 

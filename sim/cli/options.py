@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
-from command_line.options import add_device, names, numbers, positive
+from recorder.command_line.options import add_device, names, numbers, positive
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError
 from sim.fem import FOR_EDGES, Fem

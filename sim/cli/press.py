@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from command_line.options import numbers
+from recorder.command_line.options import numbers
 from sim.cli.options import add_scene_options, add_speed, metres
 from sim.errors import SceneError
 from sim.scene import press

@@ -46,8 +46,8 @@ from benchmarks.recording.steps import Steps
 from benchmarks.recording.store_benchmark import ChildFailed, Kill, StoreRow, Write
 from benchmarks.recording.store_child import inspect, read, write
 from benchmarks.recording.stores import STORES, Entry, entry
-from command_line.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_WRONG_INPUT
 from recorder import Session, SessionWriter, StreamWriter
+from recorder.command_line.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_WRONG_INPUT
 from recorder.progress import Progress
 from rig.core.clock import SECOND_NS, FakeClock
 

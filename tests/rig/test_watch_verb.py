@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from support.watching import BENCH, TARGETS
 
-from command_line.errors import CommandError
-from command_line.options import Parser
+from recorder.command_line.errors import CommandError
+from recorder.command_line.options import Parser
 from rig.acquire.request import CollectRequest
 from rig.cli.options import opened_page, watch_options
 from rig.monitor.page.access import AccessPolicy

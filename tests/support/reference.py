@@ -16,16 +16,16 @@ sys.path[:0] = [str(ROOT), str(GOLDEN)]
 
 from wrong_files import MISTAKES, WRONG_FILES  # noqa: E402
 
-from command_line.commands import COMMANDS, EXTRAS, GROUPS, Command  # noqa: E402
+from recorder.command_line.commands import COMMANDS, EXTRAS, GROUPS, Command  # noqa: E402
 
 FOLDER = ROOT / "docs" / "reference"
 # Longest value [characters] that is shown for a name without a description.
 SHORT = 60
-PACKAGES = ("command_line", "trajectories", "recorder", "rig", "sim", "learning", "tactile")
+PACKAGES = ("trajectories", "recorder", "rig", "sim", "learning", "tactile")
 ABOUT_COMMANDS = """\
 # Commands
 
-Generated from `command_line/commands.py` by `make reference`.
+Generated from `recorder/command_line/commands.py` by `make reference`.
 
 `tactile --help` lists all commands, `tactile COMMAND --help` the options of one with their units.
 `tactile COMMAND` and the command in the third column are equivalent in options, messages and exit

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from support import reference
 
-from command_line.commands import COMMANDS, EXTRAS, FAMILIES, GROUPS, INTERRUPTED, Command
-from command_line.run import overview
+from recorder.command_line.commands import COMMANDS, EXTRAS, FAMILIES, GROUPS, INTERRUPTED, Command
+from recorder.command_line.run import overview
 from tactile.__main__ import main
 
 OURS = ("trajectories", "recorder", "rig", "sim", "learning")

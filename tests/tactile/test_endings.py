@@ -8,10 +8,10 @@ import sys
 
 import pytest
 
-from command_line.errors import CommandError
-from command_line.run import ended, joined
 from learning.errors import LearningError
 from recorder import SessionError
+from recorder.command_line.errors import CommandError
+from recorder.command_line.run import ended, joined
 from recorder.processes import WorkerLost
 from rig.acquire.control import Interrupted
 from rig.core.errors import ConfigError, DeviceLost, SafetyStop

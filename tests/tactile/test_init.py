@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from command_line.commands import COMMANDS
+from recorder.command_line.commands import COMMANDS
 from rig.acquire.campaign import load_campaign
 from rig.bench.bench import find_bench, load_bench
 from rig.core.packaged import BENCHES

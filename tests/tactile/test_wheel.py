@@ -14,7 +14,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 DATA: dict[str, list[str]] = PYPROJECT["tool"]["setuptools"]["package-data"]
-PACKAGES = ("command_line", "trajectories", "recorder", "rig", "sim", "learning", "tactile")
+PACKAGES = ("trajectories", "recorder", "rig", "sim", "learning", "tactile")
 FOR_EACH = "*"
 
 

@@ -8,8 +8,8 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from command_line.options import add_device
 from learning.errors import LearningError
+from recorder.command_line.options import add_device
 from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:

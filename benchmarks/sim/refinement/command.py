@@ -9,7 +9,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from command_line.options import add_device, numbers
+from recorder.command_line.options import add_device, numbers
 from sim.cli.options import MM
 
 

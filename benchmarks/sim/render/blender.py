@@ -20,7 +20,7 @@ from PIL import Image
 from benchmarks.sim.render.compare import iou, mismatch
 from benchmarks.sim.render.raycast import smooth
 from benchmarks.sim.render.states import RenderState, dent, solved
-from command_line.options import names
+from recorder.command_line.options import names
 from sim.device import ready_device
 from sim.markers import HEIGHT, WIDTH, Camera, named
 from sim.markers.camera import FILM, LENS

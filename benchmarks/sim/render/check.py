@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from benchmarks.sim.render.compare import iou, mismatch
 from benchmarks.sim.render.raycast import cast_rays, marked
 from benchmarks.sim.render.states import RenderState, dent, fold, solved
-from command_line.options import add_device
+from recorder.command_line.options import add_device
 from recorder.markers import Lattice
 from sim.device import ready_device
 from sim.markers import Camera, named

@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 
 from benchmarks.sim.render.states import dent
-from command_line.options import add_device
+from recorder.command_line.options import add_device
 from sim.device import ready_device
 from sim.markers import SIMULATED, Camera, named
 from sim.markers.kernels import (

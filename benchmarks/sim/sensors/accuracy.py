@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.sim.sensors.fit import SPACING
-from command_line.options import add_device
+from recorder.command_line.options import add_device
 from sim.device import ready_device
 from sim.errors import SimulationDiverged
 from sim.fem.numerics import FOR_EDGES, Fem

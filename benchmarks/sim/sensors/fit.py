@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.sim.sensors.relaxation import fitted, hysteresis, relaxed
-from command_line.options import add_device
+from recorder.command_line.options import add_device
 from sim.device import ready_device
 from sim.effects import Viscosity
 from sim.fem.numerics import FOR_EDGES, Fem

@@ -15,7 +15,7 @@ from functools import partial
 
 import numpy as np
 
-from command_line.options import add_device
+from recorder.command_line.options import add_device
 from recorder.markers import draw_discs
 from sim.device import ready_device
 from sim.scene import Body

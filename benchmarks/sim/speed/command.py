@@ -10,7 +10,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from command_line.options import add_device
+from recorder.command_line.options import add_device
 from sim.cli.options import metres
 from sim.errors import SceneError
 

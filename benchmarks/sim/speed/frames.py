@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.sim.speed.campaign import AUGMENTATIONS, PATH_TOLERANCE, TOLERANCE
 from benchmarks.sim.speed.machine import machine_name
-from command_line.options import add_device
+from recorder.command_line.options import add_device
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem.numerics import Fem
 from sim.indenters import sphere

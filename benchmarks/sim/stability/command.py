@@ -9,7 +9,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from command_line.options import add_device, add_seed
+from recorder.command_line.options import add_device, add_seed
 from sim.errors import SceneError
 
 if TYPE_CHECKING:

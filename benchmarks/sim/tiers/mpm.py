@@ -25,7 +25,7 @@ from benchmarks.sim.tiers.comparison import (
     measure,
     measure_elements,
 )
-from command_line.options import add_device
+from recorder.command_line.options import add_device
 from recorder.progress import Progress
 from sim.device import ready_device
 from sim.errors import SimulationDiverged

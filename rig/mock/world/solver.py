@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from command_line.errors import EXIT_DEVICE_LOST
+from recorder.command_line.errors import EXIT_DEVICE_LOST
 from rig.bench.worlds import SimulatedSpec
 from rig.core.clock import SECOND_NS, Clock, Pacer
 from rig.core.emulation import Served

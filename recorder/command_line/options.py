@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Iterable
 from typing import Any, NoReturn
 
-from command_line.errors import CommandError
+from recorder.command_line.errors import CommandError
 
 
 class _Help(argparse.HelpFormatter):

@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterable, Sequence
 from importlib import import_module
 from typing import Any
 
-from command_line.commands import COMMANDS, EXTRAS, FAMILIES, GROUPS, INTERRUPTED, Command
-from command_line.errors import (
+from recorder.command_line.commands import COMMANDS, EXTRAS, FAMILIES, GROUPS, INTERRUPTED, Command
+from recorder.command_line.errors import (
     EXIT_BROKEN_PIPE,
     EXIT_INTERRUPTED,
     EXIT_WRONG_INPUT,
@@ -91,7 +91,7 @@ def run_module(
     """
 
     def call() -> int:
-        from command_line.options import Parser
+        from recorder.command_line.options import Parser
 
         module: Any = import_module(name)
         parser = Parser(prog=prog, description=description or module.__doc__)
