@@ -670,7 +670,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _sensors(options: argparse.Namespace, archive: MarkerArchive, split: Split) -> list[str]:
-    sensors: list[str] = options.sensor.split(",")
+    sensors: list[str] = [*options.sensor]
     if unknown := [name for name in sensors if name not in archive]:
         raise LearningError(f"--sensor: found {', '.join(unknown)}; known: {', '.join(archive)}")
     if held_out := [name for name in sensors if name in split.held_out_sensors]:
@@ -699,6 +699,6 @@ def _compensation(options: argparse.Namespace, sensors: list[str]) -> Compensati
     source, to, target = (options.pair or sensors[0]).partition("-to-")
     if not to or (options.pair is None and len(sensors) > 1):
         raise LearningError(
-            f"--pair: found {options.pair or options.sensor}; allowed: A-to-B, of one pair"
+            f"--pair: found {options.pair or ','.join(sensors)}; allowed: A-to-B, of one pair"
         )
     return read_stored(options.compensation).pair(source, target, options.choice).applied

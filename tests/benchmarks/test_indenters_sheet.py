@@ -5,8 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from support.commands import run_module
 
-from benchmarks.sim.pictures.indenters import CAPTION, VIEW, draw_sheet, main
+from benchmarks.sim.pictures import indenters
+from benchmarks.sim.pictures.indenters import CAPTION, VIEW, draw_sheet
 from sim.indenters import named, tube
 
 
@@ -33,7 +35,7 @@ def test_a_sheet_shows_material_where_there_is_some(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_sheet_in_the_documentation_is_the_one_that_is_drawn(tmp_path: Path) -> None:
-    main([str(tmp_path / "sheet.png")])
+    run_module(indenters, tmp_path / "sheet.png")
     shown = Path(__file__).parents[2] / "docs/images/indenters.png"
     with Image.open(tmp_path / "sheet.png") as drawn, Image.open(shown) as kept:
         change = np.asarray(drawn).astype(int) - np.asarray(kept)

@@ -219,7 +219,7 @@ def test_what_is_no_model_is_refused(tmp_path: Path) -> None:
     with pytest.raises(LearningError, match=r"found no config\.yaml"):
         read_model_folder(tmp_path)
     (tmp_path / "config.yaml").write_text("kind: force\n")
-    with pytest.raises(LearningError, match="settings: found None; allowed: dict"):
+    with pytest.raises(LearningError, match="settings: found nothing; allowed: a mapping"):
         read_config(tmp_path)
 
 

@@ -151,10 +151,10 @@ def test_every_device_of_a_bench_has_an_emulator() -> None:
     [
         (["netft", '{"device": {"http_prot": 1}}'], "netft.device: unknown http_prot; did you me"),
         (["netft", '{"seed": 1, "seed": 2}'], "key 'seed' is written twice"),
-        (["netft", "[]"], "netft: found list []; allowed: a mapping of keys to values"),
+        (["netft", "[]"], "netft: found the list []; allowed: a mapping of keys to values"),
         (
             ["netft", '{"noise_n": "much"}'],
-            "noise_n: found str 'much'; allowed: a number [n]",
+            "noise_n: found text 'much'; allowed: a number [n]",
         ),
         (["netft", "--file", "none.json"], "none.json: no such file"),
         (["robotiq_2f"], "robotiq_2f: missing device; known: host, world"),

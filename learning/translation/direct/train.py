@@ -368,7 +368,7 @@ def run(options: argparse.Namespace) -> int:
     """Train as the options of `train-direct` say; return the exit code."""
     settings = read_settings(DirectSettings, PRESETS, options.preset, options.set)
     archive, split = open_data(options)
-    sensors = group(archive, split, options.sensors.split(",") if options.sensors else None)
+    sensors = group(archive, split, options.sensors)
     if not len(split.locations("train")):
         raise LearningError(f"{options.split}: found no location to train on")
     folder = options.start or options.autoencoder
