@@ -570,8 +570,8 @@ def _footprint(indenter: Indenter, depth: float, sides: Window) -> tuple[Array, 
     low, high = np.transpose(sides)
     heights = np.linspace(0.0, depth, LEVELS)
 
-    def covered(x: Array, y: Array) -> NDArray[np.bool_]:
+    def outside(x: Array, y: Array) -> Array:
         places = np.stack(np.meshgrid(x, y, heights, indexing="ij"), axis=-1)
-        return np.asarray(indenter.distance(places)[0].min(axis=2) <= 0)
+        return np.asarray(indenter.distance(places)[0].min(axis=2))
 
-    return extent_of(covered, low, high) or (np.zeros(2), np.zeros(2))
+    return extent_of(outside, low, high) or (np.zeros(2), np.zeros(2))

@@ -343,6 +343,8 @@ ALIKE = 1.25
 # Points along x and y, and heights, at which an indenter is sampled; the second pass samples only
 # the box that the first has found.
 SAMPLES, LEVELS, PASSES = 61, 6, 2
+# Most passes that look for a shape between the points, around the closest one.
+CLOSER = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -503,39 +505,48 @@ def covered(indenter: Indenter, body: Body, tip: Array) -> tuple[Any, Any] | Non
     if (low >= high).any():
         return None
 
-    def overlaps(x: Array, y: Array) -> Mask:
+    def outside(x: Array, y: Array) -> Array:
         top = _heights(body, x, y)
         under = np.linspace(0.0, 1.0, LEVELS) * np.maximum(top - tip[2], 0.0)[..., None]
         places = np.empty((SAMPLES, SAMPLES, LEVELS, 3))
         places[..., 0] = x[:, None, None] - tip[0]
         places[..., 1] = y[None, :, None] - tip[1]
         places[..., 2] = under
-        inside = (indenter.distance(places)[0].min(axis=2) <= 0) & (top >= tip[2])
-        return np.asarray(inside & body.covers(x[:, None], y))
+        there = (top >= tip[2]) & body.covers(x[:, None], y)
+        return np.where(there, indenter.distance(places)[0].min(axis=2), np.inf)
 
-    return extent_of(overlaps, low, high)
+    return extent_of(outside, low, high)
 
 
 def extent_of(
-    holds: Callable[[Array, Array], Mask], low: Array, high: Array
+    outside: Callable[[Array, Array], Array], low: Array, high: Array
 ) -> tuple[Array, Array] | None:
-    """Return least and greatest (x, y) where a condition holds within a box; None if nowhere.
+    """Return least and greatest (x, y) inside a shape within a box; None if nowhere.
 
-    The extent is found on a grid of points and widened by the grid spacing.
+    The extent is found on a grid of points and widened by the grid spacing. A shape between the
+    points, such as a corner that has just touched, is looked for where they are closest to it.
 
     Args:
-        holds: Maps x (X,) and y (Y,) to a mask of the condition (X, Y).
+        outside: Maps x (X,) and y (Y,) to signed distances from the shape (X, Y), inf where there
+            is no point.
         low: Least x and y of the box (2,).
         high: Greatest x and y (2,).
     """
-    for _pass in range(PASSES):
+    closer, passes = CLOSER, PASSES
+    while True:
         x, y = (np.linspace(low[axis], high[axis], SAMPLES) for axis in (0, 1))
-        found = holds(x, y)
-        if not found.any():
+        distance, between = outside(x, y), (high - low) / (SAMPLES - 1)
+        found = distance <= 0
+        if found.any():
+            in_x, in_y = (np.unique(place) for place in np.nonzero(found))
+            passes -= 1
+        elif closer and distance.min() <= np.linalg.norm(between):
+            in_x, in_y = (np.array([at]) for at in np.unravel_index(distance.argmin(), found.shape))
+            closer -= 1
+        else:
             return None
-        between = (high - low) / (SAMPLES - 1)
-        in_x, in_y = (np.unique(place) for place in np.nonzero(found))
         least = np.array([x[in_x[0]], y[in_y[0]]]) - between
         most = np.array([x[in_x[-1]], y[in_y[-1]]]) + between
         low, high = np.maximum(least, low), np.minimum(most, high)
-    return low, high
+        if not passes:
+            return low, high

@@ -8,7 +8,8 @@ import pytest
 from sim import Body, Indenter, Motion, Scene, SceneError, press, press_shear_return
 from sim.fem.mesh import MARGIN, Window, contact_window, meshes_of
 from sim.fem.numerics import FOR_EDGES, Fem, Grading
-from sim.indenters import cone, flat_punch, named, plane, sphere, torus
+from sim.fem.sizing import covered
+from sim.indenters import bar, cone, flat_punch, named, plane, sphere, torus
 
 RIM = 0.5e-3
 AROUND = np.array([-RIM, RIM])
@@ -144,3 +145,15 @@ def test_a_grading_for_edges_is_finer_in_plan_and_as_fine_over_the_depth() -> No
     assert np.diff(edges.x).max() > np.diff(usual.x).max()
     with pytest.raises(SceneError, match=r"grading.finer: 0"):
         Grading(finer=0.0)
+
+
+def test_a_corner_that_has_just_touched_is_found() -> None:
+    """It overlaps some micrometres of a body of 16 mm; found by random scenes (seed 5, 163)."""
+    leaning = bar(0.438e-3, 7.72e-3).tilted(-0.473, 0.163)
+    deep = -1.55e-6
+    found = covered(leaning, Body(16e-3, 16e-3), np.array([0.9e-3, -2.6e-3, deep]))
+    assert found is not None
+    low, high = found
+    assert (high - low < 0.1e-3).all()
+    above = np.array([0.9e-3, -2.6e-3, 1e-6])
+    assert covered(leaning, Body(16e-3, 16e-3), above) is None
