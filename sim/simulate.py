@@ -163,13 +163,14 @@ class Plan:
         if self.effects is not None and self.effects.effects:
             lines.append(str(self.effects))
         for tier in self.tiers:
+            mesh = None
             if isinstance(tier, Layer):
                 told = "layer, if its estimated error is small enough"
             else:
                 (mesh,) = meshes_of([scene], tier)
                 told = f"fem, {' x '.join(map(str, mesh.cells))} elements"
             if self.device == "cpu" or isinstance(tier, Layer):
-                told += f": {seconds_of(scene, tier):.1g} s or more"
+                told += f": {seconds_of(scene, tier, mesh):.1g} s or more"
             lines.append(told)
         if self.only != "layer":
             lines.append("finer meshes of fem, if the error measured by these two is larger")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, as_completed
+from typing import TYPE_CHECKING
 
 from sim.error_estimate import with_estimate
 from sim.errors import SceneError, SimulationDiverged, check_kind
@@ -12,6 +13,9 @@ from sim.layer.numerics import Layer
 from sim.mpm.numerics import Mpm
 from sim.result import Outcome, Result
 from sim.scene import Scene
+
+if TYPE_CHECKING:
+    from sim.fem.mesh import Mesh
 
 # `layer` is linear and takes milliseconds, `fem` is exact and takes seconds to minutes; `mpm` is
 # the paper's method, costlier and less exact than `fem`, for comparison and for waves.
@@ -183,14 +187,20 @@ SECONDS_LAYER, SECONDS_LAYER_FRAME = 0.2, 0.015
 SECONDS_ITERATION, ITERATIONS = 6e-6, 8
 
 
-def seconds_of(scene: Scene, tier: Layer | Fem) -> float:
-    """Return the approximate CPU time of one scene [s]; most take one to four times as long."""
+def seconds_of(scene: Scene, tier: Layer | Fem, mesh: Mesh | None = None) -> float:
+    """Return the approximate CPU time of one scene [s]; most take one to six times as long.
+
+    Args:
+        scene: Scene to simulate.
+        tier: Tier and its settings.
+        mesh: Mesh of `Fem`, if it is already built.
+    """
     if isinstance(tier, Layer):
         return SECONDS_LAYER + SECONDS_LAYER_FRAME * len(scene.motion)
     from sim.fem.mesh import meshes_of
     from sim.fem.newton import path_of
 
-    (mesh,) = meshes_of([scene], tier)
+    mesh = meshes_of([scene], tier)[0] if mesh is None else mesh
     path = path_of(scene, tier, *([mesh.finest] if tier.follows else []))
     return SECONDS_ITERATION * len(mesh.elements) * ITERATIONS * path.steps
 

@@ -32,7 +32,7 @@ from sim.result import Result
 from sim.scene import Scene
 from sim.simulate import plan
 from sim.tiers import simulate_one
-from sim.tolerance import elements_ratio
+from sim.tolerance import RATIO_LEAST, elements_ratio
 
 # Element size of the answer over that of the reference.
 FINER = 1.6
@@ -40,8 +40,6 @@ FINER = 1.6
 COARSEST = 0.75
 # Maximum number of elements of a reference.
 TRUTH_ELEMENTS_MAX = {"cpu": 600_000, "cuda": 4_000_000}
-# Least ratio of the elements' lengths of both meshes from which a reference is extrapolated.
-RATIO_LEAST = 1.2
 # Family of the drawn scenes to use: typical uses.
 FAMILY = "sensible"
 

@@ -17,7 +17,7 @@ import functools
 import numpy as np
 import warp as wp
 
-from sim.scalars import matrix_of, numpy_of, vector_of
+from sim.scalars import det_less_one_function, matrix_of, numpy_of, vector_of
 
 GAUSS_POINTS = 8
 
@@ -155,18 +155,7 @@ def kinematics(real):
         c2 = wp.vector(f[0, 2], f[1, 2], f[2, 2])
         return wp.matrix_from_cols(wp.cross(c1, c2), wp.cross(c2, c0), wp.cross(c0, c1))
 
-    @wp.func
-    def det_less_one(h: mat33):
-        """Return det(1 + h) - 1 without the cancellation that costs float32 half its digits."""
-        minors = (
-            h[0, 0] * h[1, 1]
-            - h[0, 1] * h[1, 0]
-            + h[1, 1] * h[2, 2]
-            - h[1, 2] * h[2, 1]
-            + h[0, 0] * h[2, 2]
-            - h[0, 2] * h[2, 0]
-        )
-        return wp.trace(h) + minors + wp.determinant(h)
+    det_less_one = det_less_one_function(real)
 
     @wp.func
     def deformed(h: mat33):

@@ -17,19 +17,11 @@ from numpy.typing import NDArray
 
 from sim.fem.assembly import Assembly, Sums
 from sim.fem.cg import ConjugateGradient
-from sim.fem.mesh import Mesh
 from sim.fem.numerics import ELASTIC_EVERY, Fem
 from sim.fem.vectors import axpy, copy_active
 from sim.scalars import numpy_of
 from sim.scene import Scene
 
-# Least force by which residuals are divided [E T^2], if elements are `WIDE` thicknesses long or
-# longer: 2 mN in the paper's gel in float32, so that a tolerance of 1e-4 requires no more than
-# 0.2 uN, about the limit of its digits. It falls with the area of the elements. Otherwise it would
-# exceed the whole force of a contact that is small compared with the thickness: in a gel of 20 mm
-# it was 58 mN, and a sphere of 0.5 mm, on which 1.9 mN act, had forces 2 % off.
-MIN_FORCE_SCALE = {"float32": 1e-3, "float64": 1e-5}
-WIDE = 1 / 12
 # Least determinant of the deformation gradient of a trial state.
 DET_TRIAL = 0.02
 # Most step lengths tried along one direction.
@@ -64,11 +56,6 @@ WORK_STEP, WORK_STEP_VISCOUS = 1 / 30, 1 / 12
 RELAX_AFTER, RELAX_SHARE = 4, 0.5
 
 
-def min_force_scale(mesh: Mesh, precision: str) -> float:
-    """Return the least force by which residuals on a mesh are divided [E T^2]."""
-    return MIN_FORCE_SCALE[precision] * min(1.0, mesh.finest / WIDE) ** 2
-
-
 class Newton:
     """Nonlinear solver of one assembly, with its work arrays and counts per environment (B,)."""
 
@@ -80,9 +67,6 @@ class Newton:
         )
         self._start = wp.zeros_like(assembly.state.u)
         self._friction = "friction" in assembly.effects
-        self._least_force = np.array(
-            [min_force_scale(mesh, assembly.precision) for mesh in assembly.meshes]
-        )
         self.residual = np.full(count, np.inf)
         """Out-of-balance force over force of the current state."""
         self.iterations = np.zeros(count, int)
@@ -208,7 +192,7 @@ class Newton:
             state.settle_limit(active)
             assembly.evaluate_contact(active, state.u, self._cg.solution)
         sums = assembly.sums
-        force = np.maximum(np.sqrt(sums.applied), self._least_force)
+        force = np.maximum(np.sqrt(sums.applied), assembly.min_force_scale)
         self.residual[chosen] = (np.sqrt(sums.square) / force)[chosen]
         is_valid = np.isfinite(self.residual) & (sums.det > DET_TRIAL)
         balanced = chosen & is_valid & (self.residual <= self._tolerance)

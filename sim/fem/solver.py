@@ -25,7 +25,7 @@ from sim.device import check_device
 from sim.errors import SimulationDiverged
 from sim.fem.assembly import Assembly
 from sim.fem.mesh import Mesh, meshes_of
-from sim.fem.newton import Newton, Path, min_force_scale, path_of
+from sim.fem.newton import Newton, Path, path_of
 from sim.fem.numerics import Fem, Precision
 from sim.fem.self_overlap import self_overlap
 from sim.fem.sizing import (
@@ -354,8 +354,7 @@ class Collector:
         quality = self._quality
         quality["residual"][frame] = residual
         quality["contact"][frame] = points.penetration.max(initial=0.0) / depth
-        least = min_force_scale(mesh, assembly.precision)
-        scale = max(size, float(np.linalg.norm(external)), least)
+        scale = max(size, float(np.linalg.norm(external)), float(assembly.min_force_scale[env]))
         quality["balance"][frame] = float(np.linalg.norm(external + held.base(env))) / scale
         stored = stored_energy(held, env, points, u)
         if self._start is None:
@@ -465,8 +464,7 @@ def simulate_fem(
     keys = [(i, stage.waypoints) for i, stage in parts]
     known = asked or {}
     sizes = [known.get(key, stage.sizes) for key, (_i, stage) in zip(keys, parts, strict=True)]
-    lasting = list(sizes)
-    outcomes = _following(some, list(sizes), lasting, numerics, device, progress)
+    outcomes, lasting = _following(some, sizes, numerics, device, progress)
     if asked is not None:
         for key, size, outcome in zip(keys, lasting, outcomes, strict=True):
             asked[key] = _learnt(size, outcome)
@@ -497,17 +495,18 @@ def _in_one(stages: list[Outcome]) -> Outcome:
 
 def _following(
     scenes: Sequence[Scene],
-    sizes: list[Sizes],
-    lasting: list[Sizes],
+    sizes: Sequence[Sizes],
     numerics: Fem,
     device: str,
     progress: Progress | None,
-) -> list[Outcome]:
+) -> tuple[list[Outcome], list[Sizes]]:
     """Solve presses on meshes that follow their contacts, rebuilt where the solution needs more.
 
-    To `sizes` is added what the solutions need, and to `lasting` what overlaps so large need that
-    finer meshes will have them too.
+    Returns:
+        The outcomes; `sizes`, and with them those required by overlaps so large that finer meshes
+        will have them too.
     """
+    sizes, lasting = list(sizes), list(sizes)
     outcomes = _on_meshes(scenes, numerics, sizes, device, progress)
     for attempt in range(1, REMESHED + 1):
         wanted = {i: more_wanted(one) for i, one in enumerate(outcomes) if isinstance(one, Result)}
@@ -530,7 +529,7 @@ def _following(
             )
             for i, outcome in zip(chosen, some, strict=True):
                 outcomes[i] = _remeshed(outcome, attempt, outcomes[i])
-    return outcomes
+    return outcomes, lasting
 
 
 def precision_for_finer(found: Result, numerics: Fem) -> Precision:

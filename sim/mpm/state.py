@@ -12,7 +12,7 @@ import warp as wp
 from sim.indenters.device import PLAIN, PartTable, Traits, distance_function, table_struct
 from sim.mpm.lattice import BASE_NODE, Lattice, Pace
 from sim.mpm.numerics import Mpm
-from sim.scalars import PRECISIONS, matrix_of, numpy_of, vector_of
+from sim.scalars import PRECISIONS, det_less_one_function, matrix_of, numpy_of, vector_of
 from sim.scene import Scene
 
 # Quadratic B-spline that couples a particle to 27 grid nodes, and fixed-point sums at the nodes.
@@ -215,17 +215,7 @@ def law_functions(real):
     # Inside a kernel quotients are computed in float32.
     power = real(-2.0 / 3.0)
 
-    @wp.func
-    def dilatation(h: mat33):
-        minors = (
-            h[0, 0] * h[1, 1]
-            - h[0, 1] * h[1, 0]
-            + h[1, 1] * h[2, 2]
-            - h[1, 2] * h[2, 1]
-            + h[0, 0] * h[2, 2]
-            - h[0, 2] * h[2, 0]
-        )
-        return wp.trace(h) + minors + wp.determinant(h)
+    dilatation = det_less_one_function(real)
 
     @wp.func
     def kirchhoff(h: mat33, shear: real, bulk: real):

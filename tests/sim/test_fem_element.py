@@ -161,7 +161,7 @@ def test_an_environment_gets_in_a_batch_of_two_meshes_what_it_gets_alone(kind: s
 
 
 def test_float32_forces_are_off_by_no_more_than_round_off_of_the_modulus() -> None:
-    """2e-7 of shear modulus times face area at any strain: the basis of `min_force_scale`."""
+    """2e-7 of shear modulus times face area at any strain: the basis of `MIN_FORCE_SCALE`."""
     materials = _materials("elastic")
     for scale in (1.0, 1e-2, 1e-4):
         u = _states(2) * scale
