@@ -47,6 +47,9 @@ OBLIQUE = 0.2
 EDGE_SHARE, EDGE_LEAST = 0.35, 0.25
 # Length of a run of touched pixels, in widths of its piece, above which its middle is coarser.
 LONG = 3.0
+# Pixels around a piece of a contact that are looked at with it: its outline's normals and the rim
+# of the body depend on the next one.
+ASIDE = 2
 # Points along an axis at which sizes are evaluated; the contacts add about as many.
 SITES = 2001
 
@@ -106,23 +109,23 @@ def sizes_of(
         return NOTHING
     on_body = np.ones_like(touched) if on_body is None else on_body
     edges_x, edges_y = pixel_edges(x), pixel_edges(y)
-    pieces, count = ndimage.label(touched, structure=np.ones((3, 3)))
+    pieces, _count = ndimage.label(touched, structure=np.ones((3, 3)))
     spans: tuple[list[Span], list[Span]] = ([], [])
     top, widest = math.inf, 0.0
-    for piece in range(1, count + 1):
-        mask = pieces == piece
-        width = 2 * half_width(mask, edges_x, edges_y)
+    for piece, found in enumerate(ndimage.find_objects(pieces), start=1):
+        of_x, of_y = (slice(max(one.start - ASIDE, 0), one.stop + ASIDE) for one in found)
+        mask, body_here = pieces[of_x, of_y] == piece, on_body[of_x, of_y]
+        edges = tuple(
+            all_of[one.start : one.stop + 1] for all_of, one in ((edges_x, of_x), (edges_y, of_y))
+        )
+        width = 2 * half_width(mask, *edges)
         widest = max(widest, width)
         size = min(width / ACROSS, LAYER_SHARE * thickness)
         normal = _normals(mask)
         edge = min(size, max(EDGE_SHARE * edge_radius, EDGE_LEAST * size))
-        for axis, edges in enumerate((edges_x, edges_y)):
-            across, asked = np.maximum(np.abs(normal[axis]), OBLIQUE), (width, size, edge)
-            if axis:
-                found = _runs(mask.T, on_body.T, across.T, edges, asked)
-            else:
-                found = _runs(mask, on_body, across, edges, asked)
-            spans[axis].extend(found)
+        across, asked = np.maximum(np.abs(normal), OBLIQUE), (width, size, edge)
+        spans[0].extend(_runs(mask, body_here, across[0], edges[0], asked))
+        spans[1].extend(_runs(mask.T, body_here.T, across[1].T, edges[1], asked))
         top = min(top, OVER_DEPTH * size, edge)
     return Sizes(_least(spans[0]), _least(spans[1]), top, widest)
 
