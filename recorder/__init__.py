@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from recorder.checks.check import check
     from recorder.convert.repack import repack
     from recorder.errors import SessionError
-    from recorder.findings import Finding
+    from recorder.findings import Finding, faults
     from recorder.session.reader import Session, Stream
     from recorder.session.recover import recover
     from recorder.session.sheet import contact_sheet
@@ -52,6 +52,7 @@ __all__ = [
     "camera_spec",
     "check",
     "contact_sheet",
+    "faults",
     "force_spec",
     "pose_spec",
     "recover",
@@ -71,6 +72,7 @@ _MODULES = {
     "Window": "session.window",
     "check": "checks.check",
     "contact_sheet": "session.sheet",
+    "faults": "findings",
     "recover": "session.recover",
     "repack": "convert.repack",
 }

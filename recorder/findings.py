@@ -1,8 +1,9 @@
-"""Findings reported by a check."""
+"""Findings reported by a check: faults, which fail it, and notes, which do not."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
-# All finding codes of a session check.
+# Codes of the faults of a session.
 CODES = {
     "unfinished": "the session was not closed",
     "metadata": "a zarr.json that is missing or does not match the format",
@@ -24,19 +25,34 @@ CODES = {
     "segment-outside": "a phase that its streams do not cover, or that has an invalid reference",
     "frames-length": "a frames view that does not match the segments",
 }
+# Codes of the notes on a session: limits of what it can tell, which are no faults of its data.
+NOTES: dict[str, str] = {
+    "not-sealed": "a run without a manifest that would show a removed or changed file",
+}
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One problem and its location."""
+    """One fault or note, and its location."""
 
     code: str
-    """One of `CODES`; for an archive, one of `archive.check.CODES`."""
+    """One of `CODES` or `NOTES`; for an archive, one of `archive.check.CODES`."""
     where: str
     """Path inside the session."""
     message: str
     """Value found and value expected, with the place and time of the first occurrence."""
 
+    @property
+    def level(self) -> str:
+        """Return `note` if the code is one of `NOTES`, else `fault`."""
+        return "note" if self.code in NOTES else "fault"
+
     def __str__(self) -> str:
         """Return the printed line."""
-        return f"{self.code:15s} {self.where}: {self.message}"
+        note = "note: " if self.level == "note" else ""
+        return f"{self.code:15s} {note}{self.where}: {self.message}"
+
+
+def faults(findings: Iterable[Finding]) -> list[Finding]:
+    """Return the findings that are faults, in order."""
+    return [finding for finding in findings if finding.level == "fault"]

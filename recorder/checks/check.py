@@ -16,7 +16,9 @@ from recorder.store.layout import StreamLayout, read_session_attrs, says_it_is
 
 
 def check(path: str | os.PathLike[str]) -> list[Finding]:
-    """Return the problems of a session or a marker archive; an empty list if it is valid.
+    """Return the faults of a session or a marker archive, and notes on what it cannot tell.
+
+    Each finding states its `level`: `fault` or `note`.
 
     Unreadable data is reported once and its content is not checked.
 

@@ -6,6 +6,7 @@ import argparse
 
 from recorder.checks.check import check
 from recorder.cli.options import add_session
+from recorder.findings import faults
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -14,10 +15,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print the findings; return 1 if there are any."""
+    """Print the findings; return 1 if a fault is among them, 0 for notes alone."""
     findings = check(options.session)
     for finding in findings:
         print(finding)
-    if not findings:
+    wrong = faults(findings)
+    if not wrong:
         print(f"{options.session}: nothing found")
-    return 1 if findings else 0
+    return 1 if wrong else 0

@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from support.sessions import T0, make_session
 
-from recorder import Session, SessionError, StreamWriter
+from recorder import Session, SessionError, StreamWriter, faults
+from recorder.__main__ import main
 from recorder.checks.check import check
-from recorder.findings import CODES
+from recorder.cli import check as check_command
+from recorder.findings import CODES, Finding
 from recorder.session.frames import write_frames
 
 Columns = dict[str, Any]
@@ -326,3 +328,16 @@ def test_nothing_is_found_in_a_sound_session(
     session = Session(path)
     assert session.warning is None
     assert session.frames["valid"].all()
+
+
+def test_a_note_is_printed_and_does_not_fail_the_check(
+    intact: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    note = Finding("not-sealed", ".", "no manifest")
+    fault = Finding("gap", CAMERA, "found one")
+    monkeypatch.setattr(check_command, "check", lambda session: [note])
+    assert main(["check", str(intact)]) == 0
+    assert "not-sealed      note: .: no manifest" in capsys.readouterr().out
+    monkeypatch.setattr(check_command, "check", lambda session: [note, fault])
+    assert main(["check", str(intact)]) == 1
+    assert faults([note, fault]) == [fault]
