@@ -76,6 +76,11 @@ RECORD = (
 )
 SESSIONS = (
     Command(
+        "session list",
+        "recorder.cli.list_sessions",
+        "list the sessions below a folder, by sensor, indenter, date, status or faults",
+    ),
+    Command(
         "session info", "recorder.cli.info", "show the contents of a session or a marker archive"
     ),
     Command(

@@ -30,7 +30,7 @@ RIG = (
     *("collect", "home", "calibrate-latency", "force-depth", "campaign", "jog", "live", "grip"),
     *("preview", "compare", "mock", "replay"),
 )
-RECORDER = ("info", "check", "recover", "repack", "export", "import", "view", "sheet")
+RECORDER = ("list", "info", "check", "recover", "repack", "export", "import", "view", "sheet")
 SIM = ("press", "loop", "hold", "archive", "archive states", "archive sensors")
 LEARNING = (
     *("markers", "import-genforce", "export-genforce", "split", "train-field"),
@@ -72,7 +72,7 @@ WRONG_CAMPAIGNS = {
     "sensor": "sessions: [{sensor: nosuch, indenter: a}]",
     "plan": "sessions: [{sensor: gelsight, indenter: a, plan: wave}]",
     "targets": "sessions: [{sensor: gelsight, indenter: a, targets: 999}]",
-    "twice": "sessions: [{sensor: uskin, indenter: a}, {sensor: uskin, indenter: a}]",
+    "plan-twice": "sessions: [{sensor: uskin, indenter: a, plan: a, plan: b}]",
 }
 RIG_CASES = (
     Case(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 from support.collecting import ROOT, Collection, faults_of
 
 from recorder import OUTCOMES, Session, SessionWriter, force_spec
+from recorder import catalogue as catalogue_module
 from rig.__main__ import main
 from rig.acquire import campaign as campaign_module
 from rig.acquire.campaign import (
@@ -82,7 +84,7 @@ class _Bench:
     """Mock of the recording command: writes sessions, as far as the test specifies."""
 
     def __init__(self, campaign: Campaign, codes: list[int]) -> None:
-        self.items = {f"{item.entry.name}.zarr": item for item in campaign.items}
+        self.items = {f"{item.name}.zarr": item for item in campaign.items}
         self.codes = codes
         self.ran: list[list[str]] = []
 
@@ -219,6 +221,55 @@ def test_a_session_of_another_sensor_in_its_place_is_not_touched(
     assert (code, len(ran)) == (2, 2)
 
 
+def test_the_same_sensor_indenter_and_plan_are_recorded_more_than_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    entry = "  - {{sensor: uskin, indenter: cylinder, targets: 1}}\n"
+    campaign = _campaign(tmp_path, "out: {out}\nsessions:\n" + 3 * entry)
+    code, ran, asked, _ = _run(campaign, [0, 0, 0], monkeypatch)
+    assert (code, len(ran), len(asked)) == (0, 3, 1)
+    names = {path.name for path in (tmp_path / "out").glob("*.zarr")}
+    first = "uskin-cylinder-press-shear-1"
+    assert names == {f"{first}{again}.zarr" for again in ("", "-again-2", "-again-3")}
+
+
+def test_a_day_reads_each_session_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    count = 300
+    entry = "  - {{sensor: uskin, indenter: cylinder, targets: 1}}\n"
+    campaign = _campaign(tmp_path, "out: {out}\nsessions:\n" + count * entry)
+    read: list[str] = []
+    original = catalogue_module._read
+
+    def record(arguments: list[str]) -> int:
+        _metadata(Path(arguments[arguments.index("--out") + 1]), campaign.items[0])
+        return 0
+
+    def look(folder: Path, path: str, stamp: tuple[int, int, int]) -> catalogue_module.Row:
+        read.append(path)
+        return original(folder, path, stamp)
+
+    monkeypatch.setattr(campaign_module, "_record", record)
+    monkeypatch.setattr(catalogue_module, "_read", look)
+    monkeypatch.setattr(campaign_module, "Session", None)  # no session has to be opened
+    settings = Settings(BENCHES, ROOT / "calibrations")
+    assert run_campaign(campaign, settings, lambda _: True, lambda _: None) == 0
+    assert all(progress.state == "done" for progress in progress_of(campaign))
+    assert len(read) == len(set(read)) == count
+
+
+def _metadata(path: Path, item: Item) -> None:
+    """Write what a campaign reads of a complete session: its attributes."""
+    attrs = {
+        "format": "tactile-rig session",
+        "status": "complete",
+        "sensor": item.entry.sensor,
+        "indenter": item.entry.indenter,
+        "targets_wanted": item.total,
+    }
+    path.mkdir()
+    (path / "zarr.json").write_text(json.dumps({"attributes": attrs}))
+
+
 def test_time_left_shrinks_with_what_is_done(tmp_path: Path) -> None:
     campaign = _campaign(tmp_path)
     before = sum(progress.left for progress in progress_of(campaign))
@@ -241,10 +292,6 @@ def test_time_left_shrinks_with_what_is_done(tmp_path: Path) -> None:
         ("sessions: [{{sensor: gelsight, indenter: a, plan: wave}}]\n", "allowed"),
         ("sessions: [{{sensor: gelsight, indenter: a, targets: 999}}]\n", "1 to 240"),
         ("sessions: [{{sensor: gelsight, indenter: a, targets: 0}}]\n", "1 or more"),
-        (
-            "sessions: [{{sensor: gelsight, indenter: a}}, {{sensor: gelsight, indenter: a}}]\n",
-            "listed twice",
-        ),
     ],
 )
 def test_a_campaign_that_cannot_be_run_is_refused(tmp_path: Path, text: str, words: str) -> None:
