@@ -5,7 +5,7 @@ time column. Each column contributes the line `<name> <dtype> <shape of a row>\n
 order. A row of numbers contributes its little-endian bytes; an image stored as JPEG the number of
 its bytes (int64, little-endian) and the bytes; an image stored as pixels its pixels.
 
-`streams/camera/device_t` is excluded: it is a time of the host's clock, like `t_ns`, or absent.
+The `device_t` of a camera is excluded: it is a time of the host's clock, like `t_ns`, or absent.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def stream_digest(stream: Stream, progress: Progress | None = None) -> str:
     digest = hashlib.sha256()
     for layout in stream.layout.columns:
         column = layout.column
-        if layout is stream.layout.time or column.name in _LEFT_OUT.get(stream.name, ()):
+        if layout is stream.layout.time or column.name in _LEFT_OUT.get(stream.traits.kind, ()):
             continue
         digest.update(f"{column.name} {column.dtype} {list(column.shape)}\n".encode())
         if not column.is_image:

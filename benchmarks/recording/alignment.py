@@ -142,19 +142,19 @@ def measure_methods(session: Session, motion: Motion, recorded: Recorded) -> tup
     sources, when = session.sources(0), ticks(recorded)
     found = []
     for method in FORCE:
-        window = align_window(when, sources, force=method)
+        window = align_window(when, sources, {"force": method})
         error = force_error(window, motion, recorded)
-        found.append(_method("force", method, error, _alone(sources, "force"), force=method))
+        found.append(_method("force", method, error, _alone(sources, "force"), {"force": method}))
     found.append(_read_with_frame(when, sources, motion, recorded))
     for method in POSE:
-        window = align_window(when, sources, pose=method)
+        window = align_window(when, sources, {"pose": method})
         error = pose_errors(window, window.pose, motion, recorded)
-        found.append(_method("pose", method, error, _alone(sources, "pose"), pose=method))
+        found.append(_method("pose", method, error, _alone(sources, "pose"), {"pose": method}))
     found.append(_componentwise(when, sources, motion, recorded))
     for method in IMAGE:
-        window = align_window(when, sources, image=method)
+        window = align_window(when, sources, {"camera": method})
         shown = image_error(window, motion, recorded)
-        found.append(_method("image", method, shown, _alone(sources, ""), image=method))
+        found.append(_method("image", method, shown, _alone(sources, ""), {"camera": method}))
     return tuple(found)
 
 
@@ -163,11 +163,11 @@ def measure_latency(
 ) -> Latency:
     """Measure the best methods when the session ignores `uncorrected` seconds of latency."""
     sources = session.sources(0)
-    camera = sources.camera
+    camera = sources.signal
     if camera is not None and uncorrected:
         # The session subtracts LATENCY; it does not know the extra delay of the camera.
-        extra = round(uncorrected * 1e9)
-        sources = replace(sources, camera=replace(camera, times=camera.times + extra))
+        late = replace(camera, times=camera.times + round(uncorrected * 1e9))
+        sources = replace(sources, streams={**sources.streams, late.name: late}, signal=late)
     window = align_window(ticks(recorded), sources)
     pose = pose_errors(window, window.pose, motion, recorded)
     true, rows = _true_capture(window, recorded)
@@ -224,7 +224,7 @@ def _marker_motion(motion: Motion, first: Floats, second: Floats) -> Floats:
 
 def _read_with_frame(when: Times, sources: Sources, motion: Motion, recorded: Recorded) -> Method:
     """Measure a loop that reads the force once, whenever a frame has arrived."""
-    name, force = "read with the frame", sources.force
+    name, force = "read with the frame", sources.streams.get("force")
     window = align_window(when, sources)
     if force is None or force.values is None or window.wrench is None:
         return Method("force", name, 0, {}, float("nan"))
@@ -233,14 +233,16 @@ def _read_with_frame(when: Times, sources: Sources, motion: Motion, recorded: Re
     def once(some: Times) -> Floats:
         return np.asarray(values[align.held(times, some + late).index])
 
-    error = force_error(replace(window, wrench=once(window.capture_ns)), motion, recorded)
+    read = replace(window.streams[force.name], value=once(window.capture_ns))
+    streams = {**window.streams, force.name: read}
+    error = force_error(replace(window, streams=streams), motion, recorded)
     errors = {"N": Error.of(error["N"])}
     return Method("force", name, len(error["N"]), errors, _timed(sources, once))
 
 
 def _componentwise(when: Times, sources: Sources, motion: Motion, recorded: Recorded) -> Method:
     """Measure the naive method that interpolates the pose's six numbers separately."""
-    pose = sources.pose
+    pose = sources.streams.get("pose")
     window = align_window(when, sources)
     if pose is None or pose.values is None:
         return Method("pose", "component-wise linear", 0, {}, float("nan"))
@@ -258,17 +260,16 @@ def _componentwise(when: Times, sources: Sources, motion: Motion, recorded: Reco
 
 
 def _alone(sources: Sources, name: str) -> Sources:
-    kept = {"camera": sources.camera, "force": None, "pose": None, "taxels": None}
-    if name:
-        kept[name] = getattr(sources, name)
-    return Sources(**kept)
+    """Return only the signal and one other stream."""
+    kept = {key: one for key, one in sources.streams.items() if key in (name, "camera")}
+    return replace(sources, streams=kept)
 
 
 def _method(
-    stream: str, method: str, error: dict[str, Floats], sources: Sources, **chosen: str
+    stream: str, method: str, error: dict[str, Floats], sources: Sources, chosen: dict[str, str]
 ) -> Method:
     def once(some: Times) -> None:
-        align_window(some, sources, **chosen)
+        align_window(some, sources, chosen)
 
     rows = min(len(values) for values in error.values())
     errors = {unit: Error.of(values) for unit, values in error.items()}

@@ -25,7 +25,6 @@ START_MARGIN = 0.1
 
 _STEP_SAMPLES = 16  # on either side; enough that one or two late packets do not look like a step
 _NAN_IS_FINE = {"device_t"}
-_FREEZING = ("camera", "force", "taxels")
 
 
 def check_stream(
@@ -48,7 +47,7 @@ def check_stream(
         compressed = is_compressed(session)
         yield from _check_times(where, first, t_ns, columns, period, compressed)
         still = "still" in (stream.attrs.get("source_motion"), session.attrs.get("source_motion"))
-        if stream.name in _FREEZING and not still:
+        if stream.traits.defaults.changes and not still:
             images = None if contents is None else contents[: len(stream)][rows]
             same = images if images is not None else columns["value"]
             yield from _check_frozen(where, first, t_ns, same)

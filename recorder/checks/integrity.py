@@ -13,12 +13,14 @@ from recorder.errors import SessionError
 from recorder.findings import Finding
 from recorder.session.stream_writer import is_unfinished
 from recorder.spec import (
-    REFERENCE,
     SEGMENTS,
     StreamSpec,
+    Traits,
     camera_spec,
+    depth_spec,
     force_spec,
     pose_spec,
+    reference_spec,
     taxels_spec,
 )
 from recorder.store.files import Files, read_document
@@ -166,10 +168,18 @@ def _unlike_spec(layout: StreamLayout, where: str) -> Iterator[Finding]:
 
 
 def _spec_of(layout: StreamLayout) -> StreamSpec | None:
-    """Return the format's specification for a stream of this name; None if there is none."""
-    if layout.name == "camera" and layout.image is not None:
-        height, width = layout.image.column.shape[:2]
-        return camera_spec(60, height=height, width=width, codec=layout.image.column.codec)
-    known = {"force": force_spec(1000), "pose": pose_spec(500), "taxels": taxels_spec(60)}
-    tables = {"segments": SEGMENTS, "reference": REFERENCE}
-    return {**known, **tables}.get(layout.name)
+    """Return the format's specification of a stream of this kind; None if there is none."""
+    if layout.path.parent.name != "streams":
+        return {"segments": SEGMENTS, "reference": reference_spec([])}.get(layout.name)
+    kind = Traits.read(layout.name, layout.attrs()).kind
+    image = layout.image
+    if image is not None and kind in ("camera", "depth"):
+        height, width = image.column.shape[:2]
+        if kind == "depth":
+            units = image.column.units
+            return depth_spec(60, name=layout.name, height=height, width=width, units=units)
+        return camera_spec(60, height=height, width=width, codec=image.column.codec)
+    shapes = {column.column.name: column.column.shape for column in layout.columns}
+    taxels = shapes.get("value", ())[0:1] or (16,)
+    known = {"force": force_spec(1000), "pose": pose_spec(500)}
+    return {**known, "taxels": taxels_spec(60, taxels=taxels[0])}.get(kind)

@@ -184,7 +184,7 @@ def _streams(
             width=width,
             codec=film.codec,
             device={"device": "imported", "rate_hz": film.rate_hz},
-            device_clock="none",
+            clock="none",
         )
         times = _every(np.array(film.places), film.rate_hz)
         count = int((times < end_ns).sum())
@@ -195,7 +195,7 @@ def _streams(
         found.append((spec, count, _forces(wrenches, count)))
     if counts is not None:
         device = {"device": "imported", "rate_hz": counts.rate_hz}
-        spec = taxels_spec(counts.rate_hz, device=device, device_clock="none")
+        spec = taxels_spec(counts.rate_hz, device=device, clock="none")
         times = _every(np.arange(len(counts.value)), counts.rate_hz)
         count = int((times < end_ns).sum())
         found.append((spec, count, _scans(counts, times[:count])))

@@ -148,7 +148,7 @@ def _log(session: Session, runs: Sequence[_Run], sink: _Sink, progress: Progress
         (name, source, run, np.flatnonzero(sink.within(source.times + run.to_utc)))
         for run in runs
         for name in ("force", "pose", "taxels", "camera")
-        if (source := getattr(session.sources(run.number), name)) is not None
+        if (source := session.sources(run.number).streams.get(name)) is not None
     ]
     total = sum(len(chosen) for *_, chosen in parts)
     if not total:

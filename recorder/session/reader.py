@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 from recorder.errors import SessionError
 from recorder.session.align import Sources, sources_of_run
 from recorder.session.window import Window, align_window, ticks_before
+from recorder.spec import Column, Traits, frame_columns, in_order, signal_of
 from recorder.store import images
 from recorder.store.column import ColumnReader, LazyRows
 from recorder.store.files import LOCAL, Files, locate
-from recorder.store.layout import StreamLayout, read_session_attrs
+from recorder.store.layout import StreamLayout, read_order, read_session_attrs
 from recorder.store.tables import Table
 
 Array = np.ndarray[Any, Any]
@@ -38,6 +39,7 @@ class Stream:
         self.layout = StreamLayout.load(path, files)
         self.name = path.name
         self.attrs = self.layout.attrs()
+        self.traits = Traits.read(self.name, self.attrs)
         self._readers = {layout.column.name: ColumnReader(layout) for layout in self.layout.columns}
         self._rows = min(reader.rows for reader in self._readers.values())
         self._columns: dict[str, Array] = {}
@@ -55,6 +57,12 @@ class Stream:
     def names(self) -> tuple[str, ...]:
         """Names of the columns."""
         return tuple(self._readers)
+
+    @property
+    def value_column(self) -> Column | None:
+        """The column `value`; None in a table."""
+        reader = self._readers.get("value")
+        return None if reader is None else reader.layout.column
 
     @property
     def rate_hz(self) -> float:
@@ -109,14 +117,14 @@ class Stream:
         return LazyRows(reader, rows)
 
     def images(self, rows: Sequence[int] | NDArray[np.integer[Any]] | slice) -> images.Image:
-        """Return images (n, h, w, channels) uint8, RGB.
+        """Return images (n, h, w, channels): uint8 RGB or grey, or uint16 of a depth camera.
 
         Raises:
             SessionError: No images here, a row outside the stream, or a corrupt image.
         """
         image = self._image()
         numbers = range(self._rows)[rows] if isinstance(rows, slice) else rows
-        out = np.empty((len(numbers), *image.layout.column.shape), np.uint8)
+        out = np.empty((len(numbers), *image.layout.column.shape), image.layout.column.dtype)
         chunks = image.chunks([self._checked(int(row)) for row in numbers])
         decode = images.decoder(image.layout.column)
         for place, data in enumerate(chunks):
@@ -199,6 +207,7 @@ class Session:
         self.streams: Mapping[str, Stream] = {
             group.name: Stream(group, self.files) for group in groups
         }
+        self.order = in_order(self.streams, read_order(self.path / "streams", self.files))
         self.targets = Table.of_group(self.path / "targets", self.files)
         self.segments = _table(self.path / "segments", self.files)
         self.reference = _table(self.path / "reference", self.files)
@@ -235,10 +244,28 @@ class Session:
         """Rate of the frames view: attrs `rate_hz`, or else the signal's."""
         if "rate_hz" in self.attrs:
             return float(self.attrs["rate_hz"])
-        for name in ("camera", "taxels", "pose", "force"):
-            if name in self.streams:
+        for name in (self.signal, self.first("pose"), *self.order):
+            if name is not None:
                 return self.streams[name].rate_hz
         raise SessionError(f"{self.name}: no stream has a rate; set rate_hz")
+
+    @property
+    def columns(self) -> dict[str, str]:
+        """Column of `frames` and `reference` by stream, in order; see `spec.frame_columns`."""
+        return frame_columns((name, self.streams[name].traits) for name in self.order)
+
+    @property
+    def signal(self) -> str | None:
+        """Name of the stream that the others are aligned to; None without a signal."""
+        return signal_of((name, self.streams[name].traits) for name in self.order)
+
+    def of_kind(self, kind: str) -> list[str]:
+        """Return the names of the streams of a kind, in order."""
+        return [name for name in self.order if self.streams[name].traits.kind == kind]
+
+    def first(self, kind: str) -> str | None:
+        """Return the name of the first stream of a kind; None if there is none."""
+        return next(iter(self.of_kind(kind)), None)
 
     def rows_of_run(self, name: str, run: int) -> slice:
         """Return the rows of a stream that belong to a run."""
@@ -252,7 +279,7 @@ class Session:
         """Return the streams of one run, ready to be aligned; kept in memory."""
         if run not in self._sources:
             rows = {name: self.rows_of_run(name, run) for name in self.streams}
-            self._sources[run] = sources_of_run(self.streams, rows)
+            self._sources[run] = sources_of_run(self.streams, self.order, rows)
         return self._sources[run]
 
     def run_at(self, t_ns: int) -> int:
@@ -269,10 +296,11 @@ class Session:
         t_ns: int,
         n: int,
         *,
-        image: str = "held",
-        force: str = "mean_exposure",
-        pose: str = "slerp",
-        taxels: str = "linear",
+        image: str | None = None,
+        force: str | None = None,
+        pose: str | None = None,
+        taxels: str | None = None,
+        align: Mapping[str, str] | None = None,
         rate_hz: float | None = None,
         run: int | None = None,
     ) -> Window:
@@ -281,27 +309,39 @@ class Session:
         Args:
             t_ns: Tick of the last row [ns]; the others lie before it, one period apart.
             n: Number of rows.
-            image: `held` (latest before the tick) or `nearest`.
-            force: `mean_exposure`, `linear`, `held` or `nearest`, at the image's capture.
-            pose: `slerp`, `held` or `nearest`, at the image's capture.
-            taxels: `linear`, `held` or `nearest`, at the image's capture.
+            image: Method for images instead of their own alignment: `latest` or `nearest`.
+            force: `mean`, `interpolated`, `latest` or `nearest`, at the signal's capture.
+            pose: `interpolated`, `latest` or `nearest`, at the signal's capture.
+            taxels: `interpolated`, `latest` or `nearest`, at the signal's capture.
+            align: Methods by the name of a stream; they precede those by kind.
             rate_hz: Rate of the rows; the session's if None.
             run: Run of whose clock `t_ns` is; determined from the samples if None.
 
         Raises:
-            SessionError: An unknown method, or a corrupt stream.
+            SessionError: An unknown stream or method, or a corrupt stream.
         """
         ticks = ticks_before(t_ns, n, rate_hz or self.rate_hz)
         sources = self.sources(self.run_at(t_ns) if run is None else run)
-        rows = align_window(ticks, sources, image=image, force=force, pose=pose, taxels=taxels)
-        if rows.image_row is None:
-            return rows
-        camera = self.streams["camera"]
-        pixels = np.zeros((n, *camera.layout.columns[0].column.shape), np.uint8)
-        there = rows.image_row >= 0
-        unique, place = np.unique(rows.image_row[there], return_inverse=True)
-        pixels[there] = camera.images(unique)[place]
-        return replace(rows, image=pixels)
+        by_kind = {"camera": image, "depth": image, "force": force, "pose": pose, "taxels": taxels}
+        chosen = {name: by_kind.get(self.streams[name].traits.kind) for name in sources.streams}
+        methods = {name: method for name, method in chosen.items() if method is not None}
+        rows = align_window(ticks, sources, {**methods, **(align or {})})
+        shown = {
+            name: replace(aligned, value=self._pixels(name, aligned.row))
+            for name, aligned in rows.streams.items()
+            if aligned.row is not None and self.streams[name].layout.image is not None
+        }
+        return replace(rows, streams={**rows.streams, **shown})
+
+    def _pixels(self, name: str, rows: NDArray[np.int64]) -> Array:
+        """Return the images of some rows (n, h, w, channels); zeros for row -1."""
+        stream = self.streams[name]
+        column = stream.layout.columns[0].column
+        pixels = np.zeros((len(rows), *column.shape), column.dtype)
+        there = rows >= 0
+        unique, place = np.unique(rows[there], return_inverse=True)
+        pixels[there] = stream.images(unique)[place]
+        return pixels
 
 
 def _table(path: Path, files: Files) -> Table:

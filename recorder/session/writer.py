@@ -15,11 +15,12 @@ from recorder.session.stream_writer import StreamWriter, survey
 from recorder.spec import (
     FORMAT,
     FORMAT_VERSION,
-    REFERENCE,
     SEGMENTS,
     STATUSES,
     TARGET_UNITS,
     StreamSpec,
+    check_streams,
+    reference_spec,
 )
 from recorder.store.durable import sync_directory
 from recorder.store.layout import (
@@ -44,7 +45,7 @@ class SessionWriter:
     segments: StreamWriter
     """One row per recorded phase, columns of `SEGMENTS`."""
     reference: StreamWriter
-    """One row per no-contact moment, columns of `REFERENCE`."""
+    """One row per no-contact moment, columns of `spec.reference_spec`."""
 
     def __init__(self, path: Path) -> None:
         """Use `create` or `resume` instead."""
@@ -178,13 +179,14 @@ def _build(
     streams: Sequence[StreamSpec],
     targets: Mapping[str, np.ndarray[Any, Any]],
 ) -> None:
+    check_streams(streams)
     path.mkdir(parents=True)
     fixed = {"format": FORMAT, "format_version": FORMAT_VERSION, "status": "recording", "runs": []}
     write_group(path, {**attrs, **fixed})
     (path / "streams").mkdir()
-    write_group(path / "streams", {})
+    write_group(path / "streams", {"order": [spec.name for spec in streams]})
     for spec in streams:
         create_stream(path / "streams" / spec.name, spec)
     create_stream(path / "segments", SEGMENTS)
-    create_stream(path / "reference", REFERENCE)
+    create_stream(path / "reference", reference_spec(streams))
     write_table(path / "targets", targets, TARGET_UNITS)

@@ -20,7 +20,7 @@ from zarr.registry import register_codec
 from recorder.errors import SessionError
 from recorder.spec import Column
 
-Image = NDArray[np.uint8]
+Image = NDArray[Any]
 
 ZSTD_LEVEL = 1
 # Used only if pixels are written through Zarr: the recorder never encodes a JPEG.
@@ -80,11 +80,13 @@ def decoder(column: Column) -> Callable[[bytes], Image]:
     if column.codec == "jpeg":
         return lambda data: decode_jpeg(data, shape)
 
+    dtype = np.dtype(column.dtype).newbyteorder("<")
+
     def decode(data: bytes) -> Image:
-        pixels = np.frombuffer(decompress(data), np.uint8)
-        if pixels.size != column.row_bytes:
-            raise SessionError(f"zstd: found {pixels.size} bytes, expected {column.row_bytes}")
-        return pixels.reshape(shape)
+        plain = decompress(data)
+        if len(plain) != column.row_bytes:
+            raise SessionError(f"zstd: found {len(plain)} bytes, expected {column.row_bytes}")
+        return np.frombuffer(plain, dtype).reshape(shape)
 
     return decode
 
@@ -94,7 +96,8 @@ def encoder(column: Column, where: str) -> Callable[[object], bytes]:
 
     A `jpeg` column takes JPEG bytes and stores them unchanged; a `zstd` column takes pixels.
     """
-    expected = f"uint8 {column.shape}"
+    expected = f"{column.dtype} {column.shape}"
+    dtype = np.dtype(column.dtype)
 
     def keep(value: object) -> bytes:
         if not isinstance(value, bytes | bytearray | memoryview):
@@ -114,9 +117,10 @@ def encoder(column: Column, where: str) -> Callable[[object], bytes]:
     def pack(value: object) -> bytes:
         if not isinstance(value, np.ndarray):
             raise SessionError(f"{where}: found {type(value).__name__}, expected pixels {expected}")
-        if value.dtype != np.uint8 or value.shape != column.shape:
+        if value.dtype != dtype or value.shape != column.shape:
             raise SessionError(f"{where}: found {value.dtype} {value.shape}, expected {expected}")
-        return compress(np.ascontiguousarray(value).data.cast("B"))
+        plain = np.ascontiguousarray(value, dtype.newbyteorder("<"))
+        return compress(plain.data.cast("B"))
 
     return keep if column.codec == "jpeg" else pack
 

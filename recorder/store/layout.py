@@ -240,10 +240,24 @@ def create_stream(path: Path, spec: StreamSpec) -> StreamLayout:
     """
     path.mkdir()
     attrs = {"rate_hz": spec.rate_hz, "columns": [column.name for column in spec.columns]}
-    write_group(path, {**spec.attrs, **attrs})
+    write_group(path, {**spec.attrs, **spec.traits.to_json(), **attrs})
     for column in spec.columns:
         Layout(path / column.name, column, 1 if column.is_image else spec.block).create()
     return StreamLayout.load(path)
+
+
+def read_order(path: Path, files: Files = LOCAL) -> list[str]:
+    """Return the names of the streams in the order in which the session declared them.
+
+    It is empty in format 1, which had no order.
+
+    Raises:
+        SessionError: The attribute is not a list of names.
+    """
+    order = read_document(files, path / "zarr.json").get("attributes", {}).get("order", [])
+    if not isinstance(order, list) or not all(isinstance(name, str) for name in order):
+        raise SessionError(f"{files.name(path)}: found order {order!r:.80}, expected names")
+    return order
 
 
 def write_group(path: Path, attrs: dict[str, Any]) -> None:

@@ -273,7 +273,7 @@ def test_the_mean_over_an_exposure_is_the_integral_of_the_truth(motion: Motion) 
 def test_the_recorded_motion_is_a_sound_session_whose_capture_times_are_the_true_ones(
     recorded: Recorded,
 ) -> None:
-    camera = Session(recorded.path).sources(0).camera
+    camera = Session(recorded.path).sources(0).streams["camera"]
     assert camera is not None
     believed = (camera.times - recorded.origin_ns) * 1e-9
     assert len(believed) == len(recorded.captured)

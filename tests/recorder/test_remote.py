@@ -155,8 +155,13 @@ def test_everything_reads_as_it_does_from_the_disk(url: str, recorded: Path) -> 
                 near.window(t_ns, 16, force=method),
                 far.window(t_ns, 16, force=method),
             )
-            for field in expected.__dataclass_fields__:
+            for field in ("t_ns", "capture_ns", "signal_row", "valid", "skew"):
                 np.testing.assert_array_equal(getattr(found, field), getattr(expected, field))
+            assert [*found.streams] == [*expected.streams] == far.order
+            for name, stream in expected.streams.items():
+                for field in ("value", "row", "age", "valid"):
+                    here, there = (getattr(w.streams[name], field) for w in (expected, found))
+                    np.testing.assert_array_equal(there, here, err_msg=f"{stream.traits} {field}")
     np.testing.assert_array_equal(
         np.asarray(far.streams["camera"].column("value")[100]),
         near.streams["camera"].images([100])[0],

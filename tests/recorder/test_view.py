@@ -86,7 +86,7 @@ class TestWithRerun:
         out = tmp_path / "s.rrd"
         view(recorded, save=out)
         session, rrd = Session(recorded), Rrd(out)
-        source = session.sources(0).force
+        source = session.sources(0).streams["force"]
         assert source is not None
         began = np.datetime64("2026-01-01T00:00:00", "ns").astype(np.int64)
         utc = source.times - session.runs[0]["t0_ns"] + began
