@@ -216,8 +216,7 @@ class Column:
 
 # Columns of `frames` and `reference` that are no stream's, or the first of a kind's.
 _OF_FRAMES = frozenset(
-    "t_ns run is_duplicate image_age target phase depth skew valid time_sigma point "
-    "image wrench wrench_std pose taxels".split()
+    ["t_ns", "run", "is_duplicate", "image_age", "target", "phase", "depth", "skew", "valid", "time_sigma", "point", "image", "wrench", "wrench_std", "pose", "taxels"]
 )
 
 
