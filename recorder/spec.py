@@ -215,9 +215,8 @@ class Column:
 
 
 # Columns of `frames` and `reference` that are no stream's, or the first of a kind's.
-_OF_FRAMES = frozenset(
-    ["t_ns", "run", "is_duplicate", "image_age", "target", "phase", "depth", "skew", "valid", "time_sigma", "point", "image", "wrench", "wrench_std", "pose", "taxels"]
-)
+_OF_FRAMES = {"t_ns", "run", "is_duplicate", "image_age", "target", "phase", "depth", "skew"}
+_OF_FRAMES |= {"valid", "time_sigma", "point", "image", "wrench", "wrench_std", "pose", "taxels"}
 
 
 @dataclass(frozen=True, slots=True)
