@@ -126,7 +126,7 @@ class TestWithRerun:
     def test_a_part_without_samples_is_refused_and_leaves_no_file(
         self, recorded: Path, tmp_path: Path
     ) -> None:
-        with pytest.raises(SessionError, match="no samples in the part"):
+        with pytest.raises(SessionError, match="no samples in the requested part"):
             view(recorded, save=tmp_path / "s.rrd", start=1e6)
         assert list(tmp_path.iterdir()) == []
 
