@@ -33,7 +33,7 @@ _LARGEST = 1 << 26
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """What a catalogue knows of one session."""
+    """Properties of one session."""
 
     path: str
     """Path of the session, relative to the folder of the catalogue."""

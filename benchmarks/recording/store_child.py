@@ -60,11 +60,12 @@ def read(entry: stores.Entry, path: Path, *, seconds: float, seed: int) -> dict[
     with entry.make().reader(path) as (count, images):
         window = min(WINDOW, count)
         images(0, window)
-        done, start = 0, clock.now_ns()
+        done, start, cpu = 0, clock.now_ns(), cpu_seconds()
         while clock.now_ns() - start < seconds * SECOND_NS:
             first = int(rng.integers(0, count - window + 1))
             done += len(images(first, window))
-        return {"frames": done, "seconds": (clock.now_ns() - start) / SECOND_NS}
+        took = clock.now_ns() - start
+        return {"frames": done, "seconds": took / SECOND_NS, "cpu": cpu_seconds() - cpu}
 
 
 def append_until_killed(entry: stores.Entry, path: Path, *, accepted: str) -> dict[str, Any]:
