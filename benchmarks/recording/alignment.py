@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.recording.measure import Scale
+from benchmarks.recording.measure import Scale, cpu_seconds
 from benchmarks.recording.motion import (
     EXPOSURE,
     LATENCY,
@@ -95,6 +95,10 @@ class Alignment:
     """`Session.window` of 16 rows with decoded images and all streams [s]."""
     windows_align: float
     """The same without images [s]."""
+    window_images: float
+    """Images per second of CPU time of `Session.window`."""
+    stream_images: float
+    """Images per second of CPU time of `Stream.images` for the same rows."""
     mock: tuple[Method, ...] = ()
     """Results on a session from the mock bench, compared with its World's ground truth."""
     mock_missing: str = ""
@@ -126,7 +130,7 @@ def alignment(
     latencies = tuple(
         measure_latency(session, motion, recorded, late) for late in (0.0, *UNCORRECTED)
     )
-    with_images, without = _time_windows(session, recorded)
+    windows = _time_windows(session, recorded)
     mock: tuple[Method, ...] = ()
     missing = "skipped in quick runs"
     if scale.targets:
@@ -134,7 +138,7 @@ def alignment(
 
         steps.step("alignment: a session on the mock bench", _mock_seconds(scale))
         mock, missing = compare_mock(collect, scale.targets, place)
-    return Alignment(methods, latencies, with_images, without, mock, missing)
+    return Alignment(methods, latencies, *windows, mock, missing)
 
 
 def measure_methods(session: Session, motion: Motion, recorded: Recorded) -> tuple[Method, ...]:
@@ -289,16 +293,27 @@ def _timed(sources: Sources, once: Callable[[Times], object]) -> float:
     return float(np.median(took)) * 1e-9
 
 
-def _time_windows(session: Session, recorded: Recorded) -> tuple[float, float]:
-    """Return the mean time of `Session.window` with images, and of its alignment alone [s]."""
+def _time_windows(session: Session, recorded: Recorded) -> tuple[float, float, float, float]:
+    """Return the times of `Session.window` with images, of its alignment alone [s], and rates.
+
+    The rates are images per second of CPU time, of `Session.window` and of `Stream.images`.
+    """
     clock, rng, when = SystemClock(), np.random.default_rng(0), ticks(recorded)
     sources = session.sources(0)
     aligned = _timed(sources, lambda some: align_window(some, sources))
-    done, start = 0, clock.now_ns()
-    while clock.now_ns() - start < _WINDOWS_SECONDS * SECOND_NS:
-        session.window(int(rng.choice(when)), WINDOW)
+    camera, when = session.streams["camera"], when[2 * WINDOW :]
+    done, took, cpu, cpu_images = 0, 0, 0.0, 0.0
+    while took < _WINDOWS_SECONDS * SECOND_NS:
+        # Alternating, so that both see the same state of the machine.
+        start, before = clock.now_ns(), cpu_seconds()
+        window = session.window(int(rng.choice(when)), WINDOW)
+        took += clock.now_ns() - start
+        between = cpu_seconds()
+        camera.images(window.signal_row)
+        cpu, cpu_images = cpu + between - before, cpu_images + cpu_seconds() - between
         done += 1
-    return (clock.now_ns() - start) / SECOND_NS / done, aligned
+    images = done * WINDOW
+    return took / SECOND_NS / done, aligned, images / cpu, images / cpu_images
 
 
 def _mock_seconds(scale: Scale) -> float:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import simplejpeg
 
 from benchmarks.recording import stores
 from benchmarks.recording.frames import HEIGHT, WIDTH, GelFrames
@@ -68,6 +69,19 @@ def read(entry: stores.Entry, path: Path, *, seconds: float, seed: int) -> dict[
         return {"frames": done, "seconds": took / SECOND_NS, "cpu": cpu_seconds() - cpu}
 
 
+def decode(entry: stores.Entry, path: Path, *, seconds: float) -> dict[str, Any]:
+    """Decode the JPEGs of the frames from memory: no store that keeps them can read faster."""
+    clock, frames = SystemClock(), GelFrames()
+    jpegs = [frames.jpeg(number) for number in range(WINDOW)]
+    out = np.empty((WINDOW, HEIGHT, WIDTH, 3), np.uint8)
+    done, start, cpu = 0, clock.now_ns(), cpu_seconds()
+    while clock.now_ns() - start < seconds * SECOND_NS:
+        for image, jpeg in zip(out, jpegs, strict=True):
+            simplejpeg.decode_jpeg(jpeg, buffer=image)
+        done += WINDOW
+    return {"frames": done, "cpu": cpu_seconds() - cpu}
+
+
 def append_until_killed(entry: stores.Entry, path: Path, *, accepted: str) -> dict[str, Any]:
     """Append as fast as possible; after each accepted frame write the count into `accepted`."""
     frames = GelFrames()
@@ -93,7 +107,13 @@ def inspect(entry: stores.Entry, path: Path) -> dict[str, Any]:
     return answer
 
 
-_ACTIONS = {"write": write, "read": read, "kill": append_until_killed, "inspect": inspect}
+_ACTIONS = {
+    "write": write,
+    "read": read,
+    "decode": decode,
+    "kill": append_until_killed,
+    "inspect": inspect,
+}
 
 
 def main(argv: list[str]) -> int:
