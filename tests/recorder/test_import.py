@@ -336,3 +336,41 @@ def test_the_command_line_says_what_was_assumed(
     assert main([*command, "--taxels-hz", "60"]) == 2
     assert "exists already" in capsys.readouterr().err
     assert main(["check", out]) == 0
+
+
+def test_several_files_of_a_kind_become_a_stream_each(tmp_path: Path) -> None:
+    top, side = jpegs(30), jpegs(30)[::-1]
+    (tmp_path / "a=b.avi").write_bytes(avi(top))  # the name of a file may hold a =
+    side_file = saved(tmp_path / "side.avi", avi(side))
+    left = saved(tmp_path / "left.npy", np.linspace(0, 1, 30))
+    right = saved(tmp_path / "right.npy", np.linspace(2, 3, 60))
+    words = ["import", str(tmp_path / "s.zarr"), "--sensor", "wedge", "--indenter", "ball"]
+    words += ["--video", f"top={tmp_path / 'a=b.avi'}", "--video", f"side={side_file}"]
+    words += ["--force", f"left={left}", "--force", f"right={right}", "--units", "N"]
+    words += ["--force-hz", "left=30", "--force-hz", "right=60"]
+    assert main(words) == 0
+    session = Session(tmp_path / "s.zarr")
+    assert check(session.path) == []
+    assert session.order == ["top", "side", "left", "right"]
+    assert [*session.streams["side"].jpegs(range(30))] == side
+    assert session.columns == {"top": "image", "side": "side", "left": "wrench", "right": "right"}
+    assert session.streams["right"].rate_hz == 60
+    assert session.frames["right"][5, 2] < -2 < session.frames["wrench"][5, 2]
+    assert set(session.attrs["imported"]["files"]) == {"top", "side", "left", "right"}
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["--video", "a.avi", "--video", "b.avi"], "--video: found 'camera' twice; name them"),
+        (["--video", "x=a.avi", "--video", "x=b.avi"], "--video: found 'x' twice"),
+        (["--video", "x=a.avi", "--fps", "y=3"], "--fps: found 3 of y without the file"),
+        (["--video", "a.avi", "--fps", "fast"], "--fps: found"),
+    ],
+)
+def test_files_and_rates_that_do_not_fit_are_refused(
+    words: list[str], text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    head = ["import", str(tmp_path / "s.zarr"), "--sensor", "wedge", "--indenter", "ball"]
+    assert main([*head, *words]) == 2
+    assert text in capsys.readouterr().err
