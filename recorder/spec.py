@@ -24,6 +24,9 @@ OUTCOMES = ("complete", "force_limited", "interrupted", "stopped")
 # Allowed values of a session's `status`.
 STATUSES = ("recording", "complete", "stopped", "recovered")
 
+# Largest rate of a stream or of the frames view; larger ones are mistakes, such as ns for s.
+RATE_MAX_HZ = 1e6
+
 _DTYPES = ("uint8", "uint16", "int8", "int16", "int32", "int64", "float32", "float64")
 _WRENCH_UNITS = "N, N m"
 _POSE_UNITS = "m, rad"
@@ -247,8 +250,10 @@ class StreamSpec:
             raise SessionError(f"{self.name}: found columns {names}, expected an int64 time last")
         if sum(column.is_image for column in self.columns) > 1:
             raise SessionError(f"{self.name}: found several image columns, at most one is possible")
-        if not self.rate_hz > 0:
-            raise SessionError(f"{self.name}: found rate_hz {self.rate_hz}, expected more than 0")
+        if not 0 < self.rate_hz <= RATE_MAX_HZ:
+            raise SessionError(
+                f"{self.name}: found rate_hz {self.rate_hz}; allowed: above 0 to {RATE_MAX_HZ:g}"
+            )
         traits = self.traits
         value = self.value
         allowed = ["none"]

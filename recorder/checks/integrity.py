@@ -24,9 +24,10 @@ from recorder.spec import (
     taxels_spec,
 )
 from recorder.store.files import Files, read_document
-from recorder.store.journal import HEADER, MAGIC, checksum
+from recorder.store.journal import CRC_BYTES, HEADER, record_matches
 from recorder.store.layout import CHUNKS_PER_SHARD, PARTIAL, Layout, StreamLayout
-from recorder.store.shard import MISSING, read_index
+from recorder.store.shard import MISSING, read_shard_index
+from recorder.store.tables import Table
 
 
 def check_arrays(files: Files, session: Path) -> Iterator[Finding]:
@@ -60,9 +61,9 @@ def check_table(files: Files, session: Path, name: str) -> Iterator[Finding]:
             yield Finding("missing-chunk", where, f"{len(missing)} missing, first {missing[0]}")
             continue
         try:
-            np.asarray(files.array(group))
-        except (RuntimeError, ValueError) as error:
-            yield Finding("bad-crc", where, f"a chunk does not decode: {error}")
+            Table.of_group(session / name, files)[group.name]
+        except SessionError as error:
+            yield Finding("bad-crc", where, str(error))
     if len(set(lengths.values())) > 1:
         yield Finding("unequal-lengths", name, f"found {lengths}")
 
@@ -110,34 +111,28 @@ def check_chunks(session: Path, layout: Layout) -> tuple[list[Finding], NDArray[
 def _check_shard(
     layout: Layout, shard: int, contents: NDArray[np.uint32], faults: dict[str, list[str]]
 ) -> None:
-    index = read_index(layout.shard(shard), layout.files)
+    index = read_shard_index(layout, shard)
     data = layout.files.read(layout.shard(shard))
     for place in range(len(contents)):
         number = shard * CHUNKS_PER_SHARD + place
         row = number * layout.rows_per_chunk
-        offset, nbytes = (int(value) for value in index[place])
+        offset, nbytes = (int(value) for value in index.entries[place])
         if offset == MISSING:
             faults.setdefault("missing-chunk", []).append(f"row {row}")
             continue
         payload = data[offset : offset + nbytes]
         head = data[max(offset - HEADER.size, 0) : offset]
-        contents[place] = google_crc32c.value(payload)
-        if not _is_record(head, payload, number):
+        matches = record_matches(head, payload, number)
+        if index.crcs is None:
+            contents[place] = google_crc32c.value(payload)
+        else:
+            contents[place] = index.crcs[place]
+            payload, crc = payload[:-CRC_BYTES], payload[-CRC_BYTES:]
+            matches = matches and int.from_bytes(crc, "little") == index.crcs[place]
+        if not matches:
             faults.setdefault("bad-crc", []).append(f"row {row}")
         elif layout.column.codec == "jpeg" and not _is_jpeg(payload):
             faults.setdefault("bad-image", []).append(f"row {row}")
-
-
-def _is_record(head: bytes, payload: bytes, number: int) -> bool:
-    if len(head) != HEADER.size:
-        return False
-    magic, nbytes, crc, t_ns, index = HEADER.unpack(head)
-    return bool(
-        magic == MAGIC
-        and nbytes == len(payload)
-        and index == number & 0xFFFFFFFF
-        and crc == checksum(payload, t_ns, number)
-    )
 
 
 def _is_jpeg(payload: bytes) -> bool:

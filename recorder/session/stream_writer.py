@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 
 from recorder.errors import SessionError
 from recorder.store import images
+from recorder.store.column import ColumnReader
 from recorder.store.durable import TEMPORARY, Background
 from recorder.store.journal import (
+    CRC_BYTES,
     HEADER,
     Journal,
     JournalledRows,
@@ -27,7 +29,13 @@ from recorder.store.journal import (
 )
 from recorder.store.layout import CHUNKS_PER_SHARD, PARTIAL, Layout, StreamLayout, decoded_rows
 from recorder.store.rows import RowPacker
-from recorder.store.shard import ColumnLog, OpenShard, chunk_count, read_index, scan_partial
+from recorder.store.shard import (
+    ColumnLog,
+    OpenShard,
+    chunk_count,
+    read_shard_index,
+    scan_partial,
+)
 
 # State of a stream after its writer stopped, however that happened, and how to resume it.
 #
@@ -92,7 +100,7 @@ def count_chunks(column: Layout) -> tuple[int, int]:
         elif number < numbers[-1]:  # no shard is begun before the previous one is full
             held = CHUNKS_PER_SHARD
         else:
-            held = chunk_count(read_index(column.shard(number)))
+            held = chunk_count(read_shard_index(column, number).entries)
         if chunks == number * CHUNKS_PER_SHARD:
             chunks += held
     return chunks, torn
@@ -201,17 +209,12 @@ def _spread(lengths: list[int]) -> int:
 def _read_chunk(column: Layout, chunk: int) -> NDArray[Any]:
     number, place = divmod(chunk, CHUNKS_PER_SHARD)
     path = column.partial(number)
-    if path.exists():
-        record = scan_partial(column, number)[0][place]
-        offset, nbytes = record.offset, record.nbytes
-    else:
-        path = column.shard(number)
-        offset, nbytes = (int(value) for value in read_index(path)[place])
+    if not path.exists():
+        return decoded_rows(column, ColumnReader(column).chunk(chunk))
+    record = scan_partial(column, number)[0][place]  # its checksum matched
     with path.open("rb") as file:
-        file.seek(offset)
-        data = file.read(nbytes)
-    if len(data) != nbytes:
-        raise SessionError(f"{path}: chunk {place} is cut short")
+        file.seek(record.offset)
+        data = file.read(record.nbytes - (CRC_BYTES if column.chunk_crc else 0))
     return decoded_rows(column, data)
 
 
@@ -276,14 +279,20 @@ class StreamWriter:
         array of the declared shape. Float columns accept integers; only they accept NaN.
 
         Raises:
-            SessionError: A missing, unknown or ill-typed column, or a closed writer.
+            SessionError: A missing, unknown or ill-typed column, a closed writer, or damage that
+                keeps earlier rows from being sealed. The row is not stored; earlier rows are.
             OSError: The disk is full or failing. The row is not stored; earlier rows are.
         """
         if self._closed:
             raise SessionError(f"{self._layout.name}: the writer is closed")
         if self._background.failure is not None:
             failure = self._background.failure
-            raise OSError(failure.errno, failure.strerror, failure.filename) from failure
+            if isinstance(failure, OSError):
+                raise OSError(failure.errno, failure.strerror, failure.filename) from failure
+            raise SessionError(
+                f"{self._layout.name}: recording stopped, rows could not be sealed: "
+                f"{type(failure).__name__}: {failure}"
+            ) from failure
         row = self._pack(columns)
         t_ns = int(columns[self._time])
         if self._image is None:

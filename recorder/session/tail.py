@@ -10,9 +10,10 @@ from typing import Self
 
 from recorder.errors import SessionError
 from recorder.store import images
-from recorder.store.journal import HEADER, MAGIC, checksum
+from recorder.store.column import ColumnReader
+from recorder.store.journal import CHUNK_MAGIC, CRC_BYTES, HEADER, MAGIC, record_matches
 from recorder.store.layout import CHUNKS_PER_SHARD, Layout, StreamLayout
-from recorder.store.shard import MISSING, read_index
+from recorder.store.shard import MISSING, read_shard_index
 
 
 class ImageTail:
@@ -50,11 +51,9 @@ class ImageTail:
         # Either just sealed, or not written yet.
         if not self._layout.shard(number).exists():
             return None
-        offset, nbytes = (int(v) for v in read_index(self._layout.shard(number))[place])
-        if offset == MISSING:
+        if read_shard_index(self._layout, number).entries[place, 0] == MISSING:
             return None
-        with self._layout.shard(number).open("rb") as file:
-            return os.pread(file.fileno(), nbytes, offset)
+        return ColumnReader(self._layout).chunk(row)
 
     def jpeg(self, row: int, *, quality: int = 80) -> bytes | None:
         """Return the image of a row as JPEG, or None if it is not complete yet.
@@ -92,18 +91,16 @@ class ImageTail:
         head = os.pread(self._fd, HEADER.size, self._offsets[place])
         if len(head) < HEADER.size:
             return None
-        magic, nbytes, crc, t_ns, index = HEADER.unpack(head)
-        data = os.pread(self._fd, nbytes, self._offsets[place] + HEADER.size)
-        whole = magic == MAGIC and index == row & 0xFFFFFFFF and len(data) == nbytes
-        if whole and checksum(data, t_ns, index) == crc:
-            return data
+        data = os.pread(self._fd, HEADER.unpack(head)[1], self._offsets[place] + HEADER.size)
+        if record_matches(head, data, row):
+            return data[:-CRC_BYTES] if self._layout.chunk_crc else data
         # Half written, or the writer removed a record: start again on the next call.
         self.close()
         return None
 
     def _end_of_record(self, offset: int) -> int | None:
         head = os.pread(self._fd, HEADER.size, offset)
-        if len(head) < HEADER.size or head[:4] != MAGIC:
+        if len(head) < HEADER.size or head[:4] not in (MAGIC, CHUNK_MAGIC):
             return None
         return offset + HEADER.size + int(HEADER.unpack(head)[1])
 

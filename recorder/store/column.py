@@ -1,6 +1,7 @@
 """Read the chunks of one column directly from its shards, local or remote.
 
-A chunk that is declared but missing is an error here; a plain Zarr reader returns fill values.
+The checksum of every chunk is verified. A chunk that is declared but missing is an error here; a
+plain Zarr reader returns fill values.
 """
 
 from __future__ import annotations
@@ -15,8 +16,9 @@ from typing import Any
 import numpy as np
 
 from recorder.errors import SessionError
+from recorder.store.journal import CRC_BYTES, HEADER, ends_with_its_crc, record_matches
 from recorder.store.layout import CHUNKS_PER_SHARD, Layout, decoded_rows
-from recorder.store.shard import MISSING, Index, read_index
+from recorder.store.shard import MISSING, ShardIndex, read_shard_index
 
 Array = np.ndarray[Any, Any]
 
@@ -37,13 +39,13 @@ class ColumnReader:
         self.layout = layout
         self.rows = layout.rows()
         self._local = layout.files.local
-        self._indices: dict[int, Index] = {}
+        self._indices: dict[int, ShardIndex] = {}
 
     def chunk(self, number: int) -> bytes:
-        """Return an encoded chunk.
+        """Return an encoded chunk, without its checksum.
 
         Raises:
-            SessionError: It is missing or truncated.
+            SessionError: It is missing, truncated or corrupt.
         """
         if not self._local:
             return next(self.chunks([number]))
@@ -55,15 +57,13 @@ class ColumnReader:
             data = os.pread(fd, nbytes, offset)
         finally:
             os.close(fd)
-        if len(data) != nbytes:
-            raise SessionError(f"{path}: chunk {place} is cut short")
-        return data
+        return self._verified(data, nbytes, number)
 
     def chunks(self, numbers: Sequence[int]) -> Iterator[bytes]:
         """Yield encoded chunks; from a remote store several are fetched concurrently.
 
         Raises:
-            SessionError: One is missing or truncated.
+            SessionError: One is missing, truncated or corrupt.
         """
         if self._local:
             yield from map(self.chunk, numbers)
@@ -71,7 +71,7 @@ class ColumnReader:
         for first in range(0, len(numbers), _BATCH):
             batch = numbers[first : first + _BATCH]
             for shard, of_shard in groupby(batch, lambda number: number // CHUNKS_PER_SHARD):
-                yield from self._fetched(shard, [n % CHUNKS_PER_SHARD for n in of_shard])
+                yield from self._fetched(shard, list(of_shard))
 
     def rows_between(self, start: int, stop: int) -> Array:
         """Return rows [start, stop) (n, ...) of a small column, reading only their chunks.
@@ -81,8 +81,10 @@ class ColumnReader:
         """
         step = self.layout.rows_per_chunk
         stop = min(stop, self.rows)
-        out = np.empty((max(stop - start, 0), *self.layout.column.shape), self.layout.dtype)
         numbers = range(start // step, -(-stop // step)) if stop > start else range(0)
+        for number in numbers[::CHUNKS_PER_SHARD]:  # the shards exist before memory is allocated
+            self._shard_index(number // CHUNKS_PER_SHARD)
+        out = np.empty((max(stop - start, 0), *self.layout.column.shape), self.layout.dtype)
         for number, data in zip(numbers, self.chunks(numbers), strict=True):
             low, high = max(start, number * step), min(stop, (number + 1) * step)
             rows = decoded_rows(self.layout, data)
@@ -98,22 +100,46 @@ class ColumnReader:
         return self.rows_between(0, self.rows)
 
     def _range(self, path: Path, shard: int, place: int) -> tuple[int, int]:
-        if shard not in self._indices:
-            self._indices[shard] = read_index(path, self.layout.files)
-        offset, nbytes = (int(value) for value in self._indices[shard][place])
+        """Return the bytes to read for a chunk: with its record header if only this has a CRC."""
+        offset, nbytes = (int(value) for value in self._shard_index(shard).entries[place])
         if offset == MISSING:
             raise SessionError(f"{self.layout.files.name(path)}: chunk {place} is missing")
-        return offset, nbytes
+        if self.layout.chunk_crc:
+            return offset, nbytes
+        if offset < HEADER.size:
+            raise SessionError(f"{self.layout.files.name(path)}: chunk {place} has no record")
+        return offset - HEADER.size, nbytes + HEADER.size
 
-    def _fetched(self, shard: int, places: list[int]) -> Iterator[bytes]:
+    def _shard_index(self, shard: int) -> ShardIndex:
+        if shard not in self._indices:
+            self._indices[shard] = read_shard_index(self.layout, shard)
+        return self._indices[shard]
+
+    def _verified(self, data: bytes, nbytes: int, number: int) -> bytes:
+        shard, place = divmod(number, CHUNKS_PER_SHARD)
+        crcs = self._indices[shard].crcs
+        if len(data) != nbytes:
+            fault = "is cut short"
+        elif crcs is None:
+            head, chunk = data[: HEADER.size], data[HEADER.size :]
+            if record_matches(head, chunk, number):
+                return chunk
+            fault = "does not match its checksum"
+        else:
+            listed = int(crcs[place]).to_bytes(CRC_BYTES, "little")
+            if ends_with_its_crc(data) and data.endswith(listed):
+                return data[:-CRC_BYTES]
+            fault = "does not match its checksum"
+        name = self.layout.files.name(self.layout.shard(shard))
+        row = number * self.layout.rows_per_chunk
+        raise SessionError(f"{name}: chunk {place} (row {row}) {fault}")
+
+    def _fetched(self, shard: int, numbers: list[int]) -> Iterator[bytes]:
         files, path = self.layout.files, self.layout.shard(shard)
-        wanted = [self._range(path, shard, place) for place in places]
-        for place, (_, nbytes), data in zip(
-            places, wanted, files.ranges(path, wanted), strict=True
-        ):
-            if len(data) != nbytes:
-                raise SessionError(f"{files.name(path)}: chunk {place} is cut short")
-            yield data
+        wanted = [self._range(path, shard, number % CHUNKS_PER_SHARD) for number in numbers]
+        fetched = files.ranges(path, wanted)
+        for number, (_, nbytes), data in zip(numbers, wanted, fetched, strict=True):
+            yield self._verified(data, nbytes, number)
 
 
 class LazyRows:

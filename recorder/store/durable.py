@@ -93,13 +93,13 @@ def _plain(value: object) -> object:
 class Background:
     """Thread that runs jobs in order, and a flush every `interval` seconds.
 
-    A job that fails remains first in the queue, with its error in `failure`; no other job runs
-    until `drain`.
+    A job that fails, for whatever reason, remains first in the queue, with its error in `failure`;
+    no other job runs until `drain`. The thread never ends with jobs undone and no `failure`.
     """
 
     def __init__(self, flush: Callable[[], None], *, interval: float, name: str) -> None:
         """Start the thread."""
-        self.failure: OSError | None = None
+        self.failure: BaseException | None = None
         self._flush = flush
         self._interval = interval
         self._jobs: deque[Callable[[], None]] = deque()
@@ -123,7 +123,7 @@ class Background:
         """Run the remaining jobs in the calling thread, after `stop`.
 
         Raises:
-            OSError: A job failed again.
+            OSError, SessionError: A job failed again.
         """
         while self._jobs:
             self._jobs[0]()
@@ -140,5 +140,5 @@ class Background:
                     self._jobs.popleft()
                 if self.failure is None:
                     self._flush()
-            except OSError as error:
+            except BaseException as error:  # the thread that appends must learn of any error
                 self.failure = error

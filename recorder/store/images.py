@@ -35,31 +35,51 @@ def compress(data: bytes | memoryview) -> bytes:
     return packed
 
 
-def decompress(data: bytes) -> bytes:
-    """Return the content of one zstd frame.
+def decompress(data: bytes, nbytes: int) -> bytes:
+    """Return the content of one zstd frame, which must be `nbytes` long.
 
     Raises:
-        SessionError: The frame is corrupt.
+        SessionError: The frame is corrupt, or declares another length; nothing is allocated then.
     """
+    declared = _zstd_content_size(data)
+    if declared != nbytes:
+        raise SessionError(f"zstd: found {declared} bytes, expected {nbytes}")
     try:
         plain: bytes = numcodecs.zstd.decompress(data)
     except RuntimeError as error:
         raise SessionError(f"zstd: {error}") from error
+    if len(plain) != nbytes:
+        raise SessionError(f"zstd: found {len(plain)} bytes, expected {nbytes}")
     return plain
+
+
+def _zstd_content_size(data: bytes) -> int | None:
+    """Return the length that the header of a zstd frame declares (RFC 8878, 3.1.1), or None."""
+    if len(data) < 6 or data[:4] != b"\x28\xb5\x2f\xfd":
+        return None
+    flags = data[4]
+    single = flags >> 5 & 1
+    width = (single, 2, 4, 8)[flags >> 6]
+    start = 5 + (not single) + (0, 1, 2, 4)[flags & 3]
+    field = data[start : start + width]
+    if not width or len(field) < width:
+        return None
+    return int.from_bytes(field, "little") + (256 if width == 2 else 0)
 
 
 def decode_jpeg(data: bytes, shape: tuple[int, ...]) -> Image:
     """Return the pixels of a JPEG as uint8 `shape` = (h, w, 1 or 3), RGB.
 
     Raises:
-        SessionError: Not a JPEG, corrupt, or of a different size.
+        SessionError: Not a JPEG, corrupt, or of a different size; its size is checked first.
     """
     try:
+        found = simplejpeg.decode_jpeg_header(data)[:2]
+        if found != shape[:2]:
+            raise SessionError(f"jpeg: found {found}, expected {shape}")
         image: Image = simplejpeg.decode_jpeg(data, colorspace=_COLORSPACE[shape[2]])
     except ValueError as error:
         raise SessionError(f"jpeg: {error}") from error
-    if image.shape != shape:
-        raise SessionError(f"jpeg: found {image.shape}, expected {shape}")
     return image
 
 
@@ -83,10 +103,7 @@ def decoder(column: Column) -> Callable[[bytes], Image]:
     dtype = np.dtype(column.dtype).newbyteorder("<")
 
     def decode(data: bytes) -> Image:
-        plain = decompress(data)
-        if len(plain) != column.row_bytes:
-            raise SessionError(f"zstd: found {len(plain)} bytes, expected {column.row_bytes}")
-        return np.frombuffer(plain, dtype).reshape(shape)
+        return np.frombuffer(decompress(data, column.row_bytes), dtype).reshape(shape)
 
     return decode
 

@@ -6,6 +6,7 @@ Every column is one array with uniform chunking: `rows_per_chunk` rows per inner
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self
@@ -13,12 +14,17 @@ from typing import Any, Self
 import numpy as np
 
 from recorder.errors import SessionError
-from recorder.spec import FORMAT, FORMAT_VERSION, Column, StreamSpec
+from recorder.spec import FORMAT, FORMAT_VERSION, RATE_MAX_HZ, STATUSES, Column, StreamSpec
 from recorder.store import images
 from recorder.store.durable import read_json, write_json
 from recorder.store.files import LOCAL, Files, read_document
 
 CHUNKS_PER_SHARD = 64
+# Largest metadata accepted, so that a corrupt or hostile file cannot make a reader allocate memory.
+ROWS_MAX = 1 << 40
+SIDE_MAX = 1 << 16
+ROW_BYTES_MAX = 1 << 28
+CHUNK_BYTES_MAX = 1 << 30
 # Suffix of a shard that is still growing; Zarr readers ignore it.
 PARTIAL = ".partial"
 
@@ -35,6 +41,8 @@ class Layout:
     """Rows per inner chunk; 1 for images."""
     files: Files = field(default=LOCAL, repr=False, compare=False)
     """File access for the directory."""
+    chunk_crc: bool = True
+    """True if every chunk ends with its CRC-32C; False in sessions of format version 1."""
     dtype: np.dtype[Any] = field(init=False)
     """Little-endian numpy type of the column."""
 
@@ -77,8 +85,14 @@ class Layout:
         return [n for n in numbers if self.shard(n).exists() or self.partial(n).exists()]
 
     def rows(self) -> int:
-        """Return the declared length of the array, as every Zarr reader sees it."""
-        return int(read_document(self.files, self.path / "zarr.json")["shape"][0])
+        """Return the declared length of the array, as every Zarr reader sees it.
+
+        Raises:
+            SessionError: The metadata is missing, not readable, or declares an impossible shape.
+        """
+        document = read_document(self.files, self.path / "zarr.json")
+        check_shape(document.get("shape"), self.column.dtype, self.files.name(self.path))
+        return int(document["shape"][0])
 
     def set_rows(self, rows: int) -> None:
         """Set the declared length of the array, atomically."""
@@ -111,7 +125,7 @@ class Layout:
                     "name": "sharding_indexed",
                     "configuration": {
                         "chunk_shape": list(self.chunk_shape),
-                        "codecs": _inner_codecs(column),
+                        "codecs": _inner_codecs(column, self.chunk_crc),
                         "index_codecs": [
                             {"name": "bytes", "configuration": {"endian": "little"}},
                             {"name": "crc32c"},
@@ -134,6 +148,7 @@ class Layout:
         """
         document = read_document(files, path / "zarr.json")
         try:
+            check_shape(document["shape"], document["data_type"], files.name(path))
             (sharding,) = (codec["configuration"] for codec in document["codecs"])
             inner = sharding["codecs"][0]["name"]
             attributes = document["attributes"]
@@ -146,7 +161,17 @@ class Layout:
                 description=attributes.get("description", ""),
                 codec="jpeg" if inner == "imagecodecs_jpeg" else "zstd",
             )
-            layout = cls(path, column, sharding["chunk_shape"][0], files)
+            chunk_crc = sharding["codecs"][-1]["name"] == "crc32c"
+            per_chunk = sharding["chunk_shape"][0]
+            if (
+                type(per_chunk) is not int
+                or not 0 < per_chunk * column.row_bytes <= CHUNK_BYTES_MAX
+            ):
+                raise SessionError(
+                    f"{files.name(path)}: found chunk_shape {sharding['chunk_shape']}; allowed: "
+                    f"up to {CHUNK_BYTES_MAX} bytes"
+                )
+            layout = cls(path, column, per_chunk, files, chunk_crc)
             expected = layout._document()
             found = {key: document[key] for key in ("node_type", "chunk_grid", "codecs")}
         except (KeyError, TypeError, ValueError, IndexError) as error:
@@ -155,6 +180,39 @@ class Layout:
             if value != expected[key]:
                 raise SessionError(f"{path}: found {key} {value}, expected {expected[key]}")
         return layout
+
+
+def check_shape(shape: object, dtype: str, where: str) -> None:
+    """Reject the shape of an array that no session has, before anything is allocated for it.
+
+    Raises:
+        SessionError: Not a list of whole numbers, or too large.
+    """
+    if (
+        not isinstance(shape, list)
+        or not shape
+        or not all(type(length) is int for length in shape)
+        or not 0 <= shape[0] <= ROWS_MAX
+        or not all(0 < length <= SIDE_MAX for length in shape[1:])
+        or math.prod(shape[1:]) * np.dtype(dtype).itemsize > ROW_BYTES_MAX
+    ):
+        raise SessionError(
+            f"{where}: found shape {shape!r:.200}; allowed: up to {ROWS_MAX} rows, each with sides "
+            f"up to {SIDE_MAX} and {ROW_BYTES_MAX} bytes"
+        )
+
+
+def check_rate(rate_hz: object, where: str) -> None:
+    """Reject a rate that no device has.
+
+    Raises:
+        SessionError: Not a number above 0, or above `RATE_MAX_HZ`.
+    """
+    number = isinstance(rate_hz, int | float) and not isinstance(rate_hz, bool)
+    if not number or not 0 < rate_hz <= RATE_MAX_HZ:  # type: ignore[operator]
+        raise SessionError(
+            f"{where}: found rate_hz {rate_hz!r:.80}; allowed: above 0 to {RATE_MAX_HZ:g}"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,12 +275,14 @@ class StreamLayout:
         Raises:
             SessionError: Not a stream, or its columns are inconsistent.
         """
-        names = read_document(files, path / "zarr.json").get("attributes", {}).get("columns")
+        attrs = read_document(files, path / "zarr.json").get("attributes", {})
+        names = attrs.get("columns") if isinstance(attrs, dict) else None
         if not isinstance(names, list) or not names:
             raise SessionError(f"{path}: found no attrs columns, expected a stream")
         for name in map(str, names):
             if Path(name).name != name or name == "..":  # must not lead out of the stream
                 raise SessionError(f"{path}: found column {name!r}, expected a plain name")
+        check_rate(attrs.get("rate_hz"), files.name(path))
         columns = [Layout.load(path / str(name), files) for name in names]
         small = tuple(column for column in columns if not column.column.is_image)
         images_ = [column for column in columns if column.column.is_image]
@@ -274,13 +334,13 @@ def merge_attrs(path: Path, attrs: dict[str, Any]) -> None:
         write_json(path / "zarr.json", document)
 
 
-def _inner_codecs(column: Column) -> list[dict[str, Any]]:
-    if column.codec == "jpeg":
-        return [{"name": "imagecodecs_jpeg", "configuration": {"level": images.JPEG_QUALITY}}]
-    return [
+def _inner_codecs(column: Column, chunk_crc: bool) -> list[dict[str, Any]]:
+    jpeg = [{"name": "imagecodecs_jpeg", "configuration": {"level": images.JPEG_QUALITY}}]
+    zstd = [
         {"name": "bytes", "configuration": {"endian": "little"}},
         {"name": "zstd", "configuration": {"level": images.ZSTD_LEVEL, "checksum": False}},
     ]
+    return (jpeg if column.codec == "jpeg" else zstd) + [{"name": "crc32c"}] * chunk_crc
 
 
 def _numbered(shape: tuple[int, ...]) -> list[str]:
@@ -293,10 +353,10 @@ def decoded_rows(layout: Layout, data: bytes) -> np.ndarray[Any, Any]:
     Raises:
         SessionError: The chunk is corrupt.
     """
-    plain = images.decompress(data)
-    if len(plain) != layout.chunk_bytes:
-        due = layout.chunk_bytes
-        raise SessionError(f"{layout.path}: found a chunk of {len(plain)} bytes, expected {due}")
+    try:
+        plain = images.decompress(data, layout.chunk_bytes)
+    except SessionError as error:
+        raise SessionError(f"{layout.path}: {error}") from error
     return np.frombuffer(plain, layout.dtype).reshape(layout.chunk_shape)
 
 
@@ -316,9 +376,35 @@ def read_session_attrs(path: Path, files: Files = LOCAL) -> dict[str, Any]:
     """Return the attributes of a session.
 
     Raises:
-        SessionError: Not a session, or a newer format.
+        SessionError: Not a session, a newer format, or an impossible status, run or rate.
     """
-    return read_attrs(path, files, what="session", format_=FORMAT, version=FORMAT_VERSION)
+    attrs = read_attrs(path, files, what="session", format_=FORMAT, version=FORMAT_VERSION)
+    name = files.name(path)
+    if attrs["status"] not in STATUSES:
+        known = ", ".join(STATUSES)
+        raise SessionError(f"{name}: found status {attrs['status']!r:.80}; allowed: {known}")
+    if "rate_hz" in attrs:
+        check_rate(attrs["rate_hz"], name)
+    _check_runs(attrs["runs"], name)
+    return attrs
+
+
+def _check_runs(runs: object, name: str) -> None:
+    if not isinstance(runs, list):
+        raise SessionError(f"{name}: found runs {runs!r:.80}, expected a list")
+    before: dict[str, int] = {}
+    for number, run in enumerate(runs):
+        first_row = run.get("first_row") if isinstance(run, dict) else None
+        if not isinstance(first_row, dict):
+            raise SessionError(f"{name}: found runs[{number}] {run!r:.80}, expected its first_row")
+        for stream, row in first_row.items():
+            least = before.get(stream, 0)
+            if type(row) is not int or not least <= row <= ROWS_MAX:
+                raise SessionError(
+                    f"{name}: found runs[{number}] first_row {stream} {row!r:.80}; allowed: "
+                    f"{least} to {ROWS_MAX}"
+                )
+            before[stream] = row
 
 
 def read_attrs(

@@ -1,14 +1,16 @@
 """Shards that are their own write-ahead log.
 
-While it grows, a shard is a log of records (`journal.py`) in `<key>.partial`. Sealing appends the
-standard `sharding_indexed` index, whose offsets skip the record headers, makes the file durable
-and renames it to its key: from then on it is a plain Zarr v3 shard.
+While it grows, a shard is a log of records (`journal.py`) in `<key>.partial`. Sealing appends a
+list of the chunks' checksums and the standard `sharding_indexed` index, whose offsets skip the
+record headers, makes the file durable and renames it to its key: from then on it is a plain Zarr v3
+shard. The end of a shard thus identifies all of its chunks, so a digest of it covers the file.
 """
 
 from __future__ import annotations
 
 import os
 import shutil
+from dataclasses import dataclass
 from pathlib import Path
 
 import google_crc32c
@@ -18,11 +20,19 @@ from numpy.typing import NDArray
 from recorder.errors import SessionError
 from recorder.store.durable import TEMPORARY, sync_directory
 from recorder.store.files import LOCAL, Files
-from recorder.store.journal import HEADER, JournalRecord, RecordLog, scan
+from recorder.store.journal import (
+    CRC_BYTES,
+    HEADER,
+    JournalRecord,
+    RecordLog,
+    chunk_header,
+    header,
+    packed_crc,
+    scan,
+)
 from recorder.store.layout import CHUNKS_PER_SHARD, Layout
 
 MISSING = 0xFFFF_FFFF_FFFF_FFFF
-CRC_BYTES = 4
 
 # (slots, 2): offset and length of each inner chunk; both are MISSING if there is none.
 Index = NDArray[np.uint64]
@@ -37,6 +47,7 @@ class OpenShard:
         self._sealed = False
         self._layout = layout
         self._entries = [(record.offset, record.nbytes) for record in records]
+        self._crcs = [record.crc for record in records]
         path = layout.partial(number)
         path.parent.mkdir(parents=True, exist_ok=True)
         end = records[-1].end if records else 0
@@ -58,12 +69,20 @@ class OpenShard:
             OSError: It could not be written completely; the shard is unchanged.
         """
         index = self.number * CHUNKS_PER_SHARD + len(self._entries)
-        offset = self._log.append(chunk, t_ns, index)
-        self._entries.append((offset, len(chunk)))
+        if self._layout.chunk_crc:
+            crc = packed_crc(chunk)
+            head = chunk_header(len(chunk), crc, t_ns, index)
+            offset = self._log.append(head, chunk, crc)
+            self._entries.append((offset, len(chunk) + CRC_BYTES))
+            self._crcs.append(int.from_bytes(crc, "little"))
+        else:
+            offset = self._log.append(header(chunk, t_ns, index), chunk)
+            self._entries.append((offset, len(chunk)))
 
     def drop_last(self) -> None:
         """Remove the last chunk."""
         offset, _ = self._entries.pop()
+        del self._crcs[len(self._entries) :]
         self._log.truncate(offset - HEADER.size)
 
     def sync(self) -> None:
@@ -78,7 +97,7 @@ class OpenShard:
         """
         if self._sealed:
             return
-        self._log.finish(packed_index(self._entries))
+        self._log.finish(_shard_end(self._layout, self._entries, self._crcs))
         final = self._layout.shard(self.number)
         self._log.path.replace(final)
         sync_directory(final.parent)
@@ -88,6 +107,16 @@ class OpenShard:
     def close(self) -> None:
         """Close the file without sealing it."""
         self._log.close()
+
+
+def _shard_end(layout: Layout, entries: list[tuple[int, int]], crcs: list[int]) -> bytes:
+    """Return the bytes that end a shard: the checksums of its chunks, if they have any; the index.
+
+    Missing chunks have the checksum 0.
+    """
+    listed = np.zeros(CHUNKS_PER_SHARD if layout.chunk_crc else 0, "<u4")
+    listed[: len(crcs)] = crcs[: len(listed)]
+    return listed.tobytes() + packed_index(entries)
 
 
 def packed_index(entries: list[tuple[int, int]], slots: int = CHUNKS_PER_SHARD) -> bytes:
@@ -104,16 +133,55 @@ def read_index(path: Path, files: Files = LOCAL, slots: int = CHUNKS_PER_SHARD) 
     Raises:
         SessionError: No such shard, or its index is corrupt.
     """
+    return _unpacked(_tail(path, files, 16 * slots + CRC_BYTES), path, files, slots)
+
+
+def _tail(path: Path, files: Files, nbytes: int) -> bytes:
     try:
-        tail = files.tail(path, 16 * slots + CRC_BYTES)
+        tail = files.tail(path, nbytes)
     except FileNotFoundError:
         raise SessionError(f"{files.name(path)}: shard missing") from None
-    if len(tail) != 16 * slots + CRC_BYTES:
+    if len(tail) != nbytes:
         found = len(tail)
         raise SessionError(f"{files.name(path)}: {found} bytes, too short for a shard index")
-    if int(google_crc32c.value(tail[:-CRC_BYTES])) != int.from_bytes(tail[-CRC_BYTES:], "little"):
+    return tail
+
+
+def _unpacked(data: bytes, path: Path, files: Files, slots: int) -> Index:
+    if int(google_crc32c.value(data[:-CRC_BYTES])) != int.from_bytes(data[-CRC_BYTES:], "little"):
         raise SessionError(f"{files.name(path)}: checksum of the shard index does not match")
-    return np.frombuffer(tail[:-CRC_BYTES], "<u8").reshape(slots, 2)
+    return np.frombuffer(data[:-CRC_BYTES], "<u8").reshape(slots, 2)
+
+
+@dataclass(frozen=True, slots=True)
+class ShardIndex:
+    """End of a sealed shard."""
+
+    entries: Index
+    """Offset and length of each chunk."""
+    crcs: NDArray[np.uint32] | None
+    """Checksum of each chunk (64,); None in a shard whose chunks do not end with one."""
+
+
+_LIST_BYTES = 4 * CHUNKS_PER_SHARD
+# Length of the end of a shard whose chunks have checksums.
+END_BYTES = _LIST_BYTES + 16 * CHUNKS_PER_SHARD + CRC_BYTES
+
+
+def read_shard_index(layout: Layout, number: int) -> ShardIndex:
+    """Return the end of a sealed shard.
+
+    Raises:
+        SessionError: No such shard, or its index is corrupt.
+    """
+    path, files = layout.shard(number), layout.files
+    if not layout.chunk_crc:
+        return ShardIndex(read_index(path, files), None)
+    end = _tail(path, files, END_BYTES)
+    return ShardIndex(
+        _unpacked(end[_LIST_BYTES:], path, files, CHUNKS_PER_SHARD),
+        np.frombuffer(end[:_LIST_BYTES], "<u4"),
+    )
 
 
 def chunk_count(index: Index) -> int:
@@ -129,8 +197,9 @@ def scan_partial(layout: Layout, number: int) -> tuple[list[JournalRecord], int]
     records = list(scan(data, first_index=first, limit=CHUNKS_PER_SHARD))
     tail = data[records[-1].end if records else 0 :]
     # A writer that died between index and rename leaves the index at the end; nothing is torn.
-    index = packed_index([(record.offset, record.nbytes) for record in records])
-    return records, 0 if index.startswith(tail) else len(tail)
+    entries = [(record.offset, record.nbytes) for record in records]
+    end = _shard_end(layout, entries, [record.crc for record in records])
+    return records, 0 if end.startswith(tail) else len(tail)
 
 
 def reopen(layout: Layout, number: int, chunks: int) -> OpenShard:

@@ -1,5 +1,6 @@
 """Groups of columns that are written in one go: `targets` and `frames`."""
 
+import math
 from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
@@ -7,11 +8,13 @@ from typing import Any
 
 import numpy as np
 import zarr
-from zarr.codecs import ZstdCodec
+from zarr.codecs import Crc32cCodec, ZstdCodec
 
 from recorder.errors import SessionError
-from recorder.store.files import LOCAL, Files
-from recorder.store.layout import write_group
+from recorder.store import images
+from recorder.store.files import LOCAL, Files, read_document
+from recorder.store.journal import CRC_BYTES, ends_with_its_crc
+from recorder.store.layout import check_shape, write_group
 
 Array = np.ndarray[Any, Any]
 
@@ -47,7 +50,7 @@ def write_table(
             shape=column.shape,
             dtype=column.dtype,
             chunks=(_CHUNK_ROWS, *column.shape[1:]),
-            compressors=ZstdCodec(level=1, checksum=True),
+            compressors=[ZstdCodec(level=1, checksum=True), Crc32cCodec()],
             dimension_names=["row", *(f"dim_{axis}" for axis in range(1, column.ndim))],
             attributes={"units": unit, "description": description},
             config={"write_empty_chunks": True},
@@ -57,7 +60,41 @@ def write_table(
 
 
 def _column(files: Files, path: Path, name: str) -> Array:
-    return np.asarray(files.array(path / name))
+    """Return all rows of a column; `SessionError` if a chunk is missing or corrupt."""
+    array = path / name
+    where = files.name(array)
+    document = read_document(files, array / "zarr.json")
+    try:
+        shape, dtype = document["shape"], np.dtype(document["data_type"]).newbyteorder("<")
+        check_shape(shape, document["data_type"], where)
+        chunk_shape = document["chunk_grid"]["configuration"]["chunk_shape"]
+        codecs = [codec["name"] for codec in document["codecs"]]
+    except (KeyError, TypeError, ValueError) as error:
+        raise SessionError(f"{where}: not a column of a table: {error!r}") from error
+    if codecs not in (["bytes", "zstd"], ["bytes", "zstd", "crc32c"]):  # the first: version 1
+        raise SessionError(f"{where}: found codecs {codecs}, expected bytes, zstd, crc32c")
+    if chunk_shape != [_CHUNK_ROWS, *shape[1:]]:
+        raise SessionError(f"{where}: found chunk_shape {chunk_shape} of shape {shape}")
+    nbytes = math.prod(chunk_shape) * dtype.itemsize
+    chunks = []
+    for number in range(-(-shape[0] // _CHUNK_ROWS)):
+        key = array.joinpath("c", str(number), *("0" for _ in shape[1:]))
+        try:
+            data = files.read(key)
+        except FileNotFoundError:
+            raise SessionError(f"{files.name(key)}: chunk missing") from None
+        try:
+            plain = images.decompress(_without_crc(data) if "crc32c" in codecs else data, nbytes)
+        except SessionError as error:
+            raise SessionError(f"{files.name(key)}: {error}") from error
+        chunks.append(np.frombuffer(plain, dtype).reshape(chunk_shape))
+    return np.concatenate(chunks)[: shape[0]] if chunks else np.empty(shape, dtype)
+
+
+def _without_crc(data: bytes) -> bytes:
+    if not ends_with_its_crc(data):
+        raise SessionError("the chunk does not match its checksum")
+    return data[:-CRC_BYTES]
 
 
 class Table(Mapping[str, Array]):
@@ -81,6 +118,7 @@ class Table(Mapping[str, Array]):
 
         Raises:
             KeyError: No such column.
+            SessionError: A chunk is missing or corrupt.
         """
         if name not in self._names:
             raise KeyError(f"{self._path}: no column {name!r}; known: {', '.join(self._names)}")

@@ -115,7 +115,9 @@ def test_a_fault_in_what_was_recorded_is_found_and_only_it(fault: str, tmp_path:
     extra = 50 if fault == "phase of a target that is not there" else 0
     path = make_session(tmp_path / "s.zarr", change=change, finish=not extra)
     if extra:
-        edit_json(path / "zarr.json", lambda document: document["attributes"].update(status="x"))
+        edit_json(
+            path / "zarr.json", lambda document: document["attributes"].update(status="stopped")
+        )
         write_frames_without_offsets(path)
     assert [(finding.code, finding.where) for finding in check(path)] == [(code, where)]
 

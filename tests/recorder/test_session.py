@@ -19,6 +19,7 @@ from support.sessions import (
 )
 
 from recorder import (
+    FORMAT_VERSION,
     Session,
     SessionError,
     SessionWriter,
@@ -53,7 +54,7 @@ def test_a_session_holds_what_was_appended(recorded: Path) -> None:
             else:
                 np.testing.assert_array_equal(stream.array(column), values)
     assert session.status == "complete"
-    assert session.attrs["format_version"] == 2
+    assert session.attrs["format_version"] == FORMAT_VERSION
     assert session.runs[0]["first_row"] == {
         "camera": 0, "force": 0, "pose": 0, "segments": 0, "reference": 0
     }  # fmt: skip
@@ -76,7 +77,7 @@ def test_a_newer_format_is_refused_in_a_clear_sentence(recorded: Path, tmp_path:
     path = tmp_path / "s.zarr"
     shutil.copytree(recorded, path)
     document = json.loads((path / "zarr.json").read_text())
-    document["attributes"]["format_version"] = 3
+    document["attributes"]["format_version"] = FORMAT_VERSION + 1
     (path / "zarr.json").write_text(json.dumps(document))
     with pytest.raises(SessionError, match="found format_version 3, this program reads up to 2"):
         Session(path)
