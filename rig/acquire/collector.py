@@ -37,6 +37,7 @@ from rig.core.clock import ClockAnchor, SystemClock
 from rig.core.errors import DeviceLost, SafetyStop
 from rig.core.geometry import compose, transform
 from rig.devices.arm.arm import Arm
+from rig.devices.force.settings import AXES
 from trajectories import Plan, plan_to_json
 
 logger = logging.getLogger(__name__)
@@ -224,7 +225,8 @@ class Collector:
             # the zero since then is recorded in this run's tare and references.
             self._bias = np.array(previous.streams["force"].attrs["bias"])
         else:
-            self._bias = tare.mean
+            # An axis that is not measured may be NaN, and is stored as it came.
+            self._bias = np.nan_to_num(tare.mean)
             writer = SessionWriter.create(
                 request.path,
                 attrs=self._attrs(request, plan, total, anchor),
@@ -234,7 +236,7 @@ class Collector:
                         name,
                         found.description[name],
                         found.rates[name],
-                        **_stream_attrs(name, request, tare),
+                        **self._stream_attrs(name, request),
                     )
                     for name in stream_names(self._bench)
                 ],
@@ -266,6 +268,17 @@ class Collector:
             "software": software(),
             "calibration": request.calibration.attrs(),
         }
+
+    def _stream_attrs(self, name: str, request: CollectRequest) -> dict[str, Any]:
+        """Return a stream's attributes other than the facts of its device."""
+        if name == "force":
+            axes = self._bench.force.axes_measured
+            partly = {} if len(axes) == len(AXES) else {"axes_measured": list(axes)}
+            return {"bias": self._bias.tolist(), **partly}
+        attrs = request.calibration.stream_attrs(name)
+        if name == "camera" and request.mock_sources and "camera" in request.mock_sources:
+            attrs["source_motion"] = request.mock_sources["camera"]["motion"]
+        return attrs
 
     def _retract(self, arm: Arm) -> bool:
         """Retract the arm; return True if it is known to be clear."""
@@ -320,16 +333,6 @@ class Collector:
         if stop is None:
             return EXIT_DONE
         return next(code for kind, code in _EXIT_CODES.items() if isinstance(stop, kind))
-
-
-def _stream_attrs(name: str, request: CollectRequest, tare: Tare) -> dict[str, Any]:
-    """Return a stream's attributes other than the facts of its device."""
-    if name == "force":
-        return {"bias": tare.mean.tolist()}
-    attrs = request.calibration.stream_attrs(name)
-    if name == "camera" and request.mock_sources and "camera" in request.mock_sources:
-        attrs["source_motion"] = request.mock_sources["camera"]["motion"]
-    return attrs
 
 
 def target_table(plan: Plan, total: int, bench: Bench) -> dict[str, np.ndarray]:

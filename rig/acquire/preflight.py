@@ -110,11 +110,16 @@ def take_tare(bench: Bench, streams: Streams) -> Tare:
     found = streams.measure(bench.preflight.tare_window, "force")["force"]
     if "mean" not in found:
         raise DeviceLost("force: no sample during the tare")
-    spread = float(found["std"][:3].max())
+    measured = _measured_axes(bench)
+    _require_numbers(found["mean"], measured, "during the tare")
+    axis, spread = max(
+        ((axis, float(found["std"][axis])) for axis in measured if axis < 3),
+        key=lambda each: each[1],
+        default=(0, 0.0),
+    )
     if spread > bench.preflight.tare_spread:
-        axis = _AXES[int(found["std"][:3].argmax())]
         raise DeviceLost(
-            f"force: {axis} spreads by {spread:.3f} N during the tare; allowed: "
+            f"force: {_AXES[axis]} spreads by {spread:.3f} N during the tare; allowed: "
             f"{bench.preflight.tare_spread:.3f} N; is something moving or touching the sensor?"
         )
     logger.info(
@@ -135,10 +140,32 @@ def check_untouched(bench: Bench, force: np.ndarray, point: int) -> None:
 
     Raises:
         SafetyStop: There is contact.
+        DeviceLost: A measured axis is not a number.
     """
-    worst = int(np.abs(force[:3]).argmax())
-    if abs(force[worst]) > bench.preflight.contact_free:
+    measured = _measured_axes(bench)
+    _require_numbers(force, measured, f"above point {point}")
+    forces = [axis for axis in measured if axis < 3]
+    worst = max(forces, key=lambda axis: abs(force[axis]), default=0)
+    if forces and abs(force[worst]) > bench.preflight.contact_free:
         raise SafetyStop(
             f"point {point}: {_AXES[worst]} is {force[worst]:+.2f} N before the press; allowed: "
             f"{bench.preflight.contact_free:.2f} N; is the surface where the bench file says?"
+        )
+
+
+def _measured_axes(bench: Bench) -> list[int]:
+    """Return the places, among `_AXES`, of the axes that the bench's F/T sensor measures."""
+    return [place for place, axis in enumerate(_AXES) if axis in bench.force.axes_measured]
+
+
+def _require_numbers(wrench: np.ndarray, axes: list[int], when: str) -> None:
+    """Reject a mean wrench (6,) that is NaN or infinite on one of the measured `axes`.
+
+    Raises:
+        DeviceLost: Names the axes.
+    """
+    if bad := [_AXES[axis] for axis in axes if not np.isfinite(wrench[axis])]:
+        raise DeviceLost(
+            f"force: {', '.join(bad)} not a number {when}; is a cable loose? An axis that the "
+            "F/T sensor lacks is left out of the bench file's force.axes_measured"
         )

@@ -89,16 +89,22 @@ class LiveLine:
         self._due_ns = now_ns + (_ON_TERMINAL_NS if self._terminal else _IN_LOG_NS)
         text = self._text(self._target, now_ns)
         if self._terminal:
-            self._out.write(f"\r{text}{_CLEAR}")
-            self._out.flush()
+            self._write(f"\r{text}{_CLEAR}")
         else:
             logger.info("%s", text)
 
     def end(self) -> None:
         """End the line and leave it on the terminal."""
         if self._terminal and self._target is not None:
-            self._out.write("\n")
+            self._write("\n")
+
+    def _write(self, text: str) -> None:
+        """Write to the terminal; if it is gone, the log gets the lines from now on."""
+        try:
+            self._out.write(text)
             self._out.flush()
+        except OSError:
+            self._terminal = False
 
     def _text(self, target: Target, now_ns: int) -> str:
         counters = self._streams.counters()

@@ -199,6 +199,7 @@ def run_stream(job: StreamJob, pipe: Connection) -> None:
     # Ctrl-C and a closed terminal are handled by the parent, which closes all streams in order.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
     granted = enable_realtime()
     clock = SystemClock()
     loop: _StreamLoop | None = None

@@ -158,6 +158,7 @@ class Bench:
                 (limits.box_x[1], limits.box_y[1], limits.height_max),
             ),
             force_status_mask=self.force.UNTRUSTED_MASK,
+            axes_measured=self.force.axes_measured,
         )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 from typing import Any
 
@@ -115,3 +116,32 @@ def test_contact_before_the_press_is_refused_on_every_axis(axis: int, sign: int)
     force[axis] = sign * 0.31
     with pytest.raises(SafetyStop, match=f"point 3: F{'xyz'[axis]} is"):
         preflight.check_untouched(BENCH, force, point=3)
+
+
+def _measuring(*axes: Any) -> Bench:
+    force = dataclasses.replace(BENCH.force, axes_measured=axes)
+    return dataclasses.replace(BENCH, force=force)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_nan_hides_no_contact(axis: int) -> None:
+    """Of NaN and -10 N, `argmax` chooses NaN, which is larger than no limit."""
+    force = np.zeros(6)
+    force[axis], force[(axis + 1) % 3] = np.nan, -10.0
+    with pytest.raises(DeviceLost, match=f"F{'xyz'[axis]} not a number above point 3"):
+        preflight.check_untouched(BENCH, force, point=3)
+    others: Any = [f"F{name}" for place, name in enumerate("xyz") if place != axis]
+    with pytest.raises(SafetyStop, match=r"is -10\.00 N before the press"):
+        preflight.check_untouched(_measuring(*others), force, point=3)
+
+
+def test_an_axis_that_is_not_measured_needs_no_tare() -> None:
+    mean, std = np.array([np.nan] * 2 + [0.5] + [np.nan] * 3), np.full(6, np.nan)
+    std[2] = 0.01
+    streams: Any = FakeStreams(force={"n": 500, "mean": mean, "std": std})
+    assert preflight.take_tare(_measuring("Fz"), streams).mean[2] == 0.5
+    with pytest.raises(DeviceLost, match=r"Fx, Fy, Tx, Ty, Tz not a number during the tare"):
+        preflight.take_tare(BENCH, streams)
+    std[2] = 0.3
+    with pytest.raises(DeviceLost, match=r"Fz spreads by 0\.300 N"):
+        preflight.take_tare(_measuring("Fz"), streams)

@@ -9,8 +9,32 @@ from rig.devices.force.netft_wire import ERROR_MASK, SATURATION_MASK
 from rig.devices.force.sample_clock import RECORD_ERROR_MASK, SATURATED
 
 
+Axis = Literal["Fx", "Fy", "Fz", "Tx", "Ty", "Tz"]
+AXES: tuple[Axis, ...] = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
+
+
 @dataclass(frozen=True, slots=True)
-class NetFtConfig:
+class _Gauge:
+    """Settings that all F/T sensors have."""
+
+    axes_measured: tuple[Axis, ...] = field(default=AXES, kw_only=True)
+    """Axes that the sensor measures; values of the others, such as NaN, are stored and ignored."""
+
+    def __post_init__(self) -> None:
+        """Reject a list without axes, or with one twice.
+
+        Raises:
+            ValueError: Names the field, the value found and the values allowed.
+        """
+        if not self.axes_measured or len(set(self.axes_measured)) < len(self.axes_measured):
+            raise ValueError(
+                f"axes_measured: {list(self.axes_measured)}; allowed: one or more of "
+                f"{', '.join(AXES)}, each once"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class NetFtConfig(_Gauge):
     """Settings of an ATI Net F/T box: its address and its rate."""
 
     KIND: ClassVar[str] = "netft"
@@ -47,7 +71,7 @@ class ToolTransform:
 
 
 @dataclass(frozen=True, slots=True)
-class NidaqConfig:
+class NidaqConfig(_Gauge):
     """Settings of an ATI DAQ F/T transducer on six analog inputs of an NI card (NI-DAQmx)."""
 
     KIND: ClassVar[str] = "nidaq"
@@ -76,6 +100,7 @@ class NidaqConfig:
         Raises:
             ValueError: Names the field, the value found and the values allowed.
         """
+        _Gauge.__post_init__(self)
         if not self.rate_hz > 0:
             raise ValueError(f"rate_hz: {self.rate_hz!r}; allowed: above 0 Hz")
         if not 0 < self.saturated_at <= 1:
@@ -93,7 +118,7 @@ RECORD_BYTES = {"binary": 13, "ascii": 45}
 
 
 @dataclass(frozen=True, slots=True)
-class AtiSerialConfig:
+class AtiSerialConfig(_Gauge):
     """Settings of an ATI stand-alone F/T controller on RS-232 (8 data bits, no parity, 1 stop)."""
 
     KIND: ClassVar[str] = "ati_serial"
@@ -125,6 +150,7 @@ class AtiSerialConfig:
         Raises:
             ValueError: Names the field, the value found and the values allowed.
         """
+        _Gauge.__post_init__(self)
         for name in ("counts_per_n", "counts_per_n_mm", "jump"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name}: {getattr(self, name)!r}; allowed: above 0")
