@@ -48,6 +48,10 @@ class Stream:
         """Return the number of rows that every column has."""
         return self._rows
 
+    def __repr__(self) -> str:
+        """Return its name, number of rows and columns."""
+        return f"<Stream {self.name}: {len(self):,} rows of {', '.join(self.names)}>"
+
     @property
     def small(self) -> tuple[str, ...]:
         """Names of the columns that `array` returns: all but the images."""
@@ -213,6 +217,13 @@ class Session:
         self.reference = _table(self.path / "reference", self.files)
         self.frames = Table.of_group(self.path / "frames", self.files)
         self._sources: dict[int, Sources] = {}
+
+    def __repr__(self) -> str:
+        """Return its place, status, sensor, indenter and the rows of its streams."""
+        known = (self.attrs.get(key) for key in ("sensor", "indenter"))
+        rows = ", ".join(f"{name} {len(stream):,}" for name, stream in self.streams.items())
+        facts = [self.status, *(str(each) for each in known if each), rows or "no streams"]
+        return f"<Session {self.name}: {', '.join(facts)}>"
 
     @property
     def name(self) -> str:

@@ -201,7 +201,7 @@ def _caption(
     target, code = int(frames["target"][frame]), int(frames["phase"][frame])
     phase = PHASES[code].replace("_", " ") if code >= 0 else ""
     seconds = (int(frames["t_ns"][frame]) - int(frames["t_ns"][0])) * NS
-    title = f"target {target}" if target >= 0 else f"{seconds:.2f} s"
+    title = f"target {target + 1}" if target >= 0 else f"{seconds:.2f} s"
     draw.text((x, below + 6), title, fill=INK, font=font(15))
     draw.text((x + _THUMB[0], below + 6), phase, fill=SOFT, font=font(15), anchor="ra")
     depth, force = float(frames["depth"][frame]) * 1e3, float(frames["wrench"][frame][2])

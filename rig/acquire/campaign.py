@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -15,9 +16,12 @@ from recorder import Session, SessionError
 from recorder.catalogue import Catalogue, Row
 from recorder.command_line.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_WRONG_INPUT
 from recorder.progress import duration
+from rig.acquire.control import InterruptFlag
+from rig.acquire.motion_notice import deepest, motion_lines
 from rig.acquire.request import first_open_target
 from rig.acquire.summary import show_curve
 from rig.bench.bench import Bench, find_bench, load_bench
+from rig.bench.indenter import find_indenter
 from rig.core.config import build, read_yaml
 from rig.core.errors import ConfigError
 from rig.core.packaged import CAMPAIGNS, packaged
@@ -79,6 +83,8 @@ class Item:
     bench_path: Path
     bench: Bench
     plan: Plan
+    name: str
+    """Name of its session, unique in the campaign."""
     total: int
     """Number of targets to press."""
     duration: float
@@ -113,7 +119,7 @@ def load_campaign(path: Path, benches: Path) -> Campaign:
     times: Counter[str] = Counter()
     walked: dict[tuple[str, str], _Walked] = {}
     items = []
-    for number, entry in enumerate(file.sessions):
+    for number, entry in enumerate(file.sessions, 1):
         where, key = f"{path}.sessions[{number}]", (entry.sensor, entry.plan)
         if key not in walked:
             walked[key] = _walk(entry, where, benches)
@@ -143,6 +149,7 @@ def _walk(entry: Entry, where: str, benches: Path) -> _Walked:
 
 
 def _item(entry: Entry, name: str, where: str, walked: _Walked) -> Item:
+    find_indenter(entry.indenter, f"{where}.indenter")
     bench_path, bench, plan, duration = walked
     total = len(plan) if entry.targets is None else entry.targets
     if total > len(plan):
@@ -259,12 +266,15 @@ class Settings:
     """Folder of calibrations."""
     keep_going: bool = False
     """Continue with the next entry after a lost device or a safety stop."""
+    go_on: str = ""
+    """Command that continues the campaign; empty: none is shown."""
 
 
 def command(progress: Progress, campaign: Campaign, settings: Settings) -> list[str]:
     """Return the arguments of `python -m rig` that record or resume one entry."""
     entry, bench = progress.item.entry, str(progress.item.bench_path)
-    kept = ["--calibrations", str(settings.calibrations)]
+    # The technician agreed to motion when the indenter was mounted.
+    kept = ["--calibrations", str(settings.calibrations), "--asked-by", str(os.getpid())]
     if progress.state == "to resume":
         return ["collect", "--bench", bench, "--resume", str(progress.session), *kept]
     common = ["--bench", bench, "--out", str(progress.session), "--indenter", entry.indenter]
@@ -311,6 +321,7 @@ def run_campaign(
             mounted = (entry.sensor, entry.indenter)
         say(f"recording {progress.session}")
         code = _record(command(progress, campaign, settings))
+        found[number] = look(progress.item, campaign.out)
         if code == EXIT_DONE:
             if progress.state == "to resume" and entry.plan == "force_depth":
                 # It was resumed by `collect`, which draws no curve.
@@ -324,8 +335,8 @@ def run_campaign(
     catalogue.save()
     for line in table(found):
         say(line)
-    if any(progress.state != "done" for progress in found):
-        say("run the same command again to continue")
+    if any(progress.state != "done" for progress in found) and settings.go_on:
+        say(f"to continue: {settings.go_on}")
     return failed
 
 
@@ -338,7 +349,8 @@ def _mount(
     if not gripped or before is None or before[0] != entry.sensor:
         indenter = "" if gripped else f", indenter {entry.indenter}"
         mock = " (mock bench: nothing to mount)" if bench.mock else ""
-        if not ask(f"{place}: mount sensor {entry.sensor}{indenter}{mock}"):
+        moves = "" if bench.mock else "\n".join(["", *motion_lines(bench, deepest(item.plan))])
+        if not ask(f"{place}: mount sensor {entry.sensor}{indenter}{mock}{moves}"):
             return False
     if gripped and swap is not None:
         try:
@@ -351,16 +363,18 @@ def _mount(
 def _record(arguments: list[str]) -> int:
     """Run one session in its own process and return its exit code.
 
-    Ctrl-C reaches that process as well; this one waits until its session has ended in order.
+    Ctrl-C and a closed terminal reach that process as well; SIGTERM, sent to this one, is passed
+    on. This process waits until the session has ended in order.
     """
     # The process writes to the same terminal, so the buffer is flushed first.
     sys.stdout.flush()
-    with subprocess.Popen([sys.executable, "-m", "rig", *arguments]) as process:
-        interrupted = False
-        while True:
-            try:
-                code = process.wait()
-                break
-            except KeyboardInterrupt:
-                interrupted = True
-    return EXIT_INTERRUPTED if interrupted or code < 0 else code
+    with InterruptFlag() as interrupt:
+        with subprocess.Popen([sys.executable, "-m", "rig", *arguments]) as process:
+            interrupt.forward_to(process)
+            while True:
+                try:
+                    code = process.wait()
+                    break
+                except KeyboardInterrupt:
+                    continue
+        return EXIT_INTERRUPTED if interrupt.requested or code < 0 else code

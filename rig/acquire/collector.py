@@ -32,13 +32,14 @@ from rig.acquire.progress_line import LiveLine
 from rig.acquire.request import CollectRequest, first_open_target
 from rig.acquire.streams import Streams
 from rig.bench.bench import Bench
+from rig.bench.indenter import find_indenter
 from rig.bench.stream_kinds import stream_names, stream_spec
 from rig.core.clock import ClockAnchor, SystemClock
 from rig.core.errors import DeviceLost, SafetyStop
 from rig.core.geometry import compose, transform
 from rig.devices.arm.arm import Arm
 from rig.devices.force.settings import AXES
-from trajectories import Plan, plan_to_json
+from trajectories import Plan, dry_run, plan_to_json
 
 logger = logging.getLogger(__name__)
 
@@ -109,7 +110,8 @@ class Collector:
             tare = take_tare(self._bench, streams)
             interrupt.check()
             writer, first, run = self._open_session(request, plan, total, found, tare)
-            live = LiveLine(streams, total, self._clock)
+            planned = seconds_per_target(self._bench, plan)
+            live = LiveLine(streams, total, self._clock, planned=planned, first=first)
             if self._page is not None:
                 self._page.begin(self._control, live.progress, request.path, first)
             runner = PlanRunner(
@@ -162,6 +164,8 @@ class Collector:
             total=total,
             seconds=seconds,
         )
+        if stop is not None and request.go_on:
+            print(f"to continue: {request.go_on}")
         print(last_line)
         if self._page is not None:
             self._page.say(status, last_line)
@@ -256,6 +260,7 @@ class Collector:
             "mock_sources": request.mock_sources or {},
             "sensor": bench.sensor,
             "indenter": bench.indenter,
+            "indenter_description": find_indenter(bench.indenter).attrs(),
             "operator": request.operator or getpass.getuser(),
             "plan": plan_to_json(plan),
             "targets_wanted": total,
@@ -333,6 +338,14 @@ class Collector:
         if stop is None:
             return EXIT_DONE
         return next(code for kind, code in _EXIT_CODES.items() if isinstance(stop, kind))
+
+
+def seconds_per_target(bench: Bench, plan: Plan) -> float:
+    """Return the predicted mean duration of a target [s], with travel and references."""
+    arm = bench.arm
+    moving = dry_run(plan, bench.limits.plan, speed=arm.speed, acceleration=arm.acceleration)
+    points = len({target.point for target in plan.targets()})
+    return (moving.duration + points * bench.preflight.point_window) / len(plan)
 
 
 def target_table(plan: Plan, total: int, bench: Bench) -> dict[str, np.ndarray]:

@@ -7,6 +7,7 @@ import logging
 import os
 import signal
 import stat
+import subprocess
 import sys
 import threading
 from collections.abc import Callable, Mapping
@@ -43,6 +44,7 @@ class InterruptFlag:
         self.requested = False
         self._reason = "interrupted by the operator"
         self._ignored = False
+        self._forward: subprocess.Popen[bytes] | None = None
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> InterruptFlag:
@@ -55,7 +57,13 @@ class InterruptFlag:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
+    def forward_to(self, process: subprocess.Popen[bytes]) -> None:
+        """Pass SIGTERM on to a process; the other signals reach the whole group of processes."""
+        self._forward = process
+
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        if number == signal.SIGTERM and self._forward is not None:
+            self._forward.send_signal(number)
         if number == signal.SIGHUP:
             discard_output_of_a_closed_terminal()
             if not self.requested:

@@ -167,6 +167,20 @@ class StreamHandle:
         return self._process.exitcode
 
 
+def raise_all(failures: list[Exception]) -> None:
+    """Raise the only failure, or one error of the first one's type that names them all.
+
+    Raises:
+        Exception: There is at least one failure.
+    """
+    if len(failures) < 2:
+        for failure in failures:
+            raise failure
+        return
+    lines = "".join(f"\n  {failure}" for failure in failures)
+    raise type(failures[0])(f"{len(failures)} devices:{lines}\n")
+
+
 # A signal (camera, taxels) without a new sample for this time is lost [s]; force and pose have
 # their own, shorter limits in the guard.
 SILENT = 2.0
@@ -215,9 +229,17 @@ class Streams:
         """Wait until all drivers are open and return the facts of their devices by stream.
 
         Raises:
-            ConfigError, DeviceLost: A driver failed; the first failure is raised.
+            ConfigError, DeviceLost: Drivers failed; the message names all of them.
         """
-        return {handle.name: handle.wait_opened() for handle in self}
+        found: dict[str, dict[str, Any]] = {}
+        failures: list[Exception] = []
+        for handle in self:
+            try:
+                found[handle.name] = handle.wait_opened()
+            except (ConfigError, DeviceLost, SessionError) as error:
+                failures.append(error)
+        raise_all(failures)
+        return found
 
     def measure(self, seconds: float, *names: str) -> dict[str, dict[str, Any]]:
         """Measure rate, mean and spread of the named streams (default: all) in one time window."""

@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from rig.bench.worlds import AnalyticSpec, SimulatedSpec
-from rig.core.config import build, read_yaml
+from rig.core.config import build, from_si, read_yaml
 from rig.core.errors import ConfigError
+from rig.core.geometry import matrix_from_vector
 from rig.core.guard import GuardLimits
+from rig.core.names import unknown_name
 from rig.core.packaged import BENCHES
 from rig.devices.arm.settings import ArmConfig
 from rig.devices.camera.settings import CameraConfig
@@ -19,6 +21,10 @@ from rig.devices.hid.settings import PedalConfig, SpaceMouseConfig
 from rig.devices.taxels.settings import XelaConfig
 from trajectories import ForceDepth, Limits, PressShear
 
+# Least cosine between the tool's axis and the direction into the sensor.
+_POINTS_INTO_SENSOR = 0.7
+# Distances from an arm's base that some UR arm can reach [mm].
+REACH_MM = (50.0, 2000.0)
 # Placeholder for the address that the emulators are started on.
 LOOPBACK = "loopback"
 # Placeholder for the folder where emulators of serial devices put links to their ptys.
@@ -29,31 +35,35 @@ RUN_FOLDER = "runfolder"
 class BenchLimits:
     """Limits of sensor, gauge and lab."""
 
-    box_x: tuple[float, float] = field(metadata={"unit": "mm"})
+    box_x: tuple[float, float] = field(metadata={"unit": "mm", "plausible": (0.1, 500)})
     """Allowed x of the tip in the contact frame [m]."""
-    box_y: tuple[float, float] = field(metadata={"unit": "mm"})
+    box_y: tuple[float, float] = field(metadata={"unit": "mm", "plausible": (0.1, 500)})
     """Allowed y [m]."""
-    depth_max: float = field(metadata={"unit": "mm"})
+    depth_max: float = field(metadata={"unit": "mm", "plausible": (0.02, 50)})
     """Deepest indentation [m]."""
-    height_max: float = field(metadata={"unit": "mm"})
+    height_max: float = field(metadata={"unit": "mm", "plausible": (1, 1000)})
     """Highest z [m]."""
-    force_rating: tuple[float, float, float] = field(metadata={"unit": "n"})
+    force_rating: tuple[float, float, float] = field(
+        metadata={"unit": "n", "plausible": (0.05, 2000)}
+    )
     """Rated force per axis of the weaker of sensor and gauge [N]."""
-    torque_rating: tuple[float, float, float] = field(metadata={"unit": "n_mm"})
+    torque_rating: tuple[float, float, float] = field(
+        metadata={"unit": "n_mm", "plausible": (1, 200000)}
+    )
     """Rated torque per axis [N m]."""
-    stiffness: float = field(metadata={"unit": "n_per_mm"})
+    stiffness: float = field(metadata={"unit": "n_per_mm", "plausible": (0.005, 500)})
     """Expected normal stiffness [N/m]; used only to predict the force of a plan."""
-    duration_max: float = field(metadata={"unit": "min"})
+    duration_max: float = field(metadata={"unit": "min", "plausible": (0.1, 3000)})
     """Longest session [s]."""
     soft_fraction: float = 0.85
     """Share of the rating that ends a target as force_limited."""
     hard_fraction: float = 1.0
     """Share of the rating that stops the session."""
-    horizon: float = field(default=0.02, metadata={"unit": "ms"})
+    horizon: float = field(default=0.02, metadata={"unit": "ms", "plausible": (0.5, 1000)})
     """Extrapolation time of the guard's force prediction [s]."""
-    stale_force: float = field(default=0.05, metadata={"unit": "ms"})
+    stale_force: float = field(default=0.05, metadata={"unit": "ms", "plausible": (2, 5000)})
     """Age of the newest force sample that stops the session [s]."""
-    stale_pose: float = field(default=0.1, metadata={"unit": "ms"})
+    stale_pose: float = field(default=0.1, metadata={"unit": "ms", "plausible": (2, 5000)})
     """Age of the newest pose sample that stops the session [s]."""
 
     @property
@@ -80,11 +90,11 @@ class Preflight:
     """Relative deviation from the expected rate that fails the preflight."""
     tare_window: float = 0.5
     """Time over which the tare is averaged [s]."""
-    tare_spread: float = field(default=0.1, metadata={"unit": "n"})
+    tare_spread: float = field(default=0.1, metadata={"unit": "n", "plausible": (0.0005, 50)})
     """Largest standard deviation of a force axis over the tare [N]."""
     point_window: float = 0.25
     """Time over which the reference of a contact point is averaged [s]."""
-    contact_free: float = field(default=0.3, metadata={"unit": "n"})
+    contact_free: float = field(default=0.3, metadata={"unit": "n", "plausible": (0.0005, 50)})
     """Largest tared force above a contact point; more means there is contact [N]."""
     timeout: float = 5.0
     """Longest time for a device to answer [s]."""
@@ -101,7 +111,7 @@ class Bench:
     """True if the devices are emulators; written into every session."""
     rate_hz: float
     """Rate of the synchronised view."""
-    contact_frame: tuple[float, ...] = field(metadata={"pose": True})
+    contact_frame: tuple[float, ...] = field(metadata={"pose": True, "plausible": REACH_MM})
     """Pose (6,) of the contact frame in the base frame [m, rad]."""
     tool_rotation: tuple[float, float, float] = field(metadata={"unit": "deg"})
     """Orientation of the TCP in the contact frame, rotation vector [rad]."""
@@ -110,7 +120,7 @@ class Bench:
     limits: BenchLimits
     trajectory: PressShear | ForceDepth
     preflight: Preflight = Preflight()
-    approach: float = field(default=0.003, metadata={"unit": "mm"})
+    approach: float = field(default=0.003, metadata={"unit": "mm", "plausible": (0.05, 100)})
     """Height above the surface at which the tip slows down to contact speed [m]."""
     indenter: str = "cylinder"
     """Name of the indenter on the arm."""
@@ -127,7 +137,9 @@ class Bench:
     """Sensor and contact of a mock bench; None on a lab bench."""
     simulated: SimulatedSpec | None = None
     """Replaces `world` with WORLD=sim."""
-    world_frame: tuple[float, ...] | None = field(default=None, metadata={"pose": True})
+    world_frame: tuple[float, ...] | None = field(
+        default=None, metadata={"pose": True, "plausible": REACH_MM}
+    )
     """True pose (6,) of a mock's surface in the base frame [m, rad]; None: at contact_frame."""
 
     def __post_init__(self) -> None:
@@ -141,6 +153,18 @@ class Bench:
             )
         if not self.rate_hz > 0:
             raise ValueError(f"rate_hz: {self.rate_hz!r}; allowed: above 0")
+        if float(matrix_from_vector(self.tool_rotation)[2, 2]) > -_POINTS_INTO_SENSOR:
+            degrees = [round(from_si(angle, "deg"), 4) for angle in self.tool_rotation]
+            raise ValueError(
+                f"tool_rotation: {degrees} deg does not point the tool into the sensor; allowed: "
+                "within 45 deg of [180, 0, 0]"
+            )
+        camera = self.camera
+        if camera is not None and (camera.exposure or 0.0) > 1 / camera.rate_hz:
+            raise ValueError(
+                f"camera.exposure_ms: {1e3 * (camera.exposure or 0.0):g}; allowed: up to "
+                f"{1e3 / camera.rate_hz:.4g} at camera.rate_hz {camera.rate_hz:g}"
+            )
 
     @property
     def guard_limits(self) -> GuardLimits:
@@ -179,9 +203,7 @@ def find_bench(sensor: str, folder: Path, where: str = "SENSOR") -> Path:
             return path
     places = (folder / "lab", folder, BENCHES)
     known = {path.stem for place in places for path in place.glob("*.yaml")} - {"mock"}
-    raise ConfigError(
-        f"{where}: found {sensor!r}; known in {folder}/ or packaged: {', '.join(sorted(known))}"
-    )
+    raise unknown_name(where, sensor, known, f"in {folder}/ or packaged")
 
 
 def with_simulated_world(content: dict[str, Any], where: str) -> dict[str, Any]:

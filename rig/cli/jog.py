@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.bench.bench import bench_from
-from rig.cli.options import banner, bench_options, chosen_bench
+from rig.cli.options import banner, bench_options, chosen_bench, confirm_motion
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError, SafetyStop
 
@@ -38,6 +38,7 @@ def run(options: argparse.Namespace) -> int:
         raise ConfigError(f"{path}.jog: missing; allowed: {{kind: spacemouse, device: 256f:c635}}")
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     print(banner(bench.mock, path), flush=True)
+    confirm_motion(bench, bench.limits.depth_max)
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-")))
         watch = None

@@ -7,7 +7,7 @@ import contextlib
 import tempfile
 from pathlib import Path
 
-from rig.cli.options import banner, bench_options, chosen_bench, sources_of
+from rig.cli.options import banner, bench_options, chosen_bench, sources_of, with_indenter
 from rig.core.errors import ConfigError
 
 
@@ -27,9 +27,11 @@ def run(options: argparse.Namespace) -> int:
     path, bench, content = chosen_bench(options)
     if not bench.mock:
         raise ConfigError(f"{path}.mock: false; allowed: a mock bench")
+    content, _ = with_indenter(content, bench, None)
+    sources = sources_of(options, path, bench)
     with (
         tempfile.TemporaryDirectory(prefix="tactile-rig-") as folder,
-        MockBench(content, str(path), Path(folder), sources=sources_of(options)) as mock,
+        MockBench(content, str(path), Path(folder), sources=sources) as mock,
     ):
         print(banner(True, path))
         print(f"arm {mock.bench.arm.host}  force {mock.bench.force.address}")

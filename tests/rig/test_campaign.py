@@ -203,7 +203,9 @@ def test_a_gripper_is_waited_for_and_only_the_sensor_asked_for(
         if (entry.sensor, entry.indenter) != before:
             expected.append(f"gripper: {entry.indenter}")
         before = (entry.sensor, entry.indenter)
-    assert events == expected
+    assert [event.partition("\n")[0] for event in events] == expected
+    # The motion of a lab bench is stated before it is agreed to.
+    assert "mm/s near the sensor" in events[0]
 
 
 def test_a_session_of_another_sensor_in_its_place_is_not_touched(
@@ -289,14 +291,31 @@ def test_time_left_shrinks_with_what_is_done(tmp_path: Path) -> None:
         ("sessions: [{{sensor: gelsight}}]\n", "missing indenter"),
         ("sessions: [{{sensor: nosuch, indenter: a}}]\n", "known in"),
         ("sessions: [{{sensor: gelsight, indenter: ../x}}]\n", "letters, digits"),
-        ("sessions: [{{sensor: gelsight, indenter: a, plan: wave}}]\n", "allowed"),
-        ("sessions: [{{sensor: gelsight, indenter: a, targets: 999}}]\n", "1 to 240"),
-        ("sessions: [{{sensor: gelsight, indenter: a, targets: 0}}]\n", "1 or more"),
+        ("sessions: [{{sensor: gelsight, indenter: cone, plan: wave}}]\n", "allowed"),
+        ("sessions: [{{sensor: gelsight, indenter: cone, targets: 999}}]\n", "1 to 240"),
+        ("sessions: [{{sensor: gelsight, indenter: cone, targets: 0}}]\n", "1 or more"),
+        ("sessions: [{{sensor: gelsigth, indenter: a}}]\n", "did you mean gelsight?"),
+        (
+            "sessions: [{{sensor: gelsight, indenter: bananna}}]\n",
+            r"sessions\[1\]\.indenter: found 'bananna'; known",
+        ),
+        ("sessions: [{{sensor: gelsight, indenter: cilinder}}]\n", r"did you mean cylinder\?"),
     ],
 )
 def test_a_campaign_that_cannot_be_run_is_refused(tmp_path: Path, text: str, words: str) -> None:
     with pytest.raises(ConfigError, match=words):
         _campaign(tmp_path, text)
+
+
+def test_a_stopped_campaign_names_the_command_that_continues_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    campaign = _campaign(tmp_path)
+    monkeypatch.setattr(campaign_module, "_record", _Bench(campaign, [3]))
+    told: list[str] = []
+    settings = Settings(BENCHES, ROOT / "calibrations", go_on="make campaign FILE=day.yaml")
+    assert run_campaign(campaign, settings, lambda _: True, told.append) == 3
+    assert told[-1] == "to continue: make campaign FILE=day.yaml"
 
 
 def test_the_example_is_runnable_and_listing_records_nothing(

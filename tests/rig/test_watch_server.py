@@ -361,7 +361,7 @@ def test_a_remote_page_needs_its_token_on_the_wire(tmp_path: Path) -> None:
     access = AccessPolicy(host="0.0.0.0", port=0)
     try:
         with Page(watched_bench.job(access)) as page:
-            assert page.url.endswith(f"/?token={access.token}")
+            assert all(url.endswith(f"/?token={access.token}") for url in page.urls)
             base = f"http://127.0.0.1:{page.port}"
             for path in ("/", "/page.js", "/?token=wrong"):
                 with pytest.raises(urllib.error.HTTPError, match="403"):

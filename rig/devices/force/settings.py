@@ -8,7 +8,6 @@ from typing import ClassVar, Literal
 from rig.devices.force.netft_wire import ERROR_MASK, SATURATION_MASK
 from rig.devices.force.sample_clock import RECORD_ERROR_MASK, SATURATED
 
-
 Axis = Literal["Fx", "Fy", "Fz", "Tx", "Ty", "Tz"]
 AXES: tuple[Axis, ...] = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 
@@ -49,7 +48,7 @@ class NetFtConfig(_Gauge):
     """Port of its data (RDT)."""
     rate_hz: float = 1000.0
     """Records per second; the box supports integers from 1 to 7000."""
-    silence: float = field(default=0.5, metadata={"unit": "ms"})
+    silence: float = field(default=0.5, metadata={"unit": "ms", "plausible": (5, 60000)})
     """Silence after which the box counts as lost [s]."""
 
     @property
@@ -91,7 +90,7 @@ class NidaqConfig(_Gauge):
     """Frame of the wrench; by default the transducer's own."""
     grpc: str | None = None
     """host:port of an NI gRPC Device Server that has the card; None: this computer has it."""
-    silence: float = field(default=0.5, metadata={"unit": "ms"})
+    silence: float = field(default=0.5, metadata={"unit": "ms", "plausible": (5, 60000)})
     """Silence after which the card counts as lost [s]."""
 
     def __post_init__(self) -> None:
@@ -138,10 +137,10 @@ class AtiSerialConfig(_Gauge):
     """Expected records per second; the controller sends as fast as it can."""
     average: int = 0
     """Samples of the controller's own moving average; 0: none."""
-    jump: float = field(default=1.0, metadata={"unit": "n"})
+    jump: float = field(default=1.0, metadata={"unit": "n", "plausible": (0.01, 500)})
     """Largest plausible change between successive binary records [N]. After a larger one, bytes may
     have been lost, and the stream is restarted."""
-    silence: float = field(default=0.5, metadata={"unit": "ms"})
+    silence: float = field(default=0.5, metadata={"unit": "ms", "plausible": (5, 60000)})
     """Silence after which the controller counts as lost [s]."""
 
     def __post_init__(self) -> None:

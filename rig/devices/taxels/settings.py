@@ -22,7 +22,7 @@ class XelaConfig:
     """Number of taxels: a 4 x 4 patch (XR1944, uSPa44). Sessions support no other."""
     rate_hz: float = 60.0
     """Expected messages per second; the server decides, the rig measures."""
-    silence: float = field(default=1.0, metadata={"unit": "ms"})
+    silence: float = field(default=1.0, metadata={"unit": "ms", "plausible": (5, 60000)})
     """Silence after which the server counts as lost [s]."""
 
     def __post_init__(self) -> None:
