@@ -32,7 +32,7 @@ REFUSED  := $(shell awk -v goals="$(MAKECMDGOALS)" -v given="$(GIVEN)" \
   $$0 ~ "^\\043: " {options = substr($$0, 4); next} \
   $$0 ~ "^[a-z][a-z -]*:.*  \\043\\043 " {names = $$0; sub(/:.*/, "", names); split(names, each, " "); \
     for (k in each) if (each[k] in wanted) {found = 1; text = options; \
-      while (match(text, /[A-Z]+=/)) {name = substr(text, RSTART, RLENGTH - 1); \
+      while (match(text, /[A-Z_]+=/)) {name = substr(text, RSTART, RLENGTH - 1); \
         if (!(name in allowed)) list = list ", " name; \
         allowed[name] = 1; text = substr(text, RSTART + RLENGTH)}}} \
   {options = ""} \

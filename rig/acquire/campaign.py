@@ -8,7 +8,7 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -83,8 +83,6 @@ class Item:
     bench_path: Path
     bench: Bench
     plan: Plan
-    name: str
-    """Name of its session, unique in the campaign."""
     total: int
     """Number of targets to press."""
     duration: float
@@ -119,7 +117,7 @@ def load_campaign(path: Path, benches: Path) -> Campaign:
     times: Counter[str] = Counter()
     walked: dict[tuple[str, str], _Walked] = {}
     items = []
-    for number, entry in enumerate(file.sessions, 1):
+    for number, entry in enumerate(file.sessions):
         where, key = f"{path}.sessions[{number}]", (entry.sensor, entry.plan)
         if key not in walked:
             walked[key] = _walk(entry, where, benches)
@@ -321,7 +319,6 @@ def run_campaign(
             mounted = (entry.sensor, entry.indenter)
         say(f"recording {progress.session}")
         code = _record(command(progress, campaign, settings))
-        found[number] = look(progress.item, campaign.out)
         if code == EXIT_DONE:
             if progress.state == "to resume" and entry.plan == "force_depth":
                 # It was resumed by `collect`, which draws no curve.
@@ -349,7 +346,9 @@ def _mount(
     if not gripped or before is None or before[0] != entry.sensor:
         indenter = "" if gripped else f", indenter {entry.indenter}"
         mock = " (mock bench: nothing to mount)" if bench.mock else ""
-        moves = "" if bench.mock else "\n".join(["", *motion_lines(bench, deepest(item.plan))])
+        pressed = replace(bench, indenter=entry.indenter)
+        lines = motion_lines(pressed, deepest(item.plan, item.total))
+        moves = "" if bench.mock else "\n".join(["", *lines])
         if not ask(f"{place}: mount sensor {entry.sensor}{indenter}{mock}{moves}"):
             return False
     if gripped and swap is not None:

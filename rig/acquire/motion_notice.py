@@ -26,6 +26,7 @@ def motion_lines(bench: Bench, depth: float) -> list[str]:
     ]
 
 
-def deepest(plan: Plan) -> float:
-    """Return the deepest indentation of a plan [m]."""
-    return max((target.depth for target in plan.targets()), default=0.0)
+def deepest(plan: Plan, total: int | None = None) -> float:
+    """Return the deepest indentation of a plan's first `total` targets [m]; None: all."""
+    most = len(plan) if total is None else total
+    return max((target.depth for target in plan.targets() if target.index < most), default=0.0)

@@ -16,7 +16,6 @@ from rig.cli.options import (
     calibration_options,
     chosen_bench,
     free_path,
-    log_to,
     with_indenter,
 )
 from rig.core.clock import file_stamp
@@ -60,8 +59,6 @@ def run(options: argparse.Namespace) -> int:
     )
     request = CollectRequest(path=session_path, operator=options.operator, calibration=home)
     plan_of(request, home.applied(bench), plan)
-    session_path.parent.mkdir(parents=True, exist_ok=True)
-    log_to(session_path.with_suffix(".log"))
     code = record(path, content, request, plan, prepared=home.applied)
     if code != EXIT_DONE:
         print("calibrate-latency: not finished, nothing is stored; repeat the command")

@@ -15,7 +15,6 @@ from rig.cli.options import (
     chosen_bench,
     confirm_options,
     free_path,
-    log_to,
     opened_page,
     resume_command,
     resumed_indenter,
@@ -97,8 +96,6 @@ def run(options: argparse.Namespace) -> int:
     if request.resume and is_complete(session, plan, total):
         print(f"complete: all {total} targets are done; {session} is left as it is")
         return EXIT_DONE
-    session.parent.mkdir(parents=True, exist_ok=True)
-    log_to(session.with_suffix(".log"))
     return record(
         path,
         content,

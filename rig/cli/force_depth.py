@@ -13,7 +13,6 @@ from rig.cli.options import (
     chosen_bench,
     confirm_options,
     free_path,
-    log_to,
     resume_command,
     with_indenter,
 )
@@ -62,8 +61,6 @@ def run(options: argparse.Namespace) -> int:
         go_on=resume_command(options, session),
     )
     plan_of(request, calibration.applied(bench), plan)
-    session.parent.mkdir(parents=True, exist_ok=True)
-    log_to(session.with_suffix(".log"))
     code = record(
         path, content, request, plan, prepared=calibration.applied, asked_by=options.asked_by
     )

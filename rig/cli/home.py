@@ -14,7 +14,6 @@ from rig.cli.options import (
     calibration_options,
     chosen_bench,
     free_path,
-    log_to,
     with_indenter,
 )
 from rig.core.clock import file_stamp
@@ -68,8 +67,6 @@ def run(options: argparse.Namespace) -> int:
     request = CollectRequest(path=session, operator=options.operator)
     # Checked against the bench's own limits, since each approach is ended by the lower soft limit.
     plan_of(request, bench, plan)
-    session.parent.mkdir(parents=True, exist_ok=True)
-    log_to(session.with_suffix(".log"))
     code = record(
         path,
         content,

@@ -6,6 +6,7 @@ import argparse
 import contextlib
 import logging
 import os
+import select
 import shlex
 import socket
 import sys
@@ -205,12 +206,16 @@ def confirm_motion(bench: Bench, depth: float, by: int | None = None) -> None:
     print("\n".join(motion_lines(bench, depth)), flush=True)
     if not sys.stdin.isatty():
         raise ConfigError("lab bench: no terminal to ask on; allowed: a terminal at the bench")
+    print("Enter to start, anything else to stop: ", end="", flush=True)
     try:
-        answer = input("Enter to start, anything else to stop: ")
-    except (EOFError, KeyboardInterrupt):
+        # `input` misses a Ctrl-C that comes just before it begins to read.
+        while not select.select([sys.stdin], [], [], 0.2)[0]:
+            pass
+        answer = sys.stdin.readline()
+    except KeyboardInterrupt:
+        answer = ""
+    if answer != "\n":
         print()
-        answer = "stop"
-    if answer.strip():
         raise Interrupted("the answer was not Enter")
 
 

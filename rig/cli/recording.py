@@ -13,7 +13,7 @@ from rig.acquire.collector import Collector
 from rig.acquire.motion_notice import deepest
 from rig.acquire.request import CollectRequest
 from rig.bench.bench import Bench, bench_from
-from rig.cli.options import confirm_motion
+from rig.cli.options import confirm_motion, log_to
 from rig.core.sources import Sources
 from trajectories import Plan
 
@@ -53,7 +53,9 @@ def record(
         ConfigError, DeviceLost, SafetyStop, SessionError, Interrupted: Before anything was
             recorded.
     """
-    confirm_motion(prepared(bench_from(content, str(path))), deepest(plan), asked_by)
+    confirm_motion(prepared(bench_from(content, str(path))), deepest(plan, total), asked_by)
+    request.path.parent.mkdir(parents=True, exist_ok=True)
+    log_to(request.path.with_suffix(".log"))
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-")))
         watch = None

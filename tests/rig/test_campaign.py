@@ -297,7 +297,7 @@ def test_time_left_shrinks_with_what_is_done(tmp_path: Path) -> None:
         ("sessions: [{{sensor: gelsigth, indenter: a}}]\n", "did you mean gelsight?"),
         (
             "sessions: [{{sensor: gelsight, indenter: bananna}}]\n",
-            r"sessions\[1\]\.indenter: found 'bananna'; known",
+            r"sessions\[0\]\.indenter: found 'bananna'; known",
         ),
         ("sessions: [{{sensor: gelsight, indenter: cilinder}}]\n", r"did you mean cylinder\?"),
     ],

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from support.collecting import Collection
+from support.collecting import Collection, enter_pressed
 
 from rig.core.packaged import BENCHES
 
@@ -26,12 +26,18 @@ force: {{host: {host}}}
 camera: {{address: "http://{host}:8081/stream.mjpg"}}
 """
     )
-    run = Collection.start(tmp_path / "s.zarr", "--bench", str(bench))
-    assert run.wait(30) == 3, run.text
+    with enter_pressed() as terminal:
+        run = Collection.start(tmp_path / "s.zarr", "--bench", str(bench), stdin=terminal)
+        assert run.wait(30) == 3, run.text
     assert run.lines[0].startswith("LAB BENCH")
     assert "the arm WILL move" in run.lines[0]
-    assert "device lost" in run.lines[-1]
-    assert host in run.lines[-1]
+    # Every dead device is named, not only the first.
+    found = run.text[run.text.index("device lost: 3 devices:") :]
+    assert [line.split(":")[0].strip() for line in found.splitlines()[1:4]] == [
+        *("force", "pose", "camera")
+    ]
+    assert found.count(host) >= 3
+    assert "nothing was recorded" in run.lines[-1]
     assert not run.session.exists()
 
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import pty
 import re
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -46,6 +48,18 @@ def faults_of(session: Path, *, stopped: bool = False) -> list[str]:
     return [str(finding) for finding in check(session) if finding.code not in excused]
 
 
+@contextlib.contextmanager
+def enter_pressed() -> Iterator[int]:
+    """Yield a terminal to use as standard input, on which Enter was pressed."""
+    master, slave = pty.openpty()
+    try:
+        os.write(master, b"\n")
+        yield slave
+    finally:
+        os.close(master)
+        os.close(slave)
+
+
 @dataclass
 class Collection:
     """One running collection."""
@@ -55,7 +69,9 @@ class Collection:
     lines: list[str] = field(default_factory=list)
 
     @classmethod
-    def start(cls, session: Path, *arguments: str, sensor: str = "tacpalm") -> Collection:
+    def start(
+        cls, session: Path, *arguments: str, sensor: str = "tacpalm", stdin: int | None = None
+    ) -> Collection:
         where = [] if "--resume" in arguments else ["--out", str(session)]
         if "--bench" not in arguments and "--resume" not in arguments:
             where += ["--sensor", sensor]
@@ -64,6 +80,7 @@ class Collection:
         process = subprocess.Popen(
             [sys.executable, "-u", "-m", "rig", "collect", *where, *arguments],
             cwd=ROOT,
+            stdin=stdin,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,

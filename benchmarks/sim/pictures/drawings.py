@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 from recorder.charts import BLUE, INK, RED, chart
 from sim.indenters.indenter import Indenter
@@ -36,12 +37,12 @@ def draw(indenter: Indenter, path: Path) -> None:
         plan.set_title(f"{indenter.name}, tip from above, through the body")
         plan.set_xlabel("x [mm]")
         plan.set_ylabel("y [mm]")
-        for values, name, color in (
-            (height[middle], "y = 0", BLUE),
-            (height[:, middle], "x = 0", RED),
+        for values, name, color, style in (
+            (height[middle], "y = 0", BLUE, "-"),
+            (height[:, middle], "x = 0", RED, "--"),
         ):
             inside = np.where(np.isfinite(values), values, np.nan)
-            section.plot(along, inside, color=color, label=f"section at {name}")
+            section.plot(along, inside, style, color=color, label=f"section at {name}")
         section.set_aspect("equal")
         section.set_ylim(-1.0, REACH)
         section.set_title("height above the tip, pressed downwards")
@@ -53,6 +54,10 @@ def draw(indenter: Indenter, path: Path) -> None:
             axes.set_xticks(range(-8, 9, 2))
             axes.grid(visible=True)
         plan.set_yticks(range(-8, 9, 2))
+    # A quarter of the size, with no difference that is visible.
+    with Image.open(path) as picture:
+        small = picture.convert("RGB").quantize(64)
+    small.save(path, optimize=True)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
