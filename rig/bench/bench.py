@@ -153,12 +153,6 @@ class Bench:
             )
         if not self.rate_hz > 0:
             raise ValueError(f"rate_hz: {self.rate_hz!r}; allowed: above 0")
-        if float(matrix_from_vector(self.tool_rotation)[2, 2]) > -_POINTS_INTO_SENSOR:
-            degrees = [round(from_si(angle, "deg"), 4) for angle in self.tool_rotation]
-            raise ValueError(
-                f"tool_rotation: {degrees} deg does not point the tool into the sensor; allowed: "
-                "within 45 deg of [180, 0, 0]"
-            )
         camera = self.camera
         if camera is not None and (camera.exposure or 0.0) > 1 / camera.rate_hz:
             raise ValueError(
@@ -224,9 +218,16 @@ def bench_from(content: dict[str, Any], where: str) -> Bench:
     """Build a bench from a mapping as read from YAML.
 
     Raises:
-        ConfigError: See `rig.core.config.build`.
+        ConfigError: See `rig.core.config.build`; or the tool points away from the sensor.
     """
-    return build(Bench, content, where)
+    bench = build(Bench, content, where)
+    if float(matrix_from_vector(bench.tool_rotation)[2, 2]) > -_POINTS_INTO_SENSOR:
+        degrees = [round(from_si(angle, "deg"), 4) for angle in bench.tool_rotation]
+        raise ConfigError(
+            f"{where}.tool_rotation_deg: found {degrees}, which does not point the tool into the "
+            "sensor; allowed: within 45 deg of [180, 0, 0]"
+        )
+    return bench
 
 
 def load_bench(path: Path) -> tuple[Bench, dict[str, Any]]:

@@ -69,10 +69,10 @@ WRONG_CAMPAIGNS = {
     "none": "sessions: []",
     "key": "session: []",
     "indenter": "sessions: [{sensor: gelsight}]",
-    "sensor": "sessions: [{sensor: nosuch, indenter: a}]",
-    "plan": "sessions: [{sensor: gelsight, indenter: a, plan: wave}]",
-    "targets": "sessions: [{sensor: gelsight, indenter: a, targets: 999}]",
-    "plan-twice": "sessions: [{sensor: uskin, indenter: a, plan: a, plan: b}]",
+    "sensor": "sessions: [{sensor: nosuch, indenter: cone}]",
+    "plan": "sessions: [{sensor: gelsight, indenter: cone, plan: wave}]",
+    "targets": "sessions: [{sensor: gelsight, indenter: cone, targets: 999}]",
+    "plan-twice": "sessions: [{sensor: uskin, indenter: cone, plan: a, plan: b}]",
 }
 RIG_CASES = (
     Case(

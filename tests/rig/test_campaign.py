@@ -299,7 +299,7 @@ def test_time_left_shrinks_with_what_is_done(tmp_path: Path) -> None:
             "sessions: [{{sensor: gelsight, indenter: bananna}}]\n",
             r"sessions\[0\]\.indenter: found 'bananna'; known",
         ),
-        ("sessions: [{{sensor: gelsight, indenter: cilinder}}]\n", r"did you mean cylinder\?"),
+        ("sessions: [{{sensor: gelsight, indenter: cylindr}}]\n", r"did you mean cylinder\?"),
     ],
 )
 def test_a_campaign_that_cannot_be_run_is_refused(tmp_path: Path, text: str, words: str) -> None:

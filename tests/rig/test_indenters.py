@@ -24,7 +24,7 @@ def test_the_papers_are_known_by_name_with_size_and_drawing() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "likely"), [("cilinder", "cylinder"), ("Sphere", "sphere"), ("prisma", "prism")]
+    ("name", "likely"), [("cylindr", "cylinder"), ("Sphere", "sphere"), ("prisma", "prism")]
 )
 def test_another_name_is_refused_with_the_likely_one(
     name: str, likely: str, tmp_path: Path
