@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 from recorder.cli.options import add_session
 from recorder.convert import ImportRequest, import_session
 from recorder.convert.import_force import FORCE_UNITS, TORQUE_UNITS
+from recorder.convert.import_taxels import ORDERS
 from recorder.errors import SessionError
 from recorder.progress import ItemProgress
 
@@ -28,13 +29,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     rates: dict[str, Any] = {"action": "append", "default": [], "metavar": "[NAME=]HZ"}
     add("--video", **several, help="video file, or folder of images in name order")
     add("--force", **several, help="forces: .csv with a header, or .npy")
-    add("--taxels", **several, help="taxel counts: .npy (n, 48) or (n, 16, 3)")
+    add("--taxels", **several, help="taxel counts: .npy (n, 48), (n, 16, 3) or (n, 3, 16)")
     add("--sensor", required=True, help="name of the sensor")
     add("--indenter", required=True, help="name of what touched it")
     add("--operator", default="", help="who recorded it")
     add("--fps", **rates, help="images per second (default: as the video says)")
     add("--force-hz", **rates, help="force rows per second, without a time column")
     add("--taxels-hz", **rates, help="taxel rows per second")
+    add(
+        "--taxel-order",
+        choices=ORDERS,
+        help="order of the 48 numbers: taxel (x y z of each in turn) or axis (x of all, then y, "
+        "then z); default: by the resting counts",
+    )
     forces, torques = ", ".join(FORCE_UNITS), ", ".join(TORQUE_UNITS)
     add("--units", metavar="UNIT", help=f"of forces that do not say theirs: {forces}")
     add("--torque-units", metavar="UNIT", help=f"of torques that do not say theirs: {torques}")
@@ -58,6 +65,7 @@ def run(options: argparse.Namespace) -> int:
         fps=_rates("--fps", options.fps),
         force_hz=_rates("--force-hz", options.force_hz),
         taxels_hz=_rates("--taxels-hz", options.taxels_hz),
+        taxel_order=options.taxel_order,
         units=options.units,
         torque_units=options.torque_units,
         ignore=tuple(options.ignore),

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from recorder.convert.import_force import Wrenches, read_force
-from recorder.convert.import_taxels import Counts, read_taxels
+from recorder.convert.import_taxels import Counts, TaxelOrder, read_taxels
 from recorder.convert.import_video import Film, open_film
 from recorder.errors import SessionError
 from recorder.session.stream_writer import StreamWriter
@@ -76,6 +76,8 @@ class ImportRequest:
     """Force rows per second; None takes the time column."""
     taxels_hz: Rates = None
     """Taxel rows per second."""
+    taxel_order: TaxelOrder | None = None
+    """Order of the numbers in a row of taxels; None tells it by the resting counts."""
     units: str | None = None
     """Unit of forces without a unit."""
     torque_units: str | None = None
@@ -195,7 +197,7 @@ def _open(part: _File, request: ImportRequest) -> Film | Wrenches | Counts:
     if part.option == "video":
         return open_film(part.path, part.rate_hz)
     if part.option == "taxels":
-        return read_taxels(part.path, part.rate_hz)
+        return read_taxels(part.path, part.rate_hz, request.taxel_order)
     return read_force(
         part.path,
         rate_hz=part.rate_hz,

@@ -426,8 +426,8 @@ RECORDER_CASES = (
         (
             "recorder import {out}/a.zarr --video {out}/frames --fps 20 --sensor gelsight "
             "--indenter ball --operator golden",
-            "recorder import {out}/b.zarr --taxels {out}/t.npy --taxels-hz 60 --sensor uskin "
-            "--indenter ball --operator golden",
+            "recorder import {out}/b.zarr --taxels {out}/t.npy --taxels-hz 60 --taxel-order taxel "
+            "--sensor uskin --indenter ball --operator golden",
             "recorder import {out}/c.zarr --video {out}/frames --fps 20 --force {out}/f.csv "
             "--force-hz 40 --units N --torque-units N*m --trim --sensor gelsight --indenter ball "
             "--operator golden",

@@ -16,6 +16,7 @@ from recorder import Session, SessionError, check
 from recorder.__main__ import main
 from recorder.convert import ImportRequest, import_session
 from recorder.convert.import_force import FORCE_UNITS, TORQUE_UNITS, parse_header, parse_unit
+from recorder.convert.import_taxels import read_taxels
 from recorder.convert.import_video import read_avi, whole_jpeg
 from recorder.session.sheet import contact_sheet
 
@@ -183,7 +184,7 @@ def test_taxels_are_rounded_to_the_wires_counts_and_it_says_how_far(tmp_path: Pa
     rng = np.random.default_rng(0)
     counts = (30_000 + rng.normal(0, 50, (90, 48))).astype(np.float32)
     path = saved(tmp_path / "t.npy", counts)
-    message = import_session(order(tmp_path, taxels=path, taxels_hz=60))
+    message = import_session(order(tmp_path, taxels=path, taxels_hz=60, taxel_order="taxel"))
     session = Session(tmp_path / "s.zarr")
     assert check(tmp_path / "s.zarr") == []
     value = session.streams["taxels"].array("value")
@@ -192,6 +193,43 @@ def test_taxels_are_rounded_to_the_wires_counts_and_it_says_how_far(tmp_path: Pa
     assert any(f"largest change {largest:.3g} counts" in line for line in message)
     assert session.streams["taxels"].array("seq").tolist() == list(range(1, 91))
     contact_sheet(session.path, tmp_path / "sheet.png")
+
+
+def uskin_log(rng: np.random.Generator, rows: int = 120) -> np.ndarray:
+    """Return counts (n, 16, 3) of a uSkin: axes rest far apart, one patch is pressed."""
+    axes = rng.permutation([33_000.0, 34_000.0, 21_000.0])
+    resting = axes + rng.normal(0, 900, (16, 3))
+    pressed = np.zeros((rows, 16, 3))
+    pressed[rows // 3 :, rng.integers(16)] = rng.uniform(-4_000, 4_000, 3)
+    return np.rint(resting + pressed + rng.normal(0, 2, (rows, 16, 3)))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_order_of_taxels_is_told_by_their_resting_counts(tmp_path: Path, seed: int) -> None:
+    counts = uskin_log(np.random.default_rng(seed))
+    by_axis = counts.transpose(0, 2, 1)
+    for name, array in {
+        "flat": counts.reshape(-1, 48),
+        "taxel": counts,
+        "axis": by_axis,
+        "flat-axis": by_axis.reshape(-1, 48),
+    }.items():
+        path = saved(tmp_path / f"{name}.npy", array)
+        assert np.array_equal(read_taxels(path, 60.0).value, counts), name
+    # A row by axis in the shape of a row by taxel, as np.reshape of a flat log gives.
+    wrong = saved(tmp_path / "wrong.npy", by_axis.reshape(-1, 16, 3))
+    with pytest.raises(SessionError, match="shape says order 'taxel', its values 'axis'"):
+        read_taxels(wrong, 60.0)
+    assert np.array_equal(read_taxels(wrong, 60.0, "axis").value, counts)
+
+
+def test_an_order_that_nothing_tells_is_refused(tmp_path: Path) -> None:
+    tared = np.rint(np.random.default_rng(0).normal(1_000, 2, (60, 48)))
+    path = saved(tmp_path / "t.npy", tared)
+    with pytest.raises(SessionError, match=r"cannot tell the order .* --taxel-order axis"):
+        read_taxels(path, 60.0)
+    shaped = saved(tmp_path / "s.npy", tared.reshape(-1, 16, 3))
+    assert np.array_equal(read_taxels(shaped, 60.0).value, tared.reshape(-1, 16, 3))
 
 
 @pytest.mark.parametrize(
@@ -327,10 +365,14 @@ def test_the_command_line_says_what_was_assumed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = saved(tmp_path / "t.npy", np.full((60, 48), 10.25) + np.arange(60)[:, None])
+    command_order = ["--taxel-order", "taxel"]
     out = str(tmp_path / "s.zarr")
     command = ["import", out, "--taxels", str(path), "--sensor", "uskin", "--indenter", "ball"]
     assert main(command) == 2
     assert "say --taxels-hz" in capsys.readouterr().err
+    assert main([*command, "--taxels-hz", "60"]) == 2
+    assert "--taxel-order taxel" in capsys.readouterr().err
+    command += command_order
     assert main([*command, "--taxels-hz", "60"]) == 0
     assert "largest change 0.25 counts" in capsys.readouterr().out
     assert main([*command, "--taxels-hz", "60"]) == 2
