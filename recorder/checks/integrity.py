@@ -25,7 +25,7 @@ from recorder.spec import (
 )
 from recorder.store.files import Files, read_document
 from recorder.store.journal import CRC_BYTES, HEADER, record_matches
-from recorder.store.layout import CHUNKS_PER_SHARD, PARTIAL, Layout, StreamLayout
+from recorder.store.layout import PARTIAL, Layout, StreamLayout
 from recorder.store.shard import MISSING, read_shard_index
 from recorder.store.tables import Table
 
@@ -94,10 +94,10 @@ def check_chunks(session: Path, layout: Layout) -> tuple[list[Finding], NDArray[
     chunks = math.ceil(layout.rows() / layout.rows_per_chunk)
     contents = np.zeros(chunks, np.uint32)
     faults: dict[str, list[str]] = {}
-    for shard in range(math.ceil(chunks / CHUNKS_PER_SHARD)):
-        first = shard * CHUNKS_PER_SHARD
+    for shard in range(math.ceil(chunks / layout.chunks_per_shard)):
+        first = shard * layout.chunks_per_shard
         try:
-            _check_shard(layout, shard, contents[first : first + CHUNKS_PER_SHARD], faults)
+            _check_shard(layout, shard, contents[first : first + layout.chunks_per_shard], faults)
         except SessionError as error:
             missing = "missing" in str(error)
             faults.setdefault("missing-chunk" if missing else "bad-crc", []).append(str(error))
@@ -114,7 +114,7 @@ def _check_shard(
     index = read_shard_index(layout, shard)
     data = layout.files.read(layout.shard(shard))
     for place in range(len(contents)):
-        number = shard * CHUNKS_PER_SHARD + place
+        number = shard * layout.chunks_per_shard + place
         row = number * layout.rows_per_chunk
         offset, nbytes = (int(value) for value in index.entries[place])
         if offset == MISSING:

@@ -16,12 +16,14 @@ from numpy.typing import NDArray
 
 from recorder.errors import SessionError
 from recorder.session.align import Sources, sources_of_run
+from recorder.session.nearby import Arrivals, sources_near, span_of_run
 from recorder.session.window import Window, align_window, ticks_before
 from recorder.spec import Column, Traits, frame_columns, in_order, signal_of
 from recorder.store import images
 from recorder.store.column import ColumnReader, LazyRows
 from recorder.store.files import LOCAL, Files, locate
 from recorder.store.layout import StreamLayout, read_order, read_session_attrs
+from recorder.store.recent import Kept
 from recorder.store.tables import Table
 
 Array = np.ndarray[Any, Any]
@@ -42,7 +44,8 @@ class Stream:
         self.traits = Traits.read(self.name, self.attrs)
         self._readers = {layout.column.name: ColumnReader(layout) for layout in self.layout.columns}
         self._rows = min(reader.rows for reader in self._readers.values())
-        self._columns: dict[str, Array] = {}
+        self._columns: Kept[Array] = Kept()
+        self._arrivals: dict[tuple[int, int], Arrivals] = {}
 
     def __len__(self) -> int:
         """Return the number of rows that every column has."""
@@ -79,7 +82,7 @@ class Stream:
         return self.array(self.layout.time.column.name)
 
     def array(self, name: str) -> Array:
-        """Return a small column (n, ...) in memory.
+        """Return a small column (n, ...), which is kept in memory as long as there is room.
 
         Raises:
             SessionError: No such column, an image column, or a corrupt chunk.
@@ -87,9 +90,8 @@ class Stream:
         reader = self._reader(name)
         if reader.layout.column.is_image:
             raise SessionError(f"{self.name}.{name}: use images(rows) for images")
-        if name not in self._columns:
-            self._columns[name] = reader.read()[: self._rows]
-        return self._columns[name]
+        found = self._columns.get(name)
+        return self._columns.put(name, reader.read()[: self._rows]) if found is None else found
 
     def column(self, name: str) -> Array | zarr.Array[Any]:
         """Return a column: in memory, or the Zarr array for images (possibly longer than `len`).
@@ -116,9 +118,16 @@ class Stream:
     def values(self, rows: slice) -> Array | LazyRows:
         """Return rows of the column `value` (n, ...): in memory, or read lazily if remote."""
         reader = self._reader("value")
-        if reader.layout.files.local or "value" in self._columns:
+        if reader.layout.files.local:
             return self.array("value")[rows]
         return LazyRows(reader, rows)
+
+    def arrivals(self, first: int, last: int) -> Arrivals:
+        """Return the arrival times of rows [first, last), those of one run, for a search."""
+        key = (first, last)
+        if key not in self._arrivals:
+            self._arrivals[key] = Arrivals(self, first, last)
+        return self._arrivals[key]
 
     def images(self, rows: Sequence[int] | NDArray[np.integer[Any]] | slice) -> images.Image:
         """Return images (n, h, w, channels): uint8 RGB or grey, or uint16 of a depth camera.
@@ -126,14 +135,35 @@ class Stream:
         Raises:
             SessionError: No images here, a row outside the stream, or a corrupt image.
         """
-        image = self._image()
-        numbers = range(self._rows)[rows] if isinstance(rows, slice) else rows
-        out = np.empty((len(numbers), *image.layout.column.shape), image.layout.column.dtype)
-        chunks = image.chunks([self._checked(int(row)) for row in numbers])
-        decode = images.decoder(image.layout.column)
-        for place, data in enumerate(chunks):
-            out[place] = decode(data)
+        column = self._image().layout.column
+        numbers = np.arange(self._rows)[rows] if isinstance(rows, slice) else np.asarray(rows)
+        if len(numbers):
+            self._checked(int(numbers.min()))
+        out = np.empty((len(numbers), *column.shape), column.dtype)
+        self.images_into(numbers, out)
         return out
+
+    def images_into(self, rows: NDArray[np.integer[Any]], out: Array) -> None:
+        """Decode images into an array, which may be used again and again.
+
+        Args:
+            rows: Rows (n,); -1 leaves the image in its place as it is.
+            out: Images (n, h, w, channels), C-contiguous, of the type that `images` returns.
+
+        Raises:
+            SessionError: No images here, a row outside the stream, or a corrupt image.
+        """
+        image = self._image()
+        column = image.layout.column
+        expected = (len(rows), *column.shape)
+        if out.shape != expected or out.dtype != column.dtype or not out.flags.c_contiguous:
+            raise SessionError(
+                f"{self.name}: found out {out.dtype} {out.shape}, expected {column.dtype} "
+                f"{expected}, contiguous"
+            )
+        if len(rows):
+            self._checked(max(int(np.max(rows)), 0))
+        image.read_images(np.asarray(rows).tolist(), out)
 
     def jpeg(self, row: int) -> bytes | None:
         """Return the camera's original bytes of one image, or None if it was stored losslessly.
@@ -201,6 +231,10 @@ class Session:
             SessionError: Not a session, a newer format, unreachable, or remote and unfinished.
         """
         self.files, self.path = locate(path, storage_options)
+        with self.files.remembering():
+            self._open()
+
+    def _open(self) -> None:
         self.attrs = read_session_attrs(self.path, self.files)
         if self.status == "recording" and not self.files.local:
             raise SessionError(
@@ -216,7 +250,7 @@ class Session:
         self.segments = _table(self.path / "segments", self.files)
         self.reference = _table(self.path / "reference", self.files)
         self.frames = Table.of_group(self.path / "frames", self.files)
-        self._sources: dict[int, Sources] = {}
+        self._spans: dict[int, tuple[int, int] | None] = {}
 
     def __repr__(self) -> str:
         """Return its place, status, sensor, indenter and the rows of its streams."""
@@ -287,17 +321,17 @@ class Session:
         return slice(first[run], first[run + 1] if run + 1 < len(first) else length)
 
     def sources(self, run: int) -> Sources:
-        """Return the streams of one run, ready to be aligned; kept in memory."""
-        if run not in self._sources:
-            rows = {name: self.rows_of_run(name, run) for name in self.streams}
-            self._sources[run] = sources_of_run(self.streams, self.order, rows)
-        return self._sources[run]
+        """Return the streams of one run, ready to be aligned."""
+        rows = {name: self.rows_of_run(name, run) for name in self.streams}
+        return sources_of_run(self.streams, self.order, rows)
 
     def run_at(self, t_ns: int) -> int:
         """Return the latest run whose samples enclose a time, or else the last run."""
         count = max(len(self.runs), 1)
-        for run in reversed(range(count)):
-            span = self.sources(run).span
+        for run in reversed(range(count if count > 1 else 0)):
+            if run not in self._spans:
+                self._spans[run] = span_of_run(self, run)
+            span = self._spans[run]
             if span is not None and span[0] <= t_ns <= span[1]:
                 return run
         return count - 1
@@ -332,7 +366,8 @@ class Session:
             SessionError: An unknown stream or method, or a corrupt stream.
         """
         ticks = ticks_before(t_ns, n, rate_hz or self.rate_hz)
-        sources = self.sources(self.run_at(t_ns) if run is None else run)
+        found = self.run_at(t_ns) if run is None else run
+        sources = sources_near(self, found, ticks) if n > 0 else self.sources(found)
         by_kind = {"camera": image, "depth": image, "force": force, "pose": pose, "taxels": taxels}
         chosen = {name: by_kind.get(self.streams[name].traits.kind) for name in sources.streams}
         methods = {name: method for name, method in chosen.items() if method is not None}
@@ -348,10 +383,9 @@ class Session:
         """Return the images of some rows (n, h, w, channels); zeros for row -1."""
         stream = self.streams[name]
         column = stream.layout.columns[0].column
-        pixels = np.zeros((len(rows), *column.shape), column.dtype)
-        there = rows >= 0
-        unique, place = np.unique(rows[there], return_inverse=True)
-        pixels[there] = stream.images(unique)[place]
+        pixels = np.empty((len(rows), *column.shape), column.dtype)
+        pixels[rows < 0] = 0
+        stream.images_into(rows, pixels)
         return pixels
 
 

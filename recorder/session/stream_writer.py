@@ -27,7 +27,7 @@ from recorder.store.journal import (
     row_time,
     write_journal,
 )
-from recorder.store.layout import CHUNKS_PER_SHARD, PARTIAL, Layout, StreamLayout, decoded_rows
+from recorder.store.layout import PARTIAL, Layout, StreamLayout, decoded_rows
 from recorder.store.rows import RowPacker
 from recorder.store.shard import (
     ColumnLog,
@@ -98,10 +98,10 @@ def count_chunks(column: Layout) -> tuple[int, int]:
             held = len(records)
             torn += torn_here
         elif number < numbers[-1]:  # no shard is begun before the previous one is full
-            held = CHUNKS_PER_SHARD
+            held = column.chunks_per_shard
         else:
             held = chunk_count(read_shard_index(column, number).entries)
-        if chunks == number * CHUNKS_PER_SHARD:
+        if chunks == number * column.chunks_per_shard:
             chunks += held
     return chunks, torn
 
@@ -207,7 +207,7 @@ def _spread(lengths: list[int]) -> int:
 
 
 def _read_chunk(column: Layout, chunk: int) -> NDArray[Any]:
-    number, place = divmod(chunk, CHUNKS_PER_SHARD)
+    number, place = divmod(chunk, column.chunks_per_shard)
     path = column.partial(number)
     if not path.exists():
         return decoded_rows(column, ColumnReader(column).chunk(chunk))

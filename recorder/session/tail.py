@@ -12,7 +12,7 @@ from recorder.errors import SessionError
 from recorder.store import images
 from recorder.store.column import ColumnReader
 from recorder.store.journal import CHUNK_MAGIC, CRC_BYTES, HEADER, MAGIC, record_matches
-from recorder.store.layout import CHUNKS_PER_SHARD, Layout, StreamLayout
+from recorder.store.layout import Layout, StreamLayout
 from recorder.store.shard import MISSING, read_shard_index
 
 
@@ -43,7 +43,7 @@ class ImageTail:
         Raises:
             SessionError: The row's shard is sealed and corrupt.
         """
-        number, place = divmod(row, CHUNKS_PER_SHARD)
+        number, place = divmod(row, self._layout.chunks_per_shard)
         if self._layout.partial(number).exists():
             data = self._from_open(number, place, row)
             if data is not None:

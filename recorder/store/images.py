@@ -22,28 +22,31 @@ from recorder.spec import Column
 
 Image = NDArray[Any]
 
+# Levels of zstd, for rows of numbers and for pixels. The noise of a sensor leaves little to
+# compress; at a negative level zstd stores such pixels as they are (docs/results/recording.md).
 ZSTD_LEVEL = 1
+PIXELS_LEVEL = -1
 # Used only if pixels are written through Zarr: the recorder never encodes a JPEG.
 JPEG_QUALITY = 95
 
+# Largest header of a zstd frame [bytes].
+_ZSTD_HEADER = 18
 _COLORSPACE = {1: "GRAY", 3: "RGB"}
 
 
-def compress(data: bytes | memoryview) -> bytes:
+def compress(data: bytes | memoryview, level: int = ZSTD_LEVEL) -> bytes:
     """Return `data` as one zstd frame."""
-    packed: bytes = numcodecs.zstd.compress(data, ZSTD_LEVEL)
+    packed: bytes = numcodecs.zstd.compress(data, level)
     return packed
 
 
-def decompress(data: bytes, nbytes: int) -> bytes:
+def decompress(data: Any, nbytes: int) -> bytes:
     """Return the content of one zstd frame, which must be `nbytes` long.
 
     Raises:
         SessionError: The frame is corrupt, or declares another length; nothing is allocated then.
     """
-    declared = _zstd_content_size(data)
-    if declared != nbytes:
-        raise SessionError(f"zstd: found {declared} bytes, expected {nbytes}")
+    _check_content_size(data, nbytes)
     try:
         plain: bytes = numcodecs.zstd.decompress(data)
     except RuntimeError as error:
@@ -51,6 +54,12 @@ def decompress(data: bytes, nbytes: int) -> bytes:
     if len(plain) != nbytes:
         raise SessionError(f"zstd: found {len(plain)} bytes, expected {nbytes}")
     return plain
+
+
+def _check_content_size(data: Any, nbytes: int) -> None:
+    declared = _zstd_content_size(bytes(data[:_ZSTD_HEADER]))
+    if declared != nbytes:
+        raise SessionError(f"zstd: found {declared} bytes, expected {nbytes}")
 
 
 def _zstd_content_size(data: bytes) -> int | None:
@@ -73,14 +82,24 @@ def decode_jpeg(data: bytes, shape: tuple[int, ...]) -> Image:
     Raises:
         SessionError: Not a JPEG, corrupt, or of a different size; its size is checked first.
     """
+    image = np.empty(shape, np.uint8)
+    decode_jpeg_into(data, image)
+    return image
+
+
+def decode_jpeg_into(data: Any, out: Image) -> None:
+    """Write the pixels of a JPEG, RGB, into `out` (h, w, 1 or 3) uint8, contiguous.
+
+    Raises:
+        SessionError: Not a JPEG, corrupt, or of a different size; its size is checked first.
+    """
     try:
         found = simplejpeg.decode_jpeg_header(data)[:2]
-        if found != shape[:2]:
-            raise SessionError(f"jpeg: found {found}, expected {shape}")
-        image: Image = simplejpeg.decode_jpeg(data, colorspace=_COLORSPACE[shape[2]])
+        if found != out.shape[:2]:
+            raise SessionError(f"jpeg: found {found}, expected {out.shape}")
+        simplejpeg.decode_jpeg(data, colorspace=_COLORSPACE[out.shape[2]], buffer=out)
     except ValueError as error:
         raise SessionError(f"jpeg: {error}") from error
-    return image
 
 
 def encode_jpeg(image: Image, quality: int) -> bytes:
@@ -96,14 +115,27 @@ def encode_jpeg(image: Image, quality: int) -> bytes:
 
 def decoder(column: Column) -> Callable[[bytes], Image]:
     """Return the function that decodes an image column's chunk to pixels."""
-    shape = column.shape
-    if column.codec == "jpeg":
-        return lambda data: decode_jpeg(data, shape)
-
-    dtype = np.dtype(column.dtype).newbyteorder("<")
+    dtype, into = np.dtype(column.dtype).newbyteorder("<"), decoder_into(column)
 
     def decode(data: bytes) -> Image:
-        return np.frombuffer(decompress(data, column.row_bytes), dtype).reshape(shape)
+        out = np.empty(column.shape, dtype)
+        into(data, out)
+        return out
+
+    return decode
+
+
+def decoder_into(column: Column) -> Callable[[Any, Image], None]:
+    """Return the function that decodes a chunk into a contiguous image of the column's type."""
+    if column.codec == "jpeg":
+        return decode_jpeg_into
+
+    def decode(data: Any, out: Image) -> None:
+        _check_content_size(data, column.row_bytes)
+        try:
+            numcodecs.zstd.decompress(data, out.reshape(-1).view(np.uint8))
+        except RuntimeError as error:
+            raise SessionError(f"zstd: {error}") from error
 
     return decode
 
@@ -137,7 +169,7 @@ def encoder(column: Column, where: str) -> Callable[[object], bytes]:
         if value.dtype != dtype or value.shape != column.shape:
             raise SessionError(f"{where}: found {value.dtype} {value.shape}, expected {expected}")
         plain = np.ascontiguousarray(value, dtype.newbyteorder("<"))
-        return compress(plain.data.cast("B"))
+        return compress(plain.data.cast("B"), PIXELS_LEVEL)
 
     return keep if column.codec == "jpeg" else pack
 

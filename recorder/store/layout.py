@@ -1,7 +1,7 @@
 """Layout of a stream's arrays on disk, and the Zarr v3 metadata that describes them.
 
 Every column is one array with uniform chunking: `rows_per_chunk` rows per inner chunk,
-`CHUNKS_PER_SHARD` inner chunks per shard, one file `c/<shard>/0/...` per shard.
+`chunks_per_shard` inner chunks per shard, one file `c/<shard>/0/...` per shard.
 """
 
 from __future__ import annotations
@@ -19,7 +19,12 @@ from recorder.store import images
 from recorder.store.durable import read_json, write_json
 from recorder.store.files import LOCAL, Files, read_document
 
+# Inner chunks per shard of new columns. Sealing costs the same for every shard; the shards of JPEG
+# images would be small and many otherwise.
 CHUNKS_PER_SHARD = 64
+JPEGS_PER_SHARD = 256
+# Largest number of inner chunks per shard that is read.
+CHUNKS_MAX = 1 << 16
 # Largest metadata accepted, so that a corrupt or hostile file cannot make a reader allocate memory.
 ROWS_MAX = 1 << 40
 SIDE_MAX = 1 << 16
@@ -43,17 +48,22 @@ class Layout:
     """File access for the directory."""
     chunk_crc: bool = True
     """True if every chunk ends with its CRC-32C; False in sessions of format version 1."""
+    chunks_per_shard: int = 0
+    """Inner chunks per full shard; 0 for the number of a new column."""
     dtype: np.dtype[Any] = field(init=False)
     """Little-endian numpy type of the column."""
 
     def __post_init__(self) -> None:
-        """Derive the numpy type."""
+        """Derive the numpy type and the number of chunks."""
+        if not self.chunks_per_shard:
+            new = JPEGS_PER_SHARD if self.column.codec == "jpeg" else CHUNKS_PER_SHARD
+            object.__setattr__(self, "chunks_per_shard", new)
         object.__setattr__(self, "dtype", np.dtype(self.column.dtype).newbyteorder("<"))
 
     @property
     def rows_per_shard(self) -> int:
         """Rows per full shard."""
-        return self.rows_per_chunk * CHUNKS_PER_SHARD
+        return self.rows_per_chunk * self.chunks_per_shard
 
     @property
     def chunk_shape(self) -> tuple[int, ...]:
@@ -171,9 +181,17 @@ class Layout:
                     f"{files.name(path)}: found chunk_shape {sharding['chunk_shape']}; allowed: "
                     f"up to {CHUNK_BYTES_MAX} bytes"
                 )
-            layout = cls(path, column, per_chunk, files, chunk_crc)
+            per_shard = document["chunk_grid"]["configuration"]["chunk_shape"][0]
+            if type(per_shard) is not int or not per_chunk <= per_shard <= CHUNKS_MAX * per_chunk:
+                raise SessionError(
+                    f"{files.name(path)}: found {per_shard!r:.80} rows per shard; allowed: "
+                    f"{per_chunk} to {CHUNKS_MAX * per_chunk}"
+                )
+            layout = cls(path, column, per_chunk, files, chunk_crc, per_shard // per_chunk)
             expected = layout._document()
             found = {key: document[key] for key in ("node_type", "chunk_grid", "codecs")}
+            for one in (found, expected):
+                one["codecs"] = _without_level(one["codecs"])
         except (KeyError, TypeError, ValueError, IndexError) as error:
             raise SessionError(f"{path}: not an array of a stream: {error!r}") from error
         for key, value in found.items():
@@ -334,11 +352,23 @@ def merge_attrs(path: Path, attrs: dict[str, Any]) -> None:
         write_json(path / "zarr.json", document)
 
 
+def _without_level(codecs: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the metadata of a sharding codec without levels, which matter to writers only."""
+    (outer,) = codecs
+    sharding = outer["configuration"]
+    inner = [
+        {**codec, "configuration": {**codec.get("configuration", {}), "level": None}}
+        for codec in sharding["codecs"]
+    ]
+    return [{**outer, "configuration": {**sharding, "codecs": inner}}]
+
+
 def _inner_codecs(column: Column, chunk_crc: bool) -> list[dict[str, Any]]:
     jpeg = [{"name": "imagecodecs_jpeg", "configuration": {"level": images.JPEG_QUALITY}}]
+    level = images.PIXELS_LEVEL if column.is_image else images.ZSTD_LEVEL
     zstd = [
         {"name": "bytes", "configuration": {"endian": "little"}},
-        {"name": "zstd", "configuration": {"level": images.ZSTD_LEVEL, "checksum": False}},
+        {"name": "zstd", "configuration": {"level": level, "checksum": False}},
     ]
     return (jpeg if column.codec == "jpeg" else zstd) + [{"name": "crc32c"}] * chunk_crc
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from recorder.errors import SessionError
 from recorder.store.durable import TEMPORARY, sync_directory
-from recorder.store.files import LOCAL, Files
+from recorder.store.files import Files
 from recorder.store.journal import (
     CRC_BYTES,
     HEADER,
@@ -30,7 +30,7 @@ from recorder.store.journal import (
     packed_crc,
     scan,
 )
-from recorder.store.layout import CHUNKS_PER_SHARD, Layout
+from recorder.store.layout import Layout
 
 MISSING = 0xFFFF_FFFF_FFFF_FFFF
 
@@ -60,7 +60,7 @@ class OpenShard:
     @property
     def full(self) -> bool:
         """True if the shard is full."""
-        return len(self._entries) == CHUNKS_PER_SHARD
+        return len(self._entries) == self._layout.chunks_per_shard
 
     def append(self, chunk: bytes, t_ns: int) -> None:
         """Add one encoded chunk.
@@ -68,7 +68,7 @@ class OpenShard:
         Raises:
             OSError: It could not be written completely; the shard is unchanged.
         """
-        index = self.number * CHUNKS_PER_SHARD + len(self._entries)
+        index = self.number * self._layout.chunks_per_shard + len(self._entries)
         if self._layout.chunk_crc:
             crc = packed_crc(chunk)
             head = chunk_header(len(chunk), crc, t_ns, index)
@@ -114,12 +114,12 @@ def _shard_end(layout: Layout, entries: list[tuple[int, int]], crcs: list[int]) 
 
     Missing chunks have the checksum 0.
     """
-    listed = np.zeros(CHUNKS_PER_SHARD if layout.chunk_crc else 0, "<u4")
+    listed = np.zeros(layout.chunks_per_shard if layout.chunk_crc else 0, "<u4")
     listed[: len(crcs)] = crcs[: len(listed)]
-    return listed.tobytes() + packed_index(entries)
+    return listed.tobytes() + packed_index(entries, layout.chunks_per_shard)
 
 
-def packed_index(entries: list[tuple[int, int]], slots: int = CHUNKS_PER_SHARD) -> bytes:
+def packed_index(entries: list[tuple[int, int]], slots: int) -> bytes:
     """Return the bytes that end a shard: offset and length per slot, and their checksum."""
     index = np.full((slots, 2), MISSING, "<u8")
     index[: len(entries)] = np.array(entries, "<u8").reshape(-1, 2)
@@ -127,7 +127,7 @@ def packed_index(entries: list[tuple[int, int]], slots: int = CHUNKS_PER_SHARD) 
     return data + int(google_crc32c.value(data)).to_bytes(CRC_BYTES, "little")
 
 
-def read_index(path: Path, files: Files = LOCAL, slots: int = CHUNKS_PER_SHARD) -> Index:
+def read_index(path: Path, files: Files, slots: int) -> Index:
     """Return the index of a sealed shard with the given number of slots.
 
     Raises:
@@ -153,19 +153,22 @@ def _unpacked(data: bytes, path: Path, files: Files, slots: int) -> Index:
     return np.frombuffer(data[:-CRC_BYTES], "<u8").reshape(slots, 2)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, weakref_slot=True)
 class ShardIndex:
     """End of a sealed shard."""
 
     entries: Index
     """Offset and length of each chunk."""
-    crcs: NDArray[np.uint32] | None
-    """Checksum of each chunk (64,); None in a shard whose chunks do not end with one."""
+    ranges: list[tuple[int, int]]
+    """The same as Python's own numbers, which are faster to use one by one."""
+    crcs: list[int] | None
+    """Checksum of each chunk; None in a shard whose chunks do not end with one."""
 
 
-_LIST_BYTES = 4 * CHUNKS_PER_SHARD
-# Length of the end of a shard whose chunks have checksums.
-END_BYTES = _LIST_BYTES + 16 * CHUNKS_PER_SHARD + CRC_BYTES
+def end_bytes(layout: Layout) -> int:
+    """Return the length of the end of a shard of a column [bytes]."""
+    listed = CRC_BYTES if layout.chunk_crc else 0
+    return (listed + 16) * layout.chunks_per_shard + CRC_BYTES
 
 
 def read_shard_index(layout: Layout, number: int) -> ShardIndex:
@@ -174,27 +177,26 @@ def read_shard_index(layout: Layout, number: int) -> ShardIndex:
     Raises:
         SessionError: No such shard, or its index is corrupt.
     """
-    path, files = layout.shard(number), layout.files
-    if not layout.chunk_crc:
-        return ShardIndex(read_index(path, files), None)
-    end = _tail(path, files, END_BYTES)
-    return ShardIndex(
-        _unpacked(end[_LIST_BYTES:], path, files, CHUNKS_PER_SHARD),
-        np.frombuffer(end[:_LIST_BYTES], "<u4"),
-    )
+    path, files, slots = layout.shard(number), layout.files, layout.chunks_per_shard
+    end = _tail(path, files, end_bytes(layout))
+    listed, index = end[: CRC_BYTES * slots * layout.chunk_crc], end[-16 * slots - CRC_BYTES :]
+    entries = _unpacked(index, path, files, slots)
+    ranges = list(zip(*entries.T.tolist(), strict=True))
+    crcs = np.frombuffer(listed, "<u4").tolist() if layout.chunk_crc else None
+    return ShardIndex(entries, ranges, crcs)
 
 
 def chunk_count(index: Index) -> int:
     """Return the number of chunks before the first missing one."""
     missing = np.flatnonzero(index[:, 0] == MISSING)
-    return int(missing[0]) if missing.size else CHUNKS_PER_SHARD
+    return int(missing[0]) if missing.size else len(index)
 
 
 def scan_partial(layout: Layout, number: int) -> tuple[list[JournalRecord], int]:
     """Return the complete records of a growing shard and the number of torn bytes after them."""
     data = layout.partial(number).read_bytes()
-    first = number * CHUNKS_PER_SHARD
-    records = list(scan(data, first_index=first, limit=CHUNKS_PER_SHARD))
+    slots = layout.chunks_per_shard
+    records = list(scan(data, first_index=number * slots, limit=slots))
     tail = data[records[-1].end if records else 0 :]
     # A writer that died between index and rename leaves the index at the end; nothing is torn.
     entries = [(record.offset, record.nbytes) for record in records]
@@ -213,15 +215,16 @@ def reopen(layout: Layout, number: int, chunks: int) -> OpenShard:
     partial, sealed = layout.partial(number), layout.shard(number)
     records = scan_partial(layout, number)[0] if partial.exists() else []
     if len(records) < chunks and sealed.exists():
-        _copy_records(sealed, partial, chunks)
+        _copy_records(layout, number, chunks)
         records = scan_partial(layout, number)[0]
     if len(records) < chunks:
         raise SessionError(f"{partial}: {len(records)} whole records, expected {chunks}")
     return OpenShard(layout, number, records[:chunks])
 
 
-def _copy_records(sealed: Path, partial: Path, chunks: int) -> None:
-    end = int(read_index(sealed)[chunks - 1].sum())
+def _copy_records(layout: Layout, number: int, chunks: int) -> None:
+    sealed, partial = layout.shard(number), layout.partial(number)
+    end = int(read_shard_index(layout, number).entries[chunks - 1].sum())
     temporary = partial.with_name(partial.name + TEMPORARY)
     with sealed.open("rb") as source, temporary.open("wb") as copy:
         rest = end
@@ -254,10 +257,10 @@ class ColumnLog:
         self.layout = layout
         self.chunks = chunks
         self._shard: OpenShard | None = None
-        number, held = divmod(chunks, CHUNKS_PER_SHARD)
+        number, held = divmod(chunks, layout.chunks_per_shard)
         for other in layout.shard_numbers():
             if other < number and layout.partial(other).exists():
-                self.seal(reopen(layout, other, CHUNKS_PER_SHARD))
+                self.seal(reopen(layout, other, layout.chunks_per_shard))
             elif other > number:
                 layout.partial(other).unlink(missing_ok=True)
         if held:
@@ -272,7 +275,7 @@ class ColumnLog:
             OSError: It could not be written completely; the column is unchanged.
         """
         if self._shard is None:
-            self._shard = OpenShard(self.layout, self.chunks // CHUNKS_PER_SHARD, [])
+            self._shard = OpenShard(self.layout, self.chunks // self.layout.chunks_per_shard, [])
         self._shard.append(chunk, t_ns)
         self.chunks += 1
 

@@ -15,6 +15,7 @@ from recorder.store import images
 from recorder.store.files import LOCAL, Files, read_document
 from recorder.store.journal import CRC_BYTES, ends_with_its_crc
 from recorder.store.layout import check_shape, write_group
+from recorder.store.recent import Kept
 
 Array = np.ndarray[Any, Any]
 
@@ -98,14 +99,14 @@ def _without_crc(data: bytes) -> bytes:
 
 
 class Table(Mapping[str, Array]):
-    """Columns of a group, read on first access."""
+    """Columns of a group, read on access; those used last are kept in memory."""
 
     def __init__(self, path: Path, names: tuple[str, ...], load: Any) -> None:
         """Provide the columns `names`, read by `load(name)`."""
         self._path = path
         self._names = names
         self._load = load
-        self._read: dict[str, Array] = {}
+        self._read: Kept[Array] = Kept()
 
     @classmethod
     def of_group(cls, path: Path, files: Files = LOCAL) -> "Table":
@@ -122,9 +123,8 @@ class Table(Mapping[str, Array]):
         """
         if name not in self._names:
             raise KeyError(f"{self._path}: no column {name!r}; known: {', '.join(self._names)}")
-        if name not in self._read:
-            self._read[name] = self._load(name)
-        return self._read[name]
+        found = self._read.get(name)
+        return self._read.put(name, self._load(name)) if found is None else found
 
     def __iter__(self) -> Iterator[str]:
         """Iterate over the names."""
