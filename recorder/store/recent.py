@@ -59,7 +59,7 @@ os.register_at_fork(after_in_child=RECENT.clear)
 
 
 class Kept(Generic[T]):
-    """What one reader has read, as far as it is still in memory. Pickled and copied empty."""
+    """Values that one reader has read, as long as they are in memory. Pickled and copied empty."""
 
     def __init__(self) -> None:
         self._found: WeakValueDictionary[Hashable, T] = WeakValueDictionary()

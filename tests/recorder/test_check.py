@@ -175,7 +175,7 @@ ON_DISK: dict[str, tuple[str, str, Callable[[Path], Any]]] = {
     "shard missing": (
         "missing-chunk",
         f"{CAMERA}/value",
-        lambda s: (s / CAMERA / "value/c/1/0/0/0").unlink(),
+        lambda s: (s / CAMERA / "value/c/0/0/0/0").unlink(),
     ),
     "chunk missing": (
         "missing-chunk",
@@ -193,7 +193,7 @@ ON_DISK: dict[str, tuple[str, str, Callable[[Path], Any]]] = {
     "flipped bit in an image": (
         "bad-crc",
         f"{CAMERA}/value",
-        lambda s: flip(s / CAMERA / "value/c/1/0/0/0", 700),
+        lambda s: flip(s / CAMERA / "value/c/0/0/0/0", 700),
     ),
     "flipped bit in a value": (
         "bad-crc",
@@ -225,7 +225,7 @@ ON_DISK: dict[str, tuple[str, str, Callable[[Path], Any]]] = {
     "torn tail": (
         "torn-tail",
         CAMERA,
-        lambda s: (s / CAMERA / "value/c/3/0/0/0.partial").write_bytes(b"TRL1 and then nothing"),
+        lambda s: (s / CAMERA / "value/c/0/0/0/0.partial").write_bytes(b"TRL1 and then nothing"),
     ),
     "journal left": (
         "journal-left",
