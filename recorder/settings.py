@@ -285,6 +285,8 @@ class Reader:
             return value
         if origin is tuple:
             return self._tuple(inner, value, where, unit)
+        if origin is dict:
+            return self._mapping(inner[1], value, where, unit)
         if dataclasses.is_dataclass(hint):
             return self.build(hint, value, where)  # type: ignore[arg-type]
         if hint is float:
@@ -315,6 +317,21 @@ class Reader:
             self._value(one, item, f"{where}[{place}]", unit)
             for place, (one, item) in enumerate(zip(each, value, strict=True))
         )
+
+    def _mapping(self, hint: Any, value: Any, where: str, unit: str | None) -> dict[str, Any]:
+        """Return the values of a mapping from names to values of one type.
+
+        A name without a value is left out: so a file removes one of the file that it extends.
+        """
+        if not isinstance(value, dict) or not all(isinstance(key, str) for key in value):
+            raise self.error(
+                f"{where}: found {describe(value)}; allowed: a mapping from names to values"
+            )
+        return {
+            key: self._value(hint, item, f"{where}.{key}", unit)
+            for key, item in value.items()
+            if item is not None
+        }
 
     def _union(self, options: tuple[Any, ...], value: Any, where: str, unit: str | None) -> Any:
         if value is None and _NONE in options:
@@ -360,6 +377,8 @@ class Reader:
                 "minItems": len(items),
                 "maxItems": len(items),
             }
+        if origin is dict:
+            return {"type": "object", "additionalProperties": self._schema(inner[1])}
         if dataclasses.is_dataclass(hint):
             return self._mapping_schema(hint)  # type: ignore[arg-type]
         return {"type": "null" if hint is _NONE else _JSON[hint]}

@@ -53,8 +53,8 @@ class Kind:
     """Uses, of `ROLES`."""
     column: str = ""
     """Column of `frames` and `reference` of the first stream of this kind; empty: its name."""
-    max_age: float | None = None
-    """Oldest sample that is valid [s]; None for two periods."""
+    max_age: float = 0.0
+    """Oldest sample that is valid [s], if that is more than two periods."""
     changes: bool = False
     """True if a healthy device never repeats one value for a second."""
     reference: str = ""

@@ -399,9 +399,7 @@ def source(stream: StreamLike, rows: slice) -> Source:
         order = np.argsort(times, kind="stable")
         times, numbers = times[order], numbers[order]
         values = None if values is None else values[order]
-    max_age = stream.traits.defaults.max_age
-    if max_age is None:
-        max_age = _MAX_AGE_PERIODS / stream.rate_hz
+    max_age = max(stream.traits.defaults.max_age, _MAX_AGE_PERIODS / stream.rate_hz)
     return Source(
         stream.name,
         stream.traits,

@@ -8,7 +8,7 @@ import importlib.metadata
 import logging
 import platform
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,14 @@ from rig.acquire import summary
 from rig.acquire.control import Control, Interrupted, InterruptFlag, Onlooker
 from rig.acquire.interlocks import Interlocks
 from rig.acquire.plan_runner import PlanRunner, require_arrival
-from rig.acquire.preflight import Found, Tare, check_clear, check_devices, take_tare, tip_position
+from rig.acquire.preflight import (
+    Found,
+    Tare,
+    check_clear,
+    check_devices,
+    take_tares,
+    tip_position,
+)
 from rig.acquire.progress_line import LiveLine
 from rig.acquire.request import CollectRequest, first_open_target
 from rig.acquire.streams import Streams
@@ -37,6 +44,7 @@ from rig.bench.stream_kinds import stream_names, stream_spec
 from rig.core.clock import ClockAnchor, SystemClock
 from rig.core.errors import DeviceLost, SafetyStop
 from rig.core.geometry import compose, transform
+from rig.core.guard import GuardLimits
 from rig.devices.arm.arm import Arm
 from rig.devices.force.settings import AXES
 from trajectories import Plan, dry_run, plan_to_json
@@ -81,7 +89,7 @@ class Collector:
         self._content = content
         self._folder = folder
         self._clock = SystemClock()
-        self._bias = np.zeros(6)
+        self._bias: dict[str, np.ndarray] = {}
 
     def run(self, request: CollectRequest, plan: Plan, total: int) -> int:
         """Collect and return the exit code; recorded data is closed and readable however it ends.
@@ -107,9 +115,9 @@ class Collector:
             arm = self._start_arm()
             stack.callback(arm.close)
             self._rise(arm, streams, interlocks)
-            tare = take_tare(self._bench, streams)
+            tares = take_tares(self._bench, streams)
             interrupt.check()
-            writer, first, run = self._open_session(request, plan, total, found, tare)
+            writer, first, run = self._open_session(request, plan, total, found, tares)
             planned = seconds_per_target(self._bench, plan)
             live = LiveLine(streams, total, self._clock, planned=planned, first=first)
             if self._page is not None:
@@ -125,11 +133,12 @@ class Collector:
                 interlocks,
                 self._clock,
                 run=run,
-                zero=tare.mean - self._bias,
+                zeros={name: tare.mean - self._bias[name] for name, tare in tares.items()},
             )
             stop: BaseException | None = None
             try:
-                streams["force"].set_bias(self._bias)
+                for name, bias in self._bias.items():
+                    streams[name].set_bias(bias)
                 for handle in streams:
                     handle.record(writer.stream_path(handle.name))
                 runner.press(plan, first, total)
@@ -176,7 +185,7 @@ class Collector:
             self._bench.arm,
             self._bench.contact_frame,
             self._bench.guard_limits,
-            force_path=self._folder / "force.latest",
+            gauges=guarded(self._bench, self._folder),
             pose_path=self._folder / "pose.latest",
         )
         arm.start(self._bench.preflight.timeout)
@@ -208,14 +217,14 @@ class Collector:
         plan: Plan,
         total: int,
         found: Found,
-        tare: Tare,
+        tares: Mapping[str, Tare],
     ) -> tuple[SessionWriter, int, int]:
         """Return the session's writer, the first target to press and the number of this run."""
         anchor = asdict(ClockAnchor.take())
         entry = {
             **anchor,
             "operator": request.operator or getpass.getuser(),
-            "tare": {"mean": tare.mean.tolist(), "std": tare.std.tolist()},
+            **_tare_entry(tares),
             "rates_hz": found.rates,
             "bench": self._content,
             "devices": found.description,
@@ -227,10 +236,10 @@ class Collector:
             run = len(previous.runs)
             # The whole stream has one bias, so that raw = value + bias holds in every run. Drift of
             # the zero since then is recorded in this run's tare and references.
-            self._bias = np.array(previous.streams["force"].attrs["bias"])
+            self._bias = {name: np.array(previous.streams[name].attrs["bias"]) for name in tares}
         else:
             # An axis that is not measured may be NaN, and is stored as it came.
-            self._bias = np.nan_to_num(tare.mean)
+            self._bias = {name: np.nan_to_num(tare.mean) for name, tare in tares.items()}
             writer = SessionWriter.create(
                 request.path,
                 attrs=self._attrs(request, plan, total, anchor),
@@ -276,12 +285,14 @@ class Collector:
 
     def _stream_attrs(self, name: str, request: CollectRequest) -> dict[str, Any]:
         """Return a stream's attributes other than the facts of its device."""
-        if name == "force":
-            axes = self._bench.force.axes_measured
+        if name in self._bias:
+            axes = self._bench.row(name).config.axes_measured
             partly = {} if len(axes) == len(AXES) else {"axes_measured": list(axes)}
-            return {"bias": self._bias.tolist(), **partly}
+            return {"bias": self._bias[name].tolist(), **partly}
         attrs = request.calibration.stream_attrs(name)
-        if name == "camera" and request.mock_sources and "camera" in request.mock_sources:
+        cameras = [row.name for row in self._bench.of_kind("camera")]
+        played = request.mock_sources and "camera" in request.mock_sources
+        if played and request.mock_sources and name in cameras[:1]:
             attrs["source_motion"] = request.mock_sources["camera"]["motion"]
         return attrs
 
@@ -346,6 +357,20 @@ def seconds_per_target(bench: Bench, plan: Plan) -> float:
     moving = dry_run(plan, bench.limits.plan, speed=arm.speed, acceleration=arm.acceleration)
     points = len({target.point for target in plan.targets()})
     return (moving.duration + points * bench.preflight.point_window) / len(plan)
+
+
+def guarded(bench: Bench, folder: Path) -> dict[Path, GuardLimits]:
+    """Return the shared record of each F/T sensor that guards, and its limits."""
+    return {folder / f"{gauge.name}.latest": bench.guard_limits_of(gauge) for gauge in bench.gauges}
+
+
+def _tare_entry(tares: Mapping[str, Tare]) -> dict[str, Any]:
+    """Return the attributes of a run: `tare` of the first F/T sensor, `tares` of several."""
+    found = {
+        name: {"mean": tare.mean.tolist(), "std": tare.std.tolist()} for name, tare in tares.items()
+    }
+    first = {"tare": next(iter(found.values()))} if found else {}
+    return {**first, **({"tares": found} if len(found) > 1 else {})}
 
 
 def target_table(plan: Plan, total: int, bench: Bench) -> dict[str, np.ndarray]:

@@ -123,19 +123,18 @@ class LiveLine:
 
     def _text(self, target: Target, now_ns: int) -> str:
         counters = self._streams.counters()
-        force = self._streams["force"].latest()
         dropped = sum(int(count["dropped"]) for count in counters.values())
         rates = "  ".join(f"{name} {count['rate_hz']:.0f} Hz" for name, count in counters.items())
         parts = [
             f"target {target.index + 1}/{self._total}",
             f"{self._phase(self._move):<10}",
             f"{1e3 * target.depth:.2f} mm",
-            f"Fz {float(force['value'][2]):+6.2f} N" if force is not None else "Fz ?",
+            self._streams.pressing(),
             rates,
             f"dropped {dropped}",
             f"{duration(self._seconds_left(now_ns))} left",
         ]
-        return "  ".join(parts)
+        return "  ".join(part for part in parts if part)
 
     def _phase(self, move: Move | None) -> str:
         return self._waiting or (PHASES[move.phase] if move is not None else "to point")

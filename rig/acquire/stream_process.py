@@ -19,7 +19,7 @@ import numpy as np
 
 from recorder import SessionError, StreamWriter
 from rig.bench.bench import Bench
-from rig.bench.stream_kinds import KINDS, StreamKind, make_driver
+from rig.bench.stream_kinds import StreamKind, kind_of, make_driver
 from rig.core.clock import SECOND_NS, Clock, SystemClock
 from rig.core.driver import Driver, rejected
 from rig.core.errors import ConfigError, DeviceLost
@@ -51,7 +51,7 @@ class StreamJob:
     """Arguments of a stream's process."""
 
     name: str
-    """Name of the stream, a key of `KINDS`."""
+    """Name of the stream."""
     bench: Bench
     """The bench, with addresses filled in."""
     folder: Path
@@ -95,7 +95,7 @@ class _StreamLoop:
     """State of the running process."""
 
     def __init__(self, job: StreamJob, pipe: Connection, driver: Driver, clock: Clock) -> None:
-        self._kind = KINDS[job.name]
+        self._kind = kind_of(job.bench, job.name)
         self._pipe = pipe
         self._driver = driver
         self._clock = clock

@@ -2,10 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from recorder import (
+    SessionError,
+    StreamSpec,
+    Traits,
+    camera_spec,
+    force_spec,
+    pose_spec,
+    taxels_spec,
+)
+from recorder.spec import check_streams, signal_of
 from rig.bench.worlds import AnalyticSpec, SimulatedSpec
 from rig.core.config import build, from_si, read_yaml
 from rig.core.errors import ConfigError
@@ -13,9 +24,9 @@ from rig.core.geometry import matrix_from_vector
 from rig.core.guard import GuardLimits
 from rig.core.names import unknown_name
 from rig.core.packaged import BENCHES
-from rig.devices.arm.settings import ArmConfig
+from rig.devices.arm.settings import ArmConfig, PoseConfig
 from rig.devices.camera.settings import CameraConfig
-from rig.devices.force.settings import ForceConfig
+from rig.devices.force.settings import AtiSerialConfig, ForceConfig, NetFtConfig, NidaqConfig
 from rig.devices.gripper.settings import RobotiqConfig
 from rig.devices.hid.settings import PedalConfig, SpaceMouseConfig
 from rig.devices.taxels.settings import XelaConfig
@@ -100,6 +111,54 @@ class Preflight:
     """Longest time for a device to answer [s]."""
 
 
+# Devices that `streams` may name by their `kind`.
+StreamConfig = CameraConfig | NetFtConfig | NidaqConfig | AtiSerialConfig | XelaConfig | PoseConfig
+
+
+@dataclass(frozen=True, slots=True)
+class BenchStream:
+    """One stream of a bench."""
+
+    name: str
+    """Name of the stream, on disk and on screen."""
+    config: Any
+    """Settings of its device."""
+    listed: bool = False
+    """True if the bench file has it under `streams`."""
+
+    @property
+    def key(self) -> str:
+        """Key of the device in the bench file, for errors."""
+        return f"streams.{self.name}" if self.listed else self.name
+
+    @property
+    def kind(self) -> str:
+        """Kind of the stream: camera, force, pose or taxels."""
+        return str(self.config.STREAM)
+
+    @property
+    def rate_hz(self) -> float:
+        """Rate that the bench file states [Hz]."""
+        return float(self.config.rate_hz)
+
+    @property
+    def uses(self) -> dict[str, Any]:
+        """Alignment and roles where the bench file states them, as attributes of the stream."""
+        stated = {key: getattr(self.config, key, None) for key in ("align", "roles")}
+        return {key: value for key, value in stated.items() if value is not None}
+
+    @property
+    def traits(self) -> Traits:
+        """Kind, alignment and roles."""
+        return Traits.read(self.name, {"kind": self.kind, **self.uses})
+
+
+def empty_spec(row: BenchStream) -> StreamSpec:
+    """Return the storage of a stream as far as it is known before its device is open."""
+    make = {"camera": camera_spec, "force": force_spec, "pose": pose_spec, "taxels": taxels_spec}
+    return make[row.kind](row.rate_hz, name=row.name, **row.uses)
+
+
 @dataclass(frozen=True, slots=True)
 class Bench:
     """Complete settings of a bench."""
@@ -116,9 +175,10 @@ class Bench:
     tool_rotation: tuple[float, float, float] = field(metadata={"unit": "deg"})
     """Orientation of the TCP in the contact frame, rotation vector [rad]."""
     arm: ArmConfig
-    force: ForceConfig
     limits: BenchLimits
     trajectory: PressShear | ForceDepth
+    force: ForceConfig | None = None
+    """The F/T sensor; only a mock bench may have none that guards."""
     preflight: Preflight = Preflight()
     approach: float = field(default=0.003, metadata={"unit": "mm", "plausible": (0.05, 100)})
     """Height above the surface at which the tip slows down to contact speed [m]."""
@@ -126,6 +186,9 @@ class Bench:
     """Name of the indenter on the arm."""
     camera: CameraConfig | None = None
     taxels: XelaConfig | None = None
+    streams: dict[str, StreamConfig] | None = None
+    """Further streams by name, each a device with its `kind`; `force`, `camera` and `taxels` are
+    streams with the names of their keys, and the arm's poses are the stream `pose`."""
     gripper: RobotiqConfig | None = None
     """Holds the indenter; watched while the arm moves."""
     pedal: PedalConfig | None = None
@@ -143,9 +206,13 @@ class Bench:
     """True pose (6,) of a mock's surface in the base frame [m, rad]; None: at contact_frame."""
 
     def __post_init__(self) -> None:
-        """Reject a bench without a signal, or with a mock flag that contradicts its World."""
-        if self.camera is None and self.taxels is None:
-            raise ValueError("camera, taxels: both missing; allowed: at least one")
+        """Reject contradictions, such as two streams of one name, or an unguarded lab bench."""
+        _check_streams(self.streams or {}, [row.name for row in self.rows if not row.listed])
+        if not self.mock and not self.gauges:
+            raise ValueError(
+                "force: missing; allowed on a lab bench: an F/T sensor with the role guard, which "
+                "stops the arm at limits.force_rating"
+            )
         if self.mock != (self.world is not None):
             raise ValueError(
                 f"mock: {self.mock} with world {'given' if self.world else 'missing'}; "
@@ -153,16 +220,66 @@ class Bench:
             )
         if not self.rate_hz > 0:
             raise ValueError(f"rate_hz: {self.rate_hz!r}; allowed: above 0")
-        camera = self.camera
-        if camera is not None and (camera.exposure or 0.0) > 1 / camera.rate_hz:
-            raise ValueError(
-                f"camera.exposure_ms: {1e3 * (camera.exposure or 0.0):g}; allowed: up to "
-                f"{1e3 / camera.rate_hz:.4g} at camera.rate_hz {camera.rate_hz:g}"
-            )
+        for row in self.rows:
+            camera = row.config
+            if isinstance(camera, CameraConfig) and (camera.exposure or 0.0) > 1 / camera.rate_hz:
+                raise ValueError(
+                    f"{row.key}.exposure_ms: {1e3 * (camera.exposure or 0.0):g}; allowed: up to "
+                    f"{1e3 / camera.rate_hz:.4g} at {row.key}.rate_hz {camera.rate_hz:g}"
+                )
+
+    @property
+    def rows(self) -> tuple[BenchStream, ...]:
+        """All streams, in the order in which they are shown and stored."""
+        named = (
+            ("force", self.force),
+            ("pose", self.arm),
+            ("camera", self.camera),
+            ("taxels", self.taxels),
+        )
+        single = [BenchStream(name, config) for name, config in named if config is not None]
+        more = [
+            BenchStream(name, config, listed=True) for name, config in (self.streams or {}).items()
+        ]
+        return (*single, *more)
+
+    def row(self, name: str) -> BenchStream:
+        """Return the stream of a name.
+
+        Raises:
+            ConfigError: There is none.
+        """
+        for row in self.rows:
+            if row.name == name:
+                return row
+        raise unknown_name("stream", name, [row.name for row in self.rows])
+
+    def of_kind(self, kind: str) -> tuple[BenchStream, ...]:
+        """Return the streams of a kind, in order."""
+        return tuple(row for row in self.rows if row.kind == kind)
+
+    @property
+    def signal(self) -> BenchStream | None:
+        """Stream that the others are aligned to; None on a bench without a sensor."""
+        name = signal_of((row.name, row.traits) for row in self.rows)
+        return None if name is None else self.row(name)
+
+    @property
+    def gauges(self) -> tuple[BenchStream, ...]:
+        """F/T sensors that stop the arm at the bench's limits, in order."""
+        return tuple(row for row in self.of_kind("force") if "guard" in row.traits.roles)
+
+    def guard_limits_of(self, gauge: BenchStream) -> GuardLimits:
+        """Return the limits of the guard that watches an F/T sensor."""
+        return replace(
+            self.guard_limits,
+            force_status_mask=gauge.config.UNTRUSTED_MASK,
+            axes_measured=gauge.config.axes_measured,
+        )
 
     @property
     def guard_limits(self) -> GuardLimits:
-        """Limits of the guard while the arm moves."""
+        """Limits of the guard while the arm moves, without what an F/T sensor adds."""
         limits = self.limits
         return GuardLimits(
             force_rating=(*limits.force_rating, *limits.torque_rating),
@@ -175,9 +292,24 @@ class Bench:
                 (limits.box_x[0], limits.box_y[0], -limits.depth_max),
                 (limits.box_x[1], limits.box_y[1], limits.height_max),
             ),
-            force_status_mask=self.force.UNTRUSTED_MASK,
-            axes_measured=self.force.axes_measured,
         )
+
+
+def _check_streams(streams: Mapping[str, StreamConfig], taken: list[str]) -> None:
+    """Reject names and uses that a session could not store.
+
+    Raises:
+        ValueError: Names the stream, the value found and the values allowed.
+    """
+    for name, config in streams.items():
+        if name in taken:
+            raise ValueError(f"streams.{name}: found twice: the bench has a stream {name} already")
+        if "guard" in (config.roles or ()) and config.STREAM != "force":
+            raise ValueError(f"streams.{name}.roles: found guard; allowed for F/T sensors only")
+    try:
+        check_streams([empty_spec(BenchStream(name, each)) for name, each in streams.items()])
+    except SessionError as error:
+        raise ValueError(f"streams: {error}") from None
 
 
 def find_bench(sensor: str, folder: Path, where: str = "SENSOR") -> Path:

@@ -51,6 +51,7 @@ def run(options: argparse.Namespace) -> int:
     content, indenter = with_indenter(content, bench, options.indenter)
     # Apply the surface calibration only: an old latency correction would bias the new measurement.
     home = Calibration(calibration_of(options, bench, indenter).home)
+    stream = latency.signal_of(bench)
     depth = None if options.depth_mm is None else to_si(options.depth_mm, "mm")
     plan = latency.plan_for(bench, depth=depth, count=options.taps)
     stamp = file_stamp()
@@ -63,7 +64,6 @@ def run(options: argparse.Namespace) -> int:
     if code != EXIT_DONE:
         print("calibrate-latency: not finished, nothing is stored; repeat the command")
         return code
-    stream = latency.signal_of(bench)
     session = Session(session_path)
     try:
         found = latency.evaluate(session, stream, latency.exposure_of(bench, stream))

@@ -38,6 +38,7 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         ConfigError, DeviceLost, SafetyStop, SessionError: Before anything was recorded.
     """
+    from rig.acquire.calibration.calibration import require_gauge
     from rig.acquire.request import CollectRequest, plan_of
     from rig.acquire.summary import show_curve
     from rig.cli.recording import record
@@ -49,6 +50,7 @@ def run(options: argparse.Namespace) -> int:
             f"{path}.force_depth: missing; allowed: depth_max_mm, repeats "
             "(see docs/how-to/set-up-a-bench.md)"
         )
+    require_gauge(bench, "force-depth")
     plan = bench.force_depth
     content, indenter = with_indenter(content, bench, options.indenter)
     calibration = calibration_of(options, bench, indenter)

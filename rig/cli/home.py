@@ -53,12 +53,14 @@ def run(options: argparse.Namespace) -> int:
         ConfigError, DeviceLost, SafetyStop, SessionError: Nothing was stored.
     """
     from rig.acquire.calibration import home
+    from rig.acquire.calibration.calibration import require_gauge
     from rig.acquire.request import CollectRequest, plan_of
     from rig.cli.recording import record
 
     path, bench, content = chosen_bench(options)
     print(banner(bench.mock, path), flush=True)
     content, indenter = with_indenter(content, bench, options.indenter)
+    require_gauge(bench, "home")
     points = (1, 2, 3, 4, 5) if options.corners else (1,)
     travel = None if options.travel_mm is None else to_si(options.travel_mm, "mm")
     plan = home.plan_for(bench, travel=travel, repeats=options.repeats, points=points)

@@ -34,10 +34,10 @@ def run(options: argparse.Namespace) -> int:
         MockBench(content, str(path), Path(folder), sources=sources) as mock,
     ):
         print(banner(True, path))
-        print(f"arm {mock.bench.arm.host}  force {mock.bench.force.address}")
-        for config in (mock.bench.camera, mock.bench.taxels):
-            if config is not None:
-                print(config.address)
+        forces = [f"  {row.name} {row.config.address}" for row in mock.bench.of_kind("force")]
+        print(f"arm {mock.bench.arm.host}{''.join(forces)}")
+        for row in (*mock.bench.of_kind("camera"), *mock.bench.of_kind("taxels")):
+            print(row.config.address if row.listed is False else f"{row.name} {row.config.address}")
         print("Ctrl-C ends it", flush=True)
         with contextlib.suppress(KeyboardInterrupt):
             for process in mock.processes.values():

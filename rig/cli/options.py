@@ -140,14 +140,14 @@ def sources_of(options: argparse.Namespace, path: Path, bench: Bench) -> Sources
         ConfigError: A path does not exist, or the bench has no device that could play it.
     """
     for option, given, device in (
-        ("CAMERA", options.camera, bench.camera),
-        ("TAXELS", options.taxels, bench.taxels),
+        ("CAMERA", options.camera, bench.of_kind("camera")),
+        ("TAXELS", options.taxels, bench.of_kind("taxels")),
     ):
         if given is None:
             continue
         if not bench.mock:
             raise ConfigError(f"{option}: {path} is a lab bench; allowed: a mock bench")
-        if device is None:
+        if not device:
             has = "taxels, no camera" if option == "CAMERA" else "a camera, no taxels"
             raise ConfigError(f"{option}: found {given}; {path} has {has}: nothing would play it")
     if options.still and options.camera is None:

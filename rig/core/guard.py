@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -101,6 +102,25 @@ class Violation:
     kind: Kind
     reason: str
     """Message for the technician: value found, limit, units."""
+
+
+# Violations from the most serious to the least; a stale force above the soft limit means a lost
+# sensor, not a finished press.
+_SEVERITY: tuple[Kind, ...] = (
+    "emergency_stop",
+    "protective_stop",
+    "force_hard",
+    "stale_force",
+    "stale_pose",
+    "force_status",
+    "force_soft",
+    "box",
+)
+
+
+def most_serious(violations: Iterable[Violation]) -> Violation | None:
+    """Return the most serious of the violations that several guards found, or None."""
+    return min(violations, key=lambda found: _SEVERITY.index(found.kind), default=None)
 
 
 def judge_safety(status: int) -> Violation | None:

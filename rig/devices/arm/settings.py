@@ -5,12 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import ClassVar
 
+from rig.core.stream_settings import StreamSettings
+
 
 @dataclass(frozen=True, slots=True)
 class ArmConfig:
     """Settings of one UR e-Series arm: its tool and its limits of motion."""
 
     KIND: ClassVar[str] = "ur"
+    STREAM: ClassVar[str] = "pose"
 
     host: str
     """IP address of the controller (or of its emulator). Ports are fixed by the controller."""
@@ -72,3 +75,30 @@ class ArmConfig:
             raise ValueError(f"payload_cog: {len(self.payload_cog)} numbers; allowed: 3")
         if self.payload < 0 or self.settle < 0:
             raise ValueError("payload, settle: allowed: 0 or more")
+
+
+@dataclass(frozen=True, slots=True)
+class PoseConfig(StreamSettings):
+    """Settings of a further stream of poses, from a UR controller that is only listened to."""
+
+    KIND: ClassVar[str] = "ur_pose"
+    STREAM: ClassVar[str] = "pose"
+
+    host: str
+    """IP address of the controller; on a mock bench that of the arm."""
+    rate_hz: float = 500.0
+    """RTDE pose rate; the controller divides 500 Hz by an integer."""
+
+    def __post_init__(self) -> None:
+        """Reject a rate that no controller has.
+
+        Raises:
+            ValueError: Names the field, the value found and the values allowed.
+        """
+        if not 0 < self.rate_hz <= 500:
+            raise ValueError(f"rate_hz: {self.rate_hz!r}; allowed: above 0, up to 500 Hz")
+
+    @property
+    def address(self) -> str:
+        """Address of the device, for display."""
+        return self.host

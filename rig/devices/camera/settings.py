@@ -5,12 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import ClassVar
 
+from rig.core.stream_settings import StreamSettings
+
 
 @dataclass(frozen=True, slots=True)
-class CameraConfig:
+class CameraConfig(StreamSettings):
     """Settings of a camera that OpenCV can open."""
 
     KIND: ClassVar[str] = "opencv"
+    STREAM: ClassVar[str] = "camera"
 
     address: str = "/dev/video0"
     """A V4L2 node, its number, or http://..."""

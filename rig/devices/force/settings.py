@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
+from rig.core.stream_settings import StreamSettings
 from rig.devices.force.netft_wire import ERROR_MASK, SATURATION_MASK
 from rig.devices.force.sample_clock import RECORD_ERROR_MASK, SATURATED
 
@@ -13,8 +14,10 @@ AXES: tuple[Axis, ...] = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 
 
 @dataclass(frozen=True, slots=True)
-class _Gauge:
+class _Gauge(StreamSettings):
     """Settings that all F/T sensors have."""
+
+    STREAM: ClassVar[str] = "force"
 
     axes_measured: tuple[Axis, ...] = field(default=AXES, kw_only=True)
     """Axes that the sensor measures; values of the others, such as NaN, are stored and ignored."""

@@ -5,14 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import ClassVar
 
+from rig.core.stream_settings import StreamSettings
+
 _TAXELS = 16
 
 
 @dataclass(frozen=True, slots=True)
-class XelaConfig:
+class XelaConfig(StreamSettings):
     """Settings of a XELA uSkin behind its vendor's server."""
 
     KIND: ClassVar[str] = "xela"
+    STREAM: ClassVar[str] = "taxels"
 
     address: str = "ws://127.0.0.1:5000"
     """Address of `xela_server`."""
