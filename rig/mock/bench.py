@@ -216,10 +216,13 @@ class MockBench(StartedOrClosed):
         self._closed = True
 
 
-def free_loopback() -> str:
+def free_loopback(taken: Collection[str] = ()) -> str:
     """Return a 127.x.y.z address without a listener on a UR controller's ports.
 
     The ports are fixed in the client library, so simultaneous benches need different addresses.
+
+    Args:
+        taken: Addresses that are about to be used.
 
     Raises:
         DeviceLost: Every address tried is in use.
@@ -227,7 +230,7 @@ def free_loopback() -> str:
     rng = np.random.default_rng(os.getpid())
     for _ in range(50):
         host = "127." + ".".join(str(number) for number in rng.integers(2, 250, 3))
-        if all(_is_free(host, port) for port in _UR_PORTS):
+        if host not in taken and all(_is_free(host, port) for port in _UR_PORTS):
             return host
     raise DeviceLost("mock bench: no free loopback address; are many benches running?")
 
