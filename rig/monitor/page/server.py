@@ -387,7 +387,7 @@ class PageServer:
             "indenter": job.indenter,
             "mock": job.bench.mock,
             "session": job.session.name,
-            "camera": job.bench.camera is not None,
+            "camera": bool(job.bench.of_kind("camera")),
             "points": [{"point": point, "at": place} for point, place in points.items()],
             "targets": [[s.point, round(1e3 * s.depth, 4), s.direction] for s in job.spots],
             "directions": job.directions,
