@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -150,7 +149,7 @@ def replay_bench(
         mock=False,
         rate_hz=session.rate_hz,
         contact_frame=(0.0,) * 6,
-        tool_rotation=(math.pi, 0.0, 0.0),
+        tool_rotation=(0.0, 0.0, 0.0),
         arm=ArmConfig(host=host, rate_hz=rate_hz),
         force=devices.pop("force", NetFtConfig(host=unused, http_port=8080)),
         limits=_NO_MOTION,

@@ -12,6 +12,7 @@ import pytest
 
 from rig.acquire.progress_line import LiveLine
 from rig.acquire.stream_process import COUNTERS
+from rig.acquire.streams import Streams
 from rig.core.clock import FakeClock
 from rig.core.samples import FORCE_LATEST
 from trajectories import PressShear
@@ -27,8 +28,8 @@ class FakeHandle:
 
 
 class FakeStreams:
-    def __getitem__(self, name: str) -> FakeHandle:
-        return FakeHandle()
+    _gauges, _handles = ("force",), {"force": FakeHandle()}
+    pressing = Streams.pressing
 
     def counters(self) -> dict[str, np.void]:
         count = np.zeros(1, COUNTERS)[0]

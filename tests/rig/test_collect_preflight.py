@@ -131,8 +131,8 @@ def test_nan_hides_no_contact(axis: int) -> None:
     with pytest.raises(DeviceLost, match=f"F{'xyz'[axis]} not a number above point 3"):
         preflight.check_untouched(BENCH, BENCH.gauges[0], force, point=3)
     others: Any = [f"F{name}" for place, name in enumerate("xyz") if place != axis]
+    bench = _measuring(*others)
     with pytest.raises(SafetyStop, match=r"is -10\.00 N before the press"):
-        bench = _measuring(*others)
         preflight.check_untouched(bench, bench.gauges[0], force, point=3)
 
 
