@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -207,7 +207,7 @@ class Bench:
 
     def __post_init__(self) -> None:
         """Reject contradictions, such as two streams of one name, or an unguarded lab bench."""
-        _check_streams(self.streams or {}, [row.name for row in self.rows if not row.listed])
+        _check_streams(self.rows)
         if not self.mock and not self.gauges:
             raise ValueError(
                 "force: missing; allowed on a lab bench: an F/T sensor with the role guard, which "
@@ -295,19 +295,20 @@ class Bench:
         )
 
 
-def _check_streams(streams: Mapping[str, StreamConfig], taken: list[str]) -> None:
+def _check_streams(rows: Sequence[BenchStream]) -> None:
     """Reject names and uses that a session could not store.
 
     Raises:
         ValueError: Names the stream, the value found and the values allowed.
     """
-    for name, config in streams.items():
-        if name in taken:
-            raise ValueError(f"streams.{name}: found twice: the bench has a stream {name} already")
-        if "guard" in (config.roles or ()) and config.STREAM != "force":
-            raise ValueError(f"streams.{name}.roles: found guard; allowed for F/T sensors only")
+    single = {row.name for row in rows if not row.listed}
+    for row in rows:
+        if row.listed and row.name in single:
+            raise ValueError(f"{row.key}: found twice: the bench has a stream {row.name} already")
+        if row.kind != "force" and "guard" in row.uses.get("roles", ()):
+            raise ValueError(f"{row.key}.roles: found guard; allowed for F/T sensors only")
     try:
-        check_streams([empty_spec(BenchStream(name, each)) for name, each in streams.items()])
+        check_streams([empty_spec(row) for row in rows])
     except SessionError as error:
         raise ValueError(f"streams: {error}") from None
 
