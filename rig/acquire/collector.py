@@ -144,8 +144,8 @@ class Collector:
                 runner.press(plan, first, total)
             except BaseException as error:
                 # On any error, the arm retracts and the session is closed before anything else.
-                stop = error
-                logger.error("stopping: %s", str(error) or type(error).__name__)
+                stop = _first_cause(error, interrupt)
+                logger.error("stopping: %s", str(stop) or type(stop).__name__)
             interrupt.ignore()
             live.end()
             if self._page is not None:
@@ -349,6 +349,19 @@ class Collector:
         if stop is None:
             return EXIT_DONE
         return next(code for kind, code in _EXIT_CODES.items() if isinstance(stop, kind))
+
+
+def _first_cause(error: BaseException, interrupt: InterruptFlag) -> BaseException:
+    """Return the operator's stop if the arm's process ended by it, else the error.
+
+    `systemctl stop` and `timeout` send SIGTERM to all processes; the arm's process then retracts.
+    """
+    if isinstance(error, DeviceLost):
+        try:
+            interrupt.check()
+        except Interrupted as asked:
+            return asked
+    return error
 
 
 def seconds_per_target(bench: Bench, plan: Plan) -> float:

@@ -424,3 +424,13 @@ def test_the_contact_frame_gives_depth_its_sign() -> None:
     assert depth_in(frame, above)[0] == pytest.approx(-0.001)
     tilted = np.array([0, 0, 0, 0, np.pi / 2, 0])  # z points along x
     assert depth_in(tilted, np.array([[-0.002, 5, 7, 0, 0, 0]]))[0] == pytest.approx(0.002)
+
+
+def test_a_session_and_a_stream_say_what_they_are(tmp_path: Path) -> None:
+    session = Session(make_session(tmp_path / "s.zarr", seconds=1.0))
+    text = repr(session)
+    assert "s.zarr" in text
+    assert session.status in text
+    for name, stream in session.streams.items():
+        assert f"{name} {len(stream):,}" in text
+        assert repr(stream).startswith(f"<Stream {name}: {len(stream):,} rows of ")
