@@ -148,8 +148,10 @@ def sources_of(options: argparse.Namespace, path: Path, bench: Bench) -> Sources
         if not bench.mock:
             raise ConfigError(f"{option}: {path} is a lab bench; allowed: a mock bench")
         if not device:
-            has = "taxels, no camera" if option == "CAMERA" else "a camera, no taxels"
-            raise ConfigError(f"{option}: found {given}; {path} has {has}: nothing would play it")
+            lacks = "camera" if option == "CAMERA" else "taxels"
+            raise ConfigError(
+                f"{option}: found {given}; {path} has no {lacks}: nothing would play it"
+            )
     if options.still and options.camera is None:
         raise ConfigError("STILL: goes with CAMERA only")
     motion = "still" if options.still else "moving"

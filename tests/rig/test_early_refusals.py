@@ -48,8 +48,11 @@ def folder_of_recordings(tmp_path: Path) -> Path:
         ("--sensor tacplam", "SENSOR: found 'tacplam'; did you mean tacpalm? known in"),
         ("--sensor tacpalm --indenter bananna", "INDENTER: found 'bananna'; known in the paper"),
         ("--sensor tacpalm --indenter cylinde", "did you mean cylinder?"),
-        ("--sensor uskin --camera {}/images", "uskin.yaml has taxels, no camera"),
-        ("--sensor tacpalm --taxels {}/taxels.npy", "tacpalm.yaml has a camera, no taxels"),
+        ("--sensor uskin --camera {}/images", "uskin.yaml has no camera: nothing"),
+        (
+            "--sensor tacpalm --taxels {}/taxels.npy",
+            "tacpalm.yaml has no taxels: nothing",
+        ),
         ("--sensor tacpalm --still", "STILL: goes with CAMERA only"),
         ("--bench {}/lab.yaml --camera {}/images", "CAMERA: {}/lab.yaml is a lab bench"),
         ("--bench {}/lab.yaml --truth {}/t", "TRUTH: {}/lab.yaml is a lab bench"),
