@@ -53,11 +53,19 @@ def plan_of(request: CollectRequest, bench: Bench, plan: Plan | None = None) -> 
     plan = bench.trajectory if plan is None else plan
     total = len(plan) if request.targets is None else request.targets
     if request.resume:
-        attrs = Session(request.path).attrs
+        session = Session(request.path)
+        attrs = session.attrs
         if attrs["sensor"] != bench.sensor:
             raise ConfigError(
                 f"SENSOR: found {bench.sensor!r}; {request.path} was recorded with "
                 f"{attrs['sensor']!r}"
+            )
+        recorded, present = set(session.streams), {row.name for row in bench.rows}
+        if recorded != present:
+            raise ConfigError(
+                f"{request.path}: was recorded with the streams {', '.join(sorted(recorded))}; the "
+                f"bench file has {', '.join(sorted(present))}; continue with the bench file of the "
+                "recording (--bench), or record a new session"
             )
         try:
             plan = plan_from_json(attrs["plan"])
