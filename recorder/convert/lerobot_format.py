@@ -322,11 +322,12 @@ class _Dataset:
             "task_index": np.full(count, task_index),
         }
         stats = Stats()
+        images = [name for name, kind in self.features.items() if kind.dtype == "image"]
         for name, feature in self.features.items():
-            if feature.dtype == "image":
-                stats.add_images(name, [entry["bytes"] for entry in columns[name]])
-            elif feature.dtype != "string":
+            if feature.dtype not in ("image", "string"):
                 stats.add(name, np.asarray(columns[name]))
+        for name in images:
+            stats.add_images(name, [entry["bytes"] for entry in columns[name]])
         self.stats.merge(stats)
         table = pa.table(
             {name: _arrow(columns[name], kind) for name, kind in self.features.items()}

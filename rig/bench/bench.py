@@ -175,10 +175,10 @@ class Bench:
     tool_rotation: tuple[float, float, float] = field(metadata={"unit": "deg"})
     """Orientation of the TCP in the contact frame, rotation vector [rad]."""
     arm: ArmConfig
+    force: ForceConfig | None = field(default=None, kw_only=True)
+    """The F/T sensor; only a mock bench may have none that guards."""
     limits: BenchLimits
     trajectory: PressShear | ForceDepth
-    force: ForceConfig | None = None
-    """The F/T sensor; only a mock bench may have none that guards."""
     preflight: Preflight = Preflight()
     approach: float = field(default=0.003, metadata={"unit": "mm", "plausible": (0.05, 100)})
     """Height above the surface at which the tip slows down to contact speed [m]."""
