@@ -200,7 +200,7 @@ class RecordedSensor:
             raise LearningError(f"{recording.name}: has no pictures")
         masks = np.empty((len(images), HEIGHT, WIDTH), np.bool_)
         for place, row in enumerate(images):
-            (picture,) = recording.session.streams["camera"].images([int(row)])
+            (picture,) = recording.camera.images([int(row)])
             view = self._segmenter.view(picture)
             mask = self._segmenter.mask_of_view(view)
             if self._sam is not None:

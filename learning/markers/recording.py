@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from learning.errors import LearningError
 from learning.indenters import coded
-from recorder import Session
+from recorder import Session, Stream
 from recorder.session import quaternion
 from recorder.spec import PHASES
 
@@ -58,6 +58,18 @@ class Recording:
     def targets(self) -> int:
         """Number of planned targets."""
         return len(self.session.targets["point"])
+
+    @property
+    def camera(self) -> Stream:
+        """Its first camera, whose images the column `image` of `frames` numbers.
+
+        Raises:
+            LearningError: There is none.
+        """
+        found = self.session.first("camera")
+        if found is None:
+            raise LearningError(f"{self.name}: has no camera")
+        return self.session.streams[found]
 
     def layout(self) -> NDArray[np.int64]:
         """Return point, depth level and direction of each target (t, 3), which pair sensors."""
@@ -125,9 +137,10 @@ def read_recording(path: Path, sensor: str | None = None) -> Recording:
 
 
 def _kind(session: Session, name: str) -> Kind:
-    if "camera" in session.streams:
+    """Return the kind of the signal; of several cameras or taxel arrays the first is read."""
+    if session.first("camera") is not None:
         return "camera"
-    if "taxels" in session.streams:
+    if session.first("taxels") is not None:
         return "taxels"
     raise LearningError(f"{name}: has neither camera nor taxels")
 
@@ -142,7 +155,7 @@ def _require_presses(session: Session, name: str) -> None:
     if "t_ns" not in session.frames:
         raise LearningError(f"{name}: has no frames (python -m recorder recover builds them)")
     frame = session.attrs.get("contact_frame")
-    if not isinstance(frame, list) or len(frame) != 6 or "pose" not in session.streams:
+    if not isinstance(frame, list) or len(frame) != 6 or session.first("pose") is None:
         raise LearningError(
             f"{name}: has no pose or no contact_frame: the depth of its frames is unknown"
         )
@@ -371,5 +384,5 @@ def _require_one_device(recordings: Sequence[Recording]) -> None:
 
 
 def _size(recording: Recording) -> tuple[int, ...]:
-    camera = recording.session.streams["camera"]
+    camera = recording.camera
     return camera.layout.columns[0].column.shape

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from recorder import Session
+from recorder import Session, Stream
 from rig.core.errors import ConfigError
 from rig.devices.camera.jpeg import frame_stamp
 from rig.mock.world.truth import Truth
@@ -50,7 +50,10 @@ def compare(session_path: Path, truth_path: Path) -> list[str]:
     if not truth_path.is_file():
         raise ConfigError(f"{truth_path}: no such file; allowed: a file from collect --truth")
     truth = Truth(truth_path)
-    force = session.streams["force"]
+    names = {kind: session.first(kind) for kind in ("force", "pose", "camera")}
+    if names["force"] is None or names["pose"] is None:
+        raise ConfigError(f"{session_path}: has no F/T sensor or no pose to compare")
+    force, pose = session.streams[names["force"]], session.streams[names["pose"]]
     if len(truth.records) < 2 or truth.records["t_ns"][0] > force.t_ns[0]:
         raise ConfigError(f"{truth_path}: does not cover {session_path}")
     # The emulators end after the streams, but the last states may not have reached the file.
@@ -69,12 +72,11 @@ def compare(session_path: Path, truth_path: Path) -> list[str]:
         f"{np.abs(true[:, :3]).max():.2f} N"
     ]
     lines.append(str(_lag("force", times, wrench[:, :3], lambda t: truth.wrench(t)[:, :3], 0.5)))
-    pose = session.streams["pose"]
     covered = pose.t_ns < truth.records["t_ns"][-1] - 2 * _STEP_NS
     position = np.asarray(pose.column("value"))[: len(pose.t_ns)][covered][:, :3]
     lines.append(str(_lag("pose", pose.t_ns[covered], position, truth.position, 1e-3)))
-    if "camera" in session.streams:
-        lines += _camera(session)
+    if names["camera"] is not None:
+        lines += _camera(session.streams[names["camera"]])
     return lines
 
 
@@ -103,9 +105,8 @@ def _lag(
     return TimeError(name, float(np.median(lags)), float(worst), int(kept.sum()))
 
 
-def _camera(session: Session) -> list[str]:
+def _camera(stream: Stream) -> list[str]:
     """Compare arrival times with the state times that the emulator wrote into each JPEG."""
-    stream = session.streams["camera"]
     late: list[float] = []
     numbers: list[int] = []
     for row, t_ns in enumerate(stream.t_ns):
