@@ -77,6 +77,18 @@ def test_labels_are_those_of_the_frames(archive: MarkerArchive, camera: Path) ->
     assert reported == {"session": "sphere.zarr", "run": 0, "target": 0}
 
 
+def test_a_camera_of_any_name_is_read(camera: Path, archive: MarkerArchive, tmp_path: Path) -> None:
+    renamed = altered(camera, tmp_path / camera.name)
+    (renamed / "streams/camera").rename(renamed / "streams/inside")
+    names = renamed / "streams/zarr.json"
+    names.write_text(names.read_text().replace('"camera"', '"inside"'))
+    archive_sessions([renamed], tmp_path / "a.markers.zarr")
+    found = MarkerArchive(tmp_path / "a.markers.zarr")["gelsight"]
+    np.testing.assert_array_equal(
+        found.packed(slice(None)), archive["gelsight"].packed(slice(None))
+    )
+
+
 def test_masks_show_the_markers_where_the_world_had_them(
     archive: MarkerArchive, camera: Path
 ) -> None:
