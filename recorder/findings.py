@@ -17,8 +17,10 @@ CODES = {
     "journal-left": "rows, or space reserved for them, never stored as chunks",
     "time-order": "times that repeat or run backward",
     "clock-step": "a step between the host's clock and the device's",
-    "gap": "an unusually long time without samples",
-    "dropped": "missing sequence numbers",
+    "missing-array": "a stream, table or column that the session declares and does not have",
+    "gap": "an unusually long time without samples, none of which is lost",
+    "dropped": "lost samples, by sequence numbers, the device's clock or the declared rate",
+    "rate": "a device that ran at another rate than declared",
     "frozen": "the same image or value repeated",
     "truncated": "a stream that ends before the recording does",
     "nan": "values that are not numbers",
@@ -27,6 +29,8 @@ CODES = {
 }
 # Codes of the notes on a session: limits of what it can tell, which are no faults of its data.
 NOTES: dict[str, str] = {
+    "uncalibrated": "a signal whose latency was not measured: an interval is assumed",
+    "drops-unseen": "a device that tells neither numbers nor times: drops cannot be seen",
     "not-sealed": "a run without a manifest that would show a removed or changed file",
 }
 

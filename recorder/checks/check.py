@@ -6,7 +6,12 @@ from pathlib import Path
 
 from recorder.archive.check import check_archive
 from recorder.archive.plan import FORMAT as ARCHIVE
-from recorder.checks.content import check_frames, check_segments, check_stream
+from recorder.checks.content import (
+    check_declared,
+    check_frames,
+    check_segments,
+    check_stream,
+)
 from recorder.checks.integrity import check_arrays, check_chunks, check_stream_files, check_table
 from recorder.errors import SessionError
 from recorder.findings import Finding
@@ -63,6 +68,7 @@ def _check(place: str | os.PathLike[str], files: Files, path: Path) -> Iterator[
             damaged_tables.add(name)
     session = Session(place)
     try:
+        yield from check_declared(session)
         for name, stream in session.streams.items():
             if name not in unreadable:
                 yield from check_stream(session, stream, contents.get(name))

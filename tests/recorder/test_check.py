@@ -57,11 +57,25 @@ def shifted(column: str, rows: slice, by: Any) -> Callable[[Columns], Columns]:
     return change
 
 
+def slowed(rows: slice, factor: float) -> Callable[[Columns], Columns]:
+    """Return a change that stretches the times of some rows, and leaves out those past the end."""
+
+    def change(columns: Columns) -> Columns:
+        t_ns = np.array(columns["t_ns"])
+        end = t_ns[-1]
+        t_ns[rows] = t_ns[rows.start] + (t_ns[rows] - t_ns[rows.start]) * factor
+        kept = t_ns <= end
+        values = {name: np.asarray(column)[kept] for name, column in columns.items()}
+        return {**values, "t_ns": t_ns[kept]}
+
+    return change
+
+
 RECORDED: dict[str, tuple[str, str, Callable[[str, Columns], Columns]]] = {
     "frozen image": ("frozen", "streams/camera", only_in("camera", repeated(slice(50, 140)))),
     "frozen force": ("frozen", "streams/force", only_in("force", repeated(slice(500, 1700)))),
-    "gap in images": ("gap", "streams/camera", only_in("camera", without(slice(60, 70)))),
-    "gap in poses": ("gap", "streams/pose", only_in("pose", without(slice(60, 70)))),
+    "gap in images": ("dropped", "streams/camera", only_in("camera", without(slice(60, 70)))),
+    "gap in poses": ("dropped", "streams/pose", only_in("pose", without(slice(60, 70)))),
     "repeated time": (
         "time-order",
         "streams/pose",
@@ -92,6 +106,11 @@ RECORDED: dict[str, tuple[str, str, Callable[[str, Columns], Columns]]] = {
         "dropped",
         "streams/force",
         only_in("force", without(slice(900, 1100))),
+    ),
+    "device slows down and loses no number": (
+        "rate",
+        "streams/force",
+        only_in("force", slowed(slice(1200, None), 1.5)),
     ),
     "stream ends early": ("truncated", "streams/pose", only_in("pose", without(slice(250, None)))),
     "empty stream": ("truncated", "streams/pose", only_in("pose", without(slice(0, None)))),
@@ -124,8 +143,9 @@ def test_a_fault_in_what_was_recorded_is_found_and_only_it(fault: str, tmp_path:
 
 def write_frames_without_offsets(path: Path) -> None:
     """Build frames for a session whose segments refer to missing targets."""
-    shutil.rmtree(path / "targets" / "point")
+    aside = shutil.move(path / "targets" / "point", path.parent / "point")
     write_frames(path, 40)
+    shutil.move(aside, path / "targets" / "point")
     edit_json(path / "zarr.json", lambda d: d["attributes"].update(rate_hz=40))
 
 
@@ -258,6 +278,21 @@ ON_DISK: dict[str, tuple[str, str, Callable[[Path], Any]]] = {
         "frames-length",
         "frames",
         lambda s: append_all_segments(s),
+    ),
+    "stream removed": (
+        "missing-array",
+        FORCE,
+        lambda s: shutil.rmtree(s / FORCE),
+    ),
+    "column of the frames removed": (
+        "missing-array",
+        "frames/wrench",
+        lambda s: shutil.rmtree(s / "frames/wrench"),
+    ),
+    "column of the targets removed": (
+        "missing-array",
+        "targets/depth",
+        lambda s: shutil.rmtree(s / "targets/depth"),
     ),
     "frames missing": ("frames-length", "frames", lambda s: shutil.rmtree(s / "frames")),
     "image without an end": ("bad-image", f"{CAMERA}/value", cut_jpeg),
