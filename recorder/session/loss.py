@@ -148,7 +148,7 @@ def lateness(
         return np.zeros(len(t_ns)), 0.0
     arrived = (t_ns - t_ns[0]) * _NS
     number = numbers(len(t_ns), losses)
-    due = number * _period(arrived, number, rate_hz)
+    due = np.asarray(number * _period(arrived, number, rate_hz), np.float64)
     if device_t is not None and np.isfinite(device_t).all():
         due = device_t - device_t[0]
     offset = arrived - due
@@ -168,7 +168,7 @@ def other_rate(t_ns: Times, rate_hz: float, losses: Losses) -> tuple[int, float,
     """
     arrived = (t_ns - t_ns[0]) * _NS if len(t_ns) else np.zeros(0)
     number = numbers(len(t_ns), losses)
-    size = max(int(round(RATE_WINDOW * rate_hz)), 8)
+    size = max(round(RATE_WINDOW * rate_hz), 8)
     if len(t_ns) <= size:
         return None
     prompt = _prompt(arrived, number / rate_hz)
@@ -233,7 +233,7 @@ def _by_clock(at: Floats, rate_hz: float, *, delayed: bool) -> Floats:
     lost = np.zeros(len(at) - 1)
     # Losses lengthen the measured period, so it is refined once they are known.
     for _ in range(3):
-        prompt = _prompt(at, rows * period) if delayed else at
+        prompt = _prompt(at, np.asarray(rows * period, np.float64)) if delayed else at
         lost = _missing(np.diff(prompt), period)
         period = _period(at, rows + np.concatenate([[0], np.cumsum(lost)]), rate_hz)
     if delayed and lost[-1] == 1:
@@ -261,7 +261,7 @@ def _period(at: Floats, number: NDArray[Any], rate_hz: float) -> float:
     shorter stretches decide.
     """
     declared = period = 1.0 / rate_hz
-    size = max(int(round(rate_hz * HORIZON)), 16)
+    size = max(round(rate_hz * HORIZON), 16)
     if len(at) < 3 * size:
         return declared
     starts = np.arange(0, len(at) - size + 1, size)
