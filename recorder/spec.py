@@ -371,6 +371,7 @@ def camera_spec(
     height: int = 480,
     width: int = 640,
     codec: str = "jpeg",
+    numbered: bool = False,
     **attrs: Any,
 ) -> StreamSpec:
     """Return a stream of images.
@@ -381,6 +382,7 @@ def camera_spec(
         height: Rows of an image [px].
         width: Columns of an image [px].
         codec: `jpeg` keeps the camera's own bytes, `zstd` stores decoded images losslessly.
+        numbered: True if the driver numbers the frames, which adds the column `seq`.
         attrs: Stored with the stream; docs/reference/data-format.md lists those that alignment
             reads.
     """
@@ -393,7 +395,8 @@ def camera_spec(
         description="image as delivered, RGB",
         codec=codec,
     )
-    return _stream("camera", name, (value, _device_t(), _t_ns()), rate_hz, attrs)
+    number = (_seq(),) if numbered else ()
+    return _stream("camera", name, (value, _device_t(), *number, _t_ns()), rate_hz, attrs)
 
 
 def depth_spec(

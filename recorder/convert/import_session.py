@@ -243,13 +243,13 @@ def _streams(
             count = int((times < end_ns).sum())
             found.append((spec, count, _images(content, times[:count])))
         elif isinstance(content, Wrenches):
-            spec = force_spec(
-                content.rate_hz, name=part.stream, **{"clock": "none", **content.attrs}
-            )
+            counted = {"clock": "none", "numbering": "host", **content.attrs}
+            spec = force_spec(content.rate_hz, name=part.stream, **counted)
             count = int((content.t_ns < end_ns).sum())
             found.append((spec, count, _forces(content, count)))
         else:
-            spec = taxels_spec(content.rate_hz, name=part.stream, device=device, clock="none")
+            counted = {"clock": "none", "numbering": "host", "device": device}
+            spec = taxels_spec(content.rate_hz, name=part.stream, **counted)
             times = _every(np.arange(len(content.value)), content.rate_hz)
             count = int((times < end_ns).sum())
             found.append((spec, count, _scans(content, times[:count])))

@@ -2,6 +2,7 @@
 
 from recorder.session.align import EXPOSURE, captured, linear, quaternion
 from recorder.session.clocks import clock_lines, fit_clocks
+from recorder.session.loss import Account, accounts_of, loss_lines
 from recorder.session.press_curve import press_curves, save_curves
 from recorder.session.reader import Stream
 from recorder.session.sheet import contact_sheet
@@ -9,13 +10,16 @@ from recorder.session.tail import ImageTail, open_tail
 
 __all__ = [
     "EXPOSURE",
+    "Account",
     "ImageTail",
     "Stream",
+    "accounts_of",
     "captured",
     "clock_lines",
     "contact_sheet",
     "fit_clocks",
     "linear",
+    "loss_lines",
     "open_tail",
     "press_curves",
     "quaternion",

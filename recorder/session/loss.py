@@ -364,11 +364,12 @@ class StreamLike(Protocol):
 def witnesses(stream: StreamLike, rows: slice) -> dict[str, Any]:
     """Return the arguments `seq` and `device_t` of `find_losses`, as far as they can be trusted.
 
-    Attribute `numbering` of a stream is `host` if `seq` was counted at the host: such numbers
-    miss what never arrived.
+    Attribute `numbering` of a stream, or of its device, is `host` if `seq` was counted at the
+    host: such numbers miss what never arrived.
     """
     found: dict[str, Any] = {}
-    if "seq" in stream.names and stream.attrs.get("numbering", "device") != "host":
+    attrs = {**stream.attrs.get("device", {}), **stream.attrs}
+    if "seq" in stream.names and attrs.get("numbering", "device") != "host":
         found["seq"] = stream.array("seq")[rows]
     if "device_t" in stream.names:
         device_t = np.asarray(stream.array("device_t")[rows], np.float64)
@@ -463,6 +464,29 @@ def account_of(session: Session, name: str) -> Account:
             longest = max(longest, float(np.diff(t_ns).max()) * _NS)
     rate = steps / seconds if seconds else 0.0
     return Account(len(stream), rate, longest, tuple(runs), dict(sorted(targets.items())))
+
+
+def accounts_of(session: Session) -> dict[str, Account]:
+    """Return the account of every stream, by name.
+
+    Raises:
+        SessionError: A corrupt column.
+    """
+    return {name: account_of(session, name) for name in session.streams}
+
+
+def loss_lines(accounts: Mapping[str, Account]) -> list[str]:
+    """Return a line on the losses of each stream that lost samples, or whose drops are unseen."""
+    lines = []
+    for name, account in accounts.items():
+        if account.lost:
+            lines.append(
+                f"lost         {name}: {account.lost} samples in {account.places} places, counted "
+                f"by {account.source}; {account.where()}"
+            )
+        if not account.sees_drops and account.rows:
+            lines.append(f"note         {name}: {unseen(account)}")
+    return lines
 
 
 def unseen(account: Account) -> str:

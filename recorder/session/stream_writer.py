@@ -253,6 +253,11 @@ class StreamWriter:
             self._sync, interval=sync_interval, name=f"recorder-{layout.name}"
         )
 
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the columns that `append` takes."""
+        return tuple(layout.column.name for layout in self._layout.columns)
+
     @classmethod
     def open(cls, path: str | os.PathLike[str], *, sync_interval: float = 1.0) -> Self:
         """Open a stream for writing after its last complete row, however its last writer ended.

@@ -40,7 +40,7 @@ from rig.acquire.request import CollectRequest, first_open_target
 from rig.acquire.streams import Streams
 from rig.bench.bench import Bench
 from rig.bench.indenter import find_indenter
-from rig.bench.stream_kinds import stream_names, stream_spec
+from rig.bench.stream_kinds import expected_rate, stream_names, stream_spec
 from rig.core.clock import ClockAnchor, SystemClock
 from rig.core.errors import DeviceLost, SafetyStop
 from rig.core.geometry import compose, transform
@@ -248,7 +248,7 @@ class Collector:
                         self._bench,
                         name,
                         found.description[name],
-                        found.rates[name],
+                        expected_rate(self._bench, name),
                         **self._stream_attrs(name, request),
                     )
                     for name in stream_names(self._bench)

@@ -107,6 +107,7 @@ class _StreamLoop:
         )
         self._sweeper = Sweeper()
         self._writer: StreamWriter | None = None
+        self._columns: tuple[str, ...] = ()
         self._bias: np.ndarray | None = None
         self._measurement: _Measurement | None = None
         self._recent: deque[int] = deque()
@@ -143,6 +144,7 @@ class _StreamLoop:
 
     def _on_record(self, path: Path) -> None:
         self._writer = StreamWriter.open(path)
+        self._columns = self._writer.columns
         self._rows, self._longest_gap, self._last_ns = 0, 0.0, 0
         self._dropped_before = self._driver.dropped
         self._rejected_before = rejected(self._driver)
@@ -153,7 +155,7 @@ class _StreamLoop:
             sample["value"] = sample["value"] - self._bias
         row = -1
         if self._writer is not None:
-            row = self._writer.append(**{name: sample[name] for name in self._kind.columns})
+            row = self._writer.append(**{name: sample[name] for name in self._columns})
             self._rows += 1
             if self._last_ns:
                 gap = (sample["t_ns"] - self._last_ns) / SECOND_NS

@@ -105,6 +105,10 @@ def make_driver(bench: Bench, name: str, clock: Clock) -> Driver:
 
             return RtdePoseDriver(row.config.host, row.config.rate_hz, clock)
         if row.kind == "camera":
+            if "://" not in row.config.address:
+                from rig.devices.camera.v4l2 import V4l2Driver
+
+                return V4l2Driver(row.config, clock)
             from rig.devices.camera.opencv import OpenCvDriver
 
             return OpenCvDriver(row.config, clock)
@@ -141,7 +145,7 @@ def stream_spec(
         bench: The bench.
         name: Name of the stream.
         description: `Driver.describe()`.
-        rate_hz: Measured rate.
+        rate_hz: Declared rate.
         **attrs: Further attributes.
     """
     row = bench.row(name)
@@ -161,6 +165,7 @@ def stream_spec(
         height=description["height"],
         width=description["width"],
         codec=codec,
+        numbered=description.get("numbered", False),
         device=description,
         device_clock=description.get("device_clock", "none"),
         **attrs,

@@ -138,7 +138,7 @@ def test_a_fault_in_what_was_recorded_is_found_and_only_it(fault: str, tmp_path:
             path / "zarr.json", lambda document: document["attributes"].update(status="stopped")
         )
         write_frames_without_offsets(path)
-    assert [(finding.code, finding.where) for finding in check(path)] == [(code, where)]
+    assert [(finding.code, finding.where) for finding in faults(check(path))] == [(code, where)]
 
 
 def write_frames_without_offsets(path: Path) -> None:
@@ -313,7 +313,7 @@ def test_a_fault_on_the_disk_is_found_and_only_it(fault: str, intact: Path, tmp_
     path = tmp_path / "s.zarr"
     shutil.copytree(intact, path)
     plant(path)
-    assert [(finding.code, finding.where) for finding in check(path)] == [(code, where)]
+    assert [(finding.code, finding.where) for finding in faults(check(path))] == [(code, where)]
 
 
 def test_every_code_has_a_planted_fault() -> None:
@@ -324,7 +324,7 @@ def test_every_code_has_a_planted_fault() -> None:
 def test_a_source_that_is_said_to_be_still_may_repeat_itself(tmp_path: Path) -> None:
     path = make_session(tmp_path / "s.zarr", change=only_in("force", repeated(slice(500, 1700))))
     edit_json(path / FORCE / "zarr.json", lambda d: d["attributes"].update(source_motion="still"))
-    assert check(path) == []
+    assert faults(check(path)) == []
 
 
 def test_late_packets_are_no_clock_step(tmp_path: Path) -> None:
@@ -336,7 +336,7 @@ def test_late_packets_are_no_clock_step(tmp_path: Path) -> None:
         return {**columns, "t_ns": t_ns}
 
     path = make_session(tmp_path / "s.zarr", change=only_in("camera", stall))
-    assert [finding.code for finding in check(path)] == ["gap"]
+    assert [finding.code for finding in faults(check(path))] == ["gap"]
 
 
 def test_reading_a_missing_chunk_is_an_error_not_a_zero(intact: Path, tmp_path: Path) -> None:
@@ -361,7 +361,7 @@ def test_nothing_is_found_in_a_sound_session(
     names: tuple[str, ...], codec: str, tmp_path: Path
 ) -> None:
     path = make_session(tmp_path / "s.zarr", names=names, codec=codec)
-    assert check(path) == []
+    assert faults(check(path)) == []
     session = Session(path)
     assert session.warning is None
     assert session.frames["valid"].all()

@@ -30,6 +30,7 @@ from recorder import (
     repack,
 )
 from recorder.checks.check import check
+from recorder.findings import faults
 from recorder.session.frames import depth_in, grid, write_frames
 
 
@@ -223,7 +224,7 @@ def test_runs_keep_apart_even_if_the_clock_starts_anew(tmp_path: Path) -> None:
         times = {"start_ns": 5_200_000_000, "end_ns": 6_000_000_000}
         again.segments.append(target=3, phase=0, outcome=0, run=1, **times)
         again.finish("stopped", "enough", rate_hz=40)
-    assert check(path) == []
+    assert faults(check(path)) == []
     session = Session(path)
     assert (session.status, session.attrs["reason"]) == ("stopped", "enough")
     assert session.runs[1]["first_row"]["camera"] == lengths["camera"]
@@ -251,7 +252,7 @@ def test_recovery_closes_a_killed_session_once_and_for_all(tmp_path: Path) -> No
     (path / "frames.building").mkdir()
     first = recover(path)
     assert (first.status, first.frames_rebuilt) == ("recovered", True)
-    assert check(path) == []
+    assert faults(check(path)) == []
     before = tree(path)
     second = recover(path)
     assert not second.touched
@@ -311,7 +312,7 @@ def test_finish_recovers_a_stream_whose_process_died(tmp_path: Path) -> None:
     (camera / "t_ns/journal-216").write_bytes(b"TRL1 torn")
     with SessionWriter.resume(path) as session:
         session.finish("complete", rate_hz=40)
-    assert check(path) == []
+    assert faults(check(path)) == []
 
 
 def test_unknown_streams_and_statuses_are_refused_by_name(tmp_path: Path) -> None:
@@ -338,7 +339,7 @@ def test_a_portable_copy_holds_the_same_pixels_for_everybody(
     path = tmp_path / "portable.zarr"
     repack(recorded, path, "portable", progress=lambda *state: done.append(state))
     assert done[-1] == (216, 216)
-    assert check(path) == []
+    assert faults(check(path)) == []
     source, copy = Session(recorded), Session(path)
     rows = range(216)
     pixels = source.streams["camera"].images(rows)

@@ -118,7 +118,7 @@ def test_the_reference_of_each_point_is_kept(collected: tuple[Session, Collectio
 
 def test_the_table_names_every_stream(collected: tuple[Session, Collection, Path]) -> None:
     text = collected[1].text
-    for word in ("force", "pose", "camera", "longest gap", "dropped", "worst skew", "paper: 20 to"):
+    for word in ("force", "pose", "camera", "longest gap", "lost", "worst skew", "paper: 20 to"):
         assert word in text
     assert collected[1].session.with_suffix(".png").exists()
 

@@ -17,7 +17,7 @@ import pytest
 from support.collecting import ROOT, Collection
 from support.sessions import Columns, make_session
 
-from recorder import Session, SessionError, check
+from recorder import Session, SessionError, check, faults
 from recorder.info import digests
 from recorder.store.layout import merge_attrs
 from rig.core.clock import SECOND_NS
@@ -115,7 +115,7 @@ def test_a_replay_says_what_it_is_of_and_keeps_what_was_planned_and_pressed(
     assert np.array_equal(replay.reference["wrench"], session.reference["wrench"])
     assert len(replay.frames["t_ns"]) == len(session.frames["t_ns"])
     excused = {"gap", "clock-step"}
-    assert [str(f) for f in check(replays.quick) if f.code not in excused] == []
+    assert [str(f) for f in faults(check(replays.quick)) if f.code not in excused] == []
 
 
 def two_runs(path: Path) -> Path:
@@ -238,7 +238,7 @@ def test_pauses_are_no_fault_of_a_replay_whose_times_are_compressed(
 
     path = make_session(tmp_path / "s.zarr", seconds=1.0, names=("pose",), change=late)
     merge_attrs(path, {"replay_of": {"name": "x.zarr", "speed": speed}})
-    assert {finding.code for finding in check(path)} == found
+    assert {finding.code for finding in faults(check(path))} == found
 
 
 def test_different_bytes_are_called_different() -> None:
@@ -339,7 +339,7 @@ def test_whatever_ends_a_replay_what_was_recorded_is_kept(
     kept = session.streams["force"].array("value")
     assert len(kept) > 100
     assert kept.tobytes() == Session(long).streams["force"].array("value")[: len(kept)].tobytes()
-    codes = {finding.code for finding in check(tmp_path / "r.zarr")}
+    codes = {finding.code for finding in faults(check(tmp_path / "r.zarr"))}
     assert codes <= {"gap", "clock-step"}
 
 

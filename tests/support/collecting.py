@@ -17,7 +17,7 @@ from pathlib import Path
 
 from benchmarks.faults import quick as reliability
 from benchmarks.faults.processes import family, stream_process
-from recorder import check
+from recorder import check, faults
 from rig.core.packaged import BENCHES
 
 ROOT = Path(__file__).parents[2]
@@ -45,7 +45,7 @@ def faults_of(session: Path, *, stopped: bool = False) -> list[str]:
         stopped: True if streams may end before the session does.
     """
     excused = {"gap", "clock-step"} | ({"truncated"} if stopped else set())
-    return [str(finding) for finding in check(session) if finding.code not in excused]
+    return [str(finding) for finding in faults(check(session)) if finding.code not in excused]
 
 
 @contextlib.contextmanager
