@@ -15,6 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from recorder.session.loss import Losses, stream_losses
 from recorder.spec import Column, Traits, frame_columns, signal_of
 
 Times = NDArray[np.int64]
@@ -310,6 +311,8 @@ class Source:
     """Oldest value that is still valid [s]."""
     exposure: float
     """Exposure time before a capture [s]."""
+    losses: Losses
+    """Lost samples, placed between the captures around them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -373,7 +376,10 @@ class StreamLike(Protocol):
 
 
 def sources_of_run(
-    streams: Mapping[str, StreamLike], order: Sequence[str], rows: Mapping[str, slice]
+    streams: Mapping[str, StreamLike],
+    order: Sequence[str],
+    rows: Mapping[str, slice],
+    losses: Mapping[str, Losses] | None = None,
 ) -> Sources:
     """Return the streams of one run that are aligned.
 
@@ -381,20 +387,22 @@ def sources_of_run(
         streams: Streams by name.
         order: Their names in the session's order.
         rows: Rows of each that belong to the run.
+        losses: Losses in these rows, of the streams for which they are known.
     """
     described = [(name, streams[name].traits) for name in order]
     columns = frame_columns(described)
-    found = {name: source(streams[name], rows[name]) for name in columns}
+    found = {name: source(streams[name], rows[name], (losses or {}).get(name)) for name in columns}
     signal = signal_of(described)
     return Sources(found, columns, None if signal is None else found[signal])
 
 
-def source(stream: StreamLike, rows: slice) -> Source:
-    """Return some rows of a stream with their capture times."""
+def source(stream: StreamLike, rows: slice, losses: Losses | None = None) -> Source:
+    """Return some rows of a stream with their capture times, and the losses in them."""
     times = captured(stream)[rows]
     numbers = np.arange(len(stream.t_ns), dtype=np.int64)[rows]
     column = stream.value_column
     values = stream.values(rows) if column is not None and column.is_number else None
+    lost = (stream_losses(stream, rows) if losses is None else losses).on(times)
     if np.any(np.diff(times) < 0):
         order = np.argsort(times, kind="stable")
         times, numbers = times[order], numbers[order]
@@ -411,6 +419,7 @@ def source(stream: StreamLike, rows: slice) -> Source:
             stream, "max_age", _MAX_AGE_PERIODS / stream.rate_hz if max_age is None else max_age
         ),
         _number(stream, "exposure", EXPOSURE),
+        lost,
     )
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from recorder.session.align import Floats, Times, quaternion
 from recorder.session.reader import Session
+from recorder.session.uncertainty import row_sigma, sigmas_of
 from recorder.session.window import align_window
 from recorder.spec import PHASES
 from recorder.store.durable import sync_directory
@@ -34,7 +35,8 @@ UNITS: Mapping[str, tuple[str, str]] = {
     "phase": ("1", "code, see attrs phases; -1 in a session without targets"),
     "depth": ("m", "indentation, from the pose; negative above the surface, NaN if unknown"),
     "skew": ("s", "largest distance of a value from the capture it is given for"),
-    "valid": ("1", "every stream that has a role had samples near enough"),
+    "time_sigma": ("s", "standard uncertainty of the alignment; twice it covers 95 %"),
+    "valid": ("1", "every stream that has a role had samples near enough, and lost none needed"),
 }
 
 _BUILDING, _OLD = "frames.building", "frames.old"
@@ -161,6 +163,7 @@ def _run_table(
         "phase": _of_segment(session, "phase", segment),
         "depth": np.full(count, np.nan),
         "skew": rows.skew,
+        "time_sigma": row_sigma(rows, session.sources(run).streams, sigmas_of(session, run)),
         "valid": rows.valid,
     }
     for name, column in rows.columns.items():

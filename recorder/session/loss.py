@@ -81,6 +81,27 @@ class Losses:
         part = np.clip(np.ceil(share) - 1, 0, self.count[at]).astype(np.int64)
         return np.where(inside, done[at] + part, 0)
 
+    def around(self, t_ns: Times) -> Bools:
+        """Return True where a sample was lost between the samples before and after a time (n,)."""
+        if not len(self.count):
+            return np.zeros(len(t_ns), np.bool_)
+        gap = np.searchsorted(self.start_ns, t_ns, side="left") - 1
+        return np.asarray((gap >= 0) & (t_ns < self.end_ns[np.maximum(gap, 0)]))
+
+    def on(self, t_ns: Times) -> Losses:
+        """Return the same gaps on other times of the rows (n,) [ns], such as their captures."""
+        start, end = t_ns[self.row - 1], t_ns[self.row]
+        order = np.argsort(start, kind="stable")
+        start, end = start[order], np.maximum(start, end)[order]
+        return Losses(self.source, self.row[order], self.count[order], start, end)
+
+    def part(self, first: int, count: int) -> Losses:
+        """Return the gaps between `count` rows from row `first` of the run on, counted from it."""
+        low = np.searchsorted(self.row, first, side="right")
+        kept = slice(low, np.searchsorted(self.row, first + count, side="left"))
+        row, lost = self.row[kept] - first, self.count[kept]
+        return Losses(self.source, row, lost, self.start_ns[kept], self.end_ns[kept])
+
     def inside(self, start_ns: Times, end_ns: Times) -> NDArray[np.int64]:
         """Return the number of samples lost in each interval [start, end) (n,)."""
         return self.before(end_ns) - self.before(start_ns)
@@ -196,28 +217,30 @@ def _lost(
     arrived = (t_ns - t_ns[0]) * _NS
     passed = np.diff(arrived)
     source = NOTHING
-    lost = np.zeros(len(passed))
-    if timed:
-        source = ARRIVAL
-        lost = _by_clock(arrived, rate_hz, delayed=True)
-    if device_t is not None and np.isfinite(device_t).sum() > 1:
-        source = DEVICE_CLOCK
+    lost = np.full(len(passed), np.nan)  # where no witness has spoken yet
+    if seq is not None:
+        source = SEQUENCE
+        step = np.diff(seq)
+        missing = np.maximum(step // _stride(seq, arrived, rate_hz, timed) - 1.0, 0.0)
+        usable = step >= 0  # else the device began to count anew
+        if timed:
+            usable &= missing <= 2 * rate_hz * (passed + CLOCK_STEP)
+        lost[usable] = missing[usable]
+    silent = np.isnan(lost)
+    if silent.any() and device_t is not None and np.isfinite(device_t).sum() > 1:
+        source = source if seq is not None else DEVICE_CLOCK
         step = np.diff(np.asarray(device_t, np.float64))
         usable = np.isfinite(step) & (step > 0)
         if timed:
             usable &= step < passed + CLOCK_STEP
-        if usable.any():
-            at = np.concatenate([[0.0], np.cumsum(np.where(usable, step, 1.0 / rate_hz))])
-            lost = np.where(usable, _by_clock(at, rate_hz, delayed=False), lost)
-    if seq is not None:
-        source = SEQUENCE
-        step = np.diff(seq)
-        missing = step // _stride(seq, arrived, rate_hz, timed) - 1.0
-        usable = step >= 0  # else the device began to count anew
-        if timed:
-            usable &= missing <= 2 * rate_hz * (passed + CLOCK_STEP)
-        lost = np.where(usable, np.maximum(missing, 0), lost)
-    return lost, source
+        at = np.concatenate([[0.0], np.cumsum(np.where(usable, step, 1.0 / rate_hz))])
+        usable &= silent
+        lost[usable] = _by_clock(at, rate_hz, delayed=False)[usable]
+    silent = np.isnan(lost)
+    if silent.any() and timed:
+        source = ARRIVAL if source == NOTHING else source
+        lost[silent] = _by_clock(arrived, rate_hz, delayed=True)[silent]
+    return np.nan_to_num(lost), source
 
 
 def _by_clock(at: Floats, rate_hz: float, *, delayed: bool) -> Floats:
@@ -311,6 +334,10 @@ def _missing(steps: Floats, period: float) -> Floats:
     """
     beyond = np.minimum(np.maximum(steps, 0.0) / period, _MOST) - 1.0
     lost = np.zeros(len(beyond))
+    # No carried fraction exceeds that of steps summed up from any earlier one.
+    sums = np.cumsum(beyond - SLOW)
+    if (sums - np.minimum.accumulate(np.minimum(sums, 0.0))).max() + SLOW <= 0.5:
+        return lost
     carried = 0.0
     for place, value in enumerate(beyond.tolist()):
         carried += value

@@ -56,7 +56,7 @@ def span_of_run(session: Session, run: int) -> tuple[int, int] | None:
         if not stream.traits.roles or rows.stop <= rows.start:
             continue
         if _has_device_times(stream):
-            times = align.source(_Part(stream, rows.start, rows.stop), slice(None)).times
+            times = np.sort(align.captured(_Part(stream, rows.start, rows.stop)))
         else:
             ends = (rows.start, rows.stop - 1)
             times = np.concatenate([align.captured(_Part(stream, k, k + 1)) for k in ends])
@@ -130,15 +130,15 @@ def _near(session: Session, name: str, run: int, start: int, stop: int) -> Sourc
     stream, rows = session.streams[name], session.rows_of_run(name, run)
     first, last, block = rows.start, rows.stop, stream.layout.block
     if _has_device_times(stream) or last - first <= 2 * block:
-        return _source(stream, first, last)
+        return _source(session, name, run, first, last)
     arrivals = stream.arrivals(first, last)
     late = round(float(stream.attrs.get("latency") or 0.0) / NS)
     low, high = arrivals.chunk(start + late), arrivals.chunk(stop + late) + 1
     reach = 1
     while True:
-        part = _source(stream, max(low * block, first), min(high * block, last))
+        part = _source(session, name, run, max(low * block, first), min(high * block, last))
         if not arrivals.ordered or np.any(np.diff(part.rows) < 0):
-            return _source(stream, first, last)
+            return _source(session, name, run, first, last)
         before = low * block > first and not (len(part.times) and part.times[0] < start)
         after = high * block < last and not (len(part.times) and part.times[-1] > stop)
         if not before and not after:
@@ -147,8 +147,10 @@ def _near(session: Session, name: str, run: int, start: int, stop: int) -> Sourc
         low, reach = max(low, first // block), 2 * reach
 
 
-def _source(stream: Stream, first: int, last: int) -> Source:
-    source = align.source(_Part(stream, first, last), slice(None))
+def _source(session: Session, name: str, run: int, first: int, last: int) -> Source:
+    stream, rows = session.streams[name], session.rows_of_run(name, run)
+    losses = session.losses(name, run).part(first - (rows.start or 0), last - first)
+    source = align.source(_Part(stream, first, last), slice(None), losses)
     return replace(source, rows=source.rows + first)
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from recorder.errors import SessionError
 from recorder.session.align import Sources, sources_of_run
+from recorder.session.loss import Losses, is_compressed, stream_losses
 from recorder.session.nearby import Arrivals, sources_near, span_of_run
 from recorder.session.window import Window, align_window, ticks_before
 from recorder.spec import Column, Traits, frame_columns, in_order, signal_of
@@ -250,6 +251,7 @@ class Session:
         self.segments = _table(self.path / "segments", self.files)
         self.reference = _table(self.path / "reference", self.files)
         self.frames = Table.of_group(self.path / "frames", self.files)
+        self._losses: dict[tuple[str, int], Losses] = {}
         self._spans: dict[int, tuple[int, int] | None] = {}
 
     def __repr__(self) -> str:
@@ -323,7 +325,17 @@ class Session:
     def sources(self, run: int) -> Sources:
         """Return the streams of one run, ready to be aligned."""
         rows = {name: self.rows_of_run(name, run) for name in self.streams}
-        return sources_of_run(self.streams, self.order, rows)
+        losses = {name: self.losses(name, run) for name in self.columns}
+        return sources_of_run(self.streams, self.order, rows, losses)
+
+    def losses(self, name: str, run: int) -> Losses:
+        """Return the samples that a stream lost in a run; kept in memory."""
+        key = (name, run)
+        if key not in self._losses:
+            timed = not is_compressed(self.attrs)
+            rows = self.rows_of_run(name, run)
+            self._losses[key] = stream_losses(self.streams[name], rows, timed=timed)
+        return self._losses[key]
 
     def run_at(self, t_ns: int) -> int:
         """Return the latest run whose samples enclose a time, or else the last run."""

@@ -40,7 +40,7 @@ class AlignedStream:
     """Distance from the capture to the nearest sample used (n,) [s]; for the signal, tick minus
     capture; NaN where there is none."""
     valid: Bools
-    """True if all samples used are near enough (n,)."""
+    """True if all samples used are near enough, and none that was needed is lost (n,)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +198,7 @@ def align_window(
         capture[some] = signal.times[picked.index[some]]
         rows[some] = signal.rows[picked.index[some]]
     streams = {
-        name: _taken(source, picked)
+        name: _taken(source, picked, ticks)
         if source is signal and picked is not None
         else _aligned(source, chosen[name], capture, exposure)
         for name, source in sources.streams.items()
@@ -226,19 +226,24 @@ def _method(source: Source, name: str) -> str:
 def _aligned(source: Source, method: str, capture: Times, exposure: float) -> AlignedStream:
     if source.values is None or method in ("latest", "nearest"):
         pick = align.nearest if method == "nearest" else align.held
-        return _taken(source, pick(source.times, capture, max_age=source.max_age))
+        return _taken(source, pick(source.times, capture, max_age=source.max_age), capture)
     found: Aligned
     if method == "mean":
         start, stop = align.exposure_window(capture, exposure)
         found = align.mean(source.times, source.values, start, stop, max_age=source.max_age)
+        lost = source.losses.touch(start, stop)
     else:
         interpolate = align.pose if source.is_pose else align.linear
         found = interpolate(source.times, source.values, capture, max_age=source.max_age)
-    return AlignedStream(source.traits, found.value, None, found.age, found.valid)
+        lost = source.losses.around(capture)
+    return AlignedStream(source.traits, found.value, None, found.age, found.valid & ~lost)
 
 
-def _taken(source: Source, picked: Picked) -> AlignedStream:
-    """Return unmodified samples: their values, or only their rows for images and text."""
+def _taken(source: Source, picked: Picked, moments: Times) -> AlignedStream:
+    """Return unmodified samples: their values, or only their rows for images and text.
+
+    A sample is not valid if one nearer to its moment was lost.
+    """
     some = picked.index >= 0
     rows = np.full(len(picked.index), -1, np.int64)
     rows[some] = source.rows[picked.index[some]]
@@ -246,7 +251,10 @@ def _taken(source: Source, picked: Picked) -> AlignedStream:
     if source.values is not None:
         value = np.full((len(rows), *source.values.shape[1:]), np.nan)
         value[some] = source.values[picked.index[some]]
-    return AlignedStream(source.traits, value, rows, picked.age, picked.valid)
+    taken = moments.copy()
+    taken[some] = source.times[picked.index[some]]
+    lost = source.losses.touch(np.minimum(taken, moments), np.maximum(taken, moments))
+    return AlignedStream(source.traits, value, rows, picked.age, picked.valid & ~lost)
 
 
 def _value(stream: AlignedStream | None) -> NDArray[Any] | None:
