@@ -20,6 +20,7 @@ from recorder.archive.plan import FORMAT as ARCHIVE
 from recorder.archive.reader import describe_archive
 from recorder.session.loss import Account, accounts_of, loss_lines
 from recorder.session.reader import Session, Stream
+from recorder.session.uncertainty import time_lines
 from recorder.spec import OUTCOMES, PHASES
 from recorder.store.files import locate
 from recorder.store.layout import says_it_is
@@ -104,7 +105,7 @@ def describe(path: str | os.PathLike[str]) -> str:
     lines += [
         _stream_line(session, stream, accounts[stream.name]) for stream in session.streams.values()
     ]
-    lines += loss_lines(accounts)
+    lines += [*loss_lines(accounts), *time_lines(session)]
     lines.append("")
     lines += _frame_lines(session)
     lines += _segment_lines(session)

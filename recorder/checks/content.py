@@ -19,6 +19,7 @@ from recorder.session.loss import (
     unseen,
 )
 from recorder.session.reader import Session, Stream
+from recorder.session.uncertainty import uncalibrated
 from recorder.spec import OUTCOMES, PHASES, TARGET_UNITS
 from recorder.store.files import read_document
 
@@ -53,6 +54,9 @@ def check_stream(
     where = f"streams/{stream.name}"
     account = account_of(session, stream.name)
     yield from _check_losses(session, where, stream.name, account)
+    note = uncalibrated(stream)
+    if note is not None and account.rows:
+        yield Finding("uncalibrated", where, note)
     compressed = is_compressed(session.attrs)
     for run, losses in enumerate(account.runs):
         rows = session.rows_of_run(stream.name, run)

@@ -21,5 +21,6 @@ def run(options: argparse.Namespace) -> int:
         print(finding)
     wrong = faults(findings)
     if not wrong:
-        print(f"{options.session}: nothing found")
+        notes = f"no faults, {len(findings)} notes" if findings else "nothing found"
+        print(f"{options.session}: {notes}")
     return 1 if wrong else 0

@@ -7,9 +7,11 @@ from recorder.session.press_curve import press_curves, save_curves
 from recorder.session.reader import Stream
 from recorder.session.sheet import contact_sheet
 from recorder.session.tail import ImageTail, open_tail
+from recorder.session.uncertainty import PRIOR, sigmas_of, time_lines
 
 __all__ = [
     "EXPOSURE",
+    "PRIOR",
     "Account",
     "ImageTail",
     "Stream",
@@ -24,4 +26,6 @@ __all__ = [
     "press_curves",
     "quaternion",
     "save_curves",
+    "sigmas_of",
+    "time_lines",
 ]

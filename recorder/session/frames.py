@@ -54,7 +54,15 @@ def write_frames(path: Path, rate_hz: float) -> None:
     remove_leftovers(path)
     session = Session(path)
     write_table(building, frames_table(session, rate_hz), frame_units(session))
-    attrs = {"rate_hz": float(rate_hz), "phases": list(PHASES), "streams": session.columns}
+    attrs = {
+        "rate_hz": float(rate_hz),
+        "phases": list(PHASES),
+        "streams": session.columns,
+        "time_sigma": [
+            {name: part.to_json() for name, part in sigmas_of(session, run).items()}
+            for run in range(max(len(session.runs), 1))
+        ],
+    }
     merge_attrs(building, attrs)
     if final.exists():
         final.rename(old)

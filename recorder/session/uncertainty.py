@@ -147,7 +147,7 @@ def uncalibrated(stream: StreamLike) -> str | None:
     if "signal" not in stream.traits.roles:
         return None
     stamped = stream.traits.clock == "monotonic"
-    latency, prior = _latency(stream, 1.0 / stream.rate_hz, stamped)
+    prior = _latency(stream, 1.0 / stream.rate_hz, stamped)[1]
     if np.isnan(prior):
         return None
     own = "; its driver stamps its frames" if stamped else ""

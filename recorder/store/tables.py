@@ -43,7 +43,7 @@ def write_table(
     if len(set(lengths.values())) > 1:
         raise SessionError(f"{path}: columns of unequal length: {lengths}")
     path.mkdir()
-    write_group(path, dict(attrs or {}))
+    write_group(path, {**(attrs or {}), "columns": list(columns)})
     for name, column in columns.items():
         unit, description = units.get(name, ("1", ""))
         array = zarr.create_array(

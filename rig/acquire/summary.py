@@ -10,7 +10,13 @@ import numpy as np
 
 from recorder import Session, SessionError
 from recorder.progress import duration
-from recorder.session import accounts_of, loss_lines, press_curves, save_curves
+from recorder.session import (
+    accounts_of,
+    loss_lines,
+    press_curves,
+    save_curves,
+    time_lines,
+)
 from rig.bench.bench import Bench
 from rig.bench.stream_kinds import expected_rate
 
@@ -26,7 +32,7 @@ def cadence(bench: Bench, session: Session, summaries: Mapping[str, Any]) -> str
             f"{1e3 * account.longest_gap:>10.1f} ms{account.lost:>9}"
             + omitted(summary.get("refused", {}))
         )
-    lines += loss_lines(accounts)
+    lines += [*loss_lines(accounts), *time_lines(session)]
     frames = session.frames
     valid = np.asarray(frames["valid"], dtype=bool) if len(frames) else np.zeros(0, dtype=bool)
     if valid.any():
