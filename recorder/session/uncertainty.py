@@ -101,7 +101,7 @@ def time_sigma(stream: StreamLike, rows: slice, source: Source) -> TimeSigma:
         stated = stream.attrs.get("exposure") is not None
         exposure = source.exposure if stated else max(period, EXPOSURE)
     calibrated = bool(np.isnan(prior))
-    return TimeSigma(latency, exposure / np.sqrt(12.0), clock, queue, calibrated, prior)
+    return TimeSigma(latency, exposure / float(np.sqrt(12.0)), clock, queue, calibrated, prior)
 
 
 def row_sigma(
