@@ -11,10 +11,12 @@ from recorder.session.align import NS
 from recorder.session.frames import UNITS, grid, has_targets, whole_run
 from recorder.session.loss import (
     ARRIVAL,
+    EVENTS,
     Account,
     Losses,
     account_of,
     is_compressed,
+    is_regular,
     other_rate,
     unseen,
 )
@@ -202,7 +204,7 @@ def _check_times(
         at = backward[0]
         message = f"{backward.size} found, first at row {first + at + 1}, {steps[at]:+.6f} s"
         yield Finding("time-order", where, message)
-    if compressed:
+    if compressed or losses.source == EVENTS:
         return
     gaps = np.flatnonzero((steps > limit) & ~explained)
     if gaps.size:
@@ -268,6 +270,8 @@ def _check_cover(
 ) -> Iterator[Finding]:
     late: dict[int, str] = {}
     for stream in session.streams.values():
+        if not is_regular(stream):
+            continue
         where = f"streams/{stream.name}"
         t_ns = stream.t_ns[session.rows_of_run(stream.name, run)]
         if not len(t_ns):

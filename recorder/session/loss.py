@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from recorder.spec import Traits
+
 if TYPE_CHECKING:
     from recorder.session.reader import Session
 
@@ -26,6 +28,8 @@ Array = np.ndarray[Any, Any]
 
 # What the counts of a stream are based on.
 SEQUENCE, DEVICE_CLOCK, ARRIVAL, NOTHING = "sequence", "device clock", "arrival", "nothing"
+# Source of a stream of events, which come at no rate and so miss none.
+EVENTS = "events"
 
 # A device's true rate may differ from the declared one by this fraction.
 RATE_TOLERANCE = 0.02
@@ -39,6 +43,8 @@ HORIZON = 1.0
 CLOCK_STEP = 1.0
 
 _NS = 1e-9
+_UNSURE = 5  # samples after a gap that tell a late sample from a lost one
+_RARE = 0.3  # losses per sample; where there are more, those at the end are no surprise
 _SHOWN = 5  # targets named in a line
 _MOST = 1e15  # more samples than any device sends; keeps counts of nonsense in int64
 
@@ -66,7 +72,7 @@ class Losses:
     @property
     def counted(self) -> bool:
         """True if the device itself tells of its losses, by its numbers or its clock."""
-        return self.source in (SEQUENCE, DEVICE_CLOCK)
+        return self.source in (SEQUENCE, DEVICE_CLOCK, EVENTS)
 
     def before(self, t_ns: Times) -> NDArray[np.int64]:
         """Return the number of samples lost before each time (n,); a gap lost them evenly."""
@@ -202,8 +208,8 @@ def other_rate(t_ns: Times, rate_hz: float, losses: Losses) -> tuple[int, float,
         return None
     first, last = max(edges.tolist(), key=lambda edge: edge[1] - edge[0])
     last = last - 1 + size
-    duration = float(arrived[last] - arrived[first])
-    return first, duration, float((number[last] - number[first]) / max(duration, 1e-9))
+    worst = first + int(np.abs(ratio[first : last + 1 - size] - 1).argmax())
+    return first, float(arrived[last] - arrived[first]), float(ratio[worst] * rate_hz)
 
 
 def _lost(
@@ -259,8 +265,11 @@ def _by_clock(at: Floats, rate_hz: float, *, delayed: bool) -> Floats:
         prompt = _prompt(at, np.asarray(rows * period, np.float64)) if delayed else at
         lost = _missing(np.diff(prompt), period)
         period = _period(at, rows + np.concatenate([[0], np.cumsum(lost)]), rate_hz)
-    if delayed and lost[-1] == 1:
-        lost[-1] = 0  # nothing after the last sample tells if it was late, or the one before lost
+    if delayed:
+        # Too few samples after the last gaps tell if one was lost, or the next was only late.
+        end, before = lost[-_UNSURE:], lost[-4 * _UNSURE : -_UNSURE]
+        if len(before) and before.mean() < _RARE:
+            end[end <= 2] = 0
     return lost
 
 
@@ -367,6 +376,7 @@ class StreamLike(Protocol):
     """Interface of a stream whose losses are counted."""
 
     attrs: dict[str, Any]
+    traits: Traits
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -386,6 +396,11 @@ class StreamLike(Protocol):
     def array(self, name: str) -> Array:
         """Return a small column (n, ...)."""
         ...
+
+
+def is_regular(stream: StreamLike) -> bool:
+    """Return False for events, which come at no rate: their last sample holds for any time."""
+    return stream.traits.defaults.max_age != math.inf
 
 
 def witnesses(stream: StreamLike, rows: slice) -> dict[str, Any]:
@@ -408,12 +423,12 @@ def witnesses(stream: StreamLike, rows: slice) -> dict[str, Any]:
 def stream_losses(stream: StreamLike, rows: slice, *, timed: bool = True) -> Losses:
     """Return the losses in some rows of a stream, all of one run.
 
-    A stream without a rate of its own (attribute `irregular`: events) loses none that can be seen.
+    An irregular stream loses none that can be seen.
     """
     t_ns = stream.t_ns[rows]
-    if stream.attrs.get("irregular"):
+    if not is_regular(stream):
         none = np.zeros(0, np.int64)
-        return Losses(NOTHING, none, none, none, none)
+        return Losses(EVENTS, none, none, none, none)
     return find_losses(t_ns, stream.rate_hz, timed=timed, **witnesses(stream, rows))
 
 
@@ -445,7 +460,7 @@ class Account:
     @property
     def source(self) -> str:
         """What the losses were counted by; the least exact of the runs."""
-        known = (NOTHING, ARRIVAL, DEVICE_CLOCK, SEQUENCE)
+        known = (NOTHING, ARRIVAL, DEVICE_CLOCK, SEQUENCE, EVENTS)
         return min((losses.source for losses in self.runs), key=known.index, default=NOTHING)
 
     @property

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.session.align import EXPOSURE, Source, StreamLike
-from recorder.session.loss import lateness, witnesses
+from recorder.session.loss import is_regular, lateness, witnesses
 from recorder.session.window import Window
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def time_sigma(stream: StreamLike, rows: slice, source: Source) -> TimeSigma:
     stamped = stream.traits.clock == "monotonic"
     latency, prior = _latency(stream, period, stamped)
     queue, clock = np.zeros(len(source.times)), 0.0
-    if not stamped and not stream.attrs.get("irregular"):
+    if not stamped and is_regular(stream):
         device_t = witnesses(stream, rows).get("device_t")
         queue, clock = lateness(stream.t_ns[rows], stream.rate_hz, source.losses, device_t)
         queue = queue[source.rows - (rows.start or 0)]

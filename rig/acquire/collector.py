@@ -32,6 +32,7 @@ from rig.acquire.preflight import (
     Tare,
     check_clear,
     check_devices,
+    notes_on,
     take_tares,
     tip_position,
 )
@@ -50,6 +51,9 @@ from rig.devices.force.settings import AXES
 from trajectories import Plan, dry_run, plan_to_json
 
 logger = logging.getLogger(__name__)
+
+# Streams whose latency calibrate-latency measures.
+SIGNALS = ("camera", "taxels")
 
 # Errors that may end a run, and their exit codes.
 _EXIT_CODES: dict[type[BaseException], int] = {
@@ -108,6 +112,12 @@ class Collector:
                 Streams(self._bench, self._folder, self._clock, self._watch)
             )
             found = check_devices(self._bench, streams)
+            latency = request.calibration.latency
+            notes = notes_on(
+                found.description, SIGNALS, [] if latency is None else [latency.stream]
+            )
+            for note in notes:
+                logger.info("preflight  note: %s", note)
             interlocks = stack.enter_context(Interlocks(self._bench, self._control, self._clock))
             found.description.update(interlocks.open())
             interrupt.check()
@@ -117,7 +127,7 @@ class Collector:
             self._rise(arm, streams, interlocks)
             tares = take_tares(self._bench, streams)
             interrupt.check()
-            writer, first, run = self._open_session(request, plan, total, found, tares)
+            writer, first, run = self._open_session(request, plan, total, found, tares, notes)
             planned = seconds_per_target(self._bench, plan)
             live = LiveLine(streams, total, self._clock, planned=planned, first=first)
             if self._page is not None:
@@ -218,6 +228,7 @@ class Collector:
         total: int,
         found: Found,
         tares: Mapping[str, Tare],
+        notes: list[str],
     ) -> tuple[SessionWriter, int, int]:
         """Return the session's writer, the first target to press and the number of this run."""
         anchor = asdict(ClockAnchor.take())
@@ -226,6 +237,7 @@ class Collector:
             "operator": request.operator or getpass.getuser(),
             **_tare_entry(tares),
             "rates_hz": found.rates,
+            "notes": notes,
             "bench": self._content,
             "devices": found.description,
         }

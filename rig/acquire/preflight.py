@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -66,6 +67,27 @@ def check_devices(bench: Bench, streams: Streams) -> Found:
         if abs(deviation) > bench.preflight.rate_tolerance:
             logger.warning("preflight  %s is %+.0f %% off its expected rate", name, 100 * deviation)
     return Found(description, rates)
+
+
+def notes_on(
+    description: Mapping[str, Mapping[str, Any]], signals: Sequence[str], calibrated: Sequence[str]
+) -> list[str]:
+    """Return what the recording will not tell: latencies not measured, and drops not seen.
+
+    Args:
+        description: `Driver.describe()` by stream.
+        signals: Streams that the others are aligned to.
+        calibrated: Streams whose latency was measured.
+    """
+    notes = [
+        f"{name} latency not calibrated (make calibrate-latency)"
+        for name in signals
+        if name in description and name not in calibrated
+    ]
+    for name, device in description.items():
+        if device.get("numbering", "device") != "device":
+            notes.append(f"{name}: drops cannot be seen: its device numbers no samples")
+    return notes
 
 
 def tip_position(bench: Bench, streams: Streams) -> Point:

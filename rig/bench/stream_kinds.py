@@ -165,7 +165,7 @@ def stream_spec(
         height=description["height"],
         width=description["width"],
         codec=codec,
-        numbered=description.get("numbered", False),
+        numbered=description.get("numbering") == "device",
         device=description,
         device_clock=description.get("device_clock", "none"),
         **attrs,

@@ -392,7 +392,7 @@ def test_several_files_of_a_kind_become_a_stream_each(tmp_path: Path) -> None:
     words += ["--force-hz", "left=30", "--force-hz", "right=60"]
     assert main(words) == 0
     session = Session(tmp_path / "s.zarr")
-    assert check(session.path) == []
+    assert faults(check(session.path)) == []
     assert session.order == ["top", "side", "left", "right"]
     assert [*session.streams["side"].jpegs(range(30))] == side
     assert session.columns == {"top": "image", "side": "side", "left": "wrench", "right": "right"}

@@ -129,7 +129,7 @@ def test_the_cameras_own_bytes_arrive_unchanged(host: str) -> None:
             "height": 480,
             "jpeg_bytes_kept": True,
             "device_clock": "none",
-            "numbered": False,
+            "numbering": "none",
         }
 
 

@@ -325,7 +325,7 @@ def test_frames_that_the_node_lost_are_gaps_in_its_numbers(shim: Path) -> None:
     lost = numbers[-1] - numbers[0] + 1 - len(numbers)
     assert lost >= 8
     assert found["dropped"] == lost
-    assert found["facts"]["numbered"] is True
+    assert found["facts"]["numbering"] == "device"
 
 
 def test_a_camera_that_falls_silent_is_lost(shim: Path) -> None:

@@ -19,7 +19,7 @@ class CameraDriver(ReceivingDriver):
 
     Columns: value (JPEG bytes, or (height, width, 3) uint8 RGB from a camera that sends no JPEG),
     device_t float64 [s] (the driver's CLOCK_MONOTONIC time; NaN without one), seq int64 (the
-    driver's number of the frame; only if `describe()["numbered"]`), t_ns.
+    driver's number of the frame; only if it numbers them), t_ns.
     """
 
     def __init__(self, config: CameraConfig, clock: Clock) -> None:

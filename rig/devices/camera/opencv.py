@@ -103,7 +103,7 @@ class OpenCvDriver(CameraDriver):
                 "height": height,
                 "jpeg_bytes_kept": True,
                 "device_clock": "none",
-                "numbered": False,
+                "numbering": "none",
             }
         except (cv2.error, ValueError, DeviceLost) as error:
             self.close()

@@ -86,7 +86,7 @@ class V4l2Driver(CameraDriver):
             "width": self._config.width,
             "height": self._config.height,
             "jpeg_bytes_kept": jpeg,
-            "numbered": True,
+            "numbering": "device",
             **self._stamps,
         }
         self._start_receiving(f"camera-{address}")
