@@ -2,7 +2,7 @@
 
 Three witnesses tell of a loss, the best of which is used: the device's sequence numbers, its
 clock, and the arrival at the host. The first two count exactly. Arrivals are first freed of
-delays: a late sample that later ones catch up with is not lost. Everything is held against the
+delays: a late sample that later ones catch up with is not lost. Everything is compared with the
 declared rate; a median of what arrived would hide that every second sample is missing.
 """
 
@@ -54,7 +54,7 @@ class Losses:
     """Gaps in one run of a stream, in the order of time. Each lost at least one sample."""
 
     source: str
-    """What was counted: `SEQUENCE`, `DEVICE_CLOCK`, `ARRIVAL` or `NOTHING`."""
+    """Basis of the counts: `SEQUENCE`, `DEVICE_CLOCK`, `ARRIVAL` or `NOTHING`."""
     row: NDArray[np.int64]
     """First row after each gap (g,), counted from the start of the run."""
     count: NDArray[np.int64]
@@ -179,7 +179,7 @@ def lateness(
     if device_t is not None and np.isfinite(device_t).all():
         due = device_t - device_t[0]
     offset = arrived - due
-    # A step of either clock is no delay: begin anew after it.
+    # A step of either clock is no delay: begin again after it.
     parts = np.split(np.arange(len(offset)), np.flatnonzero(np.diff(due) <= 0) + 1)
     late, wander = np.zeros(len(offset)), 0.0
     for part in parts:
@@ -228,7 +228,7 @@ def _lost(
         source = SEQUENCE
         step = np.diff(seq)
         missing = np.maximum(step // _stride(seq, arrived, rate_hz, timed) - 1.0, 0.0)
-        usable = step >= 0  # else the device began to count anew
+        usable = step >= 0  # else the device began to count again
         if timed:
             usable &= missing <= 2 * rate_hz * (passed + CLOCK_STEP)
         lost[usable] = missing[usable]
@@ -459,7 +459,7 @@ class Account:
 
     @property
     def source(self) -> str:
-        """What the losses were counted by; the least exact of the runs."""
+        """Basis of the counts; the least exact of the runs."""
         known = (NOTHING, ARRIVAL, DEVICE_CLOCK, SEQUENCE, EVENTS)
         return min((losses.source for losses in self.runs), key=known.index, default=NOTHING)
 
