@@ -20,6 +20,7 @@ CODES = {
     "missing-array": "a stream, table or column that the session declares and does not have",
     "gap": "an unusually long time without samples, none of which is lost",
     "dropped": "lost samples, by sequence numbers, the device's clock or the declared rate",
+    "seq-order": "sequence numbers that repeat or run backward",
     "rate": "a device that ran at another rate than declared",
     "frozen": "the same image or value repeated",
     "truncated": "a stream that ends before the recording does",

@@ -12,6 +12,7 @@ from recorder.session.frames import UNITS, grid, has_targets, whole_run
 from recorder.session.loss import (
     ARRIVAL,
     EVENTS,
+    SEQUENCE,
     Account,
     Losses,
     account_of,
@@ -199,6 +200,11 @@ def _check_times(
     explained = np.zeros(len(steps), np.bool_)
     explained[losses.row - 1] = True
     explained[jumped] = True
+    if losses.source == SEQUENCE:
+        repeated = np.flatnonzero(np.diff(columns["seq"]) <= 0)
+        if repeated.size:
+            message = f"{repeated.size} found, first at row {first + repeated[0] + 1}"
+            yield Finding("seq-order", f"{where}/seq", message)
     backward = np.flatnonzero((steps <= 0) & ~explained)
     if backward.size:
         at = backward[0]

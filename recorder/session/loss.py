@@ -191,12 +191,13 @@ def lateness(
 def other_rate(t_ns: Times, rate_hz: float, losses: Losses) -> tuple[int, float, float] | None:
     """Return where a device ran at another rate than declared: row, duration [s], rate [Hz].
 
-    Lost samples count as sent. The longest stretch is returned, None if there is none.
+    Lost samples count as sent. The longest stretch is returned, None if there is none, or if the
+    times run backward.
     """
     arrived = (t_ns - t_ns[0]) * _NS if len(t_ns) else np.zeros(0)
     number = numbers(len(t_ns), losses)
     size = max(round(RATE_WINDOW * rate_hz), 8)
-    if len(t_ns) <= size:
+    if len(t_ns) <= size or np.any(np.diff(t_ns) < 0):
         return None
     prompt = _prompt(arrived, number / rate_hz)
     span = prompt[size:] - prompt[:-size]
@@ -227,7 +228,10 @@ def _lost(
     if seq is not None:
         source = SEQUENCE
         step = np.diff(seq)
-        missing = np.maximum(step // _stride(seq, arrived, rate_hz, timed) - 1.0, 0.0)
+        span = float(arrived[-1]) if timed else float("nan")
+        if not timed and device_t is not None:
+            span = float(device_t[-1] - device_t[0])
+        missing = np.maximum(step // _stride(seq, span, rate_hz) - 1.0, 0.0)
         usable = step >= 0  # else the device began to count again
         if timed:
             usable &= missing <= 2 * rate_hz * (passed + CLOCK_STEP)
@@ -273,17 +277,22 @@ def _by_clock(at: Floats, rate_hz: float, *, delayed: bool) -> Floats:
     return lost
 
 
-def _stride(seq: NDArray[np.int64], arrived: Floats, rate_hz: float, timed: bool) -> int:
+def _stride(seq: NDArray[np.int64], span: float, rate_hz: float) -> int:
     """Return the step of the numbers of consecutive samples.
 
     It is 1, unless all steps have a common divisor and the samples came at the declared rate.
+
+    Args:
+        seq: Numbers (n,).
+        span: Time from the first to the last sample [s]; NaN if no clock tells.
+        rate_hz: Declared rate.
     """
     divisor = int(np.gcd.reduce(np.diff(seq)))
-    span = float(arrived[-1])
-    if divisor <= 1 or not timed or span <= 0:
+    sent = (int(seq[-1]) - int(seq[0])) / max(divisor, 1)
+    if divisor <= 1 or span <= 0:
         return 1
-    sent = (int(seq[-1]) - int(seq[0])) / divisor
-    return divisor if abs(sent / (span * rate_hz) - 1) < RATE_LIMIT else 1
+    other = abs(sent / (span * rate_hz) - 1) >= RATE_LIMIT
+    return 1 if other else divisor
 
 
 def _period(at: Floats, number: NDArray[Any], rate_hz: float) -> float:

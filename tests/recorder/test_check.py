@@ -101,6 +101,11 @@ RECORDED: dict[str, tuple[str, str, Callable[[str, Columns], Columns]]] = {
         "streams/force",
         only_in("force", shifted("t_ns", slice(1500, None), 250_000_000)),
     ),
+    "repeated number": (
+        "seq-order",
+        "streams/force/seq",
+        only_in("force", shifted("seq", slice(900, None), -1)),
+    ),
     "few samples dropped": ("dropped", "streams/force", only_in("force", without(slice(900, 903)))),
     "many samples dropped": (
         "dropped",
