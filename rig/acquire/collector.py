@@ -52,9 +52,6 @@ from trajectories import Plan, dry_run, plan_to_json
 
 logger = logging.getLogger(__name__)
 
-# Streams whose latency calibrate-latency measures.
-SIGNALS = ("camera", "taxels")
-
 # Errors that may end a run, and their exit codes.
 _EXIT_CODES: dict[type[BaseException], int] = {
     Interrupted: EXIT_INTERRUPTED,
@@ -113,9 +110,9 @@ class Collector:
             )
             found = check_devices(self._bench, streams)
             latency = request.calibration.latency
-            notes = notes_on(
-                found.description, SIGNALS, [] if latency is None else [latency.stream]
-            )
+            signals = [row.name for row in self._bench.rows if "signal" in row.traits.roles]
+            calibrated = [] if latency is None else [latency.stream]
+            notes = notes_on(found.description, signals, calibrated)
             for note in notes:
                 logger.info("preflight  note: %s", note)
             interlocks = stack.enter_context(Interlocks(self._bench, self._control, self._clock))
