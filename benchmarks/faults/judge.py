@@ -19,7 +19,7 @@ from rig.devices.camera.jpeg import frame_stamp
 # The arm's emulator ends with the bench; its last answer counts if it is no older than this [s].
 _RECENT = 3.0
 # Findings that describe the effect of the fault, not a defect.
-_EXCUSED = ("gap", "clock-step", "dropped", "frozen", "truncated")
+_EXCUSED = ("gap", "clock-step", "dropped", "rate", "frozen", "truncated")
 
 
 @dataclass(frozen=True, slots=True)
