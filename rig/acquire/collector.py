@@ -108,15 +108,14 @@ class Collector:
             streams = stack.enter_context(
                 Streams(self._bench, self._folder, self._clock, self._watch)
             )
-            found = check_devices(self._bench, streams)
+            interlocks = stack.enter_context(Interlocks(self._bench, self._control, self._clock))
+            found = check_devices(self._bench, streams, interlocks)
             latency = request.calibration.latency
             signals = [row.name for row in self._bench.rows if "signal" in row.traits.roles]
             calibrated = [] if latency is None else [latency.stream]
             notes = notes_on(found.description, signals, calibrated)
             for note in notes:
                 logger.info("preflight  note: %s", note)
-            interlocks = stack.enter_context(Interlocks(self._bench, self._control, self._clock))
-            found.description.update(interlocks.open())
             interrupt.check()
             check_clear(self._bench, streams)
             arm = self._start_arm()

@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from rig.acquire.interlocks import Interlocks
 from rig.acquire.streams import Streams
 from rig.bench.bench import Bench, BenchStream
 from rig.bench.stream_kinds import expected_rate
-from rig.core.errors import DeviceLost, SafetyStop
+from rig.core.errors import ConfigError, DeviceLost, SafetyStop, raise_all
 from rig.core.geometry import compose, invert
 from trajectories import Point
 
@@ -41,13 +42,21 @@ class Tare:
     """Standard deviation (6,) [N, N m]."""
 
 
-def check_devices(bench: Bench, streams: Streams) -> Found:
+def check_devices(bench: Bench, streams: Streams, interlocks: Interlocks | None = None) -> Found:
     """Open every device and measure its rate.
 
     Raises:
         ConfigError, DeviceLost: A device rejects its settings, is silent or far too slow.
     """
-    description = streams.wait_opened()
+    description: dict[str, dict[str, Any]] = {}
+    failures: list[Exception] = []
+    # All are tried, so that a bench with nothing attached is one message and not one per start.
+    for opened in (streams.wait_opened, *(() if interlocks is None else (interlocks.open,))):
+        try:
+            description |= opened()
+        except (ConfigError, DeviceLost) as error:
+            failures.append(error)
+    raise_all(failures)
     rates: dict[str, float] = {}
     for name, found in streams.measure(bench.preflight.rate_window).items():
         rate, expected = found["rate_hz"], expected_rate(bench, name)

@@ -14,7 +14,7 @@ from rig.acquire.stream_process import COUNTERS, StreamJob, run_stream
 from rig.bench.bench import Bench
 from rig.bench.stream_kinds import expected_rate, kind_of, stream_names
 from rig.core.clock import SECOND_NS, Clock
-from rig.core.errors import ConfigError, DeviceLost
+from rig.core.errors import ConfigError, DeviceLost, raise_all
 from rig.core.shared_memory import SharedLatest
 
 # Side of the collecting process.
@@ -167,20 +167,6 @@ class StreamHandle:
     def _exit_code(self) -> int | None:
         self._process.join(1.0)
         return self._process.exitcode
-
-
-def raise_all(failures: list[Exception]) -> None:
-    """Raise the only failure, or one error of the first one's type that names them all.
-
-    Raises:
-        Exception: There is at least one failure.
-    """
-    if len(failures) < 2:
-        for failure in failures:
-            raise failure
-        return
-    lines = "".join(f"\n  {failure}" for failure in failures)
-    raise type(failures[0])(f"{len(failures)} devices:{lines}\n")
 
 
 # A signal (camera, taxels) without a new sample for this time is lost [s]; force and pose have

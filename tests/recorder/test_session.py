@@ -435,3 +435,27 @@ def test_a_session_and_a_stream_say_what_they_are(tmp_path: Path) -> None:
     for name, stream in session.streams.items():
         assert f"{name} {len(stream):,}" in text
         assert repr(stream).startswith(f"<Stream {name}: {len(stream):,} rows of ")
+
+
+def test_a_contact_sheet_counts_targets_from_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Like the log and the monitoring page, whose target 1 is the first row of `targets`."""
+    from PIL import ImageDraw
+
+    from recorder.session import contact_sheet
+
+    path = make_session(tmp_path / "s.zarr", seconds=2.0)
+    drawn: list[str] = []
+    whole = ImageDraw.ImageDraw.text
+
+    def text(self: Any, place: Any, words: str, *fill: Any, **style: Any) -> None:
+        drawn.append(words)
+        whole(self, place, words, *fill, **style)
+
+    monkeypatch.setattr(ImageDraw.ImageDraw, "text", text)
+    contact_sheet(path, tmp_path / "s.png", count=200)
+    numbers = {int(words.split()[1]) for words in drawn if words.startswith("target ")}
+    targets = np.asarray(Session(path).frames["target"])
+    assert numbers == set((np.unique(targets[targets >= 0]) + 1).tolist())
+    assert min(numbers) == 1

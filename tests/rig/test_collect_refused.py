@@ -24,6 +24,8 @@ world: null
 arm: {{host: {host}}}
 force: {{host: {host}}}
 camera: {{address: "http://{host}:8081/stream.mjpg"}}
+gripper: {{kind: robotiq_2f, port: {tmp_path}/no-gripper}}
+pedal: {{device: {tmp_path}/no-pedal}}
 """
     )
     with enter_pressed() as terminal:
@@ -32,10 +34,9 @@ camera: {{address: "http://{host}:8081/stream.mjpg"}}
     assert run.lines[0].startswith("LAB BENCH")
     assert "the arm WILL move" in run.lines[0]
     # Every dead device is named, not only the first.
-    found = run.text[run.text.index("device lost: 3 devices:") :]
-    assert [line.split(":")[0].strip() for line in found.splitlines()[1:4]] == [
-        *("force", "pose", "camera")
-    ]
+    found = run.text[run.text.index("device lost: 5 devices:") :]
+    named = [line.split()[0].rstrip(":") for line in found.splitlines()[1:6]]
+    assert named == ["force", "pose", "camera", "gripper", "foot"]
     assert found.count(host) >= 3
     assert "nothing was recorded" in run.lines[-1]
     assert not run.session.exists()
