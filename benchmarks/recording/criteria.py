@@ -88,6 +88,14 @@ def _of_writing(rows: Sequence[StoreRow]) -> list[Criterion]:
                 jpeg.rate_cpu >= mcap.rate_cpu,
             )
         )
+    if jpeg is not None and (each := known.get("mcap-each-jpeg")) is not None:
+        criteria.append(
+            Criterion(
+                "camera's JPEG: more frames per CPU-second than MCAP that writes each at once",
+                f"{jpeg.rate_cpu:,.0f}; MCAP {each.rate_cpu:,.0f}",
+                jpeg.rate_cpu > each.rate_cpu,
+            )
+        )
     lossless = known.get("ours-zstd")
     others = [
         row

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import fcntl
 import os
+from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -25,6 +26,7 @@ from recorder.store.journal import (
     read_journals,
     remove_journals,
     row_time,
+    take_over,
     write_journal,
 )
 from recorder.store.layout import PARTIAL, Layout, StreamLayout, decoded_rows
@@ -43,6 +45,8 @@ from recorder.store.shard import (
 # only with its row, and a row only with its image. Resuming and recovering are the same operation:
 # both return the stream to the state that it had while written, after its last complete row.
 
+# Number of full journals and shards that wait for the next flush at most.
+_PENDING_MAX = 8
 # Reserved space on disk for a stream being written, so that it can be closed on a full disk.
 BALLAST = "ballast"
 
@@ -249,8 +253,12 @@ class StreamWriter:
         """Number of rows accepted so far."""
         _write_ballast(layout)
         layout.set_attrs(sync_interval=sync_interval)
+        # Handed over to the background thread: shards with the journal of their last image.
+        self._full_shards: deque[tuple[OpenShard, Journal]] = deque()
+        self._full_journals: deque[Journal] = deque()
+        self._spares: deque[Path] = deque()
         self._background = Background(
-            self._sync, interval=sync_interval, name=f"recorder-{layout.name}"
+            self._flush, interval=sync_interval, name=f"recorder-{layout.name}"
         )
 
     @property
@@ -298,6 +306,8 @@ class StreamWriter:
                 f"{self._layout.name}: recording stopped, rows could not be sealed: "
                 f"{type(failure).__name__}: {failure}"
             ) from failure
+        if self._journal.full:  # the next one could not be created
+            self._hand_over()
         row = self._pack(columns)
         t_ns = int(columns[self._time])
         if self._image is None:
@@ -311,7 +321,8 @@ class StreamWriter:
                 raise
         number = self.rows
         self.rows += 1
-        self._hand_over()
+        with suppress(OSError):  # this row is stored; the next append tries again
+            self._hand_over()
         return number
 
     def set_attrs(self, **attrs: Any) -> None:
@@ -335,6 +346,9 @@ class StreamWriter:
             self._background.stop()
             (self._layout.time.path / BALLAST).unlink(missing_ok=True)
             self._background.drain()
+            self._settle()
+            for spare in self._spares:
+                spare.unlink(missing_ok=True)
             self._seal()
         finally:
             for log in (*self._small, *([self._image] if self._image else [])):
@@ -354,25 +368,50 @@ class StreamWriter:
         Both are passed on only after the row was committed, so no shard is ever sealed with an
         image that has no row.
         """
-        if self._image is not None:
-            shard = self._image.take_full()
-            if shard is not None:
-                self._background.submit(
-                    partial(self._seal_images, self._image, shard, self._journal)
-                )
-        if self._journal.full:
-            full = self._journal
-            self._journal = Journal(self._layout, self.rows, [])
-            self._background.submit(partial(self._store, full))
+        shard = None if self._image is None else self._image.take_full()
+        if shard is not None:
+            self._full_shards.append((shard, self._journal))
+        full = self._journal.full
+        if full:
+            if self._spares:
+                take_over(self._spares.popleft(), self._layout, self.rows)
+            following = Journal(self._layout, self.rows, [])
+            self._full_journals.append(self._journal)
+            self._journal = following
+        # The next flush stores and seals them; before that only if there are many.
+        if len(self._full_journals) + len(self._full_shards) >= _PENDING_MAX:
+            self._background.submit(self._settle)
 
-    def _seal_images(self, log: ColumnLog, shard: OpenShard, journal: Journal) -> None:
-        journal.sync()
-        log.seal(shard)
+    def _settle(self) -> None:
+        """Store all full journals and seal all full shards, with few flushes for all of them.
 
-    def _store(self, journal: Journal) -> None:
-        store_block(self._layout, self._small, journal.first_row, journal.rows)
+        May be repeated after an error: nothing leaves its queue before it is done.
+        """
+        # In this order: the rows of a shard are in the first list, or in journals that follow it.
+        journals, shards = list(self._full_journals), list(self._full_shards)
+        for journal in journals:
+            store_block(self._layout, self._small, journal.first_row, journal.rows)
+        for log in self._small if journals else ():
+            log.sync()
+        if self._image is not None and shards:
+            # No shard may be sealed before the rows of its images are durable.
+            rows = [*list(self._full_journals)[len(journals) :], *(rows for _, rows in shards)]
+            for journal in rows:
+                if journal not in journals:
+                    journal.sync()
+            self._image.seal([shard for shard, _ in shards])
+            for _ in shards:
+                self._full_shards.popleft()
+        for journal in journals:
+            if len(self._spares) < _PENDING_MAX and (spare := journal.retire()):
+                self._spares.append(spare)
+            else:
+                journal.remove()
+            self._full_journals.popleft()
+
+    def _flush(self) -> None:
+        self._settle()
         self._sync()
-        journal.remove()
 
     def _sync(self) -> None:
         # Images first: after a power failure, a row without its image does not count.

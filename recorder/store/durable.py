@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
@@ -131,14 +132,17 @@ class Background:
         self.failure = None
 
     def _run(self) -> None:
+        due = time.monotonic() + self._interval
         while not self._stopping:
-            self._wake.wait(self._interval)
+            self._wake.wait(max(due - time.monotonic(), 0.0))
             self._wake.clear()
             try:
                 while self._jobs and self.failure is None:
                     self._jobs[0]()
                     self._jobs.popleft()
-                if self.failure is None:
-                    self._flush()
+                if time.monotonic() >= due:
+                    due = time.monotonic() + self._interval
+                    if self.failure is None:
+                        self._flush()
             except BaseException as error:  # the thread that appends must learn of any error
                 self.failure = error

@@ -19,7 +19,7 @@ import google_crc32c
 import numpy as np
 
 from recorder.store import images
-from recorder.store.durable import replace_file, sync_directory
+from recorder.store.durable import TEMPORARY, replace_file, sync_directory
 from recorder.store.layout import Layout, StreamLayout
 
 # Record format for all data that must survive a crash.
@@ -262,6 +262,24 @@ class Journal:
         """Delete the file, once its rows are durably stored as chunks."""
         self._log.close()
         self.path.unlink(missing_ok=True)
+
+    def retire(self) -> Path | None:
+        """Rename the file instead of deleting it, and return its new name, for `take_over`.
+
+        Creating a file costs a file system far more than renaming one. To readers and to recovery,
+        a file of this name is rubbish.
+        """
+        spare = self.path.with_name(self.path.name + TEMPORARY)
+        self._log.close()
+        if not self.path.exists():  # already retired, before an error
+            return None
+        return self.path.replace(spare)
+
+
+def take_over(spare: Path, layout: StreamLayout, first_row: int) -> None:
+    """Turn a retired journal into the empty one that starts at a row."""
+    os.truncate(spare, 0)
+    spare.replace(layout.journal(first_row))
 
 
 @dataclass(frozen=True, slots=True)

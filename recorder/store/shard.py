@@ -260,7 +260,7 @@ class ColumnLog:
         number, held = divmod(chunks, layout.chunks_per_shard)
         for other in layout.shard_numbers():
             if other < number and layout.partial(other).exists():
-                self.seal(reopen(layout, other, layout.chunks_per_shard))
+                self.seal([reopen(layout, other, layout.chunks_per_shard)])
             elif other > number:
                 layout.partial(other).unlink(missing_ok=True)
         if held:
@@ -292,16 +292,17 @@ class ColumnLog:
         shard, self._shard = self._shard, None
         return shard
 
-    def seal(self, shard: OpenShard) -> None:
-        """Seal a full shard of this column, then extend the array's length to include it."""
-        shard.seal()
-        rows = (shard.number + 1) * self.layout.rows_per_shard
+    def seal(self, shards: list[OpenShard]) -> None:
+        """Seal full shards of this column, then extend the array's length to include them."""
+        for shard in shards:
+            shard.seal()
+        rows = (shards[-1].number + 1) * self.layout.rows_per_shard
         self.layout.set_rows(max(rows, self.layout.rows()))
 
     def seal_full(self) -> None:
         """Seal the open shard if it is full. May be repeated after an error."""
         if self._shard is not None and self._shard.full:
-            self.seal(self._shard)
+            self.seal([self._shard])
             self._shard = None
 
     def sync(self) -> None:

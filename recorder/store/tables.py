@@ -1,5 +1,6 @@
 """Groups of columns that are written in one go: `targets` and `frames`."""
 
+import json
 import math
 from collections.abc import Iterator, Mapping
 from functools import partial
@@ -7,13 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import zarr
-from zarr.codecs import Crc32cCodec, ZstdCodec
 
 from recorder.errors import SessionError
 from recorder.store import images
 from recorder.store.files import LOCAL, Files, read_document
-from recorder.store.journal import CRC_BYTES, ends_with_its_crc
+from recorder.store.journal import CRC_BYTES, ends_with_its_crc, packed_crc
 from recorder.store.layout import check_shape, write_group
 from recorder.store.recent import Kept
 
@@ -46,18 +45,40 @@ def write_table(
     write_group(path, {**(attrs or {}), "columns": list(columns)})
     for name, column in columns.items():
         unit, description = units.get(name, ("1", ""))
-        array = zarr.create_array(
-            path / name,
-            shape=column.shape,
-            dtype=column.dtype,
-            chunks=(_CHUNK_ROWS, *column.shape[1:]),
-            compressors=[ZstdCodec(level=1, checksum=True), Crc32cCodec()],
-            dimension_names=["row", *(f"dim_{axis}" for axis in range(1, column.ndim))],
-            attributes={"units": unit, "description": description},
-            config={"write_empty_chunks": True},
-        )
-        if len(column):
-            array[...] = column
+        _write_column(path / name, np.asarray(column), {"units": unit, "description": description})
+
+
+def _write_column(path: Path, column: Array, attrs: dict[str, Any]) -> None:
+    """Write one array: chunks of `_CHUNK_ROWS` rows, the last padded with fill values."""
+    dtype = column.dtype.newbyteorder("<")
+    chunk_shape = [_CHUNK_ROWS, *column.shape[1:]]
+    document = {
+        "shape": list(column.shape),
+        "data_type": dtype.name,
+        "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": chunk_shape}},
+        "chunk_key_encoding": {"name": "default", "configuration": {"separator": "/"}},
+        "fill_value": np.zeros((), dtype).item(),
+        "codecs": [
+            {"name": "bytes", "configuration": {"endian": "little"}},
+            {"name": "zstd", "configuration": {"level": images.ZSTD_LEVEL, "checksum": False}},
+            {"name": "crc32c"},
+        ],
+        "attributes": attrs,
+        "dimension_names": ["row", *(f"dim_{axis}" for axis in range(1, column.ndim))],
+        "zarr_format": 3,
+        "node_type": "array",
+        "storage_transformers": [],
+    }
+    path.mkdir()
+    (path / "zarr.json").write_text(json.dumps(document, indent=2))
+    for number, first in enumerate(range(0, len(column), _CHUNK_ROWS)):
+        rows = column[first : first + _CHUNK_ROWS]
+        chunk = np.zeros(chunk_shape, dtype)
+        chunk[: len(rows)] = rows
+        data = images.compress(chunk.data.cast("B"))
+        key = path.joinpath("c", str(number), *("0" for _ in column.shape[1:]))
+        key.parent.mkdir(parents=True)
+        key.write_bytes(data + packed_crc(data))
 
 
 def _column(files: Files, path: Path, name: str) -> Array:
