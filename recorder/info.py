@@ -5,7 +5,7 @@ time column. Each column contributes the line `<name> <dtype> <shape of a row>\n
 order. A row of numbers contributes its little-endian bytes; an image stored as JPEG the number of
 its bytes (int64, little-endian) and the bytes; an image stored as pixels its pixels.
 
-The `device_t` of a camera is excluded: it is a time of the host's clock, like `t_ns`, or absent.
+The `device_t` and `seq` of a camera are excluded: the host's driver gives them, or nobody does.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from recorder.store.layout import says_it_is
 
 Progress = Callable[[int, int], None]
 
-_LEFT_OUT = {"camera": {"device_t"}}
+_LEFT_OUT = {"camera": {"device_t", "seq"}}
 
 
 def stream_digest(stream: Stream, progress: Progress | None = None) -> str:

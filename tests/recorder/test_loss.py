@@ -9,8 +9,17 @@ import numpy as np
 import pytest
 from support.sessions import RATES, T0, make_session, set_attrs
 
-from recorder import Session, SessionWriter, StreamWriter, check, faults, force_spec, pose_spec
-from recorder.info import describe
+from recorder import (
+    Session,
+    SessionWriter,
+    StreamWriter,
+    camera_spec,
+    check,
+    faults,
+    force_spec,
+    pose_spec,
+)
+from recorder.info import describe, digests
 from recorder.session.loss import (
     ARRIVAL,
     DEVICE_CLOCK,
@@ -246,6 +255,35 @@ def test_a_stream_without_numbers_or_times_says_that_drops_cannot_be_seen(tmp_pa
     assert "drops cannot be seen" in notes["drops-unseen"].message
     assert "drops cannot be seen" in describe(path)
     assert faults(check(path)) == []
+
+
+def test_numbers_of_a_camera_count_its_losses_and_are_no_part_of_its_digest(
+    tmp_path: Path,
+) -> None:
+    paths = [tmp_path / "a.zarr", tmp_path / "b.zarr"]
+    pixels = np.random.default_rng(0).integers(0, 255, (40, 8, 8, 3), np.uint8)
+    targets = {
+        "point": np.zeros(0, np.int16),
+        "depth": np.zeros(0),
+        "direction": np.zeros(0, np.int16),
+        "planned": np.zeros((0, 3)),
+    }
+    for path, numbered in zip(paths, (True, False), strict=True):
+        spec = camera_spec(30.0, height=8, width=8, codec="zstd", numbered=numbered)
+        with SessionWriter.create(path, attrs={}, streams=[spec], targets=targets) as session:
+            session.begin_run({"t0_ns": T0, "utc": "2026-01-01T00:00:00Z", "boot_id": "b"})
+            with StreamWriter.open(session.stream_path("camera")) as stream:
+                for row, image in enumerate(pixels):
+                    frame = row + (row >= 20) + 2 * (row >= 30)
+                    number = {"seq": frame + 7} if numbered else {}
+                    t_ns = T0 + round(frame / 30 * 1e9)
+                    stream.append(value=image, device_t=np.nan, t_ns=t_ns, **number)
+            session.finish("complete", rate_hz=30)
+    numbered, other = map(Session, paths)
+    account = account_of(numbered, "camera")
+    assert (account.source, account.lost, account.places) == (SEQUENCE, 3, 2)
+    assert account_of(other, "camera").lost == 3
+    assert digests(numbered) == digests(other)
 
 
 def resumed(path: Path, *, pause: float) -> Path:
