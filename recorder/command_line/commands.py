@@ -118,6 +118,9 @@ SIMULATE = (
 LEARN = (
     Command("markers", "learning.cli.markers", "make a marker archive of recorded sessions"),
     Command(
+        "markers-fit", "learning.cli.markers_fit", "fit marker detection to untouched pictures"
+    ),
+    Command(
         "split",
         "learning.cli.split",
         "assign each press of an archive to training or to a held-out part",

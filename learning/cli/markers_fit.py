@@ -1,0 +1,105 @@
+"""`python -m learning markers-fit`: fit marker detection to untouched pictures of a sensor."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from learning.errors import LearningError
+
+if TYPE_CHECKING:
+    from learning.markers.segment import Picture
+
+# Endings of pictures in a folder.
+ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Finds out whether the markers in pictures without contact are dark or bright, how large "
+        "and how far apart, and writes a preset for `markers --preset FILE`."
+    )
+    parser.add_argument(
+        "images", nargs="+", type=Path, metavar="IMAGE", help="pictures without contact, or folders"
+    )
+    parser.add_argument("--out", type=Path, metavar="YAML", help="preset to write")
+    parser.add_argument(
+        "--pitch-mm", type=float, metavar="MM", help="distance between neighbouring markers [mm]"
+    )
+    parser.add_argument(
+        "--pressed",
+        nargs="+",
+        type=Path,
+        default=[],
+        metavar="IMAGE",
+        help="pictures with contact, in which the same markers are looked for",
+    )
+    parser.add_argument(
+        "--sheet", type=Path, metavar="PNG", help="draw all pictures, with outlines"
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
+    import yaml
+
+    from learning.markers.fit import as_yaml, draw_outlines, fit_preset, recall
+    from recorder.progress import ItemProgress
+
+    if options.pitch_mm is not None and not 0 < options.pitch_mm < 100:
+        raise LearningError(f"--pitch-mm: found {options.pitch_mm:g}; allowed: above 0 to 100")
+    untouched = [_picture(path) for path in _files(options.images)]
+    pressed = [(path, _picture(path)) for path in _files(options.pressed)]
+    preset, pattern = fit_preset(untouched, pitch_mm=options.pitch_mm)
+    print(pattern)
+    with ItemProgress("pictures", sys.stderr) as progress:
+        for number, (path, picture) in enumerate(pressed):
+            progress(number, len(pressed))
+            print(f"{path.name}: {recall(preset, untouched[0], picture)}")
+    if options.sheet is not None:
+        draw_outlines(preset, [*untouched, *(picture for _path, picture in pressed)], options.sheet)
+        print(f"{options.sheet}: written")
+    text = yaml.safe_dump(as_yaml(preset), sort_keys=False, width=100)
+    if options.out is None:
+        print(text, end="")
+        return 0
+    options.out.write_text(text, encoding="utf-8")
+    scale = "" if preset.mm_per_px is not None else " --mm-per-px MM"
+    print(f"{options.out}: written")
+    print(f"next: tactile markers SESSION --preset {options.out}{scale} --out X.markers.zarr")
+    return 0
+
+
+def _files(paths: list[Path]) -> list[Path]:
+    """Return pictures, and those of folders in the order of their names.
+
+    Raises:
+        LearningError: A path does not exist, or a folder has no pictures.
+    """
+    found: list[Path] = []
+    for path in paths:
+        if path.is_dir():
+            inside = sorted(one for one in path.iterdir() if one.suffix.lower() in ENDINGS)
+            if not inside:
+                raise LearningError(f"{path}: found no pictures; allowed: {', '.join(ENDINGS)}")
+            found += inside
+        elif path.exists():
+            found.append(path)
+        else:
+            raise LearningError(f"{path}: no such file")
+    return found
+
+
+def _picture(path: Path) -> Picture:
+    import cv2
+
+    picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if picture is None:
+        raise LearningError(
+            f"{path}: not a picture that can be read; allowed: {', '.join(ENDINGS)}"
+        )
+    colours: Picture = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+    return colours
