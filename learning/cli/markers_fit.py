@@ -5,15 +5,8 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from learning.errors import LearningError
-
-if TYPE_CHECKING:
-    from learning.markers.segment import Picture
-
-# Endings of pictures in a folder.
-ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,13 +39,20 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
     import yaml
 
-    from learning.markers.fit import as_yaml, draw_outlines, fit_preset, recall
+    from learning.markers.fit import (
+        as_yaml,
+        draw_outlines,
+        files_of,
+        fit_preset,
+        read_picture,
+        recall,
+    )
     from recorder.progress import ItemProgress
 
     if options.pitch_mm is not None and not 0 < options.pitch_mm < 100:
         raise LearningError(f"--pitch-mm: found {options.pitch_mm:g}; allowed: above 0 to 100")
-    untouched = [_picture(path) for path in _files(options.images)]
-    pressed = [(path, _picture(path)) for path in _files(options.pressed)]
+    untouched = [read_picture(path) for path in files_of(options.images)]
+    pressed = [(path, read_picture(path)) for path in files_of(options.pressed)]
     preset, pattern = fit_preset(untouched, pitch_mm=options.pitch_mm)
     print(pattern)
     with ItemProgress("pictures", sys.stderr) as progress:
@@ -71,35 +71,3 @@ def run(options: argparse.Namespace) -> int:
     print(f"{options.out}: written")
     print(f"next: tactile markers SESSION --preset {options.out}{scale} --out X.markers.zarr")
     return 0
-
-
-def _files(paths: list[Path]) -> list[Path]:
-    """Return pictures, and those of folders in the order of their names.
-
-    Raises:
-        LearningError: A path does not exist, or a folder has no pictures.
-    """
-    found: list[Path] = []
-    for path in paths:
-        if path.is_dir():
-            inside = sorted(one for one in path.iterdir() if one.suffix.lower() in ENDINGS)
-            if not inside:
-                raise LearningError(f"{path}: found no pictures; allowed: {', '.join(ENDINGS)}")
-            found += inside
-        elif path.exists():
-            found.append(path)
-        else:
-            raise LearningError(f"{path}: no such file")
-    return found
-
-
-def _picture(path: Path) -> Picture:
-    import cv2
-
-    picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if picture is None:
-        raise LearningError(
-            f"{path}: not a picture that can be read; allowed: {', '.join(ENDINGS)}"
-        )
-    colours: Picture = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
-    return colours

@@ -51,6 +51,8 @@ NEARLY, NEARLY_CHANNEL = 0.9, 0.5
 ROOM = 1.75
 # Limits of the area, over the median.
 AREA_FROM, AREA_TO = 0.35, 3.0
+# Endings of pictures in a folder.
+ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 # Difference from the reference that counts as contact [grey levels], and the blur before it [px].
 TOUCHED, BLUR_PX = 18, 21
 
@@ -117,7 +119,7 @@ def fit_preset(
         raise LearningError("pictures: found none; allowed: one or more without contact")
     plain = Segmenter(CameraPreset(description="", detectors=(Hat(9, 0.5),)))
     view = np.median([plain.view(one) for one in pictures], axis=0).astype(np.uint8)
-    view = cv2.GaussianBlur(view, (3, 3), 0)
+    view = np.asarray(cv2.GaussianBlur(view, (3, 3), 0), np.uint8)
     found = [
         one
         for bright in (False, True)
@@ -208,7 +210,7 @@ def _pattern(view: Picture, size: int, channel: Channel, bright: bool) -> Patter
     blobs = find_blobs(mask[None], SMALLEST_PX)
     if len(blobs) < 2:
         return None
-    _, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=4)
+    labels = np.asarray(cv2.connectedComponents(mask.astype(np.uint8), connectivity=4)[1], np.int64)
     own = np.zeros(labels.max() + 1, np.float32)
     np.maximum.at(own, labels, contrast)
     area = np.bincount(labels.ravel())
@@ -298,3 +300,36 @@ def draw_outlines(preset: CameraPreset, pictures: Sequence[Picture], path: Path)
     drawn += [np.zeros_like(drawn[0])] * (len(drawn) % 2)
     rows = [np.hstack(drawn[first : first + 2]) for first in range(0, len(drawn), 2)]
     Image.fromarray(np.vstack(rows)).save(path)
+
+
+def files_of(paths: Sequence[Path]) -> list[Path]:
+    """Return the pictures, and those of folders in the order of their names.
+
+    Raises:
+        LearningError: A path does not exist, or a folder has no pictures.
+    """
+    found: list[Path] = []
+    for path in paths:
+        if path.is_dir():
+            inside = sorted(one for one in path.iterdir() if one.suffix.lower() in ENDINGS)
+            if not inside:
+                raise LearningError(f"{path}: found no pictures; allowed: {', '.join(ENDINGS)}")
+            found += inside
+        elif path.exists():
+            found.append(path)
+        else:
+            raise LearningError(f"{path}: no such file")
+    return found
+
+
+def read_picture(path: Path) -> Picture:
+    """Return a picture (h, w, 3) uint8, RGB.
+
+    Raises:
+        LearningError: Not a picture.
+    """
+    picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if picture is None:
+        raise LearningError(f"{path}: not a picture; allowed: {', '.join(ENDINGS)}")
+    colours: Picture = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+    return colours
