@@ -22,7 +22,8 @@ _PERIOD_NS = 16_666_667
 
 class _Appender:
     def __init__(self, path: Path, profile: str, at_once: bool) -> None:
-        self._file = path.open("wb", buffering=0 if at_once else -1)
+        self._at_once = at_once
+        self._file = path.open("wb")
         packed = CompressionType.NONE if profile == "jpeg" else CompressionType.ZSTD
         if at_once:
             self._writer = Writer(self._file, compression=packed, chunk_size=1)
@@ -38,6 +39,8 @@ class _Appender:
         at_ns = self._count * _PERIOD_NS
         self._writer.add_message(self._channel, at_ns, data, at_ns, self._count)
         self._count += 1
+        if self._at_once:
+            self._file.flush()
 
     def close(self) -> None:
         self._writer.finish()  # type: ignore[no-untyped-call]
