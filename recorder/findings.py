@@ -8,6 +8,7 @@ CODES = {
     "unfinished": "the session was not closed",
     "metadata": "a zarr.json that is missing or does not match the format",
     "wrong-dtype": "an array whose type, shape or unit differs from its stream's specification",
+    "manifest": "a file that was removed, added or changed after its run was closed",
     "missing-units": "an array without units",
     "unequal-lengths": "columns of one stream or table of different lengths",
     "missing-chunk": "a chunk that an array declares but that does not exist",

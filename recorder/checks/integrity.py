@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import google_crc32c
 import numpy as np
@@ -26,8 +27,18 @@ from recorder.spec import (
 from recorder.store.files import Files, read_document
 from recorder.store.journal import CRC_BYTES, HEADER, record_matches
 from recorder.store.layout import PARTIAL, Layout, StreamLayout
+from recorder.store.manifest import wrong_files
 from recorder.store.shard import MISSING, read_shard_index
 from recorder.store.tables import Table
+
+
+def check_manifest(files: Files, session: Path, attrs: dict[str, Any]) -> Iterator[Finding]:
+    """Yield files that differ from the session's manifests, without reading data."""
+    if attrs["format_version"] < 2:
+        message = "format 1 has no manifest (python -m recorder repack makes a copy that has one)"
+        yield Finding("not-sealed", ".", message)
+    for key, message in wrong_files(files, session, attrs):
+        yield Finding("manifest", key, message)
 
 
 def check_arrays(files: Files, session: Path) -> Iterator[Finding]:

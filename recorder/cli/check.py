@@ -12,11 +12,16 @@ from recorder.findings import faults
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     add_session(parser, remote=True)
+    parser.add_argument(
+        "--quick",
+        action="store_true",
+        help="hold only metadata and the ends of files against the manifest; takes seconds",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
     """Print the findings; return 1 if a fault is among them, 0 for notes alone."""
-    findings = check(options.session)
+    findings = check(options.session, quick=options.quick)
     for finding in findings:
         print(finding)
     wrong = faults(findings)

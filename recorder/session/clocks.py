@@ -20,6 +20,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from recorder.errors import SessionError
 from recorder.session.reader import Session, Stream
 from recorder.store.layout import merge_attrs
 
@@ -322,13 +323,18 @@ def _interpolated(piece: ClockPiece, device_t: Floats) -> Floats:
 def fit_clocks(path: str | os.PathLike[str]) -> dict[str, list[dict[str, Any] | None]]:
     """Fit each stream that has a device time, run by run, and store the fit in its attributes.
 
+    The streams of the session must be closed, the session itself not yet: `SessionWriter.finish`
+    calls this on request.
+
     Returns:
         Attribute `clock_fit` by stream: one entry per run, None if too little was recorded.
 
     Raises:
-        SessionError: Not a session, or a corrupt one.
+        SessionError: Not a session, a corrupt one, or one whose manifest was written.
     """
     session = Session(path)
+    if session.status != "recording" and session.attrs["format_version"] >= 2:
+        raise SessionError(f"{session.name}: is closed; clocks are fitted when it is finished")
     found: dict[str, list[dict[str, Any] | None]] = {}
     for name, stream in session.streams.items():
         clock = _device_clock(stream)

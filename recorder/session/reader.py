@@ -24,6 +24,7 @@ from recorder.store import images
 from recorder.store.column import ColumnReader, LazyRows
 from recorder.store.files import LOCAL, Files, locate
 from recorder.store.layout import StreamLayout, read_order, read_session_attrs
+from recorder.store.manifest import sealed_files
 from recorder.store.recent import Kept
 from recorder.store.tables import Table
 
@@ -229,7 +230,8 @@ class Session:
             storage_options: Options that fsspec needs to open the URL, e.g. `{"anon": True}`.
 
         Raises:
-            SessionError: Not a session, a newer format, unreachable, or remote and unfinished.
+            SessionError: Not a session, a newer format, unreachable, remote and unfinished, or its
+                files differ from its manifest. Data that differ are refused when they are read.
         """
         self.files, self.path = locate(path, storage_options)
         with self.files.remembering():
@@ -242,6 +244,8 @@ class Session:
                 f"{self.name}: was copied while it was recorded; recover it where it was "
                 "recorded (python -m recorder recover) and copy it again"
             )
+        self.files = sealed_files(self.files, self.path, self.attrs)
+        self.attrs = read_session_attrs(self.path, self.files)
         groups = self.files.groups(self.path / "streams")
         self.streams: Mapping[str, Stream] = {
             group.name: Stream(group, self.files) for group in groups

@@ -62,11 +62,19 @@ def write_json(path: Path, document: dict[str, Any]) -> None:
     Raises:
         SessionError: The document has a value that JSON cannot hold, such as NaN.
     """
+    replace_file(path, json_bytes(path, document))
+
+
+def json_bytes(path: Path, document: dict[str, Any]) -> bytes:
+    """Return the content of a JSON file as `write_json` writes it.
+
+    Raises:
+        SessionError: The document has a value that JSON cannot hold, such as NaN.
+    """
     try:
-        text = json.dumps(document, indent=2, allow_nan=False, default=_plain)
+        return json.dumps(document, indent=2, allow_nan=False, default=_plain).encode()
     except (TypeError, ValueError) as error:
         raise SessionError(f"{path}: not storable as JSON: {error}") from error
-    replace_file(path, text.encode())
 
 
 def read_json(path: Path) -> dict[str, Any]:

@@ -467,7 +467,7 @@ def read_attrs(
     if attrs.get("format") != format_:
         raise SessionError(f"{name}: found format {attrs.get('format')!r}, expected {format_!r}")
     found = attrs.get("format_version")
-    if not isinstance(found, int) or found > version:
+    if type(found) is not int or not 0 < found <= version:
         raise SessionError(
             f"{name}: found format_version {found}, this program reads up to {version}"
         )

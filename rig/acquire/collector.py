@@ -22,7 +22,7 @@ from recorder.command_line.errors import (
     EXIT_INTERRUPTED,
     EXIT_SAFETY_STOP,
 )
-from recorder.session import clock_lines, contact_sheet, fit_clocks
+from recorder.session import clock_lines, contact_sheet
 from rig.acquire import summary
 from rig.acquire.control import Control, Interrupted, InterruptFlag, Onlooker
 from rig.acquire.interlocks import Interlocks
@@ -168,7 +168,7 @@ class Collector:
         seconds = (self._clock.now_ns() - started_ns) / 1e9
         session = Session(request.path)
         print(summary.cadence(self._bench, session, summaries))
-        self._fit_clocks(request.path)
+        self._print_clocks(request.path)
         self._picture(request.path)
         last_line = summary.last_line(
             status,
@@ -328,7 +328,7 @@ class Collector:
         summaries = streams.close()
         try:
             writer.set_attrs(summary=summaries)
-            writer.finish(status, reason, rate_hz=self._bench.rate_hz)
+            writer.finish(status, reason, rate_hz=self._bench.rate_hz, clocks=True)
         except OSError as error:
             raise SessionError(
                 f"{writer.path}: could not be finished ({error}); its samples are kept: make room, "
@@ -336,13 +336,12 @@ class Collector:
             ) from error
         return summaries
 
-    def _fit_clocks(self, path: Path) -> None:
+    def _print_clocks(self, path: Path) -> None:
         try:
-            fit_clocks(path)
             for line in clock_lines(Session(path)):
                 print(line)
         except (SessionError, OSError) as error:
-            logger.warning("no clock fit: %s", error)
+            logger.warning("no clocks: %s", error)
 
     def _picture(self, path: Path) -> None:
         picture = path.with_suffix(".png")

@@ -21,7 +21,6 @@ from recorder import Session, SessionError, SessionWriter, StreamWriter
 from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE, EXIT_INTERRUPTED
 from recorder.info import session_digest, stream_digest
 from recorder.progress import ItemProgress
-from recorder.session import fit_clocks
 from rig.acquire.collector import software
 from rig.acquire.control import Interrupted, InterruptFlag
 from rig.core.clock import ClockAnchor, SystemClock
@@ -223,10 +222,13 @@ class Replay:
         status, reason = "complete", ""
         if stop is not None:
             status, reason = "stopped", f"replay: {str(stop) or type(stop).__name__}"
-        writer.finish(status, reason, rate_hz=self._source.rate_hz * self._faster(replay, names))
-        if self._request.speed == 1.0:
+        writer.finish(
+            status,
+            reason,
+            rate_hz=self._source.rate_hz * self._faster(replay, names),
             # At another speed the devices' clocks are slower than the host's by that factor.
-            fit_clocks(writer.path)
+            clocks=self._request.speed == 1.0,
+        )
 
     def _faster(self, replay: Session, names: tuple[str, ...]) -> float:
         """Return the playback speed relative to the recording."""

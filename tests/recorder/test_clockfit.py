@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recorder import Session, SessionWriter, StreamWriter, force_spec, pose_spec
+from recorder import Session, SessionError, SessionWriter, StreamWriter, force_spec, pose_spec
 from recorder.session.clocks import ClockFit, clock_lines, fit_clock, fit_clocks
 
 OFFSET, DRIFT, LEAST_DELAY = 0.055, 80e-6, 0.004
@@ -145,11 +145,11 @@ def test_every_stream_with_a_clock_gets_its_fit_in_its_attributes(tmp_path: Path
         with StreamWriter.open(writer.stream_path("force")) as force:
             for seq, t in enumerate(t_ns):
                 force.append(value=np.zeros(6), seq=seq, status=0, t_ns=t)
-        writer.finish("complete", rate_hz=60.0)
-    before = Session(path).streams["pose"].t_ns.copy()
-    found = fit_clocks(path)
+        writer.finish("complete", rate_hz=60.0, clocks=True)
     session = Session(path)
-    assert set(found) == {"pose", "force"}
+    assert all("clock_fit" in session.streams[name].attrs for name in ("pose", "force"))
+    with pytest.raises(SessionError, match="is closed"):
+        fit_clocks(path)
     fit = ClockFit.from_json(session.streams["pose"].attrs["clock_fit"][0])
     expected = fit_clock(device, t_ns)
     assert expected is not None
@@ -157,7 +157,7 @@ def test_every_stream_with_a_clock_gets_its_fit_in_its_attributes(tmp_path: Path
     # The force's clock ticks 200 times per second of the host's: no drift was added.
     drift = session.streams["force"].attrs["clock_fit"][0]["pieces"][0]["drift_ppm"]
     assert abs(drift) < 40
-    assert np.array_equal(session.streams["pose"].t_ns, before)
+    assert np.array_equal(session.streams["pose"].t_ns, t_ns)
     (line,) = clock_lines(session)
     assert "pose" in line
     assert " +- " in line

@@ -1,4 +1,4 @@
-"""A changed byte is never read as data: checksums of chunks, bounds of metadata, failed threads."""
+"""A changed byte is never read as data: checksums, manifests, bounded metadata, failed threads."""
 
 import contextlib
 import json
@@ -12,12 +12,28 @@ import numpy as np
 import pytest
 import simplejpeg
 import zarr
-from support.sessions import make_session
+from support.crashes import FailingCalls, Killed
+from support.sessions import T0, append_all, make_session, stream_columns
 
-from recorder import Session, SessionError, SessionWriter, StreamWriter, force_spec
+from recorder import (
+    Finding,
+    Session,
+    SessionError,
+    SessionWriter,
+    StreamWriter,
+    check,
+    faults,
+    force_spec,
+    recover,
+    repack,
+)
+from recorder.__main__ import main
+from recorder.session.frames import write_frames
 from recorder.session.reader import Stream
+from recorder.session.recover import recover_streams
 from recorder.store.images import compress, decode_jpeg, decompress
 from recorder.store.layout import StreamLayout, create_stream
+from recorder.store.manifest import seal
 
 # Recorded by format version 1: no checksums in the chunks, no manifest.
 OLD = Path(__file__).parents[1] / "golden" / "data"
@@ -253,3 +269,248 @@ def _as_value(document: dict[str, Any]) -> dict[str, Any]:
         "attributes": {"units": "N, N m", "description": "d"},
         "dimension_names": ["row", "axis"],
     }
+
+
+# Sealed sessions of every origin, and what happens to their files.
+
+
+def imported(folder: Path) -> Path:
+    table = np.column_stack([np.arange(200) / 100, np.random.default_rng(1).normal(size=(200, 6))])
+    names = "t (s),Fx (N),Fy (N),Fz (N),Tx (Nm),Ty (Nm),Tz (Nm)"
+    np.savetxt(folder / "force.csv", table, delimiter=",", header=names, comments="")
+    np.save(folder / "taxels.npy", np.random.default_rng(2).integers(0, 9, (120, 16, 3)))
+    arguments = ["--force", folder / "force.csv", "--taxels", folder / "taxels.npy"]
+    options = ["--taxels-hz", "60", "--sensor", "a", "--indenter", "b"]
+    assert main(["import", str(folder / "s.zarr"), *map(str, [*arguments, *options])]) == 0
+    return folder / "s.zarr"
+
+
+def resumed(folder: Path) -> Path:
+    path = make_session(folder / "s.zarr", seconds=1.2, names=("force", "pose"))
+    for run in (1, 2):
+        with SessionWriter.resume(path) as session:
+            session.begin_run({"t0_ns": T0, "utc": "2026-01-01T00:00:00Z", "boot_id": "b"})
+            columns = stream_columns("force", 0.5, (4, 4), "zstd", seed=run)
+            append_all(session.stream_path("force"), {**columns, "t_ns": columns["t_ns"] + run})
+            session.finish("complete", rate_hz=40)
+    return path
+
+
+def recovered(folder: Path) -> Path:
+    path = make_session(folder / "s.zarr", seconds=1.2, finish=False)
+    recover(path)
+    return path
+
+
+def repacked(folder: Path) -> Path:
+    repack(OLD / "uskin.zarr", folder / "s.zarr", "camera")
+    return folder / "s.zarr"
+
+
+SHORT: dict[str, Any] = {"seconds": 1.2, "shape": (16, 24)}
+SEALED: dict[str, Callable[[Path], Path]] = {
+    "jpeg": lambda folder: make_session(folder / "s.zarr", **SHORT),
+    "lossless": lambda folder: make_session(folder / "s.zarr", codec="zstd", **SHORT),
+    "taxels": lambda folder: make_session(
+        folder / "s.zarr", seconds=1.2, names=("taxels", "force", "pose")
+    ),
+    "imported": imported,
+    "resumed": resumed,
+    "recovered": recovered,
+    "repacked from format 1": repacked,
+}
+
+
+@pytest.fixture(scope="module")
+def sealed(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    made: dict[str, Path] = {}
+
+    def make(kind: str) -> Path:
+        if kind not in made:
+            made[kind] = SEALED[kind](tmp_path_factory.mktemp("sealed"))
+        return made[kind]
+
+    return make
+
+
+def everything(path: Path) -> dict[str, Any]:
+    """Return all that `Session` gives: attributes, columns, images, tables."""
+    session = Session(path)
+    found: dict[str, Any] = {"attrs": json.dumps(session.attrs), "runs": str(session.runs)}
+    for name, stream in session.streams.items():
+        found |= {f"{name}.{key}": value for key, value in columns_of(stream).items()}
+        found[f"{name} attrs"] = json.dumps(stream.attrs)
+        column = stream.layout.columns[0].column
+        found[f"{name} units"] = f"{column.units} {column.description} {column.dims}"
+    for name in ("targets", "segments", "reference", "frames"):
+        table = getattr(session, name)
+        found |= {f"{name}.{key}": table[key] for key in table}
+    return found
+
+
+def alike(a: dict[str, Any], b: dict[str, Any]) -> bool:
+    texts = [key for key, value in b.items() if isinstance(value, str)]
+    if set(a) != set(b) or any(a[key] != b[key] for key in texts):
+        return False
+    return same(a, {key: value for key, value in b.items() if key not in texts})
+
+
+def files_of(path: Path) -> list[Path]:
+    return sorted(file for file in path.rglob("*") if file.is_file())
+
+
+@pytest.mark.parametrize("kind", SEALED)
+def test_a_sealed_session_has_no_finding_and_says_so_quickly(
+    kind: str, sealed: Callable[[str], Path]
+) -> None:
+    path = sealed(kind)
+    assert faults(check(path, quick=True)) == []
+    assert [f for f in check(path) if f.code in ("manifest", "not-sealed", "bad-crc")] == []
+    assert recover(path).touched is False
+
+
+def flips_are_never_read(path: Path, flips: int, seed: int) -> None:
+    """Flip bits one after the other; every one must be refused, or change nothing that is read."""
+    good, dice = everything(path), random.Random(seed)
+    files = files_of(path)
+    for _ in range(flips):
+        file = dice.choice(files)
+        whole = file.read_bytes()
+        bit = dice.randrange(8 * len(whole))
+        flip(file, bit)
+        try:
+            assert alike(everything(path), good), f"{file} bit {bit} was read"
+        except SessionError:
+            assert faults(check_any(path)), f"{file} bit {bit}: refused, but check finds nothing"
+        file.write_bytes(whole)
+
+
+def check_any(path: Path) -> list[Finding]:
+    try:
+        return check(path)
+    except SessionError as error:
+        return [Finding("metadata", ".", str(error))]
+
+
+@pytest.mark.parametrize("kind", SEALED)
+def test_a_flipped_bit_anywhere_is_refused_or_changes_nothing(
+    kind: str, sealed: Callable[[str], Path], tmp_path: Path
+) -> None:
+    shutil.copytree(sealed(kind), tmp_path / "s.zarr")
+    flips_are_never_read(tmp_path / "s.zarr", 12, seed=1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", SEALED)
+def test_three_hundred_flipped_bits_are_refused_or_change_nothing(
+    kind: str, sealed: Callable[[str], Path], tmp_path: Path
+) -> None:
+    shutil.copytree(sealed(kind), tmp_path / "s.zarr")
+    flips_are_never_read(tmp_path / "s.zarr", 300, seed=2)
+
+
+def losses(path: Path, other: Path, kind: str, every: int) -> int:
+    """Remove, cut and replace files in turn; return the number of changes, all of them named."""
+    changes = 0
+    for file in files_of(path)[::every]:
+        where = file.relative_to(path)
+        whole = file.read_bytes()
+        variants: list[bytes | None] = [None, whole[:-1], whole[: len(whole) // 2], b""]
+        if (other / where).exists() and (other / where).read_bytes() != whole:
+            variants.append((other / where).read_bytes())
+        for data in variants:
+            file.unlink() if data is None else file.write_bytes(data)
+            named = [str(f) for f in faults([*check_quick(path)])]
+            group = str(where.parent).partition("/c/")[0]
+            assert any(group in line for line in named), f"{kind} {where}: check says {named}"
+            with pytest.raises(SessionError):
+                everything(path)
+            file.write_bytes(whole)
+            changes += 1
+    assert faults(check_quick(path)) == []
+    return changes
+
+
+def check_quick(path: Path) -> list[Finding]:
+    try:
+        return check(path, quick=True)
+    except SessionError as error:
+        return [Finding("metadata", ".", str(error))]
+
+
+@pytest.mark.parametrize("kind", SEALED)
+def test_a_file_removed_cut_or_replaced_is_named(
+    kind: str, sealed: Callable[[str], Path], tmp_path: Path
+) -> None:
+    shutil.copytree(sealed(kind), tmp_path / "s.zarr")
+    other = sealed("lossless" if kind == "jpeg" else "jpeg")
+    assert losses(tmp_path / "s.zarr", other, kind, every=7) > 20
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", SEALED)
+def test_every_file_removed_cut_or_replaced_is_named(
+    kind: str, sealed: Callable[[str], Path], tmp_path: Path
+) -> None:
+    shutil.copytree(sealed(kind), tmp_path / "s.zarr")
+    other = make_session(tmp_path / "other.zarr", names=("camera", "taxels", "force", "pose"))
+    assert losses(tmp_path / "s.zarr", other, kind, every=1) > 150
+
+
+def test_a_file_added_after_closing_is_named(sealed: Callable[[str], Path], tmp_path: Path) -> None:
+    path = tmp_path / "s.zarr"
+    shutil.copytree(sealed("jpeg"), path)
+    shutil.copytree(path / "streams/force", path / "streams/gauge")
+    named = {finding.where for finding in check(path, quick=True)}
+    assert "streams/gauge/zarr.json" in named
+    assert set(Session(path).streams) == {"camera", "force", "pose"}
+
+
+def test_a_run_changes_no_shard_of_the_runs_before_it(
+    sealed: Callable[[str], Path], tmp_path: Path
+) -> None:
+    path = tmp_path / "s.zarr"
+    shutil.copytree(sealed("resumed"), path)
+    shutil.rmtree(path / "manifest" / "1")
+    with pytest.raises(SessionError, match=r"manifest/1/zarr\.json: missing"):
+        Session(path)
+    assert [f.where for f in check(path, quick=True)] == ["manifest"]
+    with pytest.raises(SessionError, match=r"manifest/1/zarr\.json: missing"):
+        SessionWriter.resume(path)
+    with pytest.raises(SessionError, match=r"manifest/1/zarr\.json: missing"):
+        recover(path)
+
+
+def test_what_was_changed_in_a_closed_session_is_not_sealed_by_resuming(
+    sealed: Callable[[str], Path], tmp_path: Path
+) -> None:
+    path = tmp_path / "s.zarr"
+    shutil.copytree(sealed("jpeg"), path)
+    edit(path / "streams/force/zarr.json", lambda d: d["attributes"].update(bias=[1.0] * 6))
+    before = (path / "zarr.json").read_bytes()
+    for attempt in (SessionWriter.resume, recover):
+        with pytest.raises(SessionError, match="differs from the manifest of run 0"):
+            attempt(path)
+    assert (path / "zarr.json").read_bytes() == before
+
+
+def test_sealing_survives_a_kill_before_each_file_operation(tmp_path: Path) -> None:
+    origin = make_session(tmp_path / "s.zarr", seconds=0.5, names=("force",), finish=False)
+    recover_streams(origin)
+    write_frames(origin, 40)
+    call = 0
+    finished = False
+    while not finished:
+        call += 1
+        path = tmp_path / "killed.zarr"
+        shutil.copytree(origin, path)
+        with pytest.MonkeyPatch.context() as patch, contextlib.suppress(Killed):
+            FailingCalls(patch, call)
+            seal(path, status="complete")
+            finished = True
+        assert Session(path).status == ("complete" if finished else "recording")
+        recover(path)
+        assert check(path, quick=True) == []
+        assert len(Session(path).streams["force"]) == 500
+        shutil.rmtree(path)
+    assert call > 8

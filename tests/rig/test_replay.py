@@ -15,11 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from support.collecting import ROOT, Collection
-from support.sessions import Columns, make_session
+from support.sessions import Columns, make_session, set_attrs
 
 from recorder import Session, SessionError, check, faults
 from recorder.info import digests
-from recorder.store.layout import merge_attrs
 from rig.core.clock import SECOND_NS
 from rig.core.errors import DeviceLost
 from rig.devices.force.netft_wire import Page
@@ -139,7 +138,7 @@ def two_runs(path: Path) -> Path:
     entry = Session(path).runs[0]
     halves = {name: count // 2 for name, count in rows.items()}
     first_row = {**entry["first_row"], **halves}
-    merge_attrs(path, {"runs": [entry, {**entry, "first_row": first_row}]})
+    set_attrs(path, runs=[entry, {**entry, "first_row": first_row}])
     return path
 
 
@@ -236,7 +235,7 @@ def test_pauses_are_no_fault_of_a_replay_whose_times_are_compressed(
         return columns
 
     path = make_session(tmp_path / "s.zarr", seconds=1.0, names=("pose",), change=late)
-    merge_attrs(path, {"replay_of": {"name": "x.zarr", "speed": speed}})
+    set_attrs(path, replay_of={"name": "x.zarr", "speed": speed})
     assert {finding.code for finding in faults(check(path))} == found
 
 

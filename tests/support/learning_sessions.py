@@ -10,6 +10,7 @@ import numpy as np
 import simplejpeg
 import zarr
 from support.marker_truth import VIEWS
+from support.sessions import reseal
 
 from recorder import SessionWriter, StreamWriter, camera_spec, force_spec, pose_spec, taxels_spec
 from recorder.store.layout import merge_attrs
@@ -119,4 +120,5 @@ def altered(source: Path, path: Path, arrays: dict[str, Any] | None = None, **at
     merge_attrs(path, attrs)
     for name, values in (arrays or {}).items():
         zarr.open_array(path / name, mode="r+")[:] = values
+    reseal(path)
     return path

@@ -1,6 +1,8 @@
 """Sessions for tests."""
 
+import hashlib
 import json
+import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -23,6 +25,7 @@ from recorder import (
     taxels_spec,
 )
 from recorder.spec import reference_spec
+from recorder.store.layout import write_group
 
 Columns = dict[str, Any]
 Change = Callable[[str, Columns], Columns]
@@ -197,6 +200,38 @@ def make_session(
 
 
 def set_attrs(path: Path, **attrs: Any) -> None:
+    """Change the attributes of a group as if the session had been closed with them."""
     document = json.loads((path / "zarr.json").read_text())
     document["attributes"] |= attrs
     (path / "zarr.json").write_text(json.dumps(document))
+    reseal(next(place for place in (path, *path.parents) if (place / "manifest").exists()))
+
+
+def reseal(session: Path) -> None:
+    """Make the manifest of a changed session match its files, whatever they contain."""
+    attrs = json.loads((session / "zarr.json").read_text())["attributes"]
+    (newest,) = sorted((session / "manifest").glob("*/zarr.json"))[-1:]
+    document = json.loads(newest.read_text())
+    shutil.rmtree(session / "manifest")
+    if attrs["format_version"] < 2:
+        return
+    (session / "manifest").mkdir()
+    write_group(session / "manifest", {})
+    listed = document["attributes"]
+    shards, files = {}, {}
+    for path in session.rglob("*"):
+        if path.is_file():
+            key, data = str(path.relative_to(session)), path.read_bytes()
+            if key in listed["shards"]:
+                _, chunks, slots, _ = listed["shards"][key]
+                end = hashlib.sha256(data[-20 * slots - 4 :]).hexdigest()
+                shards[key] = [len(data), chunks, slots, end]
+            else:
+                files[key] = [len(data), hashlib.sha256(data).hexdigest()]
+    run = max(len(attrs["runs"]) - 1, 0)
+    changed = {"run": run, "previous": None, "files": files, "shards": shards}
+    document["attributes"] = {**listed, **changed, "sha256": ""}
+    body = json.dumps(document)
+    own = hashlib.sha256(body.encode()).hexdigest()
+    (session / "manifest" / str(run)).mkdir()
+    (session / "manifest" / str(run) / "zarr.json").write_text(body[:-3] + own + body[-3:])
