@@ -508,7 +508,7 @@ def test_sealing_survives_a_kill_before_each_file_operation(tmp_path: Path) -> N
             FailingCalls(patch, call)
             seal(path, status="complete")
             finished = True
-        assert Session(path).status == ("complete" if finished else "recording")
+        assert Session(path).status in ("complete", *(() if finished else ("recording",)))
         recover(path)
         assert check(path, quick=True) == []
         assert len(Session(path).streams["force"]) == 500
