@@ -138,7 +138,7 @@ def test_a_damaged_session_is_not_exported(tmp_path: Path) -> None:
     shard = path / "streams/camera/value/c/0/0/0/0"
     shard.write_bytes(shard.read_bytes()[:-10_000])
     for to in FORMATS:
-        with pytest.raises(SessionError, match="checksum of the shard index does not match"):
+        with pytest.raises(SessionError, match="bytes, the manifest of run 0 names"):
             export(path, tmp_path / "out", to)
     assert [entry.name for entry in tmp_path.iterdir()] == ["s.zarr"]
 

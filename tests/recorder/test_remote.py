@@ -242,7 +242,7 @@ def test_faults_are_found_from_afar(recorded: Path, tmp_path: Path) -> None:
     fsspec.filesystem("memory").put(str(path), "/faulty/s.zarr", recursive=True)
     far = [(finding.code, finding.where) for finding in check("memory://faulty/s.zarr")]
     assert far == [(finding.code, finding.where) for finding in check(path)]
-    assert {code for code, _ in far} == {"missing-chunk", "bad-crc", "journal-left"}
+    assert {code for code, _ in far} == {"manifest", "missing-chunk", "bad-crc", "journal-left"}
 
 
 def test_a_chunk_that_is_missing_or_short_is_an_error(recorded: Path) -> None:
