@@ -12,6 +12,7 @@ import pytest
 from PIL import Image
 from support.learning_sessions import DEPTH, HIDDEN, TARGETS, altered, record, state, surface
 from support.marker_truth import VIEWS
+from support.sessions import reseal
 
 import sim.indenters
 from learning.__main__ import main
@@ -82,6 +83,7 @@ def test_a_camera_of_any_name_is_read(camera: Path, archive: MarkerArchive, tmp_
     (renamed / "streams/camera").rename(renamed / "streams/inside")
     names = renamed / "streams/zarr.json"
     names.write_text(names.read_text().replace('"camera"', '"inside"'))
+    reseal(renamed, inside="camera")
     archive_sessions([renamed], tmp_path / "a.markers.zarr")
     found = MarkerArchive(tmp_path / "a.markers.zarr")["gelsight"]
     np.testing.assert_array_equal(

@@ -137,8 +137,8 @@ def altered(source: Path, path: Path, arrays: dict[str, Any] | None = None, **at
     merge_attrs(path, attrs)
     for name, values in (arrays or {}).items():
         if (path / name).parent.name in ("targets", "frames"):
-            config = {"write_empty_chunks": True}
-            zarr.open_array(path / name, mode="r+", config=config)[:] = values
+            with zarr.config.set({"array.write_empty_chunks": True}):
+                zarr.open_array(path / name, mode="r+")[:] = values
         else:
             rewrite(Layout.load(path / name), values)
     reseal(path)

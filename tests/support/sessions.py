@@ -207,8 +207,11 @@ def set_attrs(path: Path, **attrs: Any) -> None:
     reseal(next(place for place in (path, *path.parents) if (place / "manifest").exists()))
 
 
-def reseal(session: Path) -> None:
-    """Make the manifest of a changed session match its files, whatever they contain."""
+def reseal(session: Path, **renamed: str) -> None:
+    """Make the manifest of a changed session match its files, whatever they contain.
+
+    `renamed` is the name before of each stream that was renamed.
+    """
     attrs = json.loads((session / "zarr.json").read_text())["attributes"]
     (newest,) = sorted((session / "manifest").glob("*/zarr.json"))[-1:]
     document = json.loads(newest.read_text())
@@ -222,8 +225,12 @@ def reseal(session: Path) -> None:
     for path in session.rglob("*"):
         if path.is_file():
             key, data = str(path.relative_to(session)), path.read_bytes()
-            if key in listed["shards"]:
-                _, chunks, slots, _ = listed["shards"][key]
+            place = key.split("/")
+            if place[0] == "streams":
+                place[1] = renamed.get(place[1], place[1])
+            known = listed["shards"].get("/".join(place))
+            if known:
+                _, chunks, slots, _ = known
                 end = hashlib.sha256(data[-20 * slots - 4 :]).hexdigest()
                 shards[key] = [len(data), chunks, slots, end]
             else:
