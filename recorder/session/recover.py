@@ -54,7 +54,7 @@ def recover(path: str | os.PathLike[str]) -> Recovery:
 
     A session in status `recording` becomes `recovered`, any other keeps its status. A valid session
     is not changed, so the call is idempotent; if killed half-way, it can be repeated. Of a closed
-    session only `frames`, which contain no original data, are built anew.
+    session only `frames`, which contain no original data, are built again.
 
     Raises:
         SessionError: Not a session, one that is being written, or damage that a crash cannot cause.

@@ -3,7 +3,7 @@
 The manifest of run k is the attributes of the Zarr group `manifest/<k>`, so that every Zarr reader
 can list it. It names the digest of the manifest before it; its last entry is its own digest. A
 shard is identified by its end, which lists the checksums of its chunks, and any other file by its
-content. A session is held against its newest manifest: `SealedFiles` verifies what is read.
+content. `SealedFiles` verifies what is read of a session by its newest manifest.
 """
 
 from __future__ import annotations
