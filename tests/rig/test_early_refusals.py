@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
+import resource
 import socket
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -95,23 +95,21 @@ def test_a_model_that_is_no_folder_is_found_early(capsys: pytest.CaptureFixture[
     assert "MODEL, --model: found nope; no such folder" in capsys.readouterr().err
 
 
-def test_mistakes_are_found_in_less_time_than_anything_starts(folder: Path) -> None:
-    """The time of a new process, as a technician waits for it: 2 s on a quiet machine."""
-    began = time.process_time()
-    children = []
-    for arguments in (
+def test_mistakes_are_found_in_less_than_two_seconds(folder: Path) -> None:
+    """Time of the processor, since other work may share the machine; nothing in it waits."""
+    commands = (
         ["collect", "--sensor", "tacpalm", "--out", str(folder / "old.zarr")],
         ["live", "--sensor", "tacpalm", "--model", "nope"],
-    ):
-        before = time.monotonic()
+    )
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    for arguments in commands:
         ran = subprocess.run(
             [sys.executable, "-m", "rig", *arguments], cwd=ROOT, capture_output=True, check=False
         )
-        children.append(time.monotonic() - before)
         assert ran.returncode == 2
-    # Wide, since other work may share the machine; an emulator alone takes longer to start.
-    assert max(children) < 10.0
-    assert time.process_time() >= began
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    spent = after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
+    assert spent < 2.0 * len(commands)
 
 
 def test_a_default_name_that_is_taken_gets_a_number(tmp_path: Path) -> None:
