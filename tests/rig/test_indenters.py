@@ -97,3 +97,24 @@ def test_ones_own_yaml_has_precedence_and_its_keys_are_checked(tmp_path: Path) -
         path.write_text(text)
         with pytest.raises(ConfigError, match=words.replace("?", r"\?")):
             find_indenter("cone", folder=tmp_path)
+
+
+def test_the_simulated_world_presses_with_ones_own_solid(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import trimesh
+
+    from rig.bench.bench import bench_from, load_bench, with_simulated_world
+    from rig.bench.worlds import SimulatedSpec
+    from rig.core.packaged import BENCHES
+    from rig.mock.world.simulated import live_sensor
+
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "indenters").mkdir()
+    trimesh.creation.box(extents=(4.0, 6.0, 20.0)).export(tmp_path / "indenters" / "block.stl")
+    content = with_simulated_world(load_bench(BENCHES / "tacpalm.yaml")[1], "tacpalm.yaml")
+    spec = bench_from(content, "tacpalm.yaml").world
+    assert isinstance(spec, SimulatedSpec)
+    assert find_indenter("block").size == pytest.approx((4e-3, 6e-3))
+    # Its construction reads and checks the solid, to the depth that the sensor allows.
+    live_sensor(spec, "block")

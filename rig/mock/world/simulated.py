@@ -199,9 +199,11 @@ def live_sensor(spec: SimulatedSpec, indenter: str) -> LiveSensor:
         from sim.indenters import from_stl, named
         from sim.stream import LiveSensor
 
-        solid = find_indenter(indenter).stl
-        body = named(indenter) if solid is None else from_stl(solid, name=indenter)
-        return LiveSensor(_row(spec), body, grid=spec.grid)
+        row, solid = _row(spec), find_indenter(indenter).stl
+        # No press is deeper than the skin is thick.
+        reach = row.body.thickness
+        body = named(indenter) if solid is None else from_stl(solid, name=indenter, reach=reach)
+        return LiveSensor(row, body, grid=spec.grid)
     except ImportError as error:
         raise _missing(error) from None
     except ValueError as error:
