@@ -4,8 +4,9 @@ A chunk that is declared but missing is an error here; a plain Zarr reader retur
 """
 
 import os
+import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from recorder.errors import SessionError
 from recorder.session.align import Sources, sources_of_run
 from recorder.session.loss import Losses, is_compressed, stream_losses
 from recorder.session.nearby import Arrivals, sources_near, span_of_run
+from recorder.session.tail import LiveRows, live_rows
 from recorder.session.window import Window, align_window, ticks_before
 from recorder.spec import Column, Traits, frame_columns, in_order, signal_of
 from recorder.store import images
@@ -31,11 +33,28 @@ from recorder.store.tables import Table
 Array = np.ndarray[Any, Any]
 
 
+@dataclass(frozen=True, slots=True)
+class StreamRow:
+    """One row of a stream."""
+
+    stream: str
+    """Name of the stream."""
+    number: int
+    """Number of the row in the stream."""
+    columns: dict[str, Any]
+    """Value of each column; an image as its pixels (h, w, channels)."""
+
+
 class Stream:
     """One stream of a session: columns of equal length, as recorded."""
 
-    def __init__(self, path: Path, files: Files = LOCAL) -> None:
+    def __init__(self, path: Path, files: Files = LOCAL, *, live: bool = False) -> None:
         """Open a stream; use `Session.streams` instead.
+
+        Args:
+            path: Group of the stream.
+            files: Access to its files.
+            live: True to include the rows that are not sealed yet, up to this moment.
 
         Raises:
             SessionError: Not a stream.
@@ -46,6 +65,13 @@ class Stream:
         self.traits = Traits.read(self.name, self.attrs)
         self._readers = {layout.column.name: ColumnReader(layout) for layout in self.layout.columns}
         self._rows = min(reader.rows for reader in self._readers.values())
+        self._live: LiveRows | None = None
+        if live:
+            self._live = live_rows(self.layout)
+            self._rows = self._live.rows
+            for reader in self._readers.values():
+                image = reader.layout.column.is_image
+                reader.live, reader.rows = True, self._rows if image else self._live.stored
         self._columns: Kept[Array] = Kept()
         self._arrivals: dict[tuple[int, int], Arrivals] = {}
 
@@ -93,7 +119,9 @@ class Stream:
         if reader.layout.column.is_image:
             raise SessionError(f"{self.name}.{name}: use images(rows) for images")
         found = self._columns.get(name)
-        return self._columns.put(name, reader.read()[: self._rows]) if found is None else found
+        if found is None:
+            found = self._columns.put(name, self.rows_between(name, 0, self._rows))
+        return found
 
     def column(self, name: str) -> Array | zarr.Array[Any]:
         """Return a column: in memory, or the Zarr array for images (possibly longer than `len`).
@@ -115,7 +143,12 @@ class Stream:
         reader = self._reader(name)
         if reader.layout.column.is_image:
             raise SessionError(f"{self.name}.{name}: use images(rows) for images")
-        return reader.rows_between(start, min(stop, self._rows))
+        found = reader.rows_between(start, min(stop, self._rows))
+        if self._live is None or stop <= self._live.stored:
+            return found
+        stored = self._live.stored
+        rest = self._live.journalled[name][max(start - stored, 0) : max(stop - stored, 0)]
+        return np.concatenate([found, rest])
 
     def values(self, rows: slice) -> Array | LazyRows:
         """Return rows of the column `value` (n, ...): in memory, or read lazily if remote."""
@@ -167,6 +200,15 @@ class Stream:
             self._checked(max(int(np.max(rows)), 0))
         image.read_images(np.asarray(rows).tolist(), out)
 
+    def rows_from(self, start: int) -> Iterator[StreamRow]:
+        """Yield the rows from `start` on."""
+        columns = {name: self.rows_between(name, start, self._rows) for name in self.small}
+        for place in range(max(self._rows - start, 0)):
+            values = {name: column[place] for name, column in columns.items()}
+            if self.layout.image is not None:
+                values[self.layout.image.column.name] = self.images([start + place])[0]
+            yield StreamRow(self.name, start + place, values)
+
     def jpeg(self, row: int) -> bytes | None:
         """Return the camera's original bytes of one image, or None if it was stored losslessly.
 
@@ -214,7 +256,8 @@ class Stream:
 class Session:
     """One recorded session, read-only.
 
-    A session that is still being recorded shows only the rows sealed so far, and has a `warning`.
+    A session that is still being recorded, or whose writers were killed, shows all rows that are
+    complete when it is opened, and has a `warning`; it has no `frames` yet.
     """
 
     def __init__(
@@ -246,14 +289,15 @@ class Session:
             )
         self.files = sealed_files(self.files, self.path, self.attrs)
         self.attrs = read_session_attrs(self.path, self.files)
+        live = self.status == "recording"
         groups = self.files.groups(self.path / "streams")
         self.streams: Mapping[str, Stream] = {
-            group.name: Stream(group, self.files) for group in groups
+            group.name: Stream(group, self.files, live=live) for group in groups
         }
         self.order = in_order(self.streams, read_order(self.path / "streams", self.files))
         self.targets = Table.of_group(self.path / "targets", self.files)
-        self.segments = _table(self.path / "segments", self.files)
-        self.reference = _table(self.path / "reference", self.files)
+        self.segments = _table(self.path / "segments", self.files, live)
+        self.reference = _table(self.path / "reference", self.files, live)
         self.frames = Table.of_group(self.path / "frames", self.files)
         self._losses: dict[tuple[str, int], Losses] = {}
         self._spans: dict[int, tuple[int, int] | None] = {}
@@ -285,8 +329,8 @@ class Session:
         """Warning to show before the session is used, or None."""
         if self.status == "recording":
             return (
-                f"{self.name}: still recording, or killed while it was; only sealed rows are "
-                "visible (python -m recorder recover, once nothing writes to it)"
+                f"{self.name}: still recording, or killed while it was; its rows so far are "
+                "visible, frames are not (python -m recorder recover, once nothing writes to it)"
             )
         return None
 
@@ -395,6 +439,45 @@ class Session:
         }
         return replace(rows, streams={**rows.streams, **shown})
 
+    def follow(
+        self, *streams: str, poll: float = 0.1, timeout: float | None = None
+    ) -> Iterator[StreamRow]:
+        """Yield rows as they are recorded, from the first after those that `streams` shows.
+
+        Ends when the session is closed and all rows were yielded. Rows of one stream come in order.
+
+        Args:
+            streams: Names of the streams to follow; all if none is given.
+            poll: Pause before looking for further rows [s].
+            timeout: Longest time without a row before the iteration ends [s]; None waits for ever.
+
+        Raises:
+            SessionError: No such stream, a remote session, or a corrupt file.
+        """
+        if not self.files.local:
+            raise SessionError(f"{self.name}: only sessions on this machine can be followed")
+        unknown = [name for name in streams if name not in self.streams]
+        if unknown:
+            known = ", ".join(self.order)
+            raise SessionError(f"{self.name}: no stream {unknown[0]!r}; known: {known}")
+        ends = {name: len(self.streams[name]) for name in streams or self.order}
+        last = time.monotonic()
+        while True:
+            live = read_session_attrs(self.path, LOCAL)["status"] == "recording"
+            found = False
+            for name in ends:
+                stream = Stream(self.path / "streams" / name, live=live)
+                for row in stream.rows_from(ends[name]):
+                    yield row
+                    found = True
+                ends[name] = len(stream)
+            if not live and not found:
+                return
+            last = time.monotonic() if found else last
+            if timeout is not None and time.monotonic() - last > timeout:
+                return
+            time.sleep(poll)
+
     def _pixels(self, name: str, rows: NDArray[np.int64]) -> Array:
         """Return the images of some rows (n, h, w, channels); zeros for row -1."""
         stream = self.streams[name]
@@ -405,6 +488,6 @@ class Session:
         return pixels
 
 
-def _table(path: Path, files: Files) -> Table:
-    stream = Stream(path, files)
+def _table(path: Path, files: Files, live: bool) -> Table:
+    stream = Stream(path, files, live=live)
     return Table(path, stream.names, stream.array)

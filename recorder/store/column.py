@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from itertools import groupby
 from typing import Any
 
@@ -19,7 +20,7 @@ from recorder.store import images
 from recorder.store.journal import CRC_BYTES, HEADER, record_matches
 from recorder.store.layout import Layout, decoded_rows
 from recorder.store.recent import RECENT, Kept
-from recorder.store.shard import MISSING, ShardIndex, read_shard_index
+from recorder.store.shard import MISSING, ShardIndex, open_index, read_shard_index
 
 Array = np.ndarray[Any, Any]
 
@@ -41,6 +42,8 @@ class ColumnReader:
         """Read the declared length; shards are opened only when needed."""
         self.layout = layout
         self.rows = layout.rows()
+        self.live = False
+        """True to read also from the shard that is still growing; set before the first read."""
         self._local = layout.files.local
         self._indices: Kept[ShardIndex] = Kept()
         self._decoded: Kept[Array] = Kept()
@@ -149,7 +152,7 @@ class ColumnReader:
         """Read chunks of one local shard into one buffer, one after the other."""
         index = self._shard_index(shard)
         wanted = [self._range(index, number) for number in numbers]
-        fd = os.open(self.layout.shard(shard), os.O_RDONLY)
+        fd = self._opened(shard)
         try:
             size = os.fstat(fd).st_size  # of a range beyond it nothing is allocated
             length = min(max(nbytes for _, nbytes in wanted), size)
@@ -159,6 +162,12 @@ class ColumnReader:
                 yield self._verified(index, buffer[:found], nbytes, number)
         finally:
             os.close(fd)
+
+    def _opened(self, shard: int) -> int:
+        if self.live:  # the chunks of a growing shard stay in their places when it is sealed
+            with suppress(FileNotFoundError):
+                return os.open(self.layout.partial(shard), os.O_RDONLY)
+        return os.open(self.layout.shard(shard), os.O_RDONLY)
 
     def _fetched(self, shard: int, numbers: list[int]) -> Iterator[Any]:
         index, files, path = self._shard_index(shard), self.layout.files, self.layout.shard(shard)
@@ -182,8 +191,14 @@ class ColumnReader:
         nbytes = _ENTRY_BYTES * self.layout.chunks_per_shard
         index = self._indices.get(shard, nbytes)
         if index is None:
-            index = self._indices.put(shard, read_shard_index(self.layout, shard), nbytes)
+            index = self._indices.put(shard, self._read_index(shard), nbytes)
         return index
+
+    def _read_index(self, shard: int) -> ShardIndex:
+        if self.live:
+            with suppress(FileNotFoundError):
+                return open_index(self.layout, shard)
+        return read_shard_index(self.layout, shard)
 
     def _verified(self, index: ShardIndex, data: Any, nbytes: int, number: int) -> Any:
         crcs = index.crcs
