@@ -41,7 +41,10 @@ _STEP_SAMPLES = 16  # on either side; enough that one or two late packets do not
 # Columns of `frames` that format 1 did not have, or only with a stream of their kind.
 _LATER_COLUMNS = {"taxels", "time_sigma"}
 
-_NAN_IS_FINE = {"device_t"}
+# Axes of a gauge, of which attrs `axes_measured` may name some.
+_AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
+# Columns in which NaN means that the device sends no such value.
+_NAN_IS_FINE = {"device_t", "speed"}
 
 
 def check_stream(
@@ -70,14 +73,23 @@ def check_stream(
         still = "still" in (stream.attrs.get("source_motion"), session.attrs.get("source_motion"))
         if stream.traits.defaults.changes and not still:
             images = None if contents is None else contents[: len(stream)][rows]
-            same = images if images is not None else columns["value"]
+            # Two NaN differ, so that axes that are not measured would hide a frozen gauge.
+            same = images if images is not None else _measured(stream, "value", columns["value"])
             yield from _check_frozen(where, first, t_ns, same)
     for name in stream.small:
         values = stream.array(name)
         if values.dtype.kind == "f" and name not in _NAN_IS_FINE:
-            bad = np.flatnonzero(~np.isfinite(_flat(values)).all(axis=1))
+            bad = np.flatnonzero(~np.isfinite(_measured(stream, name, values)).all(axis=1))
             if bad.size:
                 yield Finding("nan", f"{where}/{name}", f"{bad.size} rows, first row {bad[0]}")
+
+
+def _measured(stream: Stream, name: str, values: Array) -> Array:
+    """Return the numbers of each row (n, m) that the device measures."""
+    axes = stream.attrs.get("axes_measured")
+    if name != "value" or values.shape[1:] != (len(_AXES),) or not isinstance(axes, list):
+        return _flat(values)
+    return values[:, [axis in axes for axis in _AXES]]
 
 
 def check_declared(session: Session) -> Iterator[Finding]:

@@ -175,8 +175,11 @@ def _unlike_spec(layout: StreamLayout, where: str) -> Iterator[Finding]:
 
 def _spec_of(layout: StreamLayout) -> StreamSpec | None:
     """Return the format's specification of a stream of this kind; None if there is none."""
+    shapes = {column.column.name: column.column.shape for column in layout.columns}
     if layout.path.parent.name != "streams":
-        return {"segments": SEGMENTS, "reference": reference_spec([])}.get(layout.name)
+        taxels = shapes.get("taxels", ())[:1] or (16,)
+        reference = reference_spec([taxels_spec(60, taxels=taxels[0])])
+        return {"segments": SEGMENTS, "reference": reference}.get(layout.name)
     kind = Traits.read(layout.name, layout.attrs()).kind
     image = layout.image
     if image is not None and kind in ("camera", "depth"):
@@ -185,7 +188,6 @@ def _spec_of(layout: StreamLayout) -> StreamSpec | None:
             units = image.column.units
             return depth_spec(60, name=layout.name, height=height, width=width, units=units)
         return camera_spec(60, height=height, width=width, codec=image.column.codec)
-    shapes = {column.column.name: column.column.shape for column in layout.columns}
-    taxels = shapes.get("value", ())[0:1] or (16,)
+    taxels = shapes.get("value", ())[:1] or (16,)
     known = {"force": force_spec(1000), "pose": pose_spec(500)}
     return {**known, "taxels": taxels_spec(60, taxels=taxels[0])}.get(kind)

@@ -19,6 +19,8 @@ from trajectories import Point
 
 logger = logging.getLogger(__name__)
 
+# Least number of periods of the slowest stream over which rates are measured.
+_PERIODS = 4
 _AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 
 
@@ -58,7 +60,9 @@ def check_devices(bench: Bench, streams: Streams, interlocks: Interlocks | None 
             failures.append(error)
     raise_all(failures)
     rates: dict[str, float] = {}
-    for name, found in streams.measure(bench.preflight.rate_window).items():
+    slowest = min(row.rate_hz for row in bench.rows)
+    window = max(bench.preflight.rate_window, _PERIODS / slowest)
+    for name, found in streams.measure(window).items():
         rate, expected = found["rate_hz"], expected_rate(bench, name)
         rates[name] = rate
         deviation = rate / expected - 1

@@ -169,9 +169,9 @@ class StreamHandle:
         return self._process.exitcode
 
 
-# A signal (camera, taxels) without a new sample for this time is lost [s]; force and pose have
-# their own, shorter limits in the guard.
-SILENT = 2.0
+# A signal (camera, taxels) without a new sample for this time [s], and this many periods, is lost;
+# force and pose have their own, shorter limits in the guard.
+SILENT, SILENT_PERIODS = 2.0, 5
 # A stream below this fraction of its rate (also the preflight's limit) for this time [s] is too
 # sparse to record the press.
 SLOW_FRACTION, SLOW = 0.5, 3.0
@@ -248,10 +248,11 @@ class Streams:
         for handle in self:
             handle.check()
             latest = handle.latest()
-            if latest is not None and now_ns - int(latest["t_ns"]) > SILENT * SECOND_NS:
+            limit = max(SILENT, SILENT_PERIODS / self._expected[handle.name])
+            if latest is not None and now_ns - int(latest["t_ns"]) > limit * SECOND_NS:
                 raise DeviceLost(
                     f"{handle.name}: no sample for {(now_ns - int(latest['t_ns'])) / SECOND_NS:.1f}"
-                    f" s; allowed: {SILENT:.1f} s; is the device powered and connected?"
+                    f" s; allowed: {limit:.1f} s; is the device powered and connected?"
                 )
             self._check_rate(handle, now_ns)
         if self._watch is not None:
@@ -260,7 +261,8 @@ class Streams:
     def _check_rate(self, handle: StreamHandle, now_ns: int) -> None:
         counters = handle.counters()
         expected = self._expected[handle.name]
-        if counters is None or counters["rate_hz"] >= SLOW_FRACTION * expected:
+        # The rate of the last second says nothing of a stream with less than two samples in it.
+        if expected < 2 or counters is None or counters["rate_hz"] >= SLOW_FRACTION * expected:
             self._slow_since_ns.pop(handle.name, None)
             return
         since_ns = self._slow_since_ns.setdefault(handle.name, now_ns)

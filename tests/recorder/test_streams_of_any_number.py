@@ -29,6 +29,7 @@ from recorder import (
     pose_spec,
     recover,
     repack,
+    taxels_spec,
 )
 from recorder.convert.export import export
 from recorder.info import describe, digests
@@ -348,3 +349,37 @@ def test_a_stream_without_a_role_never_makes_a_row_invalid(tmp_path: Path) -> No
     assert session_.signal is None
     assert session_.frames["valid"].all()
     assert (session_.frames["image"] == -1).all()
+
+
+def test_taxel_arrays_of_any_size_have_a_place(tmp_path: Path) -> None:
+    path = tmp_path / "s.zarr"
+    targets = {"point": np.zeros(0, np.int16)}
+    spec = taxels_spec(60, taxels=24)
+    with SessionWriter.create(path, attrs={}, streams=[spec], targets=targets) as session:
+        session.begin_run({"t0_ns": T0, "utc": None, "boot_id": "b"})
+        columns = stream_columns("taxels", 1, (16, 24), "jpeg", 1)
+        columns["value"] = np.tile(columns["value"], (1, 2, 1))[:, :24]
+        append_all(path / "streams/taxels", columns)
+        blank = {"image": -1, "wrench": np.full(6, np.nan), "wrench_std": np.full(6, np.nan)}
+        rest = columns["value"][0].astype(float)
+        session.reference.append(point=0, taxels=rest, run=0, t_ns=T0, **blank)
+        session.finish("complete", rate_hz=40)
+    found = [str(one) for one in faults(check(path)) if one.code != "nan"]
+    assert found == []  # forces of a bench without a gauge are NaN
+    assert Session(path).frames["taxels"].shape[1:] == (24, 3)
+    contact_sheet(path, tmp_path / "sheet.png")
+
+
+def test_nan_is_a_fault_on_measured_axes_only(tmp_path: Path) -> None:
+    path = tmp_path / "s.zarr"
+    targets = {"point": np.zeros(0, np.int16)}
+    spec = force_spec(1000, axes_measured=["Fz"])
+    with SessionWriter.create(path, attrs={}, streams=[spec], targets=targets) as session:
+        session.begin_run({"t0_ns": T0, "utc": None, "boot_id": "b"})
+        columns = stream_columns("force", 1, (16, 24), "jpeg", 1)
+        columns["value"][:, [0, 1, 3, 4, 5]] = np.nan
+        append_all(path / "streams/force", columns)
+        session.finish("complete", rate_hz=40)
+    assert faults(check(path)) == []
+    set_attrs(path / "streams/force", axes_measured=["Fx", "Fz"])
+    assert [finding.code for finding in faults(check(path))] == ["nan"]
