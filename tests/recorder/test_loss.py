@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.sessions import RATES, T0, make_session, set_attrs
+from support.sessions import RATES, T0, make_session
 
 from recorder import (
     Session,
@@ -30,6 +30,7 @@ from recorder.session.loss import (
     lateness,
     other_rate,
 )
+from recorder.store.layout import merge_attrs
 
 Columns = dict[str, Any]
 
@@ -371,6 +372,6 @@ def test_nothing_is_found_in_healthy_sessions(number: int, tmp_path: Path) -> No
 
 def quicken(path: Path) -> None:
     """Finish a session whose times are four times as fast as its devices' clocks."""
-    set_attrs(path, replay_of={"speed": 4.0})
+    merge_attrs(path, {"replay_of": {"speed": 4.0}})
     with SessionWriter.resume(path) as session:
         session.finish("complete", rate_hz=40)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.sessions import T0, make_session, set_attrs
+from support.sessions import T0, make_session, reseal, set_attrs
 
 from recorder import Session, check
 from recorder.info import describe
@@ -21,6 +21,7 @@ def session_with(path: Path, camera: dict[str, Any], **options: Any) -> Session:
     make_session(path, seconds=2.4, shape=(24, 32), **options)
     set_attrs(path / "streams/camera", **camera)
     write_frames(path, 40)
+    reseal(path)
     return Session(path)
 
 
