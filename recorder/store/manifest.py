@@ -13,7 +13,7 @@ import json
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import astuple, dataclass, field
+from dataclasses import astuple, dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -232,9 +232,6 @@ class SealedFiles:
     """Manifest to hold them against."""
     is_open: bool = False
     """True while another run is recorded."""
-    _documents: dict[Path, bytes] = field(
-        default_factory=dict, init=False, repr=False, compare=False
-    )  # zarr.json files: of a closed run they do not change
 
     @property
     def local(self) -> bool:
@@ -252,8 +249,6 @@ class SealedFiles:
             FileNotFoundError: No such file.
             SessionError: It differs from the manifest.
         """
-        if path in self._documents:
-            return self._documents[path]
         data = self.inner.read(path)
         key = self._key(path)
         shard = self.manifest.shards.get(key)
@@ -263,8 +258,6 @@ class SealedFiles:
             found = (len(data), hashlib.sha256(data).hexdigest())
             if self.manifest.files.get(key) != found:
                 raise self._differs(path)
-            if path.name == "zarr.json":
-                self._documents[path] = data
         return data
 
     def tail(self, path: Path, nbytes: int) -> bytes:
