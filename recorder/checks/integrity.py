@@ -26,7 +26,7 @@ from recorder.spec import (
 )
 from recorder.store.files import Files, read_document
 from recorder.store.journal import CRC_BYTES, HEADER, record_matches
-from recorder.store.layout import PARTIAL, Layout, StreamLayout
+from recorder.store.layout import PARTIAL, Layout, StreamLayout, check_shape
 from recorder.store.manifest import wrong_files
 from recorder.store.shard import MISSING, read_shard_index
 from recorder.store.tables import Table
@@ -63,9 +63,14 @@ def check_table(files: Files, session: Path, name: str) -> Iterator[Finding]:
     for group in files.groups(session / name):
         where = f"{name}/{group.name}"
         document = read_document(files, group / "zarr.json")
-        shape, chunk = document["shape"], document["chunk_grid"]["configuration"]["chunk_shape"]
+        try:
+            shape, chunk = document["shape"], document["chunk_grid"]["configuration"]["chunk_shape"]
+            check_shape(shape, document["data_type"], str(group))
+            counts = [range(math.ceil(s / c)) for s, c in zip(shape, chunk, strict=True)]
+        except (KeyError, TypeError, ValueError, ZeroDivisionError, SessionError) as error:
+            yield Finding("metadata", where, f"not a column of a table: {error!r}")
+            continue
         lengths[group.name] = shape[0]
-        counts = [range(math.ceil(s / c)) for s, c in zip(shape, chunk, strict=True)]
         keys = [group.joinpath("c", *map(str, place)) for place in product(*counts)]
         missing = [key for key in keys if key not in there]
         if missing:

@@ -409,9 +409,16 @@ def test_three_hundred_flipped_bits_are_refused_or_change_nothing(
     flips_are_never_read(tmp_path / "s.zarr", 300, seed=2)
 
 
+def unchanged(path: Path, good: dict[str, Any]) -> bool:
+    try:
+        return alike(everything(path), good)
+    except SessionError:
+        return False
+
+
 def losses(path: Path, other: Path, kind: str, every: int) -> int:
     """Remove, cut and replace files in turn; return the number of changes, all of them named."""
-    changes = 0
+    changes, good = 0, everything(path)
     for file in files_of(path)[::every]:
         where = file.relative_to(path)
         whole = file.read_bytes()
@@ -420,9 +427,13 @@ def losses(path: Path, other: Path, kind: str, every: int) -> int:
             variants.append((other / where).read_bytes())
         for data in variants:
             file.unlink() if data is None else file.write_bytes(data)
+            if where.parts[0] != "manifest" and unchanged(path, good):
+                continue  # equal values with the same checksums, recorded at another time
             named = [str(f) for f in faults([*check_quick(path)])]
             group = str(where.parent).partition("/c/")[0]
-            assert any(group in line for line in named), f"{kind} {where}: check says {named}"
+            # A manifest of another session differs from all files instead.
+            named_it = named if group.startswith("manifest") else [n for n in named if group in n]
+            assert named_it, f"{kind} {where}: check says {named[:3]}"
             with pytest.raises(SessionError):
                 everything(path)
             file.write_bytes(whole)
