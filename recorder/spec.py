@@ -17,6 +17,8 @@ from recorder.errors import SessionError
 FORMAT = "tactile-rig session"
 FORMAT_VERSION = 2
 
+# Axes of a wrench, by column.
+AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 # Phases of one target, by code.
 PHASES = ("normal_inc", "shear_inc", "shear_dec", "normal_dec")
 # Ways in which a phase ended, by code.

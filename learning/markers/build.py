@@ -398,7 +398,8 @@ def _caption(archived: ArchivedSensor, row: int, mask: NDArray[np.bool_]) -> tup
     phase = PHASES[code].replace("_", " ") if code >= 0 else "no phase"
     force = table["wrench"][row]
     forces = "no force"
-    if np.isfinite(force).all():
-        forces = f"F {force[0]:+.2f} {force[1]:+.2f} {force[2]:+.2f} N"
+    if np.isfinite(force[:3]).any():
+        axes = (f"{axis:+.2f}" if np.isfinite(axis) else "-" for axis in force[:3])
+        forces = f"F {' '.join(axes)} N"
     upper = f"row {row}, target {table['target'][row]}, {phase}: {_count(archived, mask)}"
     return upper, f"{1e3 * table['depth'][row]:.2f} mm, {forces}"

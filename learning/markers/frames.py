@@ -219,7 +219,9 @@ class RecordedSensor:
         # The format requires finite positions even in rows without a frame.
         position = np.where(np.isfinite(position), position, 0.0)
         wrench = recording.column("wrench")[rows].copy()
-        wrench[~there | ~np.isfinite(wrench).all(axis=1)] = np.nan
+        wrench[~there] = np.nan
+        wrench[:, ~recording.measured()] = np.nan
+        wrench[~np.isfinite(wrench)] = np.nan
         location = np.full(len(target), -1)
         if placed.first_location is not None:
             location = placed.first_location + target

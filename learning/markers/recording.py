@@ -15,7 +15,7 @@ from learning.errors import LearningError
 from learning.indenters import coded
 from recorder import Session, Stream
 from recorder.session import quaternion
-from recorder.spec import PHASES
+from recorder.spec import AXES, PHASES
 
 Integers = NDArray[np.int64]
 Kind = Literal["camera", "taxels"]
@@ -81,6 +81,14 @@ class Recording:
     def column(self, name: str) -> NDArray[Any]:
         """Return a column of `frames` for the rows (n, ...)."""
         return np.asarray(self.session.frames[name][self.rows])
+
+    def measured(self) -> NDArray[np.bool_]:
+        """Return the axes Fx to Tz (6,) that the gauge measured; others were stored as 0 once."""
+        for name, column in self.session.columns.items():
+            if column == "wrench":
+                axes = self.session.streams[name].attrs.get("axes_measured", AXES)
+                return np.isin(AXES, axes)
+        return np.ones(len(AXES), np.bool_)
 
     def invalid(self) -> list[str]:
         """Return the reason why each row has no frame (n,); empty if it has one."""

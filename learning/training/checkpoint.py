@@ -18,7 +18,6 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, TypeVar
 
-import torch
 import yaml
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save
@@ -66,12 +65,13 @@ def load_weights(model: nn.Module, weights: Path | Mapping[str, Tensor], where: 
     """Load weights into a module; names and shapes must match exactly.
 
     Args:
-        model: The module, not wrapped by Accelerate.
+        model: The module, not wrapped by Accelerate. Its `may_be_nan`, if any, names tensors in
+            which NaN has a meaning.
         weights: The file, or its content.
         where: Prefix of error messages; replaced by the path if `weights` is a file.
 
     Raises:
-        LearningError: The file is missing, or names or shapes differ.
+        LearningError: The file is missing, names or shapes differ, or a value is NaN or infinite.
     """
     if isinstance(weights, Path):
         where, weights = str(weights), read_weights(weights)
@@ -93,10 +93,12 @@ def load_weights(model: nn.Module, weights: Path | Mapping[str, Tensor], where: 
             f"{where}: not the weights of this network: {'; '.join(wrong)}; allowed: "
             f"{len(own)} tensors, as its settings define"
         )
+    may_be_nan: tuple[str, ...] = getattr(model, "may_be_nan", ())
     unsound = [
         name
         for name, value in weights.items()
-        if value.is_floating_point() and not bool(torch.isfinite(value).all())
+        if value.is_floating_point()
+        and not bool((~value.isinf() if name in may_be_nan else value.isfinite()).all())
     ]
     if unsound:
         raise LearningError(f"{where}: found NaN or infinity in {_listed(sorted(unsound))}")

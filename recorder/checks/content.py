@@ -23,7 +23,7 @@ from recorder.session.loss import (
 )
 from recorder.session.reader import Session, Stream
 from recorder.session.uncertainty import uncalibrated
-from recorder.spec import OUTCOMES, PHASES, TARGET_UNITS
+from recorder.spec import AXES, OUTCOMES, PHASES, TARGET_UNITS
 from recorder.store.files import read_document
 
 Array = np.ndarray[Any, Any]
@@ -41,8 +41,6 @@ _STEP_SAMPLES = 16  # on either side; enough that one or two late packets do not
 # Columns of `frames` that format 1 did not have, or only with a stream of their kind.
 _LATER_COLUMNS = {"taxels", "time_sigma"}
 
-# Axes of a gauge, of which attrs `axes_measured` may name some.
-_AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 # Columns in which NaN means that the device sends no such value.
 _NAN_IS_FINE = {"device_t", "speed"}
 
@@ -87,9 +85,9 @@ def check_stream(
 def _measured(stream: Stream, name: str, values: Array) -> Array:
     """Return the numbers of each row (n, m) that the device measures."""
     axes = stream.attrs.get("axes_measured")
-    if name != "value" or values.shape[1:] != (len(_AXES),) or not isinstance(axes, list):
+    if name != "value" or values.shape[1:] != (len(AXES),) or not isinstance(axes, list):
         return _flat(values)
-    return values[:, [axis in axes for axis in _AXES]]
+    return values[:, [axis in axes for axis in AXES]]
 
 
 def check_declared(session: Session) -> Iterator[Finding]:

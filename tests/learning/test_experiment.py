@@ -333,3 +333,23 @@ def test_learned_translators_are_trained_by_their_own_commands(
     for name in ("field", "direct"):
         assert (out / "results" / f"dots-to-grid.transferred.{name}.npz").is_file()
         assert (out / "results" / f"dots-to-grid.{name}.scores.npz").is_file()
+
+
+def test_an_unlabelled_target_is_predicted_and_rows_by_its_labels_are_left_out(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "x.markers.zarr"
+    some = made_up_archive(path, targets=3, frames_per_phase=2, force_depth=2, unlabelled=("grid",))
+    reported: list[str] = []
+    chosen = settings("compensation=[compensated, oracle]")
+    report = running.run_experiment(some.path, tmp_path / "out", chosen, say=reported.append)
+    results = sorted(each.name for each in (tmp_path / "out" / "results").iterdir())
+    assert results == ["dots-to-grid.source-only.npz", "dots-to-grid.transferred.flow.npz"]
+    found = read_predictions(tmp_path / "out" / "results" / results[1])
+    assert np.isfinite(found.predicted).all()
+    assert report.lines == ("grid: no label of Fx, Fy, Fz; predictions are not scored",)
+    assert running.gained(report.force) == "no labels to compare with"
+    assert any(line.startswith("grid: no labels in training presses") for line in reported)
+    assert any(line.startswith("grid: no force-depth curve") for line in reported)
+    with pytest.raises(LearningError, match="grid has no labels; allowed sources: dots"):
+        pairs_of(some, ["grid:dots"])

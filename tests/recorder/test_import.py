@@ -113,15 +113,16 @@ def test_video_and_force_become_a_sound_session(tmp_path: Path) -> None:
     assert [session.streams["camera"].jpeg(row) for row in range(40)] == frames
     value = session.streams["force"].array("value")
     assert np.abs(value[:, 2] + force).max() <= 5e-7
-    assert not value[:, [0, 1, 3, 4, 5]].any()
+    assert np.isnan(value[:, [0, 1, 3, 4, 5]]).all()
     assert session.streams["force"].attrs["axes_measured"] == ["Fz"]
     assert (session.attrs["mock"], session.status) == (False, "complete")
     assert session.attrs["imported"]["files"]["video"]["name"] == "v.avi"
     assert session.attrs["imported"]["assumed"] == message
-    assert any("not measured, stored as 0" in line for line in message)
+    assert any("not measured, stored as NaN" in line for line in message)
     assert str(tmp_path) not in json.dumps(session.attrs)
     frames_view = session.frames
     assert len(frames_view["t_ns"]) == 40
+    assert np.isfinite(frames_view["wrench"]).any(axis=0).tolist() == [0, 0, 1, 0, 0, 0]
     assert frames_view["valid"].all()
     assert set(frames_view["target"].tolist()) == {-1}
     contact_sheet(session.path, tmp_path / "sheet.png")
