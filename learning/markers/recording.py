@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -16,12 +17,17 @@ from learning.indenters import coded
 from recorder import Session, Stream
 from recorder.session import quaternion
 from recorder.spec import AXES, PHASES
+from trajectories.press_shear import PressShear
+from trajectories.stored import plan_from_json
 
 Integers = NDArray[np.int64]
 Kind = Literal["camera", "taxels"]
 
 # Kinds of plans whose sessions can be trained on.
 KINDS_OF_PLAN = ("press_shear", "force_depth")
+
+# Largest difference between shear directions of one number [rad].
+ANGLE_TOLERANCE = math.radians(1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,6 +83,21 @@ class Recording:
         level = np.unique(targets["depth"].round(9), return_inverse=True)[1].reshape(-1)
         columns = [targets["point"], level, targets["direction"]]
         return np.stack([np.asarray(column, np.int64) for column in columns], axis=1)
+
+    def plan(self) -> PressShear | None:
+        """Return the press-shear plan stored in the session; None if there is none.
+
+        Raises:
+            LearningError: The stored plan is invalid.
+        """
+        stored = self.session.attrs.get("plan")
+        if not isinstance(stored, dict) or stored.get("kind") != PressShear.KIND:
+            return None
+        try:
+            plan = plan_from_json(stored)
+        except (TypeError, ValueError) as error:
+            raise LearningError(f"{self.name}: {error}") from error
+        return plan if isinstance(plan, PressShear) else None
 
     def column(self, name: str) -> NDArray[Any]:
         """Return a column of `frames` for the rows (n, ...)."""
@@ -305,8 +326,9 @@ def read_group(paths: Sequence[Path], sensor: str | None = None) -> Group:
     """Group sessions into sensors and indenters.
 
     Targets of two sensors are paired by their numbers, so all sessions with shear must have the
-    same plan: the same number of targets, points, depth levels and directions. The depth of a level
-    may differ between sensors, but not within one.
+    same plan: the same number of targets, points, depth levels and directions, shear angles within
+    1 deg and one layout of points. The depth of a level may differ between sensors, but not within
+    one.
 
     Args:
         paths: The sessions, in any order.
@@ -365,6 +387,7 @@ def _require_alike(recordings: Sequence[Recording]) -> None:
                 f"{one.name}: found {one.targets} targets that are not those of {other.name} "
                 f"({other.targets}); allowed: sessions of one plan, or an archive for each plan"
             )
+        _require_same_places(one, other)
     first: dict[str, Recording] = {}
     for one in located:
         other = first.setdefault(one.sensor, one)
@@ -374,6 +397,25 @@ def _require_alike(recordings: Sequence[Recording]) -> None:
                 f"{one.name}: found depths up to {1e3 * depth.max():g} mm, {other.name} of the "
                 f"same sensor has {1e3 * due.max():g} mm; allowed: one plan for a sensor"
             )
+
+
+def _require_same_places(one: Recording, other: Recording) -> None:
+    """Reject plans in which one number means two shear angles, or two sides of the centre."""
+    plan, due = one.plan(), other.plan()
+    if plan is None or due is None:
+        return
+    count = int(one.session.targets["direction"].max())
+    if count * abs(plan.angle_step - due.angle_step) > ANGLE_TOLERANCE:
+        raise LearningError(
+            f"{one.name}: found shear directions {math.degrees(plan.angle_step):g} deg apart, "
+            f"{other.name} has {math.degrees(due.angle_step):g} deg; allowed: the same angles, "
+            "or an archive for each plan"
+        )
+    if plan.layout != due.layout and (one.session.targets["point"] > 1).any():
+        raise LearningError(
+            f"{one.name}: found layout {plan.layout!r} of points, {other.name} has "
+            f"{due.layout!r}; allowed: the same layout, or an archive for each plan"
+        )
 
 
 def _require_one_device(recordings: Sequence[Recording]) -> None:
