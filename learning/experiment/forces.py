@@ -65,7 +65,7 @@ def force_settings(
     try:
         settings = read_settings(ForceSettings, PRESETS, experiment.force.preset, changed)
     except LearningError as error:
-        raise LearningError(f"force: {error}") from None
+        raise LearningError(f"{'fine_tuning' if tuning else 'force'}: {error}") from None
     if settings.input.stored_form != "images":
         raise LearningError(
             f"force: found {experiment.force.preset}, which sees marker fields; allowed: a model "

@@ -20,7 +20,7 @@ from learning.errors import LearningError
 from learning.evaluation.predictions import UNSEEN, ForceRow, after
 from learning.evaluation.report import Report, write_report
 from learning.experiment.forces import BEFORE, TRANSFERRED, force_settings
-from learning.experiment.models import Places
+from learning.experiment.models import Places, check_translators
 from learning.experiment.parts import Pair, labelled_sensors, pairs_of
 from learning.experiment.settings import ExperimentSettings
 from learning.experiment.worker import Job, do_all
@@ -40,6 +40,7 @@ def run_experiment(
     processes: int = 1,
     jobs: int = 1,
     say: Say = print,
+    where: str = "settings",
 ) -> Report:
     """Run or continue an experiment and return its report.
 
@@ -52,6 +53,7 @@ def run_experiment(
         processes: Number of processes that track markers.
         jobs: Number of models trained in parallel, each in its own process.
         say: Called with a line for each completed part.
+        where: Place of the settings in errors, such as their file.
 
     Raises:
         LearningError: The folder belongs to another experiment, or data are unusable.
@@ -64,9 +66,13 @@ def run_experiment(
     if archive.warning:
         raise LearningError(archive.warning)
     wanted = pairs_of(archive, pairs)
-    for tuning in (False, True):
-        # Their preset is used after hours, and is wrong now.
-        force_settings(settings, archive, torch.device(device), tuning=tuning)
+    try:
+        # These presets are used only hours later, but a mistake in them is refused now.
+        check_translators(settings)
+        for tuning in (False, True):
+            force_settings(settings, archive, torch.device(device), tuning=tuning)
+    except LearningError as error:
+        raise LearningError(f"{where}.{error}") from None
     _begin(places, settings, archive, wanted)
     _write_split(places, settings, archive)
     labelled = labelled_sensors(archive, read_split(places.split))

@@ -527,5 +527,4 @@ def load_force_model(
     model = ForceModel(
         found.settings(NetworkSettings, "network"), found.settings(InputSettings, "input")
     )
-    found.load(model)
-    return model.to(torch.device(device)).eval()
+    return found.load(model, device)

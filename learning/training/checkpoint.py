@@ -18,6 +18,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, TypeVar
 
+import torch
 import yaml
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save
@@ -31,6 +32,8 @@ from recorder.strict_yaml import describe, yaml_text
 # Network weights in safetensors files.
 
 _SHOWN = 4
+
+Network = TypeVar("Network", bound=nn.Module)
 
 
 def save_weights(model: nn.Module | Mapping[str, Tensor], path: Path) -> None:
@@ -182,33 +185,34 @@ class ModelFolder:
             return READER.build(kind, self.config.settings.get(key), f"{where}.{key}")
         return READER.build(kind, dict(self.config.settings), where)
 
-    def weights(self, name: str = MODEL) -> dict[str, Tensor]:
-        """Read the weights of one of its networks.
+    def weights(self) -> dict[str, Tensor]:
+        """Read its weights.
 
         Raises:
             LearningError: The file is missing or corrupt.
         """
-        return read_weights(self.file(name))
+        return read_weights(self.file())
 
-    def load(self, model: nn.Module, name: str = MODEL) -> None:
-        """Load the weights of one of its networks into a module.
+    def load(self, model: Network, device: torch.device | str = "cpu") -> Network:
+        """Load its weights into a module; return the module on a device, in evaluation mode.
 
         Raises:
             LearningError: The file is missing, or its weights belong to another network.
         """
-        load_weights(model, self.file(name))
+        load_weights(model, self.file())
+        return model.to(device).eval()
 
-    def hash(self, name: str = MODEL) -> str:
-        """Return the SHA-256 of the weights of one of its networks.
+    def hash(self) -> str:
+        """Return the SHA-256 of its weights.
 
         Raises:
             LearningError: The file is missing.
         """
-        return weights_hash(self.file(name))
+        return weights_hash(self.file())
 
-    def file(self, name: str = MODEL) -> Path:
-        """Return the path of the weights of one of its networks."""
-        return self.path / f"{name}.safetensors"
+    def file(self) -> Path:
+        """Return the path of its weights."""
+        return self.path / f"{MODEL}.safetensors"
 
 
 def read_model_folder(path: Path, kind: str | None = None) -> ModelFolder:

@@ -40,6 +40,8 @@ REACH_MM = (50.0, 2000.0)
 LOOPBACK = "loopback"
 # Placeholder for the folder where emulators of serial devices put links to their ptys.
 RUN_FOLDER = "runfolder"
+# Most targets of a plan. More are a mistake in a unit: they would take days to press.
+MOST_TARGETS = 20_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,6 +228,12 @@ class Bench:
                 raise ValueError(
                     f"{row.key}.exposure_ms: {1e3 * (camera.exposure or 0.0):g}; allowed: up to "
                     f"{1e3 / camera.rate_hz:.4g} at {row.key}.rate_hz {camera.rate_hz:g}"
+                )
+        for name, plan in (("trajectory", self.trajectory), ("force_depth", self.force_depth)):
+            if plan is not None and len(plan) > MOST_TARGETS:
+                depths = f" at {plan.depth_count} depths" if isinstance(plan, PressShear) else ""
+                raise ValueError(
+                    f"{name}: found {len(plan)} targets{depths}; allowed: up to {MOST_TARGETS}"
                 )
 
     @property

@@ -312,6 +312,23 @@ def test_senseless_experiments_are_refused(changed: str, reported: str) -> None:
         settings(changed)
 
 
+@pytest.mark.parametrize(
+    ("changed", "reported"),
+    [
+        ("force={preset: tinny}", "force: preset: found 'tinny'; known: "),
+        ('fine_tuning=["stages"]', "fine_tuning: --set: found 'stages'"),
+        ("field={preset: smoke}", "field: preset: found 'smoke'; known: "),
+        ('direct={preset: cpu_smoke, set: ["step=2"]}', "direct: .*unknown step; did you mean"),
+    ],
+)
+def test_mistakes_in_presets_used_later_are_refused_before_anything_is_written(
+    changed: str, reported: str, archive: MarkerArchive, tmp_path: Path
+) -> None:
+    with pytest.raises(LearningError, match=f"^settings.{reported}"):
+        run(archive, tmp_path / "out", "translators=[field, direct]", changed)
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_learned_translators_are_trained_by_their_own_commands(
