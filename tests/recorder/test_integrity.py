@@ -155,11 +155,6 @@ HOSTILE: dict[str, tuple[str, Callable[[dict[str, Any]], Any], str]] = {
         lambda d: d.update(shape=[10**13, 6]),
         "allowed: up to",
     ),
-    "rows without shards": (
-        "streams/force/value",
-        lambda d: d.update(shape=[10**12, 6]),
-        "shard missing",
-    ),
     "negative rows": ("streams/force/value", lambda d: d.update(shape=[-1, 6]), "found shape"),
     "a row of 2^40 values": (
         "streams/force/value",
@@ -215,6 +210,15 @@ def test_impossible_metadata_is_refused_by_name(case: str, tmp_path: Path) -> No
 
     with pytest.raises(SessionError, match=message):
         read()
+
+
+def test_rows_that_one_column_alone_declares_are_named_and_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "s.zarr"
+    shutil.copytree(OLD / "gelsight.zarr", path)
+    before = Session(path).streams["force"].array("value")
+    edit(path / "streams/force/value/zarr.json", lambda d: d.update(shape=[10**12, 6]))
+    assert np.array_equal(Session(path).streams["force"].array("value"), before)
+    assert {"unequal-lengths", "missing-chunk"} <= {one.code for one in check(path)}
 
 
 def test_a_jpeg_is_refused_by_its_header_before_its_pixels_are_decoded() -> None:
