@@ -1,5 +1,7 @@
 # Targets set up the venv if needed, then call `python -m ...`. `make` lists them.
 SENSOR   ?= tacpalm
+# Commands print this front door when they name the command to continue with.
+export TACTILE_DOOR := make
 VENV     := .venv
 PY       := $(VENV)/bin/python
 PYTHON   ?= $(shell for p in python3.12 python3.11 python3; do \
@@ -7,12 +9,43 @@ PYTHON   ?= $(shell for p in python3.12 python3.11 python3; do \
               2>/dev/null && echo $$p && break; done)
 WORLDARG := $(if $(WORLD),--world $(WORLD))
 WORLDDEP := $(if $(WORLD),$(VENV)/.sim)
-BENCHARG := $(if $(BENCH),--bench $(BENCH),--sensor $(SENSOR)) $(WORLDARG)
+GIVEN    := $(sort $(foreach name,$(.VARIABLES),$(if $(filter command line,$(origin $(name))),$(name))))
+BENCHARG := $(if $(BENCH),--bench $(BENCH)) $(if $(BENCH),$(if $(filter SENSOR,$(GIVEN)),--sensor $(SENSOR)),--sensor $(SENSOR)) $(WORLDARG)
 SOURCES  := $(if $(CAMERA),--camera $(CAMERA)) $(if $(STILL),--still) $(if $(TAXELS),--taxels $(TAXELS))
-WATCHARG := $(if $(WATCH),--watch $(filter-out 1,$(WATCH)) $(if $(WATCHHOST),--watch-host $(WATCHHOST)))
+WATCHARG := $(if $(WATCH),--watch $(filter-out 1,$(WATCH))) $(if $(WATCHHOST),--watch-host $(WATCHHOST))
 DEMO     := examples/demo-learning
 LAUNCH   := $(if $(GPUS),$(VENV)/bin/torchrun --nproc-per-node $(GPUS),$(PY))
 PIP      := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e
+
+# A name that no target reads would be ignored by make, and `sensor=uskin` record a tacpalm. The
+# options of a target, on the line above it, are the names that it may be given.
+ifneq ($(GIVEN),)
+REFUSED  := $(shell awk -v goals="$(MAKECMDGOALS)" -v given="$(GIVEN)" \
+  'function least(a, b) {return a < b ? a : b} \
+  function distance(a, b,  i, j, d) { \
+    for (i = 0; i <= length(a); i++) for (j = 0; j <= length(b); j++) \
+      d[i, j] = i * j == 0 ? i + j : least(least(d[i - 1, j], d[i, j - 1]) + 1, \
+        d[i - 1, j - 1] + (substr(a, i, 1) != substr(b, j, 1))); \
+    return d[length(a), length(b)]} \
+  BEGIN {split(goals, each, " "); for (k in each) wanted[each[k]] = 1; \
+    split("PY PYTHON PIP VENV", each, " "); for (k in each) allowed[each[k]] = 0} \
+  $$0 ~ "^\\043: " {options = substr($$0, 4); next} \
+  $$0 ~ "^[a-z][a-z -]*:.*  \\043\\043 " {names = $$0; sub(/:.*/, "", names); split(names, each, " "); \
+    for (k in each) if (each[k] in wanted) {found = 1; text = options; \
+      while (match(text, /[A-Z_]+=/)) {name = substr(text, RSTART, RLENGTH - 1); \
+        if (!(name in allowed)) list = list ", " name; \
+        allowed[name] = 1; text = substr(text, RSTART + RLENGTH)}}} \
+  {options = ""} \
+  END {n = split(given, each, " "); for (k = 1; found && k <= n; k++) if (!(each[k] in allowed)) { \
+    near = ""; best = 3; for (name in allowed) if (allowed[name]) { \
+      d = distance(toupper(each[k]), name); if (d < best) {best = d; near = name}} \
+    printf "%s: unknown; %sallowed for %s: %s", each[k], \
+      near == "" ? "" : "did you mean " near "? ", goals, list == "" ? "none" : substr(list, 3); exit}}' \
+  $(firstword $(MAKEFILE_LIST)))
+ifneq ($(REFUSED),)
+$(error wrong input: $(REFUSED))
+endif
+endif
 
 .PHONY: help accuracy speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip preview compare mock replay check-session split train-field train-autoencoder train-direct train-marker-vae train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning learning-tables learning-ablations learning-on-gpus live endurance faults bench-recorder test golden test-all check format reference setup clean
 
@@ -42,9 +75,9 @@ help-%:
 #: SENSOR=tacpalm [TARGETS=8] [INDENTER=cylinder] [OPERATOR=] [OUT=] [BENCH=file] [WORLD=sim] [CAMERA=path [STILL=1]] [TAXELS=path] [TRUTH=file] [WATCH=1 [WATCHHOST=0.0.0.0]]
 collect: $(VENV)/.rig $(WORLDDEP)  ## Record one session
 	@$(PY) -m rig collect $(BENCHARG) $(SOURCES) $(if $(TARGETS),--targets $(TARGETS)) \
-	  $(if $(INDENTER),--indenter $(INDENTER)) $(if $(OUT),--out $(OUT)) $(if $(TRUTH),--truth $(TRUTH)) $(if $(OPERATOR),--operator $(OPERATOR)) $(WATCHARG)
+	  $(if $(INDENTER),--indenter $(INDENTER)) $(if $(OUT),--out $(OUT)) $(if $(TRUTH),--truth $(TRUTH)) $(if $(OPERATOR),--operator '$(OPERATOR)') $(WATCHARG)
 
-#: SESSION=sessions/x.zarr [BENCH=file] [WATCH=1]
+#: SESSION=sessions/x.zarr [BENCH=file] [WORLD=sim] [CAMERA=path [STILL=1]] [TAXELS=path] [WATCH=1 [WATCHHOST=0.0.0.0]]
 resume: $(VENV)/.rig $(WORLDDEP)  ## Continue a stopped session
 	@$(PY) -m rig collect $(if $(BENCH),--bench $(BENCH)) $(WORLDARG) $(SOURCES) --resume $(SESSION) $(WATCHARG)
 
@@ -64,19 +97,19 @@ force-depth: $(VENV)/.rig $(WORLDDEP)  ## Press and release 3 times, write a tab
 campaign: $(VENV)/.rig  ## Record the remaining sessions of a campaign file
 	@$(PY) -m rig campaign --file $(FILE) $(if $(LIST),--list) $(if $(YES),--yes) $(if $(KEEP_GOING),--keep-going)
 
-#: SENSOR=tacpalm [BENCH=file]
+#: SENSOR=tacpalm [BENCH=file] [WORLD=sim]
 jog: $(VENV)/.rig $(WORLDDEP)  ## Move the arm with a SpaceMouse and set the contact origin
 	@$(PY) -m rig jog $(BENCHARG)
 
-#: SENSOR=tacpalm [OPEN=1] [BENCH=file]
+#: SENSOR=tacpalm [OPEN=1] [BENCH=file] [WORLD=sim]
 grip: $(VENV)/.rig  ## Close the gripper on the indenter
 	@$(PY) -m rig grip $(BENCHARG) $(if $(OPEN),--open)
 
-#: SENSOR=tacpalm [OUT=plan.png]
+#: SENSOR=tacpalm [OUT=plan.png] [BENCH=file] [WORLD=sim]
 preview: $(VENV)/.rig  ## Draw the plan and check its limits
 	@$(PY) -m rig preview $(BENCHARG) $(if $(OUT),--out $(OUT))
 
-#: SENSOR=tacpalm
+#: SENSOR=tacpalm [BENCH=file] [WORLD=sim] [CAMERA=path [STILL=1]] [TAXELS=path]
 mock: $(VENV)/.rig $(WORLDDEP)  ## Run the emulators of a bench until Ctrl-C
 	@$(PY) -m rig mock $(BENCHARG) $(SOURCES)
 
@@ -92,7 +125,7 @@ compare: $(VENV)/.rig  ## Compare a mock session with the World's ground truth
 check-session: $(VENV)/.rig  ## Check a session for problems
 	@$(PY) -m recorder check $(SESSION)
 
-#: MODEL=runs/x SENSOR=tacpalm [BENCH=file] [SESSION=replayed.zarr] [ARGS="--seconds 10"]
+#: MODEL=runs/x SENSOR=tacpalm [BENCH=file] [WORLD=sim] [SESSION=replayed.zarr] [ARGS="--seconds 10"]
 live: $(VENV)/.live  ## Show forces as the sensor is pressed
 	@$(PY) -m rig live --model $(MODEL) $(if $(SESSION),--session $(SESSION),$(BENCHARG)) $(ARGS)
 
@@ -106,7 +139,7 @@ press: $(VENV)/.sim  ## Simulate a press, write a table and a picture
 simulate: $(VENV)/.sim  ## Write a marker archive of the paper's 810 states under 12 patterns
 	@$(PY) -m sim archive states $(if $(INDENTERS),--indenters $(INDENTERS)) $(if $(PATTERNS),--patterns $(PATTERNS)) $(if $(OUT),--out $(OUT)) $(if $(DEVICE),--device $(DEVICE)) $(ARGS)
 
-#: [GROUP=homogeneous|material|heterogeneous] [SCALE=smoke|0.1|full] [OUT=path] [DEVICE=cuda:0] [ARGS="--tier layer"]
+#: [GROUP=homogeneous|material|heterogeneous] [SCALE=smoke|0.1|full] [INDENTERS=sphere,cone] [OUT=path] [DEVICE=cuda:0] [ARGS="--tier layer"]
 simulate-sensors: $(VENV)/.sim  ## Write an archive of real trajectories with forces on simulated sensors
 	@$(PY) -m sim archive sensors --group $(or $(GROUP),homogeneous) --scale $(or $(SCALE),0.1) $(if $(INDENTERS),--indenters $(INDENTERS)) $(if $(OUT),--out $(OUT)) $(if $(DEVICE),--device $(DEVICE)) $(ARGS)
 
@@ -136,7 +169,7 @@ compensate: $(VENV)/.learning  ## Fit material priors and choose how labels are 
 train-force: $(VENV)/.learning  ## Train a force model
 	@$(LAUNCH) -m learning train-force $(ARCHIVE) --sensor $(SENSOR) --split $(SPLIT) --out $(OUT) $(if $(PRESET),--preset $(PRESET)) $(ARGS)
 
-#: FOLDER=results OUT=report
+#: FOLDER=results OUT=report [ARGS="--help"]
 evaluate: $(VENV)/.learning  ## Write the report of predictions and translations
 	@$(PY) -m learning evaluate $(FOLDER) --out $(OUT) $(ARGS)
 
@@ -155,7 +188,7 @@ demo-learning: $(VENV)/.demo  ## Run three simulated sensors from press to repor
 faults: $(VENV)/.nidaq  ## Inject every fault into a mock bench: reliability.md (half an hour)
 	@$(PY) -m benchmarks faults $(if $(QUICK),--quick) $(if $(ONLY),--only $(ONLY)) $(if $(KILLS),--kills $(KILLS))
 
-#: SENSOR=tacpalm [MINUTES=30] [OUT=docs/results/endurance.md]
+#: SENSOR=tacpalm [BENCH=file] [WORLD=sim] [MINUTES=30] [OUT=docs/results/endurance.md]
 endurance: $(VENV)/.rig  ## Monitor a long mock collection: endurance.md (half an hour)
 	@$(PY) -m benchmarks endurance $(BENCHARG) $(if $(MINUTES),--minutes $(MINUTES)) $(if $(OUT),--out $(OUT))
 

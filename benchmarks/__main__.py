@@ -43,6 +43,7 @@ BENCHMARKS = {
     "live-session": ("benchmarks.sim.sensors.stream_accuracy", "a session solved again"),
     "patterns": ("benchmarks.sim.pictures.patterns", "draw all marker patterns"),
     "indenters": ("benchmarks.sim.pictures.indenters", "draw all indenters"),
+    "indenter-drawings": ("benchmarks.sim.pictures.drawings", "draw each indenter in mm"),
     # Learning
     "latency": ("benchmarks.learning.latency.command", "error against time and size"),
     "field-speed": ("benchmarks.learning.field_rate", "field translator, frames/s"),

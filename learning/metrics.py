@@ -23,21 +23,33 @@ MEASURED = (*AXES, "ft")
 
 @dataclass(frozen=True, slots=True)
 class ForceErrors:
-    """Errors over a set of frames."""
+    """Errors over a set of frames; NaN for axes without a label or a prediction."""
 
     frames: int
-    """Number of frames."""
+    """Number of frames with a label on one axis or more."""
     mae: tuple[float, float, float, float]
-    """Mean absolute error of Fx, Fy, Fz and Ft [N]."""
+    """Mean absolute error of Fx, Fy, Fz and Ft [N]; Ft of frames with all three axes."""
     relative: tuple[float, float, float, float]
     """The same divided by the standard deviation of the target's labels."""
     r2: tuple[float, float, float]
-    """Coefficient of determination of Fx, Fy and Fz; NaN if the labels are constant."""
+    """Coefficient of determination of Fx, Fy and Fz; NaN if labels are constant or missing."""
 
     @property
     def r2_mean(self) -> float:
-        """Mean of R2 over the axes."""
-        return float(np.mean(self.r2))
+        """Mean of R2 over the measured axes; NaN if the labels of one of them are constant."""
+        found = [fit for fit, mae in zip(self.r2, self.mae, strict=False) if np.isfinite(mae)]
+        return float(np.mean(found)) if found else np.nan
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the axes that were measured and predicted, e.g. Fx."""
+        named = zip(AXES, self.mae, strict=False)
+        return tuple(name.capitalize() for name, mae in named if np.isfinite(mae))
+
+    @property
+    def of_axes(self) -> str:
+        """Text that says which axes a mean is of, unless all: ` (Fz)`."""
+        return "" if len(self.axes) == len(AXES) else f" ({', '.join(self.axes)})"
 
     @property
     def shear(self) -> float:
@@ -49,19 +61,77 @@ def force_errors(true: Floats, predicted: Floats, spread: Floats) -> ForceErrors
     """Return the errors of predicted forces.
 
     Args:
-        true: Measured forces (n, 3) [N].
-        predicted: Predicted forces (n, 3) [N].
+        true: Measured forces (n, 3) [N]; NaN is no label.
+        predicted: Predicted forces (n, 3) [N]; NaN on axes that the model does not predict.
         spread: Standard deviation of the target's labels, of Fx, Fy, Fz and Ft (4,) [N].
 
     Raises:
-        LearningError: There are no frames, shapes differ, or a force is not finite.
+        LearningError: There are no frames, shapes differ, a force is infinite, a prediction is
+            missing in some frames of an axis only, or no label can be compared with a prediction.
     """
-    mae = mean_absolute_error(with_magnitude(true), with_magnitude(predicted))
+    known = _comparable(true, predicted)
+    measured, found = with_magnitude(true), with_magnitude(predicted)
+    mae, fit = np.full(len(MEASURED), np.nan), np.full(len(AXES), np.nan)
+    for place in range(len(MEASURED)):
+        rows = known[:, place] if place < len(AXES) else known.all(axis=1)
+        if not rows.any():
+            continue
+        one, other = measured[rows, place, None], found[rows, place, None]
+        mae[place] = mean_absolute_error(one, other)[0]
+        if place < len(AXES):
+            fit[place] = r_squared(one, other)[0]
     # The relative error to constant labels is infinite, or NaN if the error is zero.
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = mae / np.asarray(spread, np.float64)
-    fx, fy, fz = r_squared(true, predicted).tolist()
-    return ForceErrors(len(true), _four(mae), _four(relative), (fx, fy, fz))
+    fx, fy, fz = fit.tolist()
+    scored = int(known.any(axis=1).sum())
+    return ForceErrors(scored, _four(mae), _four(relative), (fx, fy, fz))
+
+
+def can_be_scored(true: Floats, predicted: Floats) -> bool:
+    """Return True if a label (n, 3) can be compared with a prediction (n, 3)."""
+    return bool((np.isfinite(true) & np.isfinite(predicted)).any())
+
+
+def axis_means(values: Floats) -> Floats:
+    """Return the mean of each column (k,) of (n, k) without its NaN; NaN if there is no other."""
+    known = ~np.isnan(values)
+    total, count = np.where(known, values, 0.0).sum(axis=0), known.sum(axis=0)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def _comparable(true: Floats, predicted: Floats) -> NDArray[np.bool_]:
+    """Return a mask (n, 3) of the labels that a prediction can be compared with."""
+    if true.shape != predicted.shape or true.ndim != 2 or not len(true):
+        raise LearningError(
+            f"forces: found true {true.shape} and predicted {predicted.shape}; allowed: the same "
+            "shape, of one frame or more"
+        )
+    require_forces("true", true, whole_axes=False)
+    require_forces("predicted", predicted, whole_axes=True)
+    known: NDArray[np.bool_] = np.isfinite(true) & np.isfinite(predicted)
+    if not known.any():
+        raise LearningError(
+            "forces: found no label that a prediction can be compared with; allowed: one or more"
+        )
+    return known
+
+
+def require_forces(name: str, forces: Floats, *, whole_axes: bool) -> None:
+    """Reject infinite forces (n, 3); with `whole_axes`, also NaN in a part of an axis's frames.
+
+    Raises:
+        LearningError: Names the first such row.
+    """
+    wrong = np.isinf(forces)
+    if whole_axes:
+        wrong |= np.isnan(forces) & ~np.isnan(forces).all(axis=0)
+    rows = np.flatnonzero(wrong.any(axis=1))
+    if rows.size:
+        raise LearningError(
+            f"forces: found {forces[rows[0]]} in row {rows[0]} of {name}, and {rows.size} such "
+            f"rows; allowed: numbers, or NaN {'on a whole axis' if whole_axes else 'as no label'}"
+        )
 
 
 def mean_absolute_error(true: Floats, predicted: Floats) -> Floats:
@@ -105,16 +175,18 @@ def with_magnitude(forces: Floats) -> Floats:
 def spread_and_range(labels: Floats) -> tuple[Floats, Floats]:
     """Return standard deviation (4,) and range (4,) of Fx, Fy, Fz, Ft [N] of labels (n, 3).
 
-    Rows without a label (NaN) are ignored.
+    Each is of its measured frames (not NaN), Ft of those with all axes; NaN without any.
 
     Raises:
-        LearningError: The shape is not (n, 3), or there is no label.
+        LearningError: The shape is not (n, 3).
     """
     found = with_magnitude(labels)
-    found = found[np.isfinite(found).all(axis=1)]
-    if not len(found):
-        raise LearningError("labels: found none that is a number; allowed: one force or more")
-    return found.std(axis=0), np.ptp(found, axis=0)
+    spread, range_ = np.full(found.shape[1], np.nan), np.full(found.shape[1], np.nan)
+    for place, column in enumerate(found.T):
+        known = column[np.isfinite(column)]
+        if len(known):
+            spread[place], range_[place] = known.std(), np.ptp(known)
+    return spread, range_
 
 
 def _require_alike(true: Floats, predicted: Floats) -> None:

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from recorder.checks.check import check
     from recorder.convert.repack import repack
     from recorder.errors import SessionError
-    from recorder.findings import Finding
+    from recorder.findings import Finding, faults
     from recorder.session.reader import Session, Stream
     from recorder.session.recover import recover
     from recorder.session.sheet import contact_sheet
@@ -27,8 +27,14 @@ if TYPE_CHECKING:
         SEGMENTS,
         Column,
         StreamSpec,
+        Traits,
         camera_spec,
+        depth_spec,
+        event_row,
+        event_text,
+        events_spec,
         force_spec,
+        joints_spec,
         pose_spec,
         taxels_spec,
     )
@@ -48,11 +54,18 @@ __all__ = [
     "Stream",
     "StreamSpec",
     "StreamWriter",
+    "Traits",
     "Window",
     "camera_spec",
     "check",
     "contact_sheet",
+    "depth_spec",
+    "event_row",
+    "event_text",
+    "events_spec",
+    "faults",
     "force_spec",
+    "joints_spec",
     "pose_spec",
     "recover",
     "repack",
@@ -71,6 +84,7 @@ _MODULES = {
     "Window": "session.window",
     "check": "checks.check",
     "contact_sheet": "session.sheet",
+    "faults": "findings",
     "recover": "session.recover",
     "repack": "convert.repack",
 }

@@ -1,12 +1,14 @@
-"""Findings reported by a check."""
+"""Findings reported by a check: faults, which fail it, and notes, which do not."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
-# All finding codes of a session check.
+# Codes of the faults of a session.
 CODES = {
     "unfinished": "the session was not closed",
     "metadata": "a zarr.json that is missing or does not match the format",
     "wrong-dtype": "an array whose type, shape or unit differs from its stream's specification",
+    "manifest": "a file that was removed, added or changed after its run was closed",
     "missing-units": "an array without units",
     "unequal-lengths": "columns of one stream or table of different lengths",
     "missing-chunk": "a chunk that an array declares but that does not exist",
@@ -16,27 +18,47 @@ CODES = {
     "journal-left": "rows, or space reserved for them, never stored as chunks",
     "time-order": "times that repeat or run backward",
     "clock-step": "a step between the host's clock and the device's",
-    "gap": "an unusually long time without samples",
-    "dropped": "missing sequence numbers",
+    "missing-array": "a stream, table or column that the session declares and does not have",
+    "gap": "an unusually long time without samples, none of which is lost",
+    "dropped": "lost samples, by sequence numbers, the device's clock or the declared rate",
+    "seq-order": "sequence numbers that repeat or run backward",
+    "rate": "a device that ran at another rate than declared",
     "frozen": "the same image or value repeated",
     "truncated": "a stream that ends before the recording does",
     "nan": "values that are not numbers",
     "segment-outside": "a phase that its streams do not cover, or that has an invalid reference",
     "frames-length": "a frames view that does not match the segments",
 }
+# Codes of the notes on a session: limits of what it can tell, which are no faults of its data.
+NOTES: dict[str, str] = {
+    "uncalibrated": "a signal whose latency was not measured: an interval is assumed",
+    "drops-unseen": "a device that tells neither numbers nor times: drops cannot be seen",
+    "not-sealed": "a run without a manifest that would show a removed or changed file",
+}
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One problem and its location."""
+    """One fault or note, and its location."""
 
     code: str
-    """One of `CODES`; for an archive, one of `archive.check.CODES`."""
+    """One of `CODES` or `NOTES`; for an archive, one of `archive.check.CODES`."""
     where: str
     """Path inside the session."""
     message: str
     """Value found and value expected, with the place and time of the first occurrence."""
 
+    @property
+    def level(self) -> str:
+        """Return `note` if the code is one of `NOTES`, else `fault`."""
+        return "note" if self.code in NOTES else "fault"
+
     def __str__(self) -> str:
         """Return the printed line."""
-        return f"{self.code:15s} {self.where}: {self.message}"
+        note = "note: " if self.level == "note" else ""
+        return f"{self.code:15s} {note}{self.where}: {self.message}"
+
+
+def faults(findings: Iterable[Finding]) -> list[Finding]:
+    """Return the findings that are faults, in order."""
+    return [finding for finding in findings if finding.level == "fault"]

@@ -5,7 +5,7 @@ time column. Each column contributes the line `<name> <dtype> <shape of a row>\n
 order. A row of numbers contributes its little-endian bytes; an image stored as JPEG the number of
 its bytes (int64, little-endian) and the bytes; an image stored as pixels its pixels.
 
-`streams/camera/device_t` is excluded: it is a time of the host's clock, like `t_ns`, or absent.
+The `device_t` and `seq` of a camera are excluded: the host's driver gives them, or nobody does.
 """
 
 from __future__ import annotations
@@ -18,15 +18,16 @@ import numpy as np
 
 from recorder.archive.plan import FORMAT as ARCHIVE
 from recorder.archive.reader import describe_archive
-from recorder.session.align import NS
+from recorder.session.loss import Account, accounts_of, loss_lines
 from recorder.session.reader import Session, Stream
+from recorder.session.uncertainty import time_lines
 from recorder.spec import OUTCOMES, PHASES
 from recorder.store.files import locate
 from recorder.store.layout import says_it_is
 
 Progress = Callable[[int, int], None]
 
-_LEFT_OUT = {"camera": {"device_t"}}
+_LEFT_OUT = {"camera": {"device_t", "seq"}}
 
 
 def stream_digest(stream: Stream, progress: Progress | None = None) -> str:
@@ -42,7 +43,7 @@ def stream_digest(stream: Stream, progress: Progress | None = None) -> str:
     digest = hashlib.sha256()
     for layout in stream.layout.columns:
         column = layout.column
-        if layout is stream.layout.time or column.name in _LEFT_OUT.get(stream.name, ()):
+        if layout is stream.layout.time or column.name in _LEFT_OUT.get(stream.traits.kind, ()):
             continue
         digest.update(f"{column.name} {column.dtype} {list(column.shape)}\n".encode())
         if not column.is_image:
@@ -98,27 +99,25 @@ def describe(path: str | os.PathLike[str]) -> str:
     told = {key: session.attrs.get(key, "") for key in _TOLD}
     lines += [f"  {key:12s} {value}" for key, value in told.items() if value != ""]
     lines.append("")
-    titles = ("rows", "Hz", "measured", "gap ms", "MB")
+    titles = ("rows", "Hz", "measured", "gap ms", "lost", "MB")
     lines.append("stream       " + " ".join(f"{title:>9s}" for title in titles))
-    lines += [_stream_line(session, stream) for stream in session.streams.values()]
+    accounts = accounts_of(session)
+    lines += [
+        _stream_line(session, stream, accounts[stream.name]) for stream in session.streams.values()
+    ]
+    lines += [*loss_lines(accounts), *time_lines(session)]
     lines.append("")
     lines += _frame_lines(session)
     lines += _segment_lines(session)
     return "\n".join(lines)
 
 
-def _stream_line(session: Session, stream: Stream) -> str:
-    rates, gap = [], 0.0
-    for run in range(max(len(session.runs), 1)):
-        t_ns = stream.t_ns[session.rows_of_run(stream.name, run)]
-        if len(t_ns) > 1:
-            rates.append((len(t_ns) - 1) / max((int(t_ns[-1]) - int(t_ns[0])) * NS, NS))
-            gap = max(gap, float(np.diff(t_ns).max()) * NS)
-    measured = f"{np.mean(rates):9.2f}" if rates else f"{'-':>9s}"
+def _stream_line(session: Session, stream: Stream, account: Account) -> str:
+    measured = f"{account.measured_hz:9.2f}" if account.measured_hz else f"{'-':>9s}"
     size = sum(session.files.sizes(stream.layout.path).values()) / 1e6
     return (
         f"{stream.name:12s} {len(stream):9d} {stream.rate_hz:9g} {measured} "
-        f"{gap * 1e3:9.1f} {size:9.2f}"
+        f"{account.longest_gap * 1e3:9.1f} {account.lost:9d} {size:9.2f}"
     )
 
 

@@ -2,8 +2,10 @@
 
 A field whose metadata has a `unit` is written in that unit in files, under a key that ends with
 it: `depth_max` with unit mm is `depth_max_mm`. Values in memory are SI. A field with metadata
-`pose` is written as a `Pose`. Where a field may be one of several dataclasses, the key `kind` names
-one by its `KIND`. Every error states file, key, the value found, and the allowed ones.
+`pose` is written as a `Pose`. Metadata `plausible` is the range of a field's magnitude in the unit
+of the file, unless it is 0: a value outside it is probably in another unit, and refused. Where a
+field may be one of several dataclasses, the key `kind` names one by its `KIND`. Every error states
+file, key, the value found, and the allowed ones.
 """
 
 from __future__ import annotations
@@ -41,6 +43,20 @@ SI_PER_UNIT = {
     "kpa": 1e3,
     "ma_m2": 1e-3,
     "counts_per_mt": 1e3,
+}
+# Units that a value is likely to be in if it is implausible, and how many of them make one: a
+# position in m is 1000 times too small for mm.
+_MISTAKEN = {
+    "mm": (("m", 1e3), ("um", 1e-3)),
+    "mm_s": (("m/s", 1e3),),
+    "mm_s2": (("m/s^2", 1e3),),
+    "deg": (("rad", 180 / math.pi),),
+    "ms": (("s", 1e3), ("us", 1e-3)),
+    "min": (("s", 1 / 60), ("h", 60.0)),
+    "kg": (("g", 1e-3),),
+    "n": (("mN", 1e-3),),
+    "n_mm": (("N m", 1e3),),
+    "n_per_mm": (("N/m", 1e-3),),
 }
 # JSON types of the plain values, and how errors call those that a file must have.
 _JSON = {float: "number", int: "integer", bool: "boolean", str: "string", Path: "string"}
@@ -206,9 +222,56 @@ class Reader:
         value: Any,
         at: str,
     ) -> Any:
+        unit = self._unit(kind, each)
         if each.metadata.get("pose"):
-            return None if value is None else self.build(Pose, value, at).vector
-        return self._value(hints[each.name], value, at, self._unit(kind, each))
+            if value is None:
+                return None
+            pose = self.build(Pose, value, at)
+            distance = from_si(math.hypot(*pose.position), "mm")
+            self._refuse_implausible(
+                each, distance, f"{at}.position_mm", "mm", value["position_mm"]
+            )
+            turn = from_si(math.hypot(*pose.rotation), "deg")
+            self._refuse_radians(turn, f"{at}.rotation_deg", value.get("rotation_deg"))
+            return pose.vector
+        found = self._value(hints[each.name], value, at, unit)
+        for number in value if isinstance(value, list) else [value]:
+            self._refuse_implausible(each, number, at, unit, value)
+        if unit == "deg" and isinstance(value, list):
+            self._refuse_radians(math.hypot(*value), at, value)
+        return found
+
+    def _refuse_implausible(
+        self, each: dataclasses.Field[Any], number: Any, at: str, unit: str | None, written: Any
+    ) -> None:
+        """Reject a number whose magnitude is not that of any real value of the field."""
+        span = each.metadata.get("plausible")
+        if span is None or self.stored or not isinstance(number, int | float) or not number:
+            return
+        low, high = span
+        if low <= abs(number) <= high:
+            return
+        meant = [
+            f"; is it in {name}? then write {number * factor:.6g}"
+            for name, factor in _MISTAKEN.get(unit or "", ())
+            if low <= abs(number * factor) <= high
+        ]
+        if isinstance(written, list):
+            meant = [text.partition("?")[0] + "?" for text in meant]
+        raise self.error(
+            f"{at}: found {written}; plausible: {low:g} to {high:g}{_in(unit)}{''.join(meant[:1])}"
+        )
+
+    def _refuse_radians(self, turn: float, at: str, written: Any) -> None:
+        """Reject a rotation by a quarter, half or three quarters of a turn, taken as degrees."""
+        if self.stored:
+            return
+        quarters = turn / (math.pi / 2)
+        if round(quarters) in (1, 2, 3) and abs(quarters - round(quarters)) < 1e-3:
+            raise self.error(
+                f"{at}: found {written}, a turn of {turn:.4g} deg; is it in rad? then write "
+                f"{90 * round(quarters)} deg"
+            )
 
     def _value(self, hint: Any, value: Any, where: str, unit: str | None) -> Any:
         origin, inner = get_origin(hint), get_args(hint)
@@ -222,6 +285,8 @@ class Reader:
             return value
         if origin is tuple:
             return self._tuple(inner, value, where, unit)
+        if origin is dict:
+            return self._mapping(inner[1], value, where, unit)
         if dataclasses.is_dataclass(hint):
             return self.build(hint, value, where)  # type: ignore[arg-type]
         if hint is float:
@@ -252,6 +317,21 @@ class Reader:
             self._value(one, item, f"{where}[{place}]", unit)
             for place, (one, item) in enumerate(zip(each, value, strict=True))
         )
+
+    def _mapping(self, hint: Any, value: Any, where: str, unit: str | None) -> dict[str, Any]:
+        """Return the values of a mapping from names to values of one type.
+
+        A name without a value is left out: so a file removes one of the file that it extends.
+        """
+        if not isinstance(value, dict) or not all(isinstance(key, str) for key in value):
+            raise self.error(
+                f"{where}: found {describe(value)}; allowed: a mapping from names to values"
+            )
+        return {
+            key: self._value(hint, item, f"{where}.{key}", unit)
+            for key, item in value.items()
+            if item is not None
+        }
 
     def _union(self, options: tuple[Any, ...], value: Any, where: str, unit: str | None) -> Any:
         if value is None and _NONE in options:
@@ -297,6 +377,8 @@ class Reader:
                 "minItems": len(items),
                 "maxItems": len(items),
             }
+        if origin is dict:
+            return {"type": "object", "additionalProperties": self._schema(inner[1])}
         if dataclasses.is_dataclass(hint):
             return self._mapping_schema(hint)  # type: ignore[arg-type]
         return {"type": "null" if hint is _NONE else _JSON[hint]}

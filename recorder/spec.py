@@ -1,20 +1,24 @@
 """Columns, units and codes of the streams: the data contract as data.
 
-A stream is a set of columns of equal length, one row per sample; its last column is the time.
+A stream is a set of columns of equal length, one row per sample; its last column is the time. Its
+traits (kind, alignment, roles, clock) are stored with it: readers go by them, never by its name.
 """
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Self
 
 import numpy as np
 
 from recorder.errors import SessionError
 
 FORMAT = "tactile-rig session"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 
+# Axes of a wrench, by column.
+AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 # Phases of one target, by code.
 PHASES = ("normal_inc", "shear_inc", "shear_dec", "normal_dec")
 # Ways in which a phase ended, by code.
@@ -22,8 +26,133 @@ OUTCOMES = ("complete", "force_limited", "interrupted", "stopped")
 # Allowed values of a session's `status`.
 STATUSES = ("recording", "complete", "stopped", "recovered")
 
-_DTYPES = ("uint8", "int8", "int16", "int32", "int64", "float32", "float64")
+# Largest rate of a stream or of the frames view; larger ones are mistakes, such as ns for s.
+RATE_MAX_HZ = 1e6
+
+_DTYPES = ("uint8", "uint16", "int8", "int16", "int32", "int64", "float32", "float64")
 _WRENCH_UNITS = "N, N m"
+_POSE_UNITS = "m, rad"
+# Units of a row of bytes that hold UTF-8 text, padded with zeros.
+TEXT_UNITS = "utf-8"
+
+# Ways to get a stream's value at the capture of the signal; `none` leaves it out of `frames`.
+ALIGNMENTS = ("latest", "nearest", "interpolated", "mean", "none")
+# Uses of a stream: `signal` is what the sensor shows, `label` is what a model learns to predict,
+# `guard` stops the arm at the bench's limits.
+ROLES = ("signal", "label", "guard")
+# Clocks of a device: none; `device_t` on the host's CLOCK_MONOTONIC; `device_t` on a clock of the
+# device; `seq` that counts samples at the device's rate.
+CLOCKS = ("none", "monotonic", "device", "counter")
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """Defaults of a kind of stream. A stream of another kind has those of `values`."""
+
+    align: str
+    """Alignment, one of `ALIGNMENTS`."""
+    roles: tuple[str, ...]
+    """Uses, of `ROLES`."""
+    column: str = ""
+    """Column of `frames` and `reference` of the first stream of this kind; empty: its name."""
+    max_age: float = 0.0
+    """Oldest sample that is valid [s], if that is more than two periods."""
+    changes: bool = False
+    """True if a healthy device never repeats one value for a second."""
+    reference: str = ""
+    """Value kept without contact: `mean` or `row`; empty for none."""
+    tared: bool = False
+    """True if `frames` contain the value minus that of the reference."""
+
+
+KINDS: Mapping[str, Kind] = {
+    "camera": Kind("latest", ("signal",), "image", changes=True, reference="row"),
+    "depth": Kind("latest", ("signal",), changes=True, reference="row"),
+    "taxels": Kind("interpolated", ("signal",), "taxels", changes=True, reference="mean"),
+    "force": Kind(
+        "mean", ("label", "guard"), "wrench", 0.02, changes=True, reference="mean", tared=True
+    ),
+    "pose": Kind("interpolated", ("label", "guard"), "pose", 0.02),
+    "joints": Kind("interpolated", ("label",)),
+    "events": Kind("latest", (), max_age=math.inf),
+    "values": Kind("interpolated", ("label",)),
+    "table": Kind("none", ()),
+}
+# Kinds of the streams of format 1, which had one of each, known by name.
+_KIND_OF_NAME = ("camera", "force", "pose", "taxels")
+
+
+@dataclass(frozen=True, slots=True)
+class Traits:
+    """Properties of a stream that all its readers go by."""
+
+    kind: str
+    """A key of `KINDS`, or any other word."""
+    align: str
+    """One of `ALIGNMENTS`."""
+    roles: tuple[str, ...]
+    """Some of `ROLES`."""
+    clock: str
+    """One of `CLOCKS`."""
+
+    @property
+    def defaults(self) -> Kind:
+        """Defaults of the kind."""
+        return KINDS.get(self.kind, KINDS["values"])
+
+    @classmethod
+    def read(cls, name: str, attrs: Mapping[str, Any]) -> Self:
+        """Return the traits in a stream's attributes; those of format 1 follow from its name.
+
+        Raises:
+            SessionError: A value that the format does not allow.
+        """
+        # Format 1 aligned only the four streams that it knew.
+        kind = str(attrs.get("kind", name if name in _KIND_OF_NAME else "table"))
+        known = KINDS.get(kind, KINDS["values"])
+        align, roles = attrs.get("align", known.align), attrs.get("roles", known.roles)
+        clock = attrs.get("clock")
+        if clock is None:
+            clock = "monotonic" if attrs.get("device_clock") == "monotonic" else "none"
+            if clock == "none" and "device_t" in attrs.get("columns", ()):
+                clock = "device"
+        if not isinstance(roles, list | tuple):
+            raise SessionError(f"{name}: found roles {roles!r:.80}, expected a list")
+        return cls(kind, str(align), tuple(map(str, roles)), str(clock)).checked(name)
+
+    def checked(self, name: str) -> Self:
+        """Return these traits.
+
+        Raises:
+            SessionError: A value that the format does not allow.
+        """
+        allowed = (
+            ("align", (self.align,), ALIGNMENTS),
+            ("roles", self.roles, ROLES),
+            ("clock", (self.clock,), CLOCKS),
+        )
+        for key, found, known in allowed:
+            for value in found:
+                if value not in known:
+                    raise SessionError(
+                        f"{name}: found {key} {value!r:.80}; known: {', '.join(known)}"
+                    )
+        if not re.fullmatch("[a-z][a-z0-9_]{0,39}", self.kind):
+            raise SessionError(f"{name}: found kind {self.kind!r:.80}, expected a word in a-z_")
+        return self
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the attributes that `read` reads."""
+        return {
+            "kind": self.kind,
+            "align": self.align,
+            "roles": list(self.roles),
+            "clock": self.clock,
+        }
+
+
+# Types and channels of images.
+_IMAGES = (("uint8", 1), ("uint8", 3), ("uint16", 1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,12 +187,16 @@ class Column:
             raise SessionError(f"{self.name}: found dims {self.dims} for shape {self.shape}")
         if self.codec not in ("zstd", "jpeg"):
             raise SessionError(f"{self.name}: found codec {self.codec!r}, known: zstd, jpeg")
-        if self.is_image and (self.dtype != "uint8" or self.shape[2] not in (1, 3)):
+        if self.is_image and (self.dtype, self.shape[2]) not in _IMAGES:
             raise SessionError(
-                f"{self.name}: found {self.dtype} {self.shape}, expected uint8 (h, w, 1 or 3)"
+                f"{self.name}: found {self.dtype} {self.shape}, expected uint8 (h, w, 1 or 3) "
+                "or uint16 (h, w, 1)"
             )
-        if self.codec == "jpeg" and not self.is_image:
-            raise SessionError(f"{self.name}: found codec jpeg on shape {self.shape}, not an image")
+        if self.codec == "jpeg" and (not self.is_image or self.dtype != "uint8"):
+            raise SessionError(
+                f"{self.name}: found codec jpeg on {self.dtype} {self.shape}, "
+                "expected a uint8 image"
+            )
 
     @property
     def is_image(self) -> bool:
@@ -71,9 +204,24 @@ class Column:
         return len(self.shape) == 3
 
     @property
+    def is_number(self) -> bool:
+        """True if a row can be interpolated: neither an image nor text."""
+        return not self.is_image and self.units != TEXT_UNITS
+
+    @property
+    def is_pose(self) -> bool:
+        """True if a row is a position [m] and a rotation vector [rad]."""
+        return self.shape == (6,) and self.units == _POSE_UNITS
+
+    @property
     def row_bytes(self) -> int:
         """Size of one decoded row [bytes]."""
         return math.prod(self.shape) * np.dtype(self.dtype).itemsize
+
+
+# Columns of `frames` and `reference` that are no stream's, or the first of a kind's.
+_OF_FRAMES = {"t_ns", "run", "is_duplicate", "image_age", "target", "phase", "depth", "skew"}
+_OF_FRAMES |= {"valid", "time_sigma", "point", "image", "wrench", "wrench_std", "pose", "taxels"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,13 +235,15 @@ class StreamSpec:
     rate_hz: float
     """Nominal rate; sets the number of rows per chunk."""
     attrs: dict[str, Any] = field(default_factory=dict)
-    """Further properties: bias, exposure [s], latency [s], device_clock, serial numbers."""
+    """Further properties: bias, exposure [s], latency [s], serial numbers; and those of `Traits`,
+    where they differ from the defaults of the kind."""
 
     def __post_init__(self) -> None:
         """Reject a stream that the format cannot hold.
 
         Raises:
-            SessionError: No integer time column at the end, a repeated name or two image columns.
+            SessionError: No integer time column at the end, a repeated name, two image columns, or
+                an unknown alignment, role or clock.
         """
         names = [column.name for column in self.columns]
         if len(set(names)) != len(names):
@@ -102,13 +252,106 @@ class StreamSpec:
             raise SessionError(f"{self.name}: found columns {names}, expected an int64 time last")
         if sum(column.is_image for column in self.columns) > 1:
             raise SessionError(f"{self.name}: found several image columns, at most one is possible")
-        if not self.rate_hz > 0:
-            raise SessionError(f"{self.name}: found rate_hz {self.rate_hz}, expected more than 0")
+        if not 0 < self.rate_hz <= RATE_MAX_HZ:
+            raise SessionError(
+                f"{self.name}: found rate_hz {self.rate_hz}; allowed: above 0 to {RATE_MAX_HZ:g}"
+            )
+        traits = self.traits
+        value = self.value
+        allowed = ["none"]
+        if value is not None:
+            allowed += ["latest", "nearest"]
+            allowed += ["interpolated"] if value.is_number else []
+            allowed += ["mean"] if value.is_number and not value.is_pose else []
+        if traits.align not in allowed:
+            raise SessionError(
+                f"{self.name}: found align {traits.align!r}; allowed for its columns: "
+                f"{', '.join(allowed)}"
+            )
+
+    @property
+    def traits(self) -> Traits:
+        """Kind, alignment, roles and clock."""
+        value = self.value
+        kind = "values" if value is not None and value.is_number else "table"
+        kind = self.name if self.name in _KIND_OF_NAME else kind
+        attrs = {"kind": kind, **self.attrs, "columns": [c.name for c in self.columns]}
+        return Traits.read(self.name, attrs)
+
+    @property
+    def value(self) -> Column | None:
+        """The column `value`; None without one."""
+        return next((column for column in self.columns if column.name == "value"), None)
 
     @property
     def block(self) -> int:
         """Rows per chunk of a small column: the power of two nearest to 1.3 s, from 64 to 4096."""
         return int(2 ** min(max(round(math.log2(1.28 * self.rate_hz)), 6), 12))
+
+
+def check_streams(specs: Iterable[StreamSpec]) -> None:
+    """Reject streams that one session cannot hold together.
+
+    Raises:
+        SessionError: A name that is repeated, is no plain word, or is a column of `frames`.
+    """
+    seen: dict[str, StreamSpec] = {}
+    specs = list(specs)
+    for spec in specs:
+        if not re.fullmatch("[A-Za-z][A-Za-z0-9_]{0,39}", spec.name):
+            raise SessionError(
+                f"stream {spec.name!r:.80}: allowed as a name: a letter, then letters, digits "
+                "and _, at most 40"
+            )
+        if spec.name in seen:
+            raise SessionError(f"stream {spec.name}: found twice; every stream needs its own name")
+        seen[spec.name] = spec
+    columns = frame_columns([(spec.name, spec.traits) for spec in specs])
+    for name, column in columns.items():
+        other = column.removesuffix("_age").removesuffix("_std")
+        if column == name and (
+            (name in _OF_FRAMES and name != seen[name].traits.defaults.column)
+            or (other != name and other in {*_OF_FRAMES, *columns.values()})
+        ):
+            raise SessionError(
+                f"stream {name}: is the name of a column of frames; choose another name"
+            )
+
+
+def in_order(names: Iterable[str], declared: Sequence[str] = ()) -> list[str]:
+    """Return streams in the order in which they were declared.
+
+    Args:
+        names: The streams.
+        declared: Their order; without, those that format 1 knew come first.
+    """
+    ranks = {name: rank for rank, name in enumerate(declared or _KIND_OF_NAME)}
+    return sorted(names, key=lambda name: (ranks.get(name, len(ranks)), name))
+
+
+def frame_columns(streams: Iterable[tuple[str, Traits]]) -> dict[str, str]:
+    """Return the column of `frames` and `reference` of each stream, in order.
+
+    The first stream of a kind has the kind's column (`image`, `wrench`, `pose`, `taxels`); every
+    other is named after its stream. Streams with alignment `none` have no column.
+    """
+    columns: dict[str, str] = {}
+    for name, traits in streams:
+        if traits.align != "none":
+            default = traits.defaults.column
+            columns[name] = default if default and default not in columns.values() else name
+    return columns
+
+
+def signal_of(streams: Iterable[tuple[str, Traits]]) -> str | None:
+    """Return the stream whose captures the others are aligned to, or None.
+
+    It is the first camera with the role `signal`, or else the first other stream with that role.
+    """
+    signals = [(name, traits) for name, traits in streams if "signal" in traits.roles]
+    signals = [(name, traits) for name, traits in signals if traits.align != "none"]
+    cameras = [name for name, traits in signals if traits.kind == "camera"]
+    return next(iter([*cameras, *(name for name, _ in signals)]), None)
 
 
 def _t_ns(description: str = "host arrival time, CLOCK_MONOTONIC of the run") -> Column:
@@ -124,15 +367,24 @@ def _seq() -> Column:
 
 
 def camera_spec(
-    rate_hz: float, *, height: int = 480, width: int = 640, codec: str = "jpeg", **attrs: Any
+    rate_hz: float,
+    *,
+    name: str = "camera",
+    height: int = 480,
+    width: int = 640,
+    codec: str = "jpeg",
+    numbered: bool = False,
+    **attrs: Any,
 ) -> StreamSpec:
-    """Return the stream of a camera.
+    """Return a stream of images.
 
     Args:
         rate_hz: Nominal frame rate.
+        name: Name of the stream.
         height: Rows of an image [px].
         width: Columns of an image [px].
         codec: `jpeg` keeps the camera's own bytes, `zstd` stores decoded images losslessly.
+        numbered: True if the driver numbers the frames, which adds the column `seq`.
         attrs: Stored with the stream; docs/reference/data-format.md lists those that alignment
             reads.
     """
@@ -145,11 +397,33 @@ def camera_spec(
         description="image as delivered, RGB",
         codec=codec,
     )
-    return StreamSpec("camera", (value, _device_t(), _t_ns()), rate_hz, attrs)
+    number = (_seq(),) if numbered else ()
+    return _stream("camera", name, (value, _device_t(), *number, _t_ns()), rate_hz, attrs)
 
 
-def force_spec(rate_hz: float, **attrs: Any) -> StreamSpec:
-    """Return the stream of a force/torque sensor: measured values minus `attrs["bias"]` (6,)."""
+def depth_spec(
+    rate_hz: float,
+    *,
+    name: str,
+    height: int = 480,
+    width: int = 640,
+    units: str = "mm",
+    **attrs: Any,
+) -> StreamSpec:
+    """Return a stream of depth images (height, width, 1) uint16, lossless; 0 is no measurement."""
+    value = Column(
+        "value",
+        "uint16",
+        (height, width, 1),
+        units=units,
+        dims=("y", "x", "depth"),
+        description="distance from the camera; 0 where it could not be measured",
+    )
+    return _stream("depth", name, (value, _device_t(), _t_ns()), rate_hz, attrs)
+
+
+def force_spec(rate_hz: float, *, name: str = "force", **attrs: Any) -> StreamSpec:
+    """Return a stream of forces and torques: measured values minus `attrs["bias"]` (6,)."""
     value = Column(
         "value",
         "float64",
@@ -160,36 +434,92 @@ def force_spec(rate_hz: float, **attrs: Any) -> StreamSpec:
     )
     status = Column("status", "int64", units="1", description="the device's status word")
     attrs.setdefault("bias", [0.0] * 6)
-    return StreamSpec("force", (value, _seq(), status, _t_ns()), rate_hz, attrs)
+    return _stream("force", name, (value, _seq(), status, _t_ns()), rate_hz, attrs)
 
 
-def pose_spec(rate_hz: float, **attrs: Any) -> StreamSpec:
-    """Return the stream of the robot's tool pose."""
+def pose_spec(rate_hz: float, *, name: str = "pose", **attrs: Any) -> StreamSpec:
+    """Return a stream of a robot's tool pose."""
     value = Column(
         "value",
         "float64",
         (6,),
-        units="m, rad",
+        units=_POSE_UNITS,
         dims=("axis",),
         description="x y z [m] and UR rotation vector [rad] in the robot's base frame",
     )
     scaling = Column(
         "speed_scaling", "float64", units="1", description="the controller's speed scaling, 0 to 1"
     )
-    return StreamSpec("pose", (value, _device_t(), scaling, _t_ns()), rate_hz, attrs)
+    return _stream("pose", name, (value, _device_t(), scaling, _t_ns()), rate_hz, attrs)
 
 
-def taxels_spec(rate_hz: float, **attrs: Any) -> StreamSpec:
-    """Return the stream of a 4x4 three-axis taxel array."""
+def taxels_spec(
+    rate_hz: float, *, name: str = "taxels", taxels: int = 16, **attrs: Any
+) -> StreamSpec:
+    """Return a stream of an array of three-axis taxels (taxels, 3)."""
     value = Column(
         "value",
         "int32",
-        (16, 3),
+        (taxels, 3),
         units="counts",
         dims=("taxel", "axis"),
         description="raw counts x y z, taxels row by row",
     )
-    return StreamSpec("taxels", (value, _device_t(), _seq(), _t_ns()), rate_hz, attrs)
+    return _stream("taxels", name, (value, _device_t(), _seq(), _t_ns()), rate_hz, attrs)
+
+
+def joints_spec(rate_hz: float, *, name: str, joints: int = 6, **attrs: Any) -> StreamSpec:
+    """Return a stream of joint states: angles, and speeds (NaN where the device sends none)."""
+    value = Column(
+        "value", "float64", (joints,), units="rad", dims=("joint",), description="joint angles"
+    )
+    speed = Column(
+        "speed", "float64", (joints,), units="rad/s", dims=("joint",), description="joint speeds"
+    )
+    return _stream("joints", name, (value, speed, _device_t(), _t_ns()), rate_hz, attrs)
+
+
+def events_spec(*, name: str, length: int = 256, rate_hz: float = 1.0, **attrs: Any) -> StreamSpec:
+    """Return a stream of text events; `event_text` and `event_row` convert between text and rows.
+
+    Args:
+        name: Name of the stream.
+        length: Longest text [bytes of UTF-8].
+        rate_hz: Expected number of events per second.
+        attrs: Stored with the stream.
+    """
+    value = Column(
+        "value",
+        "uint8",
+        (length,),
+        units=TEXT_UNITS,
+        dims=("byte",),
+        description="text in UTF-8, padded with zeros",
+    )
+    return _stream("events", name, (value, _t_ns()), rate_hz, attrs)
+
+
+def event_row(text: str, length: int = 256) -> np.ndarray[Any, Any]:
+    """Return a text as a row (length,) uint8 of an event stream.
+
+    Raises:
+        SessionError: It is longer, or contains a zero character.
+    """
+    data = text.encode()
+    if len(data) > length or b"\0" in data:
+        raise SessionError(f"event {text!r:.40}: allowed: {length} bytes of UTF-8 without zeros")
+    return np.frombuffer(data.ljust(length, b"\0"), np.uint8)
+
+
+def event_text(row: np.ndarray[Any, Any]) -> str:
+    """Return the text of a row (length,) uint8 of an event stream."""
+    return bytes(np.asarray(row, np.uint8)).rstrip(b"\0").decode("utf-8", "replace")
+
+
+def _stream(
+    kind: str, name: str, columns: tuple[Column, ...], rate_hz: float, attrs: dict[str, Any]
+) -> StreamSpec:
+    return StreamSpec(name, columns, rate_hz, {"kind": kind, **attrs})
 
 
 # One row per recorded phase.
@@ -204,10 +534,10 @@ SEGMENTS = StreamSpec(
         Column("end_ns", "int64", units="ns", description="first moment behind the phase"),
     ),
     rate_hz=1.0,
-    attrs={"phases": list(PHASES), "outcomes": list(OUTCOMES)},
+    attrs={"kind": "table", "phases": list(PHASES), "outcomes": list(OUTCOMES)},
 )
 
-# One row per no-contact moment.
+# One row per no-contact moment, in a session with one stream of each kind.
 REFERENCE = StreamSpec(
     "reference",
     (
@@ -241,8 +571,35 @@ REFERENCE = StreamSpec(
         Column("t_ns", "int64", units="ns", description="when it was taken"),
     ),
     rate_hz=1.0,
-    attrs={},
+    attrs={"kind": "table"},
 )
+
+
+def reference_spec(streams: Sequence[StreamSpec]) -> StreamSpec:
+    """Return the columns of `reference` in a session of these streams.
+
+    To the columns of `REFERENCE` come those of further streams of a kind: the row of an image, or
+    the mean of a value and its standard deviation (`<stream>_std`).
+    """
+    columns = {column.name: column for column in REFERENCE.columns[:-2]}
+    places = frame_columns((spec.name, spec.traits) for spec in streams)
+    for spec in streams:
+        kind, place = spec.traits.defaults, places.get(spec.name)
+        value = spec.value
+        if place is None or value is None or not kind.reference:
+            continue
+        if kind.reference == "row":
+            about = f"row of streams/{spec.name}; -1 without one"
+            columns[place] = Column(place, "int64", units="1", description=about)
+            continue
+        about = columns[place].description if place in columns else "mean without contact"
+        columns[place] = replace(value, name=place, dtype="float64", description=about)
+        if kind.tared:
+            about = "standard deviation of the samples behind it"
+            std = f"{place}_std"
+            columns[std] = replace(columns[place], name=std, description=about)
+    return replace(REFERENCE, columns=(*columns.values(), *REFERENCE.columns[-2:]))
+
 
 # Units and description of the columns of `targets`.
 TARGET_UNITS: Mapping[str, tuple[str, str]] = {

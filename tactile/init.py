@@ -8,7 +8,7 @@ from pathlib import Path
 
 from recorder.command_line.errors import CommandError
 
-FOLDERS = ("benches/lab", "calibrations", "campaigns", "sessions")
+FOLDERS = ("benches/lab", "calibrations", "campaigns", "indenters", "sessions")
 # Number of existing entries that an error lists.
 SHOWN = 5
 
@@ -17,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.description = (
         "Creates DIR with benches/lab, calibrations, campaigns (with an example), "
-        "sessions and a README. Commands run in DIR read and write their files there."
+        "indenters, sessions and a README. Commands run in DIR read and write their files there."
     )
     parser.add_argument("folder", type=Path, metavar="DIR", help="new, or empty")
 

@@ -22,11 +22,11 @@ class ForceDepth:
 
     KIND: ClassVar[str] = "force_depth"
 
-    depth_max: float = field(metadata={"unit": "mm"})
+    depth_max: float = field(metadata={"unit": "mm", "plausible": (0.02, 50)})
     """Deepest indentation [m]."""
     repeats: int = 3
     """Number of presses."""
-    clearance: float = field(default=0.3e-3, metadata={"unit": "mm"})
+    clearance: float = field(default=0.3e-3, metadata={"unit": "mm", "plausible": (0.01, 50)})
     """Height of p0 above the undeformed surface [m]."""
 
     def __post_init__(self) -> None:

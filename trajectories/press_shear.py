@@ -28,19 +28,19 @@ class PressShear:
 
     KIND: ClassVar[str] = "press_shear"
 
-    step_x: float = field(metadata={"unit": "mm"})
+    step_x: float = field(metadata={"unit": "mm", "plausible": (0.05, 200)})
     """Distance of the outer points from the centre along x [m]."""
-    step_y: float = field(metadata={"unit": "mm"})
+    step_y: float = field(metadata={"unit": "mm", "plausible": (0.05, 200)})
     """Distance of the outer points from the centre along y [m]."""
-    depth_step: float = field(metadata={"unit": "mm"})
+    depth_step: float = field(metadata={"unit": "mm", "plausible": (0.005, 50)})
     """Distance between depths, and the first depth [m]."""
-    depth_max: float = field(metadata={"unit": "mm"})
+    depth_max: float = field(metadata={"unit": "mm", "plausible": (0.02, 50)})
     """Deepest indentation [m]."""
-    angle_step: float = field(metadata={"unit": "deg"})
+    angle_step: float = field(metadata={"unit": "deg", "plausible": (2, 360)})
     """Angle between shear directions [rad]."""
-    shear: float = field(metadata={"unit": "mm"})
+    shear: float = field(metadata={"unit": "mm", "plausible": (0.01, 50)})
     """Length of the sideways move [m]."""
-    clearance: float = field(default=0.3e-3, metadata={"unit": "mm"})
+    clearance: float = field(default=0.3e-3, metadata={"unit": "mm", "plausible": (0.01, 50)})
     """Height of p0 above the undeformed surface [m]."""
     points: tuple[int, ...] = (1, 2, 3, 4, 5)
     """Points to press: 1 is the centre, 2 to 5 are the outer ones, counter-clockwise."""

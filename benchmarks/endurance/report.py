@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.endurance.long_run import LongRun
 from benchmarks.endurance.processes import Track
-from recorder import Session, check
+from recorder import Session, check, faults
 from recorder.pages import render
 
 # Buffers, caches and the first shards fill during this time [s].
@@ -78,7 +78,7 @@ def page(run: LongRun) -> str:
         Path(__file__).with_suffix(".md"),
         run=run,
         session=session,
-        findings=check(run.session),
+        findings=faults(check(run.session)),
         growths=sorted(growths, key=lambda growth: growth.role),
         size=sum(path.stat().st_size for path in run.session.rglob("*") if path.is_file()),
         warm_up=_WARM_UP,

@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.faults.observer import ArmState, Seen, age
-from recorder import Session, SessionError, check
+from recorder import Session, SessionError, check, faults
 from rig.devices.camera.jpeg import frame_stamp
 
 # The arm's emulator ends with the bench; its last answer counts if it is no older than this [s].
 _RECENT = 3.0
 # Findings that describe the effect of the fault, not a defect.
-_EXCUSED = ("gap", "clock-step", "dropped", "frozen", "truncated")
+_EXCUSED = ("gap", "clock-step", "dropped", "rate", "frozen", "truncated")
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +83,7 @@ def left_in(path: Path) -> Left:
         rows=rows,
         missing=missing,
         disorder=disorder,
-        findings=tuple(sorted({finding.code for finding in check(path)})),
+        findings=tuple(sorted({finding.code for finding in faults(check(path))})),
         rejected={name: found.get("refused", {}) for name, found in summary.items()},
     )
 
@@ -133,7 +133,7 @@ def complaints(path: Path, left: Left, findings_allowed: Iterable[str] = ()) -> 
     excused = {*_EXCUSED, *findings_allowed}
     wrong += [
         str(finding).replace(str(path), path.name)
-        for finding in check(path)
+        for finding in faults(check(path))
         if finding.code not in excused
     ]
     return wrong

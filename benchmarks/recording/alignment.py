@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.recording.measure import Scale
+from benchmarks.recording.measure import Scale, cpu_seconds
 from benchmarks.recording.motion import (
     EXPOSURE,
     LATENCY,
@@ -95,6 +95,10 @@ class Alignment:
     """`Session.window` of 16 rows with decoded images and all streams [s]."""
     windows_align: float
     """The same without images [s]."""
+    window_images: float
+    """Images per second of CPU time of `Session.window`."""
+    stream_images: float
+    """Images per second of CPU time of `Stream.images` for the same rows."""
     mock: tuple[Method, ...] = ()
     """Results on a session from the mock bench, compared with its World's ground truth."""
     mock_missing: str = ""
@@ -126,7 +130,7 @@ def alignment(
     latencies = tuple(
         measure_latency(session, motion, recorded, late) for late in (0.0, *UNCORRECTED)
     )
-    with_images, without = _time_windows(session, recorded)
+    windows = _time_windows(session, recorded)
     mock: tuple[Method, ...] = ()
     missing = "skipped in quick runs"
     if scale.targets:
@@ -134,7 +138,7 @@ def alignment(
 
         steps.step("alignment: a session on the mock bench", _mock_seconds(scale))
         mock, missing = compare_mock(collect, scale.targets, place)
-    return Alignment(methods, latencies, with_images, without, mock, missing)
+    return Alignment(methods, latencies, *windows, mock, missing)
 
 
 def measure_methods(session: Session, motion: Motion, recorded: Recorded) -> tuple[Method, ...]:
@@ -142,19 +146,19 @@ def measure_methods(session: Session, motion: Motion, recorded: Recorded) -> tup
     sources, when = session.sources(0), ticks(recorded)
     found = []
     for method in FORCE:
-        window = align_window(when, sources, force=method)
+        window = align_window(when, sources, {"force": method})
         error = force_error(window, motion, recorded)
-        found.append(_method("force", method, error, _alone(sources, "force"), force=method))
+        found.append(_method("force", method, error, _alone(sources, "force"), {"force": method}))
     found.append(_read_with_frame(when, sources, motion, recorded))
     for method in POSE:
-        window = align_window(when, sources, pose=method)
+        window = align_window(when, sources, {"pose": method})
         error = pose_errors(window, window.pose, motion, recorded)
-        found.append(_method("pose", method, error, _alone(sources, "pose"), pose=method))
+        found.append(_method("pose", method, error, _alone(sources, "pose"), {"pose": method}))
     found.append(_componentwise(when, sources, motion, recorded))
     for method in IMAGE:
-        window = align_window(when, sources, image=method)
+        window = align_window(when, sources, {"camera": method})
         shown = image_error(window, motion, recorded)
-        found.append(_method("image", method, shown, _alone(sources, ""), image=method))
+        found.append(_method("image", method, shown, _alone(sources, ""), {"camera": method}))
     return tuple(found)
 
 
@@ -163,11 +167,11 @@ def measure_latency(
 ) -> Latency:
     """Measure the best methods when the session ignores `uncorrected` seconds of latency."""
     sources = session.sources(0)
-    camera = sources.camera
+    camera = sources.signal
     if camera is not None and uncorrected:
         # The session subtracts LATENCY; it does not know the extra delay of the camera.
-        extra = round(uncorrected * 1e9)
-        sources = replace(sources, camera=replace(camera, times=camera.times + extra))
+        late = replace(camera, times=camera.times + round(uncorrected * 1e9))
+        sources = replace(sources, streams={**sources.streams, late.name: late}, signal=late)
     window = align_window(ticks(recorded), sources)
     pose = pose_errors(window, window.pose, motion, recorded)
     true, rows = _true_capture(window, recorded)
@@ -224,7 +228,7 @@ def _marker_motion(motion: Motion, first: Floats, second: Floats) -> Floats:
 
 def _read_with_frame(when: Times, sources: Sources, motion: Motion, recorded: Recorded) -> Method:
     """Measure a loop that reads the force once, whenever a frame has arrived."""
-    name, force = "read with the frame", sources.force
+    name, force = "read with the frame", sources.streams.get("force")
     window = align_window(when, sources)
     if force is None or force.values is None or window.wrench is None:
         return Method("force", name, 0, {}, float("nan"))
@@ -233,14 +237,16 @@ def _read_with_frame(when: Times, sources: Sources, motion: Motion, recorded: Re
     def once(some: Times) -> Floats:
         return np.asarray(values[align.held(times, some + late).index])
 
-    error = force_error(replace(window, wrench=once(window.capture_ns)), motion, recorded)
+    read = replace(window.streams[force.name], value=once(window.capture_ns))
+    streams = {**window.streams, force.name: read}
+    error = force_error(replace(window, streams=streams), motion, recorded)
     errors = {"N": Error.of(error["N"])}
     return Method("force", name, len(error["N"]), errors, _timed(sources, once))
 
 
 def _componentwise(when: Times, sources: Sources, motion: Motion, recorded: Recorded) -> Method:
     """Measure the naive method that interpolates the pose's six numbers separately."""
-    pose = sources.pose
+    pose = sources.streams.get("pose")
     window = align_window(when, sources)
     if pose is None or pose.values is None:
         return Method("pose", "component-wise linear", 0, {}, float("nan"))
@@ -258,17 +264,16 @@ def _componentwise(when: Times, sources: Sources, motion: Motion, recorded: Reco
 
 
 def _alone(sources: Sources, name: str) -> Sources:
-    kept = {"camera": sources.camera, "force": None, "pose": None, "taxels": None}
-    if name:
-        kept[name] = getattr(sources, name)
-    return Sources(**kept)
+    """Return only the signal and one other stream."""
+    kept = {key: one for key, one in sources.streams.items() if key in (name, "camera")}
+    return replace(sources, streams=kept)
 
 
 def _method(
-    stream: str, method: str, error: dict[str, Floats], sources: Sources, **chosen: str
+    stream: str, method: str, error: dict[str, Floats], sources: Sources, chosen: dict[str, str]
 ) -> Method:
     def once(some: Times) -> None:
-        align_window(some, sources, **chosen)
+        align_window(some, sources, chosen)
 
     rows = min(len(values) for values in error.values())
     errors = {unit: Error.of(values) for unit, values in error.items()}
@@ -288,16 +293,27 @@ def _timed(sources: Sources, once: Callable[[Times], object]) -> float:
     return float(np.median(took)) * 1e-9
 
 
-def _time_windows(session: Session, recorded: Recorded) -> tuple[float, float]:
-    """Return the mean time of `Session.window` with images, and of its alignment alone [s]."""
+def _time_windows(session: Session, recorded: Recorded) -> tuple[float, float, float, float]:
+    """Return the times of `Session.window` with images, of its alignment alone [s], and rates.
+
+    The rates are images per second of CPU time, of `Session.window` and of `Stream.images`.
+    """
     clock, rng, when = SystemClock(), np.random.default_rng(0), ticks(recorded)
     sources = session.sources(0)
     aligned = _timed(sources, lambda some: align_window(some, sources))
-    done, start = 0, clock.now_ns()
-    while clock.now_ns() - start < _WINDOWS_SECONDS * SECOND_NS:
-        session.window(int(rng.choice(when)), WINDOW)
+    camera, when = session.streams["camera"], when[2 * WINDOW :]
+    done, took, cpu, cpu_images = 0, 0, 0.0, 0.0
+    while took < _WINDOWS_SECONDS * SECOND_NS:
+        # Alternating, so that both see the same state of the machine.
+        start, before = clock.now_ns(), cpu_seconds()
+        window = session.window(int(rng.choice(when)), WINDOW)
+        took += clock.now_ns() - start
+        between = cpu_seconds()
+        camera.images(window.signal_row)
+        cpu, cpu_images = cpu + between - before, cpu_images + cpu_seconds() - between
         done += 1
-    return (clock.now_ns() - start) / SECOND_NS / done, aligned
+    images = done * WINDOW
+    return took / SECOND_NS / done, aligned, images / cpu, images / cpu_images
 
 
 def _mock_seconds(scale: Scale) -> float:

@@ -15,11 +15,11 @@ _MARKS = "osD^vP"
 
 
 def stores_chart(path: Path, rows: Sequence[StoreRow]) -> None:
-    """Plot frames per second written and read, one bar each on a logarithmic scale from 1."""
-    written = [0.0 if row.write is None else row.write.frames / row.write.seconds for row in rows]
+    """Plot frames per CPU-second written and read, one bar each on a logarithmic scale from 1."""
+    written = [0.0 if row.write is None else row.rate_cpu for row in rows]
     panels = (
-        ("written and closed [frames/s]", written),
-        ("random windows of 16, two processes [images/s]", [row.read_two for row in rows]),
+        ("written and closed [frames per CPU-second]", written),
+        ("random windows of 16 [images per CPU-second]", [row.read_cpu for row in rows]),
     )
     with chart(path, 9, 0.8 + 0.23 * len(rows)) as figure:
         every = figure.subplots(1, 2, sharey=True)

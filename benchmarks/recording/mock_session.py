@@ -60,7 +60,7 @@ def errors_of(session: Session, truth: Truth) -> tuple[Method, ...]:
     bias = np.asarray(session.streams["force"].attrs["bias"])
     found = []
     for method in FORCE:
-        window = align_window(ticks, sources, force=method)
+        window = align_window(ticks, sources, {"force": method})
         if window.wrench is None or window.wrench_valid is None:
             continue
         rows = np.flatnonzero(window.wrench_valid & (window.signal_row >= 0))

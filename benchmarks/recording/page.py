@@ -15,8 +15,8 @@ from benchmarks.recording.lateness import Lateness
 from benchmarks.recording.load import Cameras
 from benchmarks.recording.measure import Spread
 from benchmarks.recording.store_benchmark import StoreRow
-from recorder import camera_spec, pages
-from recorder.store.layout import CHUNKS_PER_SHARD
+from recorder import pages
+from recorder.store.layout import CHUNKS_PER_SHARD, JPEGS_PER_SHARD
 
 # Files of the charts, in images/ next to the page.
 STORES_CHART, ALIGNMENT_CHART = "recording-stores.png", "recording-alignment.png"
@@ -67,7 +67,8 @@ def render(results: Results) -> str:
         base_of=lambda row: stores.get("ours-jpeg" if "jpeg" in row.key else "ours-zstd", _NONE),
         elsewhere=QUOTED,
         granted=sorted({name for one in asked for name in one.granted}),
-        sealed=camera_spec(60.0).block * CHUNKS_PER_SHARD,
+        jpegs=JPEGS_PER_SHARD,
+        pixels=CHUNKS_PER_SHARD,
         motion=motion,
         ms=ms,
         ratio=ratio,

@@ -81,6 +81,10 @@ class StoreRow:
     write: Write | None = None
     read: float = 0.0
     """Images per second in random windows of 16, one process."""
+    read_cpu: float = 0.0
+    """Images per second of CPU time in these windows, one process."""
+    decode_cpu: float = 0.0
+    """JPEGs decoded from memory per second of CPU time; 0 if the store keeps none."""
     read_two: float = 0.0
     """The same, two processes together."""
     read_failure: str = ""
@@ -91,6 +95,16 @@ class StoreRow:
     def rate(self) -> float:
         """Frames per second written and closed; NaN if it was not measured."""
         return self.write.frames / self.write.seconds if self.write else math.nan
+
+    @property
+    def rate_cpu(self) -> float:
+        """Frames written and closed per second of CPU time; NaN if it was not measured."""
+        return self.write.frames / self.write.cpu if self.write else math.nan
+
+    @property
+    def survives(self) -> bool:
+        """True if its reader or its repair found frames after every kill."""
+        return bool(self.kills) and all(kill.lost < kill.accepted for kill in self.kills)
 
 
 class ChildFailed(RuntimeError):
@@ -145,12 +159,25 @@ def measure(entry: Entry, scale: Scale, folder: Path) -> StoreRow:
     except ChildFailed as error:
         return StoreRow(entry.key, entry.title, f"failed: {error}")
     try:
-        read = _read(python, entry, path, scale.read, processes=1)
-        read_two = _read(python, entry, path, scale.read, processes=2)
+        read, read_cpu = _read(python, entry, path, scale.read, processes=1)
+        read_two, _ = _read(python, entry, path, scale.read, processes=2)
+        decode_cpu = 0.0
+        if entry.takes == "jpeg":
+            decoded = ask(python, entry, "decode", path, {"seconds": scale.read})
+            decode_cpu = decoded["frames"] / decoded["cpu"]
     except ChildFailed as error:
         failure = str(error)
         return StoreRow(entry.key, entry.title, write=write, kills=kills, read_failure=failure)
-    return StoreRow(entry.key, entry.title, "", write, read, read_two, "", kills)
+    return StoreRow(
+        entry.key,
+        entry.title,
+        write=write,
+        read=read,
+        read_cpu=read_cpu,
+        decode_cpu=decode_cpu,
+        read_two=read_two,
+        kills=kills,
+    )
 
 
 def interpreter(entry: Entry) -> str | None:
@@ -214,7 +241,10 @@ def _accepted(count: Path) -> int:
     return int.from_bytes(count.read_bytes(), "little")
 
 
-def _read(python: str, entry: Entry, path: Path, seconds: float, *, processes: int) -> float:
+def _read(
+    python: str, entry: Entry, path: Path, seconds: float, *, processes: int
+) -> tuple[float, float]:
+    """Return images per second of all processes together, and per second of CPU time."""
     children = []
     try:
         for seed in range(processes):
@@ -225,7 +255,9 @@ def _read(python: str, entry: Entry, path: Path, seconds: float, *, processes: i
         for child in children:
             child.kill()
             child.communicate()
-    return float(sum(answer["frames"] / answer["seconds"] for answer in answers))
+    images = sum(answer["frames"] for answer in answers)
+    rate = sum(answer["frames"] / answer["seconds"] for answer in answers)
+    return float(rate), float(images / sum(answer["cpu"] for answer in answers))
 
 
 def _start(

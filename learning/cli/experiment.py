@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
-    from learning.config import read_settings
+    from learning.config import preset_path, read_settings
     from learning.experiment.running import gained, run_experiment
     from learning.experiment.settings import PRESETS, ExperimentSettings
 
@@ -57,6 +57,7 @@ def run(options: argparse.Namespace) -> int:
         processes=options.processes,
         jobs=options.jobs,
         say=lambda line: print(line, flush=True),
+        where=str(preset_path(PRESETS, options.preset)),
     )
     for line in report.lines:
         print(line)

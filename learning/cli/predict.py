@@ -10,21 +10,25 @@ from pathlib import Path
 import numpy as np
 
 from learning.errors import LearningError
-from learning.evaluation.predictions import METHODS, TRANSLATED
+from learning.evaluation.predictions import METHODS, TRANSLATED, Predictions
+from learning.metrics import force_errors
 from recorder.command_line.options import add_device, names
 from recorder.progress import ItemProgress
 
 ROLES = "new_indenter,new_press"
+AXES = ("Fx", "Fy", "Fz")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.description = (
         "Runs a force model over whole presses of a sensor and writes its forces [N] "
-        "with the labels [N], for `evaluate`."
+        "with the labels [N], if it has any, for `evaluate`."
     )
     parser.add_argument("model", type=Path, metavar="MODEL", help="folder of a trained force model")
-    parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr with labels")
+    parser.add_argument(
+        "archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr, with labels or without"
+    )
     parser.add_argument("--sensor", required=True, metavar="NAME", help="target sensor")
     parser.add_argument("--split", type=Path, required=True, metavar="JSON", help="made by `split`")
     parser.add_argument(
@@ -56,7 +60,6 @@ def run(options: argparse.Namespace) -> int:
     from learning.data.splits import read_split
     from learning.evaluation.predictions import predictions_of
     from learning.force import load_force_model
-    from learning.metrics import force_errors
     from learning.training.checkpoint import read_model_folder
     from recorder import MarkerArchive
 
@@ -72,11 +75,6 @@ def run(options: argparse.Namespace) -> int:
     if not len(rows):
         raise LearningError(
             f"--role: found no frames of {','.join(options.role)} of {options.sensor}"
-        )
-    if (unlabelled := ~np.isfinite(sensor.table["wrench"][rows]).all(axis=1)).any():
-        raise LearningError(
-            f"{options.sensor}: found no label in row {rows[unlabelled][0]}, and "
-            f"{unlabelled.sum()} such rows; allowed: labelled frames, to compare with"
         )
     model = load_force_model(options.model, options.device)
     form: Form = "field" if model.inputs.form == "field" else "images"
@@ -97,10 +95,28 @@ def run(options: argparse.Namespace) -> int:
         model=folder.hash(),
     )
     made.write(options.out)
-    errors = force_errors(made.true, made.predicted, made.label_std)
-    mae = "  ".join(f"{name} {value:.3f}" for name, value in zip("xyzt", errors.mae, strict=True))
-    print(f"{options.out}: {len(made):,} frames, MAE [N] {mae}, R2 {errors.r2_mean:.3f}")
+    print(f"{options.out}: {len(made):,} frames, {_told(made)}")
+    if len(model.axes) < len(AXES):
+        print(f"the model predicts {', '.join(model.axes)} only; forces on other axes are NaN")
     return 0
+
+
+def _told(made: Predictions) -> str:
+    """Return the errors of predictions, or their range if no label can be compared with them."""
+    if not made.is_scored:
+        ranges = "  ".join(
+            f"{axis} {column.min():.3f} to {column.max():.3f}"
+            for axis, column in zip(AXES, made.predicted.T, strict=True)
+            if np.isfinite(column).any()
+        )
+        return f"no label to compare with; predicted [N] {ranges}"
+    errors = force_errors(made.true, made.predicted, made.label_std)
+    mae = "  ".join(
+        f"{name} {value:.3f}" if np.isfinite(value) else f"{name} -"
+        for name, value in zip("xyzt", errors.mae, strict=True)
+    )
+    labelled = f", {errors.frames:,} of them with a label" if errors.frames < len(made) else ""
+    return f"MAE [N] {mae}, R2{errors.of_axes} {errors.r2_mean:.3f}{labelled}"
 
 
 def _trained_on(options: argparse.Namespace, sensors: Sequence[str]) -> tuple[str, str]:

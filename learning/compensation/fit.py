@@ -230,7 +230,7 @@ def _choice(content: Mapping[str, Any]) -> Choice:
         d0,
         weight,
         None if error is None else float(error),
-        tuple(float(value) for value in content["axes"]),
+        tuple(None if value is None else float(value) for value in content["axes"]),
         int(content["clamped"]),
         # Missing in old files.
         None if (r2 := content.get("r2")) is None else float(r2),

@@ -45,7 +45,7 @@ class ForceDepth:
 
 
 def curve_of_table(sensor: str, table: Table, indenters: Sequence[str]) -> ForceDepth | None:
-    """Return the curve from force-depth rows of an archive's table; None if there are none.
+    """Return the curve from force-depth rows of an archive's table; None without labelled ones.
 
     Such rows have location -1 and the phase `normal_inc` or `normal_dec`. Rows that are invalid or
     without contact (depth 0) are ignored.
@@ -56,16 +56,16 @@ def curve_of_table(sensor: str, table: Table, indenters: Sequence[str]) -> Force
         indenters: Names of the archive's indenters, by code.
 
     Raises:
-        LearningError: Rows have no label, there are several indenters but not the paper's prism, or
-            only one of the two phases.
+        LearningError: Some rows have no label of Fz, there are several indenters but not the
+            paper's prism, or only one of the two phases.
     """
     phase = table["phase"]
     rows = (table["location"] < 0) & table["valid"] & np.isin(phase, (DOWN, UP))
-    if not rows.any():
+    force = -table["wrench"][:, 2]
+    if not (rows & np.isfinite(force)).any():
         return None
     indenter = _indenter(sensor, table, rows, indenters)
     rows &= (table["indenter"] == indenters.index(indenter)) & (table["depth"] > 0)
-    force = -table["wrench"][:, 2]
     unknown = np.flatnonzero(rows & ~np.isfinite(force))
     if unknown.size:
         raise LearningError(
@@ -299,7 +299,7 @@ def compensate(
     All axes, torques included, are scaled by the same factor (authors' code).
 
     Args:
-        wrench: Labels of the source (n, 3) or (n, 6) [N, N m].
+        wrench: Labels of the source (n, 3) or (n, 6) [N, N m]; NaN is no label and remains.
         depth: Indentation of the source (n,) [m].
         phase: Codes of phases (n,); -1 only where nothing is compensated.
         source: Prior of the sensor whose labels are compensated.
@@ -308,8 +308,8 @@ def compensate(
         lam: Weight of the correction, 0 to 1.
 
     Raises:
-        LearningError: Values are NaN, lengths differ, a pressed row has no phase, or d0 or lam is
-            out of range.
+        LearningError: Labels are infinite, depths are NaN, lengths differ, a pressed row has no
+            phase, or d0 or lam is out of range.
     """
     forces: Floats = np.asarray(wrench, np.float64)
     depth = np.asarray(depth, np.float64)
@@ -367,10 +367,14 @@ def _require_labels(wrench: Floats, depth: Floats, phase: NDArray[np.integer]) -
             raise LearningError(
                 f"{name}: found shape {np.shape(values)}; allowed: ({len(wrench)},), as the wrench"
             )
-    for name, rows in (("wrench", np.isfinite(wrench).all(axis=1)), ("depth", np.isfinite(depth))):
-        wrong = np.flatnonzero(~rows)
-        if wrong.size:
-            raise LearningError(
-                f"{name}: found NaN or infinity in {wrong.size} rows, first {wrong[0]}; allowed: "
-                "numbers (leave out rows without a label)"
-            )
+    wrong = np.flatnonzero(np.isinf(wrench).any(axis=1))
+    if wrong.size:
+        raise LearningError(
+            f"wrench: found infinity in {wrong.size} rows, first {wrong[0]}; allowed: numbers, or "
+            "NaN without a label"
+        )
+    wrong = np.flatnonzero(~np.isfinite(depth))
+    if wrong.size:
+        raise LearningError(
+            f"depth: found NaN or infinity in {wrong.size} rows, first {wrong[0]}; allowed: numbers"
+        )

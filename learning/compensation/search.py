@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from learning.compensation.prior import Prior, compensate, ratios
 from learning.errors import LearningError
-from learning.metrics import r_squared
+from learning.metrics import axis_means, r_squared
 from recorder import PHASES, MarkerArchive
 from recorder.archive import ArchivedSensor, location_pairs
 
@@ -62,8 +62,11 @@ class Choice:
     """Lambda."""
     error: float | None
     """Mean distance of compensated labels from the target's [N]; None if the target has none."""
-    axes: tuple[float, ...] = ()
-    """Mean absolute error of Fx, Fy, Fz [N]."""
+    axes: tuple[float | None, ...] = ()
+    """Mean absolute error of Fx, Fy, Fz [N]; None for an axis that one of the two has no label of.
+
+    `error` is over the other axes.
+    """
     clamped: int = 0
     """Number of labels whose ratio was clamped."""
     r2: float | None = None
@@ -79,9 +82,9 @@ class Paired:
     """Labels of two sensors at their common locations."""
 
     source: Floats
-    """Forces (n, 3) [N]."""
+    """Forces (n, 3) [N]; NaN on axes that one of the two sensors has no label of."""
     target: Floats
-    """Forces (n, 3) [N]."""
+    """Forces (n, 3) [N]; NaN on the same axes."""
     depth: Floats
     """Indentation of the source (n,) [m]."""
     phase: NDArray[np.int64]
@@ -96,7 +99,7 @@ def tried(paired: Paired | None, source: Prior, target: Prior, d0: float, weight
     """Return a choice, with its error if the target's labels are known.
 
     Raises:
-        LearningError: A label is not finite, or the choice is outside of the paper's ranges.
+        LearningError: A label is infinite, or the choice is outside of the paper's ranges.
     """
     if paired is None or not len(paired):
         return Choice(d0, weight, None)
@@ -104,13 +107,21 @@ def tried(paired: Paired | None, source: Prior, target: Prior, d0: float, weight
         paired.source, paired.depth, paired.phase, source, target, d0, weight
     )
     apart = labels - paired.target
-    if not np.isfinite(apart).all():
+    known = np.isfinite(apart)
+    if np.isinf(apart).any() or not known.any(axis=1).all():
         raise LearningError(
-            f"{target.sensor}.wrench: found NaN in labels of paired locations; allowed: numbers"
+            f"{target.sensor}.wrench: found no finite label in some of the paired locations; "
+            "allowed: one axis or more in each"
         )
-    axes = tuple(float(value) for value in np.abs(apart).mean(axis=0))
-    error = float(np.linalg.norm(apart, axis=1).mean())
-    fit = float(r_squared(paired.target, labels).mean())
+    means = axis_means(np.abs(apart)).tolist()
+    axes = tuple(None if np.isnan(value) else float(value) for value in means)
+    error = float(np.linalg.norm(np.where(known, apart, 0.0), axis=1).mean())
+    fits = [
+        r_squared(paired.target[rows, axis, None], labels[rows, axis, None])[0]
+        for axis, rows in enumerate(known.T)
+        if rows.any()
+    ]
+    fit = float(np.mean(fits))
     return Choice(d0, weight, error, axes, clamped, fit if np.isfinite(fit) else None)
 
 
@@ -191,13 +202,13 @@ def paired_labels(
     pairs = location_pairs(one.table, other.table)
     kept = _learned_from(archive, one, pairs.source, split)
     forces = one.table["wrench"][pairs.source, :3], other.table["wrench"][pairs.target, :3]
-    for values in forces:
-        kept &= np.isfinite(values).all(axis=1)
+    both = np.isfinite(forces[0]) & np.isfinite(forces[1])
+    kept &= both.any(axis=1)
     if not kept.any():
         return None
     return Paired(
-        forces[0][kept],
-        forces[1][kept],
+        np.where(both, forces[0], np.nan)[kept],
+        np.where(both, forces[1], np.nan)[kept],
         one.table["depth"][pairs.source][kept],
         one.table["phase"][pairs.source][kept].astype(np.int64),
     )

@@ -55,7 +55,7 @@ class Presses:
     reference: Tensor
     """Row of `references` for each frame (N,) int64, on the device."""
     wrench: Tensor
-    """Fx, Fy, Fz (N, 3) float32 [N], on the device; NaN without a label."""
+    """Fx, Fy, Fz (N, 3) float32 [N], on the device; NaN on axes without a label."""
     starts: Tensor
     """Frames of press p are starts[p]:starts[p + 1], in order of time: (P + 1,) int64."""
     location: Tensor
@@ -106,19 +106,27 @@ class Presses:
         return replace(self, **moved)
 
     def require_wrench(self) -> None:
-        """Reject presses with unlabelled frames, from which a force model cannot be trained.
+        """Reject presses from which no force can be learned: no axis has a label in any frame.
 
         Raises:
-            LearningError: Names the sensor and the first rows.
+            LearningError: Names the sensor; or a label is infinite.
         """
-        missing = (~self.wrench.isfinite().all(dim=1)).cpu()
-        if bool(missing.any()):
-            rows = self.rows[missing]
-            shown = ", ".join(str(int(row)) for row in rows[:3]) + ", ..." * (len(rows) > 3)
+        if self.wrench.isinf().any():
+            row = int(self.rows[self.wrench.isinf().any(dim=1).cpu()][0])
             raise LearningError(
-                f"sensor {self.sensor}: found no wrench in {len(rows):,} of {self.frames:,} frames "
-                f"(rows {shown}); allowed: labels in every frame that forces are learned from"
+                f"sensor {self.sensor}: found an infinite wrench in row {row}; allowed: numbers, "
+                "or NaN without a label"
             )
+        if not self.is_labelled:
+            raise LearningError(
+                f"sensor {self.sensor}: found no label of Fx, Fy or Fz in {self.frames:,} frames; "
+                "allowed: one or more to learn forces from"
+            )
+
+    @property
+    def is_labelled(self) -> bool:
+        """True if an axis of force has a label in one frame or more."""
+        return bool(self.wrench[:, :3].isfinite().any())
 
 
 def load_presses(
@@ -340,7 +348,8 @@ def _require_one_press(
 # Force range of a model, whose last layer gives numbers from 0 to 1.
 #
 # The paper normalises by the minimum and maximum force of each axis (Methods); the authors' code
-# has fixed values. Here they come from the training split and are stored with the model.
+# has fixed values. Here they come from the training split and are stored with the model. An axis
+# without a label has the range NaN to NaN, so that a model's force on it is NaN, never a guess.
 
 Force = tuple[float, float, float]
 
@@ -353,16 +362,23 @@ class ForceRange:
     """Minimum and maximum force of each axis."""
 
     low: Force
-    """Fx, Fy, Fz [N] that map to 0."""
+    """Fx, Fy, Fz [N] that map to 0; NaN for an axis that was not measured."""
     high: Force
     """Fx, Fy, Fz [N] that map to 1."""
 
     def __post_init__(self) -> None:
         ends = np.array([self.low, self.high], np.float64)
-        if ends.shape != (2, 3) or not np.isfinite(ends).all() or (ends[0] >= ends[1]).any():
+        measured = ~np.isnan(ends).all(axis=0)
+        known = ends[:, measured] if ends.shape == (2, 3) else ends
+        if (
+            ends.shape != (2, 3)
+            or not known.size
+            or not np.isfinite(known).all()
+            or (known[0] >= known[1]).any()
+        ):
             raise LearningError(
                 f"force range: found {self.low} to {self.high}; allowed: three finite forces [N] "
-                "each, low < high"
+                "each, low < high, or NaN in both for an axis that was not measured"
             )
 
     @classmethod
@@ -370,11 +386,11 @@ class ForceRange:
         """Return the range of forces (n, 3) or wrenches (n, 6) [N], an array or a tensor.
 
         Args:
-            wrench: Labels of the training split.
+            wrench: Labels of the training split; NaN is no label.
             margin: Share of the range to add at both ends, as a sigmoid never reaches its limits.
 
         Raises:
-            LearningError: There are no labels, one is not finite, or the margin is negative.
+            LearningError: There are no labels, one is infinite, or the margin is negative.
         """
         forces: NDArray[np.float64] = np.asarray(
             wrench.cpu() if hasattr(wrench, "cpu") else wrench, np.float64
@@ -384,10 +400,16 @@ class ForceRange:
         if margin < 0:
             raise LearningError(f"margin: found {margin}; allowed: 0 and more")
         forces = forces[:, :3]
-        if not np.isfinite(forces).all():
-            row = int(np.flatnonzero(~np.isfinite(forces).all(axis=1))[0])
+        if np.isinf(forces).any():
+            row = int(np.flatnonzero(np.isinf(forces).any(axis=1))[0])
             raise LearningError(f"wrench: found {forces[row]} in row {row}; allowed: finite forces")
-        low, high = forces.min(axis=0), forces.max(axis=0)
+        unknown = np.isnan(forces)
+        if unknown.all():
+            raise LearningError("wrench: found NaN in every row; allowed: one label or more")
+        low = np.where(unknown, np.inf, forces).min(axis=0)
+        high = np.where(unknown, -np.inf, forces).max(axis=0)
+        never = unknown.all(axis=0)
+        low[never] = high[never] = np.nan
         wider = np.maximum(LEAST - (high - low), 0) / 2 + margin * (high - low)
         return cls(_force(low - wider), _force(high + wider))
 

@@ -30,9 +30,8 @@ def radar(before: Sequence[ForceRow], after: Sequence[ForceRow], names: tuple[st
     png = io.BytesIO()
     with chart(png, 9, 8.4) as figure:
         for line, axes_shown in enumerate(((0, 1, 2, 3), (0, 1))):
-            largest = max(
-                row.errors.mae[place] for row in (*before, *after) for place in axes_shown
-            )
+            every = [row.errors.mae[place] for row in (*before, *after) for place in axes_shown]
+            largest = max((mae for mae in every if math.isfinite(mae)), default=0.0)
             for column, (rows, name) in enumerate(zip((before, after), names, strict=True)):
                 if not rows:
                     continue

@@ -175,6 +175,7 @@ def _paired(figure: PaperFigure) -> int:
 
 def _statistic(rows: Sequence[ForceRow], figure: PaperFigure, *, share: bool = False) -> float:
     values = [_value(row, figure.measure, share) for row in rows]
+    values = [value for value in values if not math.isnan(value)]  # axes without labels
     if not values:
         return math.nan
     if figure.statistic == "max":

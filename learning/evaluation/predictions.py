@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 
 from learning.errors import LearningError
 from learning.evaluation.results_file import Results, read_results, write_results
-from learning.metrics import AXES, MEASURED, ForceErrors, force_errors, spread_and_range
+from learning.metrics import (
+    AXES,
+    MEASURED,
+    ForceErrors,
+    can_be_scored,
+    force_errors,
+    require_forces,
+    spread_and_range,
+)
 from recorder.archive import ArchivedSensor
 
 KIND = "predictions"
@@ -61,11 +69,11 @@ class Predictions:
     role: NDArray[np.str_]
     """Role of each frame in the split (n,)."""
     true: NDArray[np.float64]
-    """Labels (n, 3) [N]."""
+    """Labels (n, 3) [N]; NaN where an axis has none."""
     predicted: NDArray[np.float64]
-    """Predicted forces (n, 3) [N]."""
+    """Predicted forces (n, 3) [N]; NaN on axes that the model does not predict."""
     label_std: NDArray[np.float64]
-    """Standard deviation of Fx, Fy, Fz, Ft over all labelled frames of the target (4,) [N]."""
+    """Standard deviation of Fx, Fy, Fz, Ft over all labels of the target (4,) [N]; or NaN."""
     label_range: NDArray[np.float64]
     """Range of the same (4,) [N]."""
 
@@ -73,7 +81,8 @@ class Predictions:
         """Validate method, shapes and forces.
 
         Raises:
-            LearningError: The method is unknown, shapes differ, or a force is not finite.
+            LearningError: The method is unknown, shapes differ, a force is infinite, or a
+                prediction is missing in some frames only.
         """
         if self.method not in METHODS:
             raise LearningError(f"method: found {self.method!r}; allowed: {', '.join(METHODS)}")
@@ -89,17 +98,20 @@ class Predictions:
                     f"{field.name}: found shape {values.shape}; allowed: {shape}, as there are "
                     f"{len(self.rows)} rows"
                 )
-        for name in ("true", "predicted"):
-            wrong = np.flatnonzero(~np.isfinite(getattr(self, name)).all(axis=1))
-            if wrong.size:
-                raise LearningError(
-                    f"{self.target}: found a {name} force that is no number in row "
-                    f"{self.rows[wrong[0]]}, and {wrong.size} such rows; allowed: numbers"
-                )
+        for name, whole in (("true", False), ("predicted", True)):
+            try:
+                require_forces(name, getattr(self, name), whole_axes=whole)
+            except LearningError as error:
+                raise LearningError(f"{self.target}: {error}") from None
 
     def __len__(self) -> int:
         """Return the number of frames."""
         return len(self.rows)
+
+    @property
+    def is_scored(self) -> bool:
+        """True if a label can be compared with a prediction."""
+        return can_be_scored(self.true, self.predicted)
 
     @property
     def key(self) -> tuple[str, str, str, str]:
@@ -141,7 +153,7 @@ def predictions_of(
     translator: str,
     model: str,
 ) -> Predictions:
-    """Combine predicted forces of rows of an archive with the archive's labels.
+    """Combine predicted forces of rows of an archive with the archive's labels, if it has any.
 
     Args:
         sensor: The target.
@@ -155,7 +167,7 @@ def predictions_of(
         model: Hash of its weights.
 
     Raises:
-        LearningError: Frames have no label, shapes differ, or the method is unknown.
+        LearningError: Shapes differ, or the method is unknown.
         SessionError: A table is corrupt.
     """
     table = sensor.table
@@ -304,11 +316,7 @@ MEASURES = (*MAES, *RELATIVES, *R2S, "r2_mean", "mae_shear_n")
 
 
 def force_rows(predictions: Iterable[Predictions]) -> tuple[ForceRow, ...]:
-    """Return the errors by role, and over all held-out frames.
-
-    Raises:
-        LearningError: Predictions have no frames.
-    """
+    """Return the errors by role, and over all held-out frames; without labels there is no row."""
     rows: list[ForceRow] = []
     for one in predictions:
         parts = [(role, one.role == role) for role in _in_order(np.unique(one.role).tolist())]
@@ -316,10 +324,30 @@ def force_rows(predictions: Iterable[Predictions]) -> tuple[ForceRow, ...]:
         if held_out.any():
             parts.append((ALL, held_out))
         for role, chosen in parts:
+            if not can_be_scored(one.true[chosen], one.predicted[chosen]):
+                continue
             errors = force_errors(one.true[chosen], one.predicted[chosen], one.label_std)
             low = tuple(one.label_range.tolist())
             rows.append(ForceRow(*one.key, role, errors, (low[0], low[1], low[2], low[3])))
     return tuple(rows)
+
+
+def unscored_lines(predictions: Iterable[Predictions]) -> list[dict[str, Any]]:
+    """Return a line for each axis of predictions without a label to compare with.
+
+    A line has the keys source, target, method, translator, axis, frames, low_n and high_n: the
+    least and the largest predicted force [N].
+    """
+    lines = []
+    for one in predictions:
+        for place, axis in enumerate(AXES_NAMED[: len(AXES)]):
+            found = one.predicted[:, place]
+            if not np.isfinite(found).any() or np.isfinite(one.true[:, place]).any():
+                continue
+            named = dict(zip(("source", "target", "method", "translator"), one.key, strict=True))
+            span = {"low_n": float(found.min()), "high_n": float(found.max())}
+            lines.append({**named, "axis": axis, "frames": len(one), **span})
+    return lines
 
 
 def of_role(rows: Iterable[ForceRow], role: str) -> tuple[ForceRow, ...]:
@@ -341,7 +369,7 @@ def variant_name(variant: tuple[str, str]) -> str:
 
 
 def gain_line(rows: Iterable[ForceRow], role: str = UNSEEN) -> str:
-    """Return R2 of variants, means over axes and pairs: `source-only R2 a  transferred R2 b`.
+    """Return R2 of variants, means over measured axes and pairs: `source-only R2 a  ...`.
 
     Args:
         rows: Errors of any pairs.
@@ -350,8 +378,10 @@ def gain_line(rows: Iterable[ForceRow], role: str = UNSEEN) -> str:
     some = of_role(rows, role)
     reported = []
     for variant in variants(some):
-        values = [row.errors.r2_mean for row in some if row.variant == variant]
-        reported.append(f"{variant_name(variant)} R2 {np.mean(values):.3f}")
+        rows_of = [row for row in some if row.variant == variant]
+        mean = np.mean([row.errors.r2_mean for row in rows_of])
+        of = "".join(dict.fromkeys(row.errors.of_axes for row in rows_of))
+        reported.append(f"{variant_name(variant)} R2 {mean:.3f}{of}")
     return "  ".join(reported)
 
 

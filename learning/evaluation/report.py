@@ -30,6 +30,7 @@ from learning.evaluation.predictions import (
     gain_line,
     merged,
     of_role,
+    unscored_lines,
     variant_name,
     variants,
 )
@@ -46,6 +47,7 @@ from learning.evaluation.translation import (
     require_alone,
     score_line,
 )
+from learning.metrics import axis_means
 from recorder.pages import render
 from recorder.store import replace_file
 from recorder.strict_yaml import natural_key
@@ -81,7 +83,7 @@ ROLES = {
 }
 # Measures that the first table shows of each variant.
 GAINS = (
-    ("r2_mean", "R2, mean of Fx, Fy, Fz"),
+    ("r2_mean", "R2, mean of measured axes"),
     ("mae_fz_n", "MAE Fz [N]"),
     ("mae_shear_n", "MAE shear, mean of Fx and Fy [N]"),
 )
@@ -162,8 +164,10 @@ def _gain(
     rows = [some[way] for some in pairs if way in some]
     if not rows:
         return None
-    value = float(np.mean([row.value(measure) for row in rows]))
-    return value, float(np.mean([_goodness(row, measure) for row in rows]))
+    # Pairs without a label on an axis have no error there.
+    of = np.array([(row.value(measure), _goodness(row, measure)) for row in rows])
+    value, goodness = axis_means(of).tolist()
+    return value, goodness
 
 
 def _sentence(rows: Sequence[ForceRow], role: str) -> str:
@@ -301,9 +305,10 @@ def _embeddings(scores: Sequence[TranslationScores], seed: int) -> bytes:
 
 
 # File names of a report.
-PAGE, FORCE, PAIRED, DISTANCES, PAPER = (
+PAGE, FORCE, UNSCORED, PAIRED, DISTANCES, PAPER = (
     "report.html",
     "force.csv",
+    "unscored.csv",
     "translation.csv",
     "distances.csv",
     "paper.csv",
@@ -318,14 +323,23 @@ class Report:
     """The page first, then the tables."""
     force: tuple[ForceRow, ...]
     """Errors of forces."""
+    unscored: tuple[dict[str, Any], ...]
+    """Lines on predictions without labels, see `unscored_lines`."""
     beside: tuple[Beside, ...]
     """The paper's figures, with our values."""
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """R2 before and after, a line for each role that exists; unseen indenters last."""
+        """R2 before and after by role, unseen indenters last; then targets without labels."""
         roles = [role for role in (ALL, SEEN, UNSEEN) if of_role(self.force, role)]
-        return tuple(f"{role}: {gain_line(self.force, role)}" for role in roles)
+        scored = tuple(f"{role}: {gain_line(self.force, role)}" for role in roles)
+        axes: dict[str, list[str]] = {}
+        for line in self.unscored:
+            axes.setdefault(line["target"], []).append(line["axis"])
+        return scored + tuple(
+            f"{target}: no label of {', '.join(dict.fromkeys(some))}; predictions are not scored"
+            for target, some in axes.items()
+        )
 
 
 def write_report(
@@ -356,7 +370,7 @@ def write_report(
         raise LearningError("evaluate: found neither predictions nor translation scores")
     require_alone(scores)
     together = merged(predictions)
-    rows = force_rows(together)
+    rows, unscored = force_rows(together), unscored_lines(together)
     beside = beside_the_paper(rows)
     force = _force(together, rows, beside, seed=seed)
     progress(1, 3)
@@ -372,11 +386,13 @@ def write_report(
         column=_column,
         floor=FLOOR,
         force=force,
+        unscored=unscored,
         translation=translated,
         seed=seed,
     )
     tables: dict[str, list[dict[str, Any]]] = {
         FORCE: [force_line(row) for row in rows],
+        UNSCORED: unscored,
         PAIRED: [score_line(one, row) for one, row in paired_rows(scores)],
         DISTANCES: [score_line(one, row) for one in scores for row in one.distances],
         PAPER: [beside_line(one) for one in beside],
@@ -391,7 +407,7 @@ def write_report(
         else:
             (out / name).unlink(missing_ok=True)
     progress(3, 3)
-    return Report(tuple(files), rows, beside)
+    return Report(tuple(files), rows, tuple(unscored), beside)
 
 
 def _summary(predictions: Sequence[Predictions], scores: Sequence[TranslationScores]) -> str:

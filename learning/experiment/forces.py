@@ -65,7 +65,7 @@ def force_settings(
     try:
         settings = read_settings(ForceSettings, PRESETS, experiment.force.preset, changed)
     except LearningError as error:
-        raise LearningError(f"force: {error}") from None
+        raise LearningError(f"{'fine_tuning' if tuning else 'force'}: {error}") from None
     if settings.input.stored_form != "images":
         raise LearningError(
             f"force: found {experiment.force.preset}, which sees marker fields; allowed: a model "
@@ -93,6 +93,8 @@ class Forces:
     processes: int
     """Number of processes that track markers."""
     say: Callable[[str], None]
+    unlabelled: frozenset[str] = frozenset()
+    """Targets without labels in training presses."""
     _tested: dict[str, Tested] = field(default_factory=dict)
     _seen: dict[str, tuple[Presses, Presses | None]] = field(default_factory=dict)
     _own: dict[str, tuple[Path, ForceModel]] = field(default_factory=dict)
@@ -140,14 +142,13 @@ class Forces:
         """
         # Targets of the same scale share the fields computed from the source's frames.
         known: dict[tuple[float, float], torch.Tensor] = {}
-        methods = (TRANSFERRED, *self.settings.compensation)
-        at_once = max(1, self.settings.together // len(methods))
+        at_once = max(1, self.settings.together // (1 + len(self.settings.compensation)))
         found = []
         for first in range(0, len(pairs), at_once):
             tunings = [
                 Tuning(pair, method, translator, _labels(pair, method, compensation))
                 for pair in pairs[first : first + at_once]
-                for method in methods
+                for method in (TRANSFERRED, *self._compensated(pair, compensation))
             ]
             due = [each for each in tunings if not self._file_of(each).exists()]
             shown = {
@@ -163,6 +164,20 @@ class Forces:
         for pair in pairs:
             self._seen.pop(pair.source, None)
         return found
+
+    def _compensated(self, pair: Pair, stored: StoredCompensation | None) -> list[str]:
+        """Return the kinds of compensated labels; an unlabelled target may lack some or all."""
+        asked: list[str] = list(self.settings.compensation)
+        if pair.target not in self.unlabelled:
+            return asked
+        known = () if stored is None else stored.pairs
+        choices = {
+            choice
+            for each in known
+            if (each.source, each.target) == (pair.source, pair.target)
+            for choice in each.choices
+        }
+        return [method for method in asked if CHOICES[method] in choices]
 
     def _predicted(
         self,
@@ -191,9 +206,12 @@ class Forces:
                 model=read_model_folder(folder).hash(),
             ).write(file)
         found = read_predictions(file)
-        errors = force_errors(found.true, found.predicted, found.label_std)
         by = f" by {translator}" if translator else ""
-        self.say(f"{pair.source} to {pair.target}, {method}{by}: R2 {errors.r2_mean:.3f}")
+        scored = "no label to compare with"
+        if found.is_scored:
+            errors = force_errors(found.true, found.predicted, found.label_std)
+            scored = f"R2{errors.of_axes} {errors.r2_mean:.3f}"
+        self.say(f"{pair.source} to {pair.target}, {method}{by}: {scored}")
         return found
 
     def _own_model(self, sensor: str) -> tuple[Path, ForceModel]:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import torch
 
+from learning.config import read_settings
 from learning.data.presses import Presses
 from learning.errors import LearningError
 from learning.experiment.parts import Pair
@@ -21,6 +22,8 @@ from learning.force.together import train_together
 from learning.force.train import Compensation, ForceSettings
 from learning.training.run import RunFolder, Stop
 from learning.translation.archive import Model, hash_of
+from learning.translation.direct import train, train_autoencoder
+from learning.translation.field import train as field
 from learning.translation.loading import load_translator
 from learning.translation.translator import FLOW
 from recorder.command_line.errors import EXIT_INTERRUPTED
@@ -112,6 +115,31 @@ def run_command(command: Sequence[str], say: Callable[[str], None]) -> None:
         raise KeyboardInterrupt
     if code:
         raise LearningError(f"`{message}` ended with exit code {code}")
+
+
+# Presets and settings of the trainings of each translator, by their key in the settings.
+_TRAININGS: dict[str, dict[str, tuple[Path, type]]] = {
+    "field": {"field": (field.PRESETS, field.FieldSettings)},
+    "direct": {
+        "autoencoder": (train_autoencoder.PRESETS, train_autoencoder.AutoencoderSettings),
+        "direct": (train.PRESETS, train.DirectSettings),
+    },
+}
+
+
+def check_translators(settings: ExperimentSettings) -> None:
+    """Read the presets of all translators, which are used only hours later.
+
+    Raises:
+        LearningError: A preset or value is invalid.
+    """
+    for name in settings.translators:
+        for key, (presets, kind) in _TRAININGS.get(name, {}).items():
+            choice: ModelChoice = getattr(settings, key)
+            try:
+                read_settings(kind, presets, choice.preset, choice.set)
+            except LearningError as error:
+                raise LearningError(f"{key}: {error}") from None
 
 
 def _commands(

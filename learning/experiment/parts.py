@@ -46,13 +46,25 @@ class Tested:
 
 
 def pairs_of(archive: MarkerArchive, asked: Sequence[str] | None) -> tuple[Pair, ...]:
-    """Return the requested pairs, SOURCE:TARGET; None: all directed pairs.
+    """Return the requested pairs, SOURCE:TARGET; None: all directed pairs from labelled sensors.
 
     Raises:
-        LearningError: The text is not of that form, or names an unknown sensor.
+        LearningError: The text is not of that form, names an unknown sensor, or no source has
+            labels.
     """
+    labelled = labelled_sensors(archive)
     if asked is None:
-        return tuple(Pair(one, other) for one in archive for other in archive if one != other)
+        if not labelled:
+            raise LearningError(
+                f"{archive.name}: found no label of any sensor; allowed: one labelled source or "
+                "more"
+            )
+        return tuple(
+            Pair(one, other)
+            for one in archive
+            for other in archive
+            if one in labelled and one != other
+        )
     pairs = []
     for text in asked:
         source, _, target = text.partition(":")
@@ -60,8 +72,31 @@ def pairs_of(archive: MarkerArchive, asked: Sequence[str] | None) -> tuple[Pair,
             raise LearningError(
                 f"--pairs: found {text!r}; allowed: SOURCE:TARGET, two of {', '.join(archive)}"
             )
+        if source not in labelled:
+            raise LearningError(
+                f"--pairs: found {text!r}, and {source} has no labels; allowed sources: "
+                f"{', '.join(name for name in archive if name in labelled) or 'none here'}"
+            )
         pairs.append(Pair(source, target))
     return tuple(dict.fromkeys(pairs))
+
+
+def labelled_sensors(archive: MarkerArchive, split: Split | None = None) -> frozenset[str]:
+    """Return the sensors with a label of Fx, Fy or Fz in a located press.
+
+    Args:
+        archive: The archive.
+        split: Only its training presses count; None: all located presses.
+    """
+    found = set()
+    for name, sensor in archive.items():
+        table = sensor.table
+        rows = np.flatnonzero(table["valid"] & (table["location"] >= 0))
+        if split is not None:
+            rows = split.rows(table, "train")
+        if np.isfinite(table["wrench"][rows, :3]).any():
+            found.add(name)
+    return frozenset(found)
 
 
 def trained_on(

@@ -20,8 +20,8 @@ from learning.errors import LearningError
 from learning.evaluation.predictions import UNSEEN, ForceRow, after
 from learning.evaluation.report import Report, write_report
 from learning.experiment.forces import BEFORE, TRANSFERRED, force_settings
-from learning.experiment.models import Places
-from learning.experiment.parts import Pair, pairs_of
+from learning.experiment.models import Places, check_translators
+from learning.experiment.parts import Pair, labelled_sensors, pairs_of
 from learning.experiment.settings import ExperimentSettings
 from learning.experiment.worker import Job, do_all
 from recorder import MarkerArchive
@@ -40,6 +40,7 @@ def run_experiment(
     processes: int = 1,
     jobs: int = 1,
     say: Say = print,
+    where: str = "settings",
 ) -> Report:
     """Run or continue an experiment and return its report.
 
@@ -52,6 +53,7 @@ def run_experiment(
         processes: Number of processes that track markers.
         jobs: Number of models trained in parallel, each in its own process.
         say: Called with a line for each completed part.
+        where: Place of the settings in errors, such as their file.
 
     Raises:
         LearningError: The folder belongs to another experiment, or data are unusable.
@@ -64,12 +66,31 @@ def run_experiment(
     if archive.warning:
         raise LearningError(archive.warning)
     wanted = pairs_of(archive, pairs)
-    for tuning in (False, True):
-        # Their preset is used after hours, and is wrong now.
-        force_settings(settings, archive, torch.device(device), tuning=tuning)
+    try:
+        # These presets are used only hours later, but a mistake in them is refused now.
+        check_translators(settings)
+        for tuning in (False, True):
+            force_settings(settings, archive, torch.device(device), tuning=tuning)
+    except LearningError as error:
+        raise LearningError(f"{where}.{error}") from None
     _begin(places, settings, archive, wanted)
     _write_split(places, settings, archive)
-    work = Job(archive_path, out, settings, wanted, device, max(1, processes // jobs))
+    labelled = labelled_sensors(archive, read_split(places.split))
+    unlabelled = dict.fromkeys(pair.target for pair in wanted if pair.target not in labelled)
+    for name in unlabelled:
+        say(
+            f"{name}: no labels in training presses, so no model is trained on its own labels "
+            "(target) and none compensates by them (oracle)"
+        )
+    work = Job(
+        archive_path,
+        out,
+        settings,
+        wanted,
+        device,
+        max(1, processes // jobs),
+        unlabelled=frozenset(unlabelled),
+    )
     done = do_all(work, jobs, say)
     return write_report(
         [found for each in done for found in each.predictions],
@@ -87,11 +108,14 @@ def gained(rows: Sequence[ForceRow]) -> str:
     Args:
         rows: Errors of an experiment's pairs.
     """
+    if not rows:
+        return "no labels to compare with"
     unseen = [row for row in rows if row.role == UNSEEN]
     reported = []
     for name, method in ((BEFORE, BEFORE), (TRANSFERRED, after({row.method for row in unseen}))):
-        values = [row.errors.r2_mean for row in unseen if row.method == method]
-        reported.append(f"{name} R2 {np.mean(values):.3f}" if values else f"{name} R2 unknown")
+        some = [row.errors for row in unseen if row.method == method]
+        mean = f"{np.mean([one.r2_mean for one in some]):.3f}" if some else "unknown"
+        reported.append(f"{name} R2 {mean}{''.join(dict.fromkeys(one.of_axes for one in some))}")
     return "  ".join(reported)
 
 

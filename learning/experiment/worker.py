@@ -17,6 +17,7 @@ from pathlib import Path
 import torch
 
 from learning.compensation import read_stored
+from learning.compensation.fit import Curves, gather_priors
 from learning.data.splits import read_split
 from learning.errors import LearningError
 from learning.evaluation.distribution import MarkerGrid
@@ -60,6 +61,8 @@ class Job:
     """Device of training and translation."""
     processes: int
     """Number of processes that track markers, per task."""
+    unlabelled: frozenset[str] = frozenset()
+    """Targets without labels in training presses: no model is trained on their labels."""
 
     @property
     def tasks(self) -> dict[Task, frozenset[Task]]:
@@ -68,7 +71,11 @@ class Job:
         sensors = dict.fromkeys([*sources, *(pair.target for pair in self.pairs)])
         trained: list[Task] = [("train", name) for name in self.settings.translators]
         fitted: list[Task] = [("compensate",)] if self.settings.compensation else []
-        alone = [*trained, *fitted, *(("own", sensor) for sensor in sensors)]
+        alone = [
+            *trained,
+            *fitted,
+            *(("own", sensor) for sensor in sensors if sensor not in self.unlabelled),
+        ]
         return {task: frozenset() for task in alone} | {
             ("carried", source, name): frozenset([("train", name), *fitted, ("own", source)])
             for source in sources
@@ -98,6 +105,7 @@ class Worker:
             self._device,
             work.processes,
             say,
+            work.unlabelled,
         )
 
     def do(self, task: Task) -> TaskResult:
@@ -119,12 +127,24 @@ class Worker:
 
     def compensate(self) -> TaskResult:
         """Fit priors of skins, and choose the compensation of each pair."""
-        places, pairs = self._places, self._work.pairs
+        places = self._places
         if not places.compensation.exists():
+            pairs = self._with_priors()
+            if not pairs:
+                return TaskResult()
             asked = ",".join(f"{pair.source}:{pair.target}" for pair in pairs)
             command = ["compensate", str(places.archive), "--out", str(places.compensation)]
             run_command([*command, "--pairs", asked, "--split", str(places.split)], self._say)
         return TaskResult()
+
+    def _with_priors(self) -> list[Pair]:
+        """Return the pairs to compensate: an unlabelled target may have no force-depth curve."""
+        missing = self._work.unlabelled
+        if missing:
+            missing = missing & frozenset(gather_priors(self._archive, Curves()).without)
+        for name in sorted(missing):
+            self._say(f"{name}: no force-depth curve, so labels are not compensated for it")
+        return [pair for pair in self._work.pairs if pair.target not in missing]
 
     def own(self, sensor: str) -> TaskResult:
         """Train a sensor's own model; predict its own forces and those of its targets."""
@@ -139,7 +159,8 @@ class Worker:
         model = open_translator(self._places, self._work.settings, name, self._device)
         pairs = [pair for pair in self._work.pairs if pair.source == source]
         stored = self._places.compensation
-        labels = read_stored(stored) if self._work.settings.compensation else None
+        asked = self._work.settings.compensation and stored.exists()
+        labels = read_stored(stored) if asked else None
         found = self._forces.carried_over(pairs, name, model, labels)
         return TaskResult(found, self._scores(source, pairs, name, model))
 

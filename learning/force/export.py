@@ -145,10 +145,14 @@ def _difference(model: ForceModel, file: Path) -> float:
     box = (model.high - model.low).numpy()
     for stream in streams:
         stream.reset(first if stream.inputs.needs_reference else None)
-    return max(
-        float(np.abs((streams[0].step(frame) - streams[1].step(frame)) / box).max())
-        for frame in frames
-    )
+    known = np.isfinite(box)
+    largest = 0.0
+    for frame in frames:
+        one, other = (stream.step(frame) for stream in streams)
+        if (np.isfinite(one) != known).any() or (np.isfinite(other) != known).any():
+            return np.inf
+        largest = max(largest, float(np.abs((one - other)[known] / box[known]).max()))
+    return largest
 
 
 # Quantisation of an exported model's convolutions to 8-bit integers, by ONNX Runtime.

@@ -193,7 +193,7 @@ class LiveForce:
     """Prediction for one frame."""
 
     force: tuple[float, float, float]
-    """Fx, Fy, Fz on the sensor [N]; pressing is negative Fz."""
+    """Fx, Fy, Fz on the sensor [N]; pressing is negative Fz; NaN on axes unknown to the model."""
     contact: bool
     """True if the sensor is touched; if not, the force is the network's output for an untouched
     sensor."""

@@ -253,11 +253,13 @@ class ForceModel(nn.Module):
     """Recurrent network from frames to three-axis force.
 
     Outputs are forces normalised to the force range (a box), 0 to 1; `denormalise` converts them to
-    N. The box is a buffer, so it is stored with the weights.
+    N. The box is a buffer, so it is stored with the weights. It is NaN for axes that no training
+    label had, and so are forces on these axes.
     """
 
     low: Tensor
     high: Tensor
+    may_be_nan = ("low", "high")
 
     def __init__(self, network: NetworkSettings, inputs: InputSettings) -> None:
         """Build the model; convolutions start with Kaiming weights, norms constant (Methods)."""
@@ -392,13 +394,19 @@ class ForceModel(nn.Module):
         self.train(training)
         return predicted
 
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the axes that the model was trained on; its forces on others are NaN."""
+        known = self.low.isfinite().tolist()
+        return tuple(name for name, is_known in zip(AXES, known, strict=True) if is_known)
+
     def set_range(self, box: ForceRange) -> None:
         """Set the force range that 0 and 1 correspond to."""
         self.low.copy_(self.low.new_tensor(box.low))
         self.high.copy_(self.high.new_tensor(box.high))
 
     def denormalise(self, normalised: Tensor) -> Tensor:
-        """Convert forces normalised to the box to forces (..., 3) N."""
+        """Convert forces normalised to the box to forces (..., 3) N; NaN on unknown axes."""
         return self.low + normalised * (self.high - self.low)
 
     def normalised(self, forces: Tensor) -> Tensor:
@@ -519,5 +527,4 @@ def load_force_model(
     model = ForceModel(
         found.settings(NetworkSettings, "network"), found.settings(InputSettings, "input")
     )
-    found.load(model)
-    return model.to(torch.device(device)).eval()
+    return found.load(model, device)

@@ -39,6 +39,7 @@ from learning.force.model import (
     prepared_rows,
     require_form,
 )
+from learning.metrics import axis_means
 from learning.train_command import open_data, run_training
 from learning.training.checkpoint import load_weights, read_weights, weights_hash
 from learning.training.optim import Constant, Cosine, Ema, InversePower, Schedule, set_rate
@@ -321,32 +322,34 @@ Compensation = Callable[
 
 
 def labels_of(presses: Presses, compensation: Compensation | None = None) -> Tensor:
-    """Return the training labels (N, 3) N of presses, on their device.
+    """Return the training labels (N, 3) N of presses, on their device; NaN is no label.
 
     Raises:
-        LearningError: A frame has no label, or a compensated label is not finite.
+        LearningError: No frame has a label, or compensation changes which labels are finite.
     """
     presses.require_wrench()
     if compensation is None:
         return presses.wrench[:, :3]
     forces = presses.wrench[:, :3].double().cpu().numpy()
     changed, _ = compensation(forces, presses.depth.cpu().numpy(), presses.phase.cpu().numpy())
-    if changed.shape != forces.shape or not np.isfinite(changed).all():
+    if changed.shape != forces.shape or (np.isfinite(changed) != np.isfinite(forces)).any():
         raise LearningError(
-            f"compensation of {presses.sensor}: found forces {changed.shape} that are not all "
-            f"finite; allowed: {forces.shape}, finite"
+            f"compensation of {presses.sensor}: found forces {changed.shape} that are not finite "
+            f"where the labels are; allowed: {forces.shape}, finite"
         )
     return torch.from_numpy(changed).float().to(presses.device)
 
 
 def force_range(labels: Sequence[Tensor], settings: ForceSettings) -> ForceRange:
-    """Return the force range (a box) of a model's output.
+    """Return the force range (a box) of a model's output; NaN for axes without a label.
 
     If images are mirrored, shear has both signs, and the box includes both.
     """
-    if settings.force_range == "authors":
-        return AUTHORS
     forces = torch.cat([each.cpu() for each in labels])
+    if settings.force_range == "authors":
+        known = forces.isfinite().any(dim=0).numpy()
+        low, high = (np.where(known, ends, np.nan).tolist() for ends in (AUTHORS.low, AUTHORS.high))
+        return ForceRange((low[0], low[1], low[2]), (high[0], high[1], high[2]))
     if settings.sequences.flips:
         forces = torch.cat([forces, forces * forces.new_tensor([-1.0, -1.0, 1.0])])
     return ForceRange.from_training(forces, margin=settings.range_margin)
@@ -356,19 +359,20 @@ def force_range(labels: Sequence[Tensor], settings: ForceSettings) -> ForceRange
 
 
 def error(predicted: Tensor, wanted: Tensor, lengths: Sequence[int] | None) -> Tensor:
-    """Return the mean absolute error of forces (b, s, 3) over valid frames (eq. 5).
+    """Return the mean absolute error of forces (b, s, 3) over labels of valid frames (eq. 5).
 
     Args:
         predicted: Predicted forces, normalised to the force range.
-        wanted: True forces, likewise.
+        wanted: True forces, likewise; NaN is no label and adds neither error nor gradient.
         lengths: Number of valid frames of each sequence (b,); None: all.
     """
-    difference = (predicted - wanted).abs()
-    if lengths is None:
-        return difference.mean()
-    counts = torch.tensor(lengths, device=difference.device)
-    inside = torch.arange(difference.shape[1], device=difference.device) < counts[:, None]
-    return (difference * inside[..., None]).sum() / (counts.sum() * difference.shape[2])
+    known = ~wanted.isnan()
+    if lengths is not None:
+        counts = torch.tensor(lengths, device=wanted.device)
+        inside = torch.arange(wanted.shape[1], device=wanted.device) < counts[:, None]
+        known = known & inside[..., None]
+    difference = torch.where(known, predicted - torch.where(known, wanted, 0.0), 0.0).abs()
+    return difference.sum() / known.sum().clamp(min=1)
 
 
 # Loop
@@ -412,13 +416,14 @@ def train_force(
         settings: Settings of the model and its training.
         session: Surroundings of the training; None: in memory, on the device of the settings. A
             stop is looked for before every step; training is then saved.
-        validation: Presses that determine the end of a stage and the weights to keep.
+        validation: Presses that determine the end of a stage and the weights to keep; those of
+            sensors without a label among them are left out.
         start_from: A model with the same network, for the initial weights.
         compensation: Changes all labels, before the force range is computed.
 
     Raises:
-        LearningError: Presses have no labels or the wrong form, `start_from` has another network,
-            or a loss is not finite.
+        LearningError: Presses of a sensor have no label or the wrong form, `start_from` has another
+            network, or a loss is not finite.
     """
     session = session or Session(accelerator(settings.launch))
     run, runs_on, device = session.run, session.accelerator, session.device
@@ -428,7 +433,7 @@ def train_force(
         return None if settings.ema is None else Ema(model, settings.ema)
 
     # Data
-    groups, held = _groups(presses), _groups(validation)
+    groups, held = _groups(presses), [each for each in _groups(validation) if each.is_labelled]
     for each in (*groups, *held):
         require_form(each, settings.input)
     if not groups or not all(len(each) for each in groups):
@@ -497,14 +502,15 @@ def train_force(
             with average.applied(model) if average is not None else nullcontext():
                 # Reduced over processes, so that all of them end a stage at the same time.
                 off = runs_on.reduce(_validated(model, held, wanted), "mean")
-                score = float(off.mean())
+                score = float(off.nanmean())
                 if score < state.best:
                     best = {name: value.clone() for name, value in model.state_dict().items()}
             state.waited = 0 if score < state.best else state.waited + 1
             state.best = min(score, state.best)
             off_in_newtons = (off * (model.high - model.low)).tolist()
             named = zip(AXES, off_in_newtons, strict=True)
-            line |= {"validation": score, **{f"mae_{axis}_n": value for axis, value in named}}
+            line["validation"] = score
+            line |= {f"mae_{axis}_n": off_n for axis, off_n in named if math.isfinite(off_n)}
         patience = settings.patience_epochs
         if state.epoch == stage.epochs or (patience is not None and state.waited >= patience):
             if best is not None:
@@ -544,8 +550,9 @@ def begun_model(
         load_weights(model, start_from.state_dict(), "start_from")
     model.set_range(force_range(labels, settings))
     if start_from is None and settings.start_at_mean:
-        means = [model.normalised(each.to(device)).mean(dim=0) for each in labels]
-        model.start_at(torch.stack(means).mean(dim=0))
+        means = [model.normalised(each.to(device)).nanmean(dim=0) for each in labels]
+        # An axis without a label starts at the centre of its box.
+        model.start_at(torch.stack(means).nanmean(dim=0).nan_to_num(nan=0.5))
     return model
 
 
@@ -580,12 +587,12 @@ def optimiser_of(weights: Iterable[Tensor], settings: OptimiserSettings) -> torc
 
 
 def _validated(model: ForceModel, held: Sequence[Presses], wanted: Sequence[Tensor]) -> Tensor:
-    """Return the mean absolute error (3,) over all frames, normalised to the force range."""
+    """Return the mean absolute error (3,) over labels, normalised; NaN for axes without one."""
     off = [
         (model.predict_normalised(each) - model.normalised(labels.to(model.low.device))).abs()
         for each, labels in zip(held, wanted, strict=True)
     ]
-    return torch.cat(off).mean(dim=0)
+    return torch.cat(off).nanmean(dim=0)
 
 
 def _save(
@@ -661,12 +668,31 @@ def run(options: argparse.Namespace) -> int:
 
     def told(model: ForceModel, presses: list[Presses], validation: list[Presses]) -> Iterator[str]:
         yield f"{options.out}: trained on {sum(map(len, presses)):,} presses"
+        yield from _partly_labelled(model, presses)
         for each in validation:
-            wanted = labels_of(each, compensation).cpu().numpy()
-            x, y, z = abs(model.predict(each) - wanted).mean(axis=0)
-            yield f"{each.sensor}: off in validation by Fx {x:.3f}  Fy {y:.3f}  Fz {z:.3f} N"
+            if not each.is_labelled:
+                yield f"{each.sensor}: no label in validation"
+                continue
+            wanted = labels_of(each, compensation).cpu().numpy().astype(np.float64)
+            off = axis_means(abs(model.predict(each) - wanted)).tolist()
+            by = "  ".join(
+                f"{axis} {off_n:.3f}" if math.isfinite(off_n) else f"{axis} -"
+                for axis, off_n in zip(AXES, off, strict=True)
+            )
+            yield f"{each.sensor}: off in validation by {by} N"
 
     return run_training(options, KIND, settings, data, train, facts={"sensors": sensors})
+
+
+def _partly_labelled(model: ForceModel, presses: Sequence[Presses]) -> Iterator[str]:
+    """Yield lines on axes and frames without a label, of which the loss knows nothing."""
+    for each in presses:
+        counts = each.wrench[:, : len(AXES)].isfinite().sum(dim=0).tolist()
+        if min(counts) < each.frames:
+            shown = ", ".join(f"{n} {k:,}" for n, k in zip(AXES, counts, strict=True))
+            yield f"{each.sensor}: labels in {each.frames:,} frames: {shown}"
+    if len(model.axes) < len(AXES):
+        yield f"the model predicts {', '.join(model.axes)} only; forces on other axes are NaN"
 
 
 def _sensors(options: argparse.Namespace, archive: MarkerArchive, split: Split) -> list[str]:

@@ -207,7 +207,7 @@ def _camera(
     recording: Recording, preset: CameraPreset, sam: EfficientSam | None
 ) -> dict[str, float]:
     """Return the seconds per frame of each step."""
-    camera = recording.session.streams["camera"]
+    camera = recording.camera
     rows = np.unique(recording.column("image"))
     rows = rows[rows >= 0][:FRAMES]
     if not rows.size:
@@ -369,13 +369,12 @@ def _image_of(placed: Placed, row: int) -> int:
 
 def _view(archived: ArchivedSensor, placed: Placed, image: int) -> NDArray[np.uint8] | None:
     """Return the picture (480, 640, 3) as input to the detection; None for taxels."""
-    session = placed.recording.session
-    if "camera" not in session.streams:
+    if placed.recording.kind != "camera":
         return None
     found = preset(str(archived.attrs["preset"]))
     if not isinstance(found, CameraPreset):
         raise LearningError(f"{archived.name}: preset {archived.attrs['preset']} is for taxels")
-    (picture,) = session.streams["camera"].images([image])
+    (picture,) = placed.recording.camera.images([image])
     return Segmenter(found).view(picture)
 
 
@@ -399,7 +398,8 @@ def _caption(archived: ArchivedSensor, row: int, mask: NDArray[np.bool_]) -> tup
     phase = PHASES[code].replace("_", " ") if code >= 0 else "no phase"
     force = table["wrench"][row]
     forces = "no force"
-    if np.isfinite(force).all():
-        forces = f"F {force[0]:+.2f} {force[1]:+.2f} {force[2]:+.2f} N"
+    if np.isfinite(force[:3]).any():
+        axes = (f"{axis:+.2f}" if np.isfinite(axis) else "-" for axis in force[:3])
+        forces = f"F {' '.join(axes)} N"
     upper = f"row {row}, target {table['target'][row]}, {phase}: {_count(archived, mask)}"
     return upper, f"{1e3 * table['depth'][row]:.2f} mm, {forces}"

@@ -200,7 +200,7 @@ class RecordedSensor:
             raise LearningError(f"{recording.name}: has no pictures")
         masks = np.empty((len(images), HEIGHT, WIDTH), np.bool_)
         for place, row in enumerate(images):
-            (picture,) = recording.session.streams["camera"].images([int(row)])
+            (picture,) = recording.camera.images([int(row)])
             view = self._segmenter.view(picture)
             mask = self._segmenter.mask_of_view(view)
             if self._sam is not None:
@@ -219,7 +219,9 @@ class RecordedSensor:
         # The format requires finite positions even in rows without a frame.
         position = np.where(np.isfinite(position), position, 0.0)
         wrench = recording.column("wrench")[rows].copy()
-        wrench[~there | ~np.isfinite(wrench).all(axis=1)] = np.nan
+        wrench[~there] = np.nan
+        wrench[:, ~recording.measured()] = np.nan
+        wrench[~np.isfinite(wrench)] = np.nan
         location = np.full(len(target), -1)
         if placed.first_location is not None:
             location = placed.first_location + target

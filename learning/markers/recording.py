@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -13,15 +14,20 @@ from numpy.typing import NDArray
 
 from learning.errors import LearningError
 from learning.indenters import coded
-from recorder import Session
+from recorder import Session, Stream
 from recorder.session import quaternion
-from recorder.spec import PHASES
+from recorder.spec import AXES, PHASES
+from trajectories.press_shear import PressShear
+from trajectories.stored import plan_from_json
 
 Integers = NDArray[np.int64]
 Kind = Literal["camera", "taxels"]
 
 # Kinds of plans whose sessions can be trained on.
 KINDS_OF_PLAN = ("press_shear", "force_depth")
+
+# Largest difference between shear directions of one number [rad].
+ANGLE_TOLERANCE = math.radians(1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,6 +65,18 @@ class Recording:
         """Number of planned targets."""
         return len(self.session.targets["point"])
 
+    @property
+    def camera(self) -> Stream:
+        """Its first camera, whose images the column `image` of `frames` numbers.
+
+        Raises:
+            LearningError: There is none.
+        """
+        found = self.session.first("camera")
+        if found is None:
+            raise LearningError(f"{self.name}: has no camera")
+        return self.session.streams[found]
+
     def layout(self) -> NDArray[np.int64]:
         """Return point, depth level and direction of each target (t, 3), which pair sensors."""
         targets = self.session.targets
@@ -66,9 +84,32 @@ class Recording:
         columns = [targets["point"], level, targets["direction"]]
         return np.stack([np.asarray(column, np.int64) for column in columns], axis=1)
 
+    def plan(self) -> PressShear | None:
+        """Return the press-shear plan stored in the session; None if there is none.
+
+        Raises:
+            LearningError: The stored plan is invalid.
+        """
+        stored = self.session.attrs.get("plan")
+        if not isinstance(stored, dict) or stored.get("kind") != PressShear.KIND:
+            return None
+        try:
+            plan = plan_from_json(stored)
+        except (TypeError, ValueError) as error:
+            raise LearningError(f"{self.name}: {error}") from error
+        return plan if isinstance(plan, PressShear) else None
+
     def column(self, name: str) -> NDArray[Any]:
         """Return a column of `frames` for the rows (n, ...)."""
         return np.asarray(self.session.frames[name][self.rows])
+
+    def measured(self) -> NDArray[np.bool_]:
+        """Return the axes Fx to Tz (6,) that the gauge measured; others were stored as 0 once."""
+        for name, column in self.session.columns.items():
+            if column == "wrench":
+                axes = self.session.streams[name].attrs.get("axes_measured", AXES)
+                return np.isin(AXES, axes)
+        return np.ones(len(AXES), np.bool_)
 
     def invalid(self) -> list[str]:
         """Return the reason why each row has no frame (n,); empty if it has one."""
@@ -125,9 +166,10 @@ def read_recording(path: Path, sensor: str | None = None) -> Recording:
 
 
 def _kind(session: Session, name: str) -> Kind:
-    if "camera" in session.streams:
+    """Return the kind of the signal; of several cameras or taxel arrays the first is read."""
+    if session.first("camera") is not None:
         return "camera"
-    if "taxels" in session.streams:
+    if session.first("taxels") is not None:
         return "taxels"
     raise LearningError(f"{name}: has neither camera nor taxels")
 
@@ -142,7 +184,7 @@ def _require_presses(session: Session, name: str) -> None:
     if "t_ns" not in session.frames:
         raise LearningError(f"{name}: has no frames (python -m recorder recover builds them)")
     frame = session.attrs.get("contact_frame")
-    if not isinstance(frame, list) or len(frame) != 6 or "pose" not in session.streams:
+    if not isinstance(frame, list) or len(frame) != 6 or session.first("pose") is None:
         raise LearningError(
             f"{name}: has no pose or no contact_frame: the depth of its frames is unknown"
         )
@@ -284,8 +326,9 @@ def read_group(paths: Sequence[Path], sensor: str | None = None) -> Group:
     """Group sessions into sensors and indenters.
 
     Targets of two sensors are paired by their numbers, so all sessions with shear must have the
-    same plan: the same number of targets, points, depth levels and directions. The depth of a level
-    may differ between sensors, but not within one.
+    same plan: the same number of targets, points, depth levels and directions, shear angles within
+    1 deg and one layout of points. The depth of a level may differ between sensors, but not within
+    one.
 
     Args:
         paths: The sessions, in any order.
@@ -344,6 +387,7 @@ def _require_alike(recordings: Sequence[Recording]) -> None:
                 f"{one.name}: found {one.targets} targets that are not those of {other.name} "
                 f"({other.targets}); allowed: sessions of one plan, or an archive for each plan"
             )
+        _require_same_places(one, other)
     first: dict[str, Recording] = {}
     for one in located:
         other = first.setdefault(one.sensor, one)
@@ -353,6 +397,25 @@ def _require_alike(recordings: Sequence[Recording]) -> None:
                 f"{one.name}: found depths up to {1e3 * depth.max():g} mm, {other.name} of the "
                 f"same sensor has {1e3 * due.max():g} mm; allowed: one plan for a sensor"
             )
+
+
+def _require_same_places(one: Recording, other: Recording) -> None:
+    """Reject plans in which one number means two shear angles, or two sides of the centre."""
+    plan, due = one.plan(), other.plan()
+    if plan is None or due is None:
+        return
+    count = int(one.session.targets["direction"].max())
+    if count * abs(plan.angle_step - due.angle_step) > ANGLE_TOLERANCE:
+        raise LearningError(
+            f"{one.name}: found shear directions {math.degrees(plan.angle_step):g} deg apart, "
+            f"{other.name} has {math.degrees(due.angle_step):g} deg; allowed: the same angles, "
+            "or an archive for each plan"
+        )
+    if plan.layout != due.layout and (one.session.targets["point"] > 1).any():
+        raise LearningError(
+            f"{one.name}: found layout {plan.layout!r} of points, {other.name} has "
+            f"{due.layout!r}; allowed: the same layout, or an archive for each plan"
+        )
 
 
 def _require_one_device(recordings: Sequence[Recording]) -> None:
@@ -371,5 +434,5 @@ def _require_one_device(recordings: Sequence[Recording]) -> None:
 
 
 def _size(recording: Recording) -> tuple[int, ...]:
-    camera = recording.session.streams["camera"]
+    camera = recording.camera
     return camera.layout.columns[0].column.shape

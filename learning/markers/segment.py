@@ -71,6 +71,33 @@ class Contrast:
 
 
 @dataclass(frozen=True, slots=True)
+class Hat:
+    """Darker (or brighter) than the surroundings, by half of each marker's own contrast.
+
+    The surroundings are a closing (an opening): the picture without what is narrower than the
+    element (black hat and top hat; Serra, Image Analysis and Mathematical Morphology, 1982). They
+    keep the edges of shadows and of coloured light, so markers are found under a contact as well.
+    """
+
+    KIND: ClassVar[str] = "hat"
+
+    size_px: int
+    """Diameter of the element: wider than a marker, and than the gap between two parts of one."""
+    least: float
+    """Minimum contrast of a marker: difference from the surroundings over their brightness (for
+    bright markers over their darkness), 0 to 1."""
+    bright: bool = False
+    """True if markers are brighter than their surroundings."""
+    channel: Channel = "brightest"
+    """Compared channel. The brightest hardly changes where coloured lamps shade a contact."""
+
+    def __post_init__(self) -> None:
+        _require(self, "size_px", self.size_px, 3, 200)
+        _require(self, "least", self.least, 0.01, 0.99)
+        _require_known(self, "channel", self.channel, CHANNELS)
+
+
+@dataclass(frozen=True, slots=True)
 class BlurDifference:
     """Darker than a blurred copy of the picture."""
 
@@ -123,7 +150,7 @@ class ColourBelow:
 
 
 # Presets select one by its `kind`.
-Detector = Contrast | BlurDifference | Dark | ColourBelow
+Detector = Contrast | Hat | BlurDifference | Dark | ColourBelow
 
 
 @dataclass(frozen=True, slots=True)
@@ -325,6 +352,9 @@ def _found(view: Picture, detector: Detector) -> Binary:
     """Return the pixels that a detector finds (480, 640), 255 if found."""
     if isinstance(detector, Contrast):
         return _contrast(_channel(view, detector.channel), detector)
+    if isinstance(detector, Hat):
+        depth = hat_contrast(view, detector.size_px, detector.channel, bright=detector.bright)
+        return half_of_own(depth, detector.size_px, detector.least)
     if isinstance(detector, BlurDifference):
         luma = grey(view)
         side = (detector.kernel_px, detector.kernel_px)
@@ -354,6 +384,40 @@ def _contrast(values: Picture, detector: Contrast) -> Binary:
     beyond = cv2.compare(values, middle, cv2.CMP_GT if detector.bright else cv2.CMP_LT)
     found: Binary = cv2.bitwise_and(beyond, enough)
     return found
+
+
+def hat_contrast(
+    view: Picture, size_px: int, channel: Channel, *, bright: bool
+) -> NDArray[np.float32]:
+    """Return the contrast (480, 640) of each pixel of a view with its surroundings, 0 to 1."""
+    values = _channel(view, channel)
+    if bright:
+        values = cv2.bitwise_not(values)
+    around = cv2.morphologyEx(values, cv2.MORPH_CLOSE, _disc(size_px))
+    depth = cv2.subtract(around, values).astype(np.float32)
+    return np.asarray(depth / np.maximum(around, 1), np.float32)
+
+
+# Share of a marker's largest contrast at its outline. Noise makes the largest contrast larger than
+# the typical one: painted markers of known outline have an overlap (IoU) of 0.979 with 0.5, 0.995
+# with 0.47 and 0.989 with 0.44.
+OUTLINE = 0.47
+
+
+def half_of_own(contrast: NDArray[np.float32], size_px: int, least: float) -> Binary:
+    """Return the pixels (480, 640) above about half of the largest contrast nearby, 255 if so.
+
+    Where the largest contrast within the element is below `least`, nothing is found.
+    """
+    most = cv2.dilate(contrast, _disc(size_px))
+    found: Binary = ((contrast > OUTLINE * most) & (most >= least)).astype(np.uint8) * 255
+    return found
+
+
+def _disc(size_px: int) -> Picture:
+    side = size_px | 1
+    element: Picture = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+    return element
 
 
 def _channel(view: Picture, channel: Channel) -> Picture:

@@ -33,6 +33,8 @@ from recorder.strict_yaml import describe, yaml_text
 
 _SHOWN = 4
 
+Network = TypeVar("Network", bound=nn.Module)
+
 
 def save_weights(model: nn.Module | Mapping[str, Tensor], path: Path) -> None:
     """Write the state of a module atomically.
@@ -66,12 +68,13 @@ def load_weights(model: nn.Module, weights: Path | Mapping[str, Tensor], where: 
     """Load weights into a module; names and shapes must match exactly.
 
     Args:
-        model: The module, not wrapped by Accelerate.
+        model: The module, not wrapped by Accelerate. Its `may_be_nan`, if any, names tensors in
+            which NaN has a meaning.
         weights: The file, or its content.
         where: Prefix of error messages; replaced by the path if `weights` is a file.
 
     Raises:
-        LearningError: The file is missing, or names or shapes differ.
+        LearningError: The file is missing, names or shapes differ, or a value is NaN or infinite.
     """
     if isinstance(weights, Path):
         where, weights = str(weights), read_weights(weights)
@@ -93,10 +96,12 @@ def load_weights(model: nn.Module, weights: Path | Mapping[str, Tensor], where: 
             f"{where}: not the weights of this network: {'; '.join(wrong)}; allowed: "
             f"{len(own)} tensors, as its settings define"
         )
+    may_be_nan: tuple[str, ...] = getattr(model, "may_be_nan", ())
     unsound = [
         name
         for name, value in weights.items()
-        if value.is_floating_point() and not bool(torch.isfinite(value).all())
+        if value.is_floating_point()
+        and not bool((~value.isinf() if name in may_be_nan else value.isfinite()).all())
     ]
     if unsound:
         raise LearningError(f"{where}: found NaN or infinity in {_listed(sorted(unsound))}")
@@ -180,33 +185,34 @@ class ModelFolder:
             return READER.build(kind, self.config.settings.get(key), f"{where}.{key}")
         return READER.build(kind, dict(self.config.settings), where)
 
-    def weights(self, name: str = MODEL) -> dict[str, Tensor]:
-        """Read the weights of one of its networks.
+    def weights(self) -> dict[str, Tensor]:
+        """Read its weights.
 
         Raises:
             LearningError: The file is missing or corrupt.
         """
-        return read_weights(self.file(name))
+        return read_weights(self.file())
 
-    def load(self, model: nn.Module, name: str = MODEL) -> None:
-        """Load the weights of one of its networks into a module.
+    def load(self, model: Network, device: torch.device | str = "cpu") -> Network:
+        """Load its weights into a module; return the module on a device, in evaluation mode.
 
         Raises:
             LearningError: The file is missing, or its weights belong to another network.
         """
-        load_weights(model, self.file(name))
+        load_weights(model, self.file())
+        return model.to(device).eval()
 
-    def hash(self, name: str = MODEL) -> str:
-        """Return the SHA-256 of the weights of one of its networks.
+    def hash(self) -> str:
+        """Return the SHA-256 of its weights.
 
         Raises:
             LearningError: The file is missing.
         """
-        return weights_hash(self.file(name))
+        return weights_hash(self.file())
 
-    def file(self, name: str = MODEL) -> Path:
-        """Return the path of the weights of one of its networks."""
-        return self.path / f"{name}.safetensors"
+    def file(self) -> Path:
+        """Return the path of its weights."""
+        return self.path / f"{MODEL}.safetensors"
 
 
 def read_model_folder(path: Path, kind: str | None = None) -> ModelFolder:

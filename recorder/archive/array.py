@@ -24,7 +24,8 @@ from recorder.errors import SessionError
 from recorder.store.durable import TEMPORARY, replace_file, write_json
 from recorder.store.files import LOCAL, Files, read_document
 from recorder.store.images import decompress
-from recorder.store.shard import CRC_BYTES, MISSING, Index, packed_index, read_index
+from recorder.store.journal import CRC_BYTES
+from recorder.store.shard import MISSING, Index, packed_index, read_index
 
 Array = np.ndarray[Any, Any]
 
@@ -171,11 +172,10 @@ class ArrayLayout:
         body, crc = data[:-CRC_BYTES], data[-CRC_BYTES:]
         if int(google_crc32c.value(body)) != int.from_bytes(crc, "little"):
             raise SessionError(f"{self.files.name(self.path)}: checksum of a chunk does not match")
-        plain = decompress(body)
-        due = math.prod(self.chunk_shape) * self.dtype.itemsize
-        if len(plain) != due:
-            where = self.files.name(self.path)
-            raise SessionError(f"{where}: found a chunk of {len(plain)} bytes, expected {due}")
+        try:
+            plain = decompress(body, math.prod(self.chunk_shape) * self.dtype.itemsize)
+        except SessionError as error:
+            raise SessionError(f"{self.files.name(self.path)}: {error}") from error
         return np.frombuffer(plain, self.dtype).reshape(self.chunk_shape)
 
     def _encoded(self, rows: Array) -> bytes:

@@ -132,10 +132,8 @@ def misplaced(name: str, values: Array, limits: Limits) -> NDArray[np.bool_]:
     column, wrong = COLUMNS[name], np.zeros(len(values), np.bool_)
     if values.dtype.kind == "f":
         values = values.reshape(len(values), -1)
-        wrong |= ~np.isfinite(values).all(axis=1)
-        if column.may_be_nan:
-            wrong &= ~np.isnan(values).all(axis=1)
-        return wrong
+        fine = ~np.isinf(values) if column.may_be_nan else np.isfinite(values)
+        return np.asarray(wrong | ~fine.all(axis=1), np.bool_)
     end = limits.of(name)
     if column.least is not None:
         wrong |= values < column.least
@@ -148,7 +146,7 @@ def allowed(name: str, limits: Limits) -> str:
     """Return the allowed values of a column as text."""
     column, end = COLUMNS[name], limits.of(name)
     if column.dtype.startswith("float"):
-        return "finite values" + ", or NaN in all of a row" * column.may_be_nan
+        return "finite values" + ", or NaN" * column.may_be_nan
     return f"{column.least} " + ("and more" if end is None else f"to {end - 1}")
 
 

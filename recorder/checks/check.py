@@ -6,8 +6,19 @@ from pathlib import Path
 
 from recorder.archive.check import check_archive
 from recorder.archive.plan import FORMAT as ARCHIVE
-from recorder.checks.content import check_frames, check_segments, check_stream
-from recorder.checks.integrity import check_arrays, check_chunks, check_stream_files, check_table
+from recorder.checks.content import (
+    check_declared,
+    check_frames,
+    check_segments,
+    check_stream,
+)
+from recorder.checks.integrity import (
+    check_arrays,
+    check_chunks,
+    check_manifest,
+    check_stream_files,
+    check_table,
+)
 from recorder.errors import SessionError
 from recorder.findings import Finding
 from recorder.session.reader import Session
@@ -15,25 +26,42 @@ from recorder.store.files import Files, locate
 from recorder.store.layout import StreamLayout, read_session_attrs, says_it_is
 
 
-def check(path: str | os.PathLike[str]) -> list[Finding]:
-    """Return the problems of a session or a marker archive; an empty list if it is valid.
+def check(path: str | os.PathLike[str], *, quick: bool = False) -> list[Finding]:
+    """Return the faults of a session or a marker archive, and notes on what it cannot tell.
+
+    Each finding states its `level`: `fault` or `note`.
 
     Unreadable data is reported once and its content is not checked.
 
+    Args:
+        path: A directory or a URL.
+        quick: True to hold only metadata and the ends of shards against the manifest. It takes
+            seconds and finds files that were removed, added or exchanged, but not each flipped bit.
+
     Raises:
-        SessionError: Neither a session nor an archive.
+        SessionError: Neither a session nor an archive, or `quick` for an archive.
     """
     files, place = locate(path)
     if says_it_is(place, files, ARCHIVE):
+        if quick:
+            raise SessionError(f"{path}: a marker archive has no manifest; check it without quick")
         return list(check_archive(files, place))
-    return list(_check(path, files, place))
+    return list(_check(path, files, place, quick))
 
 
-def _check(place: str | os.PathLike[str], files: Files, path: Path) -> Iterator[Finding]:
+def _check(
+    place: str | os.PathLike[str], files: Files, path: Path, quick: bool
+) -> Iterator[Finding]:
     attrs = read_session_attrs(path, files)
     if attrs.get("status") == "recording":
         message = "status is 'recording': still running, or killed (python -m recorder recover)"
         yield Finding("unfinished", ".", message)
+    broken = False
+    for finding in check_manifest(files, path, attrs):
+        yield finding
+        broken |= finding.code == "manifest"
+    if quick:
+        return
     unreadable: set[str] = set()
     for finding in check_arrays(files, path):
         yield finding
@@ -59,8 +87,11 @@ def _check(place: str | os.PathLike[str], files: Files, path: Path) -> Iterator[
         for finding in check_table(files, path, name):
             yield finding
             damaged_tables.add(name)
+    if broken:
+        return
     session = Session(place)
     try:
+        yield from check_declared(session)
         for name, stream in session.streams.items():
             if name not in unreadable:
                 yield from check_stream(session, stream, contents.get(name))

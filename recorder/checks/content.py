@@ -8,24 +8,41 @@ from numpy.typing import NDArray
 
 from recorder.findings import Finding
 from recorder.session.align import NS
-from recorder.session.frames import grid, has_targets, whole_run
+from recorder.session.frames import UNITS, grid, has_targets, whole_run
+from recorder.session.loss import (
+    ARRIVAL,
+    EVENTS,
+    SEQUENCE,
+    Account,
+    Losses,
+    account_of,
+    is_compressed,
+    is_regular,
+    other_rate,
+    unseen,
+)
 from recorder.session.reader import Session, Stream
-from recorder.spec import OUTCOMES, PHASES
+from recorder.session.uncertainty import uncalibrated
+from recorder.spec import AXES, OUTCOMES, PHASES, TARGET_UNITS
+from recorder.store.files import read_document
 
 Array = np.ndarray[Any, Any]
 
-# A pause is a gap if it exceeds both this many periods and this duration [s].
+# A pause that lost nothing is a gap if it exceeds both this many periods and this duration [s].
 GAP_PERIODS, GAP_LEAST = 3.0, 0.05
 # Equal samples are frozen if they last longer than this [s] and number at least this many.
 FROZEN, FROZEN_SAMPLES = 1.0, 5
 # A stream may end this long before the last phase [s].
-END_MARGIN = 1.0
+END_MARGIN = 0.25
 # A phase may begin this long before a stream does [s].
 START_MARGIN = 0.1
 
 _STEP_SAMPLES = 16  # on either side; enough that one or two late packets do not look like a step
-_NAN_IS_FINE = {"device_t"}
-_FREEZING = ("camera", "force", "taxels")
+# Columns of `frames` that format 1 did not have, or only with a stream of their kind.
+_LATER_COLUMNS = {"taxels", "time_sigma"}
+
+# Columns in which NaN means that the device sends no such value.
+_NAN_IS_FINE = {"device_t", "speed"}
 
 
 def check_stream(
@@ -39,33 +56,74 @@ def check_stream(
         contents: A checksum per image (n,), or None for a stream without images.
     """
     where = f"streams/{stream.name}"
-    for run in range(max(len(session.runs), 1)):
+    account = account_of(session, stream.name)
+    yield from _check_losses(session, where, stream.name, account)
+    note = uncalibrated(stream)
+    if note is not None and account.rows:
+        yield Finding("uncalibrated", where, note)
+    compressed = is_compressed(session.attrs)
+    for run, losses in enumerate(account.runs):
         rows = session.rows_of_run(stream.name, run)
         first = rows.start or 0
         t_ns = stream.t_ns[rows]
         columns = {name: stream.array(name)[rows] for name in stream.small}
-        period = _period(t_ns, stream.rate_hz)
-        compressed = is_compressed(session)
-        yield from _check_times(where, first, t_ns, columns, period, compressed)
+        yield from _check_times(where, first, t_ns, columns, losses, stream.rate_hz, compressed)
         still = "still" in (stream.attrs.get("source_motion"), session.attrs.get("source_motion"))
-        if stream.name in _FREEZING and not still:
+        if stream.traits.defaults.changes and not still:
             images = None if contents is None else contents[: len(stream)][rows]
-            same = images if images is not None else columns["value"]
+            # Two NaN differ, so that axes that are not measured would hide a frozen gauge.
+            same = images if images is not None else _measured(stream, "value", columns["value"])
             yield from _check_frozen(where, first, t_ns, same)
     for name in stream.small:
         values = stream.array(name)
         if values.dtype.kind == "f" and name not in _NAN_IS_FINE:
-            bad = np.flatnonzero(~np.isfinite(_flat(values)).all(axis=1))
+            bad = np.flatnonzero(~np.isfinite(_measured(stream, name, values)).all(axis=1))
             if bad.size:
                 yield Finding("nan", f"{where}/{name}", f"{bad.size} rows, first row {bad[0]}")
 
 
-def is_compressed(session: Session) -> bool:
-    """Return True if times come from a replay at a speed other than the recorded one.
+def _measured(stream: Stream, name: str, values: Array) -> Array:
+    """Return the numbers of each row (n, m) that the device measures."""
+    axes = stream.attrs.get("axes_measured")
+    if name != "value" or values.shape[1:] != (len(AXES),) or not isinstance(axes, list):
+        return _flat(values)
+    return values[:, [axis in axes for axis in AXES]]
 
-    Such times still give the order, but not pauses or steps against the device's clock.
+
+def check_declared(session: Session) -> Iterator[Finding]:
+    """Yield the streams, and the columns of tables, that the session declares but does not have."""
+    for name in _declared_streams(session):
+        if name not in session.streams:
+            yield Finding("missing-array", f"streams/{name}", "the session declares this stream")
+    for table, columns in _declared_columns(session).items():
+        there = {group.name for group in session.files.groups(session.path / table)}
+        for name in sorted(columns - there):
+            yield Finding("missing-array", f"{table}/{name}", "the table declares this column")
+
+
+def _declared_streams(session: Session) -> list[str]:
+    """Return the streams that must exist: those named when the session or a run of it began."""
+    document = read_document(session.files, session.path / "streams" / "zarr.json")
+    names = [str(name) for name in document.get("attributes", {}).get("order", ())]
+    for entry in session.runs:
+        names += [name for name in entry["first_row"] if name not in ("segments", "reference")]
+    return list(dict.fromkeys(names))
+
+
+def _declared_columns(session: Session) -> dict[str, set[str]]:
+    """Return the columns of `targets` and `frames` that must exist.
+
+    They are named in attribute `columns` of a table; one without it has those of format 1.
     """
-    return bool(session.attrs.get("replay_of", {}).get("speed", 1.0) != 1.0)
+    former = {"targets": set(TARGET_UNITS), "frames": set(UNITS) - _LATER_COLUMNS}
+    found: dict[str, set[str]] = {}
+    for table, columns in former.items():
+        place = session.path / table
+        if place / "zarr.json" in session.files.listed(place):
+            attrs = read_document(session.files, place / "zarr.json").get("attributes", {})
+            known = columns if session.files.groups(place) else ()
+            found[table] = set(attrs.get("columns", known))
+    return found
 
 
 def check_segments(session: Session) -> Iterator[Finding]:
@@ -114,10 +172,21 @@ def check_frames(session: Session) -> Iterator[Finding]:
         yield Finding("frames-length", "frames", f"found {found} rows, expected {expected}")
 
 
-def _period(t_ns: NDArray[np.int64], rate_hz: float) -> float:
-    """Return the period for judging gaps [s]: the measured one if longer than the declared."""
-    measured = float(np.median(np.diff(t_ns))) * NS if len(t_ns) > 1 else 0.0
-    return max(1.0 / rate_hz, measured)
+def _check_losses(session: Session, where: str, name: str, account: Account) -> Iterator[Finding]:
+    if account.lost:
+        place = next(
+            (session.rows_of_run(name, run).start or 0) + int(losses.row[0])
+            for run, losses in enumerate(account.runs)
+            if losses.total
+        )
+        by = {ARRIVAL: f"arrival at {session.streams[name].rate_hz:g} Hz"}
+        message = (
+            f"{account.lost} samples lost in {account.places} places, counted by "
+            f"{by.get(account.source, account.source)}; first before row {place}"
+        )
+        yield Finding("dropped", where, f"{message}; {account.where()}")
+    if not account.sees_drops and account.rows:
+        yield Finding("drops-unseen", where, unseen(account))
 
 
 def _check_times(
@@ -125,43 +194,46 @@ def _check_times(
     first: int,
     t_ns: NDArray[np.int64],
     columns: Mapping[str, Array],
-    period: float,
+    losses: Losses,
+    rate_hz: float,
     compressed: bool,
 ) -> Iterator[Finding]:
     if len(t_ns) < 2:
         return
-    limit = max(GAP_PERIODS * period, GAP_LEAST)
+    limit = max(GAP_PERIODS / rate_hz, GAP_LEAST)
     steps = np.diff(t_ns) * NS
-    lost = np.zeros(len(steps), np.int64)
-    if "seq" in columns:
-        counted = np.diff(columns["seq"])
-        stride = max(int(np.median(counted)), 1)
-        lost = counted // stride - 1
-        lost[counted == 0] = 0  # a repeated number loses nothing
-        if np.any(lost):
-            worst = np.flatnonzero(lost)
-            missing = int(lost[lost > 0].sum())
-            place = f"first at row {first + worst[0] + 1}"
-            yield Finding("dropped", where, f"{missing} samples in {worst.size} places, {place}")
     jumped = np.zeros(0, np.intp) if compressed else _clock_steps(t_ns, columns, limit)
     if jumped.size:
         at = jumped[0]
         message = f"{jumped.size} found, first at row {first + at + 1}, {steps[at]:+.3f} s"
         yield Finding("clock-step", where, message)
-    explained = lost != 0
+    explained = np.zeros(len(steps), np.bool_)
+    explained[losses.row - 1] = True
     explained[jumped] = True
+    if losses.source == SEQUENCE:
+        repeated = np.flatnonzero(np.diff(columns["seq"]) <= 0)
+        if repeated.size:
+            message = f"{repeated.size} found, first at row {first + repeated[0] + 1}"
+            yield Finding("seq-order", f"{where}/seq", message)
     backward = np.flatnonzero((steps <= 0) & ~explained)
     if backward.size:
         at = backward[0]
         message = f"{backward.size} found, first at row {first + at + 1}, {steps[at]:+.6f} s"
         yield Finding("time-order", where, message)
+    if compressed or losses.source == EVENTS:
+        return
     gaps = np.flatnonzero((steps > limit) & ~explained)
-    if gaps.size and not compressed:
+    if gaps.size:
         worst_at = gaps[np.argmax(steps[gaps])]
         message = (
             f"{gaps.size} found, longest {steps[worst_at]:.3f} s before row {first + worst_at + 1}"
         )
         yield Finding("gap", where, f"{message}, limit {limit:.3f} s")
+    found = other_rate(t_ns, rate_hz, losses)
+    if found is not None:
+        row, seconds, measured = found
+        message = f"{measured:.4g} Hz for {seconds:.1f} s from row {first + row}"
+        yield Finding("rate", where, f"{message}, declared {rate_hz:g} Hz")
 
 
 def _clock_steps(
@@ -214,6 +286,8 @@ def _check_cover(
 ) -> Iterator[Finding]:
     late: dict[int, str] = {}
     for stream in session.streams.values():
+        if not is_regular(stream):
+            continue
         where = f"streams/{stream.name}"
         t_ns = stream.t_ns[session.rows_of_run(stream.name, run)]
         if not len(t_ns):

@@ -2,8 +2,9 @@
 
 import math
 from collections.abc import Iterator
-from itertools import product
+from itertools import islice, product
 from pathlib import Path
+from typing import Any
 
 import google_crc32c
 import numpy as np
@@ -13,18 +14,31 @@ from recorder.errors import SessionError
 from recorder.findings import Finding
 from recorder.session.stream_writer import is_unfinished
 from recorder.spec import (
-    REFERENCE,
     SEGMENTS,
     StreamSpec,
+    Traits,
     camera_spec,
+    depth_spec,
     force_spec,
     pose_spec,
+    reference_spec,
     taxels_spec,
 )
 from recorder.store.files import Files, read_document
-from recorder.store.journal import HEADER, MAGIC, checksum
-from recorder.store.layout import CHUNKS_PER_SHARD, PARTIAL, Layout, StreamLayout
-from recorder.store.shard import MISSING, read_index
+from recorder.store.journal import CRC_BYTES, HEADER, record_matches
+from recorder.store.layout import PARTIAL, Layout, StreamLayout, check_shape
+from recorder.store.manifest import wrong_files
+from recorder.store.shard import MISSING, read_shard_index
+from recorder.store.tables import Table
+
+
+def check_manifest(files: Files, session: Path, attrs: dict[str, Any]) -> Iterator[Finding]:
+    """Yield files that differ from the session's manifests, without reading data."""
+    if attrs["format_version"] < 2:
+        message = "format 1 has no manifest (python -m recorder repack makes a copy that has one)"
+        yield Finding("not-sealed", ".", message)
+    for key, message in wrong_files(files, session, attrs):
+        yield Finding("manifest", key, message)
 
 
 def check_arrays(files: Files, session: Path) -> Iterator[Finding]:
@@ -49,18 +63,26 @@ def check_table(files: Files, session: Path, name: str) -> Iterator[Finding]:
     for group in files.groups(session / name):
         where = f"{name}/{group.name}"
         document = read_document(files, group / "zarr.json")
-        shape, chunk = document["shape"], document["chunk_grid"]["configuration"]["chunk_shape"]
+        try:
+            shape, chunk = document["shape"], document["chunk_grid"]["configuration"]["chunk_shape"]
+            check_shape(shape, document["data_type"], str(group))
+            counts = [range(math.ceil(s / c)) for s, c in zip(shape, chunk, strict=True)]
+        except (KeyError, TypeError, ValueError, ZeroDivisionError, SessionError) as error:
+            yield Finding("metadata", where, f"not a column of a table: {error!r}")
+            continue
         lengths[group.name] = shape[0]
-        counts = [range(math.ceil(s / c)) for s, c in zip(shape, chunk, strict=True)]
-        keys = [group.joinpath("c", *map(str, place)) for place in product(*counts)]
-        missing = [key for key in keys if key not in there]
+        keys = (group.joinpath("c", *map(str, place)) for place in product(*counts))
+        # One more than the files that exist: at least one of them is missing then.
+        some = list(islice(keys, len(there) + 1))
+        missing = [key for key in some if key not in there]
         if missing:
-            yield Finding("missing-chunk", where, f"{len(missing)} missing, first {missing[0]}")
+            more = math.prod(map(len, counts)) - len(some) + len(missing)
+            yield Finding("missing-chunk", where, f"{more} missing, first {missing[0]}")
             continue
         try:
-            np.asarray(files.array(group))
-        except (RuntimeError, ValueError) as error:
-            yield Finding("bad-crc", where, f"a chunk does not decode: {error}")
+            Table.of_group(session / name, files)[group.name]
+        except SessionError as error:
+            yield Finding("bad-crc", where, str(error))
     if len(set(lengths.values())) > 1:
         yield Finding("unequal-lengths", name, f"found {lengths}")
 
@@ -89,53 +111,63 @@ def check_chunks(session: Path, layout: Layout) -> tuple[list[Finding], NDArray[
     """Verify every record of a column; return the findings and each chunk's CRC-32C (n,)."""
     where = str(layout.path.relative_to(session))
     chunks = math.ceil(layout.rows() / layout.rows_per_chunk)
-    contents = np.zeros(chunks, np.uint32)
+    shards = math.ceil(chunks / layout.chunks_per_shard)
+    # Shards after the last file are missing as well; the first of them stands for all.
+    looked_at = min(shards, _last_shard(layout) + 2)
+    contents = np.zeros(min(chunks, looked_at * layout.chunks_per_shard), np.uint32)
     faults: dict[str, list[str]] = {}
-    for shard in range(math.ceil(chunks / CHUNKS_PER_SHARD)):
-        first = shard * CHUNKS_PER_SHARD
+    for shard in range(looked_at):
+        first = shard * layout.chunks_per_shard
         try:
-            _check_shard(layout, shard, contents[first : first + CHUNKS_PER_SHARD], faults)
+            _check_shard(layout, shard, contents[first : first + layout.chunks_per_shard], faults)
         except SessionError as error:
             missing = "missing" in str(error)
             faults.setdefault("missing-chunk" if missing else "bad-crc", []).append(str(error))
+    further = shards - looked_at
     findings = [
-        Finding(code, where, f"{len(messages)} found, first: {messages[0]}")
+        Finding(
+            code,
+            where,
+            f"{len(messages) + further * (code == 'missing-chunk')} found, first: {messages[0]}",
+        )
         for code, messages in faults.items()
     ]
     return findings, contents
 
 
+def _last_shard(layout: Layout) -> int:
+    """Return the number of the last shard that has a file; -1 without any."""
+    root = layout.path / "c"
+    names = (path.relative_to(root).parts[0] for path in layout.files.listed(root))
+    numbers = (name.removesuffix(PARTIAL) for name in names)
+    return max((int(number) for number in numbers if number.isdecimal()), default=-1)
+
+
 def _check_shard(
     layout: Layout, shard: int, contents: NDArray[np.uint32], faults: dict[str, list[str]]
 ) -> None:
-    index = read_index(layout.shard(shard), layout.files)
+    index = read_shard_index(layout, shard)
     data = layout.files.read(layout.shard(shard))
     for place in range(len(contents)):
-        number = shard * CHUNKS_PER_SHARD + place
+        number = shard * layout.chunks_per_shard + place
         row = number * layout.rows_per_chunk
-        offset, nbytes = (int(value) for value in index[place])
+        offset, nbytes = (int(value) for value in index.entries[place])
         if offset == MISSING:
             faults.setdefault("missing-chunk", []).append(f"row {row}")
             continue
         payload = data[offset : offset + nbytes]
         head = data[max(offset - HEADER.size, 0) : offset]
-        contents[place] = google_crc32c.value(payload)
-        if not _is_record(head, payload, number):
+        matches = record_matches(head, payload, number)
+        if index.crcs is None:
+            contents[place] = google_crc32c.value(payload)
+        else:
+            contents[place] = index.crcs[place]
+            payload, crc = payload[:-CRC_BYTES], payload[-CRC_BYTES:]
+            matches = matches and int.from_bytes(crc, "little") == index.crcs[place]
+        if not matches:
             faults.setdefault("bad-crc", []).append(f"row {row}")
         elif layout.column.codec == "jpeg" and not _is_jpeg(payload):
             faults.setdefault("bad-image", []).append(f"row {row}")
-
-
-def _is_record(head: bytes, payload: bytes, number: int) -> bool:
-    if len(head) != HEADER.size:
-        return False
-    magic, nbytes, crc, t_ns, index = HEADER.unpack(head)
-    return bool(
-        magic == MAGIC
-        and nbytes == len(payload)
-        and index == number & 0xFFFFFFFF
-        and crc == checksum(payload, t_ns, number)
-    )
 
 
 def _is_jpeg(payload: bytes) -> bool:
@@ -166,10 +198,20 @@ def _unlike_spec(layout: StreamLayout, where: str) -> Iterator[Finding]:
 
 
 def _spec_of(layout: StreamLayout) -> StreamSpec | None:
-    """Return the format's specification for a stream of this name; None if there is none."""
-    if layout.name == "camera" and layout.image is not None:
-        height, width = layout.image.column.shape[:2]
-        return camera_spec(60, height=height, width=width, codec=layout.image.column.codec)
-    known = {"force": force_spec(1000), "pose": pose_spec(500), "taxels": taxels_spec(60)}
-    tables = {"segments": SEGMENTS, "reference": REFERENCE}
-    return {**known, **tables}.get(layout.name)
+    """Return the format's specification of a stream of this kind; None if there is none."""
+    shapes = {column.column.name: column.column.shape for column in layout.columns}
+    if layout.path.parent.name != "streams":
+        taxels = shapes.get("taxels", ())[:1] or (16,)
+        reference = reference_spec([taxels_spec(60, taxels=taxels[0])])
+        return {"segments": SEGMENTS, "reference": reference}.get(layout.name)
+    kind = Traits.read(layout.name, layout.attrs()).kind
+    image = layout.image
+    if image is not None and kind in ("camera", "depth"):
+        height, width = image.column.shape[:2]
+        if kind == "depth":
+            units = image.column.units
+            return depth_spec(60, name=layout.name, height=height, width=width, units=units)
+        return camera_spec(60, height=height, width=width, codec=image.column.codec)
+    taxels = shapes.get("value", ())[:1] or (16,)
+    known = {"force": force_spec(1000), "pose": pose_spec(500)}
+    return {**known, "taxels": taxels_spec(60, taxels=taxels[0])}.get(kind)

@@ -53,6 +53,7 @@ RECORD = (
         "press and release along the bench's force_depth and plot the curve",
     ),
     Command("campaign", "rig.cli.campaign", "record the remaining sessions of a campaign file"),
+    Command("indenters", "rig.cli.indenters", "list the indenters with size, tip and drawing"),
     Command("preview", "rig.cli.preview", "draw the plan and check its limits"),
     Command(
         "jog",
@@ -75,6 +76,11 @@ RECORD = (
     ),
 )
 SESSIONS = (
+    Command(
+        "session list",
+        "recorder.cli.list_sessions",
+        "list the sessions below a folder, by sensor, indenter, date, status or faults",
+    ),
     Command(
         "session info", "recorder.cli.info", "show the contents of a session or a marker archive"
     ),
@@ -111,6 +117,9 @@ SIMULATE = (
 )
 LEARN = (
     Command("markers", "learning.cli.markers", "make a marker archive of recorded sessions"),
+    Command(
+        "markers-fit", "learning.cli.markers_fit", "fit marker detection to untouched pictures"
+    ),
     Command(
         "split",
         "learning.cli.split",
@@ -206,6 +215,56 @@ FAMILIES = {
 }
 # Extras that the commands of a package need.
 EXTRAS = {"rig": "rig", "recorder": "", "sim": "sim", "learning": "learning", "tactile": ""}
+# Extras that install a library, by the name it is imported by; without those of the base.
+LIBRARIES = {
+    "accelerate": ("learning",),
+    "cv2": ("rig", "markers", "learning"),
+    "diffusers": ("diffusion",),
+    "distributed": ("cluster",),
+    "foxglove_schemas_protobuf": ("export",),
+    "fsspec": ("remote",),
+    "grpc": ("nidaq",),
+    "h5py": ("export",),
+    "hidraw": ("rig",),
+    "matplotlib": ("sim", "learning"),
+    "mcap": ("export",),
+    "mcap_protobuf": ("export",),
+    "nidaqmx": ("nidaq",),
+    "onnx": ("learning",),
+    "onnxruntime": ("markers", "learning"),
+    "onnxscript": ("learning",),
+    "openvino": ("openvino",),
+    "peft": ("diffusion",),
+    "pyarrow": ("export",),
+    "rerun": ("view",),
+    "rtde_control": ("rig",),
+    "s3fs": ("remote",),
+    "safetensors": ("learning",),
+    "scipy": ("sim", "markers", "learning"),
+    "serial": ("rig",),
+    "skimage": ("learning",),
+    "sklearn": ("learning",),
+    "tensorboard": ("learning",),
+    "torch": ("learning",),
+    "transformers": ("diffusion",),
+    "trimesh": ("sim",),
+    "warp": ("sim",),
+    "websockets": ("rig",),
+}
+
+
+def extra_of(library: str, wanted: str) -> str:
+    """Return the extra that installs a library, `wanted` if it does; empty for an unknown library.
+
+    Args:
+        library: Name of the module that could not be imported, such as `scipy.linalg`.
+        wanted: Extras of the command, between commas.
+    """
+    known = LIBRARIES.get(library.partition(".")[0], ())
+    own = [extra for extra in wanted.split(",") if extra in known]
+    return wanted if own else next(iter(known), "")
+
+
 # Consequence of Ctrl-C for the commands of a package.
 INTERRUPTED = {
     "rig": "nothing was recorded",

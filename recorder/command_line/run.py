@@ -13,7 +13,15 @@ from collections.abc import Callable, Iterable, Sequence
 from importlib import import_module
 from typing import Any
 
-from recorder.command_line.commands import COMMANDS, EXTRAS, FAMILIES, GROUPS, INTERRUPTED, Command
+from recorder.command_line.commands import (
+    COMMANDS,
+    EXTRAS,
+    FAMILIES,
+    GROUPS,
+    INTERRUPTED,
+    Command,
+    extra_of,
+)
 from recorder.command_line.errors import (
     EXIT_BROKEN_PIPE,
     EXIT_INTERRUPTED,
@@ -151,8 +159,8 @@ def _run(command: Command, argv: Sequence[str], package: str) -> int:
             interrupted=INTERRUPTED.get(command.package, ""),
         )
     except ModuleNotFoundError as error:
-        extra = command.extra or EXTRAS[command.package]
-        if not extra or (error.name or "").partition(".")[0] in EXTRAS:
+        extra = extra_of(error.name or "", command.extra or EXTRAS[command.package])
+        if not extra:
             raise
         print(
             f"wrong input: {prog}: {error.name} is not installed; install the extra: "

@@ -26,6 +26,8 @@ from recorder.store import images
 
 FORCE_COLUMNS = ("Fx(N)", "Fy(N)", "Fz(N)", "Tx(Nmm)", "Ty(Nmm)", "Tz(Nmm)")
 POSE_COLUMNS = ("X(m)", "Y(m)", "Z(m)", "RX(rad)", "RY(rad)", "RZ(rad)")
+# Folder of the first stream of a kind.
+_FOLDERS = {"camera": "image", "taxels": "uskin_raw", "force": "force", "pose": "pose"}
 _QUALITY = 100  # only for sessions without JPEG bytes
 
 Array = np.ndarray[Any, Any]
@@ -37,21 +39,37 @@ def write(session: Session, path: Path, options: Options, progress: Progress) ->
     Raises:
         SessionError: No complete press, neither camera nor taxels, or a corrupt stream.
     """
-    if not {"camera", "taxels"} & set(session.streams):
+    folders = _folders(session)
+    if not {"camera", "taxels"} & {session.streams[name].traits.kind for name in folders}:
         raise SessionError(f"{session.name}: has neither camera nor taxels")
     found = _whole(session, need_presses(session, valid_only=options.valid_only))
     base = path / file_name(session.attrs.get("sensor", "sensor"))
     name = f"{file_name(session.attrs.get('indenter', 'indenter'))}-{_stamp(session, found[0])}"
-    _references(session, base, name)
+    for stream, folder in folders.items():
+        _reference(session, stream, base / folder / name)
     _path(session, base / "path" / name, found)
+    if left_out := sorted(set(session.streams) - set(folders)):
+        text = "Streams of kinds that this layout has no folder for: " + ", ".join(left_out)
+        (base / "not-exported.txt").write_text(text + "\n")
     total, done = sum(len(press.rows) for press in found), 0
     for point, press in enumerate(found, start=1):
         for phase, rows in _phases(session, press):
             place = Path(name) / str(point) / phase
-            _numbers(session, base, place, rows)
-            _pictures(session, base, place, rows)
+            for stream, folder in folders.items():
+                _write_rows(session, stream, base / folder / place, rows)
             done += len(rows)
             progress(done, total)
+
+
+def _folders(session: Session) -> dict[str, str]:
+    """Return the folder of each stream: that of its kind, with its name if it is not the first."""
+    found = {}
+    for name, column in session.columns.items():
+        kind = session.streams[name].traits.kind
+        if kind in _FOLDERS and column in session.frames:
+            first = name == session.first(kind)
+            found[name] = _FOLDERS[kind] if first else f"{_FOLDERS[kind]}_{file_name(name)}"
+    return found
 
 
 def _whole(session: Session, found: list[RecordedPress]) -> list[RecordedPress]:
@@ -71,28 +89,23 @@ def _phases(session: Session, press: RecordedPress) -> Iterator[tuple[str, Array
             yield phase, rows
 
 
-def _numbers(session: Session, base: Path, place: Path, rows: Array) -> None:
-    frames = session.frames
-    if "force" in session.streams:
-        wrench = frames["wrench"][rows].copy()
+def _write_rows(session: Session, name: str, folder: Path, rows: Array) -> None:
+    """Write some rows of one stream into its folder."""
+    stream, values = session.streams[name], session.frames[session.columns[name]][rows]
+    kind = stream.traits.kind
+    if kind == "force":
+        wrench = values.copy()
         wrench[:, 3:] *= 1e3  # N m -> N mm
-        _write_csv(base / "force" / place / "ft.csv", FORCE_COLUMNS, wrench)
-    if "pose" in session.streams:
-        _write_csv(base / "pose" / place / "pose.csv", POSE_COLUMNS, frames["pose"][rows])
-
-
-def _pictures(session: Session, base: Path, place: Path, rows: Array) -> None:
-    frames = session.frames
-    if "camera" in session.streams:
-        folder = base / "image" / place
+        _write_csv(folder / "ft.csv", FORCE_COLUMNS, wrench)
+    elif kind == "pose":
+        _write_csv(folder / "pose.csv", POSE_COLUMNS, values)
+    elif kind == "camera":
         folder.mkdir(parents=True)
-        jpegs = _jpegs(session.streams["camera"], [int(row) for row in frames["image"][rows]])
-        for number, data in enumerate(jpegs):
+        for number, data in enumerate(_jpegs(stream, [int(row) for row in values])):
             (folder / f"{number:04d}.jpg").write_bytes(data)
-    if "taxels" in frames:
-        folder = base / "uskin_raw" / place
+    else:
         folder.mkdir(parents=True)
-        change = np.rint(frames["taxels"][rows] - _resting(session)).astype(np.int64)
+        change = np.rint(values - _resting(session, name)).astype(np.int64)
         for number, counts in enumerate(change):
             np.save(folder / f"{number:04d}.npy", counts)
 
@@ -105,26 +118,26 @@ def _jpegs(camera: Stream, rows: Sequence[int]) -> Iterator[bytes]:
         yield images.encode_jpeg(camera.images([row])[0], _QUALITY)
 
 
-def _references(session: Session, base: Path, name: str) -> None:
-    """Write ref.jpg, the first image without contact, and ref.npy, the counts without contact."""
-    if "camera" in session.streams:
-        known = session.reference["image"]
+def _reference(session: Session, name: str, folder: Path) -> None:
+    """Write ref.jpg, the first image without contact, or ref.npy, the counts without contact."""
+    stream = session.streams[name]
+    if stream.traits.kind == "camera":
+        known = session.reference[session.columns[name]]
         known = known[known >= 0]
         row = int(known[0]) if len(known) else 0
-        folder = base / "image" / name
         folder.mkdir(parents=True)
-        (folder / "ref.jpg").write_bytes(next(_jpegs(session.streams["camera"], [row])))
-    if "taxels" in session.frames:
-        folder = base / "uskin_raw" / name
+        (folder / "ref.jpg").write_bytes(next(_jpegs(stream, [row])))
+    elif stream.traits.kind == "taxels":
         folder.mkdir(parents=True)
-        np.save(folder / "ref.npy", _resting(session))
+        np.save(folder / "ref.npy", _resting(session, name))
 
 
-def _resting(session: Session) -> Array:
-    """Return the counts without contact (16, 3) int: the first reference, else the first frame."""
-    counts = session.reference["taxels"]
+def _resting(session: Session, name: str) -> Array:
+    """Return the counts without contact (taxels, 3): the first reference, else the first frame."""
+    column = session.columns[name]
+    counts = session.reference[column]
     known = np.flatnonzero(np.isfinite(counts.reshape(len(counts), -1)).all(axis=1))
-    resting = counts[known[0]] if known.size else session.frames["taxels"][0]
+    resting = counts[known[0]] if known.size else session.frames[column][0]
     return np.asarray(np.rint(resting), np.int64)
 
 

@@ -18,7 +18,7 @@ import h5py
 import numpy as np
 
 from recorder.convert.export import Options, Progress
-from recorder.session.frames import UNITS
+from recorder.session.frames import frame_units
 from recorder.session.reader import Session, Stream
 from recorder.spec import PHASES, TARGET_UNITS, Column
 
@@ -82,7 +82,7 @@ def _fill(file: Any, session: Session, options: Options, progress: Progress) -> 
             done += len(stream)
             progress(done, max(total, 1))
     _write_table(file, session, "targets", TARGET_UNITS)
-    _write_table(file, session, "frames", UNITS)
+    _write_table(file, session, "frames", frame_units(session))
 
 
 def _write_column(group: Any, stream: Stream, column: Column) -> None:
@@ -116,7 +116,7 @@ def _write_images(
         out = group.create_dataset(
             column.name,
             (count, *column.shape),
-            np.uint8,
+            column.dtype,
             **_chunked(1, column.shape),
             **_PACKED,
         )
@@ -137,7 +137,8 @@ def _write_table(
     table = session.targets if name == "targets" else session.frames
     group = file.create_group(name)
     if name == "frames" and len(table):
-        _set_attrs(group, {"rate_hz": session.rate_hz, "phases": list(PHASES)})
+        attrs = {"rate_hz": session.rate_hz, "phases": list(PHASES), "streams": session.columns}
+        _set_attrs(group, attrs)
     for column, values in table.items():
         layout = _chunked(_BLOCK, values.shape[1:])
         out = group.create_dataset(column, data=values, **layout, **_PACKED)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.errors import SessionError
+from recorder.spec import AXES
 
 # Names of force and torque columns and their units, parsed strictly without guessing.
 
@@ -39,7 +40,6 @@ TORQUE_UNITS = {
 }
 # Nanoseconds per unit.
 TIME_UNITS = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
-AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 
 _COLUMN = re.compile(
     r"^(?P<name>[A-Za-z]+)(?:\s*[(\[]\s*(?P<unit>[^)\]]+?)\s*[)\]]|_(?P<tail>\w+))?$"
@@ -131,7 +131,7 @@ class Wrenches:
     """Forces to import."""
 
     value: Floats
-    """Values (n, 6) [N, N m], whole counts."""
+    """Values (n, 6) [N, N m], whole counts; NaN for axes that were not measured."""
     t_ns: NDArray[np.int64]
     """Times (n,) since the first row [ns]."""
     rate_hz: float
@@ -189,7 +189,7 @@ def read_force(
         rate_hz = 1e9 / max(float(np.median(np.diff(t_ns))), 1.0) if len(t_ns) > 1 else 1.0
     missing = [axis for axis in AXES if axis not in axes]
     if missing:
-        assumed.append(f"{name}: {', '.join(missing)} not measured, stored as 0")
+        assumed.append(f"{name}: {', '.join(missing)} not measured, stored as NaN")
     counted, device, largest = _counted(value, name)
     assumed.append(
         f"{name}: rounded to 1e-6 N and "
@@ -233,7 +233,7 @@ def _from_npy(
         raise SessionError(f"{path.name}: says no unit; say --units ({', '.join(FORCE_UNITS)})")
     newton = parse_unit(force_unit, FORCE_UNITS, "--units")
     _refuse_bad(array.reshape(len(array), -1), path.name, 0)
-    value = np.zeros((len(array), 6))
+    value = np.full((len(array), 6), np.nan)
     assumed = [f"{path.name}: {force_unit} by --units"]
     if array.ndim == 1:
         value[:, 2] = -array * newton
@@ -281,7 +281,7 @@ def _from_csv(
                     "expected a number"
                 ) from None
     _refuse_bad(rows, path.name, 2)
-    value = np.zeros((len(rows), 6))
+    value = np.full((len(rows), 6), np.nan)
     axes, t_ns = [], None
     for column, meaning in enumerate(columns):
         if meaning is None:
@@ -307,7 +307,7 @@ def _refuse_bad(rows: Floats, name: str, first_line: int) -> None:
 
 def _counted(value: Floats, name: str) -> tuple[Floats, dict[str, Any], tuple[float, float]]:
     """Return `value` in whole counts, device attributes, largest change of force and torque."""
-    fine = np.abs(value[:, 3:]).max(initial=0.0) * 1e3 * COUNTS_PER_UNIT <= _COUNTS_MAX
+    fine = np.nanmax(np.abs(value[:, 3:]), initial=0.0) * 1e3 * COUNTS_PER_UNIT <= _COUNTS_MAX
     torque_unit, per_unit = _NEWTON_MILLIMETRE if fine else _NEWTON_METRE
     scale = np.repeat([1.0 / COUNTS_PER_UNIT, per_unit / COUNTS_PER_UNIT], 3)
     counts = np.rint(value / scale)
@@ -317,7 +317,7 @@ def _counted(value: Floats, name: str) -> tuple[Floats, dict[str, Any], tuple[fl
             f"{name}: row {beyond[0]}: {value[beyond[0]].tolist()} N, N m is beyond 2147; "
             "are the units right?"
         )
-    counted = counts.astype(np.int64).astype(np.float64) * scale
+    counted = counts * scale
     change = np.abs(counted - value)
     device = {
         "device": "imported",
@@ -326,4 +326,8 @@ def _counted(value: Floats, name: str) -> tuple[Floats, dict[str, Any], tuple[fl
         "counts_per_force": COUNTS_PER_UNIT,
         "counts_per_torque": COUNTS_PER_UNIT,
     }
-    return counted, device, (float(change[:, :3].max()), float(change[:, 3:].max()))
+    return counted, device, (_largest(change[:, :3]), _largest(change[:, 3:]))
+
+
+def _largest(change: Floats) -> float:
+    return float(np.nanmax(change, initial=0.0))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import hashlib
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,17 +13,45 @@ from typing import Any
 import numpy as np
 
 from recorder.convert.import_force import Wrenches, read_force
-from recorder.convert.import_taxels import Counts, read_taxels
+from recorder.convert.import_taxels import Counts, TaxelOrder, read_taxels
 from recorder.convert.import_video import Film, open_film
 from recorder.errors import SessionError
 from recorder.session.stream_writer import StreamWriter
 from recorder.session.writer import SessionWriter
-from recorder.spec import StreamSpec, camera_spec, force_spec, taxels_spec
+from recorder.spec import StreamSpec, camera_spec, force_spec, signal_of, taxels_spec
 from recorder.store.durable import sync_directory
 
 # Files to import and their metadata.
 
 _BLOCK = 1 << 20
+# Stream of a file that has no name of its own, and the option of its rate, by option of the file.
+_STREAMS = {
+    "video": ("camera", "fps"),
+    "force": ("force", "force_hz"),
+    "taxels": ("taxels", "taxels_hz"),
+}
+
+# One file, or several by the name of their stream; rates likewise.
+Files = Path | Mapping[str, Path] | None
+Rates = float | Mapping[str, float] | None
+
+
+@dataclass(frozen=True, slots=True)
+class _File:
+    """One file to import."""
+
+    option: str
+    """A key of `_STREAMS`."""
+    stream: str
+    """Name of its stream."""
+    path: Path
+    rate_hz: float | None
+    """Rate that was given."""
+
+    @property
+    def label(self) -> str:
+        """Name in messages and attributes: the option, or the stream if that has its own name."""
+        return self.option if self.stream == _STREAMS[self.option][0] else self.stream
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,18 +64,20 @@ class ImportRequest:
     """Name of the sensor."""
     indenter: str
     """Name of the object that touched it."""
-    video: Path | None = None
+    video: Files = None
     """Video file, or folder of images."""
-    force: Path | None = None
+    force: Files = None
     """Forces: .csv or .npy."""
-    taxels: Path | None = None
+    taxels: Files = None
     """Taxel counts: .npy."""
-    fps: float | None = None
+    fps: Rates = None
     """Images per second; None takes the rate of the video."""
-    force_hz: float | None = None
+    force_hz: Rates = None
     """Force rows per second; None takes the time column."""
-    taxels_hz: float | None = None
+    taxels_hz: Rates = None
     """Taxel rows per second."""
+    taxel_order: TaxelOrder | None = None
+    """Order of the numbers in a row of taxels; None tells it by the resting counts."""
     units: str | None = None
     """Unit of forces without a unit."""
     torque_units: str | None = None
@@ -65,16 +95,37 @@ class ImportRequest:
         Raises:
             SessionError: The message names the option.
         """
-        if self.video is None and self.force is None and self.taxels is None:
+        found = self.parts
+        if not found:
             raise SessionError("found nothing to import; say --video, --force or --taxels")
-        for name in ("fps", "force_hz", "taxels_hz"):
-            rate = getattr(self, name)
-            option = "--" + name.replace("_", "-")
-            if rate is not None and not 0 < rate <= 100_000:
-                raise SessionError(f"{option}: found {rate:g}; allowed: above 0 to 100000")
-            needed = {"fps": self.video, "force_hz": self.force, "taxels_hz": self.taxels}[name]
-            if rate is not None and needed is None:
-                raise SessionError(f"{option}: found {rate:g} without the file it is the rate of")
+        for option, (_, name) in _STREAMS.items():
+            rates = getattr(self, name)
+            flag = "--" + name.replace("_", "-")
+            streams = [part.stream for part in found if part.option == option]
+            given = rates if isinstance(rates, Mapping) else {"": rates}
+            for stream, rate in given.items():
+                if rate is None:
+                    continue
+                if not 0 < rate <= 100_000:
+                    raise SessionError(f"{flag}: found {rate:g}; allowed: above 0 to 100000")
+                if not streams or stream not in ("", *streams):
+                    of = f" of {stream}" if stream else ""
+                    raise SessionError(
+                        f"{flag}: found {rate:g}{of} without the file it is the rate of"
+                    )
+
+    @property
+    def parts(self) -> list[_File]:
+        """Files in the order of the options."""
+        found = []
+        for option, (default, rate) in _STREAMS.items():
+            files, rates = getattr(self, option), getattr(self, rate)
+            named = files if isinstance(files, Mapping) else {default: files}
+            for stream, path in named.items():
+                if path is not None:
+                    own = rates.get(stream) if isinstance(rates, Mapping) else rates
+                    found.append(_File(option, stream, path, own))
+        return found
 
     def files(self) -> dict[str, dict[str, Any]]:
         """Return name and SHA-256 of each file; for a folder, over its files in order of the names.
@@ -82,12 +133,10 @@ class ImportRequest:
         Raises:
             OSError: A file cannot be read.
         """
-        found = {}
-        for name in ("video", "force", "taxels"):
-            path: Path | None = getattr(self, name)
-            if path is not None:
-                found[name] = {"name": path.name, "sha256": _sha256(path)}
-        return found
+        return {
+            part.label: {"name": part.path.name, "sha256": _sha256(part.path)}
+            for part in self.parts
+        }
 
 
 def _sha256(path: Path) -> str:
@@ -124,37 +173,38 @@ def import_session(request: ImportRequest, progress: Progress | None = None) -> 
     """
     if request.out.exists():
         raise SessionError(f"{request.out}: exists already; choose another name")
-    film = None if request.video is None else open_film(request.video, request.fps)
-    wrenches = None
-    if request.force is not None:
-        wrenches = read_force(
-            request.force,
-            rate_hz=request.force_hz,
-            force_unit=request.units,
-            torque_unit=request.torque_units,
-            ignore=request.ignore,
-        )
-    counts = None if request.taxels is None else read_taxels(request.taxels, request.taxels_hz)
-    seconds = {
-        name: part.seconds
-        for name, part in (("video", film), ("force", wrenches), ("taxels", counts))
-        if part is not None
-    }
+    opened = {part: _open(part, request) for part in request.parts}
+    seconds = {part.label: content.seconds for part, content in opened.items()}
     assumed = ["all files start together"] if len(seconds) > 1 else []
-    for part in (film, wrenches, counts):
-        assumed += [] if part is None else part.assumed
+    for content in opened.values():
+        assumed += content.assumed
     end = _common_end(seconds, request.trim)
     if end < max(seconds.values()):
         assumed.append(f"all cut to {end:.3f} s, the length of the shortest")
     building = request.out.with_name(request.out.name + _IMPORTING)
     shutil.rmtree(building, ignore_errors=True)
     try:
-        _write(building, request, _streams(film, wrenches, counts, end), assumed, progress)
+        _write(building, request, _streams(opened, end), assumed, progress)
         building.rename(request.out)
     finally:
         shutil.rmtree(building, ignore_errors=True)
     sync_directory(request.out.parent)
     return assumed
+
+
+def _open(part: _File, request: ImportRequest) -> Film | Wrenches | Counts:
+    """Return the content of a file."""
+    if part.option == "video":
+        return open_film(part.path, part.rate_hz)
+    if part.option == "taxels":
+        return read_taxels(part.path, part.rate_hz, request.taxel_order)
+    return read_force(
+        part.path,
+        rate_hz=part.rate_hz,
+        force_unit=request.units,
+        torque_unit=request.torque_units,
+        ignore=request.ignore,
+    )
 
 
 def _common_end(seconds: dict[str, float], trim: bool) -> float:
@@ -171,34 +221,38 @@ def _common_end(seconds: dict[str, float], trim: bool) -> float:
 
 
 def _streams(
-    film: Film | None, wrenches: Wrenches | None, counts: Counts | None, end: float
+    opened: Mapping[_File, Film | Wrenches | Counts], end: float
 ) -> list[tuple[StreamSpec, int, Rows]]:
     """Return spec, number of rows and rows of each stream, up to `end` [s]."""
     found: list[tuple[StreamSpec, int, Rows]] = []
     end_ns = round(end * 1e9)
-    if film is not None:
-        height, width = film.shape
-        spec = camera_spec(
-            film.rate_hz,
-            height=height,
-            width=width,
-            codec=film.codec,
-            device={"device": "imported", "rate_hz": film.rate_hz},
-            device_clock="none",
-        )
-        times = _every(np.array(film.places), film.rate_hz)
-        count = int((times < end_ns).sum())
-        found.append((spec, count, _images(film, times[:count])))
-    if wrenches is not None:
-        spec = force_spec(wrenches.rate_hz, **wrenches.attrs)
-        count = int((wrenches.t_ns < end_ns).sum())
-        found.append((spec, count, _forces(wrenches, count)))
-    if counts is not None:
-        device = {"device": "imported", "rate_hz": counts.rate_hz}
-        spec = taxels_spec(counts.rate_hz, device=device, device_clock="none")
-        times = _every(np.arange(len(counts.value)), counts.rate_hz)
-        count = int((times < end_ns).sum())
-        found.append((spec, count, _scans(counts, times[:count])))
+    for part, content in opened.items():
+        device = {"device": "imported", "rate_hz": content.rate_hz}
+        if isinstance(content, Film):
+            height, width = content.shape
+            spec = camera_spec(
+                content.rate_hz,
+                name=part.stream,
+                height=height,
+                width=width,
+                codec=content.codec,
+                device=device,
+                clock="none",
+            )
+            times = _every(np.array(content.places), content.rate_hz)
+            count = int((times < end_ns).sum())
+            found.append((spec, count, _images(content, times[:count])))
+        elif isinstance(content, Wrenches):
+            counted = {"clock": "none", "numbering": "host", **content.attrs}
+            spec = force_spec(content.rate_hz, name=part.stream, **counted)
+            count = int((content.t_ns < end_ns).sum())
+            found.append((spec, count, _forces(content, count)))
+        else:
+            counted = {"clock": "none", "numbering": "host", "device": device}
+            spec = taxels_spec(content.rate_hz, name=part.stream, **counted)
+            times = _every(np.arange(len(content.value)), content.rate_hz)
+            count = int((times < end_ns).sum())
+            found.append((spec, count, _scans(content, times[:count])))
     return found
 
 
@@ -257,7 +311,6 @@ def _write(
                     done += 1
                     if progress is not None:
                         progress(done, total)
-        signal = next(
-            (s for name in ("camera", "taxels", "force") for s in specs if s.name == name), specs[0]
-        )
-        session.finish("complete", rate_hz=signal.rate_hz)
+        signal = signal_of((spec.name, spec.traits) for spec in specs) or specs[0].name
+        rate_hz = next(spec.rate_hz for spec in specs if spec.name == signal)
+        session.finish("complete", rate_hz=rate_hz)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,8 +23,10 @@ from PIL import Image
 
 from recorder.convert.export import Options, Progress
 from recorder.convert.runs import RecordedPress, need_presses, utc_offset
+from recorder.errors import SessionError
 from recorder.session.align import NS
 from recorder.session.reader import Session, Stream
+from recorder.spec import event_text
 
 # Statistics that LeRobot stores for each feature, accumulated by episode.
 
@@ -100,9 +103,11 @@ class Stats:
         pixels = []
         for place in chosen:
             with Image.open(io.BytesIO(encoded[place])) as image:
-                array = np.asarray(image)[::_STRIDE, ::_STRIDE]
-            pixels.append(array.reshape(-1, array.shape[2] if array.ndim == 3 else 1))
-        part = _part(np.concatenate(pixels) / 255.0, len(chosen))
+                array, most = np.asarray(image)[::_STRIDE, ::_STRIDE], 255.0
+                if image.mode.startswith("I"):
+                    most = 65535.0  # depth
+            pixels.append(array.reshape(-1, array.shape[2] if array.ndim == 3 else 1) / most)
+        part = _part(np.concatenate(pixels), len(chosen))
         self._take(name, part)
         self._shapes.add(name)
 
@@ -155,6 +160,13 @@ VERSION = "v3.0"
 IMAGE = "observation.images.tactile"
 _CHUNK_FILES = 1000  # files per chunk-NNN folder, LeRobot's default
 _FILE_BYTES = 100_000_000  # LeRobot's default: data_files_size_in_mb 100
+# Features of the first stream of a kind, by its column of `frames`, in their order.
+_NAMES = {
+    "image": IMAGE,
+    "pose": "observation.state",
+    "wrench": "observation.force",
+    "taxels": "observation.taxels",
+}
 _POSE = ("x", "y", "z", "rx", "ry", "rz")
 _WRENCH = ("fx", "fy", "fz", "tx", "ty", "tz")
 _PATH = "{}/chunk-{{chunk_index:03d}}/file-{{file_index:03d}}.parquet"
@@ -181,6 +193,8 @@ class Feature:
         """Return its parquet type, as in the `datasets` library."""
         if self.dtype == "image":
             return pa.struct({"bytes": pa.binary(), "path": pa.string()})
+        if self.dtype == "string":
+            return pa.string()
         kind = pa.from_numpy_dtype(np.dtype(self.dtype))
         return kind if self.shape == (1,) else pa.list_(kind, self.shape[0])
 
@@ -194,21 +208,27 @@ class Feature:
         return {"feature": value, "length": self.shape[0], "_type": "List"}
 
 
+def feature_names(session: Session) -> dict[str, str]:
+    """Return the feature of each stream that has a column in `frames`, by stream.
+
+    The first of a kind has LeRobot's name; all others are named after their stream.
+    """
+    found = {}
+    for name, column in session.columns.items():
+        if column in session.frames:
+            image = session.streams[name].layout.image is not None
+            own = f"observation.images.{name}" if image else f"observation.{name}"
+            found[name] = _NAMES.get(column, own)
+    return found
+
+
 def features_of(session: Session) -> dict[str, Feature]:
     """Return the features of a session, in the order of their columns."""
     found: dict[str, Feature] = {}
-    if "camera" in session.streams:
-        camera = session.streams["camera"]
-        shape = camera.layout.columns[0].column.shape
-        found[IMAGE] = Feature("image", shape, ("height", "width", "channels"))
-    if "pose" in session.streams:
-        found["observation.state"] = Feature("float32", (6,), _POSE)
-    if "force" in session.streams:
-        found["observation.force"] = Feature("float32", (6,), _WRENCH)
-    if "taxels" in session.frames:
-        names = tuple(f"{axis}{taxel}" for taxel in range(16) for axis in "xyz")
-        found["observation.taxels"] = Feature("float32", (48,), names)
-    if "pose" in session.streams:
+    named = feature_names(session)
+    for name in sorted(named, key=lambda name: [*_NAMES.values(), named[name]].index(named[name])):
+        found[named[name]] = _feature(session.streams[name])
+    if _NAMES["pose"] in found:
         found["action"] = Feature("float32", (6,), _POSE)
     found |= {
         "depth": Feature("float32"),
@@ -226,6 +246,24 @@ def features_of(session: Session) -> dict[str, Feature]:
         "task_index": Feature("int64"),
     }
     return found
+
+
+def _feature(stream: Stream) -> Feature:
+    """Return the feature of a stream's values."""
+    value = stream.value_column
+    if value is None:
+        raise SessionError(f"{stream.name}: has no column value")
+    if value.is_image:
+        return Feature("image", value.shape, ("height", "width", "channels"))
+    if not value.is_number:
+        return Feature("string")
+    count = math.prod(value.shape)
+    names: tuple[str, ...] | None = None
+    if stream.traits.kind == "taxels":
+        names = tuple(f"{axis}{taxel}" for taxel in range(count // 3) for axis in "xyz")
+    elif count == 6:
+        names = {"pose": _POSE, "force": _WRENCH}.get(stream.traits.kind)
+    return Feature("float32", (count,), names)
 
 
 def write(session: Session, path: Path, options: Options, progress: Progress) -> None:
@@ -284,11 +322,12 @@ class _Dataset:
             "task_index": np.full(count, task_index),
         }
         stats = Stats()
-        for name in self.features:
-            if name != IMAGE:
+        images = [name for name, kind in self.features.items() if kind.dtype == "image"]
+        for name, feature in self.features.items():
+            if feature.dtype not in ("image", "string"):
                 stats.add(name, np.asarray(columns[name]))
-        if IMAGE in self.features:
-            stats.add_images(IMAGE, [entry["bytes"] for entry in columns[IMAGE]])
+        for name in images:
+            stats.add_images(name, [entry["bytes"] for entry in columns[name]])
         self.stats.merge(stats)
         table = pa.table(
             {name: _arrow(columns[name], kind) for name, kind in self.features.items()}
@@ -402,17 +441,28 @@ def _columns(session: Session, press: RecordedPress, out: _Dataset) -> dict[str,
         "capture_ns": capture,
         "utc_ns": capture + utc_offset(session, press.run),
     }
-    if "observation.state" in out.features:
+    if "action" in out.features:
         state = frames["pose"][rows]
-        columns["observation.state"] = state
         columns["action"] = np.concatenate([state[1:], state[-1:]])
-    if "observation.force" in out.features:
-        columns["observation.force"] = frames["wrench"][rows]
-    if "observation.taxels" in out.features:
-        columns["observation.taxels"] = frames["taxels"][rows].reshape(len(rows), -1)
-    if IMAGE in out.features:
-        columns[IMAGE] = _pictures(session.streams["camera"], frames["image"][rows])
+    for name, feature in feature_names(session).items():
+        values, stream = frames[session.columns[name]][rows], session.streams[name]
+        kind = out.features[feature].dtype
+        if kind == "image":
+            columns[feature] = _pictures(stream, values)
+        elif kind == "string":
+            columns[feature] = _texts(stream, values)
+        else:
+            columns[feature] = values.reshape(len(rows), -1)
     return columns
+
+
+def _texts(stream: Stream, rows: Array) -> list[str]:
+    """Return the text of each row; empty before the first."""
+    texts = {
+        int(row): event_text(stream.rows_between("value", int(row), int(row) + 1)[0])
+        for row in np.unique(rows[rows >= 0])
+    }
+    return [texts.get(int(row), "") for row in rows]
 
 
 def _pictures(camera: Stream, rows: Array) -> list[dict[str, Any]]:
@@ -435,6 +485,8 @@ def _png(pixels: Array) -> bytes:
 
 def _arrow(values: Any, kind: Feature) -> pa.Array:
     if kind.dtype == "image":
+        return pa.array(values, kind.arrow())
+    if kind.dtype == "string":
         return pa.array(values, kind.arrow())
     array = np.ascontiguousarray(values, kind.dtype)
     if kind.shape == (1,):

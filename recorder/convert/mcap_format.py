@@ -24,19 +24,40 @@ from mcap_protobuf.schema import build_file_descriptor_set
 
 from recorder.convert.export import Options, Progress
 from recorder.convert.runs import utc_of_rows
+from recorder.errors import SessionError
 from recorder.session.align import captured, quaternion
 from recorder.session.reader import Session, Stream
-from recorder.spec import OUTCOMES, PHASES
+from recorder.spec import OUTCOMES, PHASES, event_text
 
 # JSON schemas of messages that Foxglove has no type for, and the topics of each stream.
 
-# Topics by stream; `/segments` and `/reference` always exist.
-TOPICS: Mapping[str, tuple[str, ...]] = {
-    "camera": ("/camera",),
-    "pose": ("/pose", "/tf"),
-    "force": ("/wrench",),
-    "taxels": ("/taxels",),
+# Topic of the first stream of a kind; all others have the stream's name. Poses are also sent as
+# transforms on `/tf`; `/segments` and `/reference` always exist.
+TOPICS: Mapping[str, str] = {
+    "camera": "/camera",
+    "pose": "/pose",
+    "force": "/wrench",
+    "taxels": "/taxels",
 }
+
+
+def topics(session: Session) -> dict[str, str]:
+    """Return the topic of each stream, in the session's order.
+
+    Raises:
+        SessionError: A stream has the name of another topic.
+    """
+    found: dict[str, str] = {}
+    for name in session.order:
+        kind = session.streams[name].traits.kind
+        topic = TOPICS.get(kind) if session.first(kind) == name else None
+        found[name] = topic or f"/{name}"
+    taken = [*found.values(), "/tf", "/segments", "/reference"]
+    for name, topic in found.items():
+        if taken.count(topic) > 1:
+            raise SessionError(f"{session.name}: stream {name}: {topic} is the name of a topic")
+    return found
+
 
 _TIME = {
     "type": "object",
@@ -69,12 +90,12 @@ def _object(properties: Mapping[str, Any]) -> dict[str, Any]:
 _COUNTS = {
     "type": "array",
     "items": {"type": "array", "items": {"type": "number"}},
-    "description": "16 taxels row by row, raw counts x y z",
+    "description": "taxels row by row, raw counts x y z",
 }
 
-# Title and JSON schema by topic.
+# Title and JSON schema by kind of stream, and of the two tables.
 SCHEMAS: Mapping[str, tuple[str, dict[str, Any]]] = {
-    "/wrench": (
+    "force": (
         "tactile_rig.Wrench",
         _object(
             {
@@ -86,11 +107,12 @@ SCHEMAS: Mapping[str, tuple[str, dict[str, Any]]] = {
             }
         ),
     ),
-    "/taxels": (
+    "taxels": (
         "tactile_rig.Taxels",
         _object({"counts": _COUNTS, "seq": _integer("the device's sequence number")}),
     ),
-    "/segments": (
+    "events": ("tactile_rig.Event", _object({"text": {"type": "string"}})),
+    "segments": (
         "tactile_rig.Phase",
         _object(
             {
@@ -107,7 +129,7 @@ SCHEMAS: Mapping[str, tuple[str, dict[str, Any]]] = {
             }
         ),
     ),
-    "/reference": (
+    "reference": (
         "tactile_rig.Reference",
         _object(
             {
@@ -149,15 +171,14 @@ def write(session: Session, path: Path, options: Options, progress: Progress) ->
     Raises:
         SessionError: A run without a UTC anchor, or a corrupt stream.
     """
-    known = [name for name in ("camera", "pose", "force", "taxels") if name in session.streams]
-    total = sum(len(session.streams[name]) for name in known)
-    sources = [_samples(session, session.streams[name]) for name in known]
+    named = topics(session)
+    total = sum(len(session.streams[name]) for name in named)
+    sources = [_samples(session, session.streams[name], topic) for name, topic in named.items()]
     with path.open("wb") as file:
         writer = Writer(file, compression=CompressionType.ZSTD)
         writer.start(profile="", library="tactile-rig")
-        for name in sorted(set(session.streams) - set(known)):
-            writer.add_metadata("not exported", {name: "a stream of a kind that has no message"})
-        channels = _register(writer, session, known)
+        channels = _register(writer, session, named)
+        counted = set(named.values())
         done = 0
         merged = heapq.merge(_events(session), *sources, key=lambda message: message.log_ns)
         for message in merged:
@@ -168,83 +189,103 @@ def write(session: Session, path: Path, options: Options, progress: Progress) ->
                 sequence=message.sequence & 0xFFFFFFFF,
                 data=message.data,
             )
-            if message.topic in _COUNTED:
+            if message.topic in counted:
                 done += 1
                 if done % 64 == 0 or done == total:
                     progress(done, total)
         reported = {key: _text(value) for key, value in session.attrs.items()}
         writer.add_metadata("session", reported)
-        for name in known:
+        for name in named:
             attrs = session.streams[name].attrs
             writer.add_metadata(name, {key: _text(value) for key, value in attrs.items()})
         _attach(writer, session)
         writer.finish()  # type: ignore[no-untyped-call]
 
 
-_COUNTED = {"/camera", "/pose", "/wrench", "/taxels"}
-
-
-def _register(writer: Writer, session: Session, names: list[str]) -> dict[str, int]:
+def _register(writer: Writer, session: Session, named: Mapping[str, str]) -> dict[str, int]:
     """Return the channel of each topic."""
-    raw = "camera" in names and session.streams["camera"].jpeg_shape is None
-    protobuf = {
-        "/camera": RawImage if raw else CompressedImage,
-        "/pose": PoseInFrame,
-        "/tf": FrameTransform,
-    }
-    wanted = ["/segments", "/reference"]
-    wanted += [topic for name in names for topic in TOPICS[name]]
     channels = {}
-    for topic in wanted:
-        if topic in protobuf:
-            kind = protobuf[topic]
-            schema = writer.register_schema(
-                str(kind.DESCRIPTOR.full_name),
-                "protobuf",
-                build_file_descriptor_set(kind).SerializeToString(),
-            )
-            channels[topic] = writer.register_channel(topic, "protobuf", schema)
+
+    def protobuf(topic: str, kind: Any) -> None:
+        name, content = str(kind.DESCRIPTOR.full_name), build_file_descriptor_set(kind)
+        schema = writer.register_schema(name, "protobuf", content.SerializeToString())
+        channels[topic] = writer.register_channel(topic, "protobuf", schema)
+
+    def json_schema(topic: str, title: str, document: dict[str, Any]) -> None:
+        schema = writer.register_schema(title, "jsonschema", json.dumps(document).encode())
+        channels[topic] = writer.register_channel(topic, "json", schema)
+
+    for table in ("segments", "reference"):
+        json_schema(f"/{table}", *SCHEMAS[table])
+    for name, topic in named.items():
+        stream = session.streams[name]
+        if stream.layout.image is not None:
+            protobuf(topic, CompressedImage if stream.jpeg_shape is not None else RawImage)
+        elif stream.traits.kind == "pose":
+            protobuf(topic, PoseInFrame)
+            if "/tf" not in channels:
+                protobuf("/tf", FrameTransform)
         else:
-            title, document = SCHEMAS[topic]
-            schema = writer.register_schema(title, "jsonschema", json.dumps(document).encode())
-            channels[topic] = writer.register_channel(topic, "json", schema)
+            json_schema(topic, *SCHEMAS.get(stream.traits.kind, _schema_of(stream)))
     return channels
 
 
-def _samples(session: Session, stream: Stream) -> Iterator[Message]:
+def _schema_of(stream: Stream) -> tuple[str, dict[str, Any]]:
+    """Return title and schema of the columns of a stream that has no schema of its own."""
+    columns = [layout.column for layout in stream.layout.small[:-1]]
+    properties = {
+        column.name: _list(f"{column.description} [{column.units}]")
+        if column.shape
+        else _number(f"{column.description} [{column.units}]")
+        for column in columns
+    }
+    return f"tactile_rig.{stream.name}", _object(properties)
+
+
+def _samples(session: Session, stream: Stream, topic: str) -> Iterator[Message]:
     """Yield all messages of a stream in the order of its rows."""
     log = utc_of_rows(session, stream.name, stream.t_ns)
     publish = utc_of_rows(session, stream.name, captured(stream))
-    block = _IMAGES if stream.layout.image is not None else _BLOCK
+    block = _BLOCK
+    make = _MAKERS.get(stream.traits.kind, _columns)
+    if stream.layout.image is not None:
+        block, make = _IMAGES, _images
+    child = TOOL if topic == TOPICS["pose"] else stream.name
     for start in range(0, len(stream), block):
         rows = range(start, min(start + block, len(stream)))
-        for row, contents in zip(rows, _MAKERS[stream.name](stream, rows, publish), strict=True):
-            for topic, data in contents:
-                yield Message(topic, int(log[row]), int(publish[row]), row, data)
+        made = make(stream, rows, publish)
+        for row, (data, transform) in zip(rows, made, strict=True):
+            times = int(log[row]), int(publish[row])
+            yield Message(topic, *times, row, data)
+            if transform is not None:
+                transform.child_frame_id = child
+                yield Message("/tf", *times, row, transform.SerializeToString())
 
 
-_Contents = list[tuple[str, bytes]]
+# A message, and the transform that a pose is as well.
+_Contents = tuple[bytes, FrameTransform | None]
 
 
 def _images(stream: Stream, rows: range, publish: Any) -> Iterator[_Contents]:
     if stream.jpeg_shape is not None:
         for row, data in zip(rows, stream.jpegs(rows), strict=True):
-            message = CompressedImage(frame_id="camera", data=data, format="jpeg")
+            message = CompressedImage(frame_id=stream.name, data=data, format="jpeg")
             message.timestamp.FromNanoseconds(int(publish[row]))
-            yield [("/camera", message.SerializeToString())]
+            yield message.SerializeToString(), None
         return
     for row, pixels in zip(rows, stream.images(rows), strict=True):
         height, width, channels = pixels.shape
+        encoding = "rgb8" if channels == 3 else "mono8"
         message = RawImage(
-            frame_id="camera",
+            frame_id=stream.name,
             width=width,
             height=height,
-            encoding="rgb8" if channels == 3 else "mono8",
-            step=width * channels,
+            encoding="16UC1" if pixels.dtype.itemsize == 2 else encoding,
+            step=width * channels * pixels.dtype.itemsize,
             data=pixels.tobytes(),
         )
         message.timestamp.FromNanoseconds(int(publish[row]))
-        yield [("/camera", message.SerializeToString())]
+        yield message.SerializeToString(), None
 
 
 def _poses(stream: Stream, rows: range, publish: Any) -> Iterator[_Contents]:
@@ -253,7 +294,7 @@ def _poses(stream: Stream, rows: range, publish: Any) -> Iterator[_Contents]:
     for row, value, quat in zip(rows, values, turned, strict=True):
         pose = PoseInFrame(frame_id=BASE)
         pose.timestamp.FromNanoseconds(int(publish[row]))
-        moved = FrameTransform(parent_frame_id=BASE, child_frame_id=TOOL)
+        moved = FrameTransform(parent_frame_id=BASE)
         moved.timestamp.FromNanoseconds(int(publish[row]))
         for place, rotation in (
             (pose.pose.position, pose.pose.orientation),
@@ -261,7 +302,7 @@ def _poses(stream: Stream, rows: range, publish: Any) -> Iterator[_Contents]:
         ):
             place.x, place.y, place.z = (float(v) for v in value[:3])
             rotation.w, rotation.x, rotation.y, rotation.z = (float(v) for v in quat)
-        yield [("/pose", pose.SerializeToString()), ("/tf", moved.SerializeToString())]
+        yield pose.SerializeToString(), moved
 
 
 def _wrenches(stream: Stream, rows: range, publish: Any) -> Iterator[_Contents]:
@@ -272,13 +313,13 @@ def _wrenches(stream: Stream, rows: range, publish: Any) -> Iterator[_Contents]:
         x, y, z, tx, ty, tz = values[place]
         document = {
             "timestamp": _stamp(int(publish[row])),
-            "frame_id": SENSOR,
+            "frame_id": SENSOR if stream.name == "force" else stream.name,
             "force": {"x": x, "y": y, "z": z},
             "torque": {"x": tx, "y": ty, "z": tz},
             "seq": seq[place],
             "status": status[place],
         }
-        yield [("/wrench", _packed(document))]
+        yield _packed(document), None
 
 
 def _taxels(stream: Stream, rows: range, publish: Any) -> Iterator[_Contents]:
@@ -287,14 +328,29 @@ def _taxels(stream: Stream, rows: range, publish: Any) -> Iterator[_Contents]:
     for place, row in enumerate(rows):
         stamp = _stamp(int(publish[row]))
         document = {"timestamp": stamp, "counts": values[place], "seq": seq[place]}
-        yield [("/taxels", _packed(document))]
+        yield _packed(document), None
+
+
+def _texts(stream: Stream, rows: range, publish: Any) -> Iterator[_Contents]:
+    values = stream.rows_between("value", rows.start, rows.stop)
+    for row, value in zip(rows, values, strict=True):
+        document = {"timestamp": _stamp(int(publish[row])), "text": event_text(value)}
+        yield _packed(document), None
+
+
+def _columns(stream: Stream, rows: range, publish: Any) -> Iterator[_Contents]:
+    names = stream.small[:-1]
+    values = {name: stream.rows_between(name, rows.start, rows.stop).tolist() for name in names}
+    for place, row in enumerate(rows):
+        document: dict[str, Any] = {name: column[place] for name, column in values.items()}
+        yield _packed({"timestamp": _stamp(int(publish[row])), **document}), None
 
 
 _MAKERS: dict[str, Callable[[Stream, range, Any], Iterator[_Contents]]] = {
-    "camera": _images,
     "pose": _poses,
     "force": _wrenches,
     "taxels": _taxels,
+    "events": _texts,
 }
 
 

@@ -12,11 +12,13 @@ from pathlib import Path
 
 from recorder.errors import SessionError
 from recorder.session.reader import Session
+from recorder.spec import FORMAT_VERSION
 from recorder.store import images
 from recorder.store.column import ColumnReader
 from recorder.store.durable import sync_directory
-from recorder.store.files import is_url
-from recorder.store.layout import Layout, merge_attrs
+from recorder.store.files import LOCAL, is_url
+from recorder.store.layout import Layout, StreamLayout
+from recorder.store.manifest import GROUP, seal
 from recorder.store.shard import ColumnLog
 
 PROFILES = ("portable", "camera")
@@ -36,7 +38,8 @@ def repack(
 ) -> None:
     """Write a copy of a session with its images in another profile.
 
-    All other data is copied byte by byte. The destination is created atomically.
+    All other data is copied, each chunk verified. The copy is sealed by a manifest of its own, also
+    that of a session of format 1. The destination is created atomically.
 
     Args:
         source: A finished session.
@@ -70,10 +73,17 @@ def repack(
     building = final.with_name(final.name + _CREATING)
     shutil.rmtree(building, ignore_errors=True)
     try:
-        skip = {str(layout.path) for layout in convert}
-        shutil.copytree(
-            session.path, building, ignore=lambda path, _: ["c"] if path in skip else []
-        )
+        columns = [layout for layout in _columns(session) if layout not in convert]
+        older = [layout for layout in columns if not layout.chunk_crc]
+        skip = {str(layout.path): "c" for layout in (*convert, *older)}
+        skip[str(session.path)] = GROUP
+        shutil.copytree(session.path, building, ignore=lambda path, _: [skip.get(path, "")])
+        for layout in columns:
+            copy = replace(layout, path=building / layout.path.relative_to(session.path))
+            if layout in older:
+                _copy_chunks(ColumnReader(layout), replace(copy, files=LOCAL, chunk_crc=True))
+            else:
+                _verify(ColumnReader(replace(copy, files=LOCAL)))
         total = sum(layout.rows() for layout in convert)
         done = 0
         for layout in convert:
@@ -82,7 +92,7 @@ def repack(
                 if progress is not None:
                     progress(done + count, total)
             done += layout.rows()
-        merge_attrs(building, {"profile": profile})
+        seal(building, profile=profile, format_version=FORMAT_VERSION)
         building.rename(final)
         sync_directory(final.parent)
     except BaseException:
@@ -90,9 +100,40 @@ def repack(
         raise
 
 
+def _columns(session: Session) -> list[Layout]:
+    places = [session.path / name for name in ("segments", "reference")]
+    tables = [StreamLayout.load(place, session.files) for place in places]
+    layouts = [*(stream.layout for stream in session.streams.values()), *tables]
+    return [column for layout in layouts for column in layout.columns]
+
+
+def _copy_chunks(source: ColumnReader, copy: Layout) -> None:
+    """Write the chunks of a column of format 1 with their checksums."""
+    shutil.rmtree(copy.path)
+    copy.create()
+    log = ColumnLog(copy, 0)
+    try:
+        for chunk in source.chunks(_all_chunks(source)):
+            log.append(chunk, 0)
+            log.seal_full()
+        log.finish(source.rows)
+    finally:
+        log.close()
+
+
+def _verify(reader: ColumnReader) -> None:
+    for _ in reader.chunks(_all_chunks(reader)):
+        pass
+
+
+def _all_chunks(reader: ColumnReader) -> range:
+    return range(-(-reader.rows // reader.layout.rows_per_chunk))
+
+
 def _decode_all(source: Layout, copy: Layout) -> Iterator[int]:
     """Write the images of one column as lossless pixels; yield the number done."""
-    pixels = replace(copy, column=replace(copy.column, codec="zstd"))
+    column = replace(copy.column, codec="zstd")
+    pixels = replace(copy, column=column, files=LOCAL, chunk_crc=True)
     shutil.rmtree(pixels.path)
     pixels.create()
     reader, decode = ColumnReader(source), images.decoder(source.column)

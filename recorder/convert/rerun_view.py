@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from recorder.errors import SessionError
-from recorder.session.align import Source
 from recorder.session.reader import Session, Stream
-from recorder.spec import OUTCOMES, PHASES
+from recorder.spec import OUTCOMES, PHASES, event_text
 from recorder.store.durable import TEMPORARY
 
 APPLICATION = "tactile-rig"
@@ -145,20 +144,21 @@ def _first(session: Session, run: _Run) -> int:
 
 def _log(session: Session, runs: Sequence[_Run], sink: _Sink, progress: Progress | None) -> None:
     parts = [
-        (name, source, run, np.flatnonzero(sink.within(source.times + run.to_utc)))
+        (session.streams[name], source, run, np.flatnonzero(sink.within(source.times + run.to_utc)))
         for run in runs
-        for name in ("force", "pose", "taxels", "camera")
-        if (source := getattr(session.sources(run.number), name)) is not None
+        for name, source in session.sources(run.number).streams.items()
     ]
     total = sum(len(chosen) for *_, chosen in parts)
     if not total:
         raise SessionError(f"{session.path}: no samples in the requested part")
     done = 0
-    for name, source, run, chosen in parts:
-        for first in range(0, len(chosen), _AT_ONCE if name == "camera" else len(chosen) or 1):
-            some = chosen[first : first + _AT_ONCE] if name == "camera" else chosen
+    for stream, source, run, chosen in parts:
+        image = stream.layout.image is not None
+        write = _images if image else _WRITERS.get(stream.traits.kind, _values)
+        for first in range(0, len(chosen), _AT_ONCE if image else len(chosen) or 1):
+            some = chosen[first : first + _AT_ONCE] if image else chosen
             utc_ns = source.times[some] + run.to_utc
-            _WRITERS[name](sink, session.streams[name], source, some, utc_ns)
+            write(sink, _entity(session, stream), stream, source.rows[some], utc_ns)
             done += len(some)
             if progress is not None:
                 progress(done, total)
@@ -166,38 +166,58 @@ def _log(session: Session, runs: Sequence[_Run], sink: _Sink, progress: Progress
         _segments(sink, session, run)
 
 
-def _force(sink: _Sink, stream: Stream, source: Source, some: Array, utc_ns: Array) -> None:
-    wrench = stream.array("value")[source.rows[some]]
+def _entity(session: Session, stream: Stream) -> str:
+    """Return the prefix of a stream's entities: empty for the first of a kind with names."""
+    kind = stream.traits.kind
+    first = session.first(kind) == stream.name and (kind in _WRITERS or kind == "camera")
+    return "" if first and kind != "events" else f"{stream.name}/"
+
+
+def _force(sink: _Sink, prefix: str, stream: Stream, rows: Array, utc_ns: Array) -> None:
+    wrench = stream.array("value")[rows]
     for column, entity in enumerate(
         ("force_N/Fx", "force_N/Fy", "force_N/Fz", "torque_Nm/Tx", "torque_Nm/Ty", "torque_Nm/Tz")
     ):
-        sink.send(entity, utc_ns, sink.rerun.Scalars.columns(scalars=wrench[:, column]))
+        scalars = sink.rerun.Scalars.columns(scalars=wrench[:, column])
+        sink.send(prefix + entity, utc_ns, scalars)
 
 
-def _pose(sink: _Sink, stream: Stream, source: Source, some: Array, utc_ns: Array) -> None:
-    position = stream.array("value")[source.rows[some], :3] * _MM
+def _pose(sink: _Sink, prefix: str, stream: Stream, rows: Array, utc_ns: Array) -> None:
+    position = stream.array("value")[rows, :3] * _MM
     for column, axis in enumerate("xyz"):
         scalars = sink.rerun.Scalars.columns(scalars=position[:, column])
-        sink.send(f"position_mm/{axis}", utc_ns, scalars)
+        sink.send(f"{prefix}position_mm/{axis}", utc_ns, scalars)
 
 
-def _taxels(sink: _Sink, stream: Stream, source: Source, some: Array, utc_ns: Array) -> None:
-    counts = stream.array("value")[source.rows[some]].astype(float)
+def _taxels(sink: _Sink, prefix: str, stream: Stream, rows: Array, utc_ns: Array) -> None:
+    counts = stream.array("value")[rows].astype(float)
     for column, axis in enumerate("xyz"):
         scalars = sink.rerun.Scalars.columns(scalars=counts[:, :, column].reshape(-1))
         lengths = np.full(len(counts), counts.shape[1])
-        sink.send(f"taxels_counts/{axis}", utc_ns, scalars.partition(lengths))
+        sink.send(f"{prefix}taxels_counts/{axis}", utc_ns, scalars.partition(lengths))
 
 
-def _camera(sink: _Sink, stream: Stream, source: Source, some: Array, utc_ns: Array) -> None:
+def _values(sink: _Sink, prefix: str, stream: Stream, rows: Array, utc_ns: Array) -> None:
+    values = stream.array("value")[rows].astype(float).reshape(len(rows), -1)
+    scalars = sink.rerun.Scalars.columns(scalars=values.reshape(-1))
+    lengths = np.full(len(values), values.shape[1])
+    sink.send(f"{prefix}value", utc_ns, scalars.partition(lengths))
+
+
+def _texts(sink: _Sink, prefix: str, stream: Stream, rows: Array, utc_ns: Array) -> None:
+    words = [event_text(value) for value in stream.array("value")[rows]]
+    sink.send(f"{prefix}text", utc_ns, sink.rerun.TextLog.columns(text=words))
+
+
+def _images(sink: _Sink, prefix: str, stream: Stream, rows: Array, utc_ns: Array) -> None:
     blobs, kind = [], "image/jpeg"
-    for row in source.rows[some]:
+    for row in rows:
         data = stream.jpeg(int(row))
         if data is None:
             data, kind = _png(stream.images([int(row)])[0]), "image/png"
         blobs.append(data)
     columns = sink.rerun.EncodedImage.columns(blob=blobs, media_type=[kind] * len(blobs))
-    sink.send("camera", utc_ns, columns)
+    sink.send(f"{prefix}camera", utc_ns, columns)
 
 
 def _png(pixels: Array) -> bytes:
@@ -206,7 +226,13 @@ def _png(pixels: Array) -> bytes:
     return file.getvalue()
 
 
-_WRITERS = {"force": _force, "pose": _pose, "taxels": _taxels, "camera": _camera}
+_Writer = Callable[[_Sink, str, Stream, Array, Array], None]
+_WRITERS: dict[str, _Writer] = {
+    "force": _force,
+    "pose": _pose,
+    "taxels": _taxels,
+    "events": _texts,
+}
 
 
 def _segments(sink: _Sink, session: Session, run: _Run) -> None:
@@ -234,23 +260,31 @@ def _segments(sink: _Sink, session: Session, run: _Run) -> None:
     sink.send("plan/log", start, sink.rerun.TextLog.columns(text=words))
 
 
+_PLOTS = {
+    "force": (("force_N", "force [N]"), ("torque_Nm", "torque [N m]")),
+    "pose": (("position_mm", "position [mm]"),),
+    "taxels": (("taxels_counts", "taxels [counts]"),),
+}
+
+
 def _blueprint(session: Session) -> Any:
     """Return the layout: image next to the time series, plan below."""
     import rerun.blueprint as blueprint
 
-    series = [
-        blueprint.TimeSeriesView(origin=f"/{origin}", name=name)
-        for stream, origin, name in (
-            ("force", "force_N", "force [N]"),
-            ("force", "torque_Nm", "torque [N m]"),
-            ("pose", "position_mm", "position [mm]"),
-            ("taxels", "taxels_counts", "taxels [counts]"),
-        )
-        if stream in session.streams
-    ]
-    left: list[Any] = [blueprint.TextLogView(origin="/plan/log", name="plan")]
-    if "camera" in session.streams:
-        left.insert(0, blueprint.Spatial2DView(origin="/camera", name="camera"))
+    series, left = [], [blueprint.TextLogView(origin="/plan/log", name="plan")]
+    for name in session.columns:
+        stream = session.streams[name]
+        prefix, kind = _entity(session, stream), stream.traits.kind
+        title = f"{name}, " if prefix else ""
+        if stream.layout.image is not None:
+            view = blueprint.Spatial2DView(origin=f"/{prefix}camera", name=name)
+            left.insert(len(left) - 1, view)
+            continue
+        for origin, label in _PLOTS.get(kind, (("value", "value"),)):
+            if kind != "events":
+                series.append(
+                    blueprint.TimeSeriesView(origin=f"/{prefix}{origin}", name=f"{title}{label}")
+                )
     return blueprint.Blueprint(
         blueprint.Horizontal(blueprint.Vertical(*left), blueprint.Vertical(*series)),
         collapse_panels=True,

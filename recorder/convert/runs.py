@@ -35,7 +35,7 @@ class RecordedPress:
 def presses(session: Session, *, valid_only: bool = False) -> list[RecordedPress]:
     """Return the presses in the order in which they were made; presses without rows are left out.
 
-    If the session has a camera, rows without an image are left out.
+    Rows without an image of every camera that is a signal are left out.
 
     Args:
         session: A finished session.
@@ -48,8 +48,10 @@ def presses(session: Session, *, valid_only: bool = False) -> list[RecordedPress
     if "t_ns" not in frames or not len(frames["t_ns"]):
         raise SessionError(f"{session.name}: has no frames to export")
     keep = frames["valid"] if valid_only else np.ones(len(frames["t_ns"]), np.bool_)
-    if "camera" in session.streams:
-        keep = keep & (frames["image"] >= 0)
+    for name, column in session.columns.items():
+        stream = session.streams[name]
+        if stream.layout.image is not None and "signal" in stream.traits.roles:
+            keep = keep & (frames[column] >= 0)
     return list(_cut(frames, np.flatnonzero(keep).astype(np.int64)))
 
 

@@ -8,12 +8,15 @@ outside the samples a value is NaN and invalid.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+from recorder.session.loss import Losses, stream_losses
+from recorder.spec import Column, Traits, frame_columns, signal_of
 
 Times = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -285,7 +288,6 @@ Array = np.ndarray[Any, Any]
 
 # Exposure assumed for a camera that does not state it [s].
 EXPOSURE = 1 / 60
-_MAX_AGE = {"force": 0.02, "pose": 0.02}
 _MAX_AGE_PERIODS = 2.0
 
 
@@ -293,39 +295,44 @@ _MAX_AGE_PERIODS = 2.0
 class Source:
     """One stream of one run."""
 
+    name: str
+    """Name of the stream."""
+    traits: Traits
+    """Kind, alignment, roles and clock."""
     times: Times
     """Capture times (m,) [ns], ascending."""
     rows: NDArray[np.int64]
     """Row number of each in its stream (m,)."""
     values: Values | None
-    """Values (m, ...); None for images, which stay on disk."""
+    """Values (m, ...); None for images and text, which stay on disk."""
+    is_pose: bool
+    """True if a value is a position and a rotation vector."""
     max_age: float
     """Oldest value that is still valid [s]."""
     exposure: float
     """Exposure time before a capture [s]."""
+    losses: Losses
+    """Lost samples, placed between the captures around them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sources:
-    """Recorded streams of a run; None for a stream that the session does not have."""
+    """Recorded streams of a run."""
 
-    camera: Source | None
-    force: Source | None
-    pose: Source | None
-    taxels: Source | None
-
-    @property
-    def signal(self) -> Source | None:
-        """Stream that the others are aligned to: the camera, or else the taxels."""
-        return self.camera or self.taxels
+    streams: Mapping[str, Source]
+    """Streams by name, in the session's order; those with alignment `none` are left out."""
+    columns: Mapping[str, str]
+    """Column of `frames` by stream."""
+    signal: Source | None
+    """Stream that the others are aligned to."""
 
     @property
     def span(self) -> tuple[int, int] | None:
-        """First and last capture time of any stream [ns]; None without samples."""
+        """First and last capture time of any stream with a role [ns]; None without samples."""
         times = [
             source.times
-            for source in (self.camera, self.force, self.pose, self.taxels)
-            if source is not None and len(source.times)
+            for source in self.streams.values()
+            if source.traits.roles and len(source.times)
         ]
         if not times:
             return None
@@ -337,10 +344,16 @@ class StreamLike(Protocol):
 
     name: str
     attrs: dict[str, Any]
+    traits: Traits
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the columns."""
+        ...
+
+    @property
+    def value_column(self) -> Column | None:
+        """The column `value`."""
         ...
 
     @property
@@ -362,47 +375,62 @@ class StreamLike(Protocol):
         ...
 
 
-def sources_of_run(streams: Mapping[str, StreamLike], rows: Mapping[str, slice]) -> Sources:
-    """Return the known streams of one run.
+def sources_of_run(
+    streams: Mapping[str, StreamLike],
+    order: Sequence[str],
+    rows: Mapping[str, slice],
+    losses: Mapping[str, Losses] | None = None,
+) -> Sources:
+    """Return the streams of one run that are aligned.
 
     Args:
-        streams: Streams by name; unknown names are ignored.
+        streams: Streams by name.
+        order: Their names in the session's order.
         rows: Rows of each that belong to the run.
+        losses: Losses in these rows, of the streams for which they are known.
     """
-    found = {
-        name: source(streams[name], rows[name]) if name in streams else None
-        for name in ("camera", "force", "pose", "taxels")
-    }
-    return Sources(**found)
+    described = [(name, streams[name].traits) for name in order]
+    columns = frame_columns(described)
+    found = {name: source(streams[name], rows[name], (losses or {}).get(name)) for name in columns}
+    signal = signal_of(described)
+    return Sources(found, columns, None if signal is None else found[signal])
 
 
-def source(stream: StreamLike, rows: slice) -> Source:
-    """Return some rows of a stream with their capture times."""
+def source(stream: StreamLike, rows: slice, losses: Losses | None = None) -> Source:
+    """Return some rows of a stream with their capture times, and the losses in them."""
     times = captured(stream)[rows]
     numbers = np.arange(len(stream.t_ns), dtype=np.int64)[rows]
-    values = None if stream.name == "camera" else stream.values(rows)
+    column = stream.value_column
+    values = stream.values(rows) if column is not None and column.is_number else None
+    lost = (stream_losses(stream, rows) if losses is None else losses).on(times)
     if np.any(np.diff(times) < 0):
         order = np.argsort(times, kind="stable")
         times, numbers = times[order], numbers[order]
         values = None if values is None else values[order]
-    max_age = _MAX_AGE.get(stream.name, _MAX_AGE_PERIODS / stream.rate_hz)
+    max_age = max(stream.traits.defaults.max_age, _MAX_AGE_PERIODS / stream.rate_hz)
     return Source(
+        stream.name,
+        stream.traits,
         times,
         numbers,
         values,
-        _number(stream, "max_age", max_age),
+        column is not None and column.is_pose,
+        _number(
+            stream, "max_age", _MAX_AGE_PERIODS / stream.rate_hz if max_age is None else max_age
+        ),
         _number(stream, "exposure", EXPOSURE),
+        lost,
     )
 
 
 def captured(stream: StreamLike) -> Times:
     """Return the capture time of each row (n,) [ns], as far as the stream gives it.
 
-    This is arrival minus attrs `latency` [s]; or the device's own time if attrs `device_clock` is
+    This is arrival minus attrs `latency` [s]; or the device's own time if the stream's clock is
     `monotonic`, because then both are the same clock (V4L2).
     """
     arrived = stream.t_ns - round(_number(stream, "latency", 0.0) / NS)
-    if stream.attrs.get("device_clock") != "monotonic" or "device_t" not in stream.names:
+    if stream.traits.clock != "monotonic" or "device_t" not in stream.names:
         return arrived
     device_t = stream.array("device_t")
     known = np.isfinite(device_t)

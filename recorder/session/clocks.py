@@ -20,6 +20,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from recorder.errors import SessionError
 from recorder.session.reader import Session, Stream
 from recorder.store.layout import merge_attrs
 
@@ -32,6 +33,11 @@ WRAPS = tuple(2.0**bits * tick for bits in (16, 24, 31, 32) for tick in (1e-9, 1
 # A permanent change of the offset by more than this is a reset of the device's clock [s].
 STEP = 0.02
 
+# A drift whose interval is wider than this to either side says nothing of a clock [ppm].
+DRIFT_KNOWN = 50.0
+
+_PARTS = 16  # parts of a recording whose promptest arrivals show how well its drift is known
+_T_95 = 2.2  # Student's t of about as many parts
 _BINS = 64  # least delays kept per window
 _KNOTS = 3  # fits per window length
 _LEAST_SAMPLES, _LEAST_SPAN = 16, 2.0
@@ -54,6 +60,8 @@ class ClockPiece:
     """Mean drift of the device's clock against the host's [ppm]; positive is fast."""
     residual_rms: float
     """RMS of arrival minus mapped time: the variation of the delays [s]."""
+    drift_interval_ppm: float
+    """Half of the 95 % interval of the drift [ppm]; NaN in a fit stored without it."""
     device_t: Floats
     """Knots (k,): device time since the first knot's origin, unwrapped [s]."""
     host_minus_device: Floats
@@ -74,6 +82,15 @@ class ClockFit:
     """Period after which the device's clock wraps [s]; None if no wrap was seen."""
 
     @property
+    def drifts(self) -> bool:
+        """True if the drift of the last piece is known well enough to mean something."""
+        piece = self.pieces[-1]
+        return bool(
+            piece.drift_interval_ppm < abs(piece.drift_ppm)
+            and piece.drift_interval_ppm <= DRIFT_KNOWN
+        )
+
+    @property
     def resets(self) -> int:
         """Number of resets of the device's clock."""
         return max(len(self.pieces) - 1, 0)
@@ -91,6 +108,7 @@ class ClockFit:
                 "rows": part.rows,
                 "offset_s": part.offset,
                 "drift_ppm": part.drift_ppm,
+                "drift_interval_ppm": part.drift_interval_ppm,
                 "residual_rms_s": part.residual_rms,
                 "knots_device_t": part.device_t.tolist(),
                 "knots_host_minus_device": part.host_minus_device.tolist(),
@@ -110,6 +128,7 @@ class ClockFit:
                 float(part["offset_s"]),
                 float(part["drift_ppm"]),
                 float(part["residual_rms_s"]),
+                float(part.get("drift_interval_ppm", "nan")),
                 np.array(part["knots_device_t"], np.float64),
                 np.array(part["knots_host_minus_device"], np.float64),
             )
@@ -154,12 +173,12 @@ def fit_clock(
         piece = _fit_piece(device[part], offset[part] - least_delay, window, causal)
         if piece is None:
             continue
-        knots, values, drift_ppm, rms = piece
+        knots, values, drift_ppm, rms, half = piece
         at_first = float(np.interp(device[start], knots, values))
         base = origin_ns * 1e-9
         first, count = int(rows[start]), stop - start
         pieces.append(
-            ClockPiece(first, count, base + at_first, drift_ppm, rms, knots, base + values)
+            ClockPiece(first, count, base + at_first, drift_ppm, rms, half, knots, base + values)
         )
     return ClockFit(tuple(pieces), window, causal, found_wrap) if pieces else None
 
@@ -208,8 +227,11 @@ def _resets(host: Floats, offset: Floats) -> list[int]:
 
 def _fit_piece(
     device: Floats, offset: Floats, window: float, causal: bool
-) -> tuple[Floats, Floats, float, float] | None:
-    """Return knots (k,), offsets there (k,), drift [ppm] and rms residual [s], or None."""
+) -> tuple[Floats, Floats, float, float, float] | None:
+    """Return knots (k,), offsets there (k,), drift [ppm], rms residual [s] and its half interval.
+
+    It is None for too few samples or too short a time.
+    """
     first, last = float(device.min()), float(device.max())
     if len(device) < _LEAST_SAMPLES or last - first < _LEAST_SPAN:
         return None
@@ -230,7 +252,27 @@ def _fit_piece(
         values[number] = at_zero + trend * knot
     drift = float(np.polyfit(knots - knots.mean(), values, 1)[0])
     residual = offset - np.interp(device, knots, values)
-    return knots, values, -1e6 * drift / (1 + drift), float(np.sqrt(np.mean(residual**2)))
+    rms = float(np.sqrt(np.mean(residual**2)))
+    return knots, values, -1e6 * drift / (1 + drift), rms, 1e6 * _drift_interval(device, residual)
+
+
+def _drift_interval(device: Floats, residual: Floats) -> float:
+    """Return half of the 95 % interval of the drift.
+
+    The promptest arrivals of equal parts of the time lie about the fitted line. Their scatter says
+    how well its slope is known.
+    """
+    span = float(device.max() - device.min())
+    part = np.minimum((device - device.min()) / span * _PARTS, _PARTS - 1).astype(np.int64)
+    parts = np.unique(part)
+    if len(parts) < 4:
+        return float("inf")
+    least = np.array([residual[part == number].min() for number in parts])
+    at = (parts - parts.mean()) * span / _PARTS
+    slope = float(at @ least / (at @ at))
+    rest = least - least.mean() - slope * at
+    error = float(np.sqrt(rest @ rest / (len(parts) - 2) / (at @ at)))
+    return _T_95 * error + abs(slope)
 
 
 def _least_of_bins(x: Floats, y: Floats, width: float) -> tuple[Floats, Floats]:
@@ -281,13 +323,18 @@ def _interpolated(piece: ClockPiece, device_t: Floats) -> Floats:
 def fit_clocks(path: str | os.PathLike[str]) -> dict[str, list[dict[str, Any] | None]]:
     """Fit each stream that has a device time, run by run, and store the fit in its attributes.
 
+    The streams of the session must be closed, the session itself not yet: `SessionWriter.finish`
+    calls this on request.
+
     Returns:
         Attribute `clock_fit` by stream: one entry per run, None if too little was recorded.
 
     Raises:
-        SessionError: Not a session, or a corrupt one.
+        SessionError: Not a session, a corrupt one, or one whose manifest was written.
     """
     session = Session(path)
+    if session.status != "recording" and session.attrs["format_version"] >= 2:
+        raise SessionError(f"{session.name}: is closed; clocks are fitted when it is finished")
     found: dict[str, list[dict[str, Any] | None]] = {}
     for name, stream in session.streams.items():
         clock = _device_clock(stream)
@@ -306,24 +353,27 @@ def fit_clocks(path: str | os.PathLike[str]) -> dict[str, list[dict[str, Any] | 
 
 
 def clock_lines(session: Session) -> Iterator[str]:
-    """Yield a line on the offset and drift of each fitted clock, for a stream's last run."""
+    """Yield a line on each fitted clock whose drift or resets mean something, for the last run.
+
+    A drift is silent whose interval contains 0, or is wider than `DRIFT_KNOWN`.
+    """
     for name, stream in session.streams.items():
         entries = [entry for entry in stream.attrs.get("clock_fit", []) if entry is not None]
         if not entries:
             continue
         fit = ClockFit.from_json(entries[-1])
         piece = fit.pieces[-1]
-        offset = piece.offset
-        resets = f", {fit.resets} resets" if fit.resets else ""
-        yield (
-            f"clock   {name:<7} host - device {_seconds(offset)}, "
-            f"drift {piece.drift_ppm:+.1f} ppm, delays rms {1e3 * piece.residual_rms:.2f} ms "
-            f"({entries[-1]['clock']}, {fit.window:.0f} s windows{resets}); reported, not applied"
-        )
-
-
-def _seconds(value: float) -> str:
-    return f"{1e3 * value:+.2f} ms" if abs(value) < 10 else f"{value:+.3f} s"
+        told = []
+        if fit.drifts:
+            told.append(f"drift {piece.drift_ppm:+.1f} +- {piece.drift_interval_ppm:.1f} ppm")
+        if fit.resets:
+            told.append(f"{fit.resets} resets of the device's clock")
+        if told:
+            yield (
+                f"clock   {name:<7} {', '.join(told)}, delays rms "
+                f"{1e3 * piece.residual_rms:.2f} ms ({entries[-1]['clock']}); "
+                "reported, not applied"
+            )
 
 
 def _device_clock(stream: Stream) -> tuple[str, NDArray[np.float64]] | None:

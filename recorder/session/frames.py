@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from recorder.session.align import Floats, Times, quaternion
 from recorder.session.reader import Session
-from recorder.session.window import Window, align_window
+from recorder.session.uncertainty import row_sigma, sigmas_of
+from recorder.session.window import align_window
 from recorder.spec import PHASES
 from recorder.store.durable import sync_directory
 from recorder.store.layout import merge_attrs
@@ -21,22 +22,21 @@ from recorder.store.tables import write_table
 
 Array = np.ndarray[Any, Any]
 
-_WRENCH = "N, N m"
-# Units and description of the columns of `frames`.
+# Units and description of the columns of `frames` that every session has.
 UNITS: Mapping[str, tuple[str, str]] = {
     "t_ns": ("ns", "tick, on the clock of the run"),
     "run": ("1", "entry of the session's attrs runs"),
-    "image": ("1", "row of streams/camera; -1 without one"),
+    "image": ("1", "row of the first camera; -1 without one"),
     "is_duplicate": ("1", "same signal as in the row before"),
     "image_age": ("s", "tick minus capture of the signal; NaN without one"),
-    "wrench": (_WRENCH, "mean over the exposure, minus the offset of the point's reference"),
+    "wrench": ("N, N m", "mean over the exposure, minus the offset of the point's reference"),
     "pose": ("m, rad", "tool pose at the capture, base frame, rotation vector"),
-    "taxels": ("counts", "taxels at the capture"),
     "target": ("1", "row of targets; -1 in a session without targets"),
     "phase": ("1", "code, see attrs phases; -1 in a session without targets"),
     "depth": ("m", "indentation, from the pose; negative above the surface, NaN if unknown"),
     "skew": ("s", "largest distance of a value from the capture it is given for"),
-    "valid": ("1", "every stream had samples near enough"),
+    "time_sigma": ("s", "standard uncertainty of the alignment; twice it covers 95 %"),
+    "valid": ("1", "every stream that has a role had samples near enough, and lost none needed"),
 }
 
 _BUILDING, _OLD = "frames.building", "frames.old"
@@ -52,8 +52,18 @@ def write_frames(path: Path, rate_hz: float) -> None:
     """
     building, old, final = path / _BUILDING, path / _OLD, path / "frames"
     remove_leftovers(path)
-    write_table(building, frames_table(Session(path), rate_hz), UNITS)
-    merge_attrs(building, {"rate_hz": float(rate_hz), "phases": list(PHASES)})
+    session = Session(path)
+    write_table(building, frames_table(session, rate_hz), frame_units(session))
+    attrs = {
+        "rate_hz": float(rate_hz),
+        "phases": list(PHASES),
+        "streams": session.columns,
+        "time_sigma": [
+            {name: part.to_json() for name, part in sigmas_of(session, run).items()}
+            for run in range(max(len(session.runs), 1))
+        ],
+    }
+    merge_attrs(building, attrs)
     if final.exists():
         final.rename(old)
     building.rename(final)
@@ -73,8 +83,10 @@ def frames_table(session: Session, rate_hz: float) -> dict[str, Array]:
     """Return the columns of the view, one row per tick that lies in a segment.
 
     Each run has one grid of ticks that starts with the run's first segment; rows never cross runs.
-    See `UNITS` for the columns; `taxels` exists only if the session has them. In a session without
-    targets, such as an imported one, the view covers each run from its first sample to its last.
+    The columns are those of `UNITS` and one for each aligned stream (see `spec.frame_columns`): its
+    value, or the row of an image or a text. Streams named after themselves also have their distance
+    to the capture, `<stream>_age`. In a session without targets, such as an imported one, the view
+    covers each run from its first sample to its last.
     """
     parts = [
         _run_table(session, run, ticks, segment, rate_hz)
@@ -146,27 +158,53 @@ def _run_table(
     rows = align_window(ticks, session.sources(run))
     count = len(ticks)
     target = _of_segment(session, "target", segment)
+    signal = None if rows.signal is None else rows.streams[rows.signal]
     table: dict[str, Array] = {
         "t_ns": ticks,
         "run": np.full(count, run, np.int16),
-        "image": _or(rows.image_row, np.full(count, -1, np.int64)),
+        "image": np.full(count, -1, np.int64),
         "is_duplicate": _repeats(rows.signal_row),
-        "image_age": _signal_age(rows),
-        "wrench": _or(rows.wrench, np.full((count, 6), np.nan)),
-        "pose": _or(rows.pose, np.full((count, 6), np.nan)),
+        "image_age": np.full(count, np.nan) if signal is None else signal.age,
+        "wrench": np.full((count, 6), np.nan),
+        "pose": np.full((count, 6), np.nan),
         "target": target,
         "phase": _of_segment(session, "phase", segment),
         "depth": np.full(count, np.nan),
         "skew": rows.skew,
-        "valid": rows.valid & (rows.signal_row >= 0),
+        "time_sigma": row_sigma(rows, session.sources(run).streams, sigmas_of(session, run)),
+        "valid": rows.valid,
     }
-    table["wrench"] = table["wrench"] - _reference_offset(session, run, ticks, target)
+    for name, column in rows.columns.items():
+        stream = rows.streams[name]
+        if stream.value is None:
+            table[column] = np.asarray(stream.row)
+        elif stream.traits.defaults.tared:
+            offset = _reference_offset(session, run, ticks, target, column)
+            table[column] = stream.value - offset
+        else:
+            table[column] = stream.value
+        if column == name and column not in UNITS and column != stream.traits.defaults.column:
+            table[f"{column}_age"] = stream.age
     frame = session.attrs.get("contact_frame")
     if frame is not None:
         table["depth"] = depth_in(np.asarray(frame, np.float64), table["pose"])
-    if rows.taxels is not None:
-        table["taxels"] = rows.taxels
     return table
+
+
+def frame_units(session: Session) -> dict[str, tuple[str, str]]:
+    """Return units and description of every column."""
+    found = dict(UNITS)
+    for name, column in session.columns.items():
+        stream = session.streams[name]
+        value, how = stream.value_column, stream.traits.align
+        if column in UNITS:
+            continue
+        if value is None or not value.is_number:
+            found[column] = ("1", f"row of streams/{name}, {how} at the capture; -1 without one")
+        else:
+            found[column] = (value.units, f"streams/{name}, {how} at the capture")
+        found[f"{column}_age"] = ("s", f"distance of {column} from the capture; NaN without one")
+    return found
 
 
 def _of_segment(session: Session, name: str, segment: NDArray[np.int64]) -> Array:
@@ -177,36 +215,28 @@ def _of_segment(session: Session, name: str, segment: NDArray[np.int64]) -> Arra
     return np.where(segment >= 0, values[segment], -1).astype(values.dtype)
 
 
-def _or(value: Array | None, default: Array) -> Array:
-    return default if value is None else value
-
-
 def _repeats(row: NDArray[np.int64]) -> NDArray[np.bool_]:
     same = np.zeros(len(row), np.bool_)
     same[1:] = (row[1:] == row[:-1]) & (row[1:] >= 0)
     return same
 
 
-def _signal_age(rows: Window) -> Floats:
-    age = rows.image_age if rows.image_age is not None else rows.taxels_age
-    return np.full(len(rows.t_ns), np.nan) if age is None else age
-
-
 def _reference_offset(
-    session: Session, run: int, ticks: Times, target: NDArray[np.int32]
+    session: Session, run: int, ticks: Times, target: NDArray[np.int32], column: str
 ) -> Floats:
     """Return the residual offset of each tick's contact point (n, 6) [N, N m].
 
     This is the latest reference of the point in this run, taken at or before the tick; zero if
     there is none.
     """
-    offset = np.zeros((len(ticks), 6))
     reference, targets = session.reference, session.targets
-    if "point" not in targets or not len(targets["point"]) or not len(reference["point"]):
-        return offset
+    known = "point" in targets and len(targets["point"]) and column in reference
+    if not known or not len(reference["point"]):
+        return np.zeros((len(ticks), 6))
+    offset = np.zeros((len(ticks), *reference[column].shape[1:]))
     point = targets["point"][target]
     for row in np.argsort(reference["t_ns"], kind="stable"):
         if reference["run"][row] == run:
             later = (point == reference["point"][row]) & (ticks >= reference["t_ns"][row])
-            offset[later] = reference["wrench"][row]
+            offset[later] = reference[column][row]
     return offset

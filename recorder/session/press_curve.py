@@ -111,8 +111,8 @@ def _samples(session: Session, row: int) -> tuple[Floats, Floats]:
     """Return depth (n,) [m] and compression (n,) [N] during one segment."""
     segments = session.segments
     run = int(segments["run"][row])
-    force, pose = session.streams["force"], session.streams["pose"]
-    rows, poses = session.rows_of_run("force", run), session.rows_of_run("pose", run)
+    force, pose = (session.streams[name] for name in _force_and_pose(session))
+    rows, poses = session.rows_of_run(force.name, run), session.rows_of_run(pose.name, run)
     times = force.t_ns[rows]
     inside = (times >= segments["start_ns"][row]) & (times < segments["end_ns"][row])
     value = np.asarray(force.array("value"))[rows][inside, 2]
@@ -125,6 +125,19 @@ def _samples(session: Session, row: int) -> tuple[Floats, Floats]:
     depth = -align.linear(pose.t_ns[poses], height, times[inside]).value
     known = np.isfinite(depth)
     return depth[known], -(value[known] - zero)
+
+
+def _force_and_pose(session: Session) -> tuple[str, str]:
+    """Return the first gauge and the first arm.
+
+    Raises:
+        SessionError: The session lacks one.
+    """
+    force, pose = session.first("force"), session.first("pose")
+    if force is None or pose is None:
+        what = "force" if force is None else "pose"
+        raise SessionError(f"{session.path}: no stream of kind {what}, so no force over depth")
+    return force, pose
 
 
 def _normal(rotation: Floats) -> Floats:

@@ -4,11 +4,14 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
+from recorder.errors import SessionError
 from recorder.session.frames import remove_leftovers, write_frames
 from recorder.session.reader import Session
 from recorder.session.stream_writer import StreamWriter, survey
 from recorder.store.durable import TEMPORARY
+from recorder.store.files import LOCAL
 from recorder.store.layout import StreamLayout, merge_attrs, read_session_attrs
+from recorder.store.manifest import seal, wrong_files
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +53,8 @@ def recover(path: str | os.PathLike[str]) -> Recovery:
     """Close a session that was not closed: seal its streams, build `frames`, set its status.
 
     A session in status `recording` becomes `recovered`, any other keeps its status. A valid session
-    is not changed, so the call is idempotent; if killed half-way, it can be repeated.
+    is not changed, so the call is idempotent; if killed half-way, it can be repeated. Of a closed
+    session only `frames`, which contain no original data, are built again.
 
     Raises:
         SessionError: Not a session, one that is being written, or damage that a crash cannot cause.
@@ -58,16 +62,21 @@ def recover(path: str | os.PathLike[str]) -> Recovery:
     session = Path(path)
     attrs = read_session_attrs(session)
     status = str(attrs.get("status"))
+    wrong = list(wrong_files(LOCAL, session, attrs))
+    for key, text in wrong:
+        if status == "recording" or not key.startswith("frames"):
+            raise SessionError(f"{session / key}: {text}")
     (session / f"zarr.json{TEMPORARY}").unlink(missing_ok=True)
     leftovers = remove_leftovers(session)
     streams = recover_streams(session)
     touched = leftovers or any(stream.touched for stream in streams)
-    rebuild = touched or status == "recording" or not (session / "frames").exists()
+    rebuild = bool(touched or wrong or status == "recording" or not (session / "frames").exists())
     if rebuild:
+        status = "recovered" if status == "recording" else status
+        if wrong:  # a closed session: open it, so that its streams can be read and it can be sealed
+            merge_attrs(session, {"status": "recording"})
         write_frames(session, Session(session).rate_hz)
-    if status == "recording":
-        status = "recovered"
-        merge_attrs(session, {"status": status})
+        seal(session, status=status)
     return Recovery(tuple(streams), rebuild, status)
 
 

@@ -86,11 +86,17 @@ def contact_sheet(
 
 def _pictures(session: Session, chosen: NDArray[np.intp]) -> list[Image.Image]:
     """Return one thumbnail per chosen row of `frames`: the image, or a picture of the taxels."""
-    frames = session.frames
-    if "camera" in session.streams:
-        rows = frames["image"][chosen]
-        images = session.streams["camera"].images(np.maximum(rows, 0))
-        return [_fitted(pixels) for pixels in images]
+    frames, columns = session.frames, session.columns
+    if cameras := [name for name in session.of_kind("camera") if columns.get(name) in frames]:
+        size = (_THUMB[0] // len(cameras), _THUMB[1])
+        images = [
+            session.streams[name].images(np.maximum(frames[columns[name]][chosen], 0))
+            for name in cameras
+        ]
+        return [
+            _side_by_side([_fitted(pixels, size) for pixels in shown])
+            for shown in zip(*images, strict=True)
+        ]
     if "taxels" not in frames:
         return [Image.new("RGB", _THUMB, (30, 34, 42)) for _ in chosen]
     counts = frames["taxels"]
@@ -100,20 +106,23 @@ def _pictures(session: Session, chosen: NDArray[np.intp]) -> list[Image.Image]:
 
 
 def _taxel_picture(change: NDArray[Any], full_scale: float) -> Image.Image:
-    """Return a 4x4 taxel pad as discs: shifted by shear, larger and warmer under pressure.
+    """Return a taxel pad as discs: shifted by shear, larger and warmer under pressure.
 
     Args:
-        change: Counts x y z relative to rest (16, 3).
+        change: Counts x y z relative to rest (taxels, 3), four taxels a row.
         full_scale: Counts that give the largest displacement and size.
     """
     width, height = _THUMB[0] * _SMOOTH, _THUMB[1] * _SMOOTH
     picture = Image.new("RGB", (width, height), (30, 34, 42))
     draw = ImageDraw.Draw(picture)
-    pitch = min(width, height) / 4.6
+    lines = -(-len(change) // 4)
+    pitch = min(width, height) / (max(lines, 4) + 0.6)
     homes = [
-        (width / 2 + (column - 1.5) * pitch, height / 2 + (row - 1.5) * pitch)
-        for row in range(4)
-        for column in range(4)
+        (
+            width / 2 + (taxel % 4 - 1.5) * pitch,
+            height / 2 + (taxel // 4 - (lines - 1) / 2) * pitch,
+        )
+        for taxel in range(len(change))
     ]
     for home in homes:
         draw.ellipse(_disc(*home, pitch * 0.42), outline=(58, 64, 76), width=2 * _SMOOTH)
@@ -135,21 +144,29 @@ def _disc(x: float, y: float, radius: float) -> tuple[float, float, float, float
 
 
 def _at_rest(session: Session, counts: NDArray[np.float64]) -> NDArray[Any]:
-    """Return the counts without contact (16, 3): the first reference, else the first frame."""
+    """Return the counts without contact (taxels, 3): the first reference, else the first frame."""
     reference = session.reference["taxels"]
     known = np.flatnonzero(np.isfinite(reference).all(axis=(1, 2)))
     return np.asarray(reference[known[0]] if known.size else counts[0])
 
 
-def _fitted(pixels: NDArray[np.uint8]) -> Image.Image:
-    """Return an image scaled into the thumbnail, on a dark background."""
-    image = Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels).convert("RGB")
-    scale = min(_THUMB[0] / image.width, _THUMB[1] / image.height)
-    size = (max(round(image.width * scale), 1), max(round(image.height * scale), 1))
+def _side_by_side(pictures: list[Image.Image]) -> Image.Image:
+    """Return pictures of equal size in one thumbnail."""
     thumb = Image.new("RGB", _THUMB, (30, 34, 42))
+    for place, picture in enumerate(pictures):
+        thumb.paste(picture, (place * picture.width, 0))
+    return thumb
+
+
+def _fitted(pixels: NDArray[np.uint8], within: tuple[int, int]) -> Image.Image:
+    """Return an image scaled into a size, on a dark background."""
+    image = Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels).convert("RGB")
+    scale = min(within[0] / image.width, within[1] / image.height)
+    size = (max(round(image.width * scale), 1), max(round(image.height * scale), 1))
+    thumb = Image.new("RGB", within, (30, 34, 42))
     thumb.paste(
         image.resize(size, Image.Resampling.LANCZOS),
-        ((_THUMB[0] - size[0]) // 2, (_THUMB[1] - size[1]) // 2),
+        ((within[0] - size[0]) // 2, (within[1] - size[1]) // 2),
     )
     return thumb
 
@@ -184,7 +201,7 @@ def _caption(
     target, code = int(frames["target"][frame]), int(frames["phase"][frame])
     phase = PHASES[code].replace("_", " ") if code >= 0 else ""
     seconds = (int(frames["t_ns"][frame]) - int(frames["t_ns"][0])) * NS
-    title = f"target {target}" if target >= 0 else f"{seconds:.2f} s"
+    title = f"target {target + 1}" if target >= 0 else f"{seconds:.2f} s"
     draw.text((x, below + 6), title, fill=INK, font=font(15))
     draw.text((x + _THUMB[0], below + 6), phase, fill=SOFT, font=font(15), anchor="ra")
     depth, force = float(frames["depth"][frame]) * 1e3, float(frames["wrench"][frame][2])

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import fcntl
 import os
+from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -14,8 +15,10 @@ from numpy.typing import NDArray
 
 from recorder.errors import SessionError
 from recorder.store import images
+from recorder.store.column import ColumnReader
 from recorder.store.durable import TEMPORARY, Background
 from recorder.store.journal import (
+    CRC_BYTES,
     HEADER,
     Journal,
     JournalledRows,
@@ -23,11 +26,18 @@ from recorder.store.journal import (
     read_journals,
     remove_journals,
     row_time,
+    take_over,
     write_journal,
 )
-from recorder.store.layout import CHUNKS_PER_SHARD, PARTIAL, Layout, StreamLayout, decoded_rows
+from recorder.store.layout import PARTIAL, Layout, StreamLayout, decoded_rows
 from recorder.store.rows import RowPacker
-from recorder.store.shard import ColumnLog, OpenShard, chunk_count, read_index, scan_partial
+from recorder.store.shard import (
+    ColumnLog,
+    OpenShard,
+    chunk_count,
+    read_shard_index,
+    scan_partial,
+)
 
 # State of a stream after its writer stopped, however that happened, and how to resume it.
 #
@@ -35,6 +45,8 @@ from recorder.store.shard import ColumnLog, OpenShard, chunk_count, read_index, 
 # only with its row, and a row only with its image. Resuming and recovering are the same operation:
 # both return the stream to the state that it had while written, after its last complete row.
 
+# Number of full journals and shards that wait for the next flush at most.
+_PENDING_MAX = 8
 # Reserved space on disk for a stream being written, so that it can be closed on a full disk.
 BALLAST = "ballast"
 
@@ -90,10 +102,10 @@ def count_chunks(column: Layout) -> tuple[int, int]:
             held = len(records)
             torn += torn_here
         elif number < numbers[-1]:  # no shard is begun before the previous one is full
-            held = CHUNKS_PER_SHARD
+            held = column.chunks_per_shard
         else:
-            held = chunk_count(read_index(column.shard(number)))
-        if chunks == number * CHUNKS_PER_SHARD:
+            held = chunk_count(read_shard_index(column, number).entries)
+        if chunks == number * column.chunks_per_shard:
             chunks += held
     return chunks, torn
 
@@ -199,19 +211,14 @@ def _spread(lengths: list[int]) -> int:
 
 
 def _read_chunk(column: Layout, chunk: int) -> NDArray[Any]:
-    number, place = divmod(chunk, CHUNKS_PER_SHARD)
+    number, place = divmod(chunk, column.chunks_per_shard)
     path = column.partial(number)
-    if path.exists():
-        record = scan_partial(column, number)[0][place]
-        offset, nbytes = record.offset, record.nbytes
-    else:
-        path = column.shard(number)
-        offset, nbytes = (int(value) for value in read_index(path)[place])
+    if not path.exists():
+        return decoded_rows(column, ColumnReader(column).chunk(chunk))
+    record = scan_partial(column, number)[0][place]  # its checksum matched
     with path.open("rb") as file:
-        file.seek(offset)
-        data = file.read(nbytes)
-    if len(data) != nbytes:
-        raise SessionError(f"{path}: chunk {place} is cut short")
+        file.seek(record.offset)
+        data = file.read(record.nbytes - (CRC_BYTES if column.chunk_crc else 0))
     return decoded_rows(column, data)
 
 
@@ -246,9 +253,18 @@ class StreamWriter:
         """Number of rows accepted so far."""
         _write_ballast(layout)
         layout.set_attrs(sync_interval=sync_interval)
+        # Handed over to the background thread: shards with the journal of their last image.
+        self._full_shards: deque[tuple[OpenShard, Journal]] = deque()
+        self._full_journals: deque[Journal] = deque()
+        self._spares: deque[Path] = deque()
         self._background = Background(
-            self._sync, interval=sync_interval, name=f"recorder-{layout.name}"
+            self._flush, interval=sync_interval, name=f"recorder-{layout.name}"
         )
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the columns that `append` takes."""
+        return tuple(layout.column.name for layout in self._layout.columns)
 
     @classmethod
     def open(cls, path: str | os.PathLike[str], *, sync_interval: float = 1.0) -> Self:
@@ -276,14 +292,22 @@ class StreamWriter:
         array of the declared shape. Float columns accept integers; only they accept NaN.
 
         Raises:
-            SessionError: A missing, unknown or ill-typed column, or a closed writer.
+            SessionError: A missing, unknown or ill-typed column, a closed writer, or damage that
+                keeps earlier rows from being sealed. The row is not stored; earlier rows are.
             OSError: The disk is full or failing. The row is not stored; earlier rows are.
         """
         if self._closed:
             raise SessionError(f"{self._layout.name}: the writer is closed")
         if self._background.failure is not None:
             failure = self._background.failure
-            raise OSError(failure.errno, failure.strerror, failure.filename) from failure
+            if isinstance(failure, OSError):
+                raise OSError(failure.errno, failure.strerror, failure.filename) from failure
+            raise SessionError(
+                f"{self._layout.name}: recording stopped, rows could not be sealed: "
+                f"{type(failure).__name__}: {failure}"
+            ) from failure
+        if self._journal.full:  # the next one could not be created
+            self._hand_over()
         row = self._pack(columns)
         t_ns = int(columns[self._time])
         if self._image is None:
@@ -297,7 +321,8 @@ class StreamWriter:
                 raise
         number = self.rows
         self.rows += 1
-        self._hand_over()
+        with suppress(OSError):  # this row is stored; the next append tries again
+            self._hand_over()
         return number
 
     def set_attrs(self, **attrs: Any) -> None:
@@ -321,6 +346,9 @@ class StreamWriter:
             self._background.stop()
             (self._layout.time.path / BALLAST).unlink(missing_ok=True)
             self._background.drain()
+            self._settle()
+            for spare in self._spares:
+                spare.unlink(missing_ok=True)
             self._seal()
         finally:
             for log in (*self._small, *([self._image] if self._image else [])):
@@ -340,25 +368,50 @@ class StreamWriter:
         Both are passed on only after the row was committed, so no shard is ever sealed with an
         image that has no row.
         """
-        if self._image is not None:
-            shard = self._image.take_full()
-            if shard is not None:
-                self._background.submit(
-                    partial(self._seal_images, self._image, shard, self._journal)
-                )
-        if self._journal.full:
-            full = self._journal
-            self._journal = Journal(self._layout, self.rows, [])
-            self._background.submit(partial(self._store, full))
+        shard = None if self._image is None else self._image.take_full()
+        if shard is not None:
+            self._full_shards.append((shard, self._journal))
+        full = self._journal.full
+        if full:
+            if self._spares:
+                take_over(self._spares.popleft(), self._layout, self.rows)
+            following = Journal(self._layout, self.rows, [])
+            self._full_journals.append(self._journal)
+            self._journal = following
+        # The next flush stores and seals them; before that only if there are many.
+        if len(self._full_journals) + len(self._full_shards) >= _PENDING_MAX:
+            self._background.submit(self._settle)
 
-    def _seal_images(self, log: ColumnLog, shard: OpenShard, journal: Journal) -> None:
-        journal.sync()
-        log.seal(shard)
+    def _settle(self) -> None:
+        """Store all full journals and seal all full shards, with few flushes for all of them.
 
-    def _store(self, journal: Journal) -> None:
-        store_block(self._layout, self._small, journal.first_row, journal.rows)
+        May be repeated after an error: nothing leaves its queue before it is done.
+        """
+        # In this order: the rows of a shard are in the first list, or in journals that follow it.
+        journals, shards = list(self._full_journals), list(self._full_shards)
+        for journal in journals:
+            store_block(self._layout, self._small, journal.first_row, journal.rows)
+        for log in self._small if journals else ():
+            log.sync()
+        if self._image is not None and shards:
+            # No shard may be sealed before the rows of its images are durable.
+            rows = [*list(self._full_journals)[len(journals) :], *(rows for _, rows in shards)]
+            for journal in rows:
+                if journal not in journals:
+                    journal.sync()
+            self._image.seal([shard for shard, _ in shards])
+            for _ in shards:
+                self._full_shards.popleft()
+        for journal in journals:
+            if len(self._spares) < _PENDING_MAX and (spare := journal.retire()):
+                self._spares.append(spare)
+            else:
+                journal.remove()
+            self._full_journals.popleft()
+
+    def _flush(self) -> None:
+        self._settle()
         self._sync()
-        journal.remove()
 
     def _sync(self) -> None:
         # Images first: after a power failure, a row without its image does not count.

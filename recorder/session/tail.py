@@ -1,18 +1,68 @@
-"""Read single rows of an image column while it is being written, for a live viewer.
+"""Read a stream while it is being written: its rows so far, or single images for a live viewer.
 
-Reads only the records it needs from the open shard: no lock, no rescan, and no effect that the
-writer could notice.
+No lock is taken, and nothing has an effect that the writer could notice.
 """
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
+
+import numpy as np
 
 from recorder.errors import SessionError
+from recorder.session.stream_writer import survey
 from recorder.store import images
-from recorder.store.journal import HEADER, MAGIC, checksum
-from recorder.store.layout import CHUNKS_PER_SHARD, Layout, StreamLayout
-from recorder.store.shard import MISSING, read_index
+from recorder.store.column import ColumnReader
+from recorder.store.journal import CHUNK_MAGIC, CRC_BYTES, HEADER, MAGIC, record_matches
+from recorder.store.layout import Layout, StreamLayout
+from recorder.store.shard import MISSING, read_shard_index
+
+
+@dataclass(frozen=True, slots=True)
+class LiveRows:
+    """Rows of a stream that is being written, or whose writer was killed."""
+
+    rows: int
+    """Number of rows that are complete in every column."""
+    stored: int
+    """Number of them that are stored as chunks of the small columns."""
+    journalled: np.ndarray[Any, np.dtype[np.void]]
+    """The others (rows - stored,), with one field per small column."""
+
+
+def live_rows(layout: StreamLayout) -> LiveRows:
+    """Return the complete rows of a stream at this moment.
+
+    Raises:
+        SessionError: A sealed shard is corrupt, or files keep changing faster than they are read.
+    """
+    for _ in range(_ATTEMPTS):
+        before = _files(layout)
+        try:
+            state = survey(layout)
+        except (FileNotFoundError, SessionError):
+            if _files(layout) == before:
+                raise
+            continue
+        # A journal or shard that was renamed meanwhile may have been read under another name.
+        if _files(layout) == before:
+            break
+    else:
+        raise SessionError(f"{layout.path}: its files change faster than they can be read")
+    if state.journalled is None:
+        return LiveRows(state.rows, state.rows, np.empty(0, layout.row_dtype))
+    stored = min(state.journalled.first_row, state.rows)
+    rows = b"".join(state.journalled.rows[: state.rows - stored])
+    return LiveRows(state.rows, stored, np.frombuffer(rows, layout.row_dtype))
+
+
+_ATTEMPTS = 50
+
+
+def _files(layout: StreamLayout) -> set[Path]:
+    journals = set(layout.time.path.glob("journal-*"))
+    return journals.union(*(column.path.glob("c/**/*") for column in layout.columns))
 
 
 class ImageTail:
@@ -42,7 +92,7 @@ class ImageTail:
         Raises:
             SessionError: The row's shard is sealed and corrupt.
         """
-        number, place = divmod(row, CHUNKS_PER_SHARD)
+        number, place = divmod(row, self._layout.chunks_per_shard)
         if self._layout.partial(number).exists():
             data = self._from_open(number, place, row)
             if data is not None:
@@ -50,11 +100,9 @@ class ImageTail:
         # Either just sealed, or not written yet.
         if not self._layout.shard(number).exists():
             return None
-        offset, nbytes = (int(v) for v in read_index(self._layout.shard(number))[place])
-        if offset == MISSING:
+        if read_shard_index(self._layout, number).entries[place, 0] == MISSING:
             return None
-        with self._layout.shard(number).open("rb") as file:
-            return os.pread(file.fileno(), nbytes, offset)
+        return ColumnReader(self._layout).chunk(row)
 
     def jpeg(self, row: int, *, quality: int = 80) -> bytes | None:
         """Return the image of a row as JPEG, or None if it is not complete yet.
@@ -92,18 +140,16 @@ class ImageTail:
         head = os.pread(self._fd, HEADER.size, self._offsets[place])
         if len(head) < HEADER.size:
             return None
-        magic, nbytes, crc, t_ns, index = HEADER.unpack(head)
-        data = os.pread(self._fd, nbytes, self._offsets[place] + HEADER.size)
-        whole = magic == MAGIC and index == row & 0xFFFFFFFF and len(data) == nbytes
-        if whole and checksum(data, t_ns, index) == crc:
-            return data
+        data = os.pread(self._fd, HEADER.unpack(head)[1], self._offsets[place] + HEADER.size)
+        if record_matches(head, data, row):
+            return data[:-CRC_BYTES] if self._layout.chunk_crc else data
         # Half written, or the writer removed a record: start again on the next call.
         self.close()
         return None
 
     def _end_of_record(self, offset: int) -> int | None:
         head = os.pread(self._fd, HEADER.size, offset)
-        if len(head) < HEADER.size or head[:4] != MAGIC:
+        if len(head) < HEADER.size or head[:4] not in (MAGIC, CHUNK_MAGIC):
             return None
         return offset + HEADER.size + int(HEADER.unpack(head)[1])
 

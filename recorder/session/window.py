@@ -1,80 +1,157 @@
 """Synchronised rows at given ticks, used by both `frames` and `Session.window`.
 
-Each tick gets the latest sample of the signal (the camera, else the taxels). All other values are
-aligned to the capture time of that sample, because a label must match its image, not the tick.
+Each tick gets the latest sample of the signal. All other values are aligned to the capture time of
+that sample, because a label must match its image, not the tick.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recorder.errors import SessionError
 from recorder.session import align
-from recorder.session.align import Aligned, Bools, Floats, Picked, Source, Sources, Times, Values
+from recorder.session.align import Aligned, Bools, Floats, Picked, Source, Sources, Times
+from recorder.spec import Traits
 
-T = TypeVar("T")
+# Names of the methods that programs written for format 1 use.
+_SYNONYMS = {
+    "held": "latest",
+    "linear": "interpolated",
+    "slerp": "interpolated",
+    "mean_exposure": "mean",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class AlignedStream:
+    """One stream in the rows of a window."""
+
+    traits: Traits
+    """Kind, alignment, roles and clock of the stream."""
+    value: NDArray[Any] | None
+    """Values (n, ...), NaN where there is none; images (n, h, w, channels), zeros where there is
+    none; None for images that were not loaded, and for text."""
+    row: NDArray[np.int64] | None
+    """Rows of the samples (n,), -1 where there is none; None for computed values."""
+    age: Floats
+    """Distance from the capture to the nearest sample used (n,) [s]; for the signal, tick minus
+    capture; NaN where there is none."""
+    valid: Bools
+    """True if all samples used are near enough, and none that was needed is lost (n,)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """`n` synchronised rows. All fields of a stream that the session does not have are None.
+    """`n` synchronised rows. Rows before the start of a run or after its end are invalid.
 
-    Rows before the start of a run or after its end exist but are invalid.
+    The first stream of each kind has fields of its own (`image`, `wrench`, `pose`, `taxels`), which
+    are None if the session has no such stream.
     """
 
     t_ns: Times
-    """Ticks (n,) [ns], one period apart, on the clock of `run`."""
+    """Ticks (n,) [ns], one period apart, on the clock of the run."""
     capture_ns: Times
     """Capture time of each row's signal (n,) [ns]; the tick itself if there is none."""
-    image: NDArray[np.uint8] | None
-    """Images (n, h, w, channels) RGB; zeros if there is none."""
-    image_row: NDArray[np.int64] | None
-    """Rows of streams/camera (n,); -1 if there is none."""
-    image_age: Floats | None
-    """Tick minus capture (n,) [s]; NaN if there is none."""
-    image_valid: Bools | None
-    """True if the image exists and is recent enough (n,)."""
-    wrench: Floats | None
-    """Force and torque at the capture (n, 6) [N, N m], as in streams/force."""
-    wrench_age: Floats | None
-    """Distance from capture to the nearest sample used (n,) [s]."""
-    wrench_valid: Bools | None
-    """True if all samples used are near enough (n,)."""
-    pose: Floats | None
-    """Tool pose at the capture (n, 6) [m, rad], base frame, rotation vector."""
-    pose_age: Floats | None
-    """Distance from capture to the nearest sample used (n,) [s]."""
-    pose_valid: Bools | None
-    """True if all samples used are near enough (n,)."""
-    taxels: Floats | None
-    """Taxel counts (n, 16, 3): at the capture of the image, or the signal itself."""
-    taxels_age: Floats | None
-    """Distance from capture to nearest sample used (n,) [s]; for the signal, age at the tick."""
-    taxels_valid: Bools | None
-    """True if all samples used are near enough (n,)."""
+    signal: str | None
+    """Name of the signal; None in a session without one."""
     signal_row: NDArray[np.int64]
-    """Row of the camera, or else of the taxels (n,); -1 if there is none."""
+    """Row of the signal (n,); -1 if there is none."""
+    streams: Mapping[str, AlignedStream]
+    """All aligned streams, by name."""
+    columns: Mapping[str, str]
+    """Column of `frames` by stream."""
+
+    def of(self, column: str) -> AlignedStream | None:
+        """Return the stream of a column of `frames`, e.g. `wrench`; None if there is none."""
+        names = (name for name, of_stream in self.columns.items() if of_stream == column)
+        return next((self.streams[name] for name in names), None)
+
+    @property
+    def image(self) -> NDArray[Any] | None:
+        """Images of the first camera (n, h, w, channels) RGB; zeros if there is none."""
+        return _value(self.of("image"))
+
+    @property
+    def image_row(self) -> NDArray[np.int64] | None:
+        """Rows of the first camera (n,); -1 if there is none."""
+        found = self.of("image")
+        return None if found is None else found.row
+
+    @property
+    def image_age(self) -> Floats | None:
+        """Tick minus capture (n,) [s]; NaN if there is none."""
+        return _age(self.of("image"))
+
+    @property
+    def image_valid(self) -> Bools | None:
+        """True if the image exists and is recent enough (n,)."""
+        return _valid(self.of("image"))
+
+    @property
+    def wrench(self) -> Floats | None:
+        """Force and torque of the first gauge at the capture (n, 6) [N, N m], as in its stream."""
+        return _value(self.of("wrench"))
+
+    @property
+    def wrench_age(self) -> Floats | None:
+        """Distance from capture to the nearest sample used (n,) [s]."""
+        return _age(self.of("wrench"))
+
+    @property
+    def wrench_valid(self) -> Bools | None:
+        """True if all samples used are near enough (n,)."""
+        return _valid(self.of("wrench"))
+
+    @property
+    def pose(self) -> Floats | None:
+        """First tool pose at the capture (n, 6) [m, rad], base frame, rotation vector."""
+        return _value(self.of("pose"))
+
+    @property
+    def pose_age(self) -> Floats | None:
+        """Distance from capture to the nearest sample used (n,) [s]."""
+        return _age(self.of("pose"))
+
+    @property
+    def pose_valid(self) -> Bools | None:
+        """True if all samples used are near enough (n,)."""
+        return _valid(self.of("pose"))
+
+    @property
+    def taxels(self) -> Floats | None:
+        """Counts of the first taxels (n, 16, 3): at the capture, or the signal itself."""
+        return _value(self.of("taxels"))
+
+    @property
+    def taxels_age(self) -> Floats | None:
+        """Distance from capture to nearest sample used (n,) [s]; of the signal, age at the tick."""
+        return _age(self.of("taxels"))
+
+    @property
+    def taxels_valid(self) -> Bools | None:
+        """True if all samples used are near enough (n,)."""
+        return _valid(self.of("taxels"))
 
     @property
     def valid(self) -> Bools:
-        """True if all existing streams are valid (n,)."""
-        flags = (self.image_valid, self.wrench_valid, self.pose_valid, self.taxels_valid)
+        """True if all streams that have a role are valid (n,)."""
         out = np.ones(len(self.t_ns), np.bool_)
-        for flag in flags:
-            if flag is not None:
-                out &= flag
+        for stream in self.streams.values():
+            if stream.traits.roles:
+                out &= stream.valid
         return out
 
     @property
     def skew(self) -> Floats:
         """Largest distance of a value from the capture that it belongs to (n,) [s]; NaN if none."""
-        ages = [self.wrench_age, self.pose_age]
-        if self.image_row is not None:
-            ages.append(self.taxels_age)
-        known = [np.abs(age) for age in ages if age is not None]
+        known = [
+            np.abs(stream.age)
+            for name, stream in self.streams.items()
+            if stream.traits.roles and name != self.signal
+        ]
         if not known:
             return np.full(len(self.t_ns), np.nan)
         worst: Floats = np.fmax.reduce(known)
@@ -88,114 +165,105 @@ def ticks_before(t_ns: int, n: int, rate_hz: float) -> Times:
 
 
 def align_window(
-    ticks: Times,
-    sources: Sources,
-    *,
-    image: str = "held",
-    force: str = "mean_exposure",
-    pose: str = "slerp",
-    taxels: str = "linear",
+    ticks: Times, sources: Sources, methods: Mapping[str, str] | None = None
 ) -> Window:
     """Return the synchronised rows at ascending `ticks` (n,) [ns], without the images' pixels.
 
-    The methods are those of `Session.window`.
+    Args:
+        ticks: Ticks (n,) [ns], ascending.
+        sources: Streams of a run.
+        methods: Methods by stream, in place of its own alignment.
 
     Raises:
-        SessionError: An unknown method.
+        SessionError: An unknown stream or method.
     """
-    pick = _chosen("image", image, _PICK)
-    fetch_wrench = _chosen("force", force, _FORCE)
-    fetch_pose = _chosen("pose", pose, _POSE)
-    fetch_taxels = _chosen("taxels", taxels, _TAXELS)
-
+    methods = methods or {}
+    for name in methods:
+        if name not in sources.streams:
+            raise SessionError(f"align: no stream {name!r}; known: {', '.join(sources.streams)}")
+    chosen = {
+        name: _method(source, methods.get(name, source.traits.align))
+        for name, source in sources.streams.items()
+    }
     signal = sources.signal
     capture, rows = ticks, np.full(len(ticks), -1, np.int64)
     picked: Picked | None = None
     exposure = 0.0
     if signal is not None:
+        # The signal is a sample, so a method that computes values takes the latest one.
+        pick = align.nearest if chosen[signal.name] == "nearest" else align.held
         picked = pick(signal.times, ticks, max_age=signal.max_age)
         some = picked.index >= 0
         capture, exposure = ticks.copy(), signal.exposure
         capture[some] = signal.times[picked.index[some]]
         rows[some] = signal.rows[picked.index[some]]
-
-    def at_capture(source: Source | None, fetch: _Fetch) -> Aligned | None:
-        return None if source is None else fetch(source, capture, exposure)
-
-    wrench = at_capture(sources.force, fetch_wrench)
-    poses = at_capture(sources.pose, fetch_pose)
-    seen = picked if sources.camera is not None else None
-    counts = at_capture(sources.taxels, fetch_taxels)
-    if sources.taxels is not None and sources.camera is None and picked is not None:
-        counts = _taken(sources.taxels, picked)  # the signal itself, with the age of its tick
+    streams = {
+        name: _taken(source, picked, ticks)
+        if source is signal and picked is not None
+        else _aligned(source, chosen[name], capture, exposure)
+        for name, source in sources.streams.items()
+    }
     return Window(
         t_ns=ticks,
         capture_ns=capture,
-        image=None,
-        image_row=None if seen is None else rows,
-        image_age=None if seen is None else seen.age,
-        image_valid=None if seen is None else seen.valid,
-        wrench=None if wrench is None else wrench.value,
-        wrench_age=None if wrench is None else wrench.age,
-        wrench_valid=None if wrench is None else wrench.valid,
-        pose=None if poses is None else poses.value,
-        pose_age=None if poses is None else poses.age,
-        pose_valid=None if poses is None else poses.valid,
-        taxels=None if counts is None else counts.value,
-        taxels_age=None if counts is None else counts.age,
-        taxels_valid=None if counts is None else counts.valid,
+        signal=None if signal is None else signal.name,
         signal_row=rows,
+        streams=streams,
+        columns=sources.columns,
     )
 
 
-_Fetch = Callable[[Source, Times, float], Aligned]
+def _method(source: Source, name: str) -> str:
+    method = _SYNONYMS.get(name, name)
+    known = ["latest", "nearest"]
+    if source.values is not None:
+        known += ["interpolated", *([] if source.is_pose else ["mean"])]
+    if method not in known:
+        raise SessionError(f"{source.name}: found method {name!r}; known: {', '.join(known)}")
+    return method
 
 
-def _sample(pick: Callable[..., Picked]) -> _Fetch:
-    """Return the method that takes unmodified samples."""
+def _aligned(source: Source, method: str, capture: Times, exposure: float) -> AlignedStream:
+    if source.values is None or method in ("latest", "nearest"):
+        pick = align.nearest if method == "nearest" else align.held
+        return _taken(source, pick(source.times, capture, max_age=source.max_age), capture)
+    found: Aligned
+    if method == "mean":
+        start, stop = align.exposure_window(capture, exposure)
+        found = align.mean(source.times, source.values, start, stop, max_age=source.max_age)
+        lost = source.losses.touch(start, stop)
+    else:
+        interpolate = align.pose if source.is_pose else align.linear
+        found = interpolate(source.times, source.values, capture, max_age=source.max_age)
+        lost = source.losses.around(capture)
+    return AlignedStream(source.traits, found.value, None, found.age, found.valid & ~lost)
 
-    def fetch(source: Source, moments: Times, exposure: float) -> Aligned:
-        return _taken(source, pick(source.times, moments, max_age=source.max_age))
 
-    return fetch
+def _taken(source: Source, picked: Picked, moments: Times) -> AlignedStream:
+    """Return unmodified samples: their values, or only their rows for images and text.
 
-
-def _taken(source: Source, picked: Picked) -> Aligned:
-    values = _values(source)
-    value = np.full((len(picked.index), *values.shape[1:]), np.nan)
+    A sample is not valid if one nearer to its moment was lost.
+    """
     some = picked.index >= 0
-    value[some] = values[picked.index[some]]
-    still = np.zeros(len(value), np.bool_)
-    return Aligned(value, picked.age, np.where(some, 0.0, np.nan), picked.valid, still)
+    rows = np.full(len(picked.index), -1, np.int64)
+    rows[some] = source.rows[picked.index[some]]
+    value = None
+    if source.values is not None:
+        value = np.full((len(rows), *source.values.shape[1:]), np.nan)
+        value[some] = source.values[picked.index[some]]
+    taken = moments.copy()
+    taken[some] = source.times[picked.index[some]]
+    lost = source.losses.touch(np.minimum(taken, moments), np.maximum(taken, moments))
+    return AlignedStream(source.traits, value, rows, picked.age, picked.valid & ~lost)
 
 
-def _linear(source: Source, moments: Times, exposure: float) -> Aligned:
-    return align.linear(source.times, _values(source), moments, max_age=source.max_age)
+def _value(stream: AlignedStream | None) -> NDArray[Any] | None:
+    return None if stream is None else stream.value
 
 
-def _mean_exposure(source: Source, moments: Times, exposure: float) -> Aligned:
-    start, stop = align.exposure_window(moments, exposure)
-    return align.mean(source.times, _values(source), start, stop, max_age=source.max_age)
+def _age(stream: AlignedStream | None) -> Floats | None:
+    return None if stream is None else stream.age
 
 
-def _slerp(source: Source, moments: Times, exposure: float) -> Aligned:
-    return align.pose(source.times, _values(source), moments, max_age=source.max_age)
-
-
-def _values(source: Source) -> Values:
-    if source.values is None:
-        raise SessionError("images cannot be interpolated")
-    return source.values
-
-
-_PICK: Mapping[str, Callable[..., Picked]] = {"held": align.held, "nearest": align.nearest}
-_SAMPLE: Mapping[str, _Fetch] = {name: _sample(pick) for name, pick in _PICK.items()}
-_FORCE: Mapping[str, _Fetch] = {"mean_exposure": _mean_exposure, "linear": _linear, **_SAMPLE}
-_POSE: Mapping[str, _Fetch] = {"slerp": _slerp, **_SAMPLE}
-_TAXELS: Mapping[str, _Fetch] = {"linear": _linear, **_SAMPLE}
-
-
-def _chosen(what: str, name: str, known: Mapping[str, T]) -> T:
-    if name not in known:
-        raise SessionError(f"{what}: found method {name!r}; known: {', '.join(known)}")
-    return known[name]
+def _valid(stream: AlignedStream | None) -> Bools | None:
+    return None if stream is None else stream.valid

@@ -9,17 +9,19 @@ from typing import Any, Self
 import numpy as np
 
 from recorder.errors import SessionError
+from recorder.session.clocks import fit_clocks
 from recorder.session.frames import write_frames
 from recorder.session.recover import recover_streams
 from recorder.session.stream_writer import StreamWriter, survey
 from recorder.spec import (
     FORMAT,
     FORMAT_VERSION,
-    REFERENCE,
     SEGMENTS,
     STATUSES,
     TARGET_UNITS,
     StreamSpec,
+    check_streams,
+    reference_spec,
 )
 from recorder.store.durable import sync_directory
 from recorder.store.layout import (
@@ -29,6 +31,7 @@ from recorder.store.layout import (
     read_session_attrs,
     write_group,
 )
+from recorder.store.manifest import hold, seal
 from recorder.store.tables import write_table
 
 _CREATING = ".creating"
@@ -44,7 +47,7 @@ class SessionWriter:
     segments: StreamWriter
     """One row per recorded phase, columns of `SEGMENTS`."""
     reference: StreamWriter
-    """One row per no-contact moment, columns of `REFERENCE`."""
+    """One row per no-contact moment, columns of `spec.reference_spec`."""
 
     def __init__(self, path: Path) -> None:
         """Use `create` or `resume` instead."""
@@ -98,8 +101,11 @@ class SessionWriter:
             SessionError: Not a session, or one that is being written.
         """
         session = Path(path)
-        read_session_attrs(session)
+        attrs = read_session_attrs(session)
+        hold(session, attrs)
         recover_streams(session)
+        if attrs["status"] == "recording":  # the run that was not closed
+            seal(session)
         merge_attrs(session, {"status": "recording", "reason": ""})
         return cls(session)
 
@@ -131,15 +137,19 @@ class SessionWriter:
         """Merge into the session's attributes, atomically."""
         merge_attrs(self.path, attrs)
 
-    def finish(self, status: str, reason: str = "", *, rate_hz: float) -> None:
-        """Close the session: write the tables, then the frames view, then the status.
+    def finish(
+        self, status: str, reason: str = "", *, rate_hz: float, clocks: bool = False
+    ) -> None:
+        """Close the session: write the tables, the frames view, the manifest, then the status.
 
-        Streams whose process died are recovered. May be repeated after an error.
+        Streams whose process died are recovered. May be repeated after an error. From then on no
+        file of the session may change, except by `resume`.
 
         Args:
             status: `complete`, `stopped` or `recovered`.
             reason: Reason in a few words.
             rate_hz: Rate of the frames view.
+            clocks: True to fit the devices' clocks first; see `fit_clocks`.
 
         Raises:
             SessionError: An unknown status, or a stream that is still being written.
@@ -150,8 +160,10 @@ class SessionWriter:
         self.close()
         recover_streams(self.path)
         merge_attrs(self.path, {"rate_hz": float(rate_hz)})
+        if clocks:
+            fit_clocks(self.path)
         write_frames(self.path, rate_hz)
-        merge_attrs(self.path, {"status": status, "reason": reason})
+        seal(self.path, status=status, reason=reason)
 
     def close(self) -> None:
         """Close the tables and leave the status unchanged. May be called twice."""
@@ -178,13 +190,14 @@ def _build(
     streams: Sequence[StreamSpec],
     targets: Mapping[str, np.ndarray[Any, Any]],
 ) -> None:
+    check_streams(streams)
     path.mkdir(parents=True)
     fixed = {"format": FORMAT, "format_version": FORMAT_VERSION, "status": "recording", "runs": []}
     write_group(path, {**attrs, **fixed})
     (path / "streams").mkdir()
-    write_group(path / "streams", {})
+    write_group(path / "streams", {"order": [spec.name for spec in streams]})
     for spec in streams:
         create_stream(path / "streams" / spec.name, spec)
     create_stream(path / "segments", SEGMENTS)
-    create_stream(path / "reference", REFERENCE)
+    create_stream(path / "reference", reference_spec(streams))
     write_table(path / "targets", targets, TARGET_UNITS)

@@ -1,77 +1,91 @@
 """Read the chunks of one column directly from its shards, local or remote.
 
-A chunk that is declared but missing is an error here; a plain Zarr reader returns fill values.
+The checksum of every chunk is verified. A chunk that is declared but missing is an error here; a
+plain Zarr reader returns fill values.
 """
 
 from __future__ import annotations
 
 import os
-from collections import OrderedDict
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from itertools import groupby
-from pathlib import Path
 from typing import Any
 
+import google_crc32c
 import numpy as np
 
 from recorder.errors import SessionError
-from recorder.store.layout import CHUNKS_PER_SHARD, Layout, decoded_rows
-from recorder.store.shard import MISSING, Index, read_index
+from recorder.store import images
+from recorder.store.journal import CRC_BYTES, HEADER, record_matches
+from recorder.store.layout import Layout, decoded_rows
+from recorder.store.recent import RECENT, Kept
+from recorder.store.shard import MISSING, ShardIndex, open_index, read_shard_index
 
 Array = np.ndarray[Any, Any]
 
 # Chunks fetched concurrently from a remote store: hides latency and limits memory.
 _BATCH = 16
-# Number of decoded chunks that `LazyRows` caches.
-_KEPT = 64
+# Memory of one entry of a shard's index, as Python's numbers [bytes].
+_ENTRY_BYTES = 200
 
 
 class ColumnReader:
     """Reader of one column's chunks.
 
-    It holds no file open, so that it can be forked, pickled and copied.
+    It holds no file open and no data of its own, so that it can be forked, pickled and copied, and
+    thousands of readers cost little: what was read last is kept by `recent.RECENT`, within a limit
+    that all readers of the process share.
     """
 
     def __init__(self, layout: Layout) -> None:
         """Read the declared length; shards are opened only when needed."""
         self.layout = layout
         self.rows = layout.rows()
+        self.live = False
+        """True to read also from the shard that is still growing; set before the first read."""
         self._local = layout.files.local
-        self._indices: dict[int, Index] = {}
+        self._indices: Kept[ShardIndex] = Kept()
+        self._decoded: Kept[Array] = Kept()
 
     def chunk(self, number: int) -> bytes:
-        """Return an encoded chunk.
+        """Return an encoded chunk, without its checksum.
 
         Raises:
-            SessionError: It is missing or truncated.
+            SessionError: It is missing, truncated or corrupt.
         """
-        if not self._local:
-            return next(self.chunks([number]))
-        shard, place = divmod(number, CHUNKS_PER_SHARD)
-        path = self.layout.shard(shard)
-        offset, nbytes = self._range(path, shard, place)
-        fd = os.open(path, os.O_RDONLY)
-        try:
-            data = os.pread(fd, nbytes, offset)
-        finally:
-            os.close(fd)
-        if len(data) != nbytes:
-            raise SessionError(f"{path}: chunk {place} is cut short")
-        return data
+        return next(self.chunks([number]))
 
     def chunks(self, numbers: Sequence[int]) -> Iterator[bytes]:
         """Yield encoded chunks; from a remote store several are fetched concurrently.
 
         Raises:
-            SessionError: One is missing or truncated.
+            SessionError: One is missing, truncated or corrupt.
         """
-        if self._local:
-            yield from map(self.chunk, numbers)
-            return
-        for first in range(0, len(numbers), _BATCH):
-            batch = numbers[first : first + _BATCH]
-            for shard, of_shard in groupby(batch, lambda number: number // CHUNKS_PER_SHARD):
-                yield from self._fetched(shard, [n % CHUNKS_PER_SHARD for n in of_shard])
+        for data in self._verified_chunks(numbers):
+            yield bytes(data)
+
+    def read_images(self, rows: Sequence[int], out: Array) -> None:
+        """Decode images into `out` (n, h, w, channels), each of them once.
+
+        Args:
+            rows: Rows of the images (n,); nothing is written for a row below 0.
+            out: Destination, contiguous; of the column's shape and little-endian type.
+
+        Raises:
+            SessionError: A chunk is missing, truncated or corrupt, or not such an image.
+        """
+        decode = images.decoder_into(self.layout.column)
+        first = {row: place for place, row in reversed(list(enumerate(rows))) if row >= 0}
+        wanted = sorted(first)
+        for row, data in zip(wanted, self._verified_chunks(wanted), strict=True):
+            try:
+                decode(data, out[first[row]])
+            except SessionError as error:
+                raise SessionError(f"{self._where(row)}: {error}") from error
+        for place, row in enumerate(rows):
+            if row >= 0 and first[row] != place:
+                out[place] = out[first[row]]
 
     def rows_between(self, start: int, stop: int) -> Array:
         """Return rows [start, stop) (n, ...) of a small column, reading only their chunks.
@@ -79,13 +93,14 @@ class ColumnReader:
         Raises:
             SessionError: A chunk is missing or corrupt.
         """
-        step = self.layout.rows_per_chunk
+        step, per_shard = self.layout.rows_per_chunk, self.layout.chunks_per_shard
         stop = min(stop, self.rows)
-        out = np.empty((max(stop - start, 0), *self.layout.column.shape), self.layout.dtype)
         numbers = range(start // step, -(-stop // step)) if stop > start else range(0)
-        for number, data in zip(numbers, self.chunks(numbers), strict=True):
+        for number in numbers[::per_shard]:  # the shards exist before memory is allocated
+            self._shard_index(number // per_shard)
+        out = np.empty((max(stop - start, 0), *self.layout.column.shape), self.layout.dtype)
+        for number, rows in self._decoded_chunks(numbers):
             low, high = max(start, number * step), min(stop, (number + 1) * step)
-            rows = decoded_rows(self.layout, data)
             out[low - start : high - start] = rows[low - number * step : high - number * step]
         return out
 
@@ -97,29 +112,121 @@ class ColumnReader:
         """
         return self.rows_between(0, self.rows)
 
-    def _range(self, path: Path, shard: int, place: int) -> tuple[int, int]:
-        if shard not in self._indices:
-            self._indices[shard] = read_index(path, self.layout.files)
-        offset, nbytes = (int(value) for value in self._indices[shard][place])
-        if offset == MISSING:
-            raise SessionError(f"{self.layout.files.name(path)}: chunk {place} is missing")
-        return offset, nbytes
+    def gathered(self, numbers: Array) -> Array:
+        """Return the rows with the given numbers (n, ...), reading only their chunks.
 
-    def _fetched(self, shard: int, places: list[int]) -> Iterator[bytes]:
-        files, path = self.layout.files, self.layout.shard(shard)
-        wanted = [self._range(path, shard, place) for place in places]
-        for place, (_, nbytes), data in zip(
-            places, wanted, files.ranges(path, wanted), strict=True
-        ):
-            if len(data) != nbytes:
-                raise SessionError(f"{files.name(path)}: chunk {place} is cut short")
-            yield data
+        Raises:
+            SessionError: A chunk is missing or corrupt.
+        """
+        chunk, within = np.divmod(numbers, self.layout.rows_per_chunk)
+        out = np.empty((len(numbers), *self.layout.column.shape), self.layout.dtype)
+        for number, rows in self._decoded_chunks(np.unique(chunk).tolist()):
+            here = chunk == number
+            out[here] = rows[within[here]]
+        return out
+
+    def _decoded_chunks(self, numbers: Sequence[int]) -> Iterator[tuple[int, Array]]:
+        """Yield chunks of a small column with their rows, in order; fill values included."""
+        many = len(numbers) * self.layout.chunk_bytes > RECENT.limit // 4
+        known = {} if many else {number: self._decoded.get(number) for number in numbers}
+        missing = [number for number in numbers if known.get(number) is None]
+        fetched = self._verified_chunks(missing)
+        for number in numbers:
+            rows = known.get(number)
+            if rows is None:
+                rows = decoded_rows(self.layout, next(fetched))
+                if not many:  # a whole column would only push everything else out
+                    self._decoded.put(number, rows)
+            yield number, rows
+
+    def _verified_chunks(self, numbers: Sequence[int]) -> Iterator[Any]:
+        """Yield encoded chunks whose checksum matches; each is valid until the next."""
+        per_shard = self.layout.chunks_per_shard
+        for first in range(0, len(numbers), _BATCH):
+            batch = numbers[first : first + _BATCH]
+            for shard, of_shard in groupby(batch, per_shard.__rfloordiv__):
+                read = self._read if self._local else self._fetched
+                yield from read(shard, list(of_shard))
+
+    def _read(self, shard: int, numbers: list[int]) -> Iterator[Any]:
+        """Read chunks of one local shard into one buffer, one after the other."""
+        index = self._shard_index(shard)
+        wanted = [self._range(index, number) for number in numbers]
+        fd = self._opened(shard)
+        try:
+            size = os.fstat(fd).st_size  # of a range beyond it nothing is allocated
+            length = min(max(nbytes for _, nbytes in wanted), size)
+            buffer: Any = np.empty(length, np.uint8)
+            for number, (offset, nbytes) in zip(numbers, wanted, strict=True):
+                found = os.preadv(fd, [buffer[:nbytes]], offset) if offset < size else 0
+                yield self._verified(index, buffer[:found], nbytes, number)
+        finally:
+            os.close(fd)
+
+    def _opened(self, shard: int) -> int:
+        if self.live:  # the chunks of a growing shard stay in their places when it is sealed
+            with suppress(FileNotFoundError):
+                return os.open(self.layout.partial(shard), os.O_RDONLY)
+        return os.open(self.layout.shard(shard), os.O_RDONLY)
+
+    def _fetched(self, shard: int, numbers: list[int]) -> Iterator[Any]:
+        index, files, path = self._shard_index(shard), self.layout.files, self.layout.shard(shard)
+        wanted = [self._range(index, number) for number in numbers]
+        fetched = files.ranges(path, wanted)
+        for number, (_, nbytes), data in zip(numbers, wanted, fetched, strict=True):
+            yield self._verified(index, data, nbytes, number)
+
+    def _range(self, index: ShardIndex, number: int) -> tuple[int, int]:
+        """Return the bytes to read for a chunk: with its record header if only this has a CRC."""
+        offset, nbytes = index.ranges[number % self.layout.chunks_per_shard]
+        if offset == MISSING:
+            raise SessionError(f"{self._where(number)} is missing")
+        if self.layout.chunk_crc:
+            return offset, nbytes
+        if offset < HEADER.size:
+            raise SessionError(f"{self._where(number)} has no record")
+        return offset - HEADER.size, nbytes + HEADER.size
+
+    def _shard_index(self, shard: int) -> ShardIndex:
+        nbytes = _ENTRY_BYTES * self.layout.chunks_per_shard
+        index = self._indices.get(shard, nbytes)
+        if index is None:
+            index = self._indices.put(shard, self._read_index(shard), nbytes)
+        return index
+
+    def _read_index(self, shard: int) -> ShardIndex:
+        if self.live:
+            with suppress(FileNotFoundError):
+                return open_index(self.layout, shard)
+        return read_shard_index(self.layout, shard)
+
+    def _verified(self, index: ShardIndex, data: Any, nbytes: int, number: int) -> Any:
+        crcs = index.crcs
+        if len(data) != nbytes:
+            fault = "is cut short"
+        elif crcs is None:
+            data = bytes(data)
+            if record_matches(data[: HEADER.size], data[HEADER.size :], number):
+                return data[HEADER.size :]
+            fault = "does not match its checksum"
+        else:
+            listed = crcs[number % self.layout.chunks_per_shard]
+            chunk, end = data[:-CRC_BYTES], data[-CRC_BYTES:]
+            if google_crc32c.value(chunk) == listed == int.from_bytes(end, "little"):
+                return chunk
+            fault = "does not match its checksum"
+        raise SessionError(f"{self._where(number)} {fault}")
+
+    def _where(self, number: int) -> str:
+        shard, place = divmod(number, self.layout.chunks_per_shard)
+        name = self.layout.files.name(self.layout.shard(shard))
+        return f"{name}: chunk {place} (row {number * self.layout.rows_per_chunk})"
 
 
 class LazyRows:
     """Rows of a small column that are read on first use.
 
-    Indexed like the array that they replace. The chunks read last are cached, decoded.
+    Indexed like the array that they replace.
     """
 
     def __init__(self, reader: ColumnReader, rows: slice) -> None:
@@ -127,7 +234,6 @@ class LazyRows:
         self._reader = reader
         self._first, stop, _ = rows.indices(reader.rows)
         self.shape = (max(stop - self._first, 0), *reader.layout.column.shape)
-        self._kept: OrderedDict[int, Array] = OrderedDict()
 
     def __len__(self) -> int:
         """Return the number of rows."""
@@ -137,22 +243,6 @@ class LazyRows:
         """Return an indexed part: rows by slice, numbers or mask, then the other axes."""
         rows, rest = (key[0], key[1:]) if isinstance(key, tuple) else (key, ())
         numbers = np.arange(len(self))[rows]
-        out = self._gathered(np.atleast_1d(numbers))
+        out = self._reader.gathered(np.atleast_1d(numbers) + self._first)
         picked: Array = out[(slice(None), *rest)]
         return picked if np.ndim(numbers) else picked[0]
-
-    def _gathered(self, numbers: Array) -> Array:
-        step = self._reader.layout.rows_per_chunk
-        chunk, within = np.divmod(numbers + self._first, step)
-        needed = [int(number) for number in np.unique(chunk)]
-        missing = [number for number in needed if number not in self._kept]
-        for number, data in zip(missing, self._reader.chunks(missing), strict=True):
-            self._kept[number] = decoded_rows(self._reader.layout, data)
-        out = np.empty((len(numbers), *self.shape[1:]), self._reader.layout.dtype)
-        for number in needed:
-            self._kept.move_to_end(number)
-            here = chunk == number
-            out[here] = self._kept[number][within[here]]
-        while len(self._kept) > _KEPT:
-            self._kept.popitem(last=False)
-        return out

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
@@ -61,11 +62,19 @@ def write_json(path: Path, document: dict[str, Any]) -> None:
     Raises:
         SessionError: The document has a value that JSON cannot hold, such as NaN.
     """
+    replace_file(path, json_bytes(path, document))
+
+
+def json_bytes(path: Path, document: dict[str, Any]) -> bytes:
+    """Return the content of a JSON file as `write_json` writes it.
+
+    Raises:
+        SessionError: The document has a value that JSON cannot hold, such as NaN.
+    """
     try:
-        text = json.dumps(document, indent=2, allow_nan=False, default=_plain)
+        return json.dumps(document, indent=2, allow_nan=False, default=_plain).encode()
     except (TypeError, ValueError) as error:
         raise SessionError(f"{path}: not storable as JSON: {error}") from error
-    replace_file(path, text.encode())
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -93,13 +102,13 @@ def _plain(value: object) -> object:
 class Background:
     """Thread that runs jobs in order, and a flush every `interval` seconds.
 
-    A job that fails remains first in the queue, with its error in `failure`; no other job runs
-    until `drain`.
+    A job that fails, for whatever reason, remains first in the queue, with its error in `failure`;
+    no other job runs until `drain`. The thread never ends with jobs undone and no `failure`.
     """
 
     def __init__(self, flush: Callable[[], None], *, interval: float, name: str) -> None:
         """Start the thread."""
-        self.failure: OSError | None = None
+        self.failure: BaseException | None = None
         self._flush = flush
         self._interval = interval
         self._jobs: deque[Callable[[], None]] = deque()
@@ -123,7 +132,7 @@ class Background:
         """Run the remaining jobs in the calling thread, after `stop`.
 
         Raises:
-            OSError: A job failed again.
+            OSError, SessionError: A job failed again.
         """
         while self._jobs:
             self._jobs[0]()
@@ -131,14 +140,17 @@ class Background:
         self.failure = None
 
     def _run(self) -> None:
+        due = time.monotonic() + self._interval
         while not self._stopping:
-            self._wake.wait(self._interval)
+            self._wake.wait(max(due - time.monotonic(), 0.0))
             self._wake.clear()
             try:
                 while self._jobs and self.failure is None:
                     self._jobs[0]()
                     self._jobs.popleft()
-                if self.failure is None:
-                    self._flush()
-            except OSError as error:
+                if time.monotonic() >= due:
+                    due = time.monotonic() + self._interval
+                    if self.failure is None:
+                        self._flush()
+            except BaseException as error:  # the thread that appends must learn of any error
                 self.failure = error

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any, Protocol
@@ -74,11 +74,19 @@ class Files(Protocol):
         """Return a Zarr array, read-only."""
         ...
 
+    def remembering(self) -> AbstractContextManager[None]:
+        """Read each zarr.json only once as long as this context lasts."""
+        ...
+
 
 class LocalFiles:
     """Files on the local disk."""
 
     local = True
+
+    def __init__(self) -> None:
+        # zarr.json files read so far, while `remembering`.
+        self._documents: dict[Path, bytes] | None = None
 
     def name(self, path: Path) -> str:
         """Return the path unchanged."""
@@ -86,7 +94,21 @@ class LocalFiles:
 
     def read(self, path: Path) -> bytes:
         """Return a whole file."""
-        return path.read_bytes()
+        documents = self._documents
+        if documents is None or path.name != "zarr.json":
+            return path.read_bytes()
+        if path not in documents:
+            documents[path] = path.read_bytes()
+        return documents[path]
+
+    @contextmanager
+    def remembering(self) -> Iterator[None]:
+        """Read each zarr.json only once as long as this context lasts."""
+        self._documents = {}
+        try:
+            yield
+        finally:
+            self._documents = None
 
     def tail(self, path: Path, nbytes: int) -> bytes:
         """Return the last bytes of a file."""
@@ -150,7 +172,7 @@ def locate(
         return open_url(str(place), storage_options or {})
     if storage_options:
         raise SessionError(f"{place}: storage options are for URLs; this is a path")
-    return LOCAL, Path(place)
+    return LocalFiles(), Path(place)
 
 
 def read_document(files: Files, path: Path) -> dict[str, Any]:
@@ -277,6 +299,10 @@ class RemoteFiles:
             system = AsyncFileSystemWrapper(self._system(), asynchronous=True)
             store = zarr.storage.FsspecStore(system, read_only=True, path=self._key(path))
             return zarr.open_array(store, mode="r")
+
+    def remembering(self) -> AbstractContextManager[None]:
+        """Return a context that changes nothing: metadata is always read only once here."""
+        return nullcontext()
 
     def _with_documents(self, places: list[Path]) -> list[Path]:
         """Return the directories that contain a `zarr.json`, fetching all concurrently."""

@@ -20,47 +20,86 @@ from zarr.registry import register_codec
 from recorder.errors import SessionError
 from recorder.spec import Column
 
-Image = NDArray[np.uint8]
+Image = NDArray[Any]
 
+# Levels of zstd, for rows of numbers and for pixels. The noise of a sensor leaves little to
+# compress; at a negative level zstd stores such pixels as they are (docs/results/recording.md).
 ZSTD_LEVEL = 1
+PIXELS_LEVEL = -1
 # Used only if pixels are written through Zarr: the recorder never encodes a JPEG.
 JPEG_QUALITY = 95
 
+# Largest header of a zstd frame [bytes].
+_ZSTD_HEADER = 18
 _COLORSPACE = {1: "GRAY", 3: "RGB"}
 
 
-def compress(data: bytes | memoryview) -> bytes:
+def compress(data: bytes | memoryview, level: int = ZSTD_LEVEL) -> bytes:
     """Return `data` as one zstd frame."""
-    packed: bytes = numcodecs.zstd.compress(data, ZSTD_LEVEL)
+    packed: bytes = numcodecs.zstd.compress(data, level)
     return packed
 
 
-def decompress(data: bytes) -> bytes:
-    """Return the content of one zstd frame.
+def decompress(data: Any, nbytes: int) -> bytes:
+    """Return the content of one zstd frame, which must be `nbytes` long.
 
     Raises:
-        SessionError: The frame is corrupt.
+        SessionError: The frame is corrupt, or declares another length; nothing is allocated then.
     """
+    _check_content_size(data, nbytes)
     try:
         plain: bytes = numcodecs.zstd.decompress(data)
     except RuntimeError as error:
         raise SessionError(f"zstd: {error}") from error
+    if len(plain) != nbytes:
+        raise SessionError(f"zstd: found {len(plain)} bytes, expected {nbytes}")
     return plain
+
+
+def _check_content_size(data: Any, nbytes: int) -> None:
+    declared = _zstd_content_size(bytes(data[:_ZSTD_HEADER]))
+    if declared != nbytes:
+        raise SessionError(f"zstd: found {declared} bytes, expected {nbytes}")
+
+
+def _zstd_content_size(data: bytes) -> int | None:
+    """Return the length that the header of a zstd frame declares (RFC 8878, 3.1.1), or None."""
+    if len(data) < 6 or data[:4] != b"\x28\xb5\x2f\xfd":
+        return None
+    flags = data[4]
+    single = flags >> 5 & 1
+    width = (single, 2, 4, 8)[flags >> 6]
+    start = 5 + (not single) + (0, 1, 2, 4)[flags & 3]
+    field = data[start : start + width]
+    if not width or len(field) < width:
+        return None
+    return int.from_bytes(field, "little") + (256 if width == 2 else 0)
 
 
 def decode_jpeg(data: bytes, shape: tuple[int, ...]) -> Image:
     """Return the pixels of a JPEG as uint8 `shape` = (h, w, 1 or 3), RGB.
 
     Raises:
-        SessionError: Not a JPEG, corrupt, or of a different size.
+        SessionError: Not a JPEG, corrupt, or of a different size; its size is checked first.
+    """
+    image = np.empty(shape, np.uint8)
+    decode_jpeg_into(data, image)
+    return image
+
+
+def decode_jpeg_into(data: Any, out: Image) -> None:
+    """Write the pixels of a JPEG, RGB, into `out` (h, w, 1 or 3) uint8, contiguous.
+
+    Raises:
+        SessionError: Not a JPEG, corrupt, or of a different size; its size is checked first.
     """
     try:
-        image: Image = simplejpeg.decode_jpeg(data, colorspace=_COLORSPACE[shape[2]])
+        found = simplejpeg.decode_jpeg_header(data)[:2]
+        if found != out.shape[:2]:
+            raise SessionError(f"jpeg: found {found}, expected {out.shape}")
+        simplejpeg.decode_jpeg(data, colorspace=_COLORSPACE[out.shape[2]], buffer=out)
     except ValueError as error:
         raise SessionError(f"jpeg: {error}") from error
-    if image.shape != shape:
-        raise SessionError(f"jpeg: found {image.shape}, expected {shape}")
-    return image
 
 
 def encode_jpeg(image: Image, quality: int) -> bytes:
@@ -76,15 +115,27 @@ def encode_jpeg(image: Image, quality: int) -> bytes:
 
 def decoder(column: Column) -> Callable[[bytes], Image]:
     """Return the function that decodes an image column's chunk to pixels."""
-    shape = column.shape
-    if column.codec == "jpeg":
-        return lambda data: decode_jpeg(data, shape)
+    dtype, into = np.dtype(column.dtype).newbyteorder("<"), decoder_into(column)
 
     def decode(data: bytes) -> Image:
-        pixels = np.frombuffer(decompress(data), np.uint8)
-        if pixels.size != column.row_bytes:
-            raise SessionError(f"zstd: found {pixels.size} bytes, expected {column.row_bytes}")
-        return pixels.reshape(shape)
+        out = np.empty(column.shape, dtype)
+        into(data, out)
+        return out
+
+    return decode
+
+
+def decoder_into(column: Column) -> Callable[[Any, Image], None]:
+    """Return the function that decodes a chunk into a contiguous image of the column's type."""
+    if column.codec == "jpeg":
+        return decode_jpeg_into
+
+    def decode(data: Any, out: Image) -> None:
+        _check_content_size(data, column.row_bytes)
+        try:
+            numcodecs.zstd.decompress(data, out.reshape(-1).view(np.uint8))
+        except RuntimeError as error:
+            raise SessionError(f"zstd: {error}") from error
 
     return decode
 
@@ -94,7 +145,8 @@ def encoder(column: Column, where: str) -> Callable[[object], bytes]:
 
     A `jpeg` column takes JPEG bytes and stores them unchanged; a `zstd` column takes pixels.
     """
-    expected = f"uint8 {column.shape}"
+    expected = f"{column.dtype} {column.shape}"
+    dtype = np.dtype(column.dtype)
 
     def keep(value: object) -> bytes:
         if not isinstance(value, bytes | bytearray | memoryview):
@@ -114,9 +166,10 @@ def encoder(column: Column, where: str) -> Callable[[object], bytes]:
     def pack(value: object) -> bytes:
         if not isinstance(value, np.ndarray):
             raise SessionError(f"{where}: found {type(value).__name__}, expected pixels {expected}")
-        if value.dtype != np.uint8 or value.shape != column.shape:
+        if value.dtype != dtype or value.shape != column.shape:
             raise SessionError(f"{where}: found {value.dtype} {value.shape}, expected {expected}")
-        return compress(np.ascontiguousarray(value).data.cast("B"))
+        plain = np.ascontiguousarray(value, dtype.newbyteorder("<"))
+        return compress(plain.data.cast("B"), PIXELS_LEVEL)
 
     return keep if column.codec == "jpeg" else pack
 

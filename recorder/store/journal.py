@@ -19,27 +19,33 @@ import google_crc32c
 import numpy as np
 
 from recorder.store import images
-from recorder.store.durable import replace_file, sync_directory
+from recorder.store.durable import TEMPORARY, replace_file, sync_directory
 from recorder.store.layout import Layout, StreamLayout
 
 # Record format for all data that must survive a crash.
 #
 # A log is a file of records, one after the other, with nothing between them::
 #
-#     magic   4 bytes  b"TRL1"
+#     magic   4 bytes  b"TRL1" or b"TRL2"
 #     nbytes  uint32   length of the payload
-#     crc     uint32   CRC-32C of t_ns, index and payload
+#     crc     uint32   CRC-32C of t_ns, index and payload (TRL1) or end of the payload (TRL2)
 #     t_ns    int64    time of the (last) sample in the payload [ns]
 #     index   uint32   number of the payload in its column or journal, modulo 2**32
 #     payload nbytes
 #
-# All little-endian. A record that is short or whose checksum does not match was being written when
-# the writer died; it and everything after it are ignored.
+# All little-endian. The payload of a TRL2 record is a chunk that ends with the CRC-32C of its other
+# bytes, as Zarr's codec `crc32c` writes it, so its bytes are summed only once. A record that is
+# short or whose checksum does not match was being written when the writer died; it and everything
+# after it are ignored.
 
 MAGIC = b"TRL1"
+CHUNK_MAGIC = b"TRL2"
 HEADER = struct.Struct("<4sIIqI")
+CRC_BYTES = 4
 _STAMP = struct.Struct("<qI")
 _FRAME = struct.Struct("<4sII")
+# CRC-32C of any bytes followed by their own CRC-32C.
+_RESIDUE = 0x48674BC7
 _JOIN_BELOW = 1 << 14  # bytes; below this size one copy is cheaper than a vectored write
 
 
@@ -55,6 +61,8 @@ class JournalRecord:
     """First byte of the payload in the file."""
     nbytes: int
     """Length of the payload."""
+    crc: int
+    """CRC-32C of the payload, without the one at its own end."""
 
     @property
     def end(self) -> int:
@@ -76,6 +84,38 @@ def header(payload: bytes, t_ns: int, index: int) -> bytes:
     return _FRAME.pack(MAGIC, len(payload), crc) + stamp
 
 
+def chunk_header(nbytes: int, crc: bytes, t_ns: int, index: int) -> bytes:
+    """Return the 24-byte header of a chunk of `nbytes`, followed by its checksum `crc`."""
+    stamp = _STAMP.pack(t_ns, index & 0xFFFFFFFF)
+    return _FRAME.pack(CHUNK_MAGIC, nbytes + CRC_BYTES, google_crc32c.value(stamp + crc)) + stamp
+
+
+def packed_crc(chunk: bytes) -> bytes:
+    """Return the checksum that Zarr's codec `crc32c` appends to a chunk."""
+    return int(google_crc32c.value(chunk)).to_bytes(CRC_BYTES, "little")
+
+
+def ends_with_its_crc(data: bytes) -> bool:
+    """Return True if the last four bytes are the CRC-32C of the others."""
+    return len(data) >= CRC_BYTES and google_crc32c.value(data) == _RESIDUE
+
+
+def record_matches(head: bytes, payload: bytes, index: int) -> bool:
+    """Return True if a header is that of a payload with this number, and its checksum matches."""
+    if len(head) != HEADER.size:
+        return False
+    magic, nbytes, crc, t_ns, found = HEADER.unpack(head)
+    if nbytes != len(payload) or found != index & 0xFFFFFFFF:
+        return False
+    if magic == MAGIC:
+        return bool(crc == checksum(payload, t_ns, index))
+    return (
+        magic == CHUNK_MAGIC
+        and crc == google_crc32c.value(head[12:] + payload[-CRC_BYTES:])
+        and ends_with_its_crc(payload)
+    )
+
+
 def scan(data: bytes, *, first_index: int, limit: int) -> Iterator[JournalRecord]:
     """Yield the complete records at the start of a log, at most `limit`, from `first_index` on.
 
@@ -87,11 +127,12 @@ def scan(data: bytes, *, first_index: int, limit: int) -> Iterator[JournalRecord
         if start > len(data):
             return
         magic, nbytes, crc, t_ns, found = HEADER.unpack_from(data, position)
-        if magic != MAGIC or found != index & 0xFFFFFFFF or start + nbytes > len(data):
+        payload = data[start : start + nbytes]
+        if not record_matches(data[position:start], payload, index):
             return
-        if checksum(data[start : start + nbytes], t_ns, index) != crc:
-            return
-        yield JournalRecord(found, t_ns, start, nbytes)
+        if magic == CHUNK_MAGIC:
+            crc = int.from_bytes(payload[-CRC_BYTES:], "little")
+        yield JournalRecord(found, t_ns, start, nbytes, crc)
         position = start + nbytes
 
 
@@ -114,27 +155,29 @@ class RecordLog:
         os.ftruncate(self._fd, end)
         self._synced = -1  # bytes; a fresh file's name is not durable either
 
-    def append(self, payload: bytes, t_ns: int, index: int) -> int:
-        """Add one record and return the byte offset of its payload.
+    def append(self, *parts: bytes) -> int:
+        """Add one record, given as its header and the parts of its payload.
+
+        Returns the byte offset of the payload.
 
         Raises:
             OSError: The record could not be written completely (ENOSPC if the disk is full). The
                 file is truncated to its last complete record, and the log remains usable.
         """
-        head = header(payload, t_ns, index)
+        nbytes = sum(map(len, parts))
         start = self.end + HEADER.size
         try:
-            if len(payload) < _JOIN_BELOW:
-                written = os.pwrite(self._fd, head + payload, self.end)
+            if nbytes < _JOIN_BELOW:
+                written = os.pwrite(self._fd, b"".join(parts), self.end)
             else:
-                written = os.pwritev(self._fd, [head, payload], self.end)
+                written = os.pwritev(self._fd, parts, self.end)
             # A full disk shortens a write without an error; only the next write would fail.
-            if written != HEADER.size + len(payload):
+            if written != nbytes:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
         except OSError:
             os.ftruncate(self._fd, self.end)
             raise
-        self.end = start + len(payload)
+        self.end += nbytes
         return start
 
     def finish(self, trailer: bytes) -> None:
@@ -204,7 +247,7 @@ class Journal:
         Raises:
             OSError: It could not be written completely; the journal is unchanged.
         """
-        self._log.append(row, t_ns, self.first_row + len(self.rows))
+        self._log.append(header(row, t_ns, self.first_row + len(self.rows)), row)
         self.rows.append(row)
 
     def sync(self) -> None:
@@ -219,6 +262,24 @@ class Journal:
         """Delete the file, once its rows are durably stored as chunks."""
         self._log.close()
         self.path.unlink(missing_ok=True)
+
+    def retire(self) -> Path | None:
+        """Rename the file instead of deleting it, and return its new name, for `take_over`.
+
+        Creating a file costs a file system far more than renaming one. To readers and to recovery,
+        a file of this name is rubbish.
+        """
+        spare = self.path.with_name(self.path.name + TEMPORARY)
+        self._log.close()
+        if not self.path.exists():  # already retired, before an error
+            return None
+        return self.path.replace(spare)
+
+
+def take_over(spare: Path, layout: StreamLayout, first_row: int) -> None:
+    """Turn a retired journal into the empty one that starts at a row."""
+    os.truncate(spare, 0)
+    spare.replace(layout.journal(first_row))
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,11 +1,12 @@
 """Layout of a stream's arrays on disk, and the Zarr v3 metadata that describes them.
 
 Every column is one array with uniform chunking: `rows_per_chunk` rows per inner chunk,
-`CHUNKS_PER_SHARD` inner chunks per shard, one file `c/<shard>/0/...` per shard.
+`chunks_per_shard` inner chunks per shard, one file `c/<shard>/0/...` per shard.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self
@@ -13,12 +14,22 @@ from typing import Any, Self
 import numpy as np
 
 from recorder.errors import SessionError
-from recorder.spec import FORMAT, FORMAT_VERSION, Column, StreamSpec
+from recorder.spec import FORMAT, FORMAT_VERSION, RATE_MAX_HZ, STATUSES, Column, StreamSpec
 from recorder.store import images
 from recorder.store.durable import read_json, write_json
 from recorder.store.files import LOCAL, Files, read_document
 
+# Inner chunks per shard of new columns. Sealing costs the same for every shard; the shards of JPEG
+# images would be small and many otherwise.
 CHUNKS_PER_SHARD = 64
+JPEGS_PER_SHARD = 256
+# Largest number of inner chunks per shard that is read.
+CHUNKS_MAX = 1 << 16
+# Largest metadata accepted, so that a corrupt or hostile file cannot make a reader allocate memory.
+ROWS_MAX = 1 << 40
+SIDE_MAX = 1 << 16
+ROW_BYTES_MAX = 1 << 28
+CHUNK_BYTES_MAX = 1 << 30
 # Suffix of a shard that is still growing; Zarr readers ignore it.
 PARTIAL = ".partial"
 
@@ -35,17 +46,24 @@ class Layout:
     """Rows per inner chunk; 1 for images."""
     files: Files = field(default=LOCAL, repr=False, compare=False)
     """File access for the directory."""
+    chunk_crc: bool = True
+    """True if every chunk ends with its CRC-32C; False in sessions of format version 1."""
+    chunks_per_shard: int = 0
+    """Inner chunks per full shard; 0 for the number of a new column."""
     dtype: np.dtype[Any] = field(init=False)
     """Little-endian numpy type of the column."""
 
     def __post_init__(self) -> None:
-        """Derive the numpy type."""
+        """Derive the numpy type and the number of chunks."""
+        if not self.chunks_per_shard:
+            new = JPEGS_PER_SHARD if self.column.codec == "jpeg" else CHUNKS_PER_SHARD
+            object.__setattr__(self, "chunks_per_shard", new)
         object.__setattr__(self, "dtype", np.dtype(self.column.dtype).newbyteorder("<"))
 
     @property
     def rows_per_shard(self) -> int:
         """Rows per full shard."""
-        return self.rows_per_chunk * CHUNKS_PER_SHARD
+        return self.rows_per_chunk * self.chunks_per_shard
 
     @property
     def chunk_shape(self) -> tuple[int, ...]:
@@ -77,8 +95,14 @@ class Layout:
         return [n for n in numbers if self.shard(n).exists() or self.partial(n).exists()]
 
     def rows(self) -> int:
-        """Return the declared length of the array, as every Zarr reader sees it."""
-        return int(read_document(self.files, self.path / "zarr.json")["shape"][0])
+        """Return the declared length of the array, as every Zarr reader sees it.
+
+        Raises:
+            SessionError: The metadata is missing, not readable, or declares an impossible shape.
+        """
+        document = read_document(self.files, self.path / "zarr.json")
+        check_shape(document.get("shape"), self.column.dtype, self.files.name(self.path))
+        return int(document["shape"][0])
 
     def set_rows(self, rows: int) -> None:
         """Set the declared length of the array, atomically."""
@@ -111,7 +135,7 @@ class Layout:
                     "name": "sharding_indexed",
                     "configuration": {
                         "chunk_shape": list(self.chunk_shape),
-                        "codecs": _inner_codecs(column),
+                        "codecs": _inner_codecs(column, self.chunk_crc),
                         "index_codecs": [
                             {"name": "bytes", "configuration": {"endian": "little"}},
                             {"name": "crc32c"},
@@ -134,6 +158,7 @@ class Layout:
         """
         document = read_document(files, path / "zarr.json")
         try:
+            check_shape(document["shape"], document["data_type"], files.name(path))
             (sharding,) = (codec["configuration"] for codec in document["codecs"])
             inner = sharding["codecs"][0]["name"]
             attributes = document["attributes"]
@@ -146,15 +171,66 @@ class Layout:
                 description=attributes.get("description", ""),
                 codec="jpeg" if inner == "imagecodecs_jpeg" else "zstd",
             )
-            layout = cls(path, column, sharding["chunk_shape"][0], files)
+            chunk_crc = sharding["codecs"][-1]["name"] == "crc32c"
+            per_chunk = sharding["chunk_shape"][0]
+            if (
+                type(per_chunk) is not int
+                or not 0 < per_chunk * column.row_bytes <= CHUNK_BYTES_MAX
+            ):
+                raise SessionError(
+                    f"{files.name(path)}: found chunk_shape {sharding['chunk_shape']}; allowed: "
+                    f"up to {CHUNK_BYTES_MAX} bytes"
+                )
+            per_shard = document["chunk_grid"]["configuration"]["chunk_shape"][0]
+            if type(per_shard) is not int or not per_chunk <= per_shard <= CHUNKS_MAX * per_chunk:
+                raise SessionError(
+                    f"{files.name(path)}: found {per_shard!r:.80} rows per shard; allowed: "
+                    f"{per_chunk} to {CHUNKS_MAX * per_chunk}"
+                )
+            layout = cls(path, column, per_chunk, files, chunk_crc, per_shard // per_chunk)
             expected = layout._document()
             found = {key: document[key] for key in ("node_type", "chunk_grid", "codecs")}
+            for one in (found, expected):
+                one["codecs"] = _without_level(one["codecs"])
         except (KeyError, TypeError, ValueError, IndexError) as error:
             raise SessionError(f"{path}: not an array of a stream: {error!r}") from error
         for key, value in found.items():
             if value != expected[key]:
                 raise SessionError(f"{path}: found {key} {value}, expected {expected[key]}")
         return layout
+
+
+def check_shape(shape: object, dtype: str, where: str) -> None:
+    """Reject the shape of an array that no session has, before anything is allocated for it.
+
+    Raises:
+        SessionError: Not a list of whole numbers, or too large.
+    """
+    if (
+        not isinstance(shape, list)
+        or not shape
+        or not all(type(length) is int for length in shape)
+        or not 0 <= shape[0] <= ROWS_MAX
+        or not all(0 < length <= SIDE_MAX for length in shape[1:])
+        or math.prod(shape[1:]) * np.dtype(dtype).itemsize > ROW_BYTES_MAX
+    ):
+        raise SessionError(
+            f"{where}: found shape {shape!r:.200}; allowed: up to {ROWS_MAX} rows, each with sides "
+            f"up to {SIDE_MAX} and {ROW_BYTES_MAX} bytes"
+        )
+
+
+def check_rate(rate_hz: object, where: str) -> None:
+    """Reject a rate that no device has.
+
+    Raises:
+        SessionError: Not a number above 0, or above `RATE_MAX_HZ`.
+    """
+    number = isinstance(rate_hz, int | float) and not isinstance(rate_hz, bool)
+    if not number or not 0 < rate_hz <= RATE_MAX_HZ:  # type: ignore[operator]
+        raise SessionError(
+            f"{where}: found rate_hz {rate_hz!r:.80}; allowed: above 0 to {RATE_MAX_HZ:g}"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,12 +293,14 @@ class StreamLayout:
         Raises:
             SessionError: Not a stream, or its columns are inconsistent.
         """
-        names = read_document(files, path / "zarr.json").get("attributes", {}).get("columns")
+        attrs = read_document(files, path / "zarr.json").get("attributes", {})
+        names = attrs.get("columns") if isinstance(attrs, dict) else None
         if not isinstance(names, list) or not names:
             raise SessionError(f"{path}: found no attrs columns, expected a stream")
         for name in map(str, names):
             if Path(name).name != name or name == "..":  # must not lead out of the stream
                 raise SessionError(f"{path}: found column {name!r}, expected a plain name")
+        check_rate(attrs.get("rate_hz"), files.name(path))
         columns = [Layout.load(path / str(name), files) for name in names]
         small = tuple(column for column in columns if not column.column.is_image)
         images_ = [column for column in columns if column.column.is_image]
@@ -240,10 +318,24 @@ def create_stream(path: Path, spec: StreamSpec) -> StreamLayout:
     """
     path.mkdir()
     attrs = {"rate_hz": spec.rate_hz, "columns": [column.name for column in spec.columns]}
-    write_group(path, {**spec.attrs, **attrs})
+    write_group(path, {**spec.attrs, **spec.traits.to_json(), **attrs})
     for column in spec.columns:
         Layout(path / column.name, column, 1 if column.is_image else spec.block).create()
     return StreamLayout.load(path)
+
+
+def read_order(path: Path, files: Files = LOCAL) -> list[str]:
+    """Return the names of the streams in the order in which the session declared them.
+
+    It is empty in format 1, which had no order.
+
+    Raises:
+        SessionError: The attribute is not a list of names.
+    """
+    order = read_document(files, path / "zarr.json").get("attributes", {}).get("order", [])
+    if not isinstance(order, list) or not all(isinstance(name, str) for name in order):
+        raise SessionError(f"{files.name(path)}: found order {order!r:.80}, expected names")
+    return order
 
 
 def write_group(path: Path, attrs: dict[str, Any]) -> None:
@@ -260,13 +352,25 @@ def merge_attrs(path: Path, attrs: dict[str, Any]) -> None:
         write_json(path / "zarr.json", document)
 
 
-def _inner_codecs(column: Column) -> list[dict[str, Any]]:
-    if column.codec == "jpeg":
-        return [{"name": "imagecodecs_jpeg", "configuration": {"level": images.JPEG_QUALITY}}]
-    return [
-        {"name": "bytes", "configuration": {"endian": "little"}},
-        {"name": "zstd", "configuration": {"level": images.ZSTD_LEVEL, "checksum": False}},
+def _without_level(codecs: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the metadata of a sharding codec without levels, which matter to writers only."""
+    (outer,) = codecs
+    sharding = outer["configuration"]
+    inner = [
+        {**codec, "configuration": {**codec.get("configuration", {}), "level": None}}
+        for codec in sharding["codecs"]
     ]
+    return [{**outer, "configuration": {**sharding, "codecs": inner}}]
+
+
+def _inner_codecs(column: Column, chunk_crc: bool) -> list[dict[str, Any]]:
+    jpeg = [{"name": "imagecodecs_jpeg", "configuration": {"level": images.JPEG_QUALITY}}]
+    level = images.PIXELS_LEVEL if column.is_image else images.ZSTD_LEVEL
+    zstd = [
+        {"name": "bytes", "configuration": {"endian": "little"}},
+        {"name": "zstd", "configuration": {"level": level, "checksum": False}},
+    ]
+    return (jpeg if column.codec == "jpeg" else zstd) + [{"name": "crc32c"}] * chunk_crc
 
 
 def _numbered(shape: tuple[int, ...]) -> list[str]:
@@ -279,10 +383,10 @@ def decoded_rows(layout: Layout, data: bytes) -> np.ndarray[Any, Any]:
     Raises:
         SessionError: The chunk is corrupt.
     """
-    plain = images.decompress(data)
-    if len(plain) != layout.chunk_bytes:
-        due = layout.chunk_bytes
-        raise SessionError(f"{layout.path}: found a chunk of {len(plain)} bytes, expected {due}")
+    try:
+        plain = images.decompress(data, layout.chunk_bytes)
+    except SessionError as error:
+        raise SessionError(f"{layout.path}: {error}") from error
     return np.frombuffer(plain, layout.dtype).reshape(layout.chunk_shape)
 
 
@@ -302,9 +406,35 @@ def read_session_attrs(path: Path, files: Files = LOCAL) -> dict[str, Any]:
     """Return the attributes of a session.
 
     Raises:
-        SessionError: Not a session, or a newer format.
+        SessionError: Not a session, a newer format, or an impossible status, run or rate.
     """
-    return read_attrs(path, files, what="session", format_=FORMAT, version=FORMAT_VERSION)
+    attrs = read_attrs(path, files, what="session", format_=FORMAT, version=FORMAT_VERSION)
+    name = files.name(path)
+    if attrs["status"] not in STATUSES:
+        known = ", ".join(STATUSES)
+        raise SessionError(f"{name}: found status {attrs['status']!r:.80}; allowed: {known}")
+    if "rate_hz" in attrs:
+        check_rate(attrs["rate_hz"], name)
+    _check_runs(attrs["runs"], name)
+    return attrs
+
+
+def _check_runs(runs: object, name: str) -> None:
+    if not isinstance(runs, list):
+        raise SessionError(f"{name}: found runs {runs!r:.80}, expected a list")
+    before: dict[str, int] = {}
+    for number, run in enumerate(runs):
+        first_row = run.get("first_row") if isinstance(run, dict) else None
+        if not isinstance(first_row, dict):
+            raise SessionError(f"{name}: found runs[{number}] {run!r:.80}, expected its first_row")
+        for stream, row in first_row.items():
+            least = before.get(stream, 0)
+            if type(row) is not int or not least <= row <= ROWS_MAX:
+                raise SessionError(
+                    f"{name}: found runs[{number}] first_row {stream} {row!r:.80}; allowed: "
+                    f"{least} to {ROWS_MAX}"
+                )
+            before[stream] = row
 
 
 def read_attrs(
@@ -337,7 +467,7 @@ def read_attrs(
     if attrs.get("format") != format_:
         raise SessionError(f"{name}: found format {attrs.get('format')!r}, expected {format_!r}")
     found = attrs.get("format_version")
-    if not isinstance(found, int) or found > version:
+    if type(found) is not int or not 0 < found <= version:
         raise SessionError(
             f"{name}: found format_version {found}, this program reads up to {version}"
         )

@@ -11,6 +11,7 @@ from recorder.store.layout import Layout, StreamLayout
 
 _STRUCT_CODES = {
     "uint8": "<B",
+    "uint16": "<H",
     "int8": "<b",
     "int16": "<h",
     "int32": "<i",

@@ -1,14 +1,16 @@
 """Shards that are their own write-ahead log.
 
-While it grows, a shard is a log of records (`journal.py`) in `<key>.partial`. Sealing appends the
-standard `sharding_indexed` index, whose offsets skip the record headers, makes the file durable
-and renames it to its key: from then on it is a plain Zarr v3 shard.
+While it grows, a shard is a log of records (`journal.py`) in `<key>.partial`. Sealing appends a
+list of the chunks' checksums and the standard `sharding_indexed` index, whose offsets skip the
+record headers, makes the file durable and renames it to its key: from then on it is a plain Zarr v3
+shard. The end of a shard thus identifies all of its chunks, so a digest of it covers the file.
 """
 
 from __future__ import annotations
 
 import os
 import shutil
+from dataclasses import dataclass
 from pathlib import Path
 
 import google_crc32c
@@ -17,12 +19,20 @@ from numpy.typing import NDArray
 
 from recorder.errors import SessionError
 from recorder.store.durable import TEMPORARY, sync_directory
-from recorder.store.files import LOCAL, Files
-from recorder.store.journal import HEADER, JournalRecord, RecordLog, scan
-from recorder.store.layout import CHUNKS_PER_SHARD, Layout
+from recorder.store.files import Files
+from recorder.store.journal import (
+    CRC_BYTES,
+    HEADER,
+    JournalRecord,
+    RecordLog,
+    chunk_header,
+    header,
+    packed_crc,
+    scan,
+)
+from recorder.store.layout import Layout
 
 MISSING = 0xFFFF_FFFF_FFFF_FFFF
-CRC_BYTES = 4
 
 # (slots, 2): offset and length of each inner chunk; both are MISSING if there is none.
 Index = NDArray[np.uint64]
@@ -37,6 +47,7 @@ class OpenShard:
         self._sealed = False
         self._layout = layout
         self._entries = [(record.offset, record.nbytes) for record in records]
+        self._crcs = [record.crc for record in records]
         path = layout.partial(number)
         path.parent.mkdir(parents=True, exist_ok=True)
         end = records[-1].end if records else 0
@@ -49,7 +60,7 @@ class OpenShard:
     @property
     def full(self) -> bool:
         """True if the shard is full."""
-        return len(self._entries) == CHUNKS_PER_SHARD
+        return len(self._entries) == self._layout.chunks_per_shard
 
     def append(self, chunk: bytes, t_ns: int) -> None:
         """Add one encoded chunk.
@@ -57,13 +68,21 @@ class OpenShard:
         Raises:
             OSError: It could not be written completely; the shard is unchanged.
         """
-        index = self.number * CHUNKS_PER_SHARD + len(self._entries)
-        offset = self._log.append(chunk, t_ns, index)
-        self._entries.append((offset, len(chunk)))
+        index = self.number * self._layout.chunks_per_shard + len(self._entries)
+        if self._layout.chunk_crc:
+            crc = packed_crc(chunk)
+            head = chunk_header(len(chunk), crc, t_ns, index)
+            offset = self._log.append(head, chunk, crc)
+            self._entries.append((offset, len(chunk) + CRC_BYTES))
+            self._crcs.append(int.from_bytes(crc, "little"))
+        else:
+            offset = self._log.append(header(chunk, t_ns, index), chunk)
+            self._entries.append((offset, len(chunk)))
 
     def drop_last(self) -> None:
         """Remove the last chunk."""
         offset, _ = self._entries.pop()
+        del self._crcs[len(self._entries) :]
         self._log.truncate(offset - HEADER.size)
 
     def sync(self) -> None:
@@ -78,7 +97,7 @@ class OpenShard:
         """
         if self._sealed:
             return
-        self._log.finish(packed_index(self._entries))
+        self._log.finish(_shard_end(self._layout, self._entries, self._crcs))
         final = self._layout.shard(self.number)
         self._log.path.replace(final)
         sync_directory(final.parent)
@@ -90,7 +109,17 @@ class OpenShard:
         self._log.close()
 
 
-def packed_index(entries: list[tuple[int, int]], slots: int = CHUNKS_PER_SHARD) -> bytes:
+def _shard_end(layout: Layout, entries: list[tuple[int, int]], crcs: list[int]) -> bytes:
+    """Return the bytes that end a shard: the checksums of its chunks, if they have any; the index.
+
+    Missing chunks have the checksum 0.
+    """
+    listed = np.zeros(layout.chunks_per_shard if layout.chunk_crc else 0, "<u4")
+    listed[: len(crcs)] = crcs[: len(listed)]
+    return listed.tobytes() + packed_index(entries, layout.chunks_per_shard)
+
+
+def packed_index(entries: list[tuple[int, int]], slots: int) -> bytes:
     """Return the bytes that end a shard: offset and length per slot, and their checksum."""
     index = np.full((slots, 2), MISSING, "<u8")
     index[: len(entries)] = np.array(entries, "<u8").reshape(-1, 2)
@@ -98,39 +127,94 @@ def packed_index(entries: list[tuple[int, int]], slots: int = CHUNKS_PER_SHARD) 
     return data + int(google_crc32c.value(data)).to_bytes(CRC_BYTES, "little")
 
 
-def read_index(path: Path, files: Files = LOCAL, slots: int = CHUNKS_PER_SHARD) -> Index:
+def read_index(path: Path, files: Files, slots: int) -> Index:
     """Return the index of a sealed shard with the given number of slots.
 
     Raises:
         SessionError: No such shard, or its index is corrupt.
     """
+    return _unpacked(_tail(path, files, 16 * slots + CRC_BYTES), path, files, slots)
+
+
+def _tail(path: Path, files: Files, nbytes: int) -> bytes:
     try:
-        tail = files.tail(path, 16 * slots + CRC_BYTES)
+        tail = files.tail(path, nbytes)
     except FileNotFoundError:
         raise SessionError(f"{files.name(path)}: shard missing") from None
-    if len(tail) != 16 * slots + CRC_BYTES:
+    if len(tail) != nbytes:
         found = len(tail)
         raise SessionError(f"{files.name(path)}: {found} bytes, too short for a shard index")
-    if int(google_crc32c.value(tail[:-CRC_BYTES])) != int.from_bytes(tail[-CRC_BYTES:], "little"):
+    return tail
+
+
+def _unpacked(data: bytes, path: Path, files: Files, slots: int) -> Index:
+    if int(google_crc32c.value(data[:-CRC_BYTES])) != int.from_bytes(data[-CRC_BYTES:], "little"):
         raise SessionError(f"{files.name(path)}: checksum of the shard index does not match")
-    return np.frombuffer(tail[:-CRC_BYTES], "<u8").reshape(slots, 2)
+    return np.frombuffer(data[:-CRC_BYTES], "<u8").reshape(slots, 2)
+
+
+@dataclass(frozen=True, slots=True, weakref_slot=True)
+class ShardIndex:
+    """End of a sealed shard."""
+
+    entries: Index
+    """Offset and length of each chunk."""
+    ranges: list[tuple[int, int]]
+    """The same as Python's own numbers, which are faster to use one by one."""
+    crcs: list[int] | None
+    """Checksum of each chunk; None in a shard whose chunks do not end with one."""
+
+
+def end_bytes(layout: Layout) -> int:
+    """Return the length of the end of a shard of a column [bytes]."""
+    listed = CRC_BYTES if layout.chunk_crc else 0
+    return (listed + 16) * layout.chunks_per_shard + CRC_BYTES
+
+
+def read_shard_index(layout: Layout, number: int) -> ShardIndex:
+    """Return the end of a sealed shard.
+
+    Raises:
+        SessionError: No such shard, or its index is corrupt.
+    """
+    path, files, slots = layout.shard(number), layout.files, layout.chunks_per_shard
+    end = _tail(path, files, end_bytes(layout))
+    listed, index = end[: CRC_BYTES * slots * layout.chunk_crc], end[-16 * slots - CRC_BYTES :]
+    entries = _unpacked(index, path, files, slots)
+    ranges = list(zip(*entries.T.tolist(), strict=True))
+    crcs = np.frombuffer(listed, "<u4").tolist() if layout.chunk_crc else None
+    return ShardIndex(entries, ranges, crcs)
+
+
+def open_index(layout: Layout, number: int) -> ShardIndex:
+    """Return the index of the complete chunks of a growing shard.
+
+    Raises:
+        FileNotFoundError: It is not growing, or was just sealed.
+    """
+    records = scan_partial(layout, number)[0]
+    ranges = [(record.offset, record.nbytes) for record in records]
+    ranges += [(MISSING, MISSING)] * (layout.chunks_per_shard - len(ranges))
+    crcs = [record.crc for record in records] if layout.chunk_crc else None
+    return ShardIndex(np.array(ranges, np.uint64), ranges, crcs)
 
 
 def chunk_count(index: Index) -> int:
     """Return the number of chunks before the first missing one."""
     missing = np.flatnonzero(index[:, 0] == MISSING)
-    return int(missing[0]) if missing.size else CHUNKS_PER_SHARD
+    return int(missing[0]) if missing.size else len(index)
 
 
 def scan_partial(layout: Layout, number: int) -> tuple[list[JournalRecord], int]:
     """Return the complete records of a growing shard and the number of torn bytes after them."""
     data = layout.partial(number).read_bytes()
-    first = number * CHUNKS_PER_SHARD
-    records = list(scan(data, first_index=first, limit=CHUNKS_PER_SHARD))
+    slots = layout.chunks_per_shard
+    records = list(scan(data, first_index=number * slots, limit=slots))
     tail = data[records[-1].end if records else 0 :]
     # A writer that died between index and rename leaves the index at the end; nothing is torn.
-    index = packed_index([(record.offset, record.nbytes) for record in records])
-    return records, 0 if index.startswith(tail) else len(tail)
+    entries = [(record.offset, record.nbytes) for record in records]
+    end = _shard_end(layout, entries, [record.crc for record in records])
+    return records, 0 if end.startswith(tail) else len(tail)
 
 
 def reopen(layout: Layout, number: int, chunks: int) -> OpenShard:
@@ -144,15 +228,16 @@ def reopen(layout: Layout, number: int, chunks: int) -> OpenShard:
     partial, sealed = layout.partial(number), layout.shard(number)
     records = scan_partial(layout, number)[0] if partial.exists() else []
     if len(records) < chunks and sealed.exists():
-        _copy_records(sealed, partial, chunks)
+        _copy_records(layout, number, chunks)
         records = scan_partial(layout, number)[0]
     if len(records) < chunks:
         raise SessionError(f"{partial}: {len(records)} whole records, expected {chunks}")
     return OpenShard(layout, number, records[:chunks])
 
 
-def _copy_records(sealed: Path, partial: Path, chunks: int) -> None:
-    end = int(read_index(sealed)[chunks - 1].sum())
+def _copy_records(layout: Layout, number: int, chunks: int) -> None:
+    sealed, partial = layout.shard(number), layout.partial(number)
+    end = int(read_shard_index(layout, number).entries[chunks - 1].sum())
     temporary = partial.with_name(partial.name + TEMPORARY)
     with sealed.open("rb") as source, temporary.open("wb") as copy:
         rest = end
@@ -185,10 +270,10 @@ class ColumnLog:
         self.layout = layout
         self.chunks = chunks
         self._shard: OpenShard | None = None
-        number, held = divmod(chunks, CHUNKS_PER_SHARD)
+        number, held = divmod(chunks, layout.chunks_per_shard)
         for other in layout.shard_numbers():
             if other < number and layout.partial(other).exists():
-                self.seal(reopen(layout, other, CHUNKS_PER_SHARD))
+                self.seal([reopen(layout, other, layout.chunks_per_shard)])
             elif other > number:
                 layout.partial(other).unlink(missing_ok=True)
         if held:
@@ -203,7 +288,7 @@ class ColumnLog:
             OSError: It could not be written completely; the column is unchanged.
         """
         if self._shard is None:
-            self._shard = OpenShard(self.layout, self.chunks // CHUNKS_PER_SHARD, [])
+            self._shard = OpenShard(self.layout, self.chunks // self.layout.chunks_per_shard, [])
         self._shard.append(chunk, t_ns)
         self.chunks += 1
 
@@ -220,16 +305,17 @@ class ColumnLog:
         shard, self._shard = self._shard, None
         return shard
 
-    def seal(self, shard: OpenShard) -> None:
-        """Seal a full shard of this column, then extend the array's length to include it."""
-        shard.seal()
-        rows = (shard.number + 1) * self.layout.rows_per_shard
+    def seal(self, shards: list[OpenShard]) -> None:
+        """Seal full shards of this column, then extend the array's length to include them."""
+        for shard in shards:
+            shard.seal()
+        rows = (shards[-1].number + 1) * self.layout.rows_per_shard
         self.layout.set_rows(max(rows, self.layout.rows()))
 
     def seal_full(self) -> None:
         """Seal the open shard if it is full. May be repeated after an error."""
         if self._shard is not None and self._shard.full:
-            self.seal(self._shard)
+            self.seal([self._shard])
             self._shard = None
 
     def sync(self) -> None:

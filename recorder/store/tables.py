@@ -1,17 +1,20 @@
 """Groups of columns that are written in one go: `targets` and `frames`."""
 
+import json
+import math
 from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import zarr
-from zarr.codecs import ZstdCodec
 
 from recorder.errors import SessionError
-from recorder.store.files import LOCAL, Files
-from recorder.store.layout import write_group
+from recorder.store import images
+from recorder.store.files import LOCAL, Files, read_document
+from recorder.store.journal import CRC_BYTES, ends_with_its_crc, packed_crc
+from recorder.store.layout import check_shape, write_group
+from recorder.store.recent import Kept
 
 Array = np.ndarray[Any, Any]
 
@@ -39,36 +42,92 @@ def write_table(
     if len(set(lengths.values())) > 1:
         raise SessionError(f"{path}: columns of unequal length: {lengths}")
     path.mkdir()
-    write_group(path, dict(attrs or {}))
+    write_group(path, {**(attrs or {}), "columns": list(columns)})
     for name, column in columns.items():
         unit, description = units.get(name, ("1", ""))
-        array = zarr.create_array(
-            path / name,
-            shape=column.shape,
-            dtype=column.dtype,
-            chunks=(_CHUNK_ROWS, *column.shape[1:]),
-            compressors=ZstdCodec(level=1, checksum=True),
-            dimension_names=["row", *(f"dim_{axis}" for axis in range(1, column.ndim))],
-            attributes={"units": unit, "description": description},
-            config={"write_empty_chunks": True},
-        )
-        if len(column):
-            array[...] = column
+        _write_column(path / name, np.asarray(column), {"units": unit, "description": description})
+
+
+def _write_column(path: Path, column: Array, attrs: dict[str, Any]) -> None:
+    """Write one array: chunks of `_CHUNK_ROWS` rows, the last padded with fill values."""
+    dtype = column.dtype.newbyteorder("<")
+    chunk_shape = [_CHUNK_ROWS, *column.shape[1:]]
+    document = {
+        "shape": list(column.shape),
+        "data_type": dtype.name,
+        "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": chunk_shape}},
+        "chunk_key_encoding": {"name": "default", "configuration": {"separator": "/"}},
+        "fill_value": np.zeros((), dtype).item(),
+        "codecs": [
+            {"name": "bytes", "configuration": {"endian": "little"}},
+            {"name": "zstd", "configuration": {"level": images.ZSTD_LEVEL, "checksum": False}},
+            {"name": "crc32c"},
+        ],
+        "attributes": attrs,
+        "dimension_names": ["row", *(f"dim_{axis}" for axis in range(1, column.ndim))],
+        "zarr_format": 3,
+        "node_type": "array",
+        "storage_transformers": [],
+    }
+    path.mkdir()
+    (path / "zarr.json").write_text(json.dumps(document, indent=2))
+    for number, first in enumerate(range(0, len(column), _CHUNK_ROWS)):
+        rows = column[first : first + _CHUNK_ROWS]
+        chunk = np.zeros(chunk_shape, dtype)
+        chunk[: len(rows)] = rows
+        data = images.compress(chunk.data.cast("B"))
+        key = path.joinpath("c", str(number), *("0" for _ in column.shape[1:]))
+        key.parent.mkdir(parents=True)
+        key.write_bytes(data + packed_crc(data))
 
 
 def _column(files: Files, path: Path, name: str) -> Array:
-    return np.asarray(files.array(path / name))
+    """Return all rows of a column; `SessionError` if a chunk is missing or corrupt."""
+    array = path / name
+    where = files.name(array)
+    document = read_document(files, array / "zarr.json")
+    try:
+        shape, dtype = document["shape"], np.dtype(document["data_type"]).newbyteorder("<")
+        check_shape(shape, document["data_type"], where)
+        chunk_shape = document["chunk_grid"]["configuration"]["chunk_shape"]
+        codecs = [codec["name"] for codec in document["codecs"]]
+    except (KeyError, TypeError, ValueError) as error:
+        raise SessionError(f"{where}: not a column of a table: {error!r}") from error
+    if codecs not in (["bytes", "zstd"], ["bytes", "zstd", "crc32c"]):  # the first: version 1
+        raise SessionError(f"{where}: found codecs {codecs}, expected bytes, zstd, crc32c")
+    if chunk_shape != [_CHUNK_ROWS, *shape[1:]]:
+        raise SessionError(f"{where}: found chunk_shape {chunk_shape} of shape {shape}")
+    nbytes = math.prod(chunk_shape) * dtype.itemsize
+    chunks = []
+    for number in range(-(-shape[0] // _CHUNK_ROWS)):
+        key = array.joinpath("c", str(number), *("0" for _ in shape[1:]))
+        try:
+            data = files.read(key)
+        except FileNotFoundError:
+            raise SessionError(f"{files.name(key)}: chunk missing") from None
+        try:
+            plain = images.decompress(_without_crc(data) if "crc32c" in codecs else data, nbytes)
+        except SessionError as error:
+            raise SessionError(f"{files.name(key)}: {error}") from error
+        chunks.append(np.frombuffer(plain, dtype).reshape(chunk_shape))
+    return np.concatenate(chunks)[: shape[0]] if chunks else np.empty(shape, dtype)
+
+
+def _without_crc(data: bytes) -> bytes:
+    if not ends_with_its_crc(data):
+        raise SessionError("the chunk does not match its checksum")
+    return data[:-CRC_BYTES]
 
 
 class Table(Mapping[str, Array]):
-    """Columns of a group, read on first access."""
+    """Columns of a group, read on access; those used last are kept in memory."""
 
     def __init__(self, path: Path, names: tuple[str, ...], load: Any) -> None:
         """Provide the columns `names`, read by `load(name)`."""
         self._path = path
         self._names = names
         self._load = load
-        self._read: dict[str, Array] = {}
+        self._read: Kept[Array] = Kept()
 
     @classmethod
     def of_group(cls, path: Path, files: Files = LOCAL) -> "Table":
@@ -81,12 +140,12 @@ class Table(Mapping[str, Array]):
 
         Raises:
             KeyError: No such column.
+            SessionError: A chunk is missing or corrupt.
         """
         if name not in self._names:
             raise KeyError(f"{self._path}: no column {name!r}; known: {', '.join(self._names)}")
-        if name not in self._read:
-            self._read[name] = self._load(name)
-        return self._read[name]
+        found = self._read.get(name)
+        return self._read.put(name, self._load(name)) if found is None else found
 
     def __iter__(self) -> Iterator[str]:
         """Iterate over the names."""

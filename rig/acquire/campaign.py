@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 from recorder import Session, SessionError
+from recorder.catalogue import Catalogue, Row
 from recorder.command_line.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_WRONG_INPUT
 from recorder.progress import duration
+from rig.acquire.control import InterruptFlag
+from rig.acquire.motion_notice import deepest, motion_lines
 from rig.acquire.request import first_open_target
 from rig.acquire.summary import show_curve
 from rig.bench.bench import Bench, find_bench, load_bench
+from rig.bench.indenter import find_indenter
 from rig.core.config import build, read_yaml
 from rig.core.errors import ConfigError
 from rig.core.packaged import CAMPAIGNS, packaged
@@ -48,7 +54,7 @@ class Entry:
 
     @property
     def name(self) -> str:
-        """Name of its session, unique in a campaign."""
+        """Name of its session; an entry that is listed again gets a number after it."""
         targets = "" if self.targets is None else f"-{self.targets}"
         return f"{self.sensor}-{self.indenter}-{self.plan.replace('_', '-')}{targets}"
 
@@ -81,6 +87,8 @@ class Item:
     """Number of targets to press."""
     duration: float
     """Predicted moving time [s], without preflight and pauses."""
+    name: str
+    """Name of its session, unique in the campaign."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,30 +114,45 @@ def load_campaign(path: Path, benches: Path) -> Campaign:
         ConfigError: The file, or a bench in it, is invalid.
     """
     file = build(CampaignFile, read_yaml(packaged(path, CAMPAIGNS)), str(path))
-    entries = file.sessions
-    names = [entry.name for entry in entries]
-    if twice := sorted({name for name in names if names.count(name) > 1}):
-        raise ConfigError(f"{path}.sessions: {', '.join(twice)}: listed twice; allowed: once")
-    items = tuple(_item(entry, f"{path}.sessions[{k}]", benches) for k, entry in enumerate(entries))
+    times: Counter[str] = Counter()
+    walked: dict[tuple[str, str], _Walked] = {}
+    items = []
+    for number, entry in enumerate(file.sessions):
+        where, key = f"{path}.sessions[{number}]", (entry.sensor, entry.plan)
+        if key not in walked:
+            walked[key] = _walk(entry, where, benches)
+        times[entry.name] += 1
+        again = f"-again-{times[entry.name]}" if times[entry.name] > 1 else ""
+        items.append(_item(entry, entry.name + again, where, walked[key]))
     out = Path(file.out or f"sessions/{path.stem}")
-    return Campaign(path.stem, items, file.operator, out)
+    return Campaign(path.stem, tuple(items), file.operator, out)
 
 
-def _item(entry: Entry, where: str, benches: Path) -> Item:
+# A bench file, its bench, one of its plans, and the duration of that plan [s].
+_Walked = tuple[Path, Bench, Plan, float]
+
+
+def _walk(entry: Entry, where: str, benches: Path) -> _Walked:
     bench_path = find_bench(entry.sensor, benches, f"{where}.sensor")
     bench, _ = load_bench(bench_path)
     plan: Plan | None = bench.trajectory if entry.plan == "press_shear" else bench.force_depth
     if plan is None or plan.kind != entry.plan:
         raise ConfigError(f"{where}.plan: found {entry.plan!r}; {bench_path} has none")
-    total = len(plan) if entry.targets is None else entry.targets
-    if total > len(plan):
-        raise ConfigError(f"{where}.targets: found {total}; allowed: 1 to {len(plan)}")
     walked = dry_run(
         plan, bench.limits.plan, speed=bench.arm.speed, acceleration=bench.arm.acceleration
     )
     if walked.broken:
         raise ConfigError(f"{where}: the plan breaks a limit: {'; '.join(walked.broken)}")
-    return Item(entry, bench_path, bench, plan, total, walked.duration * total / len(plan))
+    return bench_path, bench, plan, walked.duration
+
+
+def _item(entry: Entry, name: str, where: str, walked: _Walked) -> Item:
+    find_indenter(entry.indenter, f"{where}.indenter")
+    bench_path, bench, plan, duration = walked
+    total = len(plan) if entry.targets is None else entry.targets
+    if total > len(plan):
+        raise ConfigError(f"{where}.targets: found {total}; allowed: 1 to {len(plan)}")
+    return Item(entry, bench_path, bench, plan, total, duration * total / len(plan), name)
 
 
 # Progress of a campaign, read from its sessions only.
@@ -162,26 +185,46 @@ class Progress:
 
 def progress_of(campaign: Campaign) -> list[Progress]:
     """Return the state of every entry's session, in order."""
-    return [_look(item, campaign.out / f"{item.entry.name}.zarr") for item in campaign.items]
+    if not campaign.out.is_dir():
+        return [_open(campaign, item) for item in campaign.items]
+    catalogue = Catalogue(campaign.out)
+    catalogue.refresh()
+    return [_progress(campaign, item, catalogue) for item in campaign.items]
 
 
-def _look(item: Item, path: Path) -> Progress:
-    if not path.exists():
-        return Progress(item, path, "open", 0)
+def _open(campaign: Campaign, item: Item) -> Progress:
+    return Progress(item, campaign.out / f"{item.name}.zarr", "open", 0)
+
+
+def _progress(campaign: Campaign, item: Item, catalogue: Catalogue) -> Progress:
+    """Return the state of one entry's session; it is opened only if it is not complete."""
+    initial = _open(campaign, item)
+    path = initial.session
+    row = catalogue.look(path.name)
+    if row is None and not path.exists():
+        return initial
     try:
-        session = Session(path)
-        attrs = session.attrs
-        for key, wanted in (("sensor", item.entry.sensor), ("indenter", item.entry.indenter)):
-            if attrs.get(key) != wanted:
-                note = f"its {key} is {attrs.get(key)!r}: move it away"
-                return Progress(item, path, "unreadable", 0, note)
-        total = int(attrs["targets_wanted"])
-        done = first_open_target(plan_from_json(attrs["plan"]), session.segments, total)
+        note = _mismatch(item, row)
+        if not note and row is not None and row.is_session and row.status == "complete":
+            return Progress(item, path, "done", row.targets)
+        if not note:
+            session = Session(path)
+            plan = plan_from_json(session.attrs["plan"])
+            total = int(session.attrs["targets_wanted"])
+            done = first_open_target(plan, session.segments, total)
+            return Progress(item, path, "to resume", done, str(session.attrs.get("reason", "")))
     except (SessionError, OSError, ValueError, KeyError) as error:
-        return Progress(item, path, "unreadable", 0, str(error))
-    if session.status == "complete" and done == total:
-        return Progress(item, path, "done", total)
-    return Progress(item, path, "to resume", done, str(attrs.get("reason", "")))
+        note = str(error)
+    return Progress(item, path, "unreadable", 0, note)
+
+
+def _mismatch(item: Item, row: Row | None) -> str:
+    """Return why a session cannot be that of an entry; empty if it can."""
+    wanted = {"sensor": item.entry.sensor, "indenter": item.entry.indenter}
+    for key, value in wanted.items():
+        if row is not None and row.is_session and getattr(row, key) != value:
+            return f"its {key} is {getattr(row, key)!r}: move it away"
+    return ""
 
 
 def table(found: list[Progress]) -> list[str]:
@@ -221,12 +264,15 @@ class Settings:
     """Folder of calibrations."""
     keep_going: bool = False
     """Continue with the next entry after a lost device or a safety stop."""
+    go_on: str = ""
+    """Command that continues the campaign; empty: none is shown."""
 
 
 def command(progress: Progress, campaign: Campaign, settings: Settings) -> list[str]:
     """Return the arguments of `python -m rig` that record or resume one entry."""
     entry, bench = progress.item.entry, str(progress.item.bench_path)
-    kept = ["--calibrations", str(settings.calibrations)]
+    # The technician agreed to motion when the indenter was mounted.
+    kept = ["--calibrations", str(settings.calibrations), "--asked-by", str(os.getpid())]
     if progress.state == "to resume":
         return ["collect", "--bench", bench, "--resume", str(progress.session), *kept]
     common = ["--bench", bench, "--out", str(progress.session), "--indenter", entry.indenter]
@@ -252,8 +298,10 @@ def run_campaign(
     campaign.out.mkdir(parents=True, exist_ok=True)
     failed = EXIT_DONE
     mounted: tuple[str, str] | None = None
-    for number in range(len(campaign.items)):
-        progress = progress_of(campaign)[number]
+    catalogue = Catalogue(campaign.out)
+    catalogue.refresh()
+    for number, item in enumerate(campaign.items):
+        progress = _progress(campaign, item, catalogue)
         entry = progress.item.entry
         if progress.state == "done":
             continue
@@ -276,15 +324,16 @@ def run_campaign(
                 # It was resumed by `collect`, which draws no curve.
                 show_curve(progress.session)
             continue
-        say(f"{entry.name}: ended with exit code {code}")
+        say(f"{item.name}: ended with exit code {code}")
         failed = failed or code
         if code == EXIT_INTERRUPTED or not settings.keep_going:
             break
-    found = progress_of(campaign)
+    found = [_progress(campaign, item, catalogue) for item in campaign.items]
+    catalogue.save()
     for line in table(found):
         say(line)
-    if any(progress.state != "done" for progress in found):
-        say("run the same command again to continue")
+    if any(progress.state != "done" for progress in found) and settings.go_on:
+        say(f"to continue: {settings.go_on}")
     return failed
 
 
@@ -297,7 +346,10 @@ def _mount(
     if not gripped or before is None or before[0] != entry.sensor:
         indenter = "" if gripped else f", indenter {entry.indenter}"
         mock = " (mock bench: nothing to mount)" if bench.mock else ""
-        if not ask(f"{place}: mount sensor {entry.sensor}{indenter}{mock}"):
+        pressed = replace(bench, indenter=entry.indenter)
+        lines = motion_lines(pressed, deepest(item.plan, item.total))
+        moves = "" if bench.mock else "\n".join(["", *lines])
+        if not ask(f"{place}: mount sensor {entry.sensor}{indenter}{mock}{moves}"):
             return False
     if gripped and swap is not None:
         try:
@@ -310,16 +362,18 @@ def _mount(
 def _record(arguments: list[str]) -> int:
     """Run one session in its own process and return its exit code.
 
-    Ctrl-C reaches that process as well; this one waits until its session has ended in order.
+    Ctrl-C and a closed terminal reach that process as well; SIGTERM, sent to this one, is passed
+    on. This process waits until the session has ended in order.
     """
     # The process writes to the same terminal, so the buffer is flushed first.
     sys.stdout.flush()
-    with subprocess.Popen([sys.executable, "-m", "rig", *arguments]) as process:
-        interrupted = False
-        while True:
-            try:
-                code = process.wait()
-                break
-            except KeyboardInterrupt:
-                interrupted = True
-    return EXIT_INTERRUPTED if interrupted or code < 0 else code
+    with InterruptFlag() as interrupt:
+        with subprocess.Popen([sys.executable, "-m", "rig", *arguments]) as process:
+            interrupt.forward_to(process)
+            while True:
+                try:
+                    code = process.wait()
+                    break
+                except KeyboardInterrupt:
+                    continue
+        return EXIT_INTERRUPTED if interrupt.requested or code < 0 else code

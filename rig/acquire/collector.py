@@ -8,7 +8,7 @@ import importlib.metadata
 import logging
 import platform
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -22,22 +22,33 @@ from recorder.command_line.errors import (
     EXIT_INTERRUPTED,
     EXIT_SAFETY_STOP,
 )
-from recorder.session import clock_lines, contact_sheet, fit_clocks
+from recorder.session import clock_lines, contact_sheet
 from rig.acquire import summary
 from rig.acquire.control import Control, Interrupted, InterruptFlag, Onlooker
 from rig.acquire.interlocks import Interlocks
 from rig.acquire.plan_runner import PlanRunner, require_arrival
-from rig.acquire.preflight import Found, Tare, check_clear, check_devices, take_tare, tip_position
+from rig.acquire.preflight import (
+    Found,
+    Tare,
+    check_clear,
+    check_devices,
+    notes_on,
+    take_tares,
+    tip_position,
+)
 from rig.acquire.progress_line import LiveLine
 from rig.acquire.request import CollectRequest, first_open_target
 from rig.acquire.streams import Streams
 from rig.bench.bench import Bench
-from rig.bench.stream_kinds import stream_names, stream_spec
+from rig.bench.indenter import find_indenter
+from rig.bench.stream_kinds import expected_rate, stream_names, stream_spec
 from rig.core.clock import ClockAnchor, SystemClock
 from rig.core.errors import DeviceLost, SafetyStop
 from rig.core.geometry import compose, transform
+from rig.core.guard import GuardLimits
 from rig.devices.arm.arm import Arm
-from trajectories import Plan, plan_to_json
+from rig.devices.force.settings import AXES
+from trajectories import Plan, dry_run, plan_to_json
 
 logger = logging.getLogger(__name__)
 
@@ -79,7 +90,7 @@ class Collector:
         self._content = content
         self._folder = folder
         self._clock = SystemClock()
-        self._bias = np.zeros(6)
+        self._bias: dict[str, np.ndarray] = {}
 
     def run(self, request: CollectRequest, plan: Plan, total: int) -> int:
         """Collect and return the exit code; recorded data is closed and readable however it ends.
@@ -97,18 +108,24 @@ class Collector:
             streams = stack.enter_context(
                 Streams(self._bench, self._folder, self._clock, self._watch)
             )
-            found = check_devices(self._bench, streams)
             interlocks = stack.enter_context(Interlocks(self._bench, self._control, self._clock))
-            found.description.update(interlocks.open())
+            found = check_devices(self._bench, streams, interlocks)
+            latency = request.calibration.latency
+            signals = [row.name for row in self._bench.rows if "signal" in row.traits.roles]
+            calibrated = [] if latency is None else [latency.stream]
+            notes = notes_on(found.description, signals, calibrated)
+            for note in notes:
+                logger.info("preflight  note: %s", note)
             interrupt.check()
             check_clear(self._bench, streams)
             arm = self._start_arm()
             stack.callback(arm.close)
             self._rise(arm, streams, interlocks)
-            tare = take_tare(self._bench, streams)
+            tares = take_tares(self._bench, streams)
             interrupt.check()
-            writer, first, run = self._open_session(request, plan, total, found, tare)
-            live = LiveLine(streams, total, self._clock)
+            writer, first, run = self._open_session(request, plan, total, found, tares, notes)
+            planned = seconds_per_target(self._bench, plan)
+            live = LiveLine(streams, total, self._clock, planned=planned, first=first)
             if self._page is not None:
                 self._page.begin(self._control, live.progress, request.path, first)
             runner = PlanRunner(
@@ -122,18 +139,19 @@ class Collector:
                 interlocks,
                 self._clock,
                 run=run,
-                zero=tare.mean - self._bias,
+                zeros={name: tare.mean - self._bias[name] for name, tare in tares.items()},
             )
             stop: BaseException | None = None
             try:
-                streams["force"].set_bias(self._bias)
+                for name, bias in self._bias.items():
+                    streams[name].set_bias(bias)
                 for handle in streams:
                     handle.record(writer.stream_path(handle.name))
                 runner.press(plan, first, total)
             except BaseException as error:
                 # On any error, the arm retracts and the session is closed before anything else.
-                stop = error
-                logger.error("stopping: %s", str(error) or type(error).__name__)
+                stop = _first_cause(error, interrupt)
+                logger.error("stopping: %s", str(stop) or type(stop).__name__)
             interrupt.ignore()
             live.end()
             if self._page is not None:
@@ -150,7 +168,7 @@ class Collector:
         seconds = (self._clock.now_ns() - started_ns) / 1e9
         session = Session(request.path)
         print(summary.cadence(self._bench, session, summaries))
-        self._fit_clocks(request.path)
+        self._print_clocks(request.path)
         self._picture(request.path)
         last_line = summary.last_line(
             status,
@@ -161,6 +179,8 @@ class Collector:
             total=total,
             seconds=seconds,
         )
+        if stop is not None and request.go_on:
+            print(f"to continue: {request.go_on}")
         print(last_line)
         if self._page is not None:
             self._page.say(status, last_line)
@@ -171,7 +191,7 @@ class Collector:
             self._bench.arm,
             self._bench.contact_frame,
             self._bench.guard_limits,
-            force_path=self._folder / "force.latest",
+            gauges=guarded(self._bench, self._folder),
             pose_path=self._folder / "pose.latest",
         )
         arm.start(self._bench.preflight.timeout)
@@ -203,15 +223,17 @@ class Collector:
         plan: Plan,
         total: int,
         found: Found,
-        tare: Tare,
+        tares: Mapping[str, Tare],
+        notes: list[str],
     ) -> tuple[SessionWriter, int, int]:
         """Return the session's writer, the first target to press and the number of this run."""
         anchor = asdict(ClockAnchor.take())
         entry = {
             **anchor,
             "operator": request.operator or getpass.getuser(),
-            "tare": {"mean": tare.mean.tolist(), "std": tare.std.tolist()},
+            **_tare_entry(tares),
             "rates_hz": found.rates,
+            "notes": notes,
             "bench": self._content,
             "devices": found.description,
         }
@@ -222,9 +244,10 @@ class Collector:
             run = len(previous.runs)
             # The whole stream has one bias, so that raw = value + bias holds in every run. Drift of
             # the zero since then is recorded in this run's tare and references.
-            self._bias = np.array(previous.streams["force"].attrs["bias"])
+            self._bias = {name: np.array(previous.streams[name].attrs["bias"]) for name in tares}
         else:
-            self._bias = tare.mean
+            # An axis that is not measured may be NaN, and is stored as it came.
+            self._bias = {name: np.nan_to_num(tare.mean) for name, tare in tares.items()}
             writer = SessionWriter.create(
                 request.path,
                 attrs=self._attrs(request, plan, total, anchor),
@@ -233,8 +256,8 @@ class Collector:
                         self._bench,
                         name,
                         found.description[name],
-                        found.rates[name],
-                        **_stream_attrs(name, request, tare),
+                        expected_rate(self._bench, name),
+                        **self._stream_attrs(name, request),
                     )
                     for name in stream_names(self._bench)
                 ],
@@ -254,6 +277,7 @@ class Collector:
             "mock_sources": request.mock_sources or {},
             "sensor": bench.sensor,
             "indenter": bench.indenter,
+            "indenter_description": find_indenter(bench.indenter).attrs(),
             "operator": request.operator or getpass.getuser(),
             "plan": plan_to_json(plan),
             "targets_wanted": total,
@@ -266,6 +290,19 @@ class Collector:
             "software": software(),
             "calibration": request.calibration.attrs(),
         }
+
+    def _stream_attrs(self, name: str, request: CollectRequest) -> dict[str, Any]:
+        """Return a stream's attributes other than the facts of its device."""
+        if name in self._bias:
+            axes = self._bench.row(name).config.axes_measured
+            partly = {} if len(axes) == len(AXES) else {"axes_measured": list(axes)}
+            return {"bias": self._bias[name].tolist(), **partly}
+        attrs = request.calibration.stream_attrs(name)
+        cameras = [row.name for row in self._bench.of_kind("camera")]
+        played = request.mock_sources and "camera" in request.mock_sources
+        if played and request.mock_sources and name in cameras[:1]:
+            attrs["source_motion"] = request.mock_sources["camera"]["motion"]
+        return attrs
 
     def _retract(self, arm: Arm) -> bool:
         """Retract the arm; return True if it is known to be clear."""
@@ -291,7 +328,7 @@ class Collector:
         summaries = streams.close()
         try:
             writer.set_attrs(summary=summaries)
-            writer.finish(status, reason, rate_hz=self._bench.rate_hz)
+            writer.finish(status, reason, rate_hz=self._bench.rate_hz, clocks=True)
         except OSError as error:
             raise SessionError(
                 f"{writer.path}: could not be finished ({error}); its samples are kept: make room, "
@@ -299,13 +336,12 @@ class Collector:
             ) from error
         return summaries
 
-    def _fit_clocks(self, path: Path) -> None:
+    def _print_clocks(self, path: Path) -> None:
         try:
-            fit_clocks(path)
             for line in clock_lines(Session(path)):
                 print(line)
         except (SessionError, OSError) as error:
-            logger.warning("no clock fit: %s", error)
+            logger.warning("no clocks: %s", error)
 
     def _picture(self, path: Path) -> None:
         picture = path.with_suffix(".png")
@@ -322,14 +358,39 @@ class Collector:
         return next(code for kind, code in _EXIT_CODES.items() if isinstance(stop, kind))
 
 
-def _stream_attrs(name: str, request: CollectRequest, tare: Tare) -> dict[str, Any]:
-    """Return a stream's attributes other than the facts of its device."""
-    if name == "force":
-        return {"bias": tare.mean.tolist()}
-    attrs = request.calibration.stream_attrs(name)
-    if name == "camera" and request.mock_sources and "camera" in request.mock_sources:
-        attrs["source_motion"] = request.mock_sources["camera"]["motion"]
-    return attrs
+def _first_cause(error: BaseException, interrupt: InterruptFlag) -> BaseException:
+    """Return the operator's stop if the arm's process ended by it, else the error.
+
+    `systemctl stop` and `timeout` send SIGTERM to all processes; the arm's process then retracts.
+    """
+    if isinstance(error, DeviceLost):
+        try:
+            interrupt.check()
+        except Interrupted as asked:
+            return asked
+    return error
+
+
+def seconds_per_target(bench: Bench, plan: Plan) -> float:
+    """Return the predicted mean duration of a target [s], with travel and references."""
+    arm = bench.arm
+    moving = dry_run(plan, bench.limits.plan, speed=arm.speed, acceleration=arm.acceleration)
+    points = len({target.point for target in plan.targets()})
+    return (moving.duration + points * bench.preflight.point_window) / len(plan)
+
+
+def guarded(bench: Bench, folder: Path) -> dict[Path, GuardLimits]:
+    """Return the shared record of each F/T sensor that guards, and its limits."""
+    return {folder / f"{gauge.name}.latest": bench.guard_limits_of(gauge) for gauge in bench.gauges}
+
+
+def _tare_entry(tares: Mapping[str, Tare]) -> dict[str, Any]:
+    """Return the attributes of a run: `tare` of the first F/T sensor, `tares` of several."""
+    found = {
+        name: {"mean": tare.mean.tolist(), "std": tare.std.tolist()} for name, tare in tares.items()
+    }
+    first = {"tare": next(iter(found.values()))} if found else {}
+    return {**first, **({"tares": found} if len(found) > 1 else {})}
 
 
 def target_table(plan: Plan, total: int, bench: Bench) -> dict[str, np.ndarray]:

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
+import os
 import signal
+import stat
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -28,28 +33,42 @@ class Interrupted(CommandError):
 
 
 class InterruptFlag:
-    """Context manager that catches SIGINT and SIGTERM.
+    """Context manager that catches SIGINT, SIGTERM and SIGHUP.
 
     The first signal sets `requested`; a second raises KeyboardInterrupt immediately, until `ignore`
-    is called.
+    is called. SIGHUP, sent when the terminal is closed, never counts as a second: a closing
+    terminal may send several. It stays ignored if it was before, as under nohup.
     """
 
     def __init__(self) -> None:
         self.requested = False
+        self._reason = "interrupted by the operator"
         self._ignored = False
+        self._forward: subprocess.Popen[bytes] | None = None
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> InterruptFlag:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            self._before[number] = signal.signal(number, self._on_signal)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+                self._before[number] = signal.signal(number, self._on_signal)
         return self
 
     def __exit__(self, *_: object) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
+    def forward_to(self, process: subprocess.Popen[bytes]) -> None:
+        """Pass SIGTERM on to a process; the other signals reach the whole group of processes."""
+        self._forward = process
+
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        if self.requested and not self._ignored:
+        if number == signal.SIGTERM and self._forward is not None:
+            self._forward.send_signal(number)
+        if number == signal.SIGHUP:
+            discard_output_of_a_closed_terminal()
+            if not self.requested:
+                self._reason = "the terminal was closed"
+        elif self.requested and not self._ignored:
             raise KeyboardInterrupt
         self.requested = True
 
@@ -60,7 +79,23 @@ class InterruptFlag:
     def check(self) -> None:
         """Raise `Interrupted` if a stop was requested."""
         if self.requested:
-            raise Interrupted("interrupted by the operator")
+            raise Interrupted(self._reason)
+
+
+def discard_output_of_a_closed_terminal() -> None:
+    """Redirect standard output and error to /dev/null if their terminal is gone.
+
+    Each further line printed would raise an error, and one must not keep the arm from retracting.
+    The log file beside the session still receives all messages.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        # Streams without a file, as in tests, raise an OSError too.
+        with contextlib.suppress(OSError, ValueError, AttributeError):
+            number = stream.fileno()
+            if stat.S_ISCHR(os.fstat(number).st_mode) and not os.isatty(number):
+                null = os.open(os.devnull, os.O_WRONLY)
+                os.dup2(null, number)
+                os.close(null)
 
 
 class Control:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from rig.acquire.control import Control
 from rig.bench.bench import Bench
 from rig.core.clock import Clock
-from rig.core.errors import DeviceLost, SafetyStop
+from rig.core.errors import ConfigError, DeviceLost, SafetyStop, raise_all
 from rig.devices.hid.settings import PedalConfig
 
 if TYPE_CHECKING:
@@ -72,13 +72,22 @@ class Interlocks:
         """Connect to all devices, start watching, and return their facts by device.
 
         Raises:
-            DeviceLost: A device is missing, or the gripper holds nothing.
+            ConfigError, DeviceLost: Devices are missing, or the gripper holds nothing; the message
+                names all of them.
         """
-        description = {}
+        description: dict[str, dict[str, Any]] = {}
+        failures: list[Exception] = []
         if self._grip is not None:
-            description["gripper"] = self._grip.open(self._timeout)
+            try:
+                description["gripper"] = self._grip.open(self._timeout)
+            except (ConfigError, DeviceLost) as error:
+                failures.append(error)
         if self._pedal is not None:
-            description["pedal"] = self._pedal.open()
+            try:
+                description["pedal"] = self._pedal.open()
+            except (ConfigError, DeviceLost) as error:
+                failures.append(error)
+        raise_all(failures)
         return description
 
     def check(self, *, pressing: bool = False) -> None:

@@ -196,8 +196,7 @@ class Jog:
         terminal = self._out.isatty()
         self._due_ns = now_ns + _SHOW_NS[terminal]
         x, y, z = (from_si(value, "mm") for value in tip_position(self._bench, self._streams))
-        force = self._streams["force"].latest()
-        felt = f"Fz {float(force['value'][2]):+6.2f} N" if force is not None else "Fz ?"
+        felt = self._streams.pressing()
         text = f"tip x {x:+8.3f}  y {y:+8.3f}  z {z:+8.3f} mm  {felt}"
         self._out.write(f"\r{text}\x1b[K" if terminal else f"{text}\n")
         self._out.flush()

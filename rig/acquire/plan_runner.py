@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import contextlib
 import logging
+from collections.abc import Mapping
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from recorder import OUTCOMES, SessionError, SessionWriter
+from recorder.spec import frame_columns, reference_spec
 from rig.acquire.control import Control, InterruptFlag
 from rig.acquire.interlocks import DeadManReleased, Interlocks
 from rig.acquire.preflight import check_untouched, tip_position
 from rig.acquire.progress_line import LiveLine
 from rig.acquire.streams import Streams
-from rig.bench.bench import Bench
+from rig.bench.bench import Bench, empty_spec
+from rig.bench.stream_kinds import KINDS
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import DeviceLost, SafetyStop
 from rig.core.geometry import compose
@@ -55,7 +59,7 @@ class PlanRunner:
         interlocks: Interlocks, checked while the arm moves.
         clock: Clock.
         run: Number of this run.
-        zero: Reading of the untouched F/T sensor after the tare (6,) [N, N m].
+        zeros: Reading of each untouched F/T sensor after the tare (6,) [N, N m], by stream.
     """
 
     def __init__(
@@ -71,7 +75,7 @@ class PlanRunner:
         clock: Clock,
         *,
         run: int,
-        zero: np.ndarray,
+        zeros: Mapping[str, np.ndarray],
     ) -> None:
         self._bench = bench
         self._arm = arm
@@ -83,7 +87,7 @@ class PlanRunner:
         self._interlocks = interlocks
         self._clock = clock
         self._run = run
-        self._zero = zero
+        self._zeros = zeros
         # Contact point at whose p0 the tip is; None: at none.
         self._point: int | None = None
         self.done = 0
@@ -174,32 +178,36 @@ class PlanRunner:
         self._asked()
 
     def _take_reference(self, point: int) -> None:
-        window = self._bench.preflight.point_window
-        averaged = [handle.name for handle in self._streams if handle.name in ("force", "taxels")]
-        found = self._streams.measure(window, *averaged)
-        force = found["force"]
-        if "mean" not in force:
-            raise DeviceLost(f"force: no sample over point {point}")
-        check_untouched(self._bench, force["mean"] - self._zero, point)
-        image = -1
-        if "camera" in self._streams:
-            latest = self._streams["camera"].latest()
-            image = int(latest["row"]) if latest is not None else -1
-        taxels = found.get("taxels", {}).get("mean", np.full((16, 3), np.nan))
+        """Store the values of the untouched sensor, having checked that it is untouched.
+
+        Raises:
+            DeviceLost: A stream gives no samples.
+            SafetyStop: An F/T sensor that guards shows contact.
+        """
+        bench = self._bench
+        averaged = [row.name for row in bench.rows if KINDS[row.kind].averaged]
+        window = bench.preflight.point_window
+        found = self._streams.measure(window, *averaged) if averaged else {}
+        for gauge in bench.of_kind("force"):
+            if "mean" not in found[gauge.name]:
+                raise DeviceLost(f"{gauge.name}: no sample over point {point}")
+        for gauge in bench.gauges:
+            tared = found[gauge.name]["mean"] - self._zeros[gauge.name]
+            check_untouched(bench, gauge, tared, point)
+        ended_ns = max((int(each["t_ns"]) for each in found.values()), default=0)
         self._writer.reference.append(
+            **_reference(bench, self._streams, found),
             point=point,
-            image=image,
-            wrench=force["mean"],
-            wrench_std=force["std"],
-            taxels=taxels,
             run=self._run,
-            t_ns=force["t_ns"],
+            t_ns=ended_ns or self._clock.now_ns(),
         )
-        logger.info(
-            "point %d  drift since the tare %s N",
-            point,
-            " ".join(f"{value:+.3f}" for value in force["mean"][:3]),
-        )
+        for gauge in bench.of_kind("force"):
+            logger.info(
+                "point %d  %sdrift since the tare %s N",
+                point,
+                "" if gauge.name == "force" else f"{gauge.name}  ",
+                " ".join(f"{value:+.3f}" for value in found[gauge.name]["mean"][:3]),
+            )
 
     def _press_target(self, plan: Plan, target: Target) -> None:
         for move in plan.moves(target):
@@ -265,3 +273,31 @@ class PlanRunner:
             start_ns=start_ns,
             end_ns=end_ns,
         )
+
+
+def _reference(
+    bench: Bench, streams: Streams, found: Mapping[str, Mapping[str, Any]]
+) -> dict[str, Any]:
+    """Return the columns of `reference` that come from the streams; NaN or -1 without them.
+
+    Args:
+        bench: The bench.
+        streams: Recording.
+        found: Mean and standard deviation of the streams that have them, by name.
+    """
+    specs = [empty_spec(row) for row in bench.rows]
+    columns = {column.name: column for column in reference_spec(specs).columns[1:-2]}
+    values: dict[str, Any] = {
+        name: np.full(column.shape, np.nan) if column.shape else -1
+        for name, column in columns.items()
+    }
+    for name, place in frame_columns((row.name, row.traits) for row in bench.rows).items():
+        kind = KINDS[bench.row(name).kind]
+        if kind.name == "camera":
+            latest = streams[name].latest()
+            values[place] = int(latest["row"]) if latest is not None else -1
+        elif place in columns and "mean" in found.get(name, {}):
+            values[place] = found[name]["mean"]
+            if f"{place}_std" in columns:
+                values[f"{place}_std"] = found[name]["std"]
+    return values

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from rig.acquire.interlocks import Interlocks
 from rig.acquire.streams import Streams
-from rig.bench.bench import Bench
+from rig.bench.bench import Bench, BenchStream
 from rig.bench.stream_kinds import expected_rate
-from rig.core.errors import DeviceLost, SafetyStop
+from rig.core.errors import ConfigError, DeviceLost, SafetyStop, raise_all
 from rig.core.geometry import compose, invert
 from trajectories import Point
 
 logger = logging.getLogger(__name__)
 
+# Least number of periods of the slowest stream over which rates are measured.
+_PERIODS = 4
 _AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 
 
@@ -40,15 +44,25 @@ class Tare:
     """Standard deviation (6,) [N, N m]."""
 
 
-def check_devices(bench: Bench, streams: Streams) -> Found:
+def check_devices(bench: Bench, streams: Streams, interlocks: Interlocks | None = None) -> Found:
     """Open every device and measure its rate.
 
     Raises:
         ConfigError, DeviceLost: A device rejects its settings, is silent or far too slow.
     """
-    description = streams.wait_opened()
+    description: dict[str, dict[str, Any]] = {}
+    failures: list[Exception] = []
+    # All are tried, so that a bench with nothing attached is one message and not one per start.
+    for opened in (streams.wait_opened, *(() if interlocks is None else (interlocks.open,))):
+        try:
+            description |= opened()
+        except (ConfigError, DeviceLost) as error:
+            failures.append(error)
+    raise_all(failures)
     rates: dict[str, float] = {}
-    for name, found in streams.measure(bench.preflight.rate_window).items():
+    slowest = min(row.rate_hz for row in bench.rows)
+    window = max(bench.preflight.rate_window, _PERIODS / slowest)
+    for name, found in streams.measure(window).items():
         rate, expected = found["rate_hz"], expected_rate(bench, name)
         rates[name] = rate
         deviation = rate / expected - 1
@@ -66,6 +80,27 @@ def check_devices(bench: Bench, streams: Streams) -> Found:
         if abs(deviation) > bench.preflight.rate_tolerance:
             logger.warning("preflight  %s is %+.0f %% off its expected rate", name, 100 * deviation)
     return Found(description, rates)
+
+
+def notes_on(
+    description: Mapping[str, Mapping[str, Any]], signals: Sequence[str], calibrated: Sequence[str]
+) -> list[str]:
+    """Return what the recording will not tell: latencies not measured, and drops not seen.
+
+    Args:
+        description: `Driver.describe()` by stream.
+        signals: Streams that the others are aligned to.
+        calibrated: Streams whose latency was measured.
+    """
+    notes = [
+        f"{name} latency not calibrated (make calibrate-latency)"
+        for name in signals
+        if name in description and name not in calibrated
+    ]
+    for name, device in description.items():
+        if device.get("numbering", "device") != "device":
+            notes.append(f"{name}: drops cannot be seen: its device numbers no samples")
+    return notes
 
 
 def tip_position(bench: Bench, streams: Streams) -> Point:
@@ -101,44 +136,80 @@ def check_clear(bench: Bench, streams: Streams) -> None:
         raise SafetyStop(f"{where}: outside the bench's box; jog it above the sensor")
 
 
-def take_tare(bench: Bench, streams: Streams) -> Tare:
-    """Measure the zero of the F/T sensor, which must not be touched.
+def take_tares(bench: Bench, streams: Streams) -> dict[str, Tare]:
+    """Measure the zero of every F/T sensor, none of which may be touched.
 
     Raises:
         DeviceLost: There are no samples, or their spread shows motion or contact.
     """
-    found = streams.measure(bench.preflight.tare_window, "force")["force"]
+    gauges = bench.of_kind("force")
+    names = [gauge.name for gauge in gauges]
+    found = streams.measure(bench.preflight.tare_window, *names) if names else {}
+    return {gauge.name: _tare(bench, gauge, found[gauge.name]) for gauge in gauges}
+
+
+def _tare(bench: Bench, gauge: BenchStream, found: dict[str, Any]) -> Tare:
     if "mean" not in found:
-        raise DeviceLost("force: no sample during the tare")
-    spread = float(found["std"][:3].max())
+        raise DeviceLost(f"{gauge.name}: no sample during the tare")
+    measured = _measured_axes(gauge)
+    _require_numbers(gauge, found["mean"], "during the tare")
+    axis, spread = max(
+        ((axis, float(found["std"][axis])) for axis in measured if axis < 3),
+        key=lambda each: each[1],
+        default=(0, 0.0),
+    )
     if spread > bench.preflight.tare_spread:
-        axis = _AXES[int(found["std"][:3].argmax())]
         raise DeviceLost(
-            f"force: {axis} spreads by {spread:.3f} N during the tare; allowed: "
+            f"{gauge.name}: {_AXES[axis]} spreads by {spread:.3f} N during the tare; allowed: "
             f"{bench.preflight.tare_spread:.3f} N; is something moving or touching the sensor?"
         )
     logger.info(
-        "preflight  tare  %s N, spread %.4f N",
+        "preflight  tare  %s%s N, spread %.4f N",
+        "" if gauge.name == "force" else f"{gauge.name}  ",
         " ".join(f"{value:+.3f}" for value in found["mean"][:3]),
         spread,
     )
     return Tare(found["mean"], found["std"])
 
 
-def check_untouched(bench: Bench, force: np.ndarray, point: int) -> None:
+def check_untouched(bench: Bench, gauge: BenchStream, force: np.ndarray, point: int) -> None:
     """Check that there is no contact above a contact point.
 
     Args:
         bench: The bench.
-        force: Mean tared wrench (6,) there [N, N m].
+        gauge: One of its F/T sensors.
+        force: Mean tared wrench (6,) of that sensor there [N, N m].
         point: Number of the contact point.
 
     Raises:
         SafetyStop: There is contact.
+        DeviceLost: A measured axis is not a number.
     """
-    worst = int(np.abs(force[:3]).argmax())
-    if abs(force[worst]) > bench.preflight.contact_free:
+    _require_numbers(gauge, force, f"above point {point}")
+    forces = [axis for axis in _measured_axes(gauge) if axis < 3]
+    worst = max(forces, key=lambda axis: abs(force[axis]), default=0)
+    if forces and abs(force[worst]) > bench.preflight.contact_free:
+        which = f"{gauge.name}: " if len(bench.gauges) > 1 else ""
         raise SafetyStop(
-            f"point {point}: {_AXES[worst]} is {force[worst]:+.2f} N before the press; allowed: "
-            f"{bench.preflight.contact_free:.2f} N; is the surface where the bench file says?"
+            f"point {point}: {which}{_AXES[worst]} is {force[worst]:+.2f} N before the press; "
+            f"allowed: {bench.preflight.contact_free:.2f} N; is the surface where the bench file "
+            "says?"
+        )
+
+
+def _measured_axes(gauge: BenchStream) -> list[int]:
+    """Return the places, among `_AXES`, of the axes that an F/T sensor measures."""
+    return [place for place, axis in enumerate(_AXES) if axis in gauge.config.axes_measured]
+
+
+def _require_numbers(gauge: BenchStream, wrench: np.ndarray, when: str) -> None:
+    """Reject a mean wrench (6,) that is NaN or infinite on an axis that the gauge measures.
+
+    Raises:
+        DeviceLost: Names the axes.
+    """
+    if bad := [_AXES[axis] for axis in _measured_axes(gauge) if not np.isfinite(wrench[axis])]:
+        raise DeviceLost(
+            f"{gauge.name}: {', '.join(bad)} not a number {when}; is a cable loose? An axis that "
+            f"the F/T sensor lacks is left out of the bench file's {gauge.key}.axes_measured"
         )

@@ -29,20 +29,32 @@ class LiveLine:
         streams: Streams whose rates are shown.
         total: Number of targets of the session.
         clock: Clock.
+        planned: Predicted duration of a target [s]; it counts like one target that was measured,
+            so that the remaining time is known from the beginning.
+        first: First target of this run.
         out: Output.
     """
 
     def __init__(
-        self, streams: Streams, total: int, clock: Clock, out: TextIO | None = None
+        self,
+        streams: Streams,
+        total: int,
+        clock: Clock,
+        *,
+        planned: float,
+        first: int = 0,
+        out: TextIO | None = None,
     ) -> None:
         self._streams = streams
         self._total = total
+        self._planned_ns = round(planned * SECOND_NS)
         self._clock = clock
         self._out = out or sys.stdout
         self._terminal = self._out.isatty()
         self._due_ns = 0
-        self._start_ns = clock.now_ns()
-        self._first: int | None = None
+        self._first = first
+        # Beginning of the first target of this run and of the current one, moved by pauses.
+        self._start_ns = self._target_ns = clock.now_ns()
         self._target: Target | None = None
         self._move: Move | None = None
         self._ended: dict[int, str] = {}
@@ -50,8 +62,10 @@ class LiveLine:
 
     def at(self, target: Target, move: Move | None) -> None:
         """Set the current target and move."""
-        if self._first is None:
-            self._first, self._start_ns = target.index, self._clock.now_ns()
+        if self._target is None:
+            self._start_ns = self._target_ns = self._clock.now_ns()
+        elif target.index != self._target.index:
+            self._target_ns = self._clock.now_ns()
         self._target, self._move = target, move
 
     def waiting(self, why: str) -> None:
@@ -63,6 +77,7 @@ class LiveLine:
         """Continue; exclude a pause of `duration_ns` from the remaining time."""
         self._waiting, self._due_ns = "", 0
         self._start_ns += duration_ns
+        self._target_ns += duration_ns
 
     def ended(self, target: Target, outcome: str) -> None:
         """Record the outcome of a target: done or limited."""
@@ -72,11 +87,11 @@ class LiveLine:
         """Return the monitoring page's data: `Snapshot` fields, `ended`, `waiting`; thread-safe."""
         target, move = self._target, self._move
         if target is None:
-            return {}
+            return {"left": self._seconds_left(self._clock.now_ns())}
         return {
             "target": target.index,
             "phase": self._phase(move),
-            "left": self._seconds_left(target, self._clock.now_ns()),
+            "left": self._seconds_left(self._clock.now_ns()),
             "ended": dict(self._ended),
             "waiting": bool(self._waiting),
         }
@@ -89,43 +104,46 @@ class LiveLine:
         self._due_ns = now_ns + (_ON_TERMINAL_NS if self._terminal else _IN_LOG_NS)
         text = self._text(self._target, now_ns)
         if self._terminal:
-            self._out.write(f"\r{text}{_CLEAR}")
-            self._out.flush()
+            self._write(f"\r{text}{_CLEAR}")
         else:
             logger.info("%s", text)
 
     def end(self) -> None:
         """End the line and leave it on the terminal."""
         if self._terminal and self._target is not None:
-            self._out.write("\n")
+            self._write("\n")
+
+    def _write(self, text: str) -> None:
+        """Write to the terminal; if it is gone, the log gets the lines from now on."""
+        try:
+            self._out.write(text)
             self._out.flush()
+        except OSError:
+            self._terminal = False
 
     def _text(self, target: Target, now_ns: int) -> str:
         counters = self._streams.counters()
-        force = self._streams["force"].latest()
         dropped = sum(int(count["dropped"]) for count in counters.values())
         rates = "  ".join(f"{name} {count['rate_hz']:.0f} Hz" for name, count in counters.items())
         parts = [
             f"target {target.index + 1}/{self._total}",
             f"{self._phase(self._move):<10}",
             f"{1e3 * target.depth:.2f} mm",
-            f"Fz {float(force['value'][2]):+6.2f} N" if force is not None else "Fz ?",
+            self._streams.pressing(),
             rates,
             f"dropped {dropped}",
-            f"{self._left(target, now_ns)} left",
+            f"{duration(self._seconds_left(now_ns))} left",
         ]
-        return "  ".join(parts)
+        return "  ".join(part for part in parts if part)
 
     def _phase(self, move: Move | None) -> str:
         return self._waiting or (PHASES[move.phase] if move is not None else "to point")
 
-    def _left(self, target: Target, now_ns: int) -> str:
-        seconds = self._seconds_left(target, now_ns)
-        return "?" if seconds is None else duration(seconds)
-
-    def _seconds_left(self, target: Target, now_ns: int) -> float | None:
-        done = target.index - (self._first or 0)
-        if done == 0:
-            return None
-        per_target = (now_ns - self._start_ns) / SECOND_NS / done
-        return per_target * (self._total - target.index)
+    def _seconds_left(self, now_ns: int) -> float:
+        """Return the remaining time [s], by the plan and the targets pressed in this run."""
+        index = self._first if self._target is None else self._target.index
+        done = index - self._first
+        per_target_ns = (self._planned_ns + self._target_ns - self._start_ns) / (1 + done)
+        begun_ns = 0 if self._target is None else now_ns - self._target_ns
+        current_ns = max(per_target_ns - begun_ns, 0)
+        return (current_ns + per_target_ns * (self._total - index - 1)) / SECOND_NS

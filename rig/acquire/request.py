@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from recorder import OUTCOMES, Session
+from recorder import OUTCOMES, Session, SessionError
 from rig.acquire.calibration.calibration import Calibration
 from rig.bench.bench import Bench
 from rig.core.errors import ConfigError
@@ -32,6 +32,8 @@ class CollectRequest:
     """Recordings that a mock bench's emulators play, for the session's attributes."""
     calibration: Calibration = field(default_factory=Calibration)
     """Earlier calibration that applies to this session."""
+    go_on: str = ""
+    """Command that continues the session if it stops, or repeats it; empty: none is shown."""
 
 
 def plan_of(request: CollectRequest, bench: Bench, plan: Plan | None = None) -> tuple[Plan, int]:
@@ -44,16 +46,26 @@ def plan_of(request: CollectRequest, bench: Bench, plan: Plan | None = None) -> 
 
     Raises:
         ConfigError: Another sensor's session, an invalid `targets`, or a plan that breaks a limit.
-        SessionError: The session to resume cannot be read.
+        SessionError: The session to resume cannot be read, or the new one exists.
     """
+    if not request.resume and request.path.exists():
+        raise SessionError(f"{request.path}: exists already; resume it or choose another name")
     plan = bench.trajectory if plan is None else plan
     total = len(plan) if request.targets is None else request.targets
     if request.resume:
-        attrs = Session(request.path).attrs
+        session = Session(request.path)
+        attrs = session.attrs
         if attrs["sensor"] != bench.sensor:
             raise ConfigError(
                 f"SENSOR: found {bench.sensor!r}; {request.path} was recorded with "
                 f"{attrs['sensor']!r}"
+            )
+        recorded, present = set(session.streams), {row.name for row in bench.rows}
+        if recorded != present:
+            raise ConfigError(
+                f"{request.path}: was recorded with the streams {', '.join(sorted(recorded))}; the "
+                f"bench file has {', '.join(sorted(present))}; continue with the bench file of the "
+                "recording (--bench), or record a new session"
             )
         try:
             plan = plan_from_json(attrs["plan"])
@@ -68,6 +80,13 @@ def plan_of(request: CollectRequest, bench: Bench, plan: Plan | None = None) -> 
     if walked.broken:
         raise ConfigError(f"{bench.sensor}: the plan breaks a limit: {'; '.join(walked.broken)}")
     return plan, total
+
+
+def is_complete(path: Path, plan: Plan, total: int) -> bool:
+    """Return True if a session has nothing to resume: it was closed with all its targets done."""
+    session = Session(path)
+    done = first_open_target(plan, session.segments, total) == total
+    return done and session.status == "complete"
 
 
 # Targets that a session has completed, from which `--resume` continues.

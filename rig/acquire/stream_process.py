@@ -19,7 +19,7 @@ import numpy as np
 
 from recorder import SessionError, StreamWriter
 from rig.bench.bench import Bench
-from rig.bench.stream_kinds import KINDS, StreamKind, make_driver
+from rig.bench.stream_kinds import StreamKind, kind_of, make_driver
 from rig.core.clock import SECOND_NS, Clock, SystemClock
 from rig.core.driver import Driver, rejected
 from rig.core.errors import ConfigError, DeviceLost
@@ -51,7 +51,7 @@ class StreamJob:
     """Arguments of a stream's process."""
 
     name: str
-    """Name of the stream, a key of `KINDS`."""
+    """Name of the stream."""
     bench: Bench
     """The bench, with addresses filled in."""
     folder: Path
@@ -95,7 +95,7 @@ class _StreamLoop:
     """State of the running process."""
 
     def __init__(self, job: StreamJob, pipe: Connection, driver: Driver, clock: Clock) -> None:
-        self._kind = KINDS[job.name]
+        self._kind = kind_of(job.bench, job.name)
         self._pipe = pipe
         self._driver = driver
         self._clock = clock
@@ -107,6 +107,7 @@ class _StreamLoop:
         )
         self._sweeper = Sweeper()
         self._writer: StreamWriter | None = None
+        self._columns: tuple[str, ...] = ()
         self._bias: np.ndarray | None = None
         self._measurement: _Measurement | None = None
         self._recent: deque[int] = deque()
@@ -143,6 +144,7 @@ class _StreamLoop:
 
     def _on_record(self, path: Path) -> None:
         self._writer = StreamWriter.open(path)
+        self._columns = self._writer.columns
         self._rows, self._longest_gap, self._last_ns = 0, 0.0, 0
         self._dropped_before = self._driver.dropped
         self._rejected_before = rejected(self._driver)
@@ -153,7 +155,7 @@ class _StreamLoop:
             sample["value"] = sample["value"] - self._bias
         row = -1
         if self._writer is not None:
-            row = self._writer.append(**{name: sample[name] for name in self._kind.columns})
+            row = self._writer.append(**{name: sample[name] for name in self._columns})
             self._rows += 1
             if self._last_ns:
                 gap = (sample["t_ns"] - self._last_ns) / SECOND_NS
@@ -199,6 +201,7 @@ def run_stream(job: StreamJob, pipe: Connection) -> None:
     # Ctrl-C and a closed terminal are handled by the parent, which closes all streams in order.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
     granted = enable_realtime()
     clock = SystemClock()
     loop: _StreamLoop | None = None

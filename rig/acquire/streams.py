@@ -12,16 +12,17 @@ import numpy as np
 from recorder import SessionError
 from rig.acquire.stream_process import COUNTERS, StreamJob, run_stream
 from rig.bench.bench import Bench
-from rig.bench.stream_kinds import KINDS, expected_rate, stream_names
+from rig.bench.stream_kinds import expected_rate, kind_of, stream_names
 from rig.core.clock import SECOND_NS, Clock
-from rig.core.errors import ConfigError, DeviceLost
+from rig.core.errors import ConfigError, DeviceLost, raise_all
 from rig.core.shared_memory import SharedLatest
 
 # Side of the collecting process.
 
 _ERRORS = {error.__name__: error for error in (ConfigError, DeviceLost, SessionError)}
-# Starting an interpreter and importing OpenCV takes a second here, more on a busy machine [s].
-_START_TIMEOUT = 20.0
+# Starting an interpreter and importing OpenCV takes a second here, more on a busy machine and when
+# many start at once: the time allowed in all, and for each stream [s].
+_START_TIMEOUT, _START_TIMEOUT_EACH = 20.0, 6.0
 # Sealing syncs up to 64 images; a slow disk may need the time, and killing it would lose the seal.
 _CLOSE_TIMEOUT = 30.0
 
@@ -30,7 +31,7 @@ class StreamHandle:
     """Starts, queries and ends the process of one stream.
 
     Args:
-        name: A key of `KINDS`.
+        name: Name of the stream.
         bench: The bench, with addresses filled in.
         folder: Run folder for the shared records.
     """
@@ -38,7 +39,8 @@ class StreamHandle:
     def __init__(self, name: str, bench: Bench, folder: Path) -> None:
         self.name = name
         self._bench = bench
-        self._latest = SharedLatest.create(folder / f"{name}.latest", KINDS[name].latest)
+        self._patience = max(_START_TIMEOUT, _START_TIMEOUT_EACH * len(bench.rows))
+        self._latest = SharedLatest.create(folder / f"{name}.latest", kind_of(bench, name).latest)
         self._counters = SharedLatest.create(folder / f"{name}.counters", COUNTERS)
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
@@ -75,7 +77,7 @@ class StreamHandle:
         return found
 
     def set_bias(self, bias: np.ndarray) -> None:
-        """Subtract `bias` (6,) [N, N m] from now on."""
+        """Subtract `bias` from every value from now on."""
         self._send("bias", [float(value) for value in bias])
         self._answer("biased", 1.0)
 
@@ -86,7 +88,7 @@ class StreamHandle:
         return rows
 
     def latest(self) -> np.void | None:
-        """Return the newest sample as a `KINDS[name].latest` record."""
+        """Return the newest sample as a record of the stream's kind."""
         return self._latest.read()
 
     def counters(self) -> np.void | None:
@@ -143,7 +145,7 @@ class StreamHandle:
         if self._failure is not None:
             raise self._failure
         while True:
-            if not self._pipe.poll(seconds + _START_TIMEOUT):
+            if not self._pipe.poll(seconds + self._patience):
                 self._fail(DeviceLost(f"{self.name}: its process does not answer ('{word}')"))
             try:
                 message = self._pipe.recv()
@@ -167,9 +169,9 @@ class StreamHandle:
         return self._process.exitcode
 
 
-# A signal (camera, taxels) without a new sample for this time is lost [s]; force and pose have
-# their own, shorter limits in the guard.
-SILENT = 2.0
+# A signal (camera, taxels) without a new sample for this time [s], and this many periods, is lost;
+# force and pose have their own, shorter limits in the guard.
+SILENT, SILENT_PERIODS = 2.0, 5
 # A stream below this fraction of its rate (also the preflight's limit) for this time [s] is too
 # sparse to record the press.
 SLOW_FRACTION, SLOW = 0.5, 3.0
@@ -191,6 +193,7 @@ class Streams:
         self._clock = clock
         self._watch = watch
         self._handles = {name: StreamHandle(name, bench, folder) for name in stream_names(bench)}
+        self._gauges = [row.name for row in bench.of_kind("force")]
         self._summaries: dict[str, Any] = {}
         self._closed = False
         self._expected = {name: expected_rate(bench, name) for name in self._handles}
@@ -215,9 +218,17 @@ class Streams:
         """Wait until all drivers are open and return the facts of their devices by stream.
 
         Raises:
-            ConfigError, DeviceLost: A driver failed; the first failure is raised.
+            ConfigError, DeviceLost: Drivers failed; the message names all of them.
         """
-        return {handle.name: handle.wait_opened() for handle in self}
+        found: dict[str, dict[str, Any]] = {}
+        failures: list[Exception] = []
+        for handle in self:
+            try:
+                found[handle.name] = handle.wait_opened()
+            except (ConfigError, DeviceLost, SessionError) as error:
+                failures.append(error)
+        raise_all(failures)
+        return found
 
     def measure(self, seconds: float, *names: str) -> dict[str, dict[str, Any]]:
         """Measure rate, mean and spread of the named streams (default: all) in one time window."""
@@ -237,10 +248,11 @@ class Streams:
         for handle in self:
             handle.check()
             latest = handle.latest()
-            if latest is not None and now_ns - int(latest["t_ns"]) > SILENT * SECOND_NS:
+            limit = max(SILENT, SILENT_PERIODS / self._expected[handle.name])
+            if latest is not None and now_ns - int(latest["t_ns"]) > limit * SECOND_NS:
                 raise DeviceLost(
                     f"{handle.name}: no sample for {(now_ns - int(latest['t_ns'])) / SECOND_NS:.1f}"
-                    f" s; allowed: {SILENT:.1f} s; is the device powered and connected?"
+                    f" s; allowed: {limit:.1f} s; is the device powered and connected?"
                 )
             self._check_rate(handle, now_ns)
         if self._watch is not None:
@@ -249,7 +261,8 @@ class Streams:
     def _check_rate(self, handle: StreamHandle, now_ns: int) -> None:
         counters = handle.counters()
         expected = self._expected[handle.name]
-        if counters is None or counters["rate_hz"] >= SLOW_FRACTION * expected:
+        # The rate of the last second says nothing of a stream with less than two samples in it.
+        if expected < 2 or counters is None or counters["rate_hz"] >= SLOW_FRACTION * expected:
             self._slow_since_ns.pop(handle.name, None)
             return
         since_ns = self._slow_since_ns.setdefault(handle.name, now_ns)
@@ -263,6 +276,15 @@ class Streams:
         """Return the COUNTERS of every stream that has published some."""
         found = {handle.name: handle.counters() for handle in self}
         return {name: counters for name, counters in found.items() if counters is not None}
+
+    def pressing(self) -> str:
+        """Return the newest normal force of every F/T sensor as text; empty without one."""
+        texts = []
+        for name in self._gauges:
+            force = self._handles[name].latest()
+            text = "Fz ?" if force is None else f"Fz {float(force['value'][2]):+6.2f} N"
+            texts.append(text if len(self._gauges) == 1 else f"{name} {text}")
+        return "  ".join(texts)
 
     def close(self) -> dict[str, Any]:
         """Seal and end every stream; return their summaries by name. May be called twice."""

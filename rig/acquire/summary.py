@@ -10,25 +10,29 @@ import numpy as np
 
 from recorder import Session, SessionError
 from recorder.progress import duration
-from recorder.session import press_curves, save_curves
+from recorder.session import (
+    accounts_of,
+    loss_lines,
+    press_curves,
+    save_curves,
+    time_lines,
+)
 from rig.bench.bench import Bench
 from rig.bench.stream_kinds import expected_rate
 
 
 def cadence(bench: Bench, session: Session, summaries: Mapping[str, Any]) -> str:
-    """Return a table of the streams: expected and measured rate, longest gap, dropped, skew."""
-    lines = [f"{'stream':<8}{'expected':>10}{'measured':>10}{'longest gap':>13}{'dropped':>9}"]
-    for name, stream in session.streams.items():
-        times = stream.t_ns
-        span = (times[-1] - times[0]) / 1e9 if len(times) > 1 else 0.0
-        rate = (len(times) - 1) / span if span > 0 else 0.0
+    """Return a table of the streams: expected and measured rate, longest gap, losses, skew."""
+    lines = [f"{'stream':<8}{'expected':>10}{'measured':>10}{'longest gap':>13}{'lost':>9}"]
+    accounts = accounts_of(session)
+    for name, account in accounts.items():
         summary = summaries.get(name, {})
-        gap = f"{1e3 * summary['longest_gap']:.1f} ms" if summary else "?"
-        dropped = str(summary["dropped"]) if summary else "?"
         lines.append(
-            f"{name:<8}{expected_rate(bench, name):>7.0f} Hz{rate:>7.1f} Hz{gap:>13}{dropped:>9}"
+            f"{name:<8}{expected_rate(bench, name):>7.0f} Hz{account.measured_hz:>7.1f} Hz"
+            f"{1e3 * account.longest_gap:>10.1f} ms{account.lost:>9}"
             + omitted(summary.get("refused", {}))
         )
+    lines += [*loss_lines(accounts), *time_lines(session)]
     frames = session.frames
     valid = np.asarray(frames["valid"], dtype=bool) if len(frames) else np.zeros(0, dtype=bool)
     if valid.any():

@@ -2,58 +2,81 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from recorder import (
+    SessionError,
+    StreamSpec,
+    Traits,
+    camera_spec,
+    force_spec,
+    pose_spec,
+    taxels_spec,
+)
+from recorder.spec import check_streams, signal_of
 from rig.bench.worlds import AnalyticSpec, SimulatedSpec
-from rig.core.config import build, read_yaml
+from rig.core.config import build, from_si, read_yaml
 from rig.core.errors import ConfigError
+from rig.core.geometry import matrix_from_vector
 from rig.core.guard import GuardLimits
+from rig.core.names import unknown_name
 from rig.core.packaged import BENCHES
-from rig.devices.arm.settings import ArmConfig
+from rig.devices.arm.settings import ArmConfig, PoseConfig
 from rig.devices.camera.settings import CameraConfig
-from rig.devices.force.settings import ForceConfig
+from rig.devices.force.settings import AtiSerialConfig, ForceConfig, NetFtConfig, NidaqConfig
 from rig.devices.gripper.settings import RobotiqConfig
 from rig.devices.hid.settings import PedalConfig, SpaceMouseConfig
 from rig.devices.taxels.settings import XelaConfig
 from trajectories import ForceDepth, Limits, PressShear
 
+# Least cosine between the tool's axis and the direction into the sensor.
+_POINTS_INTO_SENSOR = 0.7
+# Distances from an arm's base that some UR arm can reach [mm].
+REACH_MM = (50.0, 2000.0)
 # Placeholder for the address that the emulators are started on.
 LOOPBACK = "loopback"
 # Placeholder for the folder where emulators of serial devices put links to their ptys.
 RUN_FOLDER = "runfolder"
+# Most targets of a plan. More are a mistake in a unit: they would take days to press.
+MOST_TARGETS = 20_000
 
 
 @dataclass(frozen=True, slots=True)
 class BenchLimits:
     """Limits of sensor, gauge and lab."""
 
-    box_x: tuple[float, float] = field(metadata={"unit": "mm"})
+    box_x: tuple[float, float] = field(metadata={"unit": "mm", "plausible": (0.1, 500)})
     """Allowed x of the tip in the contact frame [m]."""
-    box_y: tuple[float, float] = field(metadata={"unit": "mm"})
+    box_y: tuple[float, float] = field(metadata={"unit": "mm", "plausible": (0.1, 500)})
     """Allowed y [m]."""
-    depth_max: float = field(metadata={"unit": "mm"})
+    depth_max: float = field(metadata={"unit": "mm", "plausible": (0.02, 50)})
     """Deepest indentation [m]."""
-    height_max: float = field(metadata={"unit": "mm"})
+    height_max: float = field(metadata={"unit": "mm", "plausible": (1, 1000)})
     """Highest z [m]."""
-    force_rating: tuple[float, float, float] = field(metadata={"unit": "n"})
+    force_rating: tuple[float, float, float] = field(
+        metadata={"unit": "n", "plausible": (0.05, 2000)}
+    )
     """Rated force per axis of the weaker of sensor and gauge [N]."""
-    torque_rating: tuple[float, float, float] = field(metadata={"unit": "n_mm"})
+    torque_rating: tuple[float, float, float] = field(
+        metadata={"unit": "n_mm", "plausible": (1, 200000)}
+    )
     """Rated torque per axis [N m]."""
-    stiffness: float = field(metadata={"unit": "n_per_mm"})
+    stiffness: float = field(metadata={"unit": "n_per_mm", "plausible": (0.005, 500)})
     """Expected normal stiffness [N/m]; used only to predict the force of a plan."""
-    duration_max: float = field(metadata={"unit": "min"})
+    duration_max: float = field(metadata={"unit": "min", "plausible": (0.1, 3000)})
     """Longest session [s]."""
     soft_fraction: float = 0.85
     """Share of the rating that ends a target as force_limited."""
     hard_fraction: float = 1.0
     """Share of the rating that stops the session."""
-    horizon: float = field(default=0.02, metadata={"unit": "ms"})
+    horizon: float = field(default=0.02, metadata={"unit": "ms", "plausible": (0.5, 1000)})
     """Extrapolation time of the guard's force prediction [s]."""
-    stale_force: float = field(default=0.05, metadata={"unit": "ms"})
+    stale_force: float = field(default=0.05, metadata={"unit": "ms", "plausible": (2, 5000)})
     """Age of the newest force sample that stops the session [s]."""
-    stale_pose: float = field(default=0.1, metadata={"unit": "ms"})
+    stale_pose: float = field(default=0.1, metadata={"unit": "ms", "plausible": (2, 5000)})
     """Age of the newest pose sample that stops the session [s]."""
 
     @property
@@ -80,14 +103,62 @@ class Preflight:
     """Relative deviation from the expected rate that fails the preflight."""
     tare_window: float = 0.5
     """Time over which the tare is averaged [s]."""
-    tare_spread: float = field(default=0.1, metadata={"unit": "n"})
+    tare_spread: float = field(default=0.1, metadata={"unit": "n", "plausible": (0.0005, 50)})
     """Largest standard deviation of a force axis over the tare [N]."""
     point_window: float = 0.25
     """Time over which the reference of a contact point is averaged [s]."""
-    contact_free: float = field(default=0.3, metadata={"unit": "n"})
+    contact_free: float = field(default=0.3, metadata={"unit": "n", "plausible": (0.0005, 50)})
     """Largest tared force above a contact point; more means there is contact [N]."""
     timeout: float = 5.0
     """Longest time for a device to answer [s]."""
+
+
+# Devices that `streams` may name by their `kind`.
+StreamConfig = CameraConfig | NetFtConfig | NidaqConfig | AtiSerialConfig | XelaConfig | PoseConfig
+
+
+@dataclass(frozen=True, slots=True)
+class BenchStream:
+    """One stream of a bench."""
+
+    name: str
+    """Name of the stream, on disk and on screen."""
+    config: Any
+    """Settings of its device."""
+    listed: bool = False
+    """True if the bench file has it under `streams`."""
+
+    @property
+    def key(self) -> str:
+        """Key of the device in the bench file, for errors."""
+        return f"streams.{self.name}" if self.listed else self.name
+
+    @property
+    def kind(self) -> str:
+        """Kind of the stream: camera, force, pose or taxels."""
+        return str(self.config.STREAM)
+
+    @property
+    def rate_hz(self) -> float:
+        """Rate that the bench file states [Hz]."""
+        return float(self.config.rate_hz)
+
+    @property
+    def uses(self) -> dict[str, Any]:
+        """Alignment and roles where the bench file states them, as attributes of the stream."""
+        stated = {key: getattr(self.config, key, None) for key in ("align", "roles")}
+        return {key: value for key, value in stated.items() if value is not None}
+
+    @property
+    def traits(self) -> Traits:
+        """Kind, alignment and roles."""
+        return Traits.read(self.name, {"kind": self.kind, **self.uses})
+
+
+def empty_spec(row: BenchStream) -> StreamSpec:
+    """Return the storage of a stream as far as it is known before its device is open."""
+    make = {"camera": camera_spec, "force": force_spec, "pose": pose_spec, "taxels": taxels_spec}
+    return make[row.kind](row.rate_hz, name=row.name, **row.uses)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,21 +172,25 @@ class Bench:
     """True if the devices are emulators; written into every session."""
     rate_hz: float
     """Rate of the synchronised view."""
-    contact_frame: tuple[float, ...] = field(metadata={"pose": True})
+    contact_frame: tuple[float, ...] = field(metadata={"pose": True, "plausible": REACH_MM})
     """Pose (6,) of the contact frame in the base frame [m, rad]."""
     tool_rotation: tuple[float, float, float] = field(metadata={"unit": "deg"})
     """Orientation of the TCP in the contact frame, rotation vector [rad]."""
     arm: ArmConfig
-    force: ForceConfig
+    force: ForceConfig | None = field(default=None, kw_only=True)
+    """The F/T sensor; only a mock bench may have none that guards."""
     limits: BenchLimits
     trajectory: PressShear | ForceDepth
     preflight: Preflight = Preflight()
-    approach: float = field(default=0.003, metadata={"unit": "mm"})
+    approach: float = field(default=0.003, metadata={"unit": "mm", "plausible": (0.05, 100)})
     """Height above the surface at which the tip slows down to contact speed [m]."""
     indenter: str = "cylinder"
     """Name of the indenter on the arm."""
     camera: CameraConfig | None = None
     taxels: XelaConfig | None = None
+    streams: dict[str, StreamConfig] | None = None
+    """Further streams by name, each a device with its `kind`; `force`, `camera` and `taxels` are
+    streams with the names of their keys, and the arm's poses are the stream `pose`."""
     gripper: RobotiqConfig | None = None
     """Holds the indenter; watched while the arm moves."""
     pedal: PedalConfig | None = None
@@ -127,13 +202,19 @@ class Bench:
     """Sensor and contact of a mock bench; None on a lab bench."""
     simulated: SimulatedSpec | None = None
     """Replaces `world` with WORLD=sim."""
-    world_frame: tuple[float, ...] | None = field(default=None, metadata={"pose": True})
+    world_frame: tuple[float, ...] | None = field(
+        default=None, metadata={"pose": True, "plausible": REACH_MM}
+    )
     """True pose (6,) of a mock's surface in the base frame [m, rad]; None: at contact_frame."""
 
     def __post_init__(self) -> None:
-        """Reject a bench without a signal, or with a mock flag that contradicts its World."""
-        if self.camera is None and self.taxels is None:
-            raise ValueError("camera, taxels: both missing; allowed: at least one")
+        """Reject contradictions, such as two streams of one name, or an unguarded lab bench."""
+        _check_streams(self.rows)
+        if not self.mock and not self.gauges:
+            raise ValueError(
+                "force: missing; allowed on a lab bench: an F/T sensor with the role guard, which "
+                "stops the arm at limits.force_rating"
+            )
         if self.mock != (self.world is not None):
             raise ValueError(
                 f"mock: {self.mock} with world {'given' if self.world else 'missing'}; "
@@ -141,10 +222,72 @@ class Bench:
             )
         if not self.rate_hz > 0:
             raise ValueError(f"rate_hz: {self.rate_hz!r}; allowed: above 0")
+        for row in self.rows:
+            camera = row.config
+            if isinstance(camera, CameraConfig) and (camera.exposure or 0.0) > 1 / camera.rate_hz:
+                raise ValueError(
+                    f"{row.key}.exposure_ms: {1e3 * (camera.exposure or 0.0):g}; allowed: up to "
+                    f"{1e3 / camera.rate_hz:.4g} at {row.key}.rate_hz {camera.rate_hz:g}"
+                )
+        for name, plan in (("trajectory", self.trajectory), ("force_depth", self.force_depth)):
+            if plan is not None and len(plan) > MOST_TARGETS:
+                depths = f" at {plan.depth_count} depths" if isinstance(plan, PressShear) else ""
+                raise ValueError(
+                    f"{name}: found {len(plan)} targets{depths}; allowed: up to {MOST_TARGETS}"
+                )
+
+    @property
+    def rows(self) -> tuple[BenchStream, ...]:
+        """All streams, in the order in which they are shown and stored."""
+        named = (
+            ("force", self.force),
+            ("pose", self.arm),
+            ("camera", self.camera),
+            ("taxels", self.taxels),
+        )
+        single = [BenchStream(name, config) for name, config in named if config is not None]
+        more = [
+            BenchStream(name, config, listed=True) for name, config in (self.streams or {}).items()
+        ]
+        return (*single, *more)
+
+    def row(self, name: str) -> BenchStream:
+        """Return the stream of a name.
+
+        Raises:
+            ConfigError: There is none.
+        """
+        for row in self.rows:
+            if row.name == name:
+                return row
+        raise unknown_name("stream", name, [row.name for row in self.rows])
+
+    def of_kind(self, kind: str) -> tuple[BenchStream, ...]:
+        """Return the streams of a kind, in order."""
+        return tuple(row for row in self.rows if row.kind == kind)
+
+    @property
+    def signal(self) -> BenchStream | None:
+        """Stream that the others are aligned to; None on a bench without a sensor."""
+        name = signal_of((row.name, row.traits) for row in self.rows)
+        return None if name is None else self.row(name)
+
+    @property
+    def gauges(self) -> tuple[BenchStream, ...]:
+        """F/T sensors that stop the arm at the bench's limits, in order."""
+        return tuple(row for row in self.of_kind("force") if "guard" in row.traits.roles)
+
+    def guard_limits_of(self, gauge: BenchStream) -> GuardLimits:
+        """Return the limits of the guard that watches an F/T sensor."""
+        return replace(
+            self.guard_limits,
+            force_status_mask=gauge.config.UNTRUSTED_MASK,
+            axes_measured=gauge.config.axes_measured,
+        )
 
     @property
     def guard_limits(self) -> GuardLimits:
-        """Limits of the guard while the arm moves."""
+        """Limits of the guard while the arm moves, without what an F/T sensor adds."""
         limits = self.limits
         return GuardLimits(
             force_rating=(*limits.force_rating, *limits.torque_rating),
@@ -157,8 +300,25 @@ class Bench:
                 (limits.box_x[0], limits.box_y[0], -limits.depth_max),
                 (limits.box_x[1], limits.box_y[1], limits.height_max),
             ),
-            force_status_mask=self.force.UNTRUSTED_MASK,
         )
+
+
+def _check_streams(rows: Sequence[BenchStream]) -> None:
+    """Reject names and uses that a session could not store.
+
+    Raises:
+        ValueError: Names the stream, the value found and the values allowed.
+    """
+    single = {row.name for row in rows if not row.listed}
+    for row in rows:
+        if row.listed and row.name in single:
+            raise ValueError(f"{row.key}: found twice: the bench has a stream {row.name} already")
+        if row.kind != "force" and "guard" in row.uses.get("roles", ()):
+            raise ValueError(f"{row.key}.roles: found guard; allowed for F/T sensors only")
+    try:
+        check_streams([empty_spec(row) for row in rows])
+    except SessionError as error:
+        raise ValueError(f"streams: {error}") from None
 
 
 def find_bench(sensor: str, folder: Path, where: str = "SENSOR") -> Path:
@@ -178,9 +338,7 @@ def find_bench(sensor: str, folder: Path, where: str = "SENSOR") -> Path:
             return path
     places = (folder / "lab", folder, BENCHES)
     known = {path.stem for place in places for path in place.glob("*.yaml")} - {"mock"}
-    raise ConfigError(
-        f"{where}: found {sensor!r}; known in {folder}/ or packaged: {', '.join(sorted(known))}"
-    )
+    raise unknown_name(where, sensor, known, f"in {folder}/ or packaged")
 
 
 def with_simulated_world(content: dict[str, Any], where: str) -> dict[str, Any]:
@@ -201,9 +359,16 @@ def bench_from(content: dict[str, Any], where: str) -> Bench:
     """Build a bench from a mapping as read from YAML.
 
     Raises:
-        ConfigError: See `rig.core.config.build`.
+        ConfigError: See `rig.core.config.build`; or the tool points away from the sensor.
     """
-    return build(Bench, content, where)
+    bench = build(Bench, content, where)
+    if float(matrix_from_vector(bench.tool_rotation)[2, 2]) > -_POINTS_INTO_SENSOR:
+        degrees = [round(from_si(angle, "deg"), 4) for angle in bench.tool_rotation]
+        raise ConfigError(
+            f"{where}.tool_rotation_deg: found {degrees}, which does not point the tool into the "
+            "sensor; allowed: within 45 deg of [180, 0, 0]"
+        )
+    return bench
 
 
 def load_bench(path: Path) -> tuple[Bench, dict[str, Any]]:

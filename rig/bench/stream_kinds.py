@@ -22,7 +22,7 @@ class StreamKind:
     """One row of the table below."""
 
     name: str
-    """Name of the stream, on disk and on screen."""
+    """A kind of `recorder.spec.KINDS`."""
     latest: np.dtype[Any]
     """Dtype of its newest sample in shared memory."""
     record: Callable[[dict[str, Any], int], tuple[Any, ...]]
@@ -77,19 +77,17 @@ KINDS = {
 
 def stream_names(bench: Bench) -> tuple[str, ...]:
     """Return the streams that a bench records, in display order."""
-    optional = (("camera", bench.camera), ("taxels", bench.taxels))
-    return ("force", "pose", *(name for name, config in optional if config is not None))
+    return tuple(row.name for row in bench.rows)
+
+
+def kind_of(bench: Bench, name: str) -> StreamKind:
+    """Return the kind of a bench's stream."""
+    return KINDS[bench.row(name).kind]
 
 
 def expected_rate(bench: Bench, name: str) -> float:
     """Return the rate that the bench file states for a stream [Hz]."""
-    configs: dict[str, Any] = {
-        "force": bench.force,
-        "pose": bench.arm,
-        "camera": bench.camera,
-        "taxels": bench.taxels,
-    }
-    return float(configs[name].rate_hz)
+    return bench.row(name).rate_hz
 
 
 def make_driver(bench: Bench, name: str, clock: Clock) -> Driver:
@@ -98,27 +96,30 @@ def make_driver(bench: Bench, name: str, clock: Clock) -> Driver:
     Raises:
         ConfigError: The library is not installed.
     """
+    row = bench.row(name)
     try:
-        if name == "force":
-            return _force_driver(bench.force, clock)
-        if name == "pose":
+        if row.kind == "force":
+            return _force_driver(row.config, clock)
+        if row.kind == "pose":
             from rig.devices.arm.reader import RtdePoseDriver
 
-            return RtdePoseDriver(bench.arm.host, bench.arm.rate_hz, clock)
-        if name == "camera" and bench.camera is not None:
+            return RtdePoseDriver(row.config.host, row.config.rate_hz, clock)
+        if row.kind == "camera":
+            if "://" not in row.config.address:
+                from rig.devices.camera.v4l2 import V4l2Driver
+
+                return V4l2Driver(row.config, clock)
             from rig.devices.camera.opencv import OpenCvDriver
 
-            return OpenCvDriver(bench.camera, clock)
-        if name == "taxels" and bench.taxels is not None:
-            from rig.devices.taxels.xela import XelaDriver
+            return OpenCvDriver(row.config, clock)
+        from rig.devices.taxels.xela import XelaDriver
 
-            return XelaDriver(bench.taxels, clock)
+        return XelaDriver(row.config, clock)
     except ImportError as error:
         raise ConfigError(
             f"{name}: {error.name} is not installed; install the extra: "
             "pip install 'tactile-rig[rig]'"
         ) from None
-    raise ConfigError(f"stream: found {name!r}; known: {', '.join(KINDS)}")
 
 
 def _force_driver(config: ForceConfig, clock: Clock) -> Driver:
@@ -144,21 +145,27 @@ def stream_spec(
         bench: The bench.
         name: Name of the stream.
         description: `Driver.describe()`.
-        rate_hz: Measured rate.
+        rate_hz: Declared rate.
         **attrs: Further attributes.
     """
-    if name == "force":
-        return force_spec(rate_hz, device=description, **attrs)
-    if name == "pose":
-        return pose_spec(rate_hz, device=description, **attrs)
-    if name == "taxels":
-        return taxels_spec(rate_hz, device=description, **attrs)
+    row = bench.row(name)
+    attrs = {**row.uses, **attrs}
+    if row.kind == "force":
+        counted = "none" if description.get("device_clock") == "none" else "counter"
+        attrs = {"clock": counted, **attrs}
+        return force_spec(rate_hz, name=name, device=description, **attrs)
+    if row.kind == "pose":
+        return pose_spec(rate_hz, name=name, device=description, **attrs)
+    if row.kind == "taxels":
+        return taxels_spec(rate_hz, name=name, device=description, **attrs)
     codec = "jpeg" if description["jpeg_bytes_kept"] else "zstd"
     return camera_spec(
         rate_hz,
+        name=name,
         height=description["height"],
         width=description["width"],
         codec=codec,
+        numbered=description.get("numbering") == "device",
         device=description,
         device_clock=description.get("device_clock", "none"),
         **attrs,

@@ -15,7 +15,8 @@ from rig.cli.options import (
     calibration_of,
     calibration_options,
     chosen_bench,
-    log_to,
+    free_path,
+    with_indenter,
 )
 from rig.core.clock import file_stamp
 from rig.core.config import to_si
@@ -47,23 +48,22 @@ def run(options: argparse.Namespace) -> int:
 
     path, bench, content = chosen_bench(options)
     print(banner(bench.mock, path), flush=True)
-    indenter = options.indenter or bench.indenter
-    content = {**content, "indenter": indenter}
+    content, indenter = with_indenter(content, bench, options.indenter)
     # Apply the surface calibration only: an old latency correction would bias the new measurement.
     home = Calibration(calibration_of(options, bench, indenter).home)
+    stream = latency.signal_of(bench)
     depth = None if options.depth_mm is None else to_si(options.depth_mm, "mm")
     plan = latency.plan_for(bench, depth=depth, count=options.taps)
     stamp = file_stamp()
-    session_path = options.out or Path("sessions") / f"{bench.sensor}-latency-{stamp}.zarr"
+    session_path = options.out or free_path(
+        Path("sessions") / f"{bench.sensor}-latency-{stamp}.zarr"
+    )
     request = CollectRequest(path=session_path, operator=options.operator, calibration=home)
     plan_of(request, home.applied(bench), plan)
-    session_path.parent.mkdir(parents=True, exist_ok=True)
-    log_to(session_path.with_suffix(".log"))
     code = record(path, content, request, plan, prepared=home.applied)
     if code != EXIT_DONE:
-        print("calibrate-latency: not finished, nothing is stored")
+        print("calibrate-latency: not finished, nothing is stored; repeat the command")
         return code
-    stream = latency.signal_of(bench)
     session = Session(session_path)
     try:
         found = latency.evaluate(session, stream, latency.exposure_of(bench, stream))

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from recorder.command_line.errors import EXIT_DONE
-from rig.cli.options import calibration_options
+from rig.cli.options import calibration_options, campaign_command
 from rig.core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -49,7 +49,9 @@ def run(options: argparse.Namespace) -> int:
     lab = sorted({item.bench.sensor for item in campaign.items if not item.bench.mock})
     if lab and options.yes:
         raise ConfigError(f"--yes: {', '.join(lab)}: lab benches; allowed: mock benches only")
-    settings = Settings(options.benches, options.calibrations, options.keep_going)
+    settings = Settings(
+        options.benches, options.calibrations, options.keep_going, campaign_command(options)
+    )
     ask = _agree if options.yes else _ask
     return run_campaign(campaign, settings, ask, _say, _swap)
 

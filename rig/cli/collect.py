@@ -5,16 +5,22 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from recorder.command_line.errors import EXIT_DONE
 from rig.cli.options import (
     banner,
     bench_options,
     calibration_of,
     calibration_options,
+    check_watch,
     chosen_bench,
-    log_to,
+    confirm_options,
+    free_path,
     opened_page,
+    resume_command,
+    resumed_indenter,
     sources_of,
     watch_options,
+    with_indenter,
 )
 from rig.core.clock import file_stamp
 from rig.core.errors import ConfigError
@@ -49,6 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     watch_options(parser)
     calibration_options(parser)
+    confirm_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -57,23 +64,25 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         ConfigError, DeviceLost, SafetyStop, SessionError: Before anything was recorded.
     """
-    from rig.acquire.request import CollectRequest, plan_of
+    from rig.acquire.request import CollectRequest, is_complete, plan_of
     from rig.cli.recording import record
 
     path, bench, content = chosen_bench(options)
     print(banner(bench.mock, path), flush=True)
-    if options.indenter:
-        content = {**content, "indenter": options.indenter}
-    sources = sources_of(options)
-    if not bench.mock and (sources.description() or options.truth):
-        raise ConfigError(f"{path}: CAMERA, TAXELS and truth need a mock bench; mock: false")
-    if options.resume and (options.out or options.targets):
-        raise ConfigError("--resume: neither --out nor --targets go with it: the session has both")
+    if options.resume and (options.out or options.targets or options.indenter):
+        raise ConfigError(
+            "--resume: neither --out, --targets nor --indenter go with it: the session has them"
+        )
+    content, indenter = with_indenter(content, bench, options.indenter or resumed_indenter(options))
+    sources = sources_of(options, path, bench)
+    if not bench.mock and options.truth:
+        raise ConfigError(f"TRUTH: {path} is a lab bench; allowed: a mock bench")
+    check_watch(options)
     session = options.resume or options.out
     if session is None:
-        indenter = content.get("indenter", bench.indenter)
-        session = Path("sessions") / f"{bench.sensor}-{indenter}-{file_stamp()}.zarr"
-    calibration = calibration_of(options, bench, content.get("indenter", bench.indenter))
+        name = f"{bench.sensor}-{indenter}-{file_stamp()}.zarr"
+        session = free_path(Path("sessions") / name)
+    calibration = calibration_of(options, bench, indenter)
     request = CollectRequest(
         path=session,
         resume=options.resume is not None,
@@ -81,10 +90,12 @@ def run(options: argparse.Namespace) -> int:
         operator=options.operator,
         mock_sources=sources.description() if bench.mock else None,
         calibration=calibration,
+        go_on=resume_command(options, session),
     )
     plan, total = plan_of(request, calibration.applied(bench))
-    session.parent.mkdir(parents=True, exist_ok=True)
-    log_to(session.with_suffix(".log"))
+    if request.resume and is_complete(session, plan, total):
+        print(f"complete: all {total} targets are done; {session} is left as it is")
+        return EXIT_DONE
     return record(
         path,
         content,
@@ -92,6 +103,7 @@ def run(options: argparse.Namespace) -> int:
         plan,
         total=total,
         prepared=calibration.applied,
+        asked_by=options.asked_by,
         sources=sources,
         truth=options.truth,
         page=lambda ready, folder: opened_page(options, ready, folder, request, plan, total),

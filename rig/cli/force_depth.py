@@ -11,7 +11,10 @@ from rig.cli.options import (
     calibration_of,
     calibration_options,
     chosen_bench,
-    log_to,
+    confirm_options,
+    free_path,
+    resume_command,
+    with_indenter,
 )
 from rig.core.clock import file_stamp
 from rig.core.errors import ConfigError
@@ -26,6 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, help="session to write (default: in sessions/)")
     parser.add_argument("--operator", default="", help="operator's name (default: the login name)")
     calibration_options(parser)
+    confirm_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -34,6 +38,7 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         ConfigError, DeviceLost, SafetyStop, SessionError: Before anything was recorded.
     """
+    from rig.acquire.calibration.calibration import require_gauge
     from rig.acquire.request import CollectRequest, plan_of
     from rig.acquire.summary import show_curve
     from rig.cli.recording import record
@@ -45,15 +50,21 @@ def run(options: argparse.Namespace) -> int:
             f"{path}.force_depth: missing; allowed: depth_max_mm, repeats "
             "(see docs/how-to/set-up-a-bench.md)"
         )
+    require_gauge(bench, "force-depth")
     plan = bench.force_depth
-    content = {**content, "indenter": options.indenter}
-    calibration = calibration_of(options, bench, options.indenter)
-    name = f"{bench.sensor}-{options.indenter}-force-depth-{file_stamp()}.zarr"
-    session = options.out or Path("sessions") / name
-    request = CollectRequest(path=session, operator=options.operator, calibration=calibration)
+    content, indenter = with_indenter(content, bench, options.indenter)
+    calibration = calibration_of(options, bench, indenter)
+    name = f"{bench.sensor}-{indenter}-force-depth-{file_stamp()}.zarr"
+    session = options.out or free_path(Path("sessions") / name)
+    request = CollectRequest(
+        path=session,
+        operator=options.operator,
+        calibration=calibration,
+        go_on=resume_command(options, session),
+    )
     plan_of(request, calibration.applied(bench), plan)
-    session.parent.mkdir(parents=True, exist_ok=True)
-    log_to(session.with_suffix(".log"))
-    code = record(path, content, request, plan, prepared=calibration.applied)
+    code = record(
+        path, content, request, plan, prepared=calibration.applied, asked_by=options.asked_by
+    )
     show_curve(session)
     return code

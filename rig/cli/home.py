@@ -8,7 +8,14 @@ from pathlib import Path
 from recorder import Session
 from recorder.command_line.errors import EXIT_DONE, EXIT_SAFETY_STOP
 from rig.acquire.calibration import store
-from rig.cli.options import banner, bench_options, calibration_options, chosen_bench, log_to
+from rig.cli.options import (
+    banner,
+    bench_options,
+    calibration_options,
+    chosen_bench,
+    free_path,
+    with_indenter,
+)
 from rig.core.clock import file_stamp
 from rig.core.config import to_si
 from rig.core.errors import SafetyStop
@@ -46,23 +53,22 @@ def run(options: argparse.Namespace) -> int:
         ConfigError, DeviceLost, SafetyStop, SessionError: Nothing was stored.
     """
     from rig.acquire.calibration import home
+    from rig.acquire.calibration.calibration import require_gauge
     from rig.acquire.request import CollectRequest, plan_of
     from rig.cli.recording import record
 
     path, bench, content = chosen_bench(options)
     print(banner(bench.mock, path), flush=True)
-    indenter = options.indenter or bench.indenter
-    content = {**content, "indenter": indenter}
+    content, indenter = with_indenter(content, bench, options.indenter)
+    require_gauge(bench, "home")
     points = (1, 2, 3, 4, 5) if options.corners else (1,)
     travel = None if options.travel_mm is None else to_si(options.travel_mm, "mm")
     plan = home.plan_for(bench, travel=travel, repeats=options.repeats, points=points)
     touching = home.touching_bench(bench, options.force_n)
-    session = options.out or home.default_path(bench.sensor, file_stamp())
+    session = options.out or free_path(home.default_path(bench.sensor, file_stamp()))
     request = CollectRequest(path=session, operator=options.operator)
     # Checked against the bench's own limits, since each approach is ended by the lower soft limit.
     plan_of(request, bench, plan)
-    session.parent.mkdir(parents=True, exist_ok=True)
-    log_to(session.with_suffix(".log"))
     code = record(
         path,
         content,
@@ -71,7 +77,7 @@ def run(options: argparse.Namespace) -> int:
         prepared=lambda ready: home.touching_bench(ready, options.force_n),
     )
     if code != EXIT_DONE:
-        print("home: not finished, nothing is stored")
+        print("home: not finished, nothing is stored; repeat the command")
         return code
     try:
         found = home.evaluate(Session(session), plan, width_max=to_si(options.width_mm, "mm"))

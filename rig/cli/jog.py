@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.bench.bench import bench_from
-from rig.cli.options import banner, bench_options, chosen_bench
+from rig.cli.options import banner, bench_options, chosen_bench, confirm_motion
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError, SafetyStop
 
@@ -38,6 +38,7 @@ def run(options: argparse.Namespace) -> int:
         raise ConfigError(f"{path}.jog: missing; allowed: {{kind: spacemouse, device: 256f:c635}}")
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     print(banner(bench.mock, path), flush=True)
+    confirm_motion(bench, bench.limits.depth_max)
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-")))
         watch = None
@@ -53,9 +54,10 @@ def run(options: argparse.Namespace) -> int:
 def _jogged(
     bench: Bench, folder: Path, watch: Callable[[], None] | None, stack: contextlib.ExitStack
 ) -> str:
+    from rig.acquire.collector import guarded
     from rig.acquire.control import InterruptFlag
     from rig.acquire.jog import Jog, origin_text, retract
-    from rig.acquire.preflight import check_devices, take_tare
+    from rig.acquire.preflight import check_devices, take_tares
     from rig.acquire.streams import Streams
     from rig.devices.arm.arm import Arm
     from rig.devices.hid.spacemouse import SpaceMouseDriver
@@ -73,12 +75,13 @@ def _jogged(
         bench.arm,
         bench.contact_frame,
         bench.guard_limits,
-        force_path=folder / "force.latest",
+        gauges=guarded(bench, folder),
         pose_path=folder / "pose.latest",
     )
     arm.start(bench.preflight.timeout)
     stack.callback(arm.close)
-    streams["force"].set_bias(take_tare(bench, streams).mean)
+    for name, tare in take_tares(bench, streams).items():
+        streams[name].set_bias(tare.mean)
     print(
         f"x, y, z of the cap move the tip at up to {1e3 * bench.jog.speed_max:g} mm/s; the first "
         "button takes the origin; Ctrl-C ends",

@@ -112,6 +112,12 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> None:
+    """Reject options before any library is loaded, or a device opened."""
+    if not options.model.is_dir():
+        raise ConfigError(
+            f"MODEL, --model: found {options.model}; no such folder; allowed: the folder of a "
+            "trained force model"
+        )
     if options.session is not None and (options.sensor or options.bench or options.world):
         raise ConfigError("--session: goes without --sensor, --bench and --world")
     if options.out is not None and options.out.exists():

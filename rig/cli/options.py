@@ -5,6 +5,11 @@ from __future__ import annotations
 import argparse
 import contextlib
 import logging
+import os
+import select
+import shlex
+import socket
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +18,10 @@ from recorder import Session
 from recorder.command_line.options import whole
 from rig.acquire.calibration import store
 from rig.acquire.calibration.calibration import Calibration
+from rig.acquire.control import Interrupted
+from rig.acquire.motion_notice import motion_lines
 from rig.bench.bench import Bench, bench_from, find_bench, load_bench, with_simulated_world
+from rig.bench.indenter import find_indenter, indenter_names, paper_indenters
 from rig.bench.worlds import SimulatedSpec
 from rig.core.errors import ConfigError
 from rig.core.sources import Sources
@@ -109,19 +117,68 @@ def chosen_bench(options: argparse.Namespace) -> tuple[Path, Bench, dict[str, An
     return path, bench_from(content, str(path)), content
 
 
+def resumed_indenter(options: argparse.Namespace) -> str | None:
+    """Return the indenter of the session to resume, None if none is resumed.
+
+    A name from before indenters had to be known is returned as None: the bench's own is checked.
+    """
+    if options.resume is None:
+        return None
+    name = Session(options.resume).attrs.get("indenter")
+    return name if name in indenter_names() else None
+
+
 def _began_simulated(session: Path) -> bool:
     world = Session(session).attrs["bench"].get("world") or {}
     return bool(world.get("kind") == SimulatedSpec.KIND)
 
 
-def sources_of(options: argparse.Namespace) -> Sources:
+def sources_of(options: argparse.Namespace, path: Path, bench: Bench) -> Sources:
     """Return the recordings of --camera, --still and --taxels.
 
     Raises:
-        ConfigError: A path does not exist.
+        ConfigError: A path does not exist, or the bench has no device that could play it.
     """
+    for option, given, device in (
+        ("CAMERA", options.camera, bench.of_kind("camera")),
+        ("TAXELS", options.taxels, bench.of_kind("taxels")),
+    ):
+        if given is None:
+            continue
+        if not bench.mock:
+            raise ConfigError(f"{option}: {path} is a lab bench; allowed: a mock bench")
+        if not device:
+            lacks = "camera" if option == "CAMERA" else "taxels"
+            raise ConfigError(
+                f"{option}: found {given}; {path} has no {lacks}: nothing would play it"
+            )
+    if options.still and options.camera is None:
+        raise ConfigError("STILL: goes with CAMERA only")
     motion = "still" if options.still else "moving"
     return Sources(camera=options.camera, camera_motion=motion, taxels=options.taxels)
+
+
+def with_indenter(
+    content: dict[str, Any], bench: Bench, name: str | None
+) -> tuple[dict[str, Any], str]:
+    """Return the bench's content with the indenter on the arm, and the indenter's name.
+
+    Args:
+        content: Content of the bench file.
+        bench: The bench.
+        name: Name given by the user; None: that of the bench file.
+
+    Raises:
+        ConfigError: No indenter has that name, or the simulated World does not know its shape.
+    """
+    indenter = find_indenter(name or bench.indenter)
+    own = indenter.source is not None
+    if own and indenter.stl is None and isinstance(bench.world, SimulatedSpec):
+        raise ConfigError(
+            f"{indenter.source}.stl: missing; allowed with a simulated world: an STL file, or one "
+            f"of the paper's indenters: {', '.join(paper_indenters())}"
+        )
+    return {**content, "indenter": indenter.name}, indenter.name
 
 
 def banner(mock: bool, path: Path) -> str:
@@ -132,6 +189,83 @@ def banner(mock: bool, path: Path) -> str:
             "time limits are looser than a lab's"
         )
     return f"LAB BENCH ({path}): the arm WILL move"
+
+
+def confirm_motion(bench: Bench, depth: float, by: int | None = None) -> None:
+    """State how a lab bench's arm will move, and wait for Enter; a mock bench asks nothing.
+
+    Args:
+        bench: The bench with the limits that will hold.
+        depth: Deepest indentation that is planned [m].
+        by: Process id of the campaign that has asked already, the parent of this process.
+
+    Raises:
+        ConfigError: There is no terminal to ask on.
+        Interrupted: The answer was not Enter.
+    """
+    if bench.mock or by == os.getppid():
+        return
+    print("\n".join(motion_lines(bench, depth)), flush=True)
+    if not sys.stdin.isatty():
+        raise ConfigError("lab bench: no terminal to ask on; allowed: a terminal at the bench")
+    print("Enter to start, anything else to stop: ", end="", flush=True)
+    try:
+        # `input` misses a Ctrl-C that comes just before it begins to read.
+        while not select.select([sys.stdin], [], [], 0.2)[0]:
+            pass
+        answer = sys.stdin.readline()
+    except KeyboardInterrupt:
+        answer = ""
+    if answer != "\n":
+        print()
+        raise Interrupted("the answer was not Enter")
+
+
+def confirm_options(parser: argparse.ArgumentParser) -> None:
+    """Add the option by which a campaign says that it has asked; not shown in the help."""
+    parser.add_argument("--asked-by", type=int, help=argparse.SUPPRESS)
+
+
+# Front door of the commands that are printed for the user to repeat; the Makefile sets it.
+_DOOR = "TACTILE_DOOR"
+
+
+def resume_command(options: argparse.Namespace, session: Path) -> str:
+    """Return the command that continues a stopped session, as the user would type it."""
+    bench = getattr(options, "bench", None)
+    if os.environ.get(_DOOR) == "make":
+        return f"make resume SESSION={session}" + (f" BENCH={bench}" if bench else "")
+    program = options.prog.rpartition(" ")[0]
+    return f"{program} collect --resume {session}" + (f" --bench {bench}" if bench else "")
+
+
+def campaign_command(options: argparse.Namespace) -> str:
+    """Return the command that continues a campaign, as the user would type it."""
+    if os.environ.get(_DOOR) == "make":
+        flags = ((" YES=1", options.yes), (" KEEP_GOING=1", options.keep_going))
+        return f"make campaign FILE={options.file}" + "".join(text for text, on in flags if on)
+    words = [*options.prog.split(), "--file", str(options.file)]
+    for option, value, default in (
+        ("--benches", options.benches, Path("benches")),
+        ("--out", options.out, None),
+        ("--calibrations", options.calibrations, store.FOLDER),
+    ):
+        words += [] if value == default else [option, str(value)]
+    words += [
+        option
+        for option, on in (("--yes", options.yes), ("--keep-going", options.keep_going))
+        if on
+    ]
+    return shlex.join(words)
+
+
+def free_path(path: Path) -> Path:
+    """Return `path`, or the first of NAME-2.zarr, NAME-3.zarr ... that does not exist."""
+    found, number = path, 1
+    while found.exists():
+        number += 1
+        found = path.with_name(f"{path.stem}-{number}{path.suffix}")
+    return found
 
 
 def log_to(path: Path) -> None:
@@ -206,6 +340,30 @@ def watch_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def check_watch(options: argparse.Namespace) -> None:
+    """Check the options of the page before anything is started.
+
+    Raises:
+        ConfigError: An address without a page, or one that is not this machine's.
+    """
+    if options.watch is None:
+        if options.watch_host != LOOPBACK_HOST:
+            raise ConfigError("WATCHHOST, --watch-host: goes with WATCH, --watch, only")
+        return
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(
+            options.watch_host, options.watch, type=socket.SOCK_STREAM
+        )[0]
+        with socket.socket(family, kind, protocol) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+    except OSError as error:
+        raise ConfigError(
+            f"--watch: found {options.watch_host}:{options.watch}: {error.strerror or error}; "
+            "allowed: a free port of this machine"
+        ) from None
+
+
 @contextlib.contextmanager
 def opened_page(
     options: argparse.Namespace,
@@ -221,8 +379,6 @@ def opened_page(
         ConfigError: The port or the address cannot be used.
     """
     if options.watch is None:
-        if options.watch_host != LOOPBACK_HOST:
-            raise ConfigError("--watch-host: goes with --watch only")
         yield None
         return
     from rig.monitor.page.messages import page_job
@@ -230,7 +386,7 @@ def opened_page(
 
     access = AccessPolicy(options.watch_host, options.watch)
     with Page(page_job(access, bench, folder, request, plan, total)) as page:
-        print(f"watch it at {page.url}", flush=True)
+        print("\n".join(f"watch it at {url}" for url in page.urls), flush=True)
         if not is_loopback(access.host):
             print(
                 "whoever has this address can see, pause and abort: the connection is not encrypted"

@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rig.acquire.collector import Collector
+from rig.acquire.motion_notice import deepest
 from rig.acquire.request import CollectRequest
 from rig.bench.bench import Bench, bench_from
+from rig.cli.options import confirm_motion, log_to
 from rig.core.sources import Sources
 from trajectories import Plan
 
@@ -27,6 +29,7 @@ def record(
     *,
     total: int | None = None,
     prepared: Callable[[Bench], Bench],
+    asked_by: int | None = None,
     sources: Sources | None = None,
     truth: Path | None = None,
     page: Callable[[Bench, Path], AbstractContextManager[Page | None]] | None = None,
@@ -40,14 +43,19 @@ def record(
         plan: Targets to press.
         prepared: Returns the final bench: speeds, limits, calibrated frame. The mock's World
             does not see these changes.
+        asked_by: Campaign that has asked if a lab bench may move; see `confirm_motion`.
         total: Number of the plan's targets to press; None: all.
         sources: Real recordings for a mock bench to play.
         truth: File for a mock bench to log the World's truth to.
         page: Opens the monitoring page, given the bench and the run folder.
 
     Raises:
-        ConfigError, DeviceLost, SafetyStop, SessionError: Before anything was recorded.
+        ConfigError, DeviceLost, SafetyStop, SessionError, Interrupted: Before anything was
+            recorded.
     """
+    confirm_motion(prepared(bench_from(content, str(path))), deepest(plan, total), asked_by)
+    request.path.parent.mkdir(parents=True, exist_ok=True)
+    log_to(request.path.with_suffix(".log"))
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-")))
         watch = None

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_SAFETY_STOP, CommandError
 
 
@@ -27,3 +30,22 @@ class SafetyStop(CommandError, RuntimeError):
     def report(self) -> str:
         """Return the line of a command that had not begun to record."""
         return f"safety stop: {self}; nothing was recorded"
+
+
+def raise_all(failures: Sequence[Exception]) -> None:
+    """Raise the only failure, or one error of the first one's type that names them all.
+
+    Args:
+        failures: Errors of devices, or errors that this function raised for several of them.
+
+    Raises:
+        Exception: There is at least one failure.
+    """
+    each = [one for failure in failures for one in getattr(failure, "failures", (failure,))]
+    if len(each) == 1:
+        raise each[0]
+    if each:
+        lines = "".join(f"\n  {failure}" for failure in each)
+        error: Any = type(each[0])(f"{len(each)} devices:{lines}\n")
+        error.failures = tuple(each)
+        raise error

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -69,6 +70,8 @@ class GuardLimits:
     """Status bits of the F/T sensor that mark its values as invalid (saturation and others)."""
     combined_fraction: float | None = None
     """Limit on the summed shares of (Fxy, Tz) and (Fz, Txy); ATI's rule is 1.05. None: off."""
+    axes_measured: tuple[str, ...] = tuple(name for name, _ in AXES)
+    """Axes that the F/T sensor measures; values of the others are ignored, NaN or not."""
 
     def __post_init__(self) -> None:
         """Reject limits that would never trip, or always.
@@ -85,6 +88,11 @@ class GuardLimits:
             )
         if not all(low < high for low, high in zip(*self.box, strict=True)):
             raise ValueError(f"box: {self.box}; allowed: lower corner below the upper one")
+        names = [name for name, _ in AXES]
+        if not self.axes_measured or not set(self.axes_measured) <= set(names):
+            raise ValueError(
+                f"axes_measured: {self.axes_measured}; allowed: one or more of {', '.join(names)}"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +102,25 @@ class Violation:
     kind: Kind
     reason: str
     """Message for the technician: value found, limit, units."""
+
+
+# Violations from the most serious to the least; a stale force above the soft limit means a lost
+# sensor, not a finished press.
+_SEVERITY: tuple[Kind, ...] = (
+    "emergency_stop",
+    "protective_stop",
+    "force_hard",
+    "stale_force",
+    "stale_pose",
+    "force_status",
+    "force_soft",
+    "box",
+)
+
+
+def most_serious(violations: Iterable[Violation]) -> Violation | None:
+    """Return the most serious of the violations that several guards found, or None."""
+    return min(violations, key=lambda found: _SEVERITY.index(found.kind), default=None)
 
 
 def judge_safety(status: int) -> Violation | None:
@@ -162,6 +189,7 @@ class Guard:
         to_contact = invert(contact_frame)
         # Done once: converting a rotation vector to a matrix would be most of the cost of a check.
         self._turn, self._shift = matrix_from_vector(to_contact[3:]), to_contact[:3]
+        self._measured = tuple(name in limits.axes_measured for name, _ in AXES)
         self._watch_force = watch_force
         self._watch_pose = watch_pose
         self._history: deque[tuple[int, list[float]]] = deque(maxlen=64)
@@ -225,7 +253,11 @@ class Guard:
         if record is None or not self._watch_force:
             return None
         limits = self._limits
-        t_ns, force = int(record["t_ns"]), [float(value) for value in record["value"]]
+        t_ns = int(record["t_ns"])
+        force = [
+            float(value) if measured else 0.0
+            for value, measured in zip(record["value"], self._measured, strict=True)
+        ]
         if not self._history or t_ns > self._history[-1][0]:
             self._history.append((t_ns, force))
         if mode == "retreat" and now_ns - t_ns > round(limits.stale_force * SECOND_NS):
@@ -233,9 +265,15 @@ class Guard:
             return None
         status = int(record["status"]) & limits.force_status_mask
         if mode != "retreat" and (status or not all(map(math.isfinite, force))):
+            bad = [
+                name
+                for (name, _), value in zip(AXES, force, strict=True)
+                if not math.isfinite(value)
+            ]
+            which = f", {', '.join(bad)} not a number" if bad else ""
             return Violation(
                 "force_status",
-                f"the F/T sensor reports invalid values (status 0x{status:x}): "
+                f"the F/T sensor reports invalid values (status 0x{status:x}{which}): "
                 "overloaded, or a cable is loose",
             )
         ahead = self._predict()

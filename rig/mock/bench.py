@@ -13,6 +13,7 @@ import os
 import socket
 import subprocess
 from collections.abc import Collection
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ from rig.core.geometry import compose
 from rig.core.samples import ARM_TRUTH, PRESS_STATE, WORLD_STATE
 from rig.core.shared_memory import SharedLatest
 from rig.core.sources import Sources
+from rig.devices.arm.settings import PoseConfig
 from rig.devices.force.settings import NidaqConfig
 from rig.mock.processes import ProcessGroup, StartedOrClosed
 from rig.mock.world import ARM_FILE, WORLD_FILE
@@ -40,16 +42,27 @@ _START_HEIGHT = 0.03
 _UR_PORTS = (29999, 30001, 30002, 30003, 30004)
 
 
-# Key of each device in a bench file, by the name of its process.
-_DEVICES = {
-    "arm": "arm",
-    "force": "force",
-    "camera": "camera",
-    "taxels": "taxels",
-    "gripper": "gripper",
-    "pedal": "pedal",
-    "spacemouse": "jog",
-}
+# Kinds of devices that are emulated.
+_KINDS = ("arm", "force", "camera", "taxels", "gripper", "pedal", "spacemouse")
+# Fault port of the first of the devices that have names of their own.
+_NAMED_PORTS = 31020
+
+
+@dataclass(frozen=True, slots=True)
+class _Device:
+    """One device of the bench to be emulated."""
+
+    process: str
+    """Name of its process."""
+    kind: str
+    """One of `_KINDS`."""
+    config: Any
+    """Its settings."""
+    content: dict[str, Any]
+    """The same as read from the bench file."""
+    fault_port: int
+    played: bool = True
+    """True for the first of its kind, which plays a real recording if there is one."""
 
 
 class MockBench(StartedOrClosed):
@@ -61,7 +74,7 @@ class MockBench(StartedOrClosed):
         folder: Empty run folder for shared records.
         sources: Real recordings to play.
         truth: File to log the World's truth to.
-        devices: Devices to emulate.
+        devices: Kinds of devices to emulate.
     """
 
     def __init__(
@@ -72,7 +85,7 @@ class MockBench(StartedOrClosed):
         *,
         sources: Sources | None = None,
         truth: Path | None = None,
-        devices: Collection[str] = tuple(_DEVICES),
+        devices: Collection[str] = _KINDS,
     ) -> None:
         self.host = free_loopback()
         self.content = addressed(content, self.host, folder)
@@ -103,24 +116,45 @@ class MockBench(StartedOrClosed):
         found: dict[str, tuple[str, dict[str, Any]]] = {"world": ("world", world)}
         if isinstance(bench.world, SimulatedSpec):
             found["solver"] = ("solver", world)
-        for name in self._devices:
-            key = _DEVICES[name]
-            config = getattr(bench, key)
-            if config is None:
-                continue
+        for device in self._emulated():
             settings = {
-                "device": {"kind": config.KIND, **content[key]},
+                "device": {"kind": device.config.KIND, **device.content},
                 "host": self.host,
                 "world": str(folder / WORLD_FILE),
-                "fault_port": PORTS[name],
-                **self._more(name, config),
+                "fault_port": device.fault_port,
+                **self._more(device),
             }
-            found[name] = (config.KIND, settings)
+            found[device.process] = (device.config.KIND, settings)
         return found
 
-    def _more(self, name: str, config: Any) -> dict[str, Any]:
+    def _emulated(self) -> list[_Device]:
+        """Return the devices to emulate."""
+        bench, content = self.bench, self.content
+        found = []
+        for kind in _KINDS:
+            key = "jog" if kind == "spacemouse" else kind
+            if getattr(bench, key) is not None:
+                device = _Device(kind, kind, getattr(bench, key), content[key], PORTS[kind])
+                found.append(device)
+        for place, (name, config) in enumerate((bench.streams or {}).items()):
+            first = config.STREAM not in [device.kind for device in found]
+            section = content["streams"][name]
+            port = _NAMED_PORTS + place
+            if isinstance(config, PoseConfig):
+                # The arm's own controller serves further readers.
+                if config.host != bench.arm.host:
+                    raise ConfigError(
+                        f"streams.{name}.host: found {section['host']!r}; allowed on a mock "
+                        "bench: that of the arm"
+                    )
+                continue
+            found.append(_Device(f"{name}.device", config.STREAM, config, section, port, first))
+        return [device for device in found if device.kind in self._devices]
+
+    def _more(self, device: _Device) -> dict[str, Any]:
         """Return the settings of an emulator that its device does not have."""
-        bench, sources = self.bench, self._sources
+        bench, name, config = self.bench, device.kind, device.config
+        sources = self._sources if device.played else Sources()
         noise = (bench.world and bench.world.noise) or Noise()
         if name == "arm":
             rotation = bench.tool_rotation
@@ -128,9 +162,10 @@ class MockBench(StartedOrClosed):
             return {"state": str(self._folder / ARM_FILE), "pose": start.tolist()}
         if name == "force":
             if isinstance(config, NidaqConfig) and config.grpc is None:
+                where = device.process.removesuffix(".device")
                 raise ConfigError(
-                    "force.grpc: missing; allowed: loopback:31763, the address of a mock bench's "
-                    "NI card"
+                    f"{where}.grpc: missing; allowed: loopback:31763, the address of a mock "
+                    "bench's NI card"
                 )
             return {"noise_n": noise.force}
         if name == "camera":
@@ -181,10 +216,13 @@ class MockBench(StartedOrClosed):
         self._closed = True
 
 
-def free_loopback() -> str:
+def free_loopback(taken: Collection[str] = ()) -> str:
     """Return a 127.x.y.z address without a listener on a UR controller's ports.
 
     The ports are fixed in the client library, so simultaneous benches need different addresses.
+
+    Args:
+        taken: Addresses that are about to be used.
 
     Raises:
         DeviceLost: Every address tried is in use.
@@ -192,7 +230,7 @@ def free_loopback() -> str:
     rng = np.random.default_rng(os.getpid())
     for _ in range(50):
         host = "127." + ".".join(str(number) for number in rng.integers(2, 250, 3))
-        if all(_is_free(host, port) for port in _UR_PORTS):
+        if host not in taken and all(_is_free(host, port) for port in _UR_PORTS):
             return host
     raise DeviceLost("mock bench: no free loopback address; are many benches running?")
 

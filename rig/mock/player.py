@@ -14,15 +14,13 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Protocol
-
-import numpy as np
+from typing import Protocol
 
 from recorder import Session
+from rig.bench.stream_kinds import KINDS
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.emulation import Served, ThreadedEmulator, check_loopback
 from rig.core.realtime import CAMERA_PRIORITY, DEVICE_PRIORITY
-from rig.core.samples import CAMERA_LATEST, FORCE_LATEST, POSE_LATEST, TAXELS_LATEST
 from rig.core.shared_memory import SharedLatest
 from rig.devices.playback.wire import RecordedStream, load_recorded_stream
 from rig.mock.playback_sync import (
@@ -69,17 +67,18 @@ class PlaybackDevice(Protocol):
         """Stop; may be called twice."""
 
 
-def make_playback_device(name: str, recorded: RecordedStream, host: str) -> PlaybackDevice:
+def make_playback_device(recorded: RecordedStream, host: str) -> PlaybackDevice:
     """Create the emulated device of one stream; its vendor library is imported only here."""
-    if name == "force":
+    kind = recorded.stream.traits.kind
+    if kind == "force":
         from rig.devices.playback.netft_player import NetFtPlayback
 
         return NetFtPlayback(recorded, host)
-    if name == "pose":
+    if kind == "pose":
         from rig.devices.playback.rtde_player import RtdePlayback
 
         return RtdePlayback(recorded, host)
-    if name == "taxels":
+    if kind == "taxels":
         from rig.devices.playback.xela_player import XelaPlayback
 
         return XelaPlayback(recorded, host)
@@ -95,12 +94,6 @@ _NAP_NS = 200_000
 _SLICE_NS = SECOND_NS // 20
 # Pauses between wake-ups [s]: fewer than the 10 corrupt frames in a row that mean a lost camera.
 _WAKE_PAUSES = (0.05, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
-_LATEST: dict[str, np.dtype[Any]] = {
-    "force": FORCE_LATEST,
-    "pose": POSE_LATEST,
-    "taxels": TAXELS_LATEST,
-    "camera": CAMERA_LATEST,
-}
 
 
 class Player(ThreadedEmulator):
@@ -198,7 +191,8 @@ class Player(ThreadedEmulator):
 
     def _play(self, start_ns: int) -> None:
         times = self._recorded.t_ns
-        latest = SharedLatest.attach(self._folder / f"{self._name}.latest", _LATEST[self._name])
+        kind = KINDS[self._recorded.stream.traits.kind]
+        latest = SharedLatest.attach(self._folder / f"{self._name}.latest", kind.latest)
         step = _Step(self._folder, self._others if self._speed == 0 else ())
         base = latest.count
         try:
@@ -280,7 +274,8 @@ class PlayerConfig:
     """Recorded stream to play."""
 
     session: Path
-    stream: Literal["force", "pose", "taxels", "camera"]
+    stream: str
+    """Name of the stream."""
     folder: Path
     """Run folder."""
     host: str
@@ -303,9 +298,10 @@ def emulate(settings: PlayerConfig, clock: Clock) -> Served:
     others = [other for other in settings.streams if other != name]
     session = Session(settings.session)
     recorded = load_recorded_stream(session, (name, *others), name, settings.run)
-    device = make_playback_device(name, recorded, settings.host)
+    device = make_playback_device(recorded, settings.host)
     player = Player(
         name, recorded, device, settings.folder, clock, speed=settings.speed, others=others
     )
-    priority = CAMERA_PRIORITY if name == "camera" else DEVICE_PRIORITY
+    camera = recorded.stream.traits.kind == "camera"
+    priority = CAMERA_PRIORITY if camera else DEVICE_PRIORITY
     return Served(name, player, priority=priority)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,11 +13,12 @@ from rig.bench.bench import Bench, BenchLimits, Preflight
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import DeviceLost
 from rig.core.shared_memory import SharedLatest
-from rig.devices.arm.settings import ArmConfig
+from rig.devices.arm.settings import ArmConfig, PoseConfig
 from rig.devices.camera.settings import CameraConfig
 from rig.devices.force.settings import NetFtConfig
 from rig.devices.playback.wire import force_page, stated_rate
 from rig.devices.taxels.settings import XelaConfig
+from rig.mock.bench import free_loopback
 from rig.mock.playback_sync import FAILED, POSITION, SYNC, position_path, sync_path
 from rig.mock.processes import ProcessGroup, StartedOrClosed
 from trajectories import ForceDepth
@@ -29,7 +31,7 @@ class Players(StartedOrClosed):
         session: The source.
         names: Streams to play.
         run: Number of the run.
-        host: Loopback address to listen on.
+        hosts: Loopback address to listen on, by stream.
         folder: Empty run folder.
         clock: Clock.
         speed: Multiple of the recorded speed; 0: as fast as read.
@@ -40,7 +42,7 @@ class Players(StartedOrClosed):
         session: Path,
         names: tuple[str, ...],
         run: int,
-        host: str,
+        hosts: Mapping[str, str],
         folder: Path,
         clock: Clock,
         *,
@@ -53,12 +55,16 @@ class Players(StartedOrClosed):
         }
         self._settings = {
             **{"session": str(session), "run": run, "folder": str(folder)},
-            **{"host": host, "speed": speed, "streams": names},
+            **{"speed": speed, "streams": names},
         }
+        self._hosts = dict(hosts)
 
     def _start(self) -> None:
         self._launched.start(
-            {name: ("player", {**self._settings, "stream": name}) for name in self._positions}
+            {
+                name: ("player", {**self._settings, "host": self._hosts[name], "stream": name})
+                for name in self._positions
+            }
         )
 
     def start_playback(self, start_ns: int) -> None:
@@ -112,46 +118,31 @@ _NO_MOTION = BenchLimits(
 )
 
 
-def replay_bench(session: Session, names: tuple[str, ...], host: str, speed: float) -> Bench:
+def playback_hosts(names: tuple[str, ...]) -> dict[str, str]:
+    """Return a loopback address for each stream: devices of a kind have the same ports."""
+    hosts: dict[str, str] = {}
+    for name in names:
+        hosts[name] = free_loopback(hosts.values())
+    return hosts
+
+
+def replay_bench(
+    session: Session, names: tuple[str, ...], hosts: Mapping[str, str], speed: float
+) -> Bench:
     """Return a bench with a session's devices at the addresses of their emulators.
 
     Args:
         session: The source.
         names: Its streams to replay.
-        host: Loopback address of the emulators.
+        hosts: Loopback address of the emulator of each.
         speed: Multiple of the recorded speed; 0: as fast as read.
     """
     attrs = session.attrs
-    camera = taxels = None
-    force = NetFtConfig(host=host, http_port=8080, silence=_PATIENCE)
-    arm = ArmConfig(host=host)
-    if "force" in names:
-        stream = session.streams["force"]
-        silence = _PATIENCE + _longest_gap(session, "force", speed)
-        rate_hz = float(force_page(stream).rate_hz)
-        force = NetFtConfig(host=host, http_port=8080, rate_hz=rate_hz, silence=silence)
-    if "pose" in names:
-        arm = ArmConfig(host=host, rate_hz=stated_rate(session.streams["pose"]))
-    if "camera" in names:
-        stream = session.streams["camera"]
-        height, width, _ = stream.layout.columns[0].column.shape
-        camera = CameraConfig(
-            address=f"http://{host}:8081/",
-            rate_hz=stated_rate(stream),
-            width=width,
-            height=height,
-            silence=_CAMERA_PATIENCE + _longest_gap(session, "camera", speed),
-            repeats=True,
-        )
-    if "taxels" in names or camera is None:
-        # A bench without a signal is invalid; that of a replay may have one that is never opened.
-        taxels = XelaConfig(address=f"ws://{host}:5000", silence=_PATIENCE)
-    if taxels is not None and "taxels" in names:
-        taxels = XelaConfig(
-            address=f"ws://{host}:5000",
-            rate_hz=stated_rate(session.streams["taxels"]),
-            silence=_PATIENCE + _longest_gap(session, "taxels", speed),
-        )
+    devices = {name: _device(session, name, hosts[name], speed) for name in names}
+    # A lab bench needs an arm and an F/T sensor; those of a replay may never be opened.
+    unused = next(iter(hosts.values()))
+    pose = devices.pop("pose", None)
+    host, rate_hz = (unused, 500.0) if pose is None else (pose.host, pose.rate_hz)
     return Bench(
         sensor=str(attrs.get("sensor", "")),
         description="replay",
@@ -159,13 +150,37 @@ def replay_bench(session: Session, names: tuple[str, ...], host: str, speed: flo
         rate_hz=session.rate_hz,
         contact_frame=(0.0,) * 6,
         tool_rotation=(0.0, 0.0, 0.0),
-        arm=arm,
-        force=force,
+        arm=ArmConfig(host=host, rate_hz=rate_hz),
+        force=devices.pop("force", NetFtConfig(host=unused, http_port=8080)),
         limits=_NO_MOTION,
         trajectory=ForceDepth(depth_max=1e-3),
         preflight=Preflight(timeout=_PATIENCE),
-        camera=camera,
-        taxels=taxels,
+        camera=devices.pop("camera", None),
+        taxels=devices.pop("taxels", None),
+        streams=devices,
+    )
+
+
+def _device(session: Session, name: str, host: str, speed: float) -> Any:
+    """Return the settings of the driver that reads a replayed stream."""
+    stream = session.streams[name]
+    silence = _PATIENCE + _longest_gap(session, name, speed)
+    kind = stream.traits.kind
+    if kind == "force":
+        rate_hz = float(force_page(stream).rate_hz)
+        return NetFtConfig(host=host, http_port=8080, rate_hz=rate_hz, silence=silence)
+    if kind == "pose":
+        return PoseConfig(host=host, rate_hz=stated_rate(stream))
+    if kind == "taxels":
+        return XelaConfig(address=f"ws://{host}:5000", rate_hz=stated_rate(stream), silence=silence)
+    height, width, _ = stream.layout.columns[0].column.shape
+    return CameraConfig(
+        address=f"http://{host}:8081/",
+        rate_hz=stated_rate(stream),
+        width=width,
+        height=height,
+        silence=_CAMERA_PATIENCE + _longest_gap(session, name, speed),
+        repeats=True,
     )
 
 

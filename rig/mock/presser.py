@@ -20,6 +20,8 @@ from rig.core.errors import DeviceLost
 from rig.core.geometry import transform
 from rig.core.samples import ARM_TRUTH, WORLD_STATE
 from rig.core.shared_memory import SharedLatest
+from rig.devices.camera.settings import CameraConfig
+from rig.devices.taxels.settings import XelaConfig
 from rig.mock.bench import MockBench
 from rig.mock.world import ARM_FILE, WORLD_FILE
 from rig.mock.world.truth import Truth
@@ -30,6 +32,7 @@ _RATE_HZ = 125
 # Step between the targets pressed: consecutive ones differ little, these in depth and direction.
 _STRIDE = 37
 _SENSORS = ("camera", "taxels")
+_DEVICES = (CameraConfig.KIND, XelaConfig.KIND)
 # Longest time for the World's process to end [s].
 _END_TIMEOUT = 5.0
 # Longest time for the World's first state [s].
@@ -151,9 +154,14 @@ def _at_rate(content: dict[str, Any], rate_hz: float | None) -> dict[str, Any]:
     """Return `content` with the sensor's rate replaced."""
     if rate_hz is None:
         return content
-    faster = {
+    faster: dict[str, Any] = {
         name: {**content[name], "rate_hz": rate_hz}
         for name in _SENSORS
         if isinstance(content.get(name), dict)
     }
+    if isinstance(streams := content.get("streams"), dict):
+        faster["streams"] = {
+            name: {**section, "rate_hz": rate_hz} if section.get("kind") in _DEVICES else section
+            for name, section in streams.items()
+        }
     return {**content, **faster}

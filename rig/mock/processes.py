@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import selectors
 import subprocess
 import sys
@@ -11,6 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Self
 
+from recorder.command_line.commands import extra_of
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import ConfigError, DeviceLost
 
@@ -74,10 +76,10 @@ class ProcessGroup:
                 line = stdout.readline() if selector.select(0) else ""
             if not line.startswith("ready"):
                 word = self.last_word(name)
-                if word.startswith("ModuleNotFoundError"):
-                    extra = "nidaq" if "nidaqmx" in word or "grpc" in word else "rig"
+                missing = re.match(r"ModuleNotFoundError: No module named '([\w.]+)'", word)
+                if missing and (extra := extra_of(missing[1], "rig")):
                     raise ConfigError(
-                        f"{name} emulator: {word}; install the extra: "
+                        f"{name} emulator: {missing[1]} is not installed; install the extra: "
                         f"pip install 'tactile-rig[{extra}]'"
                     )
                 raise DeviceLost(f"{name} emulator did not start: {word}")

@@ -14,9 +14,8 @@ from rig.core.clock import SECOND_NS, Clock
 from rig.core.driver import Driver
 from rig.core.shared_memory import SharedLatest
 from rig.devices.playback.wire import load_recorded_stream
-from rig.mock.bench import free_loopback
 from rig.mock.playback_sync import ENDED
-from rig.mock.players import Players, replay_bench
+from rig.mock.players import Players, playback_hosts, replay_bench
 from rig.mock.processes import StartedOrClosed
 
 # The first run: later ones were recorded after a stop.
@@ -27,7 +26,7 @@ _UNTOUCHED = 10
 
 
 class ReplayedSensor(StartedOrClosed):
-    """Context manager that plays the camera or taxels of a session at the recorded times.
+    """Context manager that plays the signal of a session at the recorded times.
 
     Args:
         path: The session.
@@ -38,7 +37,7 @@ class ReplayedSensor(StartedOrClosed):
     def __init__(self, path: Path, folder: Path, clock: Clock) -> None:
         self._session = Session(path)
         self.stream = _stream(self._session, path)
-        """Name of the stream: camera or taxels."""
+        """Name of the stream."""
         self.sensor = str(self._session.attrs.get("sensor", ""))
         """Name of the sensor in the session."""
         self._clock = clock
@@ -48,13 +47,14 @@ class ReplayedSensor(StartedOrClosed):
         if not len(recording.t_ns):
             raise SessionError(f"{path}: no {self.stream} rows in its first run")
         self._origin_ns = int(recording.stream.t_ns[recording.rows.start]) - int(recording.t_ns[0])
-        names, host = (self.stream,), free_loopback()
-        bench = replay_bench(self._session, names, host, 1.0)
+        names = (self.stream,)
+        hosts = playback_hosts(names)
+        bench = replay_bench(self._session, names, hosts, 1.0)
         self._timeout = bench.preflight.timeout
-        kind = KINDS[self.stream]
+        kind = KINDS[self._session.streams[self.stream].traits.kind]
         # The player reads the number of rows taken here, to wait for a slow reader.
         self._latest = SharedLatest.create(folder / f"{self.stream}.latest", kind.latest)
-        self._players = Players(path, names, _RUN, host, folder, clock, speed=1.0)
+        self._players = Players(path, names, _RUN, hosts, folder, clock, speed=1.0)
         self.driver: Driver = _Counted(make_driver(bench, self.stream, clock), self._latest, kind)
 
     def _start(self) -> None:
@@ -92,22 +92,25 @@ class ReplayedSensor(StartedOrClosed):
         if taken is None:
             return None
         end = int(np.searchsorted(stream.t_ns[first:last], reference["t_ns"][taken], "right"))
-        if self.stream == "camera" and reference["image"][taken] >= 0:
-            end = int(reference["image"][taken]) + 1 - first
+        column = self._session.columns.get(self.stream, "")
+        image = stream.layout.image is not None
+        if image and column in reference and reference[column][taken] >= 0:
+            end = int(reference[column][taken]) + 1 - first
         rows = np.arange(max(end - _UNTOUCHED, 0), end) + first
         if not rows.size:
             return None
-        if self.stream == "camera":
+        if image:
             return stream.images(rows)
         return np.asarray(stream.array("value"))[rows]
 
     def wrench(self, t_ns: np.ndarray) -> np.ndarray:
         """Return the recorded wrench (n, 6) [N, N m] of frames arriving at (n,); NaN if none."""
         session = self._session
-        if "force" not in session.streams:
+        name = session.first("force")
+        if name is None:
             return np.full((len(t_ns), 6), np.nan)
-        rows = session.rows_of_run("force", _RUN)
-        force = session.streams["force"]
+        rows = session.rows_of_run(name, _RUN)
+        force = session.streams[name]
         recorded = np.asarray(t_ns, np.int64) - self._start_ns + self._origin_ns
         value = np.asarray(force.array("value"), np.float64)[rows]
         return linear(force.t_ns[rows], value, recorded).value
@@ -152,13 +155,17 @@ class _Counted:
 
 
 def _stream(session: Session, path: Path) -> str:
-    camera = session.streams.get("camera")
-    if camera is None:
-        if "taxels" not in session.streams:
-            raise SessionError(f"{path}: has neither camera nor taxels")
-        return "taxels"
-    if camera.jpeg_shape is None:
+    """Return the name of the signal.
+
+    Raises:
+        SessionError: There is none, or nothing can play it.
+    """
+    name = session.signal
+    if name is None or session.streams[name].traits.kind not in ("camera", "taxels"):
+        raise SessionError(f"{path}: has neither camera nor taxels")
+    stream = session.streams[name]
+    if stream.layout.image is not None and stream.jpeg_shape is None:
         raise SessionError(
             f"{path}: its images are stored as pixels; allowed: JPEG, as a camera sends them"
         )
-    return "camera"
+    return name

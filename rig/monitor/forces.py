@@ -55,7 +55,7 @@ class Seen:
     shown_ns: list[int] = field(default_factory=list)
     """Times of the sensor states shown in the frames [ns]."""
     force: list[tuple[float, float, float]] = field(default_factory=list)
-    """Predicted forces [N]."""
+    """Predicted forces [N]; NaN on axes that the model does not predict."""
     first_ns: int | None = None
 
     def add(self, reading: Reading, t_ns: int, now_ns: int, shown_ns: int) -> float:
@@ -89,15 +89,16 @@ class Seen:
             f"latency, frame in to force out: p50 {middle:.1f} ms, p99 {late:.1f} ms, worst "
             f"{1e3 * max(self.latency):.1f} ms"
         )
-        if wrench is None or not np.isfinite(wrench[:, :3]).all(axis=1).any():
+        if wrench is None:
             return
-        error = np.nanmean(np.abs(np.array(self.force) - wrench[:, :3]), axis=0)
-        most = np.nanmax(np.abs(wrench[:, :3]), axis=0)
+        apart = np.abs(np.array(self.force) - wrench[:, :3])
         text = ", ".join(
-            f"{axis} {here:.2f} N (of {there:.2f})"
-            for axis, here, there in zip(("Fx", "Fy", "Fz"), error, most, strict=True)
+            f"{axis} {np.nanmean(here):.2f} N (of {np.nanmax(np.abs(there)):.2f})"
+            for axis, here, there in zip(("Fx", "Fy", "Fz"), apart.T, wrench.T, strict=False)
+            if np.isfinite(here).any()
         )
-        yield f"mean absolute error compared with the true force: {text}"
+        if text:
+            yield f"mean absolute error compared with the true force: {text}"
 
 
 def watch(
@@ -228,9 +229,10 @@ class ForceLine:
         if now_ns < self._due_ns:
             return
         self._due_ns = now_ns + (_ON_TERMINAL_NS if self._terminal else _ELSEWHERE_NS)
-        x, y, z = reading.force
+        named = zip(("Fx", "Fy", "Fz"), reading.force, (6, 6, 7), strict=True)
+        shown = (f"{axis} {force:+{width}.2f}" for axis, force, width in named if force == force)
         text = (
-            f"Fx {x:+6.2f}  Fy {y:+6.2f}  Fz {z:+7.2f} N  "
+            f"{'  '.join(shown)} N  "
             f"{'contact' if reading.contact else '       '}  {1e3 * latency:5.1f} ms"
         )
         self._open = self._terminal

@@ -14,6 +14,7 @@ from rig.bench.bench import Bench
 from rig.bench.stream_kinds import make_driver
 from rig.core.clock import Clock
 from rig.core.driver import Driver
+from rig.core.errors import ConfigError
 from rig.devices.camera.jpeg import frame_stamp
 from rig.mock.presser import TouchedMock
 from rig.mock.recorded_stream import ReplayedSensor
@@ -28,7 +29,7 @@ class Watched:
     sensor: str
     """Name of the sensor."""
     stream: str
-    """Name of its stream: camera or taxels."""
+    """Name of its stream."""
     driver: Driver
     """Open driver."""
     untouched: np.ndarray | None = None
@@ -52,7 +53,9 @@ def lab_bench(bench: Bench, clock: Clock) -> Iterator[Watched]:
     Raises:
         ConfigError, DeviceLost: The sensor rejects its settings or does not answer.
     """
-    stream = _stream(bench)
+    if bench.signal is None:
+        raise ConfigError(f"{bench.sensor}: no camera and no taxels to watch")
+    stream = bench.signal.name
     driver = make_driver(bench, stream, clock)
     driver.open(bench.preflight.timeout)
     try:
@@ -104,10 +107,6 @@ def replayed(path: Path, folder: Path, clock: Clock) -> Iterator[Watched]:
             check=source.check,
             wrench=source.wrench,
         )
-
-
-def _stream(bench: Bench) -> str:
-    return "camera" if bench.camera is not None else "taxels"
 
 
 def _stamped(sample: dict[str, Any]) -> int:

@@ -21,14 +21,12 @@ from recorder import Session, SessionError, SessionWriter, StreamWriter
 from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE, EXIT_INTERRUPTED
 from recorder.info import session_digest, stream_digest
 from recorder.progress import ItemProgress
-from recorder.session import fit_clocks
 from rig.acquire.collector import software
 from rig.acquire.control import Interrupted, InterruptFlag
 from rig.core.clock import ClockAnchor, SystemClock
 from rig.core.errors import DeviceLost
 from rig.devices.playback.wire import replayable
-from rig.mock.bench import free_loopback
-from rig.mock.players import replay_bench
+from rig.mock.players import playback_hosts, replay_bench
 from rig.replay.result import Retiming, compared, covered_ns, retiming, span, timing, timing_line
 from rig.replay.run import ReplayedRun
 
@@ -42,6 +40,7 @@ _COPIED = (
 )
 # Attributes of a stream that the replay writes itself.
 _OWN_ATTRS = {"columns", "rate_hz", "sync_interval", "device", "device_clock", "clock_fit"}
+_OWN_ATTRS |= {"kind", "clock"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,9 +120,10 @@ class Replay:
                 folder = Path(
                     stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-"))
                 )
-                bench = replay_bench(source, names, free_loopback(), request.speed)
+                hosts = playback_hosts(names)
+                bench = replay_bench(source, names, hosts, request.speed)
                 replayed = ReplayedRun(
-                    source, names, run, bench, folder, self._clock, speed=request.speed
+                    source, names, run, bench, hosts, folder, self._clock, speed=request.speed
                 )
                 if not replayed.seconds and not any(replayed.totals.values()):
                     continue
@@ -217,16 +217,18 @@ class Replay:
             (t_ns,) = self._maps[run](np.array([row["t_ns"]], np.int64))
             if stop is not None and t_ns > covered[run]:
                 continue
-            image = int(row["image"]) if "camera" in names else -1
-            moved = {"run": numbers[run], "t_ns": int(t_ns), "image": image}
-            writer.reference.append(**{**row, **moved})
+            moved = {"run": numbers[run], "t_ns": int(t_ns), "point": row["point"]}
+            writer.reference.append(**{**_untouched(self._source, replay, row), **moved})
         status, reason = "complete", ""
         if stop is not None:
             status, reason = "stopped", f"replay: {str(stop) or type(stop).__name__}"
-        writer.finish(status, reason, rate_hz=self._source.rate_hz * self._faster(replay, names))
-        if self._request.speed == 1.0:
+        writer.finish(
+            status,
+            reason,
+            rate_hz=self._source.rate_hz * self._faster(replay, names),
             # At another speed the devices' clocks are slower than the host's by that factor.
-            fit_clocks(writer.path)
+            clocks=self._request.speed == 1.0,
+        )
 
     def _faster(self, replay: Session, names: tuple[str, ...]) -> float:
         """Return the playback speed relative to the recording."""
@@ -266,6 +268,23 @@ class Replay:
         lines.append(f"{outcome}: {request.source} and its replay; readable at {request.out}")
         print("\n".join(lines), flush=True)
         return EXIT_DONE if equal else EXIT_DIFFERENT
+
+
+def _untouched(source: Session, replay: Session, row: dict[str, Any]) -> dict[str, Any]:
+    """Return the columns of a row of `reference` that come from streams, as the replay has them.
+
+    A stream that is left out moves the columns of those after it.
+    """
+    values: dict[str, Any] = {}
+    for name, column in replay.reference.items():
+        if name not in ("point", "run", "t_ns"):
+            blank = np.full(column.shape[1:], np.nan) if column.ndim > 1 else -1
+            values[name] = row.get(name, blank) if column.ndim > 1 else blank
+    for name, place in replay.columns.items():
+        for suffix in ("", "_std"):
+            if place + suffix in values:
+                values[place + suffix] = row[source.columns[name] + suffix]
+    return values
 
 
 def _rows(table: Any) -> list[dict[str, Any]]:

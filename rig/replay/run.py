@@ -90,7 +90,7 @@ class EndOfTape:
         return False
 
 
-# Samples that a driver delivers before playback starts, because it needs them to open.
+# Samples that a driver delivers before playback starts, because it needs them to open, by kind.
 _LEAD_IN = {"force": 1, "taxels": 1, "pose": 0, "camera": 0}
 _SETTLE_NS = SECOND_NS // 5
 _SETTLE_TIMEOUT = 10.0
@@ -108,6 +108,7 @@ class ReplayedRun:
         names: Its streams to replay.
         run: Number of the run.
         bench: Addresses of the emulators.
+        hosts: Loopback address of each stream's emulator.
         folder: Empty run folder.
         clock: Clock.
         speed: Multiple of the recorded speed; 0: as fast as read.
@@ -119,12 +120,15 @@ class ReplayedRun:
         names: tuple[str, ...],
         run: int,
         bench: Bench,
+        hosts: Mapping[str, str],
         folder: Path,
         clock: Clock,
         *,
         speed: float,
     ) -> None:
         self._source = source
+        self._hosts = hosts
+        self._kinds = {name: source.streams[name].traits.kind for name in names}
         self._names = names
         self._run = run
         self._bench = bench
@@ -152,7 +156,7 @@ class ReplayedRun:
             self._source.path,
             self._names,
             self._run,
-            self._bench.arm.host,
+            self._hosts,
             self._folder,
             self._clock,
             speed=self._speed,
@@ -175,24 +179,25 @@ class ReplayedRun:
     def open(self, interrupt: InterruptFlag) -> dict[str, dict[str, Any]]:
         """Open every driver and return the facts of the devices, by stream.
 
-        The camera's is opened last: its driver waits for the next frame with a timeout that also
-        delays closing, so that timeout is short.
+        Those of cameras are opened last: such a driver waits for the next frame with a timeout
+        that also delays closing, so that timeout is short.
 
         Raises:
             ConfigError, DeviceLost, Interrupted: A driver failed; the first failure is raised.
         """
         description = {}
-        early = [name for name in self._names if name != "camera"]
-        for names in (early, [name for name in self._names if name == "camera"]):
+        cameras = [name for name in self._names if self._kinds[name] == "camera"]
+        for names in ([name for name in self._names if name not in cameras], cameras):
             for name in names:
                 self._handles[name] = StreamHandle(name, self._bench, self._folder)
                 path = self._folder / f"{name}.latest"
-                self._latest[name] = SharedLatest.attach(path, KINDS[name].latest)
+                self._latest[name] = SharedLatest.attach(path, KINDS[self._kinds[name]].latest)
             for name in names:
                 interrupt.check()
                 description[name] = self._handles[name].wait_opened()
-        if "force" in self._handles:
-            self._handles["force"].set_bias(force_bias(self._source.streams["force"]))
+        for name, handle in self._handles.items():
+            if self._kinds[name] == "force":
+                handle.set_bias(force_bias(self._source.streams[name]))
         self._settle(interrupt)
         return description
 
@@ -250,7 +255,7 @@ class ReplayedRun:
             now_ns = self._clock.now_ns()
             if counts != before:
                 before, changed_ns = counts, now_ns
-            enough = all(count >= _LEAD_IN[name] for name, count in counts.items())
+            enough = all(count >= _LEAD_IN[self._kinds[name]] for name, count in counts.items())
             if enough and now_ns - changed_ns >= _SETTLE_NS:
                 return
             if now_ns - begun_ns > _SETTLE_TIMEOUT * SECOND_NS:

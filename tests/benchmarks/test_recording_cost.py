@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -46,7 +47,7 @@ from benchmarks.recording.steps import Steps
 from benchmarks.recording.store_benchmark import ChildFailed, Kill, StoreRow, Write
 from benchmarks.recording.store_child import inspect, read, write
 from benchmarks.recording.stores import STORES, Entry, entry
-from recorder import Session, SessionWriter, StreamWriter
+from recorder import Session, SessionWriter, StreamWriter, Window
 from recorder.command_line.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_WRONG_INPUT
 from recorder.progress import Progress
 from rig.core.clock import SECOND_NS, FakeClock
@@ -110,7 +111,7 @@ def test_a_store_gives_back_what_was_appended_and_counts_its_bytes(
 
 
 @pytest.mark.parametrize("key", ["ours-jpeg", "ours-zstd"])
-def test_frames_that_were_not_sealed_are_counted_after_repair_only(
+def test_frames_that_were_not_sealed_are_read_without_repair_and_after_it(
     key: str, tmp_path: Path
 ) -> None:
     one, frames = entry(key), GelFrames()
@@ -122,7 +123,7 @@ def test_frames_that_were_not_sealed_are_counted_after_repair_only(
     shutil.copytree(tmp_path / "store", tmp_path / "killed")
     appender.close()
     found = inspect(one, tmp_path / "killed")
-    assert found == {"left": [], "error": "", "repaired": [0, 1, 2, 3, 4]}
+    assert found == {"left": [0, 1, 2, 3, 4], "error": "", "repaired": [0, 1, 2, 3, 4]}
 
 
 def test_a_real_kill_loses_at_most_one_frame_of_ours(tmp_path: Path) -> None:
@@ -273,7 +274,7 @@ def test_the_mean_over_an_exposure_is_the_integral_of_the_truth(motion: Motion) 
 def test_the_recorded_motion_is_a_sound_session_whose_capture_times_are_the_true_ones(
     recorded: Recorded,
 ) -> None:
-    camera = Session(recorded.path).sources(0).camera
+    camera = Session(recorded.path).sources(0).streams["camera"]
     assert camera is not None
     believed = (camera.times - recorded.origin_ns) * 1e-9
     assert len(believed) == len(recorded.captured)
@@ -305,19 +306,23 @@ def test_methods_rank_as_they_must(motion: Motion, recorded: Recorded) -> None:
 
 
 def test_an_error_is_the_one_that_was_put_in(motion: Motion, recorded: Recorded) -> None:
-    from dataclasses import replace
-
     from recorder.session.window import align_window
 
     window = align_window(ticks(recorded), Session(recorded.path).sources(0))
     assert window.wrench is not None
     captured = recorded.captured[window.signal_row]
-    exact = replace(window, wrench=motion.mean_wrench(captured - EXPOSURE, captured))
+    exact = _with_wrench(window, motion.mean_wrench(captured - EXPOSURE, captured))
     assert force_error(exact, motion, recorded)["N"].max() == pytest.approx(0.0, abs=1e-9)
-    shifted = replace(exact, wrench=exact.wrench + np.array([0.3, 0.4, 0, 0, 0, 0]))
+    assert exact.wrench is not None
+    shifted = _with_wrench(exact, exact.wrench + np.array([0.3, 0.4, 0, 0, 0, 0]))
     assert force_error(shifted, motion, recorded)["N"] == pytest.approx(0.5)
     at_tick = replace(window, t_ns=np.round(captured * 1e9).astype(np.int64) + recorded.origin_ns)
     assert image_error(at_tick, motion, recorded)["px"].max() == pytest.approx(0.0, abs=0.5)
+
+
+def _with_wrench(window: Window, wrench: np.ndarray) -> Window:
+    force = replace(window.streams["force"], value=wrench)
+    return replace(window, streams={**window.streams, "force": force})
 
 
 def test_latency_that_nobody_told_costs_more_the_longer_it_is(
@@ -342,21 +347,38 @@ def store_row(key: str, *, frames: int = 100, repaired: int | None = 10) -> Stor
     took = Spread(0.001, 0.002, 0.003)
     kill = Kill(accepted=10, left=8, wrong=0, repaired=repaired)
     written = Write(frames, 2.0, 0.5, took, 1_000_000, 921_600)
-    return StoreRow(key, f"store {key}", "", written, 1000.0, 2600.0, "", (kill,))
+    return StoreRow(
+        key,
+        f"store {key}",
+        write=written,
+        read=1000.0,
+        read_cpu=1300.0,
+        decode_cpu=1400.0 if "jpeg" in key else 0.0,
+        read_two=2600.0,
+        kills=(kill,),
+    )
 
 
 def test_the_page_has_absolute_figures_and_ratios() -> None:
     rows = (store_row("ours-zstd"), store_row("png", frames=25))
     text = render(Results("2 cores", quick=False, stores=rows))
-    assert "| store ours-zstd | 50 | 1.00 | 0 | 1.00 / 2.00 / 3.00 | 10.0 | 5.00 |" in text
-    assert "| store png | 12 | 0.25 |" in text
+    assert "| store ours-zstd | 200 | 1.00 | 50 | 1.00 | 0 | 1.00 / 2.00 / 3.00 | 10.0 |" in text
+    assert "| store png | 50 | 0.25 | 12 | 0.25 |" in text
     assert "A quick run" not in text
 
 
 def test_claims_are_missed_when_the_figures_say_so() -> None:
     lost = criteria.of_stores([store_row("ours-zstd", repaired=7)])
-    assert [criterion.met for criterion in lost] == [False, True]
+    assert [criterion.met for criterion in lost] == [False, False]
     assert "3 lost at most" in lost[0].measured
+    rows = [store_row("ours-jpeg"), store_row("mcap-jpeg", frames=101)]
+    jpeg = criteria.of_stores(rows)
+    assert [criterion.met for criterion in jpeg] == [True, False, True, False]
+    assert jpeg[2].measured == "93 % of 1,400 images per CPU-second"
+    assert jpeg[3].measured == "200; MCAP 202"
+    killed = replace(store_row("h5py-blosc", frames=900), kills=(Kill(10, None, 0, None),))
+    rows = [store_row("ours-zstd"), store_row("zarr-append", frames=99), killed]
+    assert criteria.of_stores(rows)[-1].met  # h5py does not survive a kill
     fine = criteria.of_full_load([fed(share=0.2), fed(share=0.2)])
     assert [criterion.met for criterion in fine] == [True, True, True]
     bad = criteria.of_full_load([fed(share=0.4, dropped=1, p99=0.006), fed(share=0.3)])
@@ -377,8 +399,8 @@ def test_the_command_line_knows_every_part() -> None:
 
 def test_ratios_to_a_store_that_was_not_measured_are_dashes() -> None:
     text = render(Results("2 cores", quick=False, stores=(store_row("png"),)))
-    row = "| store png | 50 | - | 0 | 1.00 / 2.00 / 3.00 | 10.0 | 5.00 | 1,000 | 2,600 | - |"
-    assert row in text.splitlines()
+    row = "| store png | 200 | - | 50 | - | 0 | 1.00 / 2.00 / 3.00 | 10.0 | 1,300 | - | 1,000 | "
+    assert row + "2,600 |" in text.splitlines()
 
 
 def test_page_names_versions_and_no_host() -> None:
@@ -404,7 +426,13 @@ def test_charts_draw_what_is_known_and_say_what_is_not(tmp_path: Path) -> None:
     rows = (store_row("ours-zstd"), StoreRow("png", "`store` png", "needs cv2"))
     stores_chart(tmp_path / "stores.svg", rows)
     drawn = (tmp_path / "stores.svg").read_text()
-    for text in ("store ours-zstd", "store png", "50", "2,600", "written and closed [frames/s]"):
+    for text in (
+        "store ours-zstd",
+        "store png",
+        "200",
+        "1,300",
+        "written and closed [frames per CPU-second]",
+    ):
         assert f"<!-- {text} -->" in drawn
     assert drawn.count("<!-- not measured -->") == 2
     methods = (
@@ -413,7 +441,7 @@ def test_charts_draw_what_is_known_and_say_what_is_not(tmp_path: Path) -> None:
         Method("pose", "slerp", 9, {"deg": Error(0.01, 0.1)}, 1e-4),
         Method("image", "nearest", 9, {"px": Error(1.0, 4.0)}, 2e-5),
     )
-    alignment_chart(tmp_path / "alignment.svg", Alignment(methods, (), 0.0, 0.0))
+    alignment_chart(tmp_path / "alignment.svg", Alignment(methods, (), 0.0, 0.0, 0.0, 0.0))
     drawn = (tmp_path / "alignment.svg").read_text()
     for text in ("held", "slerp", "error rms [N]", "error rms [deg]"):
         assert f"<!-- {text} -->" in drawn

@@ -30,7 +30,7 @@ RIG = (
     *("collect", "home", "calibrate-latency", "force-depth", "campaign", "jog", "live", "grip"),
     *("preview", "compare", "mock", "replay"),
 )
-RECORDER = ("info", "check", "recover", "repack", "export", "import", "view", "sheet")
+RECORDER = ("list", "info", "check", "recover", "repack", "export", "import", "view", "sheet")
 SIM = ("press", "loop", "hold", "archive", "archive states", "archive sensors")
 LEARNING = (
     *("markers", "import-genforce", "export-genforce", "split", "train-field"),
@@ -69,10 +69,10 @@ WRONG_CAMPAIGNS = {
     "none": "sessions: []",
     "key": "session: []",
     "indenter": "sessions: [{sensor: gelsight}]",
-    "sensor": "sessions: [{sensor: nosuch, indenter: a}]",
-    "plan": "sessions: [{sensor: gelsight, indenter: a, plan: wave}]",
-    "targets": "sessions: [{sensor: gelsight, indenter: a, targets: 999}]",
-    "twice": "sessions: [{sensor: uskin, indenter: a}, {sensor: uskin, indenter: a}]",
+    "sensor": "sessions: [{sensor: nosuch, indenter: cone}]",
+    "plan": "sessions: [{sensor: gelsight, indenter: cone, plan: wave}]",
+    "targets": "sessions: [{sensor: gelsight, indenter: cone, targets: 999}]",
+    "plan-twice": "sessions: [{sensor: uskin, indenter: cone, plan: a, plan: b}]",
 }
 RIG_CASES = (
     Case(
@@ -426,8 +426,8 @@ RECORDER_CASES = (
         (
             "recorder import {out}/a.zarr --video {out}/frames --fps 20 --sensor gelsight "
             "--indenter ball --operator golden",
-            "recorder import {out}/b.zarr --taxels {out}/t.npy --taxels-hz 60 --sensor uskin "
-            "--indenter ball --operator golden",
+            "recorder import {out}/b.zarr --taxels {out}/t.npy --taxels-hz 60 --taxel-order taxel "
+            "--sensor uskin --indenter ball --operator golden",
             "recorder import {out}/c.zarr --video {out}/frames --fps 20 --force {out}/f.csv "
             "--force-hz 40 --units N --torque-units N*m --trim --sensor gelsight --indenter ball "
             "--operator golden",

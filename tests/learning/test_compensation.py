@@ -25,7 +25,7 @@ from learning.compensation import (
     prior_of_coefficients,
     read_stored,
 )
-from learning.compensation.search import paired_labels
+from learning.compensation.search import paired_labels, tried
 from learning.data.genforce.format import Compensation
 from learning.errors import LearningError
 from recorder import PHASES, MarkerArchive
@@ -118,7 +118,7 @@ def test_beyond_what_was_measured_the_ratio_stays_what_it_was() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"wrench": np.full((12, 3), np.nan)}, "wrench: found NaN"),
+        ({"wrench": np.full((12, 3), np.inf)}, "wrench: found infinity"),
         ({"wrench": np.ones((12, 2))}, "wrench: found shape"),
         ({"depth": DEPTH[:5]}, "depth: found shape"),
         ({"phase": np.full(12, -1)}, "phase: found -1 in row 0"),
@@ -141,6 +141,20 @@ def test_labels_that_cannot_be_compensated_are_refused(
     }
     with pytest.raises(LearningError, match=message):
         compensate(**{**given, **change})  # type: ignore[arg-type]
+
+
+def test_axes_without_a_label_stay_so_and_count_for_no_choice() -> None:
+    soft, hard = spring("soft", SOFT), spring("hard", HARD)
+    labels = np.column_stack([np.full(12, np.nan), np.linspace(0, 1, 12), -1e3 * DEPTH])
+    phase = np.full(12, DOWN)
+    found, _ = compensate(labels, DEPTH, phase, soft, hard, 0.0, 1.0)
+    whole, _ = compensate(np.nan_to_num(labels), DEPTH, phase, soft, hard, 0.0, 1.0)
+    assert np.isnan(found[:, 0]).all()
+    assert np.array_equal(found[:, 1:], whole[:, 1:])
+    choice = tried(Paired(labels, 2 * labels, DEPTH, phase), soft, hard, 0.0, 0.0)
+    assert choice.axes[0] is None
+    assert choice.axes[1:] == pytest.approx(np.abs(labels[:, 1:]).mean(axis=0))
+    assert choice.error == pytest.approx(np.linalg.norm(labels[:, 1:], axis=1).mean())
 
 
 @pytest.mark.parametrize(
@@ -259,7 +273,7 @@ def test_a_target_without_labels_has_no_oracle_and_one_without_a_curve_no_pair(
     )
     out = tmp_path / "c.json"
     assert main(["compensate", str(path), "--out", str(out)]) == 2
-    assert "grid.wrench: found NaN" in capsys.readouterr().err
+    assert "found force-depth curves of dots, expected two" in capsys.readouterr().err
     assert not out.exists()
     published = tmp_path / "published"
     published.mkdir()

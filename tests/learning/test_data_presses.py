@@ -97,10 +97,10 @@ def test_marker_fields_follow_the_truth(
     assert reported == sorted(reported)
 
 
-def test_presses_without_labels_are_refused_for_forces_alone(archive: MarkerArchive) -> None:
+def test_presses_without_any_label_are_refused_for_forces_alone(archive: MarkerArchive) -> None:
     load_presses(archive["dots"], _rows(archive)).require_wrench()
     presses = load_presses(archive["grid"], _rows(archive, "grid"))
-    with pytest.raises(LearningError, match=r"sensor grid: found no wrench in .* \(rows \d+, "):
+    with pytest.raises(LearningError, match=r"sensor grid: found no label of Fx, Fy or Fz in"):
         presses.require_wrench()
 
 
@@ -192,9 +192,19 @@ def test_a_range_holds_the_forces_that_it_is_made_from() -> None:
     assert wider.low[2] == pytest.approx(-8.8)
 
 
+def test_a_range_is_of_measured_values_alone() -> None:
+    span = ForceRange.from_training(
+        np.array([[np.nan, np.nan, -8.0], [np.nan, 2.0, np.nan], [np.nan, 1.0, -3.0]])
+    )
+    assert np.isnan([span.low[0], span.high[0]]).all()
+    assert (span.low[1:], span.high[1:]) == ((1.0, -8.0), (2.0, -3.0))
+
+
 def test_ranges_of_nothing_or_of_nan_are_refused() -> None:
-    with pytest.raises(LearningError, match=r"found .*nan.* in row 1; allowed: finite forces"):
-        ForceRange.from_training(np.array([[0.0, 0.0, 0.0], [0.0, np.nan, 0.0]]))
+    with pytest.raises(LearningError, match=r"found .*inf.* in row 1; allowed: finite forces"):
+        ForceRange.from_training(np.array([[0.0, 0.0, 0.0], [0.0, np.inf, 0.0]]))
+    with pytest.raises(LearningError, match="found NaN in every row"):
+        ForceRange.from_training(np.full((2, 3), np.nan))
     with pytest.raises(LearningError, match=r"found \(0, 3\)"):
         ForceRange.from_training(np.zeros((0, 3)))
     with pytest.raises(LearningError, match="low < high"):

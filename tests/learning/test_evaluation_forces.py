@@ -17,6 +17,7 @@ from learning.evaluation.predictions import (
     gain_line,
     merged,
     read_predictions,
+    unscored_lines,
 )
 from learning.metrics import (
     force_errors,
@@ -74,6 +75,53 @@ def test_the_spread_leaves_out_frames_without_a_label() -> None:
     assert range_ == pytest.approx([3, 1, 4, 4])
 
 
+def test_errors_are_of_measured_axes_alone() -> None:
+    true, predicted = TRUE.copy(), TRUE + 0.5
+    true[:, :2] = np.nan
+    true[0, 2] = np.nan
+    errors = force_errors(true, predicted, spread_and_range(true)[0])
+    assert (errors.axes, errors.of_axes, errors.frames) == (("Fz",), " (Fz)", 3)
+    assert errors.mae[2] == pytest.approx(0.5)
+    assert np.isnan([*errors.mae[:2], errors.mae[3], *errors.r2[:2], errors.shear]).all()
+    fz = TRUE[1:, 2]
+    assert errors.r2_mean == pytest.approx(1 - 0.75 / np.square(fz - fz.mean()).sum())
+    assert errors.relative[2] == pytest.approx(0.5 / fz.std())
+
+
+def test_an_axis_that_the_model_does_not_predict_is_not_scored() -> None:
+    predicted = TRUE + 0.5
+    predicted[:, 0] = np.nan
+    errors = force_errors(TRUE, predicted, np.ones(4))
+    assert errors.axes == ("Fy", "Fz")
+    with pytest.raises(LearningError, match="no label that a prediction can be compared with"):
+        force_errors(np.full((4, 3), np.nan), TRUE, np.ones(4))
+
+
+def test_infinite_labels_and_partly_missing_predictions_are_refused() -> None:
+    infinite = TRUE.copy()
+    infinite[1, 0] = np.inf
+    with pytest.raises(LearningError, match="in row 1 of true"):
+        force_errors(infinite, TRUE, np.ones(4))
+    partly = TRUE.copy()
+    partly[1, 0] = np.nan
+    with pytest.raises(LearningError, match=r"row 1 of predicted.*on a whole axis"):
+        force_errors(TRUE, partly, np.ones(4))
+
+
+def test_predictions_without_labels_have_no_row_but_a_range() -> None:
+    one = predictions()
+    bare = replace(one, true=np.full_like(one.true, np.nan))
+    partly = replace(one, true=np.where([False, False, True], one.true, np.nan))
+    assert force_rows([bare]) == ()
+    assert [row.errors.axes for row in force_rows([partly])] == [("Fz",)] * 3
+    assert "R2 (Fz)" not in gain_line(force_rows([one]))
+    assert gain_line(force_rows([partly])).endswith("(Fz)")
+    lines = unscored_lines([bare])
+    assert [(line["axis"], line["frames"]) for line in lines] == [("Fx", 8), ("Fy", 8), ("Fz", 8)]
+    assert (lines[2]["low_n"], lines[2]["high_n"]) == (-3.5, 0.5)
+    assert [line["axis"] for line in unscored_lines([partly])] == ["Fx", "Fy"]
+
+
 def test_predictions_come_back_as_they_were_written(tmp_path: Path) -> None:
     one = predictions("transferred", translator="field")
     one.write(tmp_path / "one.npz")
@@ -88,7 +136,7 @@ def test_predictions_that_are_no_number_are_refused() -> None:
     one = predictions()
     wrong = one.predicted.copy()
     wrong[3, 0] = np.nan
-    with pytest.raises(LearningError, match="predicted force that is no number in row 3"):
+    with pytest.raises(LearningError, match="in row 3 of predicted"):
         replace(one, predicted=wrong)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from support.commands import run_module
@@ -11,9 +12,11 @@ from support.force_models import TOY
 from support.made_up_archives import made_up_archive
 
 from learning.cli import predict
+from learning.data.presses import ForceRange
 from learning.data.splits import make_split
 from learning.errors import LearningError
 from learning.evaluation.predictions import read_predictions
+from learning.evaluation.report import write_report
 from learning.force.model import KIND, ForceModel
 from learning.training.run import RunFolder
 from recorder import MarkerArchive
@@ -82,9 +85,38 @@ def test_options_that_do_not_fit_are_refused(
     assert not (tmp_path / "p.npz").exists()
 
 
-def test_frames_without_labels_are_refused(lab: Path, tmp_path: Path) -> None:
-    with pytest.raises(LearningError, match="grid: found no label in row"):
-        run(lab, "own", "--out", str(tmp_path / "p.npz"), sensor="grid")
+def test_frames_without_labels_are_predicted_and_not_scored(
+    lab: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(lab, "own", "--out", str(tmp_path / "p.npz"), sensor="grid") == 0
+    found = read_predictions(tmp_path / "p.npz")
+    assert np.isnan(found.true).all()
+    assert np.isfinite(found.predicted).all()
+    assert "no label to compare with; predicted [N] Fx" in capsys.readouterr().out
+    report = write_report([found], [], tmp_path / "report")
+    assert report.lines == ("grid: no label of Fx, Fy, Fz; predictions are not scored",)
+    assert "Predictions without labels" in report.files[0].read_text()
+    assert [file.name for file in report.files] == ["report.html", "unscored.csv"]
+
+
+def test_a_model_of_fz_alone_says_so_and_is_scored_by_fz(
+    lab: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model = ForceModel(TOY.network, TOY.input)
+    nan = float("nan")
+    model.set_range(ForceRange((nan, nan, -5.0), (nan, nan, 0.0)))
+    facts = {"sensors": ["grid"]}
+    with RunFolder.open(tmp_path / "fz", KIND, TOY, "data", False, facts=facts) as opened:
+        opened.finish(1, {"model": model})
+    assert run(lab, str(tmp_path / "fz"), "--out", str(tmp_path / "p.npz")) == 0
+    found = read_predictions(tmp_path / "p.npz")
+    assert np.isnan(found.predicted[:, :2]).all()
+    said = capsys.readouterr().out
+    assert "MAE [N] x -  y -  z " in said
+    assert "R2 (Fz) " in said
+    assert "the model predicts Fz only" in said
+    report = write_report([found], [], tmp_path / "report")
+    assert "(Fz)" in report.lines[0]
 
 
 def test_a_sensor_that_is_not_there_is_refused(lab: Path, tmp_path: Path) -> None:

@@ -312,6 +312,23 @@ def test_senseless_experiments_are_refused(changed: str, reported: str) -> None:
         settings(changed)
 
 
+@pytest.mark.parametrize(
+    ("changed", "reported"),
+    [
+        ("force={preset: tinny}", "force: preset: found 'tinny'; known: "),
+        ('fine_tuning=["stages"]', "fine_tuning: --set: found 'stages'"),
+        ("field={preset: smoke}", "field: preset: found 'smoke'; known: "),
+        ('direct={preset: cpu_smoke, set: ["step=2"]}', "direct: .*unknown step; did you mean"),
+    ],
+)
+def test_mistakes_in_presets_used_later_are_refused_before_anything_is_written(
+    changed: str, reported: str, archive: MarkerArchive, tmp_path: Path
+) -> None:
+    with pytest.raises(LearningError, match=f"^settings.{reported}"):
+        run(archive, tmp_path / "out", "translators=[field, direct]", changed)
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_learned_translators_are_trained_by_their_own_commands(
@@ -333,3 +350,23 @@ def test_learned_translators_are_trained_by_their_own_commands(
     for name in ("field", "direct"):
         assert (out / "results" / f"dots-to-grid.transferred.{name}.npz").is_file()
         assert (out / "results" / f"dots-to-grid.{name}.scores.npz").is_file()
+
+
+def test_an_unlabelled_target_is_predicted_and_rows_by_its_labels_are_left_out(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "x.markers.zarr"
+    some = made_up_archive(path, targets=3, frames_per_phase=2, force_depth=2, unlabelled=("grid",))
+    reported: list[str] = []
+    chosen = settings("compensation=[compensated, oracle]")
+    report = running.run_experiment(some.path, tmp_path / "out", chosen, say=reported.append)
+    results = sorted(each.name for each in (tmp_path / "out" / "results").iterdir())
+    assert results == ["dots-to-grid.source-only.npz", "dots-to-grid.transferred.flow.npz"]
+    found = read_predictions(tmp_path / "out" / "results" / results[1])
+    assert np.isfinite(found.predicted).all()
+    assert report.lines == ("grid: no label of Fx, Fy, Fz; predictions are not scored",)
+    assert running.gained(report.force) == "no labels to compare with"
+    assert any(line.startswith("grid: no labels in training presses") for line in reported)
+    assert any(line.startswith("grid: no force-depth curve") for line in reported)
+    with pytest.raises(LearningError, match="grid has no labels; allowed sources: dots"):
+        pairs_of(some, ["grid:dots"])

@@ -132,3 +132,16 @@ def test_a_runtime_that_is_missing_is_a_line_with_its_reason(
     monkeypatch.setitem(__import__("sys").modules, "openvino", None)
     with pytest.raises(LearningError, match="openvino: not installed"):
         open_exported(exported, runtime="openvino")
+
+
+def test_an_exported_model_of_fz_alone_gives_no_force_on_other_axes(
+    model: ForceModel, tmp_path: Path
+) -> None:
+    some = ForceModel(model.network, model.inputs).eval()
+    some.load_state_dict(model.state_dict())
+    nan = float("nan")
+    some.set_range(ForceRange((nan, nan, -18.0), (nan, nan, 1.0)))
+    assert export_onnx(some, tmp_path / "model.onnx") < 1e-4
+    found, full = _along(open_exported(tmp_path / "model.onnx")), _along(torch_stream(model))
+    assert np.isnan(found[:, :2]).all()
+    assert np.allclose(found[:, 2], full[:, 2], atol=1e-3)

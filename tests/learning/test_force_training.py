@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,12 +15,15 @@ from learning.data.presses import AUTHORS, Presses
 from learning.errors import LearningError
 from learning.force import load_force_model
 from learning.force.model import KIND, ForceModel, InputSettings
+from learning.force.together import train_together
 from learning.force.train import (
     ForceSettings,
     Sequences,
     SequenceSettings,
     StageSettings,
+    begun_model,
     epoch,
+    error,
     force_range,
     forces_of,
     frames_of,
@@ -143,7 +147,7 @@ def test_compensation_changes_labels_before_their_range_is_taken() -> None:
     plain = train_force(presses, TOY)
     changed = train_force(presses, TOY, compensation=doubled)
     assert torch.allclose(changed.low, 2 * plain.low)
-    with pytest.raises(LearningError, match="not all finite"):
+    with pytest.raises(LearningError, match="not finite where the labels are"):
         labels_of(presses, lambda wrench, depth, phase: (wrench * np.nan, 0))
 
 
@@ -152,9 +156,9 @@ def test_presses_that_cannot_be_learned_from_are_refused_and_nothing_is_written(
 ) -> None:
     presses = noise_presses(3)
     missing = replace(presses, wrench=presses.wrench.clone())
-    missing.wrench[5] = torch.nan
+    missing.wrench[:] = torch.nan
     with _open(tmp_path / "run") as run:
-        with pytest.raises(LearningError, match="found no wrench in 1 of"):
+        with pytest.raises(LearningError, match="found no label of Fx, Fy or Fz in"):
             train_force(missing, TOY, session(TOY, run))
         with pytest.raises(LearningError, match="found field; allowed: images"):
             train_force(noise_presses(form="field"), TOY, session(TOY, run))
@@ -248,3 +252,78 @@ def test_mirroring_a_frame_mirrors_its_shear() -> None:
     assert torch.equal(frames_of([presses], down, inputs, device)[0, 0, 1], -plain[1].flip(-2))
     force = presses.wrench[0] * torch.tensor([-1.0, 1.0, 1.0])
     assert torch.equal(forces_of([presses.wrench], columns, device)[0, 0], force)
+
+
+def _measured(presses: Presses, *axes: int) -> Presses:
+    """Return presses with labels on some axes alone, and on none in the first frame."""
+    wrench = torch.full_like(presses.wrench, torch.nan)
+    wrench[1:, axes] = presses.wrench[1:][:, axes]
+    return replace(presses, wrench=wrench)
+
+
+def test_the_loss_is_the_mean_over_labels_and_others_add_no_gradient() -> None:
+    predicted = torch.rand(2, 3, 3, requires_grad=True)
+    wanted = torch.rand(2, 3, 3)
+    known = torch.rand(2, 3, 3) < 0.5
+    known[0, 0, 0], known[1, 1, 1] = True, False
+    loss = error(predicted, torch.where(known, wanted, torch.nan), [3, 2])
+    loss.backward()
+    known[1, 2] = False  # beyond the second sequence
+    mean = (predicted.detach() - wanted).abs()[known].mean()
+    assert loss.detach().item() == pytest.approx(mean.item())
+    assert ((predicted.grad != 0) == known).all()  # type: ignore[union-attr]
+    assert error(wanted, torch.full_like(wanted, torch.nan), None).item() == 0.0
+
+
+@pytest.mark.parametrize("box", ["training", "authors"])
+def test_a_model_of_fz_alone_predicts_fz_alone(tmp_path: Path, box: str) -> None:
+    presses = noise_presses(2)
+    some = _measured(presses, 2)
+    settings = toy(
+        stages=(StageSettings(epochs=40, learning_rate=1e-2, schedule="cosine"),), force_range=box
+    )
+    with _open(tmp_path / "run", settings) as run:
+        train_force(some, settings, session(settings, run), validation=_measured(presses, 2))
+    model = load_force_model(tmp_path / "run")
+    assert model.axes == ("Fz",)
+    found, wanted = model.predict(presses), presses.wrench.numpy()
+    assert np.isnan(found[:, :2]).all()
+    off = np.abs(found - wanted)[:, 2].mean()
+    assert off < 0.7 * np.abs(wanted - wanted.mean(axis=0))[:, 2].mean()
+    line = json.loads((tmp_path / "run" / "metrics.jsonl").read_text().splitlines()[-1])
+    assert line["mae_Fz_n"] > 0
+    assert "mae_Fx_n" not in line
+
+
+def test_unmeasured_axes_leave_no_trace_in_what_is_learned() -> None:
+    presses = noise_presses(2)
+    some = _measured(presses, 2)
+    other = replace(some, wrench=some.wrench.clone())
+    one, two = (train_force(each, toy(start_at_mean=False)) for each in (some, other))
+    torch.testing.assert_close(one.state_dict(), two.state_dict(), equal_nan=True)
+    # The rows of the last layer that belong to Fx and Fy are as at the beginning.
+    begun = begun_model([some.wrench], toy(start_at_mean=False), None, torch.device("cpu"))
+    assert torch.equal(one.head.weight[:2], begun.head.weight[:2])
+    assert not torch.equal(one.head.weight[2], begun.head.weight[2])
+
+
+def test_sensors_with_other_gauges_train_one_model() -> None:
+    presses = [_measured(noise_presses(2, seed=1), 2), noise_presses(2, seed=2)]
+    model = train_force(presses, TOY)
+    assert model.axes == ("Fx", "Fy", "Fz")
+    assert np.isfinite(model.predict(presses[0])).all()
+
+
+def test_models_trained_together_know_the_axes_of_their_labels() -> None:
+    presses = noise_presses(3)
+    settings = toy(stages=(StageSettings(epochs=1, learning_rate=1e-2),))
+    one, two = train_together([_measured(presses, 2), presses], settings)  # type: ignore[misc]
+    assert (one.axes, two.axes) == (("Fz",), ("Fx", "Fy", "Fz"))
+    alone = train_force(_measured(presses, 2), settings)
+    assert one.head.weight[2].tolist() == pytest.approx(alone.head.weight[2].tolist(), abs=1e-4)
+
+
+def test_sensors_without_labels_in_validation_are_left_out() -> None:
+    presses = noise_presses(2)
+    model = train_force(presses, TOY, validation=[_measured(presses), presses])
+    assert model.axes == ("Fx", "Fy", "Fz")

@@ -65,7 +65,7 @@ def test_the_authors_numbers_are_theirs() -> None:
         ("kind: taxels\ndescription: a\nmm_per_px: .nan\n", "mm_per_px: found nan"),
         (
             "kind: camera\ndescription: a\ndetectors: [{kind: sonar}]\n",
-            r"detectors\[0\]\.kind: found 'sonar'; allowed: contrast, blur_difference",
+            r"detectors\[0\]\.kind: found 'sonar'; allowed: contrast, hat, blur_difference",
         ),
         (
             "kind: camera\ndescription: a\ndetectors: [{kind: dark, below: 70}]\narea_px: [9]\n",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 from PIL import Image
 from support.learning_sessions import DEPTH, HIDDEN, TARGETS, altered, record, state, surface
 from support.marker_truth import VIEWS
+from support.sessions import reseal
 
 import sim.indenters
 from learning.__main__ import main
@@ -19,6 +21,7 @@ from learning.archive_writer import FLAG, INVALID
 from learning.errors import LearningError
 from learning.indenters import NAMES
 from learning.markers import Segmenter, archive_sessions, find_centres, grey, preset, taxel_masks
+from learning.markers.recording import read_group
 from recorder import MarkerArchive, Session, check
 from recorder.archive import location_pairs
 from recorder.markers import unpack
@@ -75,6 +78,19 @@ def test_labels_are_those_of_the_frames(archive: MarkerArchive, camera: Path) ->
         np.testing.assert_array_equal(table["frame"][rows], np.arange(rows.sum()))
     reported = json.loads(archive["gelsight"].sources[0])
     assert reported == {"session": "sphere.zarr", "run": 0, "target": 0}
+
+
+def test_a_camera_of_any_name_is_read(camera: Path, archive: MarkerArchive, tmp_path: Path) -> None:
+    renamed = altered(camera, tmp_path / camera.name)
+    (renamed / "streams/camera").rename(renamed / "streams/inside")
+    names = renamed / "streams/zarr.json"
+    names.write_text(names.read_text().replace('"camera"', '"inside"'))
+    reseal(renamed, inside="camera")
+    archive_sessions([renamed], tmp_path / "a.markers.zarr")
+    found = MarkerArchive(tmp_path / "a.markers.zarr")["gelsight"]
+    np.testing.assert_array_equal(
+        found.packed(slice(None)), archive["gelsight"].packed(slice(None))
+    )
 
 
 def test_masks_show_the_markers_where_the_world_had_them(
@@ -250,6 +266,38 @@ def test_sessions_that_do_not_belong_together_are_refused_by_name(
     with pytest.raises(LearningError, match=message):
         archive_sessions([taxels, other], tmp_path / "a.markers.zarr")
     assert not (tmp_path / "a.markers.zarr").exists()
+
+
+def with_plan(source: Path, path: Path, sensor: str, **changes: Any) -> Path:
+    """Copy a session with directions 0 and 1, the plan changed."""
+    lengths = {"step_x": 4e-3, "step_y": 4e-3, "depth_step": 1e-3, "depth_max": 1e-3, "shear": 1e-3}
+    plan = {"kind": "press_shear", **lengths, "angle_step": math.radians(30), **changes}
+    arrays = {"targets/direction": np.arange(TARGETS), "targets/point": 2}
+    return altered(source, path, arrays, sensor=sensor, plan=plan)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"angle_step": math.radians(45)},
+            r"b\.zarr: found shear directions 45 deg apart, a\.zarr has 30 deg",
+        ),
+        ({"layout": "cross"}, r"b\.zarr: found layout 'cross' of points, a\.zarr has 'corners'"),
+        ({"angle_step": 1.0}, r"b\.zarr: angle_step: 1\.0 rad"),
+        ({"step_x": 5e-3}, None),
+    ],
+)
+def test_equal_numbers_of_other_angles_or_layouts_are_not_paired(
+    changes: dict[str, Any], message: str | None, taxels: Path, tmp_path: Path
+) -> None:
+    one = with_plan(taxels, tmp_path / "a.zarr", "a")
+    other = with_plan(taxels, tmp_path / "b.zarr", "b", **changes)
+    if message is None:
+        assert len(read_group([one, other]).sensors) == 2
+        return
+    with pytest.raises(LearningError, match=message):
+        read_group([one, other])
 
 
 def test_two_kinds_of_device_are_not_one_sensor(camera: Path, taxels: Path, tmp_path: Path) -> None:

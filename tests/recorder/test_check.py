@@ -8,12 +8,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.sessions import T0, make_session
+from support.sessions import T0, make_session, reseal
 
-from recorder import Session, SessionError, StreamWriter
+from recorder import Session, SessionError, StreamWriter, faults
+from recorder.__main__ import main
 from recorder.checks.check import check
-from recorder.findings import CODES
+from recorder.cli import check as check_command
+from recorder.findings import CODES, Finding
 from recorder.session.frames import write_frames
+from recorder.store.manifest import seal
 
 Columns = dict[str, Any]
 
@@ -55,11 +58,25 @@ def shifted(column: str, rows: slice, by: Any) -> Callable[[Columns], Columns]:
     return change
 
 
+def slowed(rows: slice, factor: float) -> Callable[[Columns], Columns]:
+    """Return a change that stretches the times of some rows, and leaves out those past the end."""
+
+    def change(columns: Columns) -> Columns:
+        t_ns = np.array(columns["t_ns"])
+        end = t_ns[-1]
+        t_ns[rows] = t_ns[rows.start] + (t_ns[rows] - t_ns[rows.start]) * factor
+        kept = t_ns <= end
+        values = {name: np.asarray(column)[kept] for name, column in columns.items()}
+        return {**values, "t_ns": t_ns[kept]}
+
+    return change
+
+
 RECORDED: dict[str, tuple[str, str, Callable[[str, Columns], Columns]]] = {
     "frozen image": ("frozen", "streams/camera", only_in("camera", repeated(slice(50, 140)))),
     "frozen force": ("frozen", "streams/force", only_in("force", repeated(slice(500, 1700)))),
-    "gap in images": ("gap", "streams/camera", only_in("camera", without(slice(60, 70)))),
-    "gap in poses": ("gap", "streams/pose", only_in("pose", without(slice(60, 70)))),
+    "gap in images": ("dropped", "streams/camera", only_in("camera", without(slice(60, 70)))),
+    "gap in poses": ("dropped", "streams/pose", only_in("pose", without(slice(60, 70)))),
     "repeated time": (
         "time-order",
         "streams/pose",
@@ -85,11 +102,21 @@ RECORDED: dict[str, tuple[str, str, Callable[[str, Columns], Columns]]] = {
         "streams/force",
         only_in("force", shifted("t_ns", slice(1500, None), 250_000_000)),
     ),
+    "repeated number": (
+        "seq-order",
+        "streams/force/seq",
+        only_in("force", shifted("seq", slice(900, None), -1)),
+    ),
     "few samples dropped": ("dropped", "streams/force", only_in("force", without(slice(900, 903)))),
     "many samples dropped": (
         "dropped",
         "streams/force",
         only_in("force", without(slice(900, 1100))),
+    ),
+    "device slows down and loses no number": (
+        "rate",
+        "streams/force",
+        only_in("force", slowed(slice(1200, None), 1.5)),
     ),
     "stream ends early": ("truncated", "streams/pose", only_in("pose", without(slice(250, None)))),
     "empty stream": ("truncated", "streams/pose", only_in("pose", without(slice(0, None)))),
@@ -113,15 +140,16 @@ def test_a_fault_in_what_was_recorded_is_found_and_only_it(fault: str, tmp_path:
     extra = 50 if fault == "phase of a target that is not there" else 0
     path = make_session(tmp_path / "s.zarr", change=change, finish=not extra)
     if extra:
-        edit_json(path / "zarr.json", lambda document: document["attributes"].update(status="x"))
         write_frames_without_offsets(path)
-    assert [(finding.code, finding.where) for finding in check(path)] == [(code, where)]
+        seal(path, status="stopped")
+    assert [(finding.code, finding.where) for finding in faults(check(path))] == [(code, where)]
 
 
 def write_frames_without_offsets(path: Path) -> None:
     """Build frames for a session whose segments refer to missing targets."""
-    shutil.rmtree(path / "targets" / "point")
+    aside = shutil.move(path / "targets" / "point", path.parent / "point")
     write_frames(path, 40)
+    shutil.move(aside, path / "targets" / "point")
     edit_json(path / "zarr.json", lambda d: d["attributes"].update(rate_hz=40))
 
 
@@ -171,7 +199,7 @@ ON_DISK: dict[str, tuple[str, str, Callable[[Path], Any]]] = {
     "shard missing": (
         "missing-chunk",
         f"{CAMERA}/value",
-        lambda s: (s / CAMERA / "value/c/1/0/0/0").unlink(),
+        lambda s: (s / CAMERA / "value/c/0/0/0/0").unlink(),
     ),
     "chunk missing": (
         "missing-chunk",
@@ -189,7 +217,7 @@ ON_DISK: dict[str, tuple[str, str, Callable[[Path], Any]]] = {
     "flipped bit in an image": (
         "bad-crc",
         f"{CAMERA}/value",
-        lambda s: flip(s / CAMERA / "value/c/1/0/0/0", 700),
+        lambda s: flip(s / CAMERA / "value/c/0/0/0/0", 700),
     ),
     "flipped bit in a value": (
         "bad-crc",
@@ -221,7 +249,7 @@ ON_DISK: dict[str, tuple[str, str, Callable[[Path], Any]]] = {
     "torn tail": (
         "torn-tail",
         CAMERA,
-        lambda s: (s / CAMERA / "value/c/3/0/0/0.partial").write_bytes(b"TRL1 and then nothing"),
+        lambda s: (s / CAMERA / "value/c/0/0/0/0.partial").write_bytes(b"TRL1 and then nothing"),
     ),
     "journal left": (
         "journal-left",
@@ -255,6 +283,21 @@ ON_DISK: dict[str, tuple[str, str, Callable[[Path], Any]]] = {
         "frames",
         lambda s: append_all_segments(s),
     ),
+    "stream removed": (
+        "missing-array",
+        FORCE,
+        lambda s: shutil.rmtree(s / FORCE),
+    ),
+    "column of the frames removed": (
+        "missing-array",
+        "frames/wrench",
+        lambda s: shutil.rmtree(s / "frames/wrench"),
+    ),
+    "column of the targets removed": (
+        "missing-array",
+        "targets/depth",
+        lambda s: shutil.rmtree(s / "targets/depth"),
+    ),
     "frames missing": ("frames-length", "frames", lambda s: shutil.rmtree(s / "frames")),
     "image without an end": ("bad-image", f"{CAMERA}/value", cut_jpeg),
 }
@@ -274,18 +317,34 @@ def test_a_fault_on_the_disk_is_found_and_only_it(fault: str, intact: Path, tmp_
     path = tmp_path / "s.zarr"
     shutil.copytree(intact, path)
     plant(path)
-    assert [(finding.code, finding.where) for finding in check(path)] == [(code, where)]
+    if fault in NOT_IN_THE_MANIFEST:
+        assert "manifest" not in {finding.code for finding in check(path)}
+    else:
+        assert "manifest" in {finding.code for finding in check(path, quick=True)}
+        reseal(path)
+    assert [(finding.code, finding.where) for finding in faults(check(path))] == [(code, where)]
+
+
+# Flipped bits that only a reading of all data finds, and changes before the session was closed.
+NOT_IN_THE_MANIFEST = (
+    "status never written",
+    "flipped bit in an image",
+    "flipped bit in a value",
+    "flipped bit in a record's time",
+    "image without an end",
+)
 
 
 def test_every_code_has_a_planted_fault() -> None:
     planted = {code for code, _, _ in (*RECORDED.values(), *ON_DISK.values())}
-    assert planted == set(CODES)
+    assert planted | {"manifest"} == set(CODES)
 
 
 def test_a_source_that_is_said_to_be_still_may_repeat_itself(tmp_path: Path) -> None:
     path = make_session(tmp_path / "s.zarr", change=only_in("force", repeated(slice(500, 1700))))
     edit_json(path / FORCE / "zarr.json", lambda d: d["attributes"].update(source_motion="still"))
-    assert check(path) == []
+    reseal(path)
+    assert faults(check(path)) == []
 
 
 def test_late_packets_are_no_clock_step(tmp_path: Path) -> None:
@@ -297,15 +356,15 @@ def test_late_packets_are_no_clock_step(tmp_path: Path) -> None:
         return {**columns, "t_ns": t_ns}
 
     path = make_session(tmp_path / "s.zarr", change=only_in("camera", stall))
-    assert [finding.code for finding in check(path)] == ["gap"]
+    assert [finding.code for finding in faults(check(path))] == ["gap"]
 
 
 def test_reading_a_missing_chunk_is_an_error_not_a_zero(intact: Path, tmp_path: Path) -> None:
     path = tmp_path / "s.zarr"
     shutil.copytree(intact, path)
     (path / FORCE / "value/c/0/0").unlink()
-    with pytest.raises(SessionError, match="shard missing"):
-        Session(path).streams["force"].array("value")
+    with pytest.raises(SessionError, match=r"value/c/0/0: missing; the manifest of run 0 names it"):
+        Session(path)
 
 
 def test_what_is_no_session_is_said_to_be_none(tmp_path: Path) -> None:
@@ -322,7 +381,20 @@ def test_nothing_is_found_in_a_sound_session(
     names: tuple[str, ...], codec: str, tmp_path: Path
 ) -> None:
     path = make_session(tmp_path / "s.zarr", names=names, codec=codec)
-    assert check(path) == []
+    assert faults(check(path)) == []
     session = Session(path)
     assert session.warning is None
     assert session.frames["valid"].all()
+
+
+def test_a_note_is_printed_and_does_not_fail_the_check(
+    intact: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    note = Finding("not-sealed", ".", "no manifest")
+    fault = Finding("gap", CAMERA, "found one")
+    monkeypatch.setattr(check_command, "check", lambda session, quick: [note])
+    assert main(["check", str(intact)]) == 0
+    assert "not-sealed      note: .: no manifest" in capsys.readouterr().out
+    monkeypatch.setattr(check_command, "check", lambda session, quick: [note, fault])
+    assert main(["check", str(intact)]) == 1
+    assert faults([note, fault]) == [fault]

@@ -35,12 +35,16 @@ def test_check_exits_with_what_it_found(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["check", str(recorded)]) == 0
-    assert capsys.readouterr().out == f"{recorded}: nothing found\n"
+    assert capsys.readouterr().out.endswith(f"{recorded}: no faults, 1 notes\n")
     path = tmp_path / "s.zarr"
     shutil.copytree(recorded, path)
     (path / "streams/force/seq/c/0").unlink()
     assert main(["check", str(path)]) == 1
-    assert capsys.readouterr().out.startswith("missing-chunk   streams/force/seq: 1 found")
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "manifest        streams/force/seq/c/0: missing"
+    assert lines[1].startswith("missing-chunk   streams/force/seq: 1 found")
+    assert main(["check", "--quick", str(path)]) == 1
+    assert capsys.readouterr().out.splitlines() == lines[:1]
 
 
 def test_recover_prints_what_it_brought_back(

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recorder import Session, SessionWriter, StreamWriter, force_spec, pose_spec
+from recorder import Session, SessionError, SessionWriter, StreamWriter, force_spec, pose_spec
 from recorder.session.clocks import ClockFit, clock_lines, fit_clock, fit_clocks
 
 OFFSET, DRIFT, LEAST_DELAY = 0.055, 80e-6, 0.004
@@ -145,11 +145,11 @@ def test_every_stream_with_a_clock_gets_its_fit_in_its_attributes(tmp_path: Path
         with StreamWriter.open(writer.stream_path("force")) as force:
             for seq, t in enumerate(t_ns):
                 force.append(value=np.zeros(6), seq=seq, status=0, t_ns=t)
-        writer.finish("complete", rate_hz=60.0)
-    before = Session(path).streams["pose"].t_ns.copy()
-    found = fit_clocks(path)
+        writer.finish("complete", rate_hz=60.0, clocks=True)
     session = Session(path)
-    assert set(found) == {"pose", "force"}
+    assert all("clock_fit" in session.streams[name].attrs for name in ("pose", "force"))
+    with pytest.raises(SessionError, match="is closed"):
+        fit_clocks(path)
     fit = ClockFit.from_json(session.streams["pose"].attrs["clock_fit"][0])
     expected = fit_clock(device, t_ns)
     assert expected is not None
@@ -157,7 +157,32 @@ def test_every_stream_with_a_clock_gets_its_fit_in_its_attributes(tmp_path: Path
     # The force's clock ticks 200 times per second of the host's: no drift was added.
     drift = session.streams["force"].attrs["clock_fit"][0]["pieces"][0]["drift_ppm"]
     assert abs(drift) < 40
-    assert np.array_equal(session.streams["pose"].t_ns, before)
-    lines = list(clock_lines(session))
-    assert len(lines) == 2
-    assert all("ppm" in line and "not applied" in line for line in lines)
+    assert np.array_equal(session.streams["pose"].t_ns, t_ns)
+    (line,) = clock_lines(session)
+    assert "pose" in line
+    assert " +- " in line
+    assert "not applied" in line
+
+
+def test_the_interval_of_a_drift_holds_the_drift_in_nineteen_of_twenty_recordings() -> None:
+    inside = 0
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        true = START + np.arange(12_000) / 200.0
+        delay = LEAST_DELAY + rng.gamma(2.0, 0.75e-3, len(true))
+        arrived = np.maximum.accumulate(true + delay)
+        fit = fit_clock((true - START) * (1 + DRIFT), np.round(arrived * 1e9).astype(np.int64))
+        assert fit is not None
+        piece = fit.pieces[0]
+        inside += abs(piece.drift_ppm - 80) <= piece.drift_interval_ppm
+        assert fit.drifts
+    assert inside >= 36
+
+
+def test_a_drift_that_means_nothing_is_silent() -> None:
+    rng = np.random.default_rng(0)
+    true = START + np.arange(600) / 60.0
+    arrived = np.maximum.accumulate(true + rng.gamma(2.0, 0.02, len(true)))
+    fit = fit_clock(true - START, np.round(arrived * 1e9).astype(np.int64))
+    assert fit is not None
+    assert not fit.drifts

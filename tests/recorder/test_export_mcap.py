@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
-from support.sessions import T0, make_session
+from support.sessions import T0, make_session, reseal
 
 from recorder import PHASES, Session
 from recorder.convert import export
@@ -131,6 +131,7 @@ def test_latency_moves_the_capture_and_not_the_arrival(tmp_path: Path) -> None:
     document = json.loads((path / "streams/camera/zarr.json").read_text())
     document["attributes"]["latency"] = 0.055
     (path / "streams/camera/zarr.json").write_text(json.dumps(document))
+    reseal(path)
     export(path, tmp_path / "s.mcap", "mcap")
     found = messages(tmp_path / "s.mcap", "/camera")
     assert {m.log_time - m.publish_time for _, m, _ in found} == {55_000_000}

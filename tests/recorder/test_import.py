@@ -12,10 +12,11 @@ import pytest
 import simplejpeg
 from PIL import Image
 
-from recorder import Session, SessionError, check
+from recorder import Session, SessionError, check, faults
 from recorder.__main__ import main
 from recorder.convert import ImportRequest, import_session
 from recorder.convert.import_force import FORCE_UNITS, TORQUE_UNITS, parse_header, parse_unit
+from recorder.convert.import_taxels import read_taxels
 from recorder.convert.import_video import read_avi, whole_jpeg
 from recorder.session.sheet import contact_sheet
 
@@ -108,19 +109,20 @@ def test_video_and_force_become_a_sound_session(tmp_path: Path) -> None:
         order(tmp_path, video=video, force=saved(tmp_path / "f.npy", force), force_hz=30, units="N")
     )
     session = Session(tmp_path / "s.zarr")
-    assert check(tmp_path / "s.zarr") == []
+    assert faults(check(tmp_path / "s.zarr")) == []
     assert [session.streams["camera"].jpeg(row) for row in range(40)] == frames
     value = session.streams["force"].array("value")
     assert np.abs(value[:, 2] + force).max() <= 5e-7
-    assert not value[:, [0, 1, 3, 4, 5]].any()
+    assert np.isnan(value[:, [0, 1, 3, 4, 5]]).all()
     assert session.streams["force"].attrs["axes_measured"] == ["Fz"]
     assert (session.attrs["mock"], session.status) == (False, "complete")
     assert session.attrs["imported"]["files"]["video"]["name"] == "v.avi"
     assert session.attrs["imported"]["assumed"] == message
-    assert any("not measured, stored as 0" in line for line in message)
+    assert any("not measured, stored as NaN" in line for line in message)
     assert str(tmp_path) not in json.dumps(session.attrs)
     frames_view = session.frames
     assert len(frames_view["t_ns"]) == 40
+    assert np.isfinite(frames_view["wrench"]).any(axis=0).tolist() == [0, 0, 1, 0, 0, 0]
     assert frames_view["valid"].all()
     assert set(frames_view["target"].tolist()) == {-1}
     contact_sheet(session.path, tmp_path / "sheet.png")
@@ -183,15 +185,52 @@ def test_taxels_are_rounded_to_the_wires_counts_and_it_says_how_far(tmp_path: Pa
     rng = np.random.default_rng(0)
     counts = (30_000 + rng.normal(0, 50, (90, 48))).astype(np.float32)
     path = saved(tmp_path / "t.npy", counts)
-    message = import_session(order(tmp_path, taxels=path, taxels_hz=60))
+    message = import_session(order(tmp_path, taxels=path, taxels_hz=60, taxel_order="taxel"))
     session = Session(tmp_path / "s.zarr")
-    assert check(tmp_path / "s.zarr") == []
+    assert faults(check(tmp_path / "s.zarr")) == []
     value = session.streams["taxels"].array("value")
     assert np.array_equal(value.reshape(90, 48), np.rint(counts))
     largest = np.abs(counts - np.rint(counts)).max()
     assert any(f"largest change {largest:.3g} counts" in line for line in message)
     assert session.streams["taxels"].array("seq").tolist() == list(range(1, 91))
     contact_sheet(session.path, tmp_path / "sheet.png")
+
+
+def uskin_log(rng: np.random.Generator, rows: int = 120) -> np.ndarray:
+    """Return counts (n, 16, 3) of a uSkin: axes rest far apart, one patch is pressed."""
+    axes = rng.permutation([33_000.0, 34_000.0, 21_000.0])
+    resting = axes + rng.normal(0, 900, (16, 3))
+    pressed = np.zeros((rows, 16, 3))
+    pressed[rows // 3 :, rng.integers(16)] = rng.uniform(-4_000, 4_000, 3)
+    return np.rint(resting + pressed + rng.normal(0, 2, (rows, 16, 3)))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_order_of_taxels_is_told_by_their_resting_counts(tmp_path: Path, seed: int) -> None:
+    counts = uskin_log(np.random.default_rng(seed))
+    by_axis = counts.transpose(0, 2, 1)
+    for name, array in {
+        "flat": counts.reshape(-1, 48),
+        "taxel": counts,
+        "axis": by_axis,
+        "flat-axis": by_axis.reshape(-1, 48),
+    }.items():
+        path = saved(tmp_path / f"{name}.npy", array)
+        assert np.array_equal(read_taxels(path, 60.0).value, counts), name
+    # A row by axis in the shape of a row by taxel, as np.reshape of a flat log gives.
+    wrong = saved(tmp_path / "wrong.npy", by_axis.reshape(-1, 16, 3))
+    with pytest.raises(SessionError, match="shape says order 'taxel', its values 'axis'"):
+        read_taxels(wrong, 60.0)
+    assert np.array_equal(read_taxels(wrong, 60.0, "axis").value, counts)
+
+
+def test_an_order_that_nothing_tells_is_refused(tmp_path: Path) -> None:
+    tared = np.rint(np.random.default_rng(0).normal(1_000, 2, (60, 48)))
+    path = saved(tmp_path / "t.npy", tared)
+    with pytest.raises(SessionError, match=r"cannot tell the order .* --taxel-order axis"):
+        read_taxels(path, 60.0)
+    shaped = saved(tmp_path / "s.npy", tared.reshape(-1, 16, 3))
+    assert np.array_equal(read_taxels(shaped, 60.0).value, tared.reshape(-1, 16, 3))
 
 
 @pytest.mark.parametrize(
@@ -216,7 +255,7 @@ def test_a_csv_is_read_by_its_header(tmp_path: Path) -> None:
     assert force.array("value")[3] == pytest.approx([3, 0, -3.5, 1, 0, 0.006], abs=1e-12)
     assert force.t_ns[:3].tolist() == [0, 5_000_000, 10_000_000]
     assert force.rate_hz == 200
-    assert check(tmp_path / "s.zarr") == []
+    assert faults(check(tmp_path / "s.zarr")) == []
 
 
 @pytest.mark.parametrize(
@@ -327,12 +366,54 @@ def test_the_command_line_says_what_was_assumed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = saved(tmp_path / "t.npy", np.full((60, 48), 10.25) + np.arange(60)[:, None])
+    command_order = ["--taxel-order", "taxel"]
     out = str(tmp_path / "s.zarr")
     command = ["import", out, "--taxels", str(path), "--sensor", "uskin", "--indenter", "ball"]
     assert main(command) == 2
     assert "say --taxels-hz" in capsys.readouterr().err
+    assert main([*command, "--taxels-hz", "60"]) == 2
+    assert "--taxel-order taxel" in capsys.readouterr().err
+    command += command_order
     assert main([*command, "--taxels-hz", "60"]) == 0
     assert "largest change 0.25 counts" in capsys.readouterr().out
     assert main([*command, "--taxels-hz", "60"]) == 2
     assert "exists already" in capsys.readouterr().err
     assert main(["check", out]) == 0
+
+
+def test_several_files_of_a_kind_become_a_stream_each(tmp_path: Path) -> None:
+    top, side = jpegs(30), jpegs(30)[::-1]
+    (tmp_path / "a=b.avi").write_bytes(avi(top))  # the name of a file may hold a =
+    side_file = saved(tmp_path / "side.avi", avi(side))
+    left = saved(tmp_path / "left.npy", np.linspace(0, 1, 30))
+    right = saved(tmp_path / "right.npy", np.linspace(2, 3, 60))
+    words = ["import", str(tmp_path / "s.zarr"), "--sensor", "wedge", "--indenter", "ball"]
+    words += ["--video", f"top={tmp_path / 'a=b.avi'}", "--video", f"side={side_file}"]
+    words += ["--force", f"left={left}", "--force", f"right={right}", "--units", "N"]
+    words += ["--force-hz", "left=30", "--force-hz", "right=60"]
+    assert main(words) == 0
+    session = Session(tmp_path / "s.zarr")
+    assert faults(check(session.path)) == []
+    assert session.order == ["top", "side", "left", "right"]
+    assert [*session.streams["side"].jpegs(range(30))] == side
+    assert session.columns == {"top": "image", "side": "side", "left": "wrench", "right": "right"}
+    assert session.streams["right"].rate_hz == 60
+    assert session.frames["right"][5, 2] < -2 < session.frames["wrench"][5, 2]
+    assert set(session.attrs["imported"]["files"]) == {"top", "side", "left", "right"}
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["--video", "a.avi", "--video", "b.avi"], "--video: found 'camera' twice; name them"),
+        (["--video", "x=a.avi", "--video", "x=b.avi"], "--video: found 'x' twice"),
+        (["--video", "x=a.avi", "--fps", "y=3"], "--fps: found 3 of y without the file"),
+        (["--video", "a.avi", "--fps", "fast"], "--fps: found"),
+    ],
+)
+def test_files_and_rates_that_do_not_fit_are_refused(
+    words: list[str], text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    head = ["import", str(tmp_path / "s.zarr"), "--sensor", "wedge", "--indenter", "ball"]
+    assert main([*head, *words]) == 2
+    assert text in capsys.readouterr().err

@@ -15,10 +15,12 @@ from support.sessions import (
     append_all,
     depth_at,
     make_session,
+    reseal,
     stream_columns,
 )
 
 from recorder import (
+    FORMAT_VERSION,
     Session,
     SessionError,
     SessionWriter,
@@ -29,7 +31,9 @@ from recorder import (
     repack,
 )
 from recorder.checks.check import check
+from recorder.findings import faults
 from recorder.session.frames import depth_in, grid, write_frames
+from recorder.store.tables import Table
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +57,7 @@ def test_a_session_holds_what_was_appended(recorded: Path) -> None:
             else:
                 np.testing.assert_array_equal(stream.array(column), values)
     assert session.status == "complete"
-    assert session.attrs["format_version"] == 1
+    assert session.attrs["format_version"] == FORMAT_VERSION
     assert session.runs[0]["first_row"] == {
         "camera": 0, "force": 0, "pose": 0, "segments": 0, "reference": 0
     }  # fmt: skip
@@ -76,9 +80,9 @@ def test_a_newer_format_is_refused_in_a_clear_sentence(recorded: Path, tmp_path:
     path = tmp_path / "s.zarr"
     shutil.copytree(recorded, path)
     document = json.loads((path / "zarr.json").read_text())
-    document["attributes"]["format_version"] = 2
+    document["attributes"]["format_version"] = FORMAT_VERSION + 1
     (path / "zarr.json").write_text(json.dumps(document))
-    with pytest.raises(SessionError, match="found format_version 2, this program reads up to 1"):
+    with pytest.raises(SessionError, match="found format_version 3, this program reads up to 2"):
         Session(path)
 
 
@@ -147,7 +151,7 @@ def test_without_a_camera_the_taxels_are_the_signal(tmp_path: Path) -> None:
     assert (frames["image"] == -1).all()
 
 
-@pytest.mark.parametrize("attrs", [{"latency": 0.02}, {"device_clock": "monotonic"}])
+@pytest.mark.parametrize("attrs", [{"latency": 0.02}, {"clock": "monotonic"}])
 def test_latency_and_the_cameras_own_clock_move_the_capture(
     attrs: dict[str, Any], recorded: Path, tmp_path: Path
 ) -> None:
@@ -157,12 +161,14 @@ def test_latency_and_the_cameras_own_clock_move_the_capture(
     document = json.loads(file.read_text())
     document["attributes"].update(attrs)
     file.write_text(json.dumps(document))
+    reseal(path)
     session = Session(path)
-    camera, source = session.streams["camera"], session.sources(0).camera
+    camera, source = session.streams["camera"], session.sources(0).streams["camera"]
     assert source is not None
     if "latency" in attrs:
         np.testing.assert_array_equal(source.times, camera.t_ns - 20_000_000)
         write_frames(path, 40)
+        reseal(path)
         frames = Session(path).frames
         age = (frames["t_ns"] - camera.t_ns[frames["image"]] + 20_000_000) * 1e-9
         np.testing.assert_allclose(frames["image_age"], age)
@@ -203,7 +209,9 @@ def test_a_window_of_any_method_stays_near_its_samples(recorded: Path) -> None:
             assert window.valid.all()
             assert window.wrench_age is not None
             assert np.abs(window.wrench_age).max() < 0.002
-    with pytest.raises(SessionError, match="found method 'cubic'; known: mean_exposure, linear"):
+    with pytest.raises(
+        SessionError, match="found method 'cubic'; known: latest, nearest, interpolated, mean"
+    ):
         session.window(T0, 1, force="cubic")
 
 
@@ -220,7 +228,7 @@ def test_runs_keep_apart_even_if_the_clock_starts_anew(tmp_path: Path) -> None:
         times = {"start_ns": 5_200_000_000, "end_ns": 6_000_000_000}
         again.segments.append(target=3, phase=0, outcome=0, run=1, **times)
         again.finish("stopped", "enough", rate_hz=40)
-    assert check(path) == []
+    assert faults(check(path)) == []
     session = Session(path)
     assert (session.status, session.attrs["reason"]) == ("stopped", "enough")
     assert session.runs[1]["first_row"]["camera"] == lengths["camera"]
@@ -248,7 +256,7 @@ def test_recovery_closes_a_killed_session_once_and_for_all(tmp_path: Path) -> No
     (path / "frames.building").mkdir()
     first = recover(path)
     assert (first.status, first.frames_rebuilt) == ("recovered", True)
-    assert check(path) == []
+    assert faults(check(path)) == []
     before = tree(path)
     second = recover(path)
     assert not second.touched
@@ -285,9 +293,13 @@ def test_dying_while_frames_are_built_leaves_the_old_ones_or_none(
             patch.setattr(Path, "rename", dying)
             write_frames(path, 40)
             raise KeyboardInterrupt
-        frames = Session(path).frames
+        frames = Table.of_group(path / "frames")
         assert not frames or all((frames[n] == whole[n]).all() for n in ("t_ns", "image"))
+        if not frames:
+            with pytest.raises(SessionError, match="missing; the manifest of run 0 names it"):
+                Session(path)
         recover(path)
+        assert check(path, quick=True) == []
         np.testing.assert_array_equal(Session(path).frames["t_ns"], whole["t_ns"])
 
 
@@ -308,7 +320,7 @@ def test_finish_recovers_a_stream_whose_process_died(tmp_path: Path) -> None:
     (camera / "t_ns/journal-216").write_bytes(b"TRL1 torn")
     with SessionWriter.resume(path) as session:
         session.finish("complete", rate_hz=40)
-    assert check(path) == []
+    assert faults(check(path)) == []
 
 
 def test_unknown_streams_and_statuses_are_refused_by_name(tmp_path: Path) -> None:
@@ -335,7 +347,7 @@ def test_a_portable_copy_holds_the_same_pixels_for_everybody(
     path = tmp_path / "portable.zarr"
     repack(recorded, path, "portable", progress=lambda *state: done.append(state))
     assert done[-1] == (216, 216)
-    assert check(path) == []
+    assert faults(check(path)) == []
     source, copy = Session(recorded), Session(path)
     rows = range(216)
     pixels = source.streams["camera"].images(rows)
@@ -421,3 +433,37 @@ def test_the_contact_frame_gives_depth_its_sign() -> None:
     assert depth_in(frame, above)[0] == pytest.approx(-0.001)
     tilted = np.array([0, 0, 0, 0, np.pi / 2, 0])  # z points along x
     assert depth_in(tilted, np.array([[-0.002, 5, 7, 0, 0, 0]]))[0] == pytest.approx(0.002)
+
+
+def test_a_session_and_a_stream_say_what_they_are(tmp_path: Path) -> None:
+    session = Session(make_session(tmp_path / "s.zarr", seconds=1.0))
+    text = repr(session)
+    assert "s.zarr" in text
+    assert session.status in text
+    for name, stream in session.streams.items():
+        assert f"{name} {len(stream):,}" in text
+        assert repr(stream).startswith(f"<Stream {name}: {len(stream):,} rows of ")
+
+
+def test_a_contact_sheet_counts_targets_from_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Like the log and the monitoring page, whose target 1 is the first row of `targets`."""
+    from PIL import ImageDraw
+
+    from recorder.session import contact_sheet
+
+    path = make_session(tmp_path / "s.zarr", seconds=2.0)
+    drawn: list[str] = []
+    whole = ImageDraw.ImageDraw.text
+
+    def text(self: Any, place: Any, words: str, *fill: Any, **style: Any) -> None:
+        drawn.append(words)
+        whole(self, place, words, *fill, **style)
+
+    monkeypatch.setattr(ImageDraw.ImageDraw, "text", text)
+    contact_sheet(path, tmp_path / "s.png", count=200)
+    numbers = {int(words.split()[1]) for words in drawn if words.startswith("target ")}
+    targets = np.asarray(Session(path).frames["target"])
+    assert numbers == set((np.unique(targets[targets >= 0]) + 1).tolist())
+    assert min(numbers) == 1

@@ -86,7 +86,7 @@ class TestWithRerun:
         out = tmp_path / "s.rrd"
         view(recorded, save=out)
         session, rrd = Session(recorded), Rrd(out)
-        source = session.sources(0).force
+        source = session.sources(0).streams["force"]
         assert source is not None
         began = np.datetime64("2026-01-01T00:00:00", "ns").astype(np.int64)
         utc = source.times - session.runs[0]["t0_ns"] + began
@@ -126,7 +126,7 @@ class TestWithRerun:
     def test_a_part_without_samples_is_refused_and_leaves_no_file(
         self, recorded: Path, tmp_path: Path
     ) -> None:
-        with pytest.raises(SessionError, match="no samples in the part"):
+        with pytest.raises(SessionError, match="no samples in the requested part"):
             view(recorded, save=tmp_path / "s.rrd", start=1e6)
         assert list(tmp_path.iterdir()) == []
 

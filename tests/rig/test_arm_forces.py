@@ -10,6 +10,7 @@ import pytest
 from support.arms import (
     CLOCK,
     CONFIG,
+    LIMITS,
     Once,
     at,
     back_at_start,
@@ -49,7 +50,7 @@ def force(path: Path) -> Iterator[SharedLatest]:
 @pytest.fixture(scope="module")
 def shared(force: SharedLatest, path: Path) -> Iterator[Arm]:
     """An arm with an F/T sensor whose force the tests set."""
-    with emulated(), started(force_path=path) as arm:
+    with emulated(), started(gauges={path: LIMITS}) as arm:
         yield arm
 
 

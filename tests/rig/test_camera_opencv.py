@@ -27,6 +27,7 @@ from rig.devices.camera.mjpeg_emulator import (
 )
 from rig.devices.camera.opencv import OpenCvDriver
 from rig.devices.camera.settings import CameraConfig
+from rig.devices.camera.v4l2 import V4l2Driver
 
 pytestmark = pytest.mark.serial
 
@@ -128,6 +129,7 @@ def test_the_cameras_own_bytes_arrive_unchanged(host: str) -> None:
             "height": 480,
             "jpeg_bytes_kept": True,
             "device_clock": "none",
+            "numbering": "none",
         }
 
 
@@ -192,7 +194,7 @@ def test_an_address_of_another_kind_is_a_config_error() -> None:
 
 def test_a_missing_v4l2_node_is_device_lost() -> None:
     with pytest.raises(DeviceLost, match="/dev/video99"):
-        OpenCvDriver(CameraConfig("/dev/video99"), CLOCK).open(0.5)
+        V4l2Driver(CameraConfig("/dev/video99"), CLOCK).open(0.5)
 
 
 def test_the_environment_is_as_it_was_after_opening(host: str) -> None:

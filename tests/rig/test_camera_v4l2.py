@@ -21,7 +21,8 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 SHIM = r"""
 // A V4L2 capture node for one process, by LD_PRELOAD: 640x480 YUYV or MJPG, four-buffer queue,
 // CLOCK_MONOTONIC stamps. FAKE_JPEG: file sent as MJPG (none: the camera has YUYV only).
-// FAKE_UNPLUG_AFTER, FAKE_FREEZE_AFTER: number of frames. FAKE_GAIN_STUCK: gain cannot be set.
+// FAKE_UNPLUG_AFTER, FAKE_FREEZE_AFTER: number of frames. FAKE_SKIP_EVERY: frames lost.
+// FAKE_GAIN_STUCK: gain cannot be set.
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <errno.h>
@@ -77,9 +78,10 @@ static void fill(int i) {
     }
 }
 static void advance(void) {
-    long freeze = number("FAKE_FREEZE_AFTER");
+    long freeze = number("FAKE_FREEZE_AFTER"), skip = number("FAKE_SKIP_EVERY");
     while (streaming && t0 + (tick + 1.0) / FPS <= now()) {
         tick++;
+        if (skip > 0 && tick % skip == 0) continue;
         if (!n_waiting || (freeze >= 0 && taken >= freeze)) continue;
         int i = waiting[0];
         memmove(waiting, waiting + 1, --n_waiting * sizeof(int));
@@ -231,12 +233,12 @@ import json, sys
 import numpy as np
 from rig.devices.camera.settings import CameraConfig
 from rig.devices.camera.jpeg import frame_stamp
-from rig.devices.camera.opencv import OpenCvDriver
+from rig.devices.camera.v4l2 import V4l2Driver
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError, DeviceLost
 
 options = {"address": "/dev/video77", "rate_hz": 100.0} | json.loads(sys.argv[1])
-driver = OpenCvDriver(CameraConfig(**options), SystemClock())
+driver = V4l2Driver(CameraConfig(**options), SystemClock())
 found = {"samples": [], "error": None}
 try:
     driver.open(1.0)
@@ -247,6 +249,7 @@ try:
             found["samples"].append({
                 "t_ns": sample["t_ns"],
                 "device_t": sample["device_t"],
+                "seq": sample["seq"],
                 "stamp": frame_stamp(value) if isinstance(value, bytes) else None,
                 "shape": None if isinstance(value, bytes) else value.shape,
                 "pixel": None if isinstance(value, bytes) else value[240, 320].tolist(),
@@ -254,6 +257,7 @@ try:
 except (ConfigError, DeviceLost) as error:
     found["error"] = [type(error).__name__, str(error)]
 finally:
+    found["dropped"] = driver.dropped
     driver.close()
     driver.close()
 print(json.dumps(found))
@@ -307,11 +311,21 @@ def test_jpeg_frames_carry_the_buffers_own_monotonic_time_until_the_camera_is_un
     assert len(found["samples"]) >= 35
     for sample in found["samples"]:
         number, t_ns = sample["stamp"]
-        assert number > 0
+        assert number == sample["seq"] > 0
         assert sample["device_t"] == pytest.approx(t_ns / 1e9, abs=2e-6)
         assert sample["device_t"] * 1e9 < sample["t_ns"]
     assert found["error"][0] == "DeviceLost"
     assert "unplugged" in found["error"][1]
+
+
+def test_frames_that_the_node_lost_are_gaps_in_its_numbers(shim: Path) -> None:
+    found = seen(shim, {}, skip_every=7, unplug_after=60)
+    numbers = [sample["seq"] for sample in found["samples"]]
+    assert all(number % 7 for number in numbers)
+    lost = numbers[-1] - numbers[0] + 1 - len(numbers)
+    assert lost >= 8
+    assert found["dropped"] == lost
+    assert found["facts"]["numbering"] == "device"
 
 
 def test_a_camera_that_falls_silent_is_lost(shim: Path) -> None:

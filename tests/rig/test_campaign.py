@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 from support.collecting import ROOT, Collection, faults_of
 
 from recorder import OUTCOMES, Session, SessionWriter, force_spec
+from recorder import catalogue as catalogue_module
 from rig.__main__ import main
 from rig.acquire import campaign as campaign_module
 from rig.acquire.campaign import (
@@ -82,7 +84,7 @@ class _Bench:
     """Mock of the recording command: writes sessions, as far as the test specifies."""
 
     def __init__(self, campaign: Campaign, codes: list[int]) -> None:
-        self.items = {f"{item.entry.name}.zarr": item for item in campaign.items}
+        self.items = {f"{item.name}.zarr": item for item in campaign.items}
         self.codes = codes
         self.ran: list[list[str]] = []
 
@@ -201,7 +203,9 @@ def test_a_gripper_is_waited_for_and_only_the_sensor_asked_for(
         if (entry.sensor, entry.indenter) != before:
             expected.append(f"gripper: {entry.indenter}")
         before = (entry.sensor, entry.indenter)
-    assert events == expected
+    assert [event.partition("\n")[0] for event in events] == expected
+    # The motion of a lab bench is stated before it is agreed to.
+    assert "mm/s near the sensor" in events[0]
 
 
 def test_a_session_of_another_sensor_in_its_place_is_not_touched(
@@ -217,6 +221,55 @@ def test_a_session_of_another_sensor_in_its_place_is_not_touched(
     assert "move it away" in reported[0]
     code, ran, _, _ = _run(campaign, [0, 0], monkeypatch, keep_going=True)
     assert (code, len(ran)) == (2, 2)
+
+
+def test_the_same_sensor_indenter_and_plan_are_recorded_more_than_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    entry = "  - {{sensor: uskin, indenter: cylinder, targets: 1}}\n"
+    campaign = _campaign(tmp_path, "out: {out}\nsessions:\n" + 3 * entry)
+    code, ran, asked, _ = _run(campaign, [0, 0, 0], monkeypatch)
+    assert (code, len(ran), len(asked)) == (0, 3, 1)
+    names = {path.name for path in (tmp_path / "out").glob("*.zarr")}
+    first = "uskin-cylinder-press-shear-1"
+    assert names == {f"{first}{again}.zarr" for again in ("", "-again-2", "-again-3")}
+
+
+def test_a_day_reads_each_session_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    count = 300
+    entry = "  - {{sensor: uskin, indenter: cylinder, targets: 1}}\n"
+    campaign = _campaign(tmp_path, "out: {out}\nsessions:\n" + count * entry)
+    read: list[str] = []
+    original = catalogue_module._read
+
+    def record(arguments: list[str]) -> int:
+        _metadata(Path(arguments[arguments.index("--out") + 1]), campaign.items[0])
+        return 0
+
+    def look(folder: Path, path: str, stamp: tuple[int, int, int]) -> catalogue_module.Row:
+        read.append(path)
+        return original(folder, path, stamp)
+
+    monkeypatch.setattr(campaign_module, "_record", record)
+    monkeypatch.setattr(catalogue_module, "_read", look)
+    monkeypatch.setattr(campaign_module, "Session", None)  # no session has to be opened
+    settings = Settings(BENCHES, ROOT / "calibrations")
+    assert run_campaign(campaign, settings, lambda _: True, lambda _: None) == 0
+    assert all(progress.state == "done" for progress in progress_of(campaign))
+    assert len(read) == len(set(read)) == count
+
+
+def _metadata(path: Path, item: Item) -> None:
+    """Write what a campaign reads of a complete session: its attributes."""
+    attrs = {
+        "format": "tactile-rig session",
+        "status": "complete",
+        "sensor": item.entry.sensor,
+        "indenter": item.entry.indenter,
+        "targets_wanted": item.total,
+    }
+    path.mkdir()
+    (path / "zarr.json").write_text(json.dumps({"attributes": attrs}))
 
 
 def test_time_left_shrinks_with_what_is_done(tmp_path: Path) -> None:
@@ -238,18 +291,31 @@ def test_time_left_shrinks_with_what_is_done(tmp_path: Path) -> None:
         ("sessions: [{{sensor: gelsight}}]\n", "missing indenter"),
         ("sessions: [{{sensor: nosuch, indenter: a}}]\n", "known in"),
         ("sessions: [{{sensor: gelsight, indenter: ../x}}]\n", "letters, digits"),
-        ("sessions: [{{sensor: gelsight, indenter: a, plan: wave}}]\n", "allowed"),
-        ("sessions: [{{sensor: gelsight, indenter: a, targets: 999}}]\n", "1 to 240"),
-        ("sessions: [{{sensor: gelsight, indenter: a, targets: 0}}]\n", "1 or more"),
+        ("sessions: [{{sensor: gelsight, indenter: cone, plan: wave}}]\n", "allowed"),
+        ("sessions: [{{sensor: gelsight, indenter: cone, targets: 999}}]\n", "1 to 240"),
+        ("sessions: [{{sensor: gelsight, indenter: cone, targets: 0}}]\n", "1 or more"),
+        ("sessions: [{{sensor: gelsigth, indenter: a}}]\n", "did you mean gelsight?"),
         (
-            "sessions: [{{sensor: gelsight, indenter: a}}, {{sensor: gelsight, indenter: a}}]\n",
-            "listed twice",
+            "sessions: [{{sensor: gelsight, indenter: bananna}}]\n",
+            r"sessions\[0\]\.indenter: found 'bananna'; known",
         ),
+        ("sessions: [{{sensor: gelsight, indenter: cylindr}}]\n", r"did you mean cylinder\?"),
     ],
 )
 def test_a_campaign_that_cannot_be_run_is_refused(tmp_path: Path, text: str, words: str) -> None:
     with pytest.raises(ConfigError, match=words):
         _campaign(tmp_path, text)
+
+
+def test_a_stopped_campaign_names_the_command_that_continues_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    campaign = _campaign(tmp_path)
+    monkeypatch.setattr(campaign_module, "_record", _Bench(campaign, [3]))
+    told: list[str] = []
+    settings = Settings(BENCHES, ROOT / "calibrations", go_on="make campaign FILE=day.yaml")
+    assert run_campaign(campaign, settings, lambda _: True, told.append) == 3
+    assert told[-1] == "to continue: make campaign FILE=day.yaml"
 
 
 def test_the_example_is_runnable_and_listing_records_nothing(

@@ -118,7 +118,7 @@ def test_the_reference_of_each_point_is_kept(collected: tuple[Session, Collectio
 
 def test_the_table_names_every_stream(collected: tuple[Session, Collection, Path]) -> None:
     text = collected[1].text
-    for word in ("force", "pose", "camera", "longest gap", "dropped", "worst skew", "paper: 20 to"):
+    for word in ("force", "pose", "camera", "longest gap", "lost", "worst skew", "paper: 20 to"):
         assert word in text
     assert collected[1].session.with_suffix(".png").exists()
 
@@ -135,6 +135,7 @@ def test_ctrl_c_finishes_the_row_retracts_and_a_resume_completes_it(tmp_path: Pa
     assert session.status == "stopped"
     assert "interrupted by the operator" in session.attrs["reason"]
     assert "NOT RETRACTED" not in run.text
+    assert f"to continue: python -m rig collect --resume {run.session} --bench {bench}" in run.text
     assert set(session.segments["outcome"]) == {OUTCOMES.index("complete")}
     frame = np.asarray(session.attrs["contact_frame"])
     last = np.asarray(session.streams["pose"].column("value"))[-1]
@@ -150,3 +151,11 @@ def test_ctrl_c_finishes_the_row_retracts_and_a_resume_completes_it(tmp_path: Pa
     assert faults_of(run.session) == []
     done = set(zip(session.segments["target"], session.segments["phase"], strict=True))
     assert len(done) == 4
+
+    # A complete session is left as it is, to the last byte, and no emulator starts.
+    before = {path: path.read_bytes() for path in run.session.rglob("*") if path.is_file()}
+    third = Collection.start(run.session, "--resume", str(run.session), "--bench", str(bench))
+    assert third.wait() == 0, third.text
+    assert "complete: all 1 targets are done" in third.lines[-1]
+    after = {path: path.read_bytes() for path in run.session.rglob("*") if path.is_file()}
+    assert after == before

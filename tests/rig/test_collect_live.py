@@ -12,6 +12,7 @@ import pytest
 
 from rig.acquire.progress_line import LiveLine
 from rig.acquire.stream_process import COUNTERS
+from rig.acquire.streams import Streams
 from rig.core.clock import FakeClock
 from rig.core.samples import FORCE_LATEST
 from trajectories import PressShear
@@ -27,8 +28,8 @@ class FakeHandle:
 
 
 class FakeStreams:
-    def __getitem__(self, name: str) -> FakeHandle:
-        return FakeHandle()
+    _gauges, _handles = ("force",), {"force": FakeHandle()}
+    pressing = Streams.pressing
 
     def counters(self) -> dict[str, np.void]:
         count = np.zeros(1, COUNTERS)[0]
@@ -42,7 +43,7 @@ class Terminal(io.StringIO):
 
 
 def live(out: Any, clock: FakeClock) -> LiveLine:
-    return LiveLine(FakeStreams(), len(PLAN), clock, out)  # type: ignore[arg-type]
+    return LiveLine(FakeStreams(), len(PLAN), clock, planned=2.0, out=out)  # type: ignore[arg-type]
 
 
 def test_the_line_says_all_a_technician_asks() -> None:
@@ -50,18 +51,65 @@ def test_the_line_says_all_a_technician_asks() -> None:
     line = live(out, clock)
     targets = list(PLAN.targets())
     line.at(targets[0], None)
+    clock.advance(35.0)
     line.at(targets[36], PLAN.moves(targets[36])[1])
-    clock.advance(36.0)
     line.tick()
     text = out.getvalue()
     words = ("target 37/240", "shear_inc", "1.20 mm", "Fz  -2.41 N", "camera 60 Hz", "dropped 2")
     for word in words:
         assert word in text
-    # 36 targets in 36 s; 204 remain, including the current one.
+    # 36 targets in 35 s, and 2 s by the plan: 1 s each; 204 remain, including the current one.
     assert "3:24 min left" in text
     assert "\n" not in text
     line.end()
     assert out.getvalue().endswith("\n")
+
+
+def test_the_remaining_time_is_known_from_the_first_second_and_falls() -> None:
+    clock = FakeClock()
+    line = live(Terminal(), clock)
+    # No target has begun: 240 targets of 2 s by the plan.
+    assert line.progress() == {"left": 480.0}
+    targets = list(PLAN.targets())
+    left = []
+    for target in targets[:4]:
+        line.at(target, None)
+        for _ in range(8):
+            left.append(line.progress()["left"])
+            clock.advance(0.5)
+    # Targets take 4 s, not 2 s: the estimate grows only when one has ended.
+    assert left[0] == 480.0
+    assert left[1] == 479.5
+    # 1 planned and 3 measured targets of 4 s give 3.5 s for each of the 237 that remain.
+    assert left[24] == pytest.approx(3.5 * 237)
+    line.waiting("paused by the page")
+    clock.advance(60.0)
+    line.waited(60_000_000_000)
+    line.at(targets[4], None)
+    assert line.progress()["left"] == pytest.approx((2.0 + 16.0) / 5 * 236)
+
+
+def test_a_resumed_run_counts_its_own_targets_only() -> None:
+    clock = FakeClock()
+    streams: Any = FakeStreams()
+    line = LiveLine(streams, len(PLAN), clock, planned=2.0, first=200, out=Terminal())
+    assert line.progress() == {"left": 80.0}
+
+
+def test_a_terminal_that_is_gone_does_not_stop_the_arm(caplog: pytest.LogCaptureFixture) -> None:
+    class Gone(Terminal):
+        def write(self, text: str) -> int:
+            raise OSError(5, "Input/output error")
+
+    clock = FakeClock()
+    line = live(Gone(), clock)
+    line.at(next(PLAN.targets()), None)
+    with caplog.at_level(logging.INFO):
+        line.tick()
+        clock.advance(11.0)
+        line.tick()
+        line.end()
+    assert len(caplog.records) == 1
 
 
 def test_it_is_not_rewritten_faster_than_anybody_reads() -> None:

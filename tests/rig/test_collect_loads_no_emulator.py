@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 import yaml
-from support.collecting import ROOT, quick_bench
+from support.collecting import ROOT, enter_pressed, quick_bench
 
 from rig.bench.bench import load_bench
 from rig.mock.bench import MockBench
@@ -52,7 +52,7 @@ def test_no_process_of_a_lab_collection_loads_an_emulator(sensor: str, tmp_path:
         folder.mkdir()
     (hook / "sitecustomize.py").write_text(TELL_AT_EXIT)
     path = quick_bench(tmp_path, sensor)
-    with MockBench(load_bench(path)[1], str(path), run) as mock:
+    with MockBench(load_bench(path)[1], str(path), run) as mock, enter_pressed() as terminal:
         lab = tmp_path / "lab.yaml"
         lab.write_text(yaml.safe_dump(lab_content(mock.content)))
         session = tmp_path / "s.zarr"
@@ -63,6 +63,7 @@ def test_no_process_of_a_lab_collection_loads_an_emulator(sensor: str, tmp_path:
                 *("--calibrations", str(tmp_path / "none-measured")),
             ],
             cwd=ROOT,
+            stdin=terminal,
             env={**os.environ, "PYTHONPATH": f"{hook}:{ROOT}", "TOLD": str(told)},
             capture_output=True,
             text=True,

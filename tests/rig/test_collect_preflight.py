@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 from typing import Any
 
@@ -97,13 +98,13 @@ def test_a_start_in_the_sensor_or_outside_the_box_is_refused(place: Any, word: s
 def test_a_still_gauge_is_tared_and_a_restless_or_silent_one_refused() -> None:
     mean, still = np.arange(6.0), np.full(6, 0.01)
     good: Any = FakeStreams(force={"n": 500, "mean": mean, "std": still})
-    assert (preflight.take_tare(BENCH, good).mean == mean).all()
+    assert (preflight.take_tares(BENCH, good)["force"].mean == mean).all()
     restless: Any = FakeStreams(force={"mean": mean, "std": np.array([0, 0.3, 0, 0, 0, 0])})
     with pytest.raises(DeviceLost, match=r"Fy spreads by 0\.300 N"):
-        preflight.take_tare(BENCH, restless)
+        preflight.take_tares(BENCH, restless)
     silent: Any = FakeStreams(force={"n": 0})
     with pytest.raises(DeviceLost, match="no sample"):
-        preflight.take_tare(BENCH, silent)
+        preflight.take_tares(BENCH, silent)
 
 
 @pytest.mark.parametrize("axis", range(3))
@@ -111,7 +112,37 @@ def test_a_still_gauge_is_tared_and_a_restless_or_silent_one_refused() -> None:
 def test_contact_before_the_press_is_refused_on_every_axis(axis: int, sign: int) -> None:
     force = np.zeros(6)
     force[axis] = sign * 0.29
-    preflight.check_untouched(BENCH, force, point=3)
+    preflight.check_untouched(BENCH, BENCH.gauges[0], force, point=3)
     force[axis] = sign * 0.31
     with pytest.raises(SafetyStop, match=f"point 3: F{'xyz'[axis]} is"):
-        preflight.check_untouched(BENCH, force, point=3)
+        preflight.check_untouched(BENCH, BENCH.gauges[0], force, point=3)
+
+
+def _measuring(*axes: Any) -> Bench:
+    force = dataclasses.replace(BENCH.force, axes_measured=axes)
+    return dataclasses.replace(BENCH, force=force)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_nan_hides_no_contact(axis: int) -> None:
+    """Of NaN and -10 N, `argmax` chooses NaN, which is larger than no limit."""
+    force = np.zeros(6)
+    force[axis], force[(axis + 1) % 3] = np.nan, -10.0
+    with pytest.raises(DeviceLost, match=f"F{'xyz'[axis]} not a number above point 3"):
+        preflight.check_untouched(BENCH, BENCH.gauges[0], force, point=3)
+    others: Any = [f"F{name}" for place, name in enumerate("xyz") if place != axis]
+    bench = _measuring(*others)
+    with pytest.raises(SafetyStop, match=r"is -10\.00 N before the press"):
+        preflight.check_untouched(bench, bench.gauges[0], force, point=3)
+
+
+def test_an_axis_that_is_not_measured_needs_no_tare() -> None:
+    mean, std = np.array([np.nan] * 2 + [0.5] + [np.nan] * 3), np.full(6, np.nan)
+    std[2] = 0.01
+    streams: Any = FakeStreams(force={"n": 500, "mean": mean, "std": std})
+    assert preflight.take_tares(_measuring("Fz"), streams)["force"].mean[2] == 0.5
+    with pytest.raises(DeviceLost, match=r"Fx, Fy, Tx, Ty, Tz not a number during the tare"):
+        preflight.take_tares(BENCH, streams)
+    std[2] = 0.3
+    with pytest.raises(DeviceLost, match=r"Fz spreads by 0\.300 N"):
+        preflight.take_tares(_measuring("Fz"), streams)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from support.collecting import Collection
+from support.collecting import Collection, enter_pressed
 
 from rig.core.packaged import BENCHES
 
@@ -24,14 +24,21 @@ world: null
 arm: {{host: {host}}}
 force: {{host: {host}}}
 camera: {{address: "http://{host}:8081/stream.mjpg"}}
+gripper: {{kind: robotiq_2f, port: {tmp_path}/no-gripper}}
+pedal: {{device: {tmp_path}/no-pedal}}
 """
     )
-    run = Collection.start(tmp_path / "s.zarr", "--bench", str(bench))
-    assert run.wait(30) == 3, run.text
+    with enter_pressed() as terminal:
+        run = Collection.start(tmp_path / "s.zarr", "--bench", str(bench), stdin=terminal)
+        assert run.wait(30) == 3, run.text
     assert run.lines[0].startswith("LAB BENCH")
     assert "the arm WILL move" in run.lines[0]
-    assert "device lost" in run.lines[-1]
-    assert host in run.lines[-1]
+    # Every dead device is named, not only the first.
+    found = run.text[run.text.index("device lost: 5 devices:") :]
+    named = [line.split()[0].rstrip(":") for line in found.splitlines()[1:6]]
+    assert named == ["force", "pose", "camera", "gripper", "foot"]
+    assert found.count(host) >= 3
+    assert "nothing was recorded" in run.lines[-1]
     assert not run.session.exists()
 
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
+import socket
 import struct
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -267,3 +270,47 @@ def test_an_independent_client_can_bias_the_emulator(host: str) -> None:
             if sample.force == pytest.approx((0.0, 0.0, 0.0)):
                 return
         raise AssertionError("not biased after 2000 samples")
+
+
+@contextmanager
+def dripping_page(host: str, head: bytes, drop: bytes) -> Iterator[int]:
+    """Serve an answer that never ends: `head`, then `drop` every 20 ms; yield the port."""
+    ending = threading.Event()
+    with socket.create_server((host, 0)) as server:
+
+        def serve() -> None:
+            with contextlib.suppress(OSError):
+                client, _ = server.accept()
+                with client:
+                    client.sendall(head)
+                    while not ending.wait(0.02):
+                        client.sendall(drop)
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        try:
+            yield server.getsockname()[1]
+        finally:
+            ending.set()
+            thread.join()
+
+
+@pytest.mark.parametrize(
+    ("head", "drop"),
+    [
+        (b"", b"H"),
+        (b"HTTP/1.1 200 OK\r\n", b"x"),
+        (b"HTTP/1.1 200 OK\r\n\r\n", b"<"),
+        (b"HTTP/1.1 200 OK\r\nContent-Length: 100000\r\n\r\n", b"<"),
+        (b"", b""),
+    ],
+    ids=["status", "header", "body", "length", "silent"],
+)
+def test_a_page_that_drips_ends_at_the_time_limit(host: str, head: bytes, drop: bytes) -> None:
+    with dripping_page(host, head, drop) as port:
+        driver = NetFtDriver(NetFtConfig(host=host, http_port=port), CLOCK)
+        began_ns = CLOCK.now_ns()
+        with pytest.raises(DeviceLost, match="timed out"):
+            driver.open(0.3)
+        assert CLOCK.now_ns() - began_ns < 2_000_000_000
+        driver.close()

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -264,3 +266,41 @@ def test_combined_loads_count_only_when_asked():
 def test_senseless_limits_are_refused(change, named):
     with pytest.raises(ValueError, match=named):
         GuardLimits(**{"force_rating": RATING, "box": BOX, **change})
+
+
+@pytest.mark.parametrize("axis", range(6))
+def test_nan_stops_on_a_measured_axis_only(axis):
+    name = AXES[axis][0]
+    value = np.zeros(6)
+    value[axis] = np.nan
+    found = check(Guard(LIMITS, FRAME), FakeClock(), value)
+    assert found is not None
+    assert found.kind == "force_status"
+    assert name in found.reason
+    others = tuple(other for other, _ in AXES if other != name)
+    without = dataclasses.replace(LIMITS, axes_measured=others)
+    assert check(Guard(without, FRAME), FakeClock(), value) is None
+
+
+@pytest.mark.parametrize("combined", [None, 1.05])
+def test_an_axis_that_is_not_measured_hides_no_other(combined):
+    """NaN compares as False with everything: it must not reach sums or slopes."""
+    limits = dataclasses.replace(
+        LIMITS, axes_measured=("Fx", "Fy", "Fz"), combined_fraction=combined
+    )
+    guard, clock = Guard(limits, FRAME), FakeClock()
+    for step in range(400):
+        clock.advance(0.004)
+        force_z = -0.05 * step
+        violation = check(guard, clock, (0.0, 0.0, force_z, *[np.nan] * 3))
+        if violation is not None:
+            break
+    assert violation is not None
+    assert violation.kind == "force_soft"
+    assert abs(force_z) <= 0.851 * RATING[2]
+
+
+@pytest.mark.parametrize("axes", [(), ("Fq",)])
+def test_axes_that_are_none_are_refused(axes):
+    with pytest.raises(ValueError, match="axes_measured"):
+        dataclasses.replace(LIMITS, axes_measured=axes)

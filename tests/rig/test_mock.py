@@ -68,10 +68,17 @@ def test_an_emulator_that_lacks_a_library_names_the_extra(
 ) -> None:
     missing = tmp_path / "websockets"
     missing.mkdir()
-    (missing / "__init__.py").write_text('raise ModuleNotFoundError("No module named x")\n')
+    (missing / "__init__.py").write_text(
+        "raise ModuleNotFoundError(\"No module named 'websockets'\")\n"
+    )
     before = os.environ.get("PYTHONPATH", "")
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), before]))
     path = find_bench("uskin", BENCHES)
     bench = MockBench(load_bench(path)[1], str(path), tmp_path)
-    with pytest.raises(ConfigError, match=r"taxels emulator: .*tactile-rig\[rig\]"), bench:
+    with (
+        pytest.raises(
+            ConfigError, match=r"taxels emulator: websockets is not .*tactile-rig\[rig\]"
+        ),
+        bench,
+    ):
         pass

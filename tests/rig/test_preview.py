@@ -46,6 +46,26 @@ def test_a_plan_that_breaks_a_limit_is_drawn_and_refused(
     assert picture.exists()
 
 
+@pytest.mark.parametrize(
+    ("plan", "reported"),
+    [
+        ("trajectory: {depth_step_mm: 0.005}", "trajectory: found 36000 targets at 900 depths"),
+        (
+            "force_depth: {kind: force_depth, depth_max_mm: 4.5, repeats: 1000000}",
+            "force_depth: found 1000000 targets",
+        ),
+    ],
+)
+def test_a_plan_of_too_many_targets_is_refused_before_it_is_walked(
+    plan: str, reported: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bench = tmp_path / "deep.yaml"
+    bench.write_text(f"extends: {BENCHES / 'tacpalm.yaml'}\n{plan}\n")
+    assert main(["preview", "--bench", str(bench), "--out", str(tmp_path / "plan.png")]) == 2
+    assert f"{bench}: {reported}; allowed: up to 20000" in capsys.readouterr().err
+    assert not (tmp_path / "plan.png").exists()
+
+
 def test_a_force_depth_press_is_drawn_too(tmp_path: Path) -> None:
     bench = tmp_path / "prism.yaml"
     bench.write_text(

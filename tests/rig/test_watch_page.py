@@ -167,7 +167,7 @@ def test_an_ipv6_address_is_printed_as_one(watched_bench: WatchedBench) -> None:
     page = Page(watched_bench.job(AccessPolicy(host="::1", port=0)))
     try:
         with page:
-            assert page.url == f"http://[::1]:{page.port}/"
+            assert page.urls == [f"http://[::1]:{page.port}/"]
     except ConfigError as error:
         pytest.skip(f"no IPv6 here: {error}")
 

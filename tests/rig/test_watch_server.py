@@ -19,7 +19,13 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from rig.acquire.control import Control, Interrupted
 from rig.monitor.page.access import AccessPolicy
 from rig.monitor.page.page import Page
-from rig.monitor.page.server import MAX_CONNECTIONS, MAX_MESSAGES, MAX_WATCHERS, parse_command
+from rig.monitor.page.server import (
+    HANDSHAKE_TIMEOUT,
+    MAX_CONNECTIONS,
+    MAX_MESSAGES,
+    MAX_WATCHERS,
+    parse_command,
+)
 
 PRESSED = (0.3, 0.0, -1.7, 0.0, 0.06, 0.0)
 
@@ -233,14 +239,31 @@ def test_a_watcher_goes_on_while_idle_connections_take_every_place(running: Runn
     with running.watch() as client:
         idle = [socket.create_connection(where) for _ in range(MAX_CONNECTIONS + 10)]
         try:
-            # Connections beyond the limit are closed at once, without a message.
-            idle[-1].settimeout(10)
-            assert hung_up(idle[-1])
+            # The oldest silent connections are closed at once, without a message.
+            idle[0].settimeout(10)
+            assert hung_up(idle[0])
             assert next_state(client)["status"] == "collecting"
         finally:
             for connection in idle:
                 connection.close()
     until(lambda: lets_in(running))
+
+
+def test_half_open_connections_keep_nobody_waiting(running: Running) -> None:
+    where = ("127.0.0.1", running.page.port)
+    half = []
+    try:
+        for number in range(199):
+            half.append(socket.create_connection(where))
+            if number % 2:
+                half[-1].sendall(b"GET / HTTP/1.1\r\nHost: ")
+        # Well within the 5 s after which a connection that stays silent is closed.
+        began = time.monotonic()
+        assert lets_in(running)
+        assert time.monotonic() - began < HANDSHAKE_TIMEOUT / 2
+    finally:
+        for connection in half:
+            connection.close()
 
 
 def test_a_slow_reader_is_let_go_and_nobody_waits_for_it(running: Running) -> None:
@@ -338,7 +361,7 @@ def test_a_remote_page_needs_its_token_on_the_wire(tmp_path: Path) -> None:
     access = AccessPolicy(host="0.0.0.0", port=0)
     try:
         with Page(watched_bench.job(access)) as page:
-            assert page.url.endswith(f"/?token={access.token}")
+            assert all(url.endswith(f"/?token={access.token}") for url in page.urls)
             base = f"http://127.0.0.1:{page.port}"
             for path in ("/", "/page.js", "/?token=wrong"):
                 with pytest.raises(urllib.error.HTTPError, match="403"):

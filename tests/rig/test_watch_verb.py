@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import ipaddress
+import re
+import urllib.parse
+import urllib.request
 from pathlib import Path
 
 import pytest
@@ -12,7 +16,7 @@ from support.watching import BENCH, TARGETS
 from recorder.command_line.errors import CommandError
 from recorder.command_line.options import Parser
 from rig.acquire.request import CollectRequest
-from rig.cli.options import opened_page, watch_options
+from rig.cli.options import check_watch, opened_page, watch_options
 from rig.monitor.page.access import AccessPolicy
 from rig.monitor.page.messages import page_job
 from rig.monitor.page.page import Page
@@ -47,12 +51,29 @@ def test_the_port_has_a_default() -> None:
     [
         (("--watch", "70000"), "--watch: found '70000'; allowed: whole numbers, 0 to 65535"),
         (("--watch", "-1"), "--watch: found '-1'"),
-        (("--watch-host", "0.0.0.0"), "goes with --watch only"),
+        (("--watch-host", "0.0.0.0"), "goes with WATCH"),
     ],
 )
-def test_what_cannot_be_is_refused(tmp_path: Path, words: tuple[str, ...], message: str) -> None:
-    with contextlib.ExitStack() as stack, pytest.raises(CommandError, match=message):
-        opened(parse(*words), tmp_path, stack)
+def test_what_cannot_be_is_refused(words: tuple[str, ...], message: str) -> None:
+    with pytest.raises(CommandError, match=message):
+        check_watch(parse(*words))
+
+
+def test_a_page_for_all_networks_prints_addresses_that_answer(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A tablet resolves no name of this machine, so the addresses are numbers."""
+    with contextlib.ExitStack() as stack:
+        page = opened(parse("--watch", "0", "--watch-host", "0.0.0.0"), tmp_path, stack)
+        assert page is not None
+        printed = re.findall(r"watch it at (\S+)", capsys.readouterr().out)
+        assert printed
+        for url in printed:
+            host = urllib.parse.urlsplit(url).hostname
+            assert host is not None
+            assert not ipaddress.ip_address(host).is_unspecified
+            with urllib.request.urlopen(url, timeout=10) as answer:
+                assert answer.status == 200
 
 
 def test_the_address_is_printed_and_a_remote_one_has_the_token(

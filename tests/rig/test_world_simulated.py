@@ -355,6 +355,7 @@ def test_a_session_on_the_simulated_bench_holds_what_the_simulator_says(
     sensor: str, tmp_path: Path
 ) -> None:
     from benchmarks.sim.sensors.stream_accuracy import recorded, simulated
+    from sim import Layer
 
     more = "trajectory: {points: [1], angle_step_deg: 180.0}"
     bench = quick_bench(tmp_path, sensor)
@@ -368,7 +369,7 @@ def test_a_session_on_the_simulated_bench_holds_what_the_simulator_says(
     assert session.attrs["bench"]["world"]["kind"] == "simulated"
     assert faults_of(run.session) == []
     found = recorded(session)
-    offline = simulated(found, np.array([], np.int64), grid=48).wrench
+    offline = simulated(found, np.array([], np.int64), Layer(grid=48)).wrench
     inside = (found.force_time > found.time[0]) & (found.force_time < found.time[-1])
     at = np.stack(
         [np.interp(found.force_time[inside], found.time, axis) for axis in offline.T], axis=1

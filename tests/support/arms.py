@@ -91,7 +91,7 @@ def make(**options: Any) -> Arm:
         options.pop("config", CONFIG),
         FRAME,
         options.pop("limits", LIMITS),
-        force_path=options.pop("force_path", None),
+        gauges=options.pop("gauges", {}),
         pose_path=options.pop("pose_path", None),
     )
 

@@ -16,7 +16,9 @@ class Killed(BaseException):
 class FailingCalls:
     """Count the calls that change files and die before a chosen one."""
 
-    NAMES = ("pwrite", "pwritev", "write", "ftruncate", "fsync", "fdatasync", "unlink")
+    NAMES = (
+        *("pwrite", "pwritev", "write", "truncate", "ftruncate", "fsync", "fdatasync", "unlink"),
+    )
     PATH_NAMES = ("replace", "unlink", "mkdir", "write_bytes")
 
     def __init__(self, patch: pytest.MonkeyPatch, fatal: int | None) -> None:

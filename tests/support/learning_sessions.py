@@ -10,9 +10,12 @@ import numpy as np
 import simplejpeg
 import zarr
 from support.marker_truth import VIEWS
+from support.sessions import reseal
 
 from recorder import SessionWriter, StreamWriter, camera_spec, force_spec, pose_spec, taxels_spec
-from recorder.store.layout import merge_attrs
+from recorder.store.images import compress
+from recorder.store.layout import Layout, merge_attrs
+from recorder.store.shard import ColumnLog
 from rig.mock.world.picture import MarkerCamera, Surface
 
 T0 = 5_000_000_000_000
@@ -113,10 +116,30 @@ def rows_of(name: str, seconds: np.ndarray[Any, Any]) -> list[dict[str, Any]]:
     return rows
 
 
+def rewrite(layout: Layout, values: Any) -> None:
+    """Replace the rows of a small column, in shards as the recorder writes them."""
+    rows = np.empty((layout.rows(), *layout.column.shape), layout.dtype)
+    rows[:] = values
+    shutil.rmtree(layout.path / "c")
+    log = ColumnLog(layout, 0)
+    for first in range(0, len(rows), layout.rows_per_chunk):
+        chunk = np.zeros(layout.chunk_shape, layout.dtype)
+        part = rows[first : first + layout.rows_per_chunk]
+        chunk[: len(part)] = part
+        log.append(compress(chunk.tobytes()), 0)
+        log.seal_full()
+    log.finish(len(rows))
+
+
 def altered(source: Path, path: Path, arrays: dict[str, Any] | None = None, **attrs: Any) -> Path:
     """Copy a session, changing some attributes and values of its tables."""
     shutil.copytree(source, path)
     merge_attrs(path, attrs)
     for name, values in (arrays or {}).items():
-        zarr.open_array(path / name, mode="r+")[:] = values
+        if (path / name).parent.name in ("targets", "frames"):
+            with zarr.config.set({"array.write_empty_chunks": True}):
+                zarr.open_array(path / name, mode="r+")[:] = values
+        else:
+            rewrite(Layout.load(path / name), values)
+    reseal(path)
     return path

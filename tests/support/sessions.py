@@ -1,6 +1,8 @@
 """Sessions for tests."""
 
+import hashlib
 import json
+import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -14,16 +16,23 @@ from recorder import (
     StreamSpec,
     StreamWriter,
     camera_spec,
+    depth_spec,
+    event_row,
+    events_spec,
     force_spec,
+    joints_spec,
     pose_spec,
     taxels_spec,
 )
+from recorder.spec import reference_spec
+from recorder.store.layout import write_group
 
 Columns = dict[str, Any]
 Change = Callable[[str, Columns], Columns]
 
 T0 = 4_000_000_000_000_000  # a month after boot: float64 seconds cannot resolve ns at this value
 RATES = {"camera": 60.0, "force": 1000.0, "pose": 125.0, "taxels": 60.0}
+RATES |= {"depth": 30.0, "joints": 125.0, "events": 2.0}
 CONTACT_FRAME = [0.4, -0.1, 0.2, 0.0, 0.0, 0.0]
 PHASE_S = 0.4
 DEPTH = 8e-4
@@ -61,8 +70,12 @@ def picture(seconds: float, shape: tuple[int, int], noise: np.random.Generator) 
 def stream_columns(
     name: str, seconds: float, shape: tuple[int, int], codec: str, seed: int
 ) -> Columns:
-    """Return all rows of one stream, `seconds` long, from `T0` on."""
-    noise = np.random.default_rng([seed, len(name)])
+    """Return all rows of one stream, `seconds` long, from `T0` on.
+
+    A name is a kind, or a kind and a number: `camera_2`.
+    """
+    name, _, number = name.partition("_")
+    noise = np.random.default_rng([seed, len(name), *([int(number)] if number else [])])
     count = int(seconds * RATES[name])
     time = np.arange(count) / RATES[name]
     t_ns = T0 + np.round(time * 1e9).astype(np.int64) + noise.integers(0, 200_000, count)
@@ -84,6 +97,14 @@ def stream_columns(
         value[:, 2] -= depth
         value[:, 0] += shear
         columns |= {"value": value, "device_t": time, "speed_scaling": np.ones(count)}
+    if name == "depth":
+        value = noise.integers(0, 4000, (count, *shape, 1)).astype(np.uint16)
+        columns |= {"value": value, "device_t": time}
+    if name == "joints":
+        value = np.sin(time)[:, None] * np.arange(6)
+        columns |= {"value": value, "speed": np.zeros((count, 6)), "device_t": time}
+    if name == "events":
+        columns |= {"value": [event_row(f"event {row}: gelöst") for row in range(count)]}
     if name == "taxels":
         value = noise.normal(0, 2.1, (count, 16, 3)) + 30_000
         reach = np.exp(-np.hypot(*(np.mgrid[:4, :4] - 1.5)).ravel())
@@ -95,13 +116,17 @@ def stream_columns(
 
 def specs(names: tuple[str, ...], shape: tuple[int, int], codec: str) -> list[StreamSpec]:
     """Return the specs of the named streams."""
-    made = {
-        "camera": camera_spec(60, height=shape[0], width=shape[1], codec=codec, exposure=0.01),
-        "force": force_spec(1000),
-        "pose": pose_spec(125),
-        "taxels": taxels_spec(60),
+    size = {"height": shape[0], "width": shape[1]}
+    made: dict[str, Callable[[str], StreamSpec]] = {
+        "camera": lambda name: camera_spec(60, name=name, codec=codec, exposure=0.01, **size),
+        "force": lambda name: force_spec(1000, name=name),
+        "pose": lambda name: pose_spec(125, name=name),
+        "taxels": lambda name: taxels_spec(60, name=name),
+        "depth": lambda name: depth_spec(30, name=name, **size),
+        "joints": lambda name: joints_spec(125, name=name),
+        "events": lambda name: events_spec(name=name, rate_hz=2),
     }
-    return [made[name] for name in names]
+    return [made[name.partition("_")[0]](name) for name in names]
 
 
 def append_all(path: Path, columns: Mapping[str, Any]) -> None:
@@ -153,21 +178,67 @@ def make_session(
         table = change("segments", table)
         for row in range(len(table["target"])):
             session.segments.append(**{name: int(values[row]) for name, values in table.items()})
-        session.reference.append(
-            point=0,
-            image=0 if "camera" in names else -1,
-            wrench=np.full(6, 0.25),
-            wrench_std=np.full(6, 0.02),
-            taxels=np.full((16, 3), 30_000.0 if "taxels" in names else np.nan),
-            run=0,
-            t_ns=T0,
-        )
+        row = {
+            "point": 0,
+            "image": 0 if "camera" in names else -1,
+            "wrench": np.full(6, 0.25),
+            "wrench_std": np.full(6, 0.02),
+            "taxels": np.full((16, 3), 30_000.0 if "taxels" in names else np.nan),
+            "run": 0,
+            "t_ns": T0,
+        }
+        # Further streams of a kind have columns of their own; gauge n is 0.25 n off.
+        for column in reference_spec(specs(names, shape, codec)).columns:
+            if column.name not in row:
+                kind, number = column.name.removesuffix("_std").split("_")
+                level = 30_000.0 if kind == "taxels" else 0.25 * int(number)
+                row[column.name] = np.full(column.shape, level) if column.shape else 0
+        session.reference.append(**row)
         if finish:
             session.finish("complete", rate_hz=40)
     return path
 
 
 def set_attrs(path: Path, **attrs: Any) -> None:
+    """Change the attributes of a group as if the session had been closed with them."""
     document = json.loads((path / "zarr.json").read_text())
     document["attributes"] |= attrs
     (path / "zarr.json").write_text(json.dumps(document))
+    reseal(next(place for place in (path, *path.parents) if (place / "manifest").exists()))
+
+
+def reseal(session: Path, **renamed: str) -> None:
+    """Make the manifest of a changed session match its files, whatever they contain.
+
+    `renamed` is the name before of each stream that was renamed.
+    """
+    attrs = json.loads((session / "zarr.json").read_text())["attributes"]
+    (newest,) = sorted((session / "manifest").glob("*/zarr.json"))[-1:]
+    document = json.loads(newest.read_text())
+    shutil.rmtree(session / "manifest")
+    if attrs["format_version"] < 2:
+        return
+    (session / "manifest").mkdir()
+    write_group(session / "manifest", {})
+    listed = document["attributes"]
+    shards, files = {}, {}
+    for path in session.rglob("*"):
+        if path.is_file():
+            key, data = str(path.relative_to(session)), path.read_bytes()
+            place = key.split("/")
+            if place[0] == "streams":
+                place[1] = renamed.get(place[1], place[1])
+            known = listed["shards"].get("/".join(place))
+            if known:
+                _, chunks, slots, _ = known
+                end = hashlib.sha256(data[-20 * slots - 4 :]).hexdigest()
+                shards[key] = [len(data), chunks, slots, end]
+            else:
+                files[key] = [len(data), hashlib.sha256(data).hexdigest()]
+    run = max(len(attrs["runs"]) - 1, 0)
+    changed = {"run": run, "previous": None, "files": files, "shards": shards}
+    document["attributes"] = {**listed, **changed, "sha256": ""}
+    body = json.dumps(document)
+    own = hashlib.sha256(body.encode()).hexdigest()
+    (session / "manifest" / str(run)).mkdir()
+    (session / "manifest" / str(run) / "zarr.json").write_text(body[:-3] + own + body[-3:])

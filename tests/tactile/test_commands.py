@@ -2,15 +2,28 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
+import os
+import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 from support import reference
 
-from recorder.command_line.commands import COMMANDS, EXTRAS, FAMILIES, GROUPS, INTERRUPTED, Command
+from recorder.command_line.commands import (
+    COMMANDS,
+    EXTRAS,
+    FAMILIES,
+    GROUPS,
+    INTERRUPTED,
+    LIBRARIES,
+    Command,
+    extra_of,
+)
 from recorder.command_line.run import overview
 from tactile.__main__ import main
 
@@ -236,3 +249,64 @@ def test_make_tells_the_options_of_a_target() -> None:
     )
     assert "make collect SENSOR=tacpalm [TARGETS=8]" in ran.stdout
     assert max(map(len, ran.stdout.splitlines())) <= 100
+
+
+def _imported() -> set[str]:
+    """Return the libraries that the packages import anywhere, by the names of their modules."""
+    found = set()
+    for package in (*OURS, "recorder", "tactile"):
+        for path in reference.ROOT.joinpath(package).rglob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text())):
+                if isinstance(node, ast.Import):
+                    found |= {alias.name.partition(".")[0] for alias in node.names}
+                elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                    found.add(node.module.partition(".")[0])
+    return found - set(sys.stdlib_module_names) - {*OURS, "recorder", "tactile"}
+
+
+def test_every_library_is_of_the_base_or_of_an_extra_that_exists() -> None:
+    project = tomllib.loads((reference.ROOT / "pyproject.toml").read_text())["project"]
+    # Libraries whose modules are not named as they are.
+    modules = {
+        "google-crc32c": "google_crc32c",
+        "pillow": "PIL",
+        "pyyaml": "yaml",
+    }
+    names = [re.match(r"[\w-]+", each)[0] for each in project["dependencies"]]  # type: ignore[index]
+    base = {modules.get(name, name) for name in names}
+    assert _imported() - base <= set(LIBRARIES)
+    assert {extra for extras in LIBRARIES.values() for extra in extras} <= set(
+        project["optional-dependencies"]
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "library", "extra"),
+    [
+        ("sim press --out {}/x.png", "warp", "sim"),
+        ("sim press --out {}/x.png", "matplotlib", "sim"),
+    ],
+)
+def test_a_missing_library_is_named_with_the_command_that_installs_it(
+    words: str, library: str, extra: str, tmp_path: Path
+) -> None:
+    arguments = words.replace("{}", str(tmp_path)).split()
+    code = (
+        f"import sys; sys.modules[{library!r}] = None\n"
+        f"from tactile.__main__ import main; sys.exit(main({arguments!r}))"
+    )
+    ran = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False,
+        env={**os.environ, "PYTHONPATH": str(reference.ROOT)},
+    )  # fmt: skip
+    assert "Traceback" not in ran.stderr
+    assert ran.returncode == 2
+    assert f"pip install 'tactile-rig[{extra}]'" in ran.stderr
+
+
+def test_the_extra_of_the_command_is_preferred() -> None:
+    assert extra_of("scipy.linalg", "sim") == "sim"
+    assert extra_of("scipy", "rig,learning") == "rig,learning"
+    assert extra_of("cv2", "rig") == "rig"
+    assert extra_of("h5py", "rig") == "export"
+    assert extra_of("recorder", "rig") == ""

@@ -32,6 +32,7 @@ def test_a_lab_has_a_place_for_everything(lab: Path) -> None:
         "calibrations",
         "campaigns",
         "campaigns/day.yaml",
+        "indenters",
         "sessions",
     ]
 

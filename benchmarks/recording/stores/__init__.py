@@ -124,6 +124,15 @@ STORES = (
     Entry("png", "PNG files (OpenCV, level 1)", "png", "PngFiles", "pixels", ("cv2",)),
     Entry("mcap-zstd", "MCAP, raw images, zstd", "mcap", "Mcap", "pixels", ("mcap",), ("pixels",)),
     Entry("mcap-jpeg", "MCAP, camera's JPEG", "mcap", "Mcap", "jpeg", ("mcap",), ("jpeg",)),
+    Entry(
+        "mcap-each-jpeg",
+        "MCAP, camera's JPEG, each written at once",
+        "mcap",
+        "Mcap",
+        "jpeg",
+        ("mcap",),
+        ("jpeg", "at-once"),
+    ),
     Entry("zarr-append", "zarr, `append` a frame, zstd 1", "zarr_append", "ZarrAppend", "pixels"),
     Entry(
         "lerobot-image",

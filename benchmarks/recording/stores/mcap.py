@@ -21,10 +21,14 @@ _PERIOD_NS = 16_666_667
 
 
 class _Appender:
-    def __init__(self, path: Path, profile: str) -> None:
+    def __init__(self, path: Path, profile: str, at_once: bool) -> None:
+        self._at_once = at_once
         self._file = path.open("wb")
         packed = CompressionType.NONE if profile == "jpeg" else CompressionType.ZSTD
-        self._writer = Writer(self._file, compression=packed)
+        if at_once:
+            self._writer = Writer(self._file, compression=packed, chunk_size=1)
+        else:
+            self._writer = Writer(self._file, compression=packed)
         self._writer.start()
         self._channel = self._writer.register_channel("/camera", profile, 0)
         self._count = 0
@@ -35,6 +39,8 @@ class _Appender:
         at_ns = self._count * _PERIOD_NS
         self._writer.add_message(self._channel, at_ns, data, at_ns, self._count)
         self._count += 1
+        if self._at_once:
+            self._file.flush()
 
     def close(self) -> None:
         self._writer.finish()  # type: ignore[no-untyped-call]
@@ -46,16 +52,19 @@ class Mcap:
 
     Args:
         profile: `pixels` or `jpeg`.
+        chunks: `at-once` to write every message as it comes, in a chunk of its own, so that a kill
+            costs none; by default, chunks of a megabyte.
     """
 
-    def __init__(self, profile: str) -> None:
+    def __init__(self, profile: str, chunks: str = "") -> None:
+        self._at_once = chunks == "at-once"
         self._number = _jpeg_number if profile == "jpeg" else _pixels_number
         self._decode = simplejpeg.decode_jpeg if profile == "jpeg" else _image
         self._profile = profile
 
     def create(self, path: Path) -> _Appender:
         """Create a new file."""
-        return _Appender(path, self._profile)
+        return _Appender(path, self._profile, self._at_once)
 
     @contextmanager
     def reader(self, path: Path) -> Iterator[Opened]:

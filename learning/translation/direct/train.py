@@ -359,9 +359,7 @@ def load_network(
     """
     found = read_model_folder(folder, KIND)
     settings = found.settings(DirectSettings)
-    network = DirectNetwork(**settings.structure)
-    found.load(network)
-    return network.to(device).eval(), settings
+    return found.load(DirectNetwork(**settings.structure), device), settings
 
 
 def run(options: argparse.Namespace) -> int:

@@ -335,9 +335,7 @@ def load_autoencoder(folder: Path, device: torch.device | str = "cpu") -> Autoen
     """
     found = read_model_folder(folder, KIND)
     settings = found.settings(AutoencoderSettings)
-    network = Autoencoder(settings.widths, settings.latent)
-    found.load(network)
-    return network.to(device).eval()
+    return found.load(Autoencoder(settings.widths, settings.latent), device)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -125,7 +125,6 @@ def load(folder: Path, device: torch.device | str = "cpu") -> FieldTranslator:
         LearningError: No model, a model of another kind, or weights that do not fit.
     """
     found = read_model_folder(Path(folder), KIND)
-    model = FieldModel(found.settings(FieldSettings))
-    found.load(model)
+    model = found.load(FieldModel(found.settings(FieldSettings)), device)
     name = f"{KIND}[{found.hash()[:8]}]"
-    return FieldTranslator(name, model.to(device).eval())
+    return FieldTranslator(name, model)

@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from recorder import Session, SessionError, Stream
 from rig.bench.bench import Bench
+from rig.core.errors import ConfigError
 from rig.core.geometry import compose
 
 
@@ -137,3 +139,29 @@ class Calibration:
                 }
                 parts[name] = build_part(**values)
         return cls(**parts, file=file)
+
+
+def require_gauge(bench: Bench, what: str) -> None:
+    """Reject a bench without an F/T sensor, for a command that measures with one.
+
+    Raises:
+        ConfigError: It has none.
+    """
+    if not bench.gauges:
+        raise ConfigError(
+            f"{what}: {bench.sensor} has no F/T sensor; allowed: a bench with force, or with a "
+            "stream that has the role guard"
+        )
+
+
+def force_and_pose(session: Session) -> tuple[Stream, Stream]:
+    """Return the stream of a session's first F/T sensor, and that of the arm.
+
+    Raises:
+        SessionError: The session lacks one.
+    """
+    found = [session.first(kind) for kind in ("force", "pose")]
+    names = [name for name in found if name is not None]
+    if len(names) < len(found):
+        raise SessionError(f"{session.name}: needs a force and a pose stream")
+    return session.streams[names[0]], session.streams[names[1]]

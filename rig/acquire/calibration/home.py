@@ -12,7 +12,7 @@ import numpy as np
 
 from recorder import Session
 from recorder.session import linear
-from rig.acquire.calibration.calibration import HomeCalibration
+from rig.acquire.calibration.calibration import HomeCalibration, force_and_pose
 from rig.acquire.calibration.onset import Onset, Surface, combine, find_onset, tilt
 from rig.acquire.calibration.store import bench_hash, now_utc
 from rig.bench.bench import Bench
@@ -114,7 +114,7 @@ def _approach(session: Session, index: int) -> Onset | None:
     if not rows.size:
         return None
     start, end = (int(segments[name][rows[-1]]) for name in ("start_ns", "end_ns"))
-    force, pose = session.streams["force"], session.streams["pose"]
+    force, pose = force_and_pose(session)
     inside = (force.t_ns >= start) & (force.t_ns < end)
     times = force.t_ns[inside]
     frame = invert(session.attrs["contact_frame"])

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from recorder import Session, Stream
 from recorder.session import EXPOSURE, captured
+from rig.acquire.calibration.calibration import force_and_pose, require_gauge
 from rig.bench.bench import Bench
 from rig.core.errors import ConfigError, SafetyStop
 from rig.core.geometry import invert, transform
@@ -274,13 +275,22 @@ def plan_for(bench: Bench, *, depth: float | None, count: int) -> Taps:
 
 
 def signal_of(bench: Bench) -> str:
-    """Return the stream whose latency is measured: the camera if there is one, else the taxels."""
-    return "camera" if bench.camera is not None else "taxels"
+    """Return the stream whose latency is measured: the bench's signal.
+
+    Raises:
+        ConfigError: The bench has no signal, or no F/T sensor to hold it against.
+    """
+    require_gauge(bench, "calibrate-latency")
+    if bench.signal is None:
+        raise ConfigError(
+            f"{bench.sensor}: no camera and no taxels; allowed: a stream with the role signal"
+        )
+    return bench.signal.name
 
 
 def exposure_of(bench: Bench, stream: str) -> float:
     """Return the exposure that the alignment uses for a stream [s]."""
-    stated = bench.camera.exposure if stream == "camera" and bench.camera is not None else None
+    stated = getattr(bench.row(stream).config, "exposure", None)
     return EXPOSURE if stated is None else float(stated)
 
 
@@ -289,13 +299,13 @@ def evaluate(session: Session, stream: str, exposure: float) -> Latency:
 
     Args:
         session: Session recorded along `Taps`.
-        stream: `camera` or `taxels`.
+        stream: Name of the stream.
         exposure: See `exposure_of` [s].
 
     Raises:
         SafetyStop: Force or signal show no taps: the bench differs from its file.
     """
-    force, pose = session.streams["force"], session.streams["pose"]
+    force, pose = force_and_pose(session)
     pressed = -np.asarray(force.array("value"))[:, 2]
     frame = invert(session.attrs["contact_frame"])
     height = transform(frame, np.asarray(pose.array("value"))[:, :3])[:, 2]
@@ -362,12 +372,12 @@ def _blocks(images: NDArray[np.uint8]) -> Floats:
     return np.asarray(cut.mean(axis=(2, 4), dtype=np.float32), np.float64).reshape(count, -1)
 
 
-def true_lag(session: Session) -> float | None:
+def true_lag(session: Session, stream: str = "camera") -> float | None:
     """Return the mean time from the state shown in an emulated camera's images to arrival [s].
 
     Only images that show contact count; they take the emulator longer to draw.
     """
-    camera, pose = session.streams["camera"], session.streams["pose"]
+    camera, pose = session.streams[stream], session.streams["pose"]
     frame = invert(session.attrs["contact_frame"])
     height = transform(frame, np.asarray(pose.array("value"))[:, :3])[:, 2]
     late = []
@@ -394,12 +404,14 @@ def lines_of(found: Latency, session: Session) -> list[str]:
         f"latency {1e3 * found.latency:.2f} ms from the end of a {1e3 * found.exposure:.1f} ms "
         "exposure: subtracted by the alignment",
     ]
-    truth = true_lag(session) if found.stream == "camera" and session.attrs["mock"] else None
+    kind = session.streams[found.stream].traits.kind
+    seen = kind == "camera" and session.attrs["mock"]
+    truth = true_lag(session, found.stream) if seen else None
     if truth is not None:
         lines.append(
             f"by the emulator's timestamps it is {1e3 * truth:.2f} ms: "
             f"difference {1e3 * (found.lag - truth):+.2f} ms"
         )
-    if session.streams[found.stream].attrs.get("device_clock") == "monotonic":
+    if session.streams[found.stream].traits.clock == "monotonic":
         lines.append("its driver timestamps captures itself: alignment uses those, not this")
     return lines

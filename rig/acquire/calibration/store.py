@@ -39,7 +39,7 @@ def bench_hash(content: dict[str, Any]) -> str:
 
 def device_name(bench: Bench, stream: str) -> str:
     """Return the kind and address of the device behind a signal."""
-    config: Any = bench.camera if stream == "camera" else bench.taxels
+    config = bench.row(stream).config
     return f"{config.KIND} {config.address}"
 
 
@@ -91,8 +91,8 @@ def load(folder: Path, bench: Bench, indenter: str) -> tuple[Calibration, list[s
     if content.get("latency"):
         latency = build(LatencyCalibration, content["latency"], f"{path}.latency")
         _refuse_foreign(latency.mock, bench, f"{path}.latency")
-        config = bench.camera if latency.stream == "camera" else bench.taxels
-        if config is None or latency.device != device_name(bench, latency.stream):
+        known = {row.name for row in bench.rows}
+        if latency.stream not in known or latency.device != device_name(bench, latency.stream):
             raise ConfigError(
                 f"{path}.latency.device: found {latency.device!r}; the bench file has another "
                 f"{latency.stream}; {again} (make calibrate-latency SENSOR={bench.sensor})"

@@ -7,7 +7,7 @@ arm, or data the guard needs, is gone) or SafetyStop (a hard limit, or a control
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NoReturn
@@ -51,8 +51,9 @@ class Arm:
         config: Address, tool and speeds.
         contact_frame: Pose (6,) of the contact frame in the base frame [m, rad]; +z leaves the
             sensor.
-        limits: Limits enforced by the guard.
-        force_path: FORCE_LATEST record published by the force stream; None: no F/T sensor.
+        limits: Limits of motion enforced by the guard.
+        gauges: FORCE_LATEST record published by each F/T sensor's stream, and its limits; empty:
+            no F/T sensor.
         pose_path: POSE_LATEST record published by the pose stream; None: the child's own link.
         clock: Clock for time limits.
     """
@@ -63,12 +64,13 @@ class Arm:
         contact_frame: ArrayLike,
         limits: GuardLimits,
         *,
-        force_path: Path | None,
+        gauges: Mapping[Path, GuardLimits],
         pose_path: Path | None,
         clock: Clock | None = None,
     ) -> None:
         self._config = config
-        setup = Setup(config, _floats(contact_frame), limits, force_path, pose_path)
+        watched = tuple(gauges.items())
+        setup = Setup(config, _floats(contact_frame), limits, watched, pose_path)
         self._child = Child(setup, clock or SystemClock())
 
     def start(self, timeout: float) -> None:

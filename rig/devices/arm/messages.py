@@ -27,8 +27,8 @@ class Setup:
     contact_frame: tuple[float, ...]
     """Pose (6,) of the contact frame in the base frame [m, rad]."""
     limits: GuardLimits
-    force_path: Path | None
-    """FORCE_LATEST record; None: a bench without F/T sensor."""
+    gauges: tuple[tuple[Path, GuardLimits], ...]
+    """FORCE_LATEST record of each F/T sensor that guards, and its limits."""
     pose_path: Path | None
     """POSE_LATEST record; None: the child's own pose link is used."""
 

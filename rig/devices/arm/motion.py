@@ -53,8 +53,9 @@ class _ParentGoneError(Exception):
 def run(setup: Setup, pipe: Connection) -> NoReturn:
     """Run the child process: serve `pipe` until it is asked to close, then exit without cleanup."""
     threading.Thread(target=_outlive_briefly, name="parent", daemon=True).start()
-    # Ctrl-C in the terminal reaches the whole group; only the parent decides how to react.
+    # Ctrl-C and a closed terminal reach the whole group; only the parent decides how to react.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
     # ur_rtde prints to stdout, which the parent uses for its results.
     os.dup2(2, 1)
     code = 1

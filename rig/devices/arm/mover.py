@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +12,15 @@ import numpy as np
 from rig.core.clock import SECOND_NS, Clock, Pacer
 from rig.core.errors import DeviceLost
 from rig.core.geometry import Array, invert, rotation_between, transform
-from rig.core.guard import Guard, Kind, Mode, Violation, judge_safety, outside_box
+from rig.core.guard import (
+    Guard,
+    Kind,
+    Mode,
+    Violation,
+    judge_safety,
+    most_serious,
+    outside_box,
+)
 from rig.core.samples import FORCE_LATEST, POSE_LATEST
 from rig.core.shared_memory import AwaitedRecord
 from rig.devices.arm.messages import Move, Outcome, Reply, Setup
@@ -37,12 +47,18 @@ class Watch:
         self._settle_ns = round(setup.config.settle * SECOND_NS)
         self._link = link
         self._clock = clock
-        self._force = AwaitedRecord(setup.force_path, FORCE_LATEST)
+        gauges: list[tuple[Path | None, Guard]] = [
+            (path, Guard(limits, setup.contact_frame)) for path, limits in setup.gauges
+        ]
+        if not gauges:
+            gauges = [(None, Guard(setup.limits, setup.contact_frame, watch_force=False))]
+        several = len(gauges) > 1
+        self._guards = [
+            (AwaitedRecord(path, FORCE_LATEST), guard, path.stem if path and several else "")
+            for path, guard in gauges
+        ]
         self._shared_pose = setup.pose_path is not None
         self._pose = AwaitedRecord(setup.pose_path, POSE_LATEST)
-        self._guard = Guard(
-            setup.limits, setup.contact_frame, watch_force=setup.force_path is not None
-        )
         self._sample: dict[str, Any] | None = None
         self._moved_ns = clock.now_ns()
         self.speed_fraction = 1.0
@@ -69,7 +85,14 @@ class Watch:
             if safety is not None:
                 return safety
         pose = self._pose.read() if self._shared_pose else newest
-        return self._guard.check(self._clock.now_ns(), self._force.read(), pose, mode)
+        now_ns = self._clock.now_ns()
+        found = []
+        for force, guard, name in self._guards:
+            violation = guard.check(now_ns, force.read(), pose, mode)
+            if violation is not None:
+                reason = f"{name}: {violation.reason}" if name else violation.reason
+                found.append(replace(violation, reason=reason))
+        return most_serious(found)
 
     def look_again(self, timeout: float) -> Violation | None:
         """Wait up to `timeout` [s] for an abnormal safety status; return its violation or None."""

@@ -221,8 +221,8 @@ class Child:
 
 @contextlib.contextmanager
 def _interrupts_held() -> Iterator[None]:
-    """Defer Ctrl-C: half a message, or a child started without its handler, would be useless."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    """Defer Ctrl-C and hang-up: half a message, or a child without its handlers, is useless."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
     try:
         yield
     finally:

@@ -5,12 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import ClassVar
 
+from rig.core.stream_settings import StreamSettings
+
 
 @dataclass(frozen=True, slots=True)
-class CameraConfig:
+class CameraConfig(StreamSettings):
     """Settings of a camera that OpenCV can open."""
 
     KIND: ClassVar[str] = "opencv"
+    STREAM: ClassVar[str] = "camera"
 
     address: str = "/dev/video0"
     """A V4L2 node, its number, or http://..."""
@@ -22,11 +25,13 @@ class CameraConfig:
     """[px]"""
     fourcc: str = "MJPG"
     """Pixel format requested of a V4L2 camera; with MJPG its JPEG bytes are kept."""
-    exposure: float | None = field(default=None, metadata={"unit": "ms"})
+    exposure: float | None = field(
+        default=None, metadata={"unit": "ms", "plausible": (0.005, 5000)}
+    )
     """Manual exposure time [s]; None leaves the camera's own mode."""
     gain: float | None = None
     """In the camera's own unit; None leaves it unchanged."""
-    silence: float = field(default=1.0, metadata={"unit": "ms"})
+    silence: float = field(default=1.0, metadata={"unit": "ms", "plausible": (5, 60000)})
     """Silence after which the camera counts as lost [s]."""
     repeats: bool = False
     """True if equal consecutive frames of a network camera count separately, as in a replay of a

@@ -115,6 +115,7 @@ class AtiSerialDriver(ReceivingDriver):
             "average": config.average,
             "replies": dict(self._replies),
             "device_clock": "none",
+            "numbering": "host",
         }
 
     def _release(self) -> None:

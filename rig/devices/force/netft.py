@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import contextlib
 import http.client
+import io
 import logging
 import socket
 import struct
 import threading
-import urllib.request
 from collections.abc import Callable
 from typing import Any
 
@@ -87,6 +87,78 @@ class StampedSocket:
                 if now_ns - _AGE_MAX_NS < t_ns <= now_ns:
                     return packet, t_ns
         return packet, now_ns
+
+
+# Pages of the box, read within a time limit for the whole answer. A time limit per packet, as
+# `urllib` has, never ends for a box that sends one byte per second. No proxy is used either.
+
+_PAGE_MOST = 1 << 20
+
+
+class _UntilDeadline(io.RawIOBase):
+    """A connection to read from until a deadline; each read waits for the remaining time only."""
+
+    def __init__(self, connection: socket.socket, clock: Clock, deadline_ns: int) -> None:
+        self._connection = connection
+        self._clock = clock
+        self._deadline_ns = deadline_ns
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        """Receive into `buffer`; return the number of bytes, 0 at the end.
+
+        Raises:
+            OSError: Like `socket.recv`; TimeoutError at the deadline.
+        """
+        self._connection.settimeout(remaining(self._clock, self._deadline_ns))
+        return self._connection.recv_into(buffer)
+
+    def makefile(self, mode: str) -> io.BufferedReader:
+        """Return the buffered reader that `http.client` asks a socket for."""
+        return io.BufferedReader(self)
+
+
+def remaining(clock: Clock, deadline_ns: int) -> float:
+    """Return the time until a deadline [s].
+
+    Raises:
+        TimeoutError: It has passed.
+    """
+    left_ns = deadline_ns - clock.now_ns()
+    if left_ns <= 0:
+        raise TimeoutError("timed out")
+    return left_ns / SECOND_NS
+
+
+def fetch(host: str, port: int, path: str, clock: Clock, deadline_ns: int) -> bytes:
+    """Return the body of a page, at most 1 MB.
+
+    Args:
+        host: Address of the box.
+        port: Port of its web server.
+        path: Path of the page, without its first slash.
+        clock: Clock of the deadline.
+        deadline_ns: Time by which the whole answer must be here [ns].
+
+    Raises:
+        OSError: No connection, another status than 200, or not complete at the deadline.
+        http.client.HTTPException: The answer is not HTTP.
+    """
+    with socket.create_connection((host, port), remaining(clock, deadline_ns)) as connection:
+        connection.sendall(
+            f"GET /{path} HTTP/1.1\r\nHost: {host}:{port}\r\nConnection: close\r\n\r\n".encode()
+        )
+        reader: Any = _UntilDeadline(connection, clock, deadline_ns)
+        response = http.client.HTTPResponse(reader, method="GET")
+        try:
+            response.begin()
+            if response.status != http.client.OK:
+                raise OSError(f"HTTP status {response.status} {response.reason}")
+            return response.read(_PAGE_MOST)
+        finally:
+            response.close()
 
 
 # Detection of changed settings on a Net F/T box while it streams.
@@ -271,11 +343,8 @@ class NetFtDriver(ReceivingDriver):
 
     def _get(self, path: str, deadline_ns: int) -> bytes:
         url = f"http://{self._config.host}:{self._config.http_port}/{path}"
-        # A box on the bench is never behind a proxy, even if the environment sets one.
-        opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
         try:
-            with opener.open(url, timeout=self._left(deadline_ns)) as response:
-                return bytes(response.read(1 << 20))
+            return fetch(self._config.host, self._config.http_port, path, self._clock, deadline_ns)
         except (OSError, http.client.HTTPException) as error:
             raise DeviceLost(
                 f"{url}: {error}; check the box's power, cable and IP address"

@@ -5,12 +5,38 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
+from rig.core.stream_settings import StreamSettings
 from rig.devices.force.netft_wire import ERROR_MASK, SATURATION_MASK
 from rig.devices.force.sample_clock import RECORD_ERROR_MASK, SATURATED
 
+Axis = Literal["Fx", "Fy", "Fz", "Tx", "Ty", "Tz"]
+AXES: tuple[Axis, ...] = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
+
 
 @dataclass(frozen=True, slots=True)
-class NetFtConfig:
+class _Gauge(StreamSettings):
+    """Settings that all F/T sensors have."""
+
+    STREAM: ClassVar[str] = "force"
+
+    axes_measured: tuple[Axis, ...] = field(default=AXES, kw_only=True)
+    """Axes that the sensor measures; values of the others, such as NaN, are stored and ignored."""
+
+    def __post_init__(self) -> None:
+        """Reject a list without axes, or with one twice.
+
+        Raises:
+            ValueError: Names the field, the value found and the values allowed.
+        """
+        if not self.axes_measured or len(set(self.axes_measured)) < len(self.axes_measured):
+            raise ValueError(
+                f"axes_measured: {list(self.axes_measured)}; allowed: one or more of "
+                f"{', '.join(AXES)}, each once"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class NetFtConfig(_Gauge):
     """Settings of an ATI Net F/T box: its address and its rate."""
 
     KIND: ClassVar[str] = "netft"
@@ -25,7 +51,7 @@ class NetFtConfig:
     """Port of its data (RDT)."""
     rate_hz: float = 1000.0
     """Records per second; the box supports integers from 1 to 7000."""
-    silence: float = field(default=0.5, metadata={"unit": "ms"})
+    silence: float = field(default=0.5, metadata={"unit": "ms", "plausible": (5, 60000)})
     """Silence after which the box counts as lost [s]."""
 
     @property
@@ -47,7 +73,7 @@ class ToolTransform:
 
 
 @dataclass(frozen=True, slots=True)
-class NidaqConfig:
+class NidaqConfig(_Gauge):
     """Settings of an ATI DAQ F/T transducer on six analog inputs of an NI card (NI-DAQmx)."""
 
     KIND: ClassVar[str] = "nidaq"
@@ -67,7 +93,7 @@ class NidaqConfig:
     """Frame of the wrench; by default the transducer's own."""
     grpc: str | None = None
     """host:port of an NI gRPC Device Server that has the card; None: this computer has it."""
-    silence: float = field(default=0.5, metadata={"unit": "ms"})
+    silence: float = field(default=0.5, metadata={"unit": "ms", "plausible": (5, 60000)})
     """Silence after which the card counts as lost [s]."""
 
     def __post_init__(self) -> None:
@@ -76,6 +102,7 @@ class NidaqConfig:
         Raises:
             ValueError: Names the field, the value found and the values allowed.
         """
+        _Gauge.__post_init__(self)
         if not self.rate_hz > 0:
             raise ValueError(f"rate_hz: {self.rate_hz!r}; allowed: above 0 Hz")
         if not 0 < self.saturated_at <= 1:
@@ -93,7 +120,7 @@ RECORD_BYTES = {"binary": 13, "ascii": 45}
 
 
 @dataclass(frozen=True, slots=True)
-class AtiSerialConfig:
+class AtiSerialConfig(_Gauge):
     """Settings of an ATI stand-alone F/T controller on RS-232 (8 data bits, no parity, 1 stop)."""
 
     KIND: ClassVar[str] = "ati_serial"
@@ -113,10 +140,10 @@ class AtiSerialConfig:
     """Expected records per second; the controller sends as fast as it can."""
     average: int = 0
     """Samples of the controller's own moving average; 0: none."""
-    jump: float = field(default=1.0, metadata={"unit": "n"})
+    jump: float = field(default=1.0, metadata={"unit": "n", "plausible": (0.01, 500)})
     """Largest plausible change between successive binary records [N]. After a larger one, bytes may
     have been lost, and the stream is restarted."""
-    silence: float = field(default=0.5, metadata={"unit": "ms"})
+    silence: float = field(default=0.5, metadata={"unit": "ms", "plausible": (5, 60000)})
     """Silence after which the controller counts as lost [s]."""
 
     def __post_init__(self) -> None:
@@ -125,6 +152,7 @@ class AtiSerialConfig:
         Raises:
             ValueError: Names the field, the value found and the values allowed.
         """
+        _Gauge.__post_init__(self)
         for name in ("counts_per_n", "counts_per_n_mm", "jump"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name}: {getattr(self, name)!r}; allowed: above 0")

@@ -69,7 +69,9 @@ class MjpegPlayback:
     def _jpeg(self, row: int) -> bytes:
         jpeg = self._recorded.stream.jpeg(row)
         if jpeg is None:
-            raise SessionError("streams/camera: stored as pixels, not as JPEG")
+            raise SessionError(
+                f"streams/{self._recorded.stream.name}: stored as pixels, not as JPEG"
+            )
         return jpeg
 
     def _greet(self, client: socket.socket) -> bool:

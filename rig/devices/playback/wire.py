@@ -29,7 +29,7 @@ Ints = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
-# Streams that can be replayed, in the order their drivers are opened.
+# Kinds of streams that can be replayed, in the order their drivers are opened.
 ORDER = ("force", "pose", "taxels", "camera")
 _UINT32 = 1 << 32
 _UINT16 = 1 << 16
@@ -55,7 +55,7 @@ def force_page(stream: Stream) -> Page:
     try:
         page.scale()
     except ConfigError as error:
-        raise SessionError(f"streams/force: {error}") from None
+        raise SessionError(f"streams/{stream.name}: {error}") from None
     return page
 
 
@@ -70,13 +70,14 @@ def force_bias(stream: Stream) -> Floats:
     return np.array(stream.attrs.get("bias") or [0.0] * 6, np.float64)
 
 
-def force_counts(value: Floats, bias: Floats, page: Page) -> Ints:
+def force_counts(value: Floats, bias: Floats, page: Page, name: str = "force") -> Ints:
     """Return the counts (n, 6) from which the driver computes exactly `value`.
 
     Args:
         value: As stored: measured minus bias (n, 6) [N, N m].
         bias: (6,) [N, N m].
         page: Settings of the box.
+        name: Name of the stream, for errors.
 
     Raises:
         SessionError: A row is not a whole number of counts, or beyond int32.
@@ -91,11 +92,11 @@ def force_counts(value: Floats, bias: Floats, page: Page) -> Ints:
     bad = np.flatnonzero(~(fits & same))
     if bad.size:
         raise SessionError(
-            f"streams/force: row {bad[0]}: {value[bad[0]].tolist()} is not a whole number of "
+            f"streams/{name}: row {bad[0]}: {value[bad[0]].tolist()} is not a whole number of "
             f"counts of a box with {page.counts_per_force:g} counts per {page.force_unit} and "
             f"{page.counts_per_torque:g} per {page.torque_unit} ({bad.size} rows are not): "
             "it was not recorded from a Net F/T box, so its emulator cannot send it; replay the "
-            "other streams with --without force"
+            f"other streams with --without {name}"
         )
     return counts
 
@@ -106,15 +107,15 @@ def check_force(stream: Stream, rows: slice) -> None:
     Raises:
         SessionError: Names the row.
     """
-    force_counts(stream.array("value")[rows], force_bias(stream), force_page(stream))
+    force_counts(stream.array("value")[rows], force_bias(stream), force_page(stream), stream.name)
     status, seq = stream.array("status")[rows], stream.array("seq")[rows]
     no_status: npt.NDArray[np.bool_] = (status < 0) | (status >= _UINT32)
-    _refuse("force", rows, no_status, "status is not a uint32")
-    _refuse("force", rows, ~_rises(seq), "seq does not rise")
+    _refuse(stream.name, rows, no_status, "status is not a uint32")
+    _refuse(stream.name, rows, ~_rises(seq), "seq does not rise")
     if len(seq) and not 1 <= seq[0] < _UINT32:
         # The driver needs one record to open, numbered before the first.
         raise SessionError(
-            f"streams/force: row {rows.start or 0}: seq {seq[0]}; expected 1 to 2^32 - 1"
+            f"streams/{stream.name}: row {rows.start or 0}: seq {seq[0]}; expected 1 to 2^32 - 1"
         )
 
 
@@ -125,9 +126,9 @@ def check_pose(stream: Stream, rows: slice) -> None:
         SessionError: Names the row.
     """
     device_t, period = stream.array("device_t")[rows], 1.0 / stated_rate(stream)
-    _refuse("pose", rows, ~np.isfinite(device_t), "device_t is not a time")
+    _refuse(stream.name, rows, ~np.isfinite(device_t), "device_t is not a time")
     late = np.concatenate([[True], np.rint(np.diff(device_t) / period) >= 1])
-    _refuse("pose", rows, ~late[: len(device_t)], "the controller's clock does not advance")
+    _refuse(stream.name, rows, ~late[: len(device_t)], "the controller's clock does not advance")
 
 
 def check_taxels(stream: Stream, rows: slice) -> None:
@@ -139,8 +140,8 @@ def check_taxels(stream: Stream, rows: slice) -> None:
     value = stream.array("value")[rows]
     beyond: npt.NDArray[np.bool_] = (value < 0) | (value >= _UINT16)
     outside = np.asarray(beyond.reshape(len(value), 48).any(axis=1))
-    _refuse("taxels", rows, outside, "a count is not a uint16")
-    _refuse("taxels", rows, ~_rises(stream.array("seq")[rows]), "seq does not rise")
+    _refuse(stream.name, rows, outside, "a count is not a uint16")
+    _refuse(stream.name, rows, ~_rises(stream.array("seq")[rows]), "seq does not rise")
 
 
 def check_camera(stream: Stream, rows: slice, progress: Progress | None = None) -> None:
@@ -158,11 +159,13 @@ def check_camera(stream: Stream, rows: slice, progress: Progress | None = None) 
         jpeg = stream.jpeg(row)
         if jpeg is None:
             raise SessionError(
-                "streams/camera: stored as pixels, and a network camera sends JPEG, which would "
-                "change them; replay the other streams with --without camera"
+                f"streams/{stream.name}: stored as pixels, and a network camera sends JPEG, which "
+                f"would change them; replay the other streams with --without {stream.name}"
             )
         if not is_whole(jpeg) or with_huffman_tables(jpeg) != jpeg:
-            raise SessionError(f"streams/camera: row {row}: no complete JPEG with Huffman tables")
+            raise SessionError(
+                f"streams/{stream.name}: row {row}: no complete JPEG with Huffman tables"
+            )
         if progress is not None:
             progress(row + 1, len(stream))
 
@@ -174,7 +177,7 @@ _CHECKS = {"force": check_force, "pose": check_pose, "taxels": check_taxels}
 def replayable(
     session: Session, without: tuple[str, ...] = (), progress: Progress | None = None
 ) -> tuple[str, ...]:
-    """Check the streams to replay, and return their names in `ORDER`.
+    """Check the streams to replay, and return their names, by kind in `ORDER`.
 
     Args:
         session: The source.
@@ -190,8 +193,9 @@ def replayable(
     for name in without:
         if name not in session.streams:
             raise SessionError(f"{session.path}: no stream {name!r} to leave out; known: {known}")
-    names = tuple(name for name in ORDER if name in session.streams and name not in without)
-    unknown = set(session.streams) - set(ORDER) - set(without)
+    kinds = {name: stream.traits.kind for name, stream in session.streams.items()}
+    names = tuple(name for kind in ORDER for name in session.of_kind(kind) if name not in without)
+    unknown = {name for name, kind in kinds.items() if kind not in ORDER} - set(without)
     if unknown:
         raise SessionError(
             f"{session.path}: no emulator plays {sorted(unknown)}; leave them out: --without NAME"
@@ -204,10 +208,10 @@ def replayable(
             raise SessionError(f"streams/{name}: no rows; leave it out: --without {name}")
         for run in range(max(len(session.runs), 1)):
             rows = session.rows_of_run(name, run)
-            if name == "camera":
+            if kinds[name] == "camera":
                 check_camera(stream, rows, progress)
             else:
-                _CHECKS[name](stream, rows)
+                _CHECKS[kinds[name]](stream, rows)
     return names
 
 

@@ -5,14 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import ClassVar
 
+from rig.core.stream_settings import StreamSettings
+
 _TAXELS = 16
 
 
 @dataclass(frozen=True, slots=True)
-class XelaConfig:
+class XelaConfig(StreamSettings):
     """Settings of a XELA uSkin behind its vendor's server."""
 
     KIND: ClassVar[str] = "xela"
+    STREAM: ClassVar[str] = "taxels"
 
     address: str = "ws://127.0.0.1:5000"
     """Address of `xela_server`."""
@@ -22,7 +25,7 @@ class XelaConfig:
     """Number of taxels: a 4 x 4 patch (XR1944, uSPa44). Sessions support no other."""
     rate_hz: float = 60.0
     """Expected messages per second; the server decides, the rig measures."""
-    silence: float = field(default=1.0, metadata={"unit": "ms"})
+    silence: float = field(default=1.0, metadata={"unit": "ms", "plausible": (5, 60000)})
     """Silence after which the server counts as lost [s]."""
 
     def __post_init__(self) -> None:

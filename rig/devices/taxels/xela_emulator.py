@@ -229,15 +229,20 @@ def _cut(connection: ServerConnection) -> None:
 
 
 def load_log(path: Path) -> Log:
-    """Load a log of raw counts (T, 3 x taxels) from an .npy file.
+    """Load a log of raw counts from an .npy file, as (T, 3 x taxels): x y z of each taxel in turn.
+
+    A file with x of all taxels, then y, then z, is reordered; its resting counts show that.
 
     Raises:
         ValueError: The array has another shape.
     """
+    from recorder.convert import in_order, told_order  # not needed to play the World
+
     log: Log = np.load(path, allow_pickle=False).astype(np.float64)
     if log.ndim != 2 or len(log) == 0 or log.shape[1] == 0 or log.shape[1] % 3:
         raise ValueError(f"{path.name}: shape {log.shape}; expected (T, 3 x taxels)")
-    return log
+    order, _counts = told_order(log)
+    return in_order(log, order or "taxel").reshape(log.shape)
 
 
 def emulate(settings: XelaEmulatorConfig, clock: Clock) -> Served:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from rig.bench.indenter import find_indenter
 from rig.bench.worlds import SimulatedSpec
 from rig.core.clock import SECOND_NS
 from rig.core.errors import ConfigError
@@ -195,10 +196,14 @@ def live_sensor(spec: SimulatedSpec, indenter: str) -> LiveSensor:
         ConfigError: The sensor or indenter is unknown, or the simulator is not installed.
     """
     try:
-        from sim.indenters import named
+        from sim.indenters import from_stl, named
         from sim.stream import LiveSensor
 
-        return LiveSensor(_row(spec), named(indenter), grid=spec.grid)
+        row, solid = _row(spec), find_indenter(indenter).stl
+        # No press is deeper than the skin is thick.
+        reach = row.body.thickness
+        body = named(indenter) if solid is None else from_stl(solid, name=indenter, reach=reach)
+        return LiveSensor(row, body, grid=spec.grid)
     except ImportError as error:
         raise _missing(error) from None
     except ValueError as error:

@@ -8,16 +8,25 @@ page's own requests send (HttpOnly, SameSite=Strict).
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import hmac
 import ipaddress
 import secrets
 import socket
+import struct
 from dataclasses import dataclass, field
 from http.cookies import CookieError, SimpleCookie
+from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
 LOOPBACK_HOST = "127.0.0.1"
+# Hosts that stand for all addresses of this machine.
+ANY_HOST = ("0.0.0.0", "::")
 DEFAULT_PORT = 8765
+# Linux: asks for the IPv4 address of an interface; and its list of IPv6 addresses.
+_SIOCGIFADDR = 0x8915
+_IF_INET6 = Path("/proc/net/if_inet6")
 
 
 def is_loopback(host: str) -> bool:
@@ -28,6 +37,43 @@ def is_loopback(host: str) -> bool:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return False
+
+
+def own_addresses(host: str) -> list[str]:
+    """Return this machine's addresses in its networks, as other machines reach it.
+
+    Args:
+        host: `0.0.0.0` for those of IPv4, `::` for those of IPv6.
+
+    Returns:
+        The addresses; without a network, the loopback address of the family.
+    """
+    found = _ipv4_addresses() if host == "0.0.0.0" else _ipv6_addresses()
+    others = [address for address in found if not is_loopback(address)]
+    return others or [LOOPBACK_HOST if host == "0.0.0.0" else "::1"]
+
+
+def _ipv4_addresses() -> list[str]:
+    found = []
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        for _, name in socket.if_nameindex():
+            # An interface without an address raises an error.
+            with contextlib.suppress(OSError):
+                request = struct.pack("256s", name.encode()[:15])
+                answer = fcntl.ioctl(probe.fileno(), _SIOCGIFADDR, request)
+                found.append(socket.inet_ntoa(answer[20:24]))
+    return found
+
+
+def _ipv6_addresses() -> list[str]:
+    try:
+        rows = [line.split() for line in _IF_INET6.read_text().splitlines()]
+    except OSError:
+        return []
+    # Only addresses of global scope are reachable without the name of an interface.
+    return [
+        socket.inet_ntop(socket.AF_INET6, bytes.fromhex(row[0])) for row in rows if row[3] == "00"
+    ]
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from recorder import SessionError
 from recorder.session import ImageTail, open_tail
 from rig.acquire.stream_process import COUNTERS
 from rig.bench.bench import Bench
-from rig.bench.stream_kinds import KINDS, expected_rate, stream_names
+from rig.bench.stream_kinds import expected_rate, kind_of, stream_names
 from rig.core.clock import SECOND_NS
 from rig.core.config import from_si
 from rig.core.geometry import invert, transform
@@ -47,11 +47,14 @@ class LiveState:
         self._start_ns = start_ns
         names = stream_names(bench)
         self._latest = {
-            name: AwaitedRecord(folder / f"{name}.latest", KINDS[name].latest) for name in names
+            name: AwaitedRecord(folder / f"{name}.latest", kind_of(bench, name).latest)
+            for name in names
         }
         self._counters = {
             name: AwaitedRecord(folder / f"{name}.counters", COUNTERS) for name in names
         }
+        # The page shows the first stream of each kind, and the rates of all.
+        self._first = {row.kind: row.name for row in reversed(bench.rows)}
         self._to_contact = invert(bench.contact_frame)
         self._tail: ImageTail | None = None
         self._image: tuple[int, bytes | None] = (-1, None)
@@ -64,7 +67,7 @@ class LiveState:
 
     def sample(self) -> None:
         """Add the newest force to the trace, unless it is already there."""
-        record = self._latest["force"].read()
+        record = self._newest("force")
         if record is None or int(record["t_ns"]) == self._traced_ns:
             return
         self._traced_ns = int(record["t_ns"])
@@ -99,7 +102,7 @@ class LiveState:
 
     def force(self) -> dict[str, Any] | None:
         """Return the wrench [N, N mm] and each axis' share of its rating; None before the first."""
-        record = self._latest["force"].read()
+        record = self._newest("force")
         if record is None:
             return None
         limits = self._bench.limits
@@ -115,7 +118,7 @@ class LiveState:
 
     def tip(self) -> list[float | None] | None:
         """Return the tip's position in the contact frame (3,) [mm], None before the first pose."""
-        record = self._latest["pose"].read()
+        record = self._newest("pose")
         if record is None:
             return None
         place = transform(self._to_contact, record["value"][:3])
@@ -123,7 +126,8 @@ class LiveState:
 
     def taxels(self) -> list[list[int]] | None:
         """Return the counts (16, 3) minus the first ones read, or None without taxels."""
-        if "taxels" not in self._latest or (record := self._latest["taxels"].read()) is None:
+        record = self._newest("taxels")
+        if record is None:
             return None
         if self._untouched is None:
             self._untouched = record["value"]
@@ -145,15 +149,13 @@ class LiveState:
 
     def image(self) -> tuple[int, bytes | None]:
         """Return row and JPEG bytes of the newest stored image; (-1, None) before the first."""
-        if "camera" not in self._latest:
-            return self._image
-        newest = self._latest["camera"].read()
+        newest = self._newest("camera")
         row = -1 if newest is None else int(newest["row"])
         if row < 0 or row == self._image[0]:
             return self._image
         try:
             if self._tail is None:
-                self._tail = open_tail(self._session / "streams" / "camera")
+                self._tail = open_tail(self._session / "streams" / self._first["camera"])
             data = self._tail.jpeg(row)
         except (SessionError, OSError):
             # Affects the display only: corrupt sessions are reported by `check`, not by the page.
@@ -161,6 +163,11 @@ class LiveState:
         if data is not None:
             self._image = (row, data)
         return self._image
+
+    def _newest(self, kind: str) -> np.void | None:
+        """Return the newest sample of the first stream of a kind; None before it, or without."""
+        name = self._first.get(kind)
+        return None if name is None else self._latest[name].read()
 
     def close(self) -> None:
         """Release all records; may be called twice."""

@@ -7,9 +7,9 @@ affected.
 
 from __future__ import annotations
 
+import http.client
 import logging
 import multiprocessing
-import socket
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -24,7 +24,7 @@ from recorder import OUTCOMES, Session
 from rig.acquire.control import Control
 from rig.core.clock import SECOND_NS, Clock, SystemClock
 from rig.core.errors import ConfigError
-from rig.monitor.page.access import is_loopback
+from rig.monitor.page.access import ANY_HOST, LOOPBACK_HOST, is_loopback, own_addresses
 from rig.monitor.page.messages import COMMANDS, ENDED, LETTERS, PageJob, Snapshot
 from rig.monitor.page.server import LINGER, run_page
 
@@ -81,14 +81,18 @@ class Page:
         self._thread = threading.Thread(target=self._exchange, name="page", daemon=True)
 
     @property
-    def url(self) -> str:
-        """Address to open, with the token if it is required. Printed, never logged."""
+    def urls(self) -> list[str]:
+        """Addresses to open, with the token if it is required. Printed, never logged.
+
+        One for each network of this machine if the page serves all of them. They are numbers,
+        since a tablet need not know this machine's name.
+        """
         access = self._job.access
-        host = f"[{access.host}]" if ":" in access.host else access.host
-        if access.host in ("0.0.0.0", "::"):
-            host = socket.gethostname()
         token = "" if is_loopback(access.host) else f"?token={access.token}"
-        return f"http://{host}:{self.port}/{token}"
+        hosts = own_addresses(access.host) if access.host in ANY_HOST else [access.host]
+        return [
+            f"http://{f'[{host}]' if ':' in host else host}:{self.port}/{token}" for host in hosts
+        ]
 
     def __enter__(self) -> Page:
         self._process.start()
@@ -104,6 +108,7 @@ class Page:
             self._stop_process()
             raise ConfigError(f"--watch: found {value}; allowed: a free port of this machine")
         self.port = value
+        self._await_answer()
         logging.getLogger().addHandler(self._log)
         self._thread.start()
         return self
@@ -118,6 +123,20 @@ class Page:
             reason = str(error) or type(error).__name__ if error is not None else ""
             self.say("stopped", reason)
         self.close()
+
+    def _await_answer(self) -> None:
+        """Wait until the page answers a request, so that its address works when it is printed."""
+        access, host = self._job.access, self._job.access.host
+        at = LOOPBACK_HOST if host == "0.0.0.0" else "::1" if host == "::" else host
+        client = http.client.HTTPConnection(at, self.port, timeout=_START_TIMEOUT)
+        try:
+            client.request("GET", f"/?token={access.token}")
+            client.getresponse().read()
+        except (OSError, http.client.HTTPException) as error:
+            self._stop_process()
+            raise ConfigError(f"--watch: {at}:{self.port} does not answer: {error}") from error
+        finally:
+            client.close()
 
     def begin(
         self,

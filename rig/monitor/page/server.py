@@ -16,6 +16,7 @@ import os
 import signal
 import socket
 from dataclasses import replace
+from functools import partial
 from importlib import resources
 from multiprocessing.connection import Connection
 from typing import Any
@@ -165,17 +166,43 @@ _quiet.propagate = False
 
 
 class _Connection(ServerConnection):
-    """Connection of a client; closed immediately if there are too many, with a small buffer."""
+    """Connection of a client, with a small buffer.
+
+    If there are too many, the oldest one that has not sent its request is closed: a browser sends
+    it at once, and connections that stay silent cannot keep people out.
+
+    Args:
+        *arguments: Of `ServerConnection`.
+        silent: Connections of the server, oldest first; True if the request has not arrived.
+        **settings: Of `ServerConnection`.
+    """
+
+    def __init__(self, *arguments: Any, silent: dict[_Connection, bool], **settings: Any) -> None:
+        super().__init__(*arguments, **settings)
+        self._silent = silent
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(transport)
-        if len(self.server.handler_tasks) > MAX_CONNECTIONS:
-            self.transport.abort()
-            return
+        self._silent[self] = True
+        if len(self._silent) > MAX_CONNECTIONS:
+            oldest = next(each for each, silent in self._silent.items() if silent)
+            del self._silent[oldest]
+            oldest.transport.abort()
+            if oldest is self:
+                return
         raw = transport.get_extra_info("socket")
         if raw is not None:
             raw.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
             raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._silent.pop(self, None)
+        super().connection_lost(exc)
+
+    def spoke(self) -> None:
+        """Note that the request of the client has arrived."""
+        if self in self._silent:
+            self._silent[self] = False
 
 
 class PageServer:
@@ -229,12 +256,13 @@ class PageServer:
             self._look.close()
 
     async def _listen(self) -> Server:
+        connection: Any = partial(_Connection, silent={})
         return await serve(
             self._serve,
             self._job.access.host,
             self._job.access.port,
             process_request=self._on_request,
-            create_connection=_Connection,
+            create_connection=connection,
             compression=None,
             server_header=None,
             open_timeout=HANDSHAKE_TIMEOUT,
@@ -274,6 +302,8 @@ class PageServer:
             await asyncio.sleep(1 / TRACE_RATE_HZ)
 
     def _on_request(self, connection: ServerConnection, request: Request) -> Response | None:
+        if isinstance(connection, _Connection):
+            connection.spoke()
         full = len(self._watchers) >= MAX_WATCHERS
         response = self._site.answer(request, full=full)
         if response is not None and response.status_code in (403, 503):
@@ -357,7 +387,7 @@ class PageServer:
             "indenter": job.indenter,
             "mock": job.bench.mock,
             "session": job.session.name,
-            "camera": job.bench.camera is not None,
+            "camera": bool(job.bench.of_kind("camera")),
             "points": [{"point": point, "at": place} for point, place in points.items()],
             "targets": [[s.point, round(1e3 * s.depth, 4), s.direction] for s in job.spots],
             "directions": job.directions,
@@ -407,6 +437,7 @@ def run_page(job: PageJob, pipe: Connection) -> None:
     # Ctrl-C is handled by the collecting process, which ends this one through the pipe.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
     # Recording has priority over all clients.
     os.nice(10)
     try:

@@ -1,0 +1,73 @@
+"""`python -m learning markers-fit`: fit marker detection to untouched pictures of a sensor."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from learning.errors import LearningError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Finds out whether the markers in pictures without contact are dark or bright, how large "
+        "and how far apart, and writes a preset for `markers --preset FILE`."
+    )
+    parser.add_argument(
+        "images", nargs="+", type=Path, metavar="IMAGE", help="pictures without contact, or folders"
+    )
+    parser.add_argument("--out", type=Path, metavar="YAML", help="preset to write")
+    parser.add_argument(
+        "--pitch-mm", type=float, metavar="MM", help="distance between neighbouring markers [mm]"
+    )
+    parser.add_argument(
+        "--pressed",
+        nargs="+",
+        type=Path,
+        default=[],
+        metavar="IMAGE",
+        help="pictures with contact, in which the same markers are looked for",
+    )
+    parser.add_argument(
+        "--sheet", type=Path, metavar="PNG", help="draw all pictures, with outlines"
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
+    import yaml
+
+    from learning.markers.fit import (
+        as_yaml,
+        draw_outlines,
+        files_of,
+        fit_preset,
+        read_picture,
+        recall,
+    )
+    from recorder.progress import ItemProgress
+
+    if options.pitch_mm is not None and not 0 < options.pitch_mm < 100:
+        raise LearningError(f"--pitch-mm: found {options.pitch_mm:g}; allowed: above 0 to 100")
+    untouched = [read_picture(path) for path in files_of(options.images)]
+    pressed = [(path, read_picture(path)) for path in files_of(options.pressed)]
+    preset, pattern = fit_preset(untouched, pitch_mm=options.pitch_mm)
+    print(pattern)
+    with ItemProgress("pictures", sys.stderr) as progress:
+        for number, (path, picture) in enumerate(pressed):
+            progress(number, len(pressed))
+            print(f"{path.name}: {recall(preset, untouched[0], picture)}")
+    if options.sheet is not None:
+        draw_outlines(preset, [*untouched, *(picture for _path, picture in pressed)], options.sheet)
+        print(f"{options.sheet}: written")
+    text = yaml.safe_dump(as_yaml(preset), sort_keys=False, width=100)
+    if options.out is None:
+        print(text, end="")
+        return 0
+    options.out.write_text(text, encoding="utf-8")
+    scale = "" if preset.mm_per_px is not None else " --mm-per-px MM"
+    print(f"{options.out}: written")
+    print(f"next: tactile markers SESSION --preset {options.out}{scale} --out X.markers.zarr")
+    return 0

@@ -1,0 +1,335 @@
+"""A preset of marker detection, fitted to untouched pictures of a sensor.
+
+For dark and for bright markers, in each channel, the contrast with the surroundings is measured at
+growing sizes of the element. Of these candidates the most regular one with the strongest contrast
+is chosen: markers are alike and evenly spaced, shading and dust are not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+from scipy.spatial import cKDTree
+
+from learning.errors import LearningError
+from learning.markers.segment import (
+    CHANNELS,
+    CameraPreset,
+    Channel,
+    Hat,
+    Morphology,
+    Picture,
+    Segmenter,
+    half_of_own,
+    hat_contrast,
+)
+from learning.markers.track import Tracker
+from recorder.markers import SMALLEST_PX, find_blobs
+
+# Diameters of the element that are tried [px of the 640 x 480 view].
+SIZES_PX = (9, 13, 19, 27, 39, 55, 79)
+# Contrast below which nothing is a marker, and times the noise below which nothing is.
+CONTRAST_LEAST, NOISES = 0.05, 5.0
+# Least contrast of a marker over the median contrast of those found: half of the faintest ones.
+FAINT = 0.5
+# Fewest markers, and largest relative spread of their areas and of the distances to the nearest
+# one (half of the range from 16 to 84 %, over the median), that count as a pattern. Patterns of the
+# paper have up to 0.2 and 0.25; shading and dust have 0.5 and more in one of both.
+MARKERS_LEAST, SPREAD_MOST = 9, 0.45
+# Score over the highest one, from which a smaller element is preferred to a larger one, and the
+# channel whose light changes least under a contact to the others.
+NEARLY, NEARLY_CHANNEL = 0.9, 0.5
+# Size of the chosen element over the width of the large markers (95 % are smaller). With less, the
+# surroundings of a marker are taken from its blurred outline, and masks become too small.
+ROOM = 1.75
+# Limits of the area, over the median.
+AREA_FROM, AREA_TO = 0.35, 3.0
+# Endings of pictures in a folder.
+ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+# Difference from the reference that counts as contact [grey levels], and the blur before it [px].
+TOUCHED, BLUR_PX = 18, 21
+
+
+@dataclass(frozen=True, slots=True)
+class Pattern:
+    """Markers found in an untouched picture by one detector."""
+
+    detector: Hat
+    count: int
+    area_px: tuple[float, float, float]
+    """5th percentile, median and 95th percentile of the markers' areas [px]."""
+    pitch_px: float
+    """Median distance to the nearest marker."""
+    area_spread: float
+    """Spread of the areas, over the median."""
+    pitch_spread: float
+    """Spread of the distances to the nearest marker, over the median."""
+    contrast: float
+    """Median contrast of the markers, 0 to 1."""
+    noise: float
+    """Contrast that noise alone has."""
+
+    @property
+    def score(self) -> float:
+        """Contrast over noise, less where markers are unlike or unevenly spaced."""
+        uneven = 1.0 + 4.0 * (self.area_spread + self.pitch_spread)
+        return self.contrast / (self.noise + 0.02) / uneven
+
+    @property
+    def is_regular(self) -> bool:
+        """True if there are enough markers, alike and evenly spaced."""
+        return (
+            self.count >= MARKERS_LEAST
+            and self.area_spread <= SPREAD_MOST
+            and self.pitch_spread <= SPREAD_MOST
+        )
+
+    def __str__(self) -> str:
+        kind = "bright" if self.detector.bright else "dark"
+        width = 2 * (self.area_px[1] / np.pi) ** 0.5
+        return (
+            f"{self.count} {kind} markers in the channel '{self.detector.channel}': "
+            f"{width:.1f} px wide (areas spread {100 * self.area_spread:.0f} %), "
+            f"{self.pitch_px:.1f} px apart (spread {100 * self.pitch_spread:.0f} %), contrast "
+            f"{self.contrast:.2f}, noise {self.noise:.3f}"
+        )
+
+
+def fit_preset(
+    pictures: Sequence[Picture], *, pitch_mm: float | None = None, description: str = ""
+) -> tuple[CameraPreset, Pattern]:
+    """Return a preset for the sensor of untouched pictures (h, w, 3) RGB, and its markers.
+
+    Args:
+        pictures: One or more, without contact; their median is used.
+        pitch_mm: Distance between neighbouring markers [mm], for the scale of the preset.
+        description: Description of the preset.
+
+    Raises:
+        LearningError: No pictures, or pictures without a regular pattern of markers.
+    """
+    if not pictures:
+        raise LearningError("pictures: found none; allowed: one or more without contact")
+    plain = Segmenter(CameraPreset(description="", detectors=(Hat(9, 0.5),)))
+    view = np.median([plain.view(one) for one in pictures], axis=0).astype(np.uint8)
+    view = np.asarray(cv2.GaussianBlur(view, (3, 3), 0), np.uint8)
+    found = [
+        one
+        for bright in (False, True)
+        for channel in CHANNELS
+        if (one := _best(view, channel, bright)) is not None
+    ]
+    regular = [one for one in found if one.is_regular]
+    if not regular:
+        nearest = max(found, key=lambda one: one.score, default=None)
+        raise LearningError(
+            "pictures: found no regular pattern of markers"
+            + (f" (at best {nearest})" if nearest else "")
+            + f"; allowed: {MARKERS_LEAST} markers or more, areas and distances spread by "
+            f"{100 * SPREAD_MOST:.0f} % or less"
+        )
+    best = _steadiest(regular)
+    middle = best.area_px[1]
+    width = 2 * (middle / np.pi) ** 0.5
+    return CameraPreset(
+        description=description or f"fitted: {best}",
+        detectors=(best.detector,),
+        mm_per_px=None if pitch_mm is None else round(pitch_mm / best.pitch_px, 6),
+        smooth_px=3,
+        morphology=(Morphology("open", 3),) if width >= 8 else (),
+        area_px=(max(SMALLEST_PX, int(AREA_FROM * middle)), int(AREA_TO * middle) + 1),
+        box_px=int(np.clip(0.75 * width, 4, 240)),
+    ), best
+
+
+def _steadiest(found: Sequence[Pattern]) -> Pattern:
+    """Return the pattern of highest score, in the channel that a contact shades least.
+
+    Coloured lamps each leave a shadow: of red, green and blue the brightest changes least around
+    dark markers, the darkest around bright ones.
+    """
+    best = max(found, key=lambda one: one.score)
+    steady = "darkest" if best.detector.bright else "brightest"
+    for one in found:
+        alike = one.detector.bright == best.detector.bright and one.detector.channel == steady
+        if alike and one.score >= NEARLY_CHANNEL * best.score:
+            return one
+    return best
+
+
+def as_yaml(preset: CameraPreset) -> dict[str, Any]:
+    """Return the content of the preset's YAML file; `read_preset` reads it."""
+    (detector,) = preset.detectors
+    assert isinstance(detector, Hat)
+    content: dict[str, Any] = {"kind": preset.KIND, "description": preset.description}
+    if preset.mm_per_px is not None:
+        content["mm_per_px"] = preset.mm_per_px
+    return {
+        **content,
+        "detectors": [
+            {
+                "kind": detector.KIND,
+                "size_px": detector.size_px,
+                "least": detector.least,
+                "bright": detector.bright,
+                "channel": detector.channel,
+            }
+        ],
+        "smooth_px": preset.smooth_px,
+        "morphology": [{"step": one.step, "size_px": one.size_px} for one in preset.morphology],
+        "area_px": list(preset.area_px),
+        "box_px": preset.box_px,
+    }
+
+
+def _best(view: Picture, channel: Channel, bright: bool) -> Pattern | None:
+    """Return the smallest regular pattern of nearly the highest score; else the one of highest."""
+    found = [one for size in SIZES_PX if (one := _pattern(view, size, channel, bright)) is not None]
+    regular = [one for one in found if one.is_regular]
+    if not regular:
+        return max(found, key=lambda one: one.score, default=None)
+    most = max(one.score for one in regular)
+    first = next(one for one in regular if one.score >= NEARLY * most)
+    roomy = int(np.clip(ROOM * 2 * (first.area_px[2] / np.pi) ** 0.5, SIZES_PX[0], 200))
+    return _pattern(view, roomy, channel, bright) or first
+
+
+def _pattern(view: Picture, size: int, channel: Channel, bright: bool) -> Pattern | None:
+    """Return the markers that one size of the element finds; None if there are none."""
+    contrast = hat_contrast(view, size, channel, bright=bright)
+    noise = float(np.median(contrast))
+    floor = max(CONTRAST_LEAST, NOISES * noise)
+    mask = half_of_own(contrast, size, floor) > 0
+    blobs = find_blobs(mask[None], SMALLEST_PX)
+    if len(blobs) < 2:
+        return None
+    labels = np.asarray(cv2.connectedComponents(mask.astype(np.uint8), connectivity=4)[1], np.int64)
+    own = np.zeros(labels.max() + 1, np.float32)
+    np.maximum.at(own, labels, contrast)
+    area = np.bincount(labels.ravel())
+    large = (area >= SMALLEST_PX) & (np.arange(len(area)) > 0)
+    # Patches count by their area, so that many specks do not outweigh the markers.
+    order = np.argsort(own[large])
+    share = np.cumsum(area[large][order]) / area[large].sum()
+    typical = float(own[large][order][np.searchsorted(share, 0.5)])
+    least = round(max(floor, FAINT * typical), 4)
+    mask = half_of_own(contrast, size, least) > 0
+    blobs = find_blobs(mask[None], SMALLEST_PX)
+    blobs = blobs.only(blobs.whole)
+    if len(blobs) < 2:
+        return None
+    pitch = cKDTree(blobs.centre).query(blobs.centre, 2)[0][:, 1]
+    low, middle, high = np.percentile(blobs.area, [5, 50, 95])
+    return Pattern(
+        Hat(size, least, bright, channel),
+        len(blobs),
+        (float(low), float(middle), float(high)),
+        float(np.median(pitch)),
+        _spread(blobs.area),
+        _spread(pitch),
+        typical,
+        noise,
+    )
+
+
+def _spread(values: NDArray[Any]) -> float:
+    """Return half of the range from 16 to 84 % over the median."""
+    low, middle, high = np.percentile(values, [16, 50, 84])
+    return float((high - low) / 2 / middle)
+
+
+@dataclass(frozen=True, slots=True)
+class Recall:
+    """Markers of the reference that were found again in a pressed picture."""
+
+    under: int
+    """Markers under the contact."""
+    under_found: int
+    elsewhere: int
+    elsewhere_found: int
+
+    def __str__(self) -> str:
+        return (
+            f"{self.under_found} of {self.under} found under the contact, "
+            f"{self.elsewhere_found} of {self.elsewhere} elsewhere"
+        )
+
+
+def recall(preset: CameraPreset, reference: Picture, pressed: Picture) -> Recall:
+    """Return how many markers of a picture without contact are found again in a pressed one.
+
+    A marker counts as under the contact where the light has changed.
+    """
+    segmenter = Segmenter(preset)
+    before, after = segmenter.view(reference), segmenter.view(pressed)
+    first = find_blobs(segmenter.mask_of_view(before)[None], SMALLEST_PX).centre
+    then = find_blobs(segmenter.mask_of_view(after)[None], SMALLEST_PX).centre
+    found = ~Tracker(first).step(then).lost
+    soft = [
+        cv2.GaussianBlur(one, (BLUR_PX, BLUR_PX), 0).astype(np.int16) for one in (before, after)
+    ]
+    changed = (np.abs(soft[1] - soft[0]).max(axis=2) > TOUCHED).astype(np.uint8)
+    changed = cv2.dilate(changed, np.ones((9, 9), np.uint8)) > 0
+    column, row = np.round(first).astype(int).T
+    under = changed[row, column]
+    return Recall(
+        int(under.sum()), int(found[under].sum()), int((~under).sum()), int(found[~under].sum())
+    )
+
+
+def draw_outlines(preset: CameraPreset, pictures: Sequence[Picture], path: Path) -> None:
+    """Write the views of pictures with the outlines of their markers, two in a row, as a PNG.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    segmenter = Segmenter(preset)
+    drawn = []
+    for picture in pictures:
+        view = segmenter.view(picture).copy()
+        mask = segmenter.mask_of_view(view).view(np.uint8)
+        outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        drawn.append(cv2.drawContours(view, outlines, -1, (255, 255, 0), 1))
+    drawn += [np.zeros_like(drawn[0])] * (len(drawn) % 2)
+    rows = [np.hstack(drawn[first : first + 2]) for first in range(0, len(drawn), 2)]
+    Image.fromarray(np.vstack(rows)).save(path)
+
+
+def files_of(paths: Sequence[Path]) -> list[Path]:
+    """Return the pictures, and those of folders in the order of their names.
+
+    Raises:
+        LearningError: A path does not exist, or a folder has no pictures.
+    """
+    found: list[Path] = []
+    for path in paths:
+        if path.is_dir():
+            inside = sorted(one for one in path.iterdir() if one.suffix.lower() in ENDINGS)
+            if not inside:
+                raise LearningError(f"{path}: found no pictures; allowed: {', '.join(ENDINGS)}")
+            found += inside
+        elif path.exists():
+            found.append(path)
+        else:
+            raise LearningError(f"{path}: no such file")
+    return found
+
+
+def read_picture(path: Path) -> Picture:
+    """Return a picture (h, w, 3) uint8, RGB.
+
+    Raises:
+        LearningError: Not a picture.
+    """
+    picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if picture is None:
+        raise LearningError(f"{path}: not a picture; allowed: {', '.join(ENDINGS)}")
+    colours: Picture = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+    return colours

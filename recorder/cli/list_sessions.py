@@ -1,0 +1,148 @@
+"""`tactile session list`: list the sessions below a folder, and search them."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import asdict
+from datetime import date
+from pathlib import Path
+
+from recorder.catalogue import UNREADABLE, Catalogue, Query, Row
+
+# As `recorder.spec.STATUSES`, which would import NumPy.
+_STATUSES = ("recording", "complete", "stopped", "recovered", UNREADABLE)
+_COLUMNS = ("started (UTC)", "sensor", "indenter", "plan", "targets", "runs", "status", "faults")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.add_argument(
+        "folder",
+        type=Path,
+        nargs="?",
+        default=Path("sessions"),
+        help="folder of sessions, searched with its subfolders (%(default)s)",
+    )
+    parser.add_argument("--sensor", default="", metavar="NAME", help="only sessions of this sensor")
+    parser.add_argument(
+        "--indenter", default="", metavar="NAME", help="only sessions with this indenter"
+    )
+    parser.add_argument("--plan", default="", metavar="KIND", help="press_shear or force_depth")
+    parser.add_argument("--status", default="", choices=_STATUSES, help="only this status")
+    parser.add_argument(
+        "--since", type=_day, metavar="DATE", help="first day, such as 2026-11-24 (UTC)"
+    )
+    parser.add_argument("--until", type=_day, metavar="DATE", help="last day, included (UTC)")
+    faults = parser.add_mutually_exclusive_group()
+    faults.add_argument(
+        "--faults",
+        action="store_true",
+        default=None,
+        help="only sessions that are not complete, dropped samples or failed their last check",
+    )
+    faults.add_argument(
+        "--no-faults", action="store_false", dest="faults", help="only sessions without faults"
+    )
+    parser.add_argument(
+        "--check",
+        action="store_true",
+        help="check the listed sessions that were not checked since they changed; may take long",
+    )
+    parser.add_argument(
+        "--rebuild",
+        action="store_true",
+        help="read every session again and forget earlier checks",
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object per session")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print the sessions that meet all conditions; return the exit code.
+
+    Raises:
+        SessionError: No such folder.
+    """
+    catalogue = Catalogue(options.folder)
+    catalogue.refresh(rebuild=options.rebuild)
+    query = Query(
+        sensor=options.sensor,
+        indenter=options.indenter,
+        plan=options.plan,
+        status=options.status,
+        since=options.since,
+        until=options.until,
+        faults=None if options.check else options.faults,
+    )
+    rows = catalogue.find(query)
+    if options.check:
+        rows = _checked(catalogue, rows)
+        if options.faults is not None:
+            rows = [row for row in rows if bool(row.faults) == options.faults]
+    if options.json:
+        for row in rows:
+            print(json.dumps({**asdict(row), "faults": row.faults}))
+        return 0
+    for line in _table(rows):
+        print(line)
+    faulty = sum(bool(row.faults) for row in rows)
+    unchecked = sum(row.findings is None for row in rows)
+    print(
+        f"{len(rows)} of {len(list(catalogue))} sessions, {faulty} with faults, "
+        f"{unchecked} not checked"
+    )
+    return 0
+
+
+def _checked(catalogue: Catalogue, rows: list[Row]) -> list[Row]:
+    """Return the rows with the findings of a check, made now where there is none yet."""
+    from recorder.checks.check import check
+    from recorder.errors import SessionError
+    from recorder.findings import faults
+
+    found = []
+    for row in rows:
+        if row.findings is None and row.status != UNREADABLE:
+            try:
+                findings = check(catalogue.folder / row.path)
+                codes = {finding.code for finding in faults(findings)}
+            except SessionError:
+                codes = {"metadata"}
+            row = catalogue.record_check(row, codes)
+            catalogue.save()
+        found.append(row)
+    return found
+
+
+def _table(rows: list[Row]) -> list[str]:
+    """Return the rows as lines of aligned columns, the path last."""
+    cells = [
+        (
+            row.started_utc[:19].replace("T", " "),
+            row.sensor,
+            row.indenter,
+            row.plan,
+            str(row.targets or ""),
+            str(row.runs or ""),
+            row.status + (" (mock)" if row.mock else ""),
+            ", ".join(fault for fault in row.faults if fault != row.status)
+            or ("not checked" if row.findings is None else "none"),
+        )
+        for row in rows
+    ]
+    widths = [max(map(len, column)) for column in zip(_COLUMNS, *cells, strict=True)]
+    return [
+        "  ".join([*(text.ljust(width) for text, width in zip(line, widths, strict=True)), path])
+        for line, path in zip(
+            (_COLUMNS, *cells), ("path", *(row.path for row in rows)), strict=True
+        )
+    ]
+
+
+def _day(text: str) -> date:
+    try:
+        return date.fromisoformat(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"found {text!r}; allowed: a day such as 2026-11-24"
+        ) from None

@@ -1,0 +1,197 @@
+"""Uncertainty of the times of recorded samples, and of the rows aligned by them.
+
+A sample is captured at its device, waits there, on the line and on the host, and is then stamped.
+The stated uncertainty is a standard deviation: twice that value covers 95 % of the errors. It has
+four parts, whose squares add up:
+
+- latency: the interval of its calibration; without one, a prior from 0 to some periods
+- exposure: an image shows all of its exposure, a pose one moment of it
+- clock: how far the promptest arrivals wander against the device's rate
+- queue: how much longer than the promptest around it a sample waited, for each sample alone
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.session.align import EXPOSURE, Source, StreamLike
+from recorder.session.loss import is_regular, lateness, witnesses
+from recorder.session.window import Window
+
+if TYPE_CHECKING:
+    from recorder.session.reader import Session
+
+Floats = NDArray[np.float64]
+
+# Half of a 95 % interval in standard deviations.
+_T_95 = 1.96
+# Longest latency assumed without a calibration, by kind of stream: periods, and at least this [s].
+# Images pass the exposure, a frame's transfer and the decoder; readings are small and sent at once.
+PRIOR: Mapping[str, tuple[float, float]] = {
+    "camera": (3.0, 0.03),
+    "depth": (3.0, 0.03),
+    "taxels": (2.0, 0.01),
+    "force": (2.0, 0.004),
+    "pose": (1.0, 0.004),
+}
+_PRIOR_OTHERS = (2.0, 0.01)
+# A driver on the host's clock stamps a frame within this many periods of the end of exposure.
+_PRIOR_STAMPED = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class TimeSigma:
+    """Standard uncertainty of the times of one run of a stream."""
+
+    latency: float
+    """Part of the latency [s]."""
+    exposure: float
+    """Part of the exposure [s]; 0 for a stream without images."""
+    clock: float
+    """Part of the clock [s]."""
+    queue: Floats
+    """Part of the waiting of each sample (m,) [s]."""
+    calibrated: bool
+    """True if the latency was measured."""
+    prior: float
+    """Longest latency assumed [s]; NaN if it was measured."""
+
+    @property
+    def each(self) -> Floats:
+        """Uncertainty of each sample (m,) [s], without the exposure."""
+        return np.asarray(np.sqrt(self.latency**2 + self.clock**2 + self.queue**2))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain values for the attributes of `frames`."""
+        queue = self.queue if len(self.queue) else np.zeros(1)
+        return {
+            "latency_s": self.latency,
+            "exposure_s": self.exposure,
+            "clock_s": self.clock,
+            "queue_rms_s": float(np.sqrt(np.mean(queue**2))),
+            "queue_longest_s": float(queue.max()),
+            "calibrated": self.calibrated,
+            **({} if self.calibrated else {"assumed_latency_s": [0.0, self.prior]}),
+        }
+
+
+def time_sigma(stream: StreamLike, rows: slice, source: Source) -> TimeSigma:
+    """Return the uncertainty of the times in one run of a stream.
+
+    Args:
+        stream: The stream.
+        rows: Rows of the run.
+        source: The same rows, prepared for alignment.
+    """
+    period = 1.0 / stream.rate_hz
+    stamped = stream.traits.clock == "monotonic"
+    latency, prior = _latency(stream, period, stamped)
+    queue, clock = np.zeros(len(source.times)), 0.0
+    if not stamped and is_regular(stream):
+        device_t = witnesses(stream, rows).get("device_t")
+        queue, clock = lateness(stream.t_ns[rows], stream.rate_hz, source.losses, device_t)
+        queue = queue[source.rows - (rows.start or 0)]
+    exposure = 0.0
+    if stream.traits.kind == "camera":
+        stated = stream.attrs.get("exposure") is not None
+        exposure = source.exposure if stated else max(period, EXPOSURE)
+    calibrated = bool(np.isnan(prior))
+    return TimeSigma(latency, exposure / float(np.sqrt(12.0)), clock, queue, calibrated, prior)
+
+
+def row_sigma(
+    window: Window, sources: Mapping[str, Source], parts: Mapping[str, TimeSigma]
+) -> Floats:
+    """Return the standard uncertainty of the alignment of each row (n,) [s].
+
+    It is that of the signal's capture and that of the least certain stream with a role, added in
+    squares; NaN where there is no signal.
+
+    Args:
+        window: The rows.
+        sources: The streams that were aligned, by name.
+        parts: Their uncertainties, by name.
+    """
+    signal = np.zeros(len(window.t_ns))
+    if window.signal is not None:
+        own = parts[window.signal]
+        signal = _at(own.each, sources[window.signal].times, window.capture_ns)
+        signal = np.hypot(signal, own.exposure)
+        signal[window.signal_row < 0] = np.nan
+    others = np.zeros(len(window.t_ns))
+    for name, part in parts.items():
+        if name != window.signal and window.streams[name].traits.roles:
+            others = np.fmax(others, _at(part.each, sources[name].times, window.capture_ns))
+    return np.asarray(np.hypot(signal, others))
+
+
+def sigmas_of(session: Session, run: int) -> dict[str, TimeSigma]:
+    """Return the uncertainty of the times of every aligned stream of a run, by name.
+
+    Raises:
+        SessionError: A corrupt column.
+    """
+    return {
+        name: time_sigma(session.streams[name], session.rows_of_run(name, run), source)
+        for name, source in session.sources(run).streams.items()
+    }
+
+
+def uncalibrated(stream: StreamLike) -> str | None:
+    """Return a note for a signal whose latency was not measured; None for any other stream."""
+    if "signal" not in stream.traits.roles:
+        return None
+    stamped = stream.traits.clock == "monotonic"
+    prior = _latency(stream, 1.0 / stream.rate_hz, stamped)[1]
+    if np.isnan(prior):
+        return None
+    own = "; its driver stamps its frames" if stamped else ""
+    return (
+        f"{stream.name} latency not calibrated: 0 to {1e3 * prior:.0f} ms assumed{own} "
+        "(make calibrate-latency)"
+    )
+
+
+def time_lines(session: Session) -> list[str]:
+    """Return a note on each signal whose latency was not measured, and the rows' uncertainty."""
+    lines = []
+    for name in session.order:
+        note = uncalibrated(session.streams[name])
+        if note is not None:
+            lines.append(f"note         {note}")
+    if "time_sigma" in session.frames and len(session.frames["time_sigma"]):
+        sigma = session.frames["time_sigma"]
+        known = sigma[np.isfinite(sigma)]
+        if len(known):
+            lines.append(
+                f"time         rows are aligned within {2e3 * np.median(known):.1f} ms (95 %, "
+                f"median; worst {2e3 * known.max():.1f} ms)"
+            )
+    return lines
+
+
+def _latency(stream: StreamLike, period: float, stamped: bool) -> tuple[float, float]:
+    """Return the standard uncertainty of the latency, and the longest assumed; NaN if measured."""
+    interval = stream.attrs.get("latency_calibration", {}).get("interval_s")
+    if stream.attrs.get("latency") is not None and interval is not None and not stamped:
+        return (float(interval[1]) - float(interval[0])) / (2 * _T_95), float("nan")
+    periods, least = PRIOR.get(stream.traits.kind, _PRIOR_OTHERS)
+    longest = _PRIOR_STAMPED * period if stamped else max(periods * period, least)
+    # Of a latency evenly distributed from 0 to the longest, about the recorded time.
+    return longest / float(np.sqrt(3.0)), longest
+
+
+def _at(values: Floats, times: NDArray[np.int64], moments: NDArray[np.int64]) -> Floats:
+    """Return the larger value (n,) of the samples before and after each moment; NaN without any."""
+    if not len(values):
+        return np.full(len(moments), np.nan)
+    after = np.searchsorted(times, moments, side="left")
+    low = np.clip(after - 1, 0, len(values) - 1)
+    high = np.clip(after, 0, len(values) - 1)
+    exact = times[high] == moments
+    return np.asarray(np.where(exact, values[high], np.maximum(values[low], values[high])))

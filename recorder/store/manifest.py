@@ -1,0 +1,435 @@
+"""Manifests: every file of a session at the end of a run, with its digest.
+
+The manifest of run k is the attributes of the Zarr group `manifest/<k>`, so that every Zarr reader
+can list it. It names the digest of the manifest before it; its last entry is its own digest. A
+shard is identified by its end, which lists the checksums of its chunks, and any other file by its
+content. `SealedFiles` verifies what is read of a session by its newest manifest.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import astuple, dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import zarr
+
+from recorder.errors import SessionError
+from recorder.store.durable import TEMPORARY, json_bytes, read_json, replace_file
+from recorder.store.files import LOCAL, Files, Range, read_document
+from recorder.store.layout import ROWS_MAX, StreamLayout, write_group
+from recorder.store.shard import MISSING, read_shard_index
+
+GROUP = "manifest"
+_END = b'"sha256": ""}}'
+
+
+@dataclass(frozen=True, slots=True)
+class Shard:
+    """A sealed shard."""
+
+    size: int
+    """Length of the file [bytes]."""
+    chunks: int
+    """Number of chunks that it holds."""
+    slots: int
+    """Number of chunks that it can hold."""
+    digest: str
+    """SHA-256 of its end: the checksums of its chunks, and its index."""
+
+    @property
+    def end_bytes(self) -> int:
+        """Length of the end [bytes]."""
+        return 20 * self.slots + 4
+
+
+@dataclass(frozen=True, slots=True)
+class Manifest:
+    """Files of a session at the end of a run; paths are relative to the session."""
+
+    run: int
+    """Number of the run."""
+    previous: dict[str, Any] | None
+    """`run` and `sha256` of the manifest before it; None for the first."""
+    rows: dict[str, int]
+    """Number of rows by stream and table."""
+    files: dict[str, tuple[int, str]]
+    """Size [bytes] and SHA-256 of every file but the shards of streams."""
+    shards: dict[str, Shard]
+    """Shards of streams."""
+    digest: str
+    """SHA-256 of the file of the manifest itself."""
+
+    @property
+    def fixed(self) -> dict[str, Shard]:
+        """Shards that no later run may change: the full ones."""
+        return {key: shard for key, shard in self.shards.items() if shard.chunks == shard.slots}
+
+
+def manifest_path(session: Path, run: int) -> Path:
+    """Return the file of the manifest of a run."""
+    return session / GROUP / str(run) / "zarr.json"
+
+
+def manifest_runs(session: Path) -> list[int]:
+    """Return the numbers of the runs that have a manifest, in order; local sessions only."""
+    found = (path.parent.name for path in (session / GROUP).glob("*/zarr.json"))
+    return sorted(int(name) for name in found if name.isdecimal())
+
+
+def read_manifest(files: Files, session: Path, run: int) -> Manifest:
+    """Return the manifest of a run.
+
+    Raises:
+        SessionError: It is missing or was changed.
+    """
+    path = manifest_path(session, run)
+    where = files.name(path)
+    try:
+        data = files.read(path)
+    except FileNotFoundError:
+        raise SessionError(f"{where}: missing, so run {run} cannot be verified") from None
+    stated = data[-67:-3]
+    body = data[:-67] + data[-3:]
+    own = hashlib.sha256(body).hexdigest()
+    if not body.endswith(_END) or stated != own.encode():
+        raise SessionError(f"{where}: changed after it was written")
+    attrs = read_document(files, path)["attributes"]
+    try:
+        manifest = Manifest(
+            attrs["run"],
+            attrs["previous"],
+            attrs["rows"],
+            {key: (size, digest) for key, (size, digest) in attrs["files"].items()},
+            {key: Shard(*entry) for key, entry in attrs["shards"].items()},
+            hashlib.sha256(data).hexdigest(),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise SessionError(f"{where}: not a manifest: {error!r}") from error
+    keys = [*manifest.files, *manifest.shards]
+    if manifest.run != run or any(key.startswith("/") or ".." in key.split("/") for key in keys):
+        raise SessionError(f"{where}: not the manifest of run {run}")
+    return manifest
+
+
+def read_chain(files: Files, session: Path, run: int) -> list[Manifest]:
+    """Return the manifest of a run and those before it, the newest first.
+
+    Raises:
+        SessionError: One is missing or changed, or an earlier one differs from what a later names.
+    """
+    chain = [read_manifest(files, session, run)]
+    while (previous := chain[-1].previous) is not None:
+        earlier = read_manifest(files, session, int(previous["run"]))
+        where = files.name(manifest_path(session, earlier.run))
+        if earlier.run >= chain[-1].run or earlier.digest != previous["sha256"]:
+            raise SessionError(f"{where}: not the manifest that run {chain[-1].run} names")
+        chain.append(earlier)
+    return chain
+
+
+def seal(session: Path, **attrs: Any) -> None:
+    """Write the manifest of the last run, then merge into the session's attributes.
+
+    The streams must be closed. In a session of format 1, only the attributes are written. If
+    killed, the session is as before, and the call can be repeated.
+
+    Raises:
+        SessionError: A shard that a stream declares is missing or corrupt.
+    """
+    path = session / "zarr.json"
+    path.with_name(path.name + TEMPORARY).unlink(missing_ok=True)
+    document = read_json(path)
+    document["attributes"] = {**document["attributes"], **attrs}
+    data = json_bytes(path, document)
+    if document["attributes"]["format_version"] >= 2:
+        write_manifest(session, run_of(document["attributes"]), data)
+    replace_file(path, data)
+
+
+def write_manifest(session: Path, run: int, root: bytes) -> None:
+    """Write the manifest of a session whose streams are closed.
+
+    Args:
+        session: The session.
+        run: Number of its last run.
+        root: Content that the session's own `zarr.json` has when it is closed.
+
+    Raises:
+        SessionError: A shard that a stream declares is missing or corrupt.
+    """
+    (session / GROUP).mkdir(exist_ok=True)
+    earlier = [number for number in manifest_runs(session) if number < run]
+    before = read_manifest(LOCAL, session, earlier[-1]) if earlier else None
+    if not (session / GROUP / "zarr.json").exists():
+        write_group(session / GROUP, {})
+    # Of shards that no later run may change, the first digest holds.
+    shards = {} if before is None else before.fixed
+    rows = {}
+    for group in _streams(session):
+        layout = StreamLayout.load(group)
+        rows[str(group.relative_to(session))] = layout.time.rows()
+        for column in layout.columns:
+            for number in range(-(-column.rows() // column.rows_per_shard)):
+                path = column.shard(number)
+                key = str(path.relative_to(session))
+                if key in shards:
+                    continue
+                entries = read_shard_index(column, number).entries
+                held, slots = int((entries[:, 0] != MISSING).sum()), len(entries)
+                digest = hashlib.sha256(column.files.tail(path, 20 * slots + 4)).hexdigest()
+                shards[key] = Shard(path.stat().st_size, held, slots, digest)
+    files = {}
+    for path in sorted(session.rglob("*")):
+        key = str(path.relative_to(session))
+        if key in shards or not path.is_file() or re.fullmatch(rf"{GROUP}/\d+/.*", key):
+            continue
+        data = root if key == "zarr.json" else path.read_bytes()
+        files[key] = [len(data), hashlib.sha256(data).hexdigest()]
+    attrs = {
+        "run": run,
+        "previous": before and {"run": before.run, "sha256": before.digest},
+        "rows": rows,
+        "files": files,
+        "shards": {key: list(astuple(shard)) for key, shard in shards.items()},
+        "sha256": "",
+    }
+    document = {"zarr_format": 3, "node_type": "group", "attributes": attrs}
+    body = json.dumps(document).encode()
+    own = hashlib.sha256(body).hexdigest().encode()
+    manifest_path(session, run).parent.mkdir(exist_ok=True)
+    replace_file(manifest_path(session, run), body[:-3] + own + body[-3:])
+
+
+def _streams(session: Path) -> list[Path]:
+    groups = sorted(entry.parent for entry in (session / "streams").glob("*/zarr.json"))
+    return [*groups, session / "segments", session / "reference"]
+
+
+def run_of(attrs: dict[str, Any]) -> int:
+    """Return the number of the last run in a session's attributes; 0 without a run."""
+    return max(len(attrs["runs"]) - 1, 0)
+
+
+@dataclass(frozen=True)
+class SealedFiles:
+    """Files of a session whose content is verified by its manifest when it is read.
+
+    While a run is open, only the shards that are `fixed` are verified.
+    """
+
+    inner: Files
+    """Files of the session."""
+    session: Path
+    """The session."""
+    manifest: Manifest
+    """Manifest to hold them against."""
+    is_open: bool = False
+    """True while another run is recorded."""
+
+    @property
+    def local(self) -> bool:
+        """True if the paths are on this machine."""
+        return self.inner.local
+
+    def name(self, path: Path) -> str:
+        """Return the path or URL for messages."""
+        return self.inner.name(path)
+
+    def read(self, path: Path) -> bytes:
+        """Return a whole file.
+
+        Raises:
+            FileNotFoundError: No such file.
+            SessionError: It differs from the manifest.
+        """
+        data = self.inner.read(path)
+        key = self._key(path)
+        shard = self.manifest.shards.get(key)
+        if shard is not None:
+            self._verify_shard(path, shard, data[-shard.end_bytes :], len(data))
+        elif not self.is_open:
+            found = (len(data), hashlib.sha256(data).hexdigest())
+            if self.manifest.files.get(key) != found:
+                raise self._differs(path)
+        return data
+
+    def tail(self, path: Path, nbytes: int) -> bytes:
+        """Return the last `nbytes` of a file, or all of a shorter one.
+
+        Raises:
+            FileNotFoundError: No such file.
+            SessionError: It is the end of a shard, and differs from the manifest.
+        """
+        data = self.inner.tail(path, nbytes)
+        shard = self.manifest.shards.get(self._key(path))
+        if shard is not None and nbytes == shard.end_bytes:
+            self._verify_shard(path, shard, data, None)
+        elif not self.is_open:
+            raise self._differs(path)
+        return data
+
+    def ranges(self, path: Path, wanted: Sequence[Range]) -> list[bytes]:
+        """Return parts of a shard, whose chunks have their own checksums."""
+        return self.inner.ranges(path, wanted)
+
+    def groups(self, path: Path) -> list[Path]:
+        """Return the directories directly below a path that the manifest gives a `zarr.json`."""
+        if self.is_open:
+            return self.inner.groups(path)
+        keys = (self.session / key for key in self.manifest.files)
+        return sorted(
+            key.parent for key in keys if key.name == "zarr.json" and key.parent.parent == path
+        )
+
+    def listed(self, path: Path) -> list[Path]:
+        """Return all files below a directory."""
+        return self.inner.listed(path)
+
+    def sizes(self, path: Path) -> dict[Path, int]:
+        """Return all files below a directory with their sizes [bytes]."""
+        return self.inner.sizes(path)
+
+    def array(self, path: Path) -> zarr.Array[Any]:
+        """Return a Zarr array, read-only.
+
+        Raises:
+            SessionError: Its metadata or the end of a shard differs from the manifest.
+        """
+        read_document(self, path / "zarr.json")
+        for key, shard in self.manifest.shards.items():
+            if (self.session / key).is_relative_to(path):
+                try:
+                    self.tail(self.session / key, shard.end_bytes)
+                except FileNotFoundError:
+                    name = self.name(self.session / key)
+                    raise SessionError(f"{name}: shard missing") from None
+        return self.inner.array(path)
+
+    def remembering(self) -> AbstractContextManager[None]:
+        """Read each zarr.json only once as long as this context lasts."""
+        return self.inner.remembering()
+
+    def _key(self, path: Path) -> str:
+        return str(path.relative_to(self.session))
+
+    def _verify_shard(self, path: Path, shard: Shard, end: bytes, size: int | None) -> None:
+        if self.is_open and shard.chunks != shard.slots:
+            return
+        if hashlib.sha256(end).hexdigest() != shard.digest or size not in (None, shard.size):
+            raise self._differs(path)
+
+    def _differs(self, path: Path) -> SessionError:
+        run = self.manifest.run
+        return SessionError(f"{self.name(path)}: differs from the manifest of run {run}")
+
+
+def sealed_files(files: Files, session: Path, attrs: dict[str, Any]) -> Files:
+    """Return the files of a session as its manifest verifies them.
+
+    The files of a session of format 1, or of one in its first run, are returned as they are.
+
+    Raises:
+        SessionError: A manifest is missing or changed, or a file is missing or of another size.
+    """
+    if attrs["format_version"] < 2:
+        if files.local and (session / GROUP).exists():
+            raise SessionError(f"{files.name(session)}: found manifests in a session of format 1")
+        return files
+    if attrs["status"] == "recording":
+        closed = [run for run in manifest_runs(session) if run < run_of(attrs)]
+        if not closed:
+            return files
+        return SealedFiles(files, session, read_chain(files, session, closed[-1])[0], True)
+    sealed = SealedFiles(files, session, read_chain(files, session, run_of(attrs))[0])
+    sealed.read(session / "zarr.json")
+    if files.local:
+        for message in wrong_sizes(session, sealed.manifest):
+            raise SessionError(message)
+    return sealed
+
+
+def wrong_sizes(session: Path, manifest: Manifest) -> Iterator[str]:
+    """Yield a message per local file that is missing or whose size differs from the manifest."""
+    sizes = {key: size for key, (size, _) in manifest.files.items()}
+    for key, size in (sizes | {key: shard.size for key, shard in manifest.shards.items()}).items():
+        path = session / key
+        try:
+            found = path.stat().st_size
+        except OSError:
+            yield f"{path}: missing; the manifest of run {manifest.run} names it"
+            continue
+        if found != size:
+            yield f"{path}: found {found} bytes, the manifest of run {manifest.run} names {size}"
+
+
+def wrong_files(files: Files, session: Path, attrs: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield path and message of each file that is missing, added or changed, without reading data.
+
+    For a session in an open run, only the shards of the closed runs are verified.
+    """
+    present = {str(path.relative_to(session)) for path in files.listed(session)}
+    if attrs["format_version"] < 2:
+        if any(key.startswith(f"{GROUP}/") for key in present):
+            yield GROUP, "found manifests in a session of format 1"
+        return
+    run, is_open = run_of(attrs), attrs["status"] == "recording"
+    if is_open:
+        found = (re.fullmatch(rf"{GROUP}/(\d+)/zarr.json", key) for key in present)
+        closed = [int(match[1]) for match in found if match and int(match[1]) < run]
+        if not closed:
+            return
+        run = max(closed)
+    try:
+        chain = read_chain(files, session, run)
+    except SessionError as error:
+        yield GROUP, str(error)
+        return
+    sealed = SealedFiles(files, session, chain[0], is_open)
+    for key in sorted([] if is_open else chain[0].files):
+        try:
+            sealed.read(session / key)
+        except FileNotFoundError:
+            yield key, "missing"
+        except (SessionError, OSError) as error:
+            yield key, str(error)
+    sizes = files.sizes(session)
+    for key, shard in sorted((chain[0].fixed if is_open else chain[0].shards).items()):
+        try:
+            sealed.tail(session / key, shard.end_bytes)
+        except FileNotFoundError:
+            yield key, "missing"
+        except (SessionError, OSError) as error:
+            yield key, str(error)
+        else:
+            size = sizes.get(session / key)
+            if size != shard.size:
+                yield key, f"found {size} bytes, expected {shard.size}"
+    for later, earlier in pairwise(chain):
+        for key, shard in earlier.fixed.items():
+            if later.shards.get(key) != shard:
+                yield key, f"run {later.run} changed a full shard of run {earlier.run}"
+        for name, rows in earlier.rows.items():
+            if not rows <= later.rows.get(name, -1) <= ROWS_MAX:
+                yield name, f"run {later.run} removed rows of run {earlier.run}"
+    if is_open:
+        return
+    manifests = {str(manifest_path(session, one.run).relative_to(session)) for one in chain}
+    for key in sorted(present - {*chain[0].files, *chain[0].shards} - manifests):
+        yield key, f"added after run {run}: the manifest does not name it"
+
+
+def hold(session: Path, attrs: dict[str, Any]) -> None:
+    """Hold a local session against its manifests.
+
+    Raises:
+        SessionError: A file is missing, added or changed; the message names the first.
+    """
+    for key, message in wrong_files(LOCAL, session, attrs):
+        raise SessionError(f"{session / key}: {message}")

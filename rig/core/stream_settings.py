@@ -1,0 +1,20 @@
+"""Settings that the devices of all streams have in a bench file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StreamSettings:
+    """Uses of the device's stream; by default those of its kind (`recorder.spec.KINDS`)."""
+
+    STREAM: ClassVar[str]
+    """Kind of the stream."""
+
+    align: Literal["latest", "nearest", "interpolated", "mean", "none"] | None = None
+    """Alignment of the stream in `frames`; none leaves it out."""
+    roles: tuple[Literal["signal", "label", "guard"], ...] | None = None
+    """signal: what the sensor shows; label: what models learn; guard: stops the arm at the bench's
+    limits (F/T sensors only)."""

@@ -1,0 +1,108 @@
+"""Marker detection fitted to untouched pictures, on painted ones whose mask is known."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from learning.__main__ import main
+from learning.errors import LearningError
+from learning.markers import Segmenter, read_preset
+from learning.markers.fit import fit_preset, recall
+
+SCALE = 2
+
+
+@functools.cache
+def painted(
+    seed: int, *, markers: bool = True, pressed: bool = False, bright: bool = False
+) -> tuple[Any, Any]:
+    """Return a picture (480, 640, 3) under three uneven coloured lamps, and its mask."""
+    random = np.random.default_rng(seed)
+    y, x = np.mgrid[: 480 * SCALE, : 640 * SCALE].astype(np.float32) / SCALE
+    lamps = ((100, 240, 2e5), (560, 80, 1.5e5), (400, 460, 2e5))
+    light = [80 + 115 * np.exp(-((x - u) ** 2 + (y - v) ** 2) / w) for u, v, w in lamps]
+    if pressed:  # a bump, lit and shaded by each lamp, and a shadow of one lamp with a sharp edge
+        ring = np.exp(-(((np.hypot(x - 330, y - 250) - 95) / 14) ** 2))
+        for lamp, angle in enumerate((0.3, 2.4, 4.5)):
+            slope = (np.cos(angle) * (x - 330) + np.sin(angle) * (y - 250)) / 95
+            light[lamp] *= 1 + 0.6 * ring * np.clip(slope, -1, 1)
+        light[2] *= np.where((x > 500) & (y > 300) & (x - y < 260), 0.6, 1)
+    mask = np.zeros(x.shape, bool)
+    if markers:
+        for row in range(7):
+            for column in range(9):
+                u, v = 32 + 72 * column, 26 + 72 * row
+                u, v = u + random.uniform(-3, 3), v + random.uniform(-3, 3)
+                mask |= np.hypot(x - u, y - v) < 14 * random.uniform(0.85, 1.1)
+    picture = np.stack(light, axis=-1)
+    ink = 0.3 * picture if not bright else np.full_like(picture, 230.0)
+    picture = np.where(mask[..., None], ink, picture if not bright else 0.3 * picture)
+    picture = cv2.GaussianBlur(picture, (0, 0), 1.2 * SCALE)
+    picture = cv2.resize(picture, (640, 480), interpolation=cv2.INTER_AREA)
+    picture += random.normal(0, 2, picture.shape)
+    known = cv2.resize(mask.astype(np.float32), (640, 480), interpolation=cv2.INTER_AREA) >= 0.5
+    return np.clip(picture, 0, 255).astype(np.uint8), known
+
+
+def iou(one: Any, other: Any) -> float:
+    return float((one & other).sum() / (one | other).sum())
+
+
+@pytest.mark.parametrize("bright", [False, True])
+def test_a_fitted_preset_finds_painted_markers_and_finds_them_again_under_a_contact(
+    bright: bool,
+) -> None:
+    untouched, mask = painted(0, bright=bright)
+    preset, pattern = fit_preset([untouched], pitch_mm=1.8)
+    assert (pattern.count, pattern.detector.bright) == (63, bright)
+    assert preset.mm_per_px == pytest.approx(1.8 / 70, rel=0.05)
+    pressed, pressed_mask = painted(0, pressed=True, bright=bright)
+    assert iou(Segmenter(preset).mask(untouched), mask) >= 0.98
+    assert iou(Segmenter(preset).mask(pressed), pressed_mask) >= 0.98
+    found = recall(preset, untouched, pressed)
+    assert found.under >= (0 if bright else 5)  # on a dark skin the light hardly changes
+    assert (found.under_found, found.elsewhere_found) == (found.under, found.elsewhere)
+
+
+def test_shading_and_noise_without_markers_are_refused() -> None:
+    pictures = [painted(1, markers=False, pressed=pressed)[0] for pressed in (False, True)]
+    for picture in pictures:
+        with pytest.raises(LearningError, match="no regular pattern of markers"):
+            fit_preset([picture])
+
+
+def test_the_command_writes_a_preset_that_markers_reads(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, pressed in (("a", False), ("b", True)):
+        picture = cv2.cvtColor(painted(2, pressed=pressed)[0], cv2.COLOR_RGB2BGR)
+        assert cv2.imwrite(str(tmp_path / f"{name}.png"), picture)
+    out, sheet = tmp_path / "mine.yaml", tmp_path / "sheet.png"
+    command = ["markers-fit", str(tmp_path / "a.png"), "--pressed", str(tmp_path / "b.png")]
+    assert main([*command, "--out", str(out), "--sheet", str(sheet), "--pitch-mm", "1.8"]) == 0
+    printed = capsys.readouterr().out
+    assert "63 dark markers" in printed
+    assert "found under the contact" in printed
+    assert f"tactile markers SESSION --preset {out}" in printed
+    assert read_preset(out).detectors[0].KIND == "hat"
+    assert yaml.safe_load(out.read_text())["kind"] == "camera"
+    assert cv2.imread(str(sheet)).shape == (480, 1280, 3)
+
+
+def test_wrong_files_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "text.png").write_text("no picture")
+    for path, message in (
+        (tmp_path / "text.png", "not a picture"),
+        (tmp_path / "none.png", "no such file"),
+        (tmp_path / "empty", "found no pictures"),
+    ):
+        (tmp_path / "empty").mkdir(exist_ok=True)
+        assert main(["markers-fit", str(path)]) == 2
+        assert message in capsys.readouterr().err

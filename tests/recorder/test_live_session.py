@@ -1,0 +1,133 @@
+"""A session that is being recorded, or whose writer was killed, shows every complete row."""
+
+import shutil
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from recorder import (
+    Session,
+    SessionError,
+    SessionWriter,
+    StreamWriter,
+    camera_spec,
+    force_spec,
+    recover,
+)
+
+TARGETS = {
+    "point": np.zeros(1, np.int16),
+    "depth": np.zeros(1),
+    "direction": np.zeros(1, np.int16),
+    "planned": np.zeros((1, 3)),
+}
+
+
+def force(row: int) -> dict[str, Any]:
+    return {"value": np.arange(6.0) + row, "seq": row, "status": 0, "t_ns": 10**9 + row}
+
+
+def picture(row: int) -> dict[str, Any]:
+    pixels = np.full((4, 4, 3), row % 251 + 1, np.uint8)
+    return {"value": pixels, "device_t": float(row), "t_ns": 10**9 + row}
+
+
+def begin(path: Path) -> SessionWriter:
+    streams = [camera_spec(20, height=4, width=4, codec="zstd"), force_spec(50)]
+    writer = SessionWriter.create(path, attrs={}, streams=streams, targets=TARGETS)
+    writer.begin_run({"t0_ns": 0, "utc": "2026-01-01T00:00:00Z", "boot_id": "b"})
+    return writer
+
+
+def assert_shows(path: Path, count: int) -> None:
+    session = Session(path)
+    assert session.warning is not None
+    assert {name: len(stream) for name, stream in session.streams.items()} == {
+        "camera": count,
+        "force": count,
+    }
+    rows = np.arange(count)
+    gauge, camera = session.streams["force"], session.streams["camera"]
+    np.testing.assert_array_equal(gauge.array("value"), np.arange(6.0) + rows[:, None])
+    np.testing.assert_array_equal(gauge.t_ns, 10**9 + rows)
+    np.testing.assert_array_equal(camera.images(slice(None))[:, 0, 0, 0], rows % 251 + 1)
+    np.testing.assert_array_equal(camera.array("device_t"), rows)
+    if count > 2:
+        middle = gauge.rows_between("seq", count // 2, count - 1)
+        np.testing.assert_array_equal(middle, rows[count // 2 : count - 1])
+
+
+def test_every_row_is_readable_while_it_is_recorded_and_after_a_kill(tmp_path: Path) -> None:
+    path = tmp_path / "s.zarr"
+    with (
+        begin(path) as writer,
+        StreamWriter.open(writer.stream_path("camera")) as camera,
+        StreamWriter.open(writer.stream_path("force")) as gauge,
+    ):
+        # Blocks of 64 rows; a shard of images holds 64, one of the other columns 4096 rows.
+        for row in range(300):
+            camera.append(**picture(row))
+            gauge.append(**force(row))
+            if row in (0, 1, 62, 63, 64, 65, 127, 128, 299):
+                assert_shows(path, row + 1)
+                killed = tmp_path / f"{row}.zarr"
+                shutil.copytree(path, killed, ignore=shutil.ignore_patterns("*.tmp"))
+                assert_shows(killed, row + 1)
+        assert not Session(path).frames
+    recover(killed)
+    assert len(Session(killed).streams["force"]) == 300
+
+
+def test_rows_after_a_flipped_bit_in_a_journal_are_not_shown(tmp_path: Path) -> None:
+    path = tmp_path / "s.zarr"
+    with begin(path) as writer, StreamWriter.open(writer.stream_path("force")) as gauge:
+        for row in range(20):
+            gauge.append(**force(row))
+        shutil.copytree(path, tmp_path / "killed.zarr")
+    journal = tmp_path / "killed.zarr/streams/force/t_ns/journal-0"
+    data = bytearray(journal.read_bytes())
+    data[12 * (len(data) // 20) + 30] ^= 1
+    journal.write_bytes(data)
+    np.testing.assert_array_equal(
+        Session(tmp_path / "killed.zarr").streams["force"].array("seq"), np.arange(12)
+    )
+
+
+def test_follow_yields_each_row_once_in_order_until_the_session_is_closed(tmp_path: Path) -> None:
+    path = tmp_path / "s.zarr"
+    writer = begin(path)
+    session = Session(path)
+
+    def record() -> None:
+        with (
+            writer,
+            StreamWriter.open(writer.stream_path("camera")) as camera,
+            StreamWriter.open(writer.stream_path("force")) as gauge,
+        ):
+            for row in range(1000):
+                gauge.append(**force(row))
+                if row % 4 == 0:
+                    camera.append(**picture(row // 4))
+        writer.finish("stopped", rate_hz=20)
+
+    recording = threading.Thread(target=record)
+    recording.start()
+    rows = list(session.follow(poll=0.01))
+    recording.join()
+    seen = {name: [row for row in rows if row.stream == name] for name in ("camera", "force")}
+    assert [row.number for row in seen["force"]] == list(range(1000))
+    assert [int(row.columns["seq"]) for row in seen["force"]] == list(range(1000))
+    assert [row.columns["value"][0, 0, 0] for row in seen["camera"]] == [
+        row % 251 + 1 for row in range(250)
+    ]
+
+
+def test_follow_ends_after_a_time_without_rows_and_names_an_unknown_stream(tmp_path: Path) -> None:
+    begin(tmp_path / "s.zarr").close()
+    session = Session(tmp_path / "s.zarr")
+    assert list(session.follow("force", poll=0.01, timeout=0.05)) == []
+    with pytest.raises(SessionError, match="no stream 'gauge'; known: camera, force"):
+        next(session.follow("gauge"))

@@ -1,0 +1,203 @@
+"""Memory and reads of sessions are bounded however many are open, and no value suffers by it."""
+
+from __future__ import annotations
+
+import pickle
+import tracemalloc
+from collections import Counter
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.sessions import make_session
+
+from recorder import Session, SessionError, SessionWriter, StreamWriter, force_spec, taxels_spec
+from recorder.session.nearby import sources_near, span_of_run
+from recorder.session.window import align_window, ticks_before
+from recorder.store.recent import RECENT, Kept, Recent
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_session(tmp_path_factory.mktemp("recorded") / "s.zarr")
+
+
+@pytest.fixture(scope="module")
+def uneven(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two runs of taxels and force with gaps, bursts of equal times, and clocks that overlap."""
+    path = tmp_path_factory.mktemp("uneven") / "s.zarr"
+    rng = np.random.default_rng(1)
+    targets = {"point": np.zeros(0, np.int16)}
+    specs = [taxels_spec(60.0, latency=0.004), force_spec(1000.0)]
+    with SessionWriter.create(path, attrs={}, streams=specs, targets=targets) as writer:
+        for run in range(2):
+            writer.begin_run({"t0_ns": 0})
+            with StreamWriter.open(writer.stream_path("taxels")) as stream:
+                for number, t_ns in enumerate(_times(rng, 300, 16_000_000, run)):
+                    value = np.full((16, 3), number, np.int32)
+                    stream.append(value=value, device_t=0.0, seq=number + number // 70, t_ns=t_ns)
+            with StreamWriter.open(writer.stream_path("force")) as stream:
+                for number, t_ns in enumerate(_times(rng, 5000, 1_000_000, run)):
+                    value = np.full(6, float(number))
+                    stream.append(
+                        value=value, seq=number + 2 * (number // 700), status=0, t_ns=t_ns
+                    )
+        writer.finish("complete", rate_hz=40.0)
+    return path
+
+
+def _times(rng: np.random.Generator, count: int, period: int, run: int) -> list[int]:
+    steps = rng.choice([0, period, 2 * period, 400 * period], count, p=[0.1, 0.8, 0.098, 0.002])
+    return (10**9 + run * 10**9 + np.cumsum(steps)).tolist()
+
+
+@pytest.mark.parametrize("method", ["latest", "nearest", "interpolated", "mean"])
+def test_a_window_of_nearby_rows_equals_one_of_the_whole_run(uneven: Path, method: str) -> None:
+    session = Session(uneven)
+    rng = np.random.default_rng(0)
+    narrow = 0
+    for run in range(2):
+        whole = session.sources(run)
+        span = whole.span
+        assert span is not None
+        assert span_of_run(session, run) == span
+        for t_ns in rng.integers(span[0] - 10**9, span[1] + 10**9, 60).tolist():
+            ticks = ticks_before(t_ns, 8, float(rng.choice([5.0, 40.0, 400.0])))
+            near = sources_near(session, run, ticks)
+            narrow += len(near.streams["force"].times) < len(whole.streams["force"].times)
+            signal = method if method in ("latest", "nearest") else "latest"
+            methods = {"force": method, "taxels": signal}
+            found, expected = (
+                align_window(ticks, near, methods),
+                align_window(ticks, whole, methods),
+            )
+            _same(found, expected)
+    assert narrow > 20  # otherwise nothing was tested
+
+
+def _same(found: Any, expected: Any) -> None:
+    for name in ("t_ns", "capture_ns", "signal_row"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+    for name, stream in expected.streams.items():
+        for field in fields(stream):
+            one, other = (getattr(each, field.name) for each in (found.streams[name], stream))
+            np.testing.assert_array_equal(one, other, err_msg=f"{name}.{field.name}")
+
+
+def test_a_stream_out_of_order_is_aligned_as_a_whole(tmp_path: Path) -> None:
+    path, rng = tmp_path / "s.zarr", np.random.default_rng(2)
+    times = 10**9 + rng.permutation(5000) * 1_000_000
+    targets = {"point": np.zeros(0, np.int16)}
+    with SessionWriter.create(
+        path, attrs={}, streams=[force_spec(1000.0)], targets=targets
+    ) as writer:
+        writer.begin_run({"t0_ns": 0})
+        with StreamWriter.open(writer.stream_path("force")) as stream:
+            for t_ns in times.tolist():
+                stream.append(value=np.full(6, t_ns * 1e-9), seq=0, status=0, t_ns=t_ns)
+        writer.finish("complete", rate_hz=40.0)
+    session = Session(path)
+    for t_ns in range(2 * 10**9, 5 * 10**9, 10**9):
+        ticks = ticks_before(t_ns, 4, 40.0)
+        near = sources_near(session, 0, ticks)
+        _same(align_window(ticks, near), align_window(ticks, session.sources(0)))
+
+
+def test_opening_reads_each_metadata_file_once(
+    recorded: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read: Counter[Path] = Counter()
+    original = Path.read_bytes
+
+    def count(path: Path) -> bytes:
+        read[path] += 1
+        return original(path)
+
+    monkeypatch.setattr(Path, "read_bytes", count)
+    session = Session(recorded)
+    assert read
+    assert set(read.values()) == {1}
+    assert {path.name for path in read} == {"zarr.json"}
+    # Nothing is remembered afterwards: a reader of a growing session sees what is new.
+    session.streams["force"].layout.time.rows()
+    assert read[recorded / "streams/force/t_ns/zarr.json"] == 2
+
+
+def test_images_are_decoded_into_the_callers_array(recorded: Path) -> None:
+    camera = Session(recorded).streams["camera"]
+    rows = [70, 3, 70, 215, 0]
+    expected = np.stack([camera.images([row])[0] for row in rows])
+    np.testing.assert_array_equal(camera.images(rows), expected)
+    out = np.full((6, *expected.shape[1:]), 7, np.uint8)
+    camera.images_into(np.array([70, 3, -1, 70, 215, 0]), out)
+    np.testing.assert_array_equal(out[[0, 1, 3, 4, 5]], expected)
+    assert (out[2] == 7).all()  # row -1 is left as it is
+    with pytest.raises(SessionError, match="no row 216, the stream has 216"):
+        camera.images_into(np.array([216]), out[:1])
+    with pytest.raises(SessionError, match="no row -1"):
+        camera.images([-1])
+    with pytest.raises(SessionError, match="found out uint8"):
+        camera.images_into(np.array([0, 1]), out[:1])
+    with pytest.raises(SessionError, match="contiguous"):
+        camera.images_into(np.array([0]), out[:1, :, ::-1])
+
+
+def test_only_so_much_is_kept() -> None:
+    recent, kept = Recent(1000), [np.zeros(40) for _ in range(4)]  # 320 bytes each
+    for array in kept:
+        recent.keep(array, array.nbytes)
+    assert recent.nbytes == 960
+    recent.keep(kept[1], 320)  # used again: kept[2] is now the oldest
+    recent.keep(kept[0], 320)
+    assert [id(array) for array, _ in recent._kept.values()] == [
+        id(kept[number]) for number in (3, 1, 0)
+    ]
+    recent.keep(np.zeros(1000), 8000)  # larger than everything
+    assert recent.nbytes == 960
+
+
+def test_what_was_released_is_read_again_and_a_copy_begins_empty(recorded: Path) -> None:
+    session = Session(recorded)
+    first = session.streams["force"].array("value")
+    assert session.streams["force"].array("value") is first
+    expected = first.copy()
+    del first
+    RECENT.clear()
+    np.testing.assert_array_equal(session.streams["force"].array("value"), expected)
+    copied = pickle.loads(pickle.dumps(session))
+    np.testing.assert_array_equal(copied.streams["force"].array("value"), expected)
+    kept: Kept[np.ndarray] = Kept()
+    kept.put("a", expected)
+    assert pickle.loads(pickle.dumps(kept)).get("a") is None
+
+
+@pytest.mark.slow
+def test_windows_over_200_open_sessions_need_no_more_memory(
+    recorded: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    RECENT.clear()
+    monkeypatch.setattr(RECENT, "limit", 4 << 20)
+    rng = np.random.default_rng(0)
+    sessions = [Session(recorded) for _ in range(200)]
+    span = span_of_run(sessions[0], 0)
+    assert span is not None
+
+    def epoch() -> int:
+        for session in sessions:
+            window = session.window(int(rng.integers(*span)), 4)
+            assert window.image is not None
+            session.frames["wrench"]
+            session.streams["force"].array("value")
+        return tracemalloc.get_traced_memory()[0]
+
+    tracemalloc.start()
+    try:
+        first = epoch()
+        later = [epoch() for _ in range(3)]
+    finally:
+        tracemalloc.stop()
+    # Far less than one column of each session (172 kB), and no growth.
+    assert first < RECENT.limit + 200 * 20_000
+    assert max(later) < first + 200 * 5_000

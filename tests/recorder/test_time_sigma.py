@@ -1,0 +1,96 @@
+"""The stated uncertainty of times covers the errors that delays, exposure and latency cause."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.sessions import T0, make_session, reseal, set_attrs
+
+from recorder import Session, check
+from recorder.info import describe
+from recorder.session.frames import write_frames
+from recorder.session.uncertainty import sigmas_of
+
+Columns = dict[str, Any]
+
+
+def session_with(path: Path, camera: dict[str, Any], **options: Any) -> Session:
+    make_session(path, seconds=2.4, shape=(24, 32), **options)
+    set_attrs(path / "streams/camera", **camera)
+    write_frames(path, 40)
+    reseal(path)
+    return Session(path)
+
+
+def test_a_latency_that_was_not_measured_is_a_note_and_a_prior_of_three_frames(
+    tmp_path: Path,
+) -> None:
+    session = session_with(tmp_path / "s.zarr", {})
+    part = sigmas_of(session, 0)["camera"]
+    assert not part.calibrated
+    assert part.prior == pytest.approx(3 / 60)
+    assert part.latency == pytest.approx(3 / 60 / np.sqrt(3))
+    (note,) = [f for f in check(tmp_path / "s.zarr") if f.code == "uncalibrated"]
+    assert note.level == "note"
+    assert "camera latency not calibrated: 0 to 50 ms assumed" in note.message
+    assert "camera latency not calibrated" in describe(tmp_path / "s.zarr")
+    assert session.frames["time_sigma"].min() > part.latency
+
+
+def test_a_calibrated_latency_counts_by_its_interval(tmp_path: Path) -> None:
+    measured = {
+        "latency": 0.021,
+        "latency_calibration": {"interval_s": [0.0205, 0.0215], "method": "taps"},
+    }
+    session = session_with(tmp_path / "s.zarr", measured)
+    part = sigmas_of(session, 0)["camera"]
+    assert part.calibrated
+    assert part.latency == pytest.approx(0.5e-3 / 1.96)
+    assert "uncalibrated" not in {finding.code for finding in check(tmp_path / "s.zarr")}
+    assert "not calibrated" not in describe(tmp_path / "s.zarr")
+    # The exposure of 10 ms, and the priors of gauge and arm, are what remains.
+    assert np.median(session.frames["time_sigma"]) < 8e-3
+    stored = session.files.array(session.path / "frames" / "time_sigma").attrs
+    assert stored["units"] == "s"
+
+
+def test_a_sample_that_waited_on_the_host_is_less_certain(tmp_path: Path) -> None:
+    def stalled(stream: str, columns: Columns) -> Columns:
+        if stream != "camera":
+            return columns
+        t_ns = np.array(columns["t_ns"])
+        begin, end = T0 + 1_000_000_000, T0 + 1_200_000_000
+        late = (t_ns > begin) & (t_ns < end)
+        t_ns[late] = end + np.arange(late.sum()) * 1000
+        return {**columns, "t_ns": t_ns}
+
+    session = session_with(tmp_path / "s.zarr", {"latency": 0.0}, change=stalled)
+    queue = sigmas_of(session, 0)["camera"].queue
+    times = session.streams["camera"].t_ns
+    first = int(np.argmax(times > T0 + 1_000_000_000))
+    assert queue[first] == pytest.approx(0.19, abs=0.02)
+    assert np.delete(queue, np.arange(first, first + 13)).max() < 1e-3
+
+
+def test_errors_under_random_delays_lie_within_twice_the_uncertainty(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    truth: dict[str, np.ndarray] = {}
+    latest = {"camera": 0.045, "force": 0.0035, "pose": 0.0035}
+
+    def delayed(stream: str, columns: Columns) -> Columns:
+        if stream not in latest:
+            return columns
+        true = np.array(columns["t_ns"])
+        truth[stream] = true
+        least = rng.uniform(0, latest[stream])
+        waited = rng.exponential(0.004, len(true)) * (rng.random(len(true)) < 0.3)
+        arrived = true + np.round((least + waited) * 1e9).astype(np.int64)
+        return {**columns, "t_ns": np.maximum.accumulate(arrived) + np.arange(len(true))}
+
+    session = session_with(tmp_path / "s.zarr", {}, change=delayed)
+    for name, part in sigmas_of(session, 0).items():
+        error = (session.streams[name].t_ns - truth[name]) * 1e-9
+        assert (np.abs(error) <= 2 * part.each).mean() >= 0.95, name

@@ -1,0 +1,151 @@
+"""Mistakes on the command line are found before a device, an emulator or a page starts."""
+
+from __future__ import annotations
+
+import re
+import resource
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.collecting import ROOT, quick_bench
+
+from rig.__main__ import main
+from rig.acquire import collector
+from rig.cli.options import free_path
+from rig.core.packaged import BENCHES
+from rig.mock import bench as mock_bench
+
+
+@pytest.fixture(autouse=True)
+def nothing_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fail if a stream or an emulator is started."""
+
+    def started(*_: object, **__: object) -> None:
+        raise AssertionError("a device or an emulator was started")
+
+    monkeypatch.setattr(collector, "Streams", started)
+    monkeypatch.setattr(mock_bench.MockBench, "__enter__", started)
+
+
+@pytest.fixture(name="folder")
+def folder_of_recordings(tmp_path: Path) -> Path:
+    (tmp_path / "images").mkdir()
+    np.save(tmp_path / "taxels.npy", np.zeros((4, 48)))
+    (tmp_path / "old.zarr").mkdir()
+    lab = "mock: false\nworld: null\nsimulated: null\n"
+    (tmp_path / "lab.yaml").write_text(f"extends: {BENCHES / 'tacpalm.yaml'}\n{lab}")
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ("--sensor tacpalm --out {}/old.zarr", "exists already; resume it or choose another"),
+        ("--sensor tacplam", "SENSOR: found 'tacplam'; did you mean tacpalm? known in"),
+        ("--sensor tacpalm --indenter bananna", "INDENTER: found 'bananna'; known in the paper"),
+        ("--sensor tacpalm --indenter cylinde", "did you mean cylinder?"),
+        ("--sensor uskin --camera {}/images", "uskin.yaml has no camera: nothing"),
+        (
+            "--sensor tacpalm --taxels {}/taxels.npy",
+            "tacpalm.yaml has no taxels: nothing",
+        ),
+        ("--sensor tacpalm --still", "STILL: goes with CAMERA only"),
+        ("--bench {}/lab.yaml --camera {}/images", "CAMERA: {}/lab.yaml is a lab bench"),
+        ("--bench {}/lab.yaml --truth {}/t", "TRUTH: {}/lab.yaml is a lab bench"),
+        ("--sensor tacpalm --watch-host 0.0.0.0", "WATCHHOST, --watch-host: goes with WATCH"),
+        ("--sensor tacpalm --watch-host 203.0.113.7 --watch", "allowed: a free port of this"),
+        ("--bench {}/lab.yaml", "lab bench: no terminal to ask on"),
+    ],
+)
+def test_a_collection_that_cannot_be_is_refused(
+    arguments: str, words: str, folder: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(folder)
+    assert main(["collect", *arguments.replace("{}", str(folder)).split()]) == 2
+    assert words.replace("{}", str(folder)) in capsys.readouterr().err
+    assert not list(folder.glob("sessions/*.zarr"))
+
+
+@pytest.mark.parametrize("command", ["home", "calibrate-latency", "force-depth"])
+def test_every_recording_command_knows_the_indenters_and_asks(
+    command: str, folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    assert main([command, "--sensor", "tacpalm", "--indenter", "bananna"]) == 2
+    assert "found 'bananna'" in capsys.readouterr().err
+    assert main([command, "--bench", str(folder / "lab.yaml")]) == 2
+    assert "no terminal to ask on" in capsys.readouterr().err
+
+
+def test_a_busy_port_is_found_early(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        out = str(folder / "s.zarr")
+        assert main(["collect", "--sensor", "tacpalm", "--out", out, "--watch", str(port)]) == 2
+    assert f"127.0.0.1:{port}: Address already in use" in capsys.readouterr().err
+
+
+def test_a_model_that_is_no_folder_is_found_early(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["live", "--sensor", "tacpalm", "--model", "nope"]) == 2
+    assert "MODEL, --model: found nope; no such folder" in capsys.readouterr().err
+
+
+def test_mistakes_are_found_in_less_than_two_seconds(folder: Path) -> None:
+    """Time of the processor, since other work may share the machine; nothing in it waits."""
+    commands = (
+        ["collect", "--sensor", "tacpalm", "--out", str(folder / "old.zarr")],
+        ["live", "--sensor", "tacpalm", "--model", "nope"],
+    )
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    for arguments in commands:
+        ran = subprocess.run(
+            [sys.executable, "-m", "rig", *arguments], cwd=ROOT, capture_output=True, check=False
+        )
+        assert ran.returncode == 2
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    spent = after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
+    assert spent < 2.0 * len(commands)
+
+
+def test_a_default_name_that_is_taken_gets_a_number(tmp_path: Path) -> None:
+    path = tmp_path / "tacpalm-cone-20260101-120000.zarr"
+    assert free_path(path) == path
+    path.mkdir()
+    second = tmp_path / "tacpalm-cone-20260101-120000-2.zarr"
+    assert free_path(path) == second
+    second.mkdir()
+    assert free_path(path).name.endswith("-3.zarr")
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ("contact_frame: {position_mm: [-0.120, -0.430, 0.160]}", "is it in m?"),
+        ("arm: {tcp: {position_mm: [0.0, 0.0, 0.1124]}}", "tcp.position_mm: found [0.0, 0.0, 0.11"),
+        ("arm: {speed_mm_s: 0.005}", "is it in m/s? then write 5"),
+        ("arm: {payload_kg: 620.0}", "is it in g? then write 0.62"),
+        ("tool_rotation_deg: [3.14159, 0.0, 0.0]", "is it in rad? then write 180 deg"),
+        ("tool_rotation_deg: [0.0, 0.0, 180.0]", "does not point the tool into the sensor"),
+        ("trajectory: {angle_step_deg: 0.7854}", "is it in rad? then write 45"),
+        ("trajectory: {depth_max_mm: 0.0045}", "is it in m? then write 4.5"),
+        ("limits: {stale_force_ms: 0.05}", "is it in s? then write 50"),
+        ("limits: {torque_rating_n_mm: [0.12, 0.12, 0.12]}", "is it in N m?"),
+        ("limits: {box_x_mm: [-0.01, 0.01]}", "is it in m?"),
+        ("camera: {exposure_ms: 1560.0}", "camera.exposure_ms: 1560; allowed: up to 33.33"),
+        ("camera: {exposure_ms: 15600.0}", "is it in us? then write 15.6"),
+        ("force: {axes_measured: []}", "axes_measured: []; allowed: one or more of Fx, Fy"),
+        ("force: {axes_measured: [Fz, Fq]}", "allowed: Fx, Fy, Fz"),
+    ],
+)  # fmt: skip
+def test_a_value_in_another_unit_is_refused(
+    more: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = quick_bench(tmp_path, "tacpalm")
+    path.write_text(f"extends: {BENCHES / 'tacpalm.yaml'}\n{more}\n")
+    assert main(["collect", "--bench", str(path), "--out", str(tmp_path / "s.zarr")]) == 2
+    assert re.search(re.escape(words), capsys.readouterr().err)

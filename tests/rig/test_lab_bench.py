@@ -1,0 +1,186 @@
+"""A lab bench on a terminal: it asks before it moves, and leaves the sensor when the terminal goes.
+
+The emulators run in this process's mock bench, and survive the collection: the arm is seen after
+its end.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import pty
+import select
+import signal
+import subprocess
+import sys
+import termios
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from support.collecting import ROOT, quick_bench
+
+from recorder import Session
+from rig.bench.bench import load_bench
+from rig.core.geometry import invert, transform
+from rig.core.samples import ARM_TRUTH
+from rig.core.shared_memory import SharedLatest
+from rig.mock.bench import MockBench
+from rig.mock.world import ARM_FILE
+
+pytestmark = [pytest.mark.serial, pytest.mark.timeout(120)]
+
+# Height above the sensor to which a stopped arm retracts, less the tolerance of the move [mm].
+RETRACTED = 15.0
+
+
+class LabBench:
+    """Emulators, and a bench file that knows their addresses only."""
+
+    def __init__(self, folder: Path) -> None:
+        bench, content = load_bench(quick_bench(folder, "tacpalm"))
+        self.run_folder = folder / "run"
+        self.run_folder.mkdir()
+        self.mock = MockBench(content, "bench.yaml", self.run_folder)
+        lab = {**self.mock.content, "mock": False, "world": None, "simulated": None}
+        self.file = folder / "lab.yaml"
+        self.file.write_text(yaml.safe_dump(lab))
+        self._to_contact = invert(bench.contact_frame)
+
+    def tip(self) -> float:
+        """Return the height of the emulated arm's tip above the sensor [mm]."""
+        with contextlib.closing(SharedLatest.attach(self.run_folder / ARM_FILE, ARM_TRUTH)) as arm:
+            record = arm.read()
+        assert record is not None
+        return 1e3 * float(transform(self._to_contact, record["pose"][:3])[2])
+
+
+@pytest.fixture(name="lab", scope="module")
+def lab_bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabBench]:
+    lab = LabBench(tmp_path_factory.mktemp("lab"))
+    with lab.mock:
+        yield lab
+
+
+class Terminal:
+    """A command on a terminal of its own, as its session's leader."""
+
+    def __init__(self, *arguments: str) -> None:
+        self.master, slave = pty.openpty()
+
+        def own_terminal() -> None:
+            # Undo nohup, under which the tests may run.
+            signal.signal(signal.SIGHUP, signal.SIG_DFL)
+            fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+
+        self.process = subprocess.Popen(
+            [sys.executable, "-u", "-m", "rig", *arguments],
+            cwd=ROOT,
+            stdin=slave,
+            stdout=slave,
+            stderr=slave,
+            start_new_session=True,
+            preexec_fn=own_terminal,
+        )
+        os.close(slave)
+        self.text = ""
+
+    def read_until(self, word: str, timeout: float = 40.0) -> None:
+        """Read the output until `word` is in it."""
+        deadline = time.monotonic() + timeout
+        while word not in self.text:
+            assert time.monotonic() < deadline, self.text
+            if select.select([self.master], [], [], 0.1)[0]:
+                try:
+                    self.text += os.read(self.master, 4096).decode(errors="replace")
+                except OSError:
+                    raise AssertionError(f"it ended before {word!r}:\n{self.text}") from None
+
+    def wait(self, timeout: float = 40.0) -> int:
+        """Return the exit code, reading the output meanwhile."""
+        deadline = time.monotonic() + timeout
+        while self.process.poll() is None:
+            assert time.monotonic() < deadline, self.text
+            self._drain()
+        self._drain()
+        return self.process.returncode
+
+    def _drain(self) -> None:
+        while select.select([self.master], [], [], 0.05)[0]:
+            try:
+                self.text += os.read(self.master, 4096).decode(errors="replace")
+            except OSError:
+                return
+
+    def close(self) -> None:
+        """Close the terminal, like its window: the kernel sends SIGHUP to the whole group."""
+        if self.master >= 0:
+            os.close(self.master)
+            self.master = -1
+
+    def __enter__(self) -> Terminal:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait()
+
+
+def _until(condition: Callable[[], bool], process: subprocess.Popen[bytes]) -> None:
+    deadline = time.monotonic() + 40
+    while not condition():
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+
+
+def test_a_closed_terminal_retracts_the_arm_and_closes_the_session(
+    lab: LabBench, tmp_path: Path
+) -> None:
+    session = tmp_path / "s.zarr"
+    with Terminal(
+        *("collect", "--bench", str(lab.file), "--out", str(session), "--targets", "4"),
+        *("--calibrations", str(tmp_path / "none")),
+    ) as terminal:
+        terminal.read_until("Enter to start")
+        # The first four targets are the shallowest of the plan.
+        for word in (
+            *("LAB BENCH", "5 mm/s near the sensor", "x -10 to 10 mm", "depth     1.125 mm"),
+            "indenter  cylinder",
+        ):
+            assert word in terminal.text
+        assert not session.exists()
+        os.write(terminal.master, b"\n")
+        terminal.read_until("target 1/4")
+        _until(lambda: lab.tip() < -0.2, terminal.process)
+        terminal.close()
+        assert terminal.process.wait(40) == 130
+    assert lab.tip() > RETRACTED
+    found = Session(session)
+    assert found.status == "stopped"
+    assert found.attrs["reason"] == "the terminal was closed"
+    assert not found.attrs["mock"]
+    assert found.attrs["indenter_description"]["source"] == "paper"
+    # The session holds the retract, and every stream was closed in order.
+    place = np.asarray(found.streams["pose"].column("value"))[-1, :3]
+    assert 1e3 * transform(invert(found.attrs["contact_frame"]), place)[2] > RETRACTED
+
+
+@pytest.mark.parametrize("answer", [b"no\n", b"\x04", b"\x03"], ids=["no", "end", "ctrl-c"])
+def test_anything_but_enter_starts_nothing(lab: LabBench, tmp_path: Path, answer: bytes) -> None:
+    session = tmp_path / "s.zarr"
+    with Terminal(
+        *("collect", "--bench", str(lab.file), "--out", str(session)),
+        *("--calibrations", str(tmp_path / "none")),
+    ) as terminal:
+        terminal.read_until("Enter to start")
+        os.write(terminal.master, answer)
+        assert terminal.wait() == 130
+        assert "nothing was recorded" in terminal.text
+    assert not session.exists()

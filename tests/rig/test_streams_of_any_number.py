@@ -1,0 +1,245 @@
+"""Benches with none, one and three streams of each kind: settings, emulators, guard, collection."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.collecting import Collection, faults_of, quick_bench
+
+from recorder import Session, SessionWriter, recover
+from recorder.convert import FORMATS, export
+from recorder.spec import frame_columns
+from rig.acquire.plan_runner import _reference
+from rig.acquire.preflight import take_tares
+from rig.bench.bench import Bench, bench_from, empty_spec, load_bench
+from rig.core.config import read_yaml
+from rig.core.errors import ConfigError
+from rig.core.guard import Violation, most_serious
+from rig.core.packaged import BENCHES
+from rig.mock.bench import MockBench
+
+# Slow streams, because twelve devices, their emulators and the tests share the machine.
+THREE = """
+rate_hz: 20.0
+arm: {rate_hz: 100.0}
+force: {rate_hz: 200.0}
+camera: {rate_hz: 10.0}
+taxels: {kind: xela, address: "ws://loopback:5000", rate_hz: 20.0}
+preflight: {timeout: 20.0}
+limits: {stale_force_ms: 2000.0, stale_pose_ms: 2000.0, duration_max_min: 60.0}
+streams:
+  side: {kind: opencv, address: "http://loopback:8082/", rate_hz: 10.0}
+  room: {kind: opencv, address: "http://loopback:8083/", rate_hz: 5.0, roles: [], align: nearest}
+  left: {kind: netft, host: loopback, http_port: 8090, udp_port: 49153, rate_hz: 200.0}
+  right: {kind: netft, host: loopback, http_port: 8091, udp_port: 49154, rate_hz: 100.0,
+          roles: [label]}
+  skin_2: {kind: xela, address: "ws://loopback:5001", rate_hz: 20.0}
+  skin_3: {kind: xela, address: "ws://loopback:5002", rate_hz: 20.0}
+  flange: {kind: ur_pose, host: loopback, rate_hz: 50.0}
+  elbow: {kind: ur_pose, host: loopback, rate_hz: 25.0}
+world: {taxels: {pitch_mm: 4.7}, noise: {force_n: 0.01, grey: 1.0, counts: 2.1}}
+"""
+NONE = """
+extends: three.yaml
+force: null
+camera: null
+taxels: null
+streams: null
+"""
+NAMES = ("force", "pose", "camera", "taxels", "side", "room", "left", "right")
+NAMES += ("skin_2", "skin_3", "flange", "elbow")
+
+
+def written(folder: Path) -> Path:
+    """Write the two benches and return that with three of each."""
+    first = quick_bench(folder, "gelsight")
+    (folder / "three.yaml").write_text(f"extends: {first.name}\n{THREE}")
+    (folder / "none.yaml").write_text(NONE)
+    return folder / "three.yaml"
+
+
+@pytest.fixture
+def three(tmp_path: Path) -> tuple[Bench, dict[str, Any]]:
+    return load_bench(written(tmp_path))
+
+
+def test_single_keys_and_named_streams_are_rows_alike(three: tuple[Bench, Any]) -> None:
+    bench, _ = three
+    assert tuple(row.name for row in bench.rows) == NAMES
+    assert {kind: len(bench.of_kind(kind)) for kind in ("camera", "force", "pose", "taxels")} == {
+        "camera": 3,
+        "force": 3,
+        "pose": 3,
+        "taxels": 3,
+    }
+    assert [row.name for row in bench.gauges] == ["force", "left"]
+    assert bench.signal is not None
+    assert bench.signal.name == "camera"
+    columns = frame_columns((row.name, row.traits) for row in bench.rows)
+    assert columns["left"] == "left"
+    assert columns["force"] == "wrench"
+
+
+def test_null_removes_a_device_and_every_named_stream(tmp_path: Path) -> None:
+    three = written(tmp_path)
+    bench, _ = load_bench(three.with_name("none.yaml"))
+    assert [row.name for row in bench.rows] == ["pose"]
+    assert bench.signal is None
+    (tmp_path / "two.yaml").write_text("extends: three.yaml\nstreams: {side: null, left: null}\n")
+    bench, _ = load_bench(tmp_path / "two.yaml")
+    assert "side" not in [row.name for row in bench.rows]
+    assert [row.name for row in bench.gauges] == ["force"]
+
+
+CAMERA = {"kind": "opencv", "address": "http://loopback:8085/", "rate_hz": 10.0}
+
+
+@pytest.mark.parametrize(
+    ("streams", "text"),
+    [
+        ({"camera": CAMERA}, "streams.camera: found twice"),
+        ({"depth": CAMERA}, "streams: stream depth: is the name of a column of frames"),
+        ({"a b": CAMERA}, "allowed as a name: a letter"),
+        ({"x": {**CAMERA, "kind": "opencvv"}}, "streams.x.kind: found 'opencvv'; allowed: opencv"),
+        ({"x": {**CAMERA, "roles": ["guard"]}}, "streams.x.roles: found guard"),
+        ({"x": {**CAMERA, "roles": ["boss"]}}, "streams.x.roles.0.: found text 'boss'; allowed"),
+        ({"x": {**CAMERA, "align": "mean"}}, "streams: x: found align 'mean'; allowed for its"),
+        ({"x": {**CAMERA, "exposure_ms": 500.0}}, "streams.x.exposure_ms: 500; allowed: up to"),
+        ({"x": {"kind": "ur_pose", "host": "h", "rate_hz": 900.0}}, "rate_hz: 900.0; allowed"),
+        (["x"], "streams: found the list .*; allowed: a mapping from names"),
+    ],
+)
+def test_streams_that_cannot_be_are_refused_by_key(streams: Any, text: str) -> None:
+    content = read_yaml(BENCHES / "gelsight.yaml", BENCHES)
+    with pytest.raises(ConfigError, match=text):
+        bench_from({**content, "streams": streams}, "bench.yaml")
+
+
+@pytest.mark.parametrize("force", [None, {"kind": "netft", "roles": ["label"]}])
+def test_a_lab_bench_without_a_gauge_that_guards_is_refused(force: Any) -> None:
+    content = {**read_yaml(BENCHES / "gelsight.yaml", BENCHES), "force": force}
+    lab = {**content, "mock": False, "world": None}
+    with pytest.raises(ConfigError, match="force: missing; allowed on a lab bench: an F/T sensor"):
+        bench_from(lab, "bench.yaml")
+    assert not bench_from(content, "bench.yaml").gauges  # a mock bench may
+
+
+def test_every_device_has_an_emulator_and_a_fault_port_of_its_own(
+    three: tuple[Bench, dict[str, Any]], tmp_path: Path
+) -> None:
+    mock = MockBench(three[1], "three.yaml", tmp_path)
+    documents = mock.documents()
+    devices = [*NAMES[:1], "arm", *NAMES[2:4], *(f"{name}.device" for name in NAMES[4:10])]
+    assert set(documents) == {"world", *devices}  # the arm's controller serves all poses
+    ports = [document["fault_port"] for name, (_, document) in documents.items() if name != "world"]
+    assert len(set(ports)) == len(ports)
+    assert documents["side.device"][1]["view"].endswith("world.json")
+
+
+def test_of_several_guards_the_most_serious_reason_stops_the_arm() -> None:
+    soft, stale = Violation("force_soft", "left"), Violation("stale_force", "right")
+    hard = Violation("force_hard", "top")
+    assert most_serious([]) is None
+    assert most_serious([soft, stale]) is stale
+    assert most_serious([stale, hard, soft]) is hard
+
+
+class Measured:
+    """Streams whose means are their place among the bench's rows."""
+
+    def __init__(self, bench: Bench) -> None:
+        self._places = {row.name: place for place, row in enumerate(bench.rows)}
+
+    def measure(self, seconds: float, *names: str) -> dict[str, dict[str, Any]]:
+        return {
+            name: {
+                "mean": np.full(6, 0.1 * self._places[name]),
+                "std": np.full(6, 0.01),
+                "t_ns": 5,
+            }
+            for name in names
+        }
+
+    def __getitem__(self, name: str) -> Measured:
+        return self
+
+    def latest(self) -> dict[str, int]:
+        return {"row": 7}
+
+
+def test_every_gauge_is_tared_and_has_its_own_reference(
+    three: tuple[Bench, Any], tmp_path: Path
+) -> None:
+    bench, streams = three[0], Measured(three[0])
+    tares = take_tares(bench, streams)  # type: ignore[arg-type]
+    assert {name: tare.mean[0] for name, tare in tares.items()} == pytest.approx(
+        {"force": 0.0, "left": 0.6, "right": 0.7}
+    )
+    found = streams.measure(1.0, "force", "left", "right")
+    found |= {name: {"mean": np.ones((16, 3))} for name in ("taxels", "skin_2", "skin_3")}
+    row = _reference(bench, streams, found)  # type: ignore[arg-type]
+    assert {key: value for key, value in row.items() if np.ndim(value) == 0} == {
+        "image": 7,
+        "side": 7,
+        "room": 7,
+    }
+    specs = [empty_spec(each) for each in bench.rows]
+    targets = {"point": np.zeros(1, np.int16)}
+    with SessionWriter.create(
+        tmp_path / "s.zarr", attrs={}, streams=specs, targets=targets
+    ) as session:
+        session.reference.append(**row, point=1, run=0, t_ns=5)
+    stored = Session(tmp_path / "s.zarr").reference
+    np.testing.assert_allclose(stored["left"][0], 0.6)
+    np.testing.assert_allclose(stored["right_std"][0], 0.01)
+
+
+def rig(*words: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "rig", *words]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    "name", ["none", pytest.param("three", marks=[pytest.mark.slow, pytest.mark.timeout(900)])]
+)
+@pytest.mark.timeout(200)
+def test_collected_killed_recovered_resumed_replayed_checked_and_exported(
+    name: str, tmp_path: Path
+) -> None:
+    bench = written(tmp_path).with_name(f"{name}.yaml")
+    wanted = set(NAMES) if name == "three" else {"pose"}
+    path = tmp_path / "s.zarr"
+    run = Collection.start(path, "--targets", "2", "--bench", str(bench))
+    run.until(lambda: run.session.exists() and run.segments() > 100, 400)
+    run.kill_all()
+    run.process.communicate()
+    assert recover(path).status == "recovered"
+    assert set(Session(path).streams) == wanted
+    assert faults_of(path, stopped=True) == []
+    run = Collection.start(path, "--resume", str(path))  # with the packaged bench of the sensor
+    assert run.wait(60) == 2
+    assert "was recorded with the streams" in run.text
+    run = Collection.start(path, "--resume", str(path), "--bench", str(bench))
+    assert run.wait(400) == 0, run.text
+    session = Session(path)
+    assert (session.status, len(session.runs)) == ("complete", 2)
+    assert faults_of(path, stopped=True) == []
+    frames = session.frames
+    inside = frames["valid"][frames["run"] == 1]
+    assert inside.mean() > 0.8, "a busy machine may delay single samples"
+    assert {name for name, column in session.columns.items() if column in frames} == wanted
+    window = session.window(int(frames["t_ns"][-5]), 3)
+    assert set(window.streams) == wanted
+    again = rig("replay", "--session", str(path), "--out", str(tmp_path / "r.zarr"))
+    assert again.returncode == 0, again.stdout + again.stderr
+    assert "equal:" in again.stdout
+    for to in FORMATS:
+        if to != "genforce" or session.of_kind("camera"):
+            export(path, tmp_path / to, to)
+            assert (tmp_path / to).exists()
