@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 from pathlib import Path
@@ -21,8 +22,16 @@ RULES = list(
 
 
 def make(*arguments: str) -> subprocess.CompletedProcess[str]:
+    # Under `make test`, its own variables would make this one a sub-make, which prints more.
+    plain = {name: value for name, value in os.environ.items() if "MAKE" not in name}
+    plain.pop("MFLAGS", None)
     return subprocess.run(
-        ["make", "-n", *arguments], cwd=ROOT, capture_output=True, text=True, check=False
+        ["make", "-n", *arguments],
+        cwd=ROOT,
+        env=plain,
+        capture_output=True,
+        text=True,
+        check=False,
     )
 
 

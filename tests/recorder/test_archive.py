@@ -724,10 +724,10 @@ FAULTS: dict[str, tuple[str, str, Callable[[Path], Any]]] = {
         "Array1/table/depth",
         lambda path: rewrite(path, "depth", put(3, np.nan)),
     ),
-    "half a wrench": (
+    "an infinite force": (
         "nan",
         "Array1/table/wrench",
-        lambda path: rewrite(path, "wrench", put(1, [1, np.nan, 0, 0, 0, 0])),
+        lambda path: rewrite(path, "wrench", put(1, [1, np.inf, 0, 0, 0, 0])),
     ),
     "an indenter without a name": (
         "bad-code",
