@@ -128,7 +128,8 @@ def test_the_guard_stops_at_what_the_device_itself_does_not_trust(
     from rig.core.guard import Guard
 
     bench = loaded(tmp_path, FORCES[kind])
-    guard = Guard(bench.guard_limits, bench.contact_frame, watch_pose=False)
+    (gauge,) = bench.gauges
+    guard = Guard(bench.guard_limits_of(gauge), bench.contact_frame, watch_pose=False)
     record = np.zeros(1, FORCE_LATEST)[0]
     record["status"] = status
     violation = guard.check(0, record, None)
@@ -140,7 +141,7 @@ def test_the_guard_looks_ahead_at_the_rate_of_every_line(tmp_path: Path, rate_hz
     from rig.core.guard import Guard
 
     bench = loaded(tmp_path, ATI_SERIAL)
-    limits = bench.guard_limits
+    limits = bench.guard_limits_of(*bench.gauges)
     guard = Guard(limits, bench.contact_frame, watch_pose=False)
     soft, speed = limits.soft_fraction * limits.force_rating[2], 100.0
     record = np.zeros(1, FORCE_LATEST)[0]
