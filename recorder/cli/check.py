@@ -26,6 +26,7 @@ def run(options: argparse.Namespace) -> int:
         print(finding)
     wrong = faults(findings)
     if not wrong:
-        notes = f"no faults, {len(findings)} notes" if findings else "nothing found"
+        count = len(findings)
+        notes = f"no faults, {count} note{'s' * (count != 1)}" if findings else "nothing found"
         print(f"{options.session}: {notes}")
     return 1 if wrong else 0

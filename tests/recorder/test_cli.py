@@ -35,7 +35,7 @@ def test_check_exits_with_what_it_found(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["check", str(recorded)]) == 0
-    assert capsys.readouterr().out.endswith(f"{recorded}: no faults, 1 notes\n")
+    assert capsys.readouterr().out.endswith(f"{recorded}: no faults, 1 note\n")
     path = tmp_path / "s.zarr"
     shutil.copytree(recorded, path)
     (path / "streams/force/seq/c/0").unlink()
