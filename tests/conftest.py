@@ -21,6 +21,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
+# `make test` would otherwise have the rig print `make resume` in place of its own command.
+os.environ.pop("TACTILE_DOOR", None)
+
 # A shell starts background jobs with SIGINT ignored, and Python keeps it so; the tests of Ctrl-C
 # must not depend on how they were started.
 signal.signal(signal.SIGINT, signal.default_int_handler)

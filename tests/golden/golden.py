@@ -156,6 +156,7 @@ def _process(argv: list[str], case: Case, root: Path) -> subprocess.CompletedPro
         "PYTHONHASHSEED": "0",
         "PYTHONWARNINGS": "ignore",
         "CUDA_VISIBLE_DEVICES": "",
+        "TACTILE_DOOR": "",
     }
     return subprocess.run(
         argv,
