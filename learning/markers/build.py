@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
@@ -27,6 +26,7 @@ from learning.markers.segment import (
     find_centres,
     grey,
     names,
+    outlined,
     preset,
     preset_of_sensor,
 )
@@ -381,10 +381,7 @@ def _view(archived: ArchivedSensor, placed: Placed, image: int) -> NDArray[np.ui
 def _outlined(view: NDArray[np.uint8] | None, mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
     if view is None:
         return np.where(mask[..., None], MARKER, GROUND).astype(np.uint8)
-    drawn = view.copy()
-    found = cv2.findContours(mask.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    cv2.drawContours(drawn, found[0], -1, OUTLINE, 2)
-    return drawn
+    return outlined(view, mask, OUTLINE, 2)
 
 
 def _count(archived: ArchivedSensor, mask: NDArray[np.bool_]) -> str:

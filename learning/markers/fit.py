@@ -8,7 +8,7 @@ is chosen: markers are alike and evenly spaced, shading and dust are not.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,7 @@ from learning.markers.segment import (
     Segmenter,
     half_of_own,
     hat_contrast,
+    outlined,
 )
 from learning.markers.track import Tracker
 from recorder.markers import SMALLEST_PX, find_blobs
@@ -166,22 +167,12 @@ def _steadiest(found: Sequence[Pattern]) -> Pattern:
 
 def as_yaml(preset: CameraPreset) -> dict[str, Any]:
     """Return the content of the preset's YAML file; `read_preset` reads it."""
-    (detector,) = preset.detectors
-    assert isinstance(detector, Hat)
     content: dict[str, Any] = {"kind": preset.KIND, "description": preset.description}
     if preset.mm_per_px is not None:
         content["mm_per_px"] = preset.mm_per_px
     return {
         **content,
-        "detectors": [
-            {
-                "kind": detector.KIND,
-                "size_px": detector.size_px,
-                "least": detector.least,
-                "bright": detector.bright,
-                "channel": detector.channel,
-            }
-        ],
+        "detectors": [{"kind": one.KIND, **asdict(one)} for one in preset.detectors],
         "smooth_px": preset.smooth_px,
         "morphology": [{"step": one.step, "size_px": one.size_px} for one in preset.morphology],
         "area_px": list(preset.area_px),
@@ -207,14 +198,13 @@ def _pattern(view: Picture, size: int, channel: Channel, bright: bool) -> Patter
     noise = float(np.median(contrast))
     floor = max(CONTRAST_LEAST, NOISES * noise)
     mask = half_of_own(contrast, size, floor) > 0
-    blobs = find_blobs(mask[None], SMALLEST_PX)
-    if len(blobs) < 2:
-        return None
     labels = np.asarray(cv2.connectedComponents(mask.astype(np.uint8), connectivity=4)[1], np.int64)
     own = np.zeros(labels.max() + 1, np.float32)
     np.maximum.at(own, labels, contrast)
     area = np.bincount(labels.ravel())
     large = (area >= SMALLEST_PX) & (np.arange(len(area)) > 0)
+    if large.sum() < 2:
+        return None
     # Patches count by their area, so that many specks do not outweigh the markers.
     order = np.argsort(own[large])
     share = np.cumsum(area[large][order]) / area[large].sum()
@@ -293,10 +283,9 @@ def draw_outlines(preset: CameraPreset, pictures: Sequence[Picture], path: Path)
     segmenter = Segmenter(preset)
     drawn = []
     for picture in pictures:
-        view = segmenter.view(picture).copy()
-        mask = segmenter.mask_of_view(view).view(np.uint8)
-        outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-        drawn.append(cv2.drawContours(view, outlines, -1, (255, 255, 0), 1))
+        view = segmenter.view(picture)
+        mask = segmenter.mask_of_view(view)
+        drawn.append(outlined(view, mask, (255, 255, 0), 1))
     drawn += [np.zeros_like(drawn[0])] * (len(drawn) % 2)
     rows = [np.hstack(drawn[first : first + 2]) for first in range(0, len(drawn), 2)]
     Image.fromarray(np.vstack(rows)).save(path)

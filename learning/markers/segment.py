@@ -335,6 +335,14 @@ class Segmenter:
         return _of_size(found, preset.area_px)
 
 
+def outlined(view: Picture, mask: Mask, colour: tuple[int, int, int], width_px: int) -> Picture:
+    """Return a copy of a view (480, 640, 3) with the outlines of a mask (480, 640)."""
+    drawn: Picture = view.copy()
+    found = cv2.findContours(mask.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    cv2.drawContours(drawn, found[0], -1, colour, width_px)
+    return drawn
+
+
 def grey(picture: Picture) -> Picture:
     """Return the luma (h, w) of a picture (h, w, 3), RGB (ITU-R BT.601)."""
     luma: Picture = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)

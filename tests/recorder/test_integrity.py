@@ -275,7 +275,7 @@ def _as_value(document: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-# Sealed sessions of every origin, and what happens to their files.
+# Sealed sessions of every origin, with files changed, removed or exchanged.
 
 
 def imported(folder: Path) -> Path:
@@ -389,9 +389,9 @@ def flips_are_never_read(path: Path, flips: int, seed: int) -> None:
         file.write_bytes(whole)
 
 
-def check_any(path: Path) -> list[Finding]:
+def check_any(path: Path, *, quick: bool = False) -> list[Finding]:
     try:
-        return check(path)
+        return check(path, quick=quick)
     except SessionError as error:
         return [Finding("metadata", ".", str(error))]
 
@@ -433,7 +433,7 @@ def losses(path: Path, other: Path, kind: str, every: int) -> int:
             file.unlink() if data is None else file.write_bytes(data)
             if where.parts[0] != "manifest" and unchanged(path, good):
                 continue  # equal values with the same checksums, recorded at another time
-            named = [str(f) for f in faults([*check_quick(path)])]
+            named = [str(f) for f in faults([*check_any(path, quick=True)])]
             group = str(where.parent).partition("/c/")[0]
             # A manifest of another session differs from all files instead.
             named_it = named if group.startswith("manifest") else [n for n in named if group in n]
@@ -442,15 +442,8 @@ def losses(path: Path, other: Path, kind: str, every: int) -> int:
                 everything(path)
             file.write_bytes(whole)
             changes += 1
-    assert faults(check_quick(path)) == []
+    assert faults(check_any(path, quick=True)) == []
     return changes
-
-
-def check_quick(path: Path) -> list[Finding]:
-    try:
-        return check(path, quick=True)
-    except SessionError as error:
-        return [Finding("metadata", ".", str(error))]
 
 
 @pytest.mark.parametrize("kind", SEALED)
