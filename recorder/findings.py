@@ -33,6 +33,7 @@ CODES = {
 NOTES: dict[str, str] = {
     "uncalibrated": "a signal whose latency was not measured: an interval is assumed",
     "drops-unseen": "a device that tells neither numbers nor times: drops cannot be seen",
+    "sealed-later": "a manifest that was lost and made again: earlier changes cannot be seen",
     "not-sealed": "a run without a manifest that would show a removed or changed file",
 }
 

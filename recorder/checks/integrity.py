@@ -37,6 +37,10 @@ def check_manifest(files: Files, session: Path, attrs: dict[str, Any]) -> Iterat
     if attrs["format_version"] < 2:
         message = "format 1 has no manifest (python -m recorder repack makes a copy that has one)"
         yield Finding("not-sealed", ".", message)
+    for entry in attrs.get("sealed_later", ()):
+        runs = ", ".join(map(str, entry["lost"]))
+        message = f"the manifest of run {runs} was lost and made again on {entry['utc']}"
+        yield Finding("sealed-later", ".", f"{message}; changes before then cannot be seen")
     for key, message in wrong_files(files, session, attrs):
         yield Finding("manifest", key, message)
 

@@ -93,6 +93,11 @@ SESSIONS = (
         "session recover", "recorder.cli.recover", "close a session whose recording was killed"
     ),
     Command(
+        "session seal",
+        "recorder.cli.seal",
+        "make the manifest of a closed session again after it was lost",
+    ),
+    Command(
         "session repack",
         "recorder.cli.repack",
         "copy a session, storing its images in another encoding",

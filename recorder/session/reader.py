@@ -265,12 +265,15 @@ class Session:
         path: str | os.PathLike[str],
         *,
         storage_options: Mapping[str, Any] | None = None,
+        unsealed: bool = False,
     ) -> None:
         """Open a session.
 
         Args:
             path: A directory, or a URL that fsspec knows, such as `s3://bucket/x.zarr`.
             storage_options: Options that fsspec needs to open the URL, e.g. `{"anon": True}`.
+            unsealed: True to read a closed session although a manifest is lost, with a `warning`;
+                its chunks are verified by their checksums, its other files cannot be.
 
         Raises:
             SessionError: Not a session, a newer format, unreachable, remote and unfinished, or its
@@ -278,16 +281,18 @@ class Session:
         """
         self.files, self.path = locate(path, storage_options)
         with self.files.remembering():
-            self._open()
+            self._open(unsealed)
 
-    def _open(self) -> None:
+    def _open(self, unsealed: bool) -> None:
         self.attrs = read_session_attrs(self.path, self.files)
         if self.status == "recording" and not self.files.local:
             raise SessionError(
                 f"{self.name}: was copied while it was recorded; recover it where it was "
                 "recorded (python -m recorder recover) and copy it again"
             )
-        self.files = sealed_files(self.files, self.path, self.attrs)
+        self.files, self._lost_manifest = sealed_files(
+            self.files, self.path, self.attrs, unsealed=unsealed
+        )
         self.attrs = read_session_attrs(self.path, self.files)
         live = self.status == "recording"
         groups = self.files.groups(self.path / "streams")
@@ -327,6 +332,8 @@ class Session:
     @property
     def warning(self) -> str | None:
         """Warning to show before the session is used, or None."""
+        if self._lost_manifest is not None:
+            return f"opened without its manifest: {self._lost_manifest}"
         if self.status == "recording":
             return (
                 f"{self.name}: still recording, or killed while it was; its rows so far are "

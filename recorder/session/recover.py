@@ -8,10 +8,9 @@ from recorder.errors import SessionError
 from recorder.session.frames import remove_leftovers, write_frames
 from recorder.session.reader import Session
 from recorder.session.stream_writer import StreamWriter, survey
-from recorder.store.durable import TEMPORARY
 from recorder.store.files import LOCAL
-from recorder.store.layout import StreamLayout, merge_attrs, read_session_attrs
-from recorder.store.manifest import seal, wrong_files
+from recorder.store.layout import REBUILDING, StreamLayout, read_session_attrs
+from recorder.store.manifest import remove_unfinished, reopen, seal, wrong_files
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,19 +61,20 @@ def recover(path: str | os.PathLike[str]) -> Recovery:
     session = Path(path)
     attrs = read_session_attrs(session)
     status = str(attrs.get("status"))
+    remove_unfinished(session)
     wrong = list(wrong_files(LOCAL, session, attrs))
     for key, text in wrong:
         if status == "recording" or not key.startswith("frames"):
             raise SessionError(f"{session / key}: {text}")
-    (session / f"zarr.json{TEMPORARY}").unlink(missing_ok=True)
     leftovers = remove_leftovers(session)
     streams = recover_streams(session)
     touched = leftovers or any(stream.touched for stream in streams)
     rebuild = bool(touched or wrong or status == "recording" or not (session / "frames").exists())
     if rebuild:
-        status = "recovered" if status == "recording" else status
-        if wrong:  # a closed session: open it, so that its streams can be read and it can be sealed
-            merge_attrs(session, {"status": "recording"})
+        if status == "recording":
+            status = attrs.get(REBUILDING, "recovered")
+        elif wrong:  # its streams can be read, and it can be sealed, only if it is open
+            reopen(session, status)
         write_frames(session, Session(session).rate_hz)
         seal(session, status=status)
     return Recovery(tuple(streams), rebuild, status)

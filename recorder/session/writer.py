@@ -31,7 +31,7 @@ from recorder.store.layout import (
     read_session_attrs,
     write_group,
 )
-from recorder.store.manifest import hold, seal
+from recorder.store.manifest import hold, remove_unfinished, seal
 from recorder.store.tables import write_table
 
 _CREATING = ".creating"
@@ -102,6 +102,7 @@ class SessionWriter:
         """
         session = Path(path)
         attrs = read_session_attrs(session)
+        remove_unfinished(session)
         hold(session, attrs)
         recover_streams(session)
         if attrs["status"] == "recording":  # the run that was not closed

@@ -30,6 +30,8 @@ ROWS_MAX = 1 << 40
 SIDE_MAX = 1 << 16
 ROW_BYTES_MAX = 1 << 28
 CHUNK_BYTES_MAX = 1 << 30
+# Attribute of a closed session whose derived files are being built again: its status before.
+REBUILDING = "rebuilding"
 # Suffix of a shard that is still growing; Zarr readers ignore it.
 PARTIAL = ".partial"
 
@@ -410,9 +412,11 @@ def read_session_attrs(path: Path, files: Files = LOCAL) -> dict[str, Any]:
     """
     attrs = read_attrs(path, files, what="session", format_=FORMAT, version=FORMAT_VERSION)
     name = files.name(path)
-    if attrs["status"] not in STATUSES:
-        known = ", ".join(STATUSES)
-        raise SessionError(f"{name}: found status {attrs['status']!r:.80}; allowed: {known}")
+    for key, allowed in (("status", STATUSES), (REBUILDING, STATUSES[1:])):
+        found = attrs["status"] if key == "status" else attrs.get(key, allowed[0])
+        if found not in allowed:
+            known = ", ".join(allowed)
+            raise SessionError(f"{name}: found {key} {found!r:.80}; allowed: {known}")
     if "rate_hz" in attrs:
         check_rate(attrs["rate_hz"], name)
     _check_runs(attrs["runs"], name)

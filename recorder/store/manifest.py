@@ -23,7 +23,7 @@ import zarr
 from recorder.errors import SessionError
 from recorder.store.durable import TEMPORARY, json_bytes, read_json, replace_file
 from recorder.store.files import LOCAL, Files, Range, read_document
-from recorder.store.layout import ROWS_MAX, StreamLayout, write_group
+from recorder.store.layout import REBUILDING, ROWS_MAX, StreamLayout, merge_attrs, write_group
 from recorder.store.shard import MISSING, read_shard_index
 
 GROUP = "manifest"
@@ -94,7 +94,10 @@ def read_manifest(files: Files, session: Path, run: int) -> Manifest:
     try:
         data = files.read(path)
     except FileNotFoundError:
-        raise SessionError(f"{where}: missing, so run {run} cannot be verified") from None
+        raise SessionError(
+            f"{where}: missing, so run {run} cannot be verified (if nothing else is lost, "
+            "python -m recorder seal makes it again)"
+        ) from None
     stated = data[-67:-3]
     body = data[:-67] + data[-3:]
     own = hashlib.sha256(body).hexdigest()
@@ -124,14 +127,45 @@ def read_chain(files: Files, session: Path, run: int) -> list[Manifest]:
     Raises:
         SessionError: One is missing or changed, or an earlier one differs from what a later names.
     """
-    chain = [read_manifest(files, session, run)]
-    while (previous := chain[-1].previous) is not None:
-        earlier = read_manifest(files, session, int(previous["run"]))
-        where = files.name(manifest_path(session, earlier.run))
-        if earlier.run >= chain[-1].run or earlier.digest != previous["sha256"]:
-            raise SessionError(f"{where}: not the manifest that run {chain[-1].run} names")
-        chain.append(earlier)
+    chain, broken = readable_chain(files, session, run)
+    if broken is not None:
+        raise broken
     return chain
+
+
+def readable_chain(
+    files: Files, session: Path, run: int
+) -> tuple[list[Manifest], SessionError | None]:
+    """Return the manifest of a run and those before it up to the first that cannot be read.
+
+    The second value says which one that is; None if all can be read.
+    """
+    chain: list[Manifest] = []
+    try:
+        chain.append(read_manifest(files, session, run))
+        while (previous := chain[-1].previous) is not None:
+            earlier = read_manifest(files, session, int(previous["run"]))
+            where = files.name(manifest_path(session, earlier.run))
+            if earlier.run >= chain[-1].run or earlier.digest != previous["sha256"]:
+                raise SessionError(f"{where}: not the manifest that run {chain[-1].run} names")
+            chain.append(earlier)
+    except SessionError as error:
+        return chain, error
+    return chain, None
+
+
+def remove_unfinished(session: Path) -> None:
+    """Delete the attributes that a killed program had not finished writing."""
+    path = session / "zarr.json"
+    path.with_name(path.name + TEMPORARY).unlink(missing_ok=True)
+
+
+def reopen(session: Path, status: str, **attrs: Any) -> None:
+    """Open a closed session so that it can be sealed again, and merge into its attributes.
+
+    Its status is kept beside `recording`: if killed before `seal`, `recover` restores it.
+    """
+    merge_attrs(session, {**attrs, "status": "recording", REBUILDING: status})
 
 
 def seal(session: Path, **attrs: Any) -> None:
@@ -144,9 +178,10 @@ def seal(session: Path, **attrs: Any) -> None:
         SessionError: A shard that a stream declares is missing or corrupt.
     """
     path = session / "zarr.json"
-    path.with_name(path.name + TEMPORARY).unlink(missing_ok=True)
+    remove_unfinished(session)
     document = read_json(path)
     document["attributes"] = {**document["attributes"], **attrs}
+    document["attributes"].pop(REBUILDING, None)
     data = json_bytes(path, document)
     if document["attributes"]["format_version"] >= 2:
         write_manifest(session, run_of(document["attributes"]), data)
@@ -330,10 +365,18 @@ class SealedFiles:
         return SessionError(f"{self.name(path)}: differs from the manifest of run {run}")
 
 
-def sealed_files(files: Files, session: Path, attrs: dict[str, Any]) -> Files:
+def sealed_files(
+    files: Files, session: Path, attrs: dict[str, Any], *, unsealed: bool = False
+) -> tuple[Files, str | None]:
     """Return the files of a session as its manifest verifies them.
 
     The files of a session of format 1, or of one in its first run, are returned as they are.
+
+    Args:
+        files: Access to the files.
+        session: The session.
+        attrs: Its attributes.
+        unsealed: True to accept that a manifest is lost; the second value then says which one.
 
     Raises:
         SessionError: A manifest is missing or changed, or a file is missing or of another size.
@@ -341,18 +384,24 @@ def sealed_files(files: Files, session: Path, attrs: dict[str, Any]) -> Files:
     if attrs["format_version"] < 2:
         if files.local and (session / GROUP).exists():
             raise SessionError(f"{files.name(session)}: found manifests in a session of format 1")
-        return files
+        return files, None
     if attrs["status"] == "recording":
         closed = [run for run in manifest_runs(session) if run < run_of(attrs)]
         if not closed:
-            return files
-        return SealedFiles(files, session, read_chain(files, session, closed[-1])[0], True)
-    sealed = SealedFiles(files, session, read_chain(files, session, run_of(attrs))[0])
+            return files, None
+        return SealedFiles(files, session, read_chain(files, session, closed[-1])[0], True), None
+    chain, broken = readable_chain(files, session, run_of(attrs))
+    if broken is not None and not unsealed:
+        raise broken
+    lost = None if broken is None else str(broken)
+    if not chain:
+        return files, lost
+    sealed = SealedFiles(files, session, chain[0])
     sealed.read(session / "zarr.json")
     if files.local:
         for message in wrong_sizes(session, sealed.manifest):
             raise SessionError(message)
-    return sealed
+    return sealed, lost
 
 
 def wrong_sizes(session: Path, manifest: Manifest) -> Iterator[str]:
@@ -386,10 +435,10 @@ def wrong_files(files: Files, session: Path, attrs: dict[str, Any]) -> Iterator[
         if not closed:
             return
         run = max(closed)
-    try:
-        chain = read_chain(files, session, run)
-    except SessionError as error:
-        yield GROUP, str(error)
+    chain, broken = readable_chain(files, session, run)
+    if broken is not None:
+        yield GROUP, str(broken)
+    if not chain:
         return
     sealed = SealedFiles(files, session, chain[0], is_open)
     for key in sorted([] if is_open else chain[0].files):
@@ -422,6 +471,8 @@ def wrong_files(files: Files, session: Path, attrs: dict[str, Any]) -> Iterator[
         return
     manifests = {str(manifest_path(session, one.run).relative_to(session)) for one in chain}
     for key in sorted(present - {*chain[0].files, *chain[0].shards} - manifests):
+        if broken is not None and key.startswith(f"{GROUP}/"):
+            continue
         yield key, f"added after run {run}: the manifest does not name it"
 
 

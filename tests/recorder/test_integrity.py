@@ -28,6 +28,7 @@ from recorder import (
     repack,
 )
 from recorder.__main__ import main
+from recorder.checks.reseal import reseal
 from recorder.session.frames import write_frames
 from recorder.session.reader import Stream
 from recorder.session.recover import recover_streams
@@ -538,6 +539,116 @@ def test_what_was_changed_in_a_closed_session_is_not_sealed_by_resuming(
         with pytest.raises(SessionError, match="differs from the manifest of run 0"):
             attempt(path)
     assert (path / "zarr.json").read_bytes() == before
+
+
+def lose_manifests(path: Path, *runs: int) -> None:
+    for run in runs:
+        shutil.rmtree(path / "manifest" / str(run))
+
+
+@pytest.mark.parametrize("lost", [(0,), (1,), (2,), (0, 1, 2)])
+def test_a_session_that_lost_only_manifests_can_be_read_and_sealed_again_on_purpose(
+    lost: tuple[int, ...],
+    sealed: Callable[[str], Path],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    path = tmp_path / "s.zarr"
+    shutil.copytree(sealed("resumed"), path)
+    good = everything(path)
+    lose_manifests(path, *lost)
+    named = f"manifest/{max(lost)}/zarr.json: missing"
+    with pytest.raises(SessionError, match=rf"{named}.*recorder seal makes it again"):
+        Session(path)
+    accepted = Session(path, unsealed=True)
+    assert named in (accepted.warning or "")
+    assert np.array_equal(accepted.streams["force"].array("value"), good["force.value"])
+    assert main(["seal", str(path)]) == 0
+    runs = ", ".join(map(str, lost))
+    assert f"sealed again; the manifest of run {runs} was lost" in capsys.readouterr().out
+    again = everything(path)
+    assert json.loads(again.pop("attrs")).pop("sealed_later")[0]["lost"] == list(lost)
+    good.pop("attrs")
+    assert alike(again, good)
+    note = next(one for one in check(path) if one.code == "sealed-later")
+    assert f"the manifest of run {runs} was lost and made again on 2" in note.message
+    assert faults(check(path, quick=True)) == []
+    assert Session(path).warning is None
+    assert reseal(path) == []
+    flip(path / "streams/force/zarr.json", 999)
+    with pytest.raises(SessionError, match="differs from the manifest of run 2"):
+        Session(path)
+
+
+def cut_a_shard(path: Path) -> None:
+    shard = path / "streams/force/value/c/0/0"
+    shard.write_bytes(shard.read_bytes()[:-1])
+
+
+def damage_a_chunk(path: Path) -> None:
+    flip(path / "streams/force/value/c/0/0", 8 * 300)
+
+
+@pytest.mark.parametrize(
+    "harm",
+    [
+        cut_a_shard,
+        damage_a_chunk,
+        lambda path: shutil.rmtree(path / "streams/pose"),
+        lambda path: shutil.rmtree(path / "targets/depth"),
+        lambda path: (path / "streams/force/seq/c/0").rename(path / "streams/force/seq/c/1"),
+        lambda path: edit(path / "streams/force/seq/zarr.json", lambda d: d.update(shape=[5])),
+    ],
+)
+def test_a_session_that_lost_more_than_its_manifest_is_not_sealed_again(
+    harm: Callable[[Path], Any], sealed: Callable[[str], Path], tmp_path: Path
+) -> None:
+    path = tmp_path / "s.zarr"
+    shutil.copytree(sealed("taxels"), path)
+    lose_manifests(path, 0)
+    harm(path)
+    before = {file: file.read_bytes() for file in files_of(path)}
+    with pytest.raises(SessionError, match=r"only if nothing but its manifest is lost|missing"):
+        reseal(path)
+    assert {file: file.read_bytes() for file in files_of(path)} == before
+
+
+def test_a_file_that_the_remaining_manifest_contradicts_is_not_sealed_again(
+    sealed: Callable[[str], Path], tmp_path: Path
+) -> None:
+    path = tmp_path / "s.zarr"
+    shutil.copytree(sealed("resumed"), path)
+    lose_manifests(path, 0)
+    edit(path / "streams/force/zarr.json", lambda d: d["attributes"].update(bias=[1.0] * 6))
+    with pytest.raises(SessionError, match="only if nothing but its manifest is lost"):
+        reseal(path)
+
+
+@pytest.mark.parametrize("act", [recover, reseal])
+def test_a_complete_session_stays_complete_if_its_repair_is_killed_at_any_point(
+    act: Callable[[Path], Any], tmp_path: Path
+) -> None:
+    origin = make_session(tmp_path / "s.zarr", seconds=0.2, names=("force",))
+    if act is recover:
+        shutil.rmtree(origin / "frames")
+    else:
+        lose_manifests(origin, 0)
+    call, finished = 0, False
+    while not finished:
+        call += 1
+        path = tmp_path / "killed.zarr"
+        shutil.copytree(origin, path)
+        with pytest.MonkeyPatch.context() as patch, contextlib.suppress(Killed):
+            FailingCalls(patch, call)
+            act(path)
+            finished = True
+        status = json.loads((path / "zarr.json").read_text())["attributes"]["status"]
+        (act if status == "complete" else recover)(path)
+        assert faults(check(path, quick=True)) == []
+        assert Session(path).status == "complete"
+        assert "rebuilding" not in Session(path).attrs
+        shutil.rmtree(path)
+    assert call > 8
 
 
 def test_sealing_survives_a_kill_before_each_file_operation(tmp_path: Path) -> None:
