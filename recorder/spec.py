@@ -43,6 +43,9 @@ ROLES = ("signal", "label", "guard")
 # Clocks of a device: none; `device_t` on the host's CLOCK_MONOTONIC; `device_t` on a clock of the
 # device; `seq` that counts samples at the device's rate.
 CLOCKS = ("none", "monotonic", "device", "counter")
+# Moment of the exposure that the time stamps of a camera are of: the share of the exposure that
+# comes after it.
+STAMPS: Mapping[str, float] = {"start": 1.0, "middle": 0.5, "end": 0.0}
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +97,8 @@ class Traits:
     """Some of `ROLES`."""
     clock: str
     """One of `CLOCKS`."""
+    stamp: str = "end"
+    """One of `STAMPS`: the moment that `device_t` is of, if the clock is `monotonic`."""
 
     @property
     def defaults(self) -> Kind:
@@ -118,7 +123,8 @@ class Traits:
                 clock = "device"
         if not isinstance(roles, list | tuple):
             raise SessionError(f"{name}: found roles {roles!r:.80}, expected a list")
-        return cls(kind, str(align), tuple(map(str, roles)), str(clock)).checked(name)
+        stamp = str(attrs.get("stamp", "end"))
+        return cls(kind, str(align), tuple(map(str, roles)), str(clock), stamp).checked(name)
 
     def checked(self, name: str) -> Self:
         """Return these traits.
@@ -130,6 +136,7 @@ class Traits:
             ("align", (self.align,), ALIGNMENTS),
             ("roles", self.roles, ROLES),
             ("clock", (self.clock,), CLOCKS),
+            ("stamp", (self.stamp,), tuple(STAMPS)),
         )
         for key, found, known in allowed:
             for value in found:
@@ -148,6 +155,7 @@ class Traits:
             "align": self.align,
             "roles": list(self.roles),
             "clock": self.clock,
+            **({} if self.stamp == "end" else {"stamp": self.stamp}),
         }
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.session.loss import Losses, stream_losses
-from recorder.spec import Column, Traits, frame_columns, signal_of
+from recorder.spec import STAMPS, Column, Traits, frame_columns, signal_of
 
 Times = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -427,7 +427,8 @@ def captured(stream: StreamLike) -> Times:
     """Return the capture time of each row (n,) [ns], as far as the stream gives it.
 
     This is arrival minus attrs `latency` [s]; or the device's own time if the stream's clock is
-    `monotonic`, because then both are the same clock (V4L2).
+    `monotonic`, because then both are the same clock (V4L2). The capture of an image is the end of
+    its exposure, which a device may stamp at its start or middle.
     """
     arrived = stream.t_ns - round(_number(stream, "latency", 0.0) / NS)
     if stream.traits.clock != "monotonic" or "device_t" not in stream.names:
@@ -435,6 +436,7 @@ def captured(stream: StreamLike) -> Times:
     device_t = stream.array("device_t")
     known = np.isfinite(device_t)
     stamped = np.round(np.where(known, device_t, 0.0) / NS).astype(np.int64)
+    stamped += round(STAMPS[stream.traits.stamp] * _number(stream, "exposure", EXPOSURE) / NS)
     return np.where(known, stamped, arrived)
 
 

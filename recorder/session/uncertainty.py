@@ -4,7 +4,8 @@ A sample is captured at its device, waits there, on the line and on the host, an
 The stated uncertainty is a standard deviation: twice that value covers 95 % of the errors. It has
 four parts, whose squares add up:
 
-- latency: the interval of its calibration; without one, a prior from 0 to some periods
+- latency: the interval of its calibration; without one, a prior from 0 to some periods; and how
+  far the end of exposure is from a stamp at its start or middle, if the exposure is not known
 - exposure: an image shows all of its exposure, a pose one moment of it
 - clock: how far the promptest arrivals wander against the device's rate
 - queue: how much longer than the promptest around it a sample waited, for each sample alone
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 from recorder.session.align import EXPOSURE, Source, StreamLike
 from recorder.session.loss import is_regular, lateness, witnesses
 from recorder.session.window import Window
+from recorder.spec import STAMPS
 
 if TYPE_CHECKING:
     from recorder.session.reader import Session
@@ -100,6 +102,10 @@ def time_sigma(stream: StreamLike, rows: slice, source: Source) -> TimeSigma:
     if stream.traits.kind == "camera":
         stated = stream.attrs.get("exposure") is not None
         exposure = source.exposure if stated else max(period, EXPOSURE)
+        if stamped and not stated:
+            # The end of the exposure lies anywhere from the stamp to a whole exposure after it.
+            share = STAMPS[stream.traits.stamp]
+            latency = float(np.hypot(latency, share * exposure / np.sqrt(3.0)))
     calibrated = bool(np.isnan(prior))
     return TimeSigma(latency, exposure / float(np.sqrt(12.0)), clock, queue, calibrated, prior)
 
@@ -150,7 +156,8 @@ def uncalibrated(stream: StreamLike) -> str | None:
     prior = _latency(stream, 1.0 / stream.rate_hz, stamped)[1]
     if np.isnan(prior):
         return None
-    own = "; its driver stamps its frames" if stamped else ""
+    moment = f" at the {stream.traits.stamp} of exposure" if stream.traits.stamp != "end" else ""
+    own = f"; its driver stamps its frames{moment}" if stamped else ""
     return (
         f"{stream.name} latency not calibrated: 0 to {1e3 * prior:.0f} ms assumed{own} "
         "(make calibrate-latency)"

@@ -1,10 +1,11 @@
-"""Notice of how a lab bench's arm will move, which is shown before it may."""
+"""Notice of how a lab bench's arm or gripper will move, which is shown before it may."""
 
 from __future__ import annotations
 
 from rig.bench.bench import Bench
 from rig.bench.indenter import find_indenter
 from rig.core.config import from_si
+from rig.devices.gripper.settings import RobotiqConfig
 from trajectories import Plan
 
 
@@ -23,6 +24,16 @@ def motion_lines(bench: Bench, depth: float) -> list[str]:
         f"z {span(-limits.depth_max, limits.height_max)} of the contact frame",
         f"depth     {from_si(depth, 'mm'):g} mm below the surface; a press ends at {forces} N",
         f"indenter  {find_indenter(bench.indenter).line()}",
+    ]
+
+
+def grip_lines(gripper: RobotiqConfig, *, only_open: bool) -> list[str]:
+    """Return the speed and force of a gripper's fingers, and what they will do, as lines."""
+    then = "then stay open" if only_open else "then close on the indenter"
+    return [
+        f"fingers   close and open once (activation), {then}; an indenter that is held now falls",
+        f"speed     {gripper.speed} of 255, after the activation",
+        f"force     {gripper.force} of 255",
     ]
 
 

@@ -224,7 +224,14 @@ class Bench:
             raise ValueError(f"rate_hz: {self.rate_hz!r}; allowed: above 0")
         for row in self.rows:
             camera = row.config
-            if isinstance(camera, CameraConfig) and (camera.exposure or 0.0) > 1 / camera.rate_hz:
+            if not isinstance(camera, CameraConfig):
+                continue
+            if camera.stamp is not None and camera.is_network:
+                raise ValueError(
+                    f"{row.key}.stamp: {camera.stamp!r}; allowed: with a V4L2 camera, since MJPEG "
+                    "over HTTP has no time stamps"
+                )
+            if (camera.exposure or 0.0) > 1 / camera.rate_hz:
                 raise ValueError(
                     f"{row.key}.exposure_ms: {1e3 * (camera.exposure or 0.0):g}; allowed: up to "
                     f"{1e3 / camera.rate_hz:.4g} at {row.key}.rate_hz {camera.rate_hz:g}"

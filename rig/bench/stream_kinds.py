@@ -14,6 +14,7 @@ from rig.core.clock import Clock
 from rig.core.driver import Driver
 from rig.core.errors import ConfigError
 from rig.core.samples import CAMERA_LATEST, FORCE_LATEST, POSE_LATEST, TAXELS_LATEST
+from rig.devices.camera.settings import CameraConfig
 from rig.devices.force.settings import AtiSerialConfig, ForceConfig, NidaqConfig
 
 
@@ -105,7 +106,7 @@ def make_driver(bench: Bench, name: str, clock: Clock) -> Driver:
 
             return RtdePoseDriver(row.config.host, row.config.rate_hz, clock)
         if row.kind == "camera":
-            if "://" not in row.config.address:
+            if not row.config.is_network:
                 from rig.devices.camera.v4l2 import V4l2Driver
 
                 return V4l2Driver(row.config, clock)
@@ -158,6 +159,11 @@ def stream_spec(
         return pose_spec(rate_hz, name=name, device=description, **attrs)
     if row.kind == "taxels":
         return taxels_spec(rate_hz, name=name, device=description, **attrs)
+    camera: CameraConfig = row.config
+    if not camera.is_network:
+        attrs = {"stamp": camera.stamp or description.get("stamp", "end"), **attrs}
+        if camera.exposure is not None:
+            attrs = {"exposure": camera.exposure, **attrs}
     codec = "jpeg" if description["jpeg_bytes_kept"] else "zstd"
     return camera_spec(
         rate_hz,

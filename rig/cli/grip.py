@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 
 from rig.bench.bench import load_bench
-from rig.cli.options import banner, bench_options, bench_path
+from rig.acquire.motion_notice import grip_lines
+from rig.cli.options import banner, bench_options, bench_path, confirm
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError, DeviceLost
 
@@ -23,7 +24,8 @@ def run(options: argparse.Namespace) -> int:
     """Activate the gripper, open or close it; return the exit code.
 
     Raises:
-        ConfigError: The bench has no gripper, or is a mock bench.
+        ConfigError: The bench has no gripper, is a mock bench, or there is no terminal to ask on.
+        Interrupted: The answer to the question was not Enter.
         DeviceLost: The gripper does not answer, or closed on nothing.
     """
     from rig.devices.gripper.robotiq import RobotiqDriver
@@ -35,6 +37,7 @@ def run(options: argparse.Namespace) -> int:
     if bench.mock:
         raise ConfigError(f"{path}: a mock bench's gripper holds from the start; mock: true")
     print(banner(bench.mock, path).replace("arm", "gripper"), flush=True)
+    confirm(grip_lines(bench.gripper, only_open=options.open))
     with RobotiqDriver(bench.gripper, SystemClock()) as gripper:
         gripper.open(bench.preflight.timeout)
         print(f"gripper: {gripper.status().text}", flush=True)

@@ -205,7 +205,17 @@ def confirm_motion(bench: Bench, depth: float, by: int | None = None) -> None:
     """
     if bench.mock or by == os.getppid():
         return
-    print("\n".join(motion_lines(bench, depth)), flush=True)
+    confirm(motion_lines(bench, depth))
+
+
+def confirm(lines: list[str]) -> None:
+    """Print how a lab bench will move, and wait for Enter on this terminal.
+
+    Raises:
+        ConfigError: There is no terminal to ask on.
+        Interrupted: The answer was not Enter.
+    """
+    print("\n".join(lines), flush=True)
     if not sys.stdin.isatty():
         raise ConfigError("lab bench: no terminal to ask on; allowed: a terminal at the bench")
     print("Enter to start, anything else to stop: ", end="", flush=True)

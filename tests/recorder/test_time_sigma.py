@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.sessions import T0, make_session, reseal, set_attrs
 
-from recorder import Session, check
+from recorder import Session, SessionError, check
 from recorder.info import describe
 from recorder.session.frames import write_frames
 from recorder.session.uncertainty import sigmas_of
@@ -55,6 +55,50 @@ def test_a_calibrated_latency_counts_by_its_interval(tmp_path: Path) -> None:
     assert np.median(session.frames["time_sigma"]) < 8e-3
     stored = session.files.array(session.path / "frames" / "time_sigma").attrs
     assert stored["units"] == "s"
+
+
+@pytest.mark.parametrize(("stamp", "late_ms"), [("start", 10), ("middle", 5), ("end", 0)])
+def test_forces_are_averaged_over_the_exposure_wherever_a_camera_stamps_it(
+    stamp: str, late_ms: int, tmp_path: Path
+) -> None:
+    def change(name: str, columns: Columns) -> Columns:
+        number = np.arange(len(next(iter(columns.values()))))
+        if name == "force":  # one sample a millisecond, whose value is its time
+            t_ns = T0 + number * 1_000_000
+            return {**columns, "t_ns": t_ns, "value": np.tile(number[:, None], 6) * 1.0}
+        if name == "camera":
+            device_t = T0 * 1e-9 + 0.0205 + number / 60
+            arrived = T0 + 45_000_000 + np.round(number * 1e9 / 60).astype(np.int64)
+            return {**columns, "t_ns": arrived, "device_t": device_t}
+        return columns
+
+    camera = {"clock": "monotonic", "stamp": stamp, "exposure": 0.010}
+    session = session_with(tmp_path / "s.zarr", camera, change=change)
+    start_ms = 20.5 + late_ms - 10
+    window = session.window(T0 + 31_000_000, 1)
+    assert int(window.capture_ns[0]) == pytest.approx(T0 + (start_ms + 10) * 1e6, abs=2)
+    assert window.wrench is not None
+    assert window.wrench[0, 0] == np.mean(np.arange(np.ceil(start_ms), start_ms + 10))
+    period_ms = 1e3 / 60
+    assert sigmas_of(session, 0)["camera"].latency == pytest.approx(1e-3 * period_ms / 3**0.5)
+
+
+def test_an_unknown_exposure_makes_a_stamp_at_its_start_less_certain(tmp_path: Path) -> None:
+    latency = {}
+    for stamp in ("start", "end"):
+        attrs = {"clock": "monotonic", "stamp": stamp, "exposure": None}
+        session = session_with(tmp_path / f"{stamp}.zarr", attrs)
+        latency[stamp] = sigmas_of(session, 0)["camera"].latency
+        moment = " at the start of exposure" * (stamp == "start")
+        assert f"its driver stamps its frames{moment} (" in describe(session.path)
+    assert latency["start"] == pytest.approx(np.hypot(latency["end"], 1 / 60 / np.sqrt(3)))
+
+
+def test_an_unknown_moment_of_the_stamp_is_refused_by_name(tmp_path: Path) -> None:
+    with pytest.raises(
+        SessionError, match="camera: found stamp 'begin'; known: start, middle, end"
+    ):
+        session_with(tmp_path / "s.zarr", {"stamp": "begin"})
 
 
 def test_a_sample_that_waited_on_the_host_is_less_certain(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ SHIM = r"""
 // A V4L2 capture node for one process, by LD_PRELOAD: 640x480 YUYV or MJPG, four-buffer queue,
 // CLOCK_MONOTONIC stamps. FAKE_JPEG: file sent as MJPG (none: the camera has YUYV only).
 // FAKE_UNPLUG_AFTER, FAKE_FREEZE_AFTER: number of frames. FAKE_SKIP_EVERY: frames lost.
-// FAKE_GAIN_STUCK: gain cannot be set.
+// FAKE_GAIN_STUCK: gain cannot be set. FAKE_STAMP_AT_START: times are of the start of exposure.
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <errno.h>
@@ -154,6 +154,7 @@ static void describe(struct v4l2_buffer *b) {
     b->memory = V4L2_MEMORY_MMAP; b->length = SIZE; b->m.offset = i * SIZE;
     b->bytesused = buf[i].used;
     b->flags = V4L2_BUF_FLAG_MAPPED | V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC;
+    if (getenv("FAKE_STAMP_AT_START")) b->flags |= V4L2_BUF_FLAG_TSTAMP_SRC_SOE;
     b->sequence = buf[i].seq;
     b->timestamp.tv_sec = (long)buf[i].t;
     b->timestamp.tv_usec = (long)((buf[i].t - (long)buf[i].t) * 1e6);
@@ -316,6 +317,13 @@ def test_jpeg_frames_carry_the_buffers_own_monotonic_time_until_the_camera_is_un
         assert sample["device_t"] * 1e9 < sample["t_ns"]
     assert found["error"][0] == "DeviceLost"
     assert "unplugged" in found["error"][1]
+
+
+@pytest.mark.parametrize(("faults", "stamp"), [({}, "end"), ({"stamp_at_start": 1}, "start")])
+def test_the_driver_tells_which_moment_of_the_exposure_its_times_are_of(
+    shim: Path, faults: dict[str, int], stamp: str
+) -> None:
+    assert seen(shim, {}, unplug_after=5, **faults)["facts"]["stamp"] == stamp
 
 
 def test_frames_that_the_node_lost_are_gaps_in_its_numbers(shim: Path) -> None:

@@ -184,3 +184,34 @@ def test_anything_but_enter_starts_nothing(lab: LabBench, tmp_path: Path, answer
         assert terminal.wait() == 130
         assert "nothing was recorded" in terminal.text
     assert not session.exists()
+
+
+@pytest.fixture(name="gripping")
+def bench_with_a_gripper(tmp_path: Path) -> Path:
+    content = load_bench(quick_bench(tmp_path, "tacpalm"))[1]
+    gripper = {"kind": "robotiq_2f", "port": str(tmp_path / "no-such-port"), "speed": 40}
+    lab = {**content, "mock": False, "world": None, "simulated": None, "gripper": gripper}
+    (tmp_path / "gripping.yaml").write_text(yaml.safe_dump(lab))
+    return tmp_path / "gripping.yaml"
+
+
+@pytest.mark.parametrize(("answer", "code"), [(b"\n", 3), (b"no\n", 130)])
+def test_the_gripper_says_how_it_moves_and_waits_for_enter(
+    gripping: Path, answer: bytes, code: int
+) -> None:
+    with Terminal("grip", "--bench", str(gripping)) as terminal:
+        terminal.read_until("Enter to start")
+        for word in ("the gripper WILL move", "speed     40 of 255", "force     150 of 255"):
+            assert word in terminal.text
+        os.write(terminal.master, answer)
+        assert terminal.wait() == code
+    assert ("no-such-port" in terminal.text) == (code == 3)
+
+
+def test_the_gripper_moves_only_from_a_terminal(gripping: Path) -> None:
+    command = [sys.executable, "-m", "rig", "grip", "--bench", str(gripping)]
+    done = subprocess.run(
+        command, stdin=subprocess.DEVNULL, capture_output=True, text=True, cwd=ROOT, check=False
+    )
+    assert done.returncode == 2
+    assert "no terminal to ask on" in done.stderr + done.stdout

@@ -17,6 +17,7 @@ from recorder.spec import frame_columns
 from rig.acquire.plan_runner import _reference
 from rig.acquire.preflight import take_tares
 from rig.bench.bench import Bench, bench_from, empty_spec, load_bench
+from rig.bench.stream_kinds import stream_spec
 from rig.core.config import read_yaml
 from rig.core.errors import ConfigError
 from rig.core.guard import Violation, most_serious
@@ -109,6 +110,7 @@ CAMERA = {"kind": "opencv", "address": "http://loopback:8085/", "rate_hz": 10.0}
         ({"x": {**CAMERA, "roles": ["guard"]}}, "streams.x.roles: found guard"),
         ({"x": {**CAMERA, "roles": ["boss"]}}, "streams.x.roles.0.: found text 'boss'; allowed"),
         ({"x": {**CAMERA, "align": "mean"}}, "streams: x: found align 'mean'; allowed for its"),
+        ({"x": {**CAMERA, "stamp": "start"}}, "streams.x.stamp: 'start'; allowed: with a V4L2"),
         ({"x": {**CAMERA, "exposure_ms": 500.0}}, "streams.x.exposure_ms: 500; allowed: up to"),
         ({"x": {"kind": "ur_pose", "host": "h", "rate_hz": 900.0}}, "rate_hz: 900.0; allowed"),
         (["x"], "streams: found the list .*; allowed: a mapping from names"),
@@ -118,6 +120,22 @@ def test_streams_that_cannot_be_are_refused_by_key(streams: Any, text: str) -> N
     content = read_yaml(BENCHES / "gelsight.yaml", BENCHES)
     with pytest.raises(ConfigError, match=text):
         bench_from({**content, "streams": streams}, "bench.yaml")
+
+
+@pytest.mark.parametrize(
+    ("stated", "driver", "stamp"), [(None, "start", "start"), ("middle", "start", "middle")]
+)
+def test_a_v4l2_camera_stores_its_exposure_and_the_moment_of_its_times(
+    stated: str | None, driver: str, stamp: str
+) -> None:
+    content = read_yaml(BENCHES / "gelsight.yaml", BENCHES)
+    camera = {"kind": "opencv", "address": "/dev/video0", "rate_hz": 30, "exposure_ms": 8.0}
+    bench = bench_from({**content, "camera": {**camera, "stamp": stated}}, "bench.yaml")
+    facts: dict[str, Any] = {"jpeg_bytes_kept": True, "height": 480, "width": 640}
+    facts |= {"stamp": driver, "device_clock": "monotonic"}
+    spec = stream_spec(bench, "camera", facts, 30.0)
+    assert (spec.traits.stamp, spec.attrs["exposure"]) == (stamp, 0.008)
+    assert stream_spec(bench, "camera", facts, 30.0, exposure=0.004).attrs["exposure"] == 0.004
 
 
 @pytest.mark.parametrize("force", [None, {"kind": "netft", "roles": ["label"]}])

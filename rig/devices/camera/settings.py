@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 from rig.core.stream_settings import StreamSettings
 
@@ -33,6 +33,13 @@ class CameraConfig(StreamSettings):
     """In the camera's own unit; None leaves it unchanged."""
     silence: float = field(default=1.0, metadata={"unit": "ms", "plausible": (5, 60000)})
     """Silence after which the camera counts as lost [s]."""
+    stamp: Literal["start", "middle", "end"] | None = None
+    """Moment of the exposure that a V4L2 camera's time stamps are of; None: as its driver says."""
     repeats: bool = False
     """True if equal consecutive frames of a network camera count separately, as in a replay of a
     still scene; else they are one frame sent twice: no two pictures of a sensor are equal."""
+
+    @property
+    def is_network(self) -> bool:
+        """True if the camera is read over HTTP; else it is a V4L2 node."""
+        return "://" in self.address

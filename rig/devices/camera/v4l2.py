@@ -160,7 +160,7 @@ class V4l2Driver(CameraDriver):
         if self._facts is None:
             self._stamps = {
                 "device_clock": "none" if np.isnan(frame.time) else "monotonic",
-                "stamped_at": "start of exposure" if frame.at_start else "end of frame",
+                "stamp": "start" if frame.at_start else "end",
             }
         seq = self._numbered(frame.sequence)
         value = self._picture(frame)
