@@ -100,10 +100,12 @@ def describe(path: str | os.PathLike[str]) -> str:
     lines += [f"  {key:12s} {value}" for key, value in told.items() if value != ""]
     lines.append("")
     titles = ("rows", "Hz", "measured", "gap ms", "lost", "MB")
-    lines.append("stream       " + " ".join(f"{title:>9s}" for title in titles))
+    width = max(12, *(len(name) for name in session.streams)) if session.streams else 12
+    lines.append(f"{'stream':{width}s} " + " ".join(f"{title:>9s}" for title in titles))
     accounts = accounts_of(session)
     lines += [
-        _stream_line(session, stream, accounts[stream.name]) for stream in session.streams.values()
+        _stream_line(session, stream, accounts[stream.name], width)
+        for stream in session.streams.values()
     ]
     lines += [*loss_lines(accounts), *time_lines(session)]
     lines.append("")
@@ -112,11 +114,11 @@ def describe(path: str | os.PathLike[str]) -> str:
     return "\n".join(lines)
 
 
-def _stream_line(session: Session, stream: Stream, account: Account) -> str:
+def _stream_line(session: Session, stream: Stream, account: Account, width: int) -> str:
     measured = f"{account.measured_hz:9.2f}" if account.measured_hz else f"{'-':>9s}"
     size = sum(session.files.sizes(stream.layout.path).values()) / 1e6
     return (
-        f"{stream.name:12s} {len(stream):9d} {stream.rate_hz:9g} {measured} "
+        f"{stream.name:{width}s} {len(stream):9d} {stream.rate_hz:9g} {measured} "
         f"{account.longest_gap * 1e3:9.1f} {account.lost:9d} {size:9.2f}"
     )
 

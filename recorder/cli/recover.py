@@ -16,8 +16,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Recover the session and print its streams."""
     recovery = recover(options.session)
+    width = max(18, *(len(stream.name) for stream in recovery.streams))
     for stream in recovery.streams:
-        line = f"{stream.name:18s} {stream.rows:9d} rows"
+        line = f"{stream.name:{width}s} {stream.rows:9d} rows"
         if stream.touched:
             line += f", {stream.recovered_rows} of them brought back"
             line += f", {stream.torn_bytes} torn bytes and {stream.dropped_rows} half rows dropped"

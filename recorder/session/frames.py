@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from recorder.errors import SessionError
 from recorder.session.align import Floats, Times, quaternion
 from recorder.session.reader import Session
 from recorder.session.uncertainty import row_sigma, sigmas_of
@@ -38,6 +39,9 @@ UNITS: Mapping[str, tuple[str, str]] = {
     "time_sigma": ("s", "standard uncertainty of the alignment; twice it covers 95 %"),
     "valid": ("1", "every stream that has a role had samples near enough, and lost none needed"),
 }
+
+# Most rows of `frames` in one phase: three days at 1 kHz.
+TICKS_MAX = 1 << 28
 
 _BUILDING, _OLD = "frames.building", "frames.old"
 
@@ -98,8 +102,17 @@ def frames_table(session: Session, rate_hz: float) -> dict[str, Array]:
 
 
 def grid(anchor: int, start: int, end: int, rate_hz: float) -> Times:
-    """Return the ticks anchor + k / rate_hz with start <= tick < end (n,) [ns]."""
+    """Return the ticks anchor + k / rate_hz with start <= tick < end (n,) [ns].
+
+    Raises:
+        SessionError: There are more than `TICKS_MAX`.
+    """
     period = 1e9 / rate_hz
+    if (end - start) / period > TICKS_MAX:
+        raise SessionError(
+            f"found a phase of {(end - start) * 1e-9:.3g} s at {rate_hz:g} Hz; allowed: up to "
+            f"{TICKS_MAX} rows of frames"
+        )
     first = int((start - anchor) // period) - 1
     last = int((end - anchor) // period) + 2
     ticks = anchor + np.round(np.arange(first, last + 1) * period).astype(np.int64)
@@ -120,9 +133,13 @@ def depth_in(contact_frame: Floats, poses: Floats) -> Floats:
 
 def has_targets(session: Session) -> bool:
     """Return True if the session has targets; imported sessions have neither them nor segments."""
+    return _target_count(session) > 0
+
+
+def _target_count(session: Session) -> int:
     # Use the declared lengths: a table with corrupt chunks still has targets.
     arrays = (session.files.array(session.path / "targets" / name) for name in session.targets)
-    return any(array.shape[0] for array in arrays)
+    return max((array.shape[0] for array in arrays), default=0)
 
 
 def whole_run(session: Session, run: int, rate_hz: float) -> Times:
@@ -134,6 +151,16 @@ def whole_run(session: Session, run: int, rate_hz: float) -> Times:
 def _run_ticks(session: Session, rate_hz: float) -> Iterator[tuple[int, Times, NDArray[np.int64]]]:
     """Yield each run with its ticks and the segment of each tick."""
     segments = session.segments
+    for name, count in (
+        ("run", max(len(session.runs), 1)),
+        ("target", _target_count(session)),
+    ):
+        wrong = np.flatnonzero((segments[name] < 0) | (segments[name] >= count))
+        if wrong.size:
+            raise SessionError(
+                f"{session.name}: segments: row {wrong[0]}: found {name} "
+                f"{segments[name][wrong[0]]}; allowed: 0 to {count - 1}"
+            )
     if not has_targets(session):
         for run in range(max(len(session.runs), 1)):
             whole = whole_run(session, run, rate_hz)

@@ -370,7 +370,13 @@ class Session:
         return next(iter(self.of_kind(kind)), None)
 
     def rows_of_run(self, name: str, run: int) -> slice:
-        """Return the rows of a stream that belong to a run."""
+        """Return the rows of a stream that belong to a run.
+
+        Raises:
+            SessionError: No such run.
+        """
+        if not 0 <= run < max(len(self.runs), 1):
+            raise SessionError(f"{self.name}: no run {run}; runs: {len(self.runs)}")
         length = len(self.streams[name])
         first = [int(entry["first_row"].get(name, 0)) for entry in self.runs]
         if not first:

@@ -16,6 +16,7 @@ import numpy as np
 from recorder.errors import SessionError
 from recorder.spec import FORMAT, FORMAT_VERSION, RATE_MAX_HZ, STATUSES, Column, StreamSpec
 from recorder.store import images
+from recorder.store.bounds import check_session_attrs, check_stream_attrs
 from recorder.store.durable import read_json, write_json
 from recorder.store.files import LOCAL, Files, read_document
 
@@ -303,6 +304,7 @@ class StreamLayout:
             if Path(name).name != name or name == "..":  # must not lead out of the stream
                 raise SessionError(f"{path}: found column {name!r}, expected a plain name")
         check_rate(attrs.get("rate_hz"), files.name(path))
+        check_stream_attrs(attrs, files.name(path))
         columns = [Layout.load(path / str(name), files) for name in names]
         small = tuple(column for column in columns if not column.column.is_image)
         images_ = [column for column in columns if column.column.is_image]
@@ -420,6 +422,7 @@ def read_session_attrs(path: Path, files: Files = LOCAL) -> dict[str, Any]:
     if "rate_hz" in attrs:
         check_rate(attrs["rate_hz"], name)
     _check_runs(attrs["runs"], name)
+    check_session_attrs(attrs, name)
     return attrs
 
 

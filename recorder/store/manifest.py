@@ -22,7 +22,7 @@ import zarr
 
 from recorder.errors import SessionError
 from recorder.store.durable import TEMPORARY, json_bytes, read_json, replace_file
-from recorder.store.files import LOCAL, Files, Range, read_document
+from recorder.store.files import LOCAL, Files, Range, check_document_size, read_document
 from recorder.store.layout import REBUILDING, ROWS_MAX, StreamLayout, merge_attrs, write_group
 from recorder.store.shard import MISSING, read_shard_index
 
@@ -92,6 +92,7 @@ def read_manifest(files: Files, session: Path, run: int) -> Manifest:
     path = manifest_path(session, run)
     where = files.name(path)
     try:
+        check_document_size(files, path)
         data = files.read(path)
     except FileNotFoundError:
         raise SessionError(

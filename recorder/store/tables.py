@@ -89,6 +89,8 @@ def _column(files: Files, path: Path, name: str) -> Array:
     try:
         shape, dtype = document["shape"], np.dtype(document["data_type"]).newbyteorder("<")
         check_shape(shape, document["data_type"], where)
+        if dtype.kind not in "biuf":
+            raise SessionError(f"{where}: found data_type {dtype.name}; allowed: numbers")
         chunk_shape = document["chunk_grid"]["configuration"]["chunk_shape"]
         codecs = [codec["name"] for codec in document["codecs"]]
     except (KeyError, TypeError, ValueError) as error:

@@ -23,12 +23,13 @@ from rig.bench.stream_kinds import expected_rate
 
 def cadence(bench: Bench, session: Session, summaries: Mapping[str, Any]) -> str:
     """Return a table of the streams: expected and measured rate, longest gap, losses, skew."""
-    lines = [f"{'stream':<8}{'expected':>10}{'measured':>10}{'longest gap':>13}{'lost':>9}"]
     accounts = accounts_of(session)
+    width = max(8, *(len(name) + 1 for name in accounts)) if accounts else 8
+    lines = [f"{'stream':<{width}}{'expected':>10}{'measured':>10}{'longest gap':>13}{'lost':>9}"]
     for name, account in accounts.items():
         summary = summaries.get(name, {})
         lines.append(
-            f"{name:<8}{expected_rate(bench, name):>7.0f} Hz{account.measured_hz:>7.1f} Hz"
+            f"{name:<{width}}{expected_rate(bench, name):>7.0f} Hz{account.measured_hz:>7.1f} Hz"
             f"{1e3 * account.longest_gap:>10.1f} ms{account.lost:>9}"
             + omitted(summary.get("refused", {}))
         )

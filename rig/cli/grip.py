@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 
-from rig.bench.bench import load_bench
 from rig.acquire.motion_notice import grip_lines
+from rig.bench.bench import load_bench
 from rig.cli.options import banner, bench_options, bench_path, confirm
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError, DeviceLost

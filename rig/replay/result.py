@@ -101,12 +101,13 @@ def compared(
         rows: Row counts of the replay's streams.
     """
     lines = []
+    width = max(7, *(len(name) + 1 for name in source)) if source else 7
     for name, digest in source.items():
         equal = replay[name] == digest
         outcome = "equal" if equal else "DIFFERENT"
-        lines.append(f"{name:<7}{rows[name]:>9} rows  sha256 {digest}  {outcome}")
+        lines.append(f"{name:<{width}}{rows[name]:>9} rows  sha256 {digest}  {outcome}")
         if not equal:
-            lines.append(f"{'':<30}{replay[name]}  in the replay")
+            lines.append(f"{'':<{width + 23}}{replay[name]}  in the replay")
     return all(replay[name] == digest for name, digest in source.items()), lines
 
 

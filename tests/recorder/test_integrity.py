@@ -206,6 +206,110 @@ def test_impossible_metadata_is_refused_by_name(case: str, tmp_path: Path) -> No
         read()
 
 
+NOT_SECONDS = [float("nan"), float("inf"), -1.0, 1e300, "0.01", True, [0.01], {"s": 1}]
+
+
+@pytest.mark.parametrize("key", ["latency", "exposure", "max_age"])
+def test_a_time_that_alignment_reads_is_refused_by_name_if_it_is_none(
+    key: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "s.zarr"
+    shutil.copytree(OLD / "gelsight.zarr", path)
+    for value in NOT_SECONDS:
+        change = {key: value}
+        edit(path / "streams/force/zarr.json", lambda d, c=change: d["attributes"].update(c))
+        with pytest.raises(SessionError, match=rf"streams/force: found {key} .*; allowed: 0 to "):
+            Session(path)
+        assert next(iter(faults(check_any(path)))).code == "metadata"
+
+
+def with_fit(**piece: Any) -> dict[str, Any]:
+    good = {"first_row": 0, "rows": 9, "offset_s": 1.0, "drift_ppm": 1.0, "residual_rms_s": 0.1}
+    knots = {"knots_device_t": [0.0, 1.0], "knots_host_minus_device": [0.0, 0.0]}
+    fit = {"method": "causal", "window_s": 30.0, "wrap_s": None, "clock": "device_t"}
+    return {"clock_fit": [None, {**fit, "pieces": [{**good, **knots, **piece}]}]}
+
+
+BOUNDED: list[tuple[str, dict[str, Any], str]] = [
+    ("streams/force", {"bias": [1.0] * 5 + [float("nan")]}, "found bias"),
+    ("streams/force", {"bias": [1e300] * 6}, "found bias"),
+    ("streams/force", {"bias": [0.0] * 100_000}, "found bias .*; allowed: up to 4096 numbers"),
+    ("streams/force", {"bias": "zero"}, "found bias 'zero'"),
+    ("streams/force", {"device": "F/T"}, "found device 'F/T'; allowed: a JSON object"),
+    ("streams/force", {"device": {"rate_hz": 1e300}}, "device: found rate_hz 1e"),
+    ("streams/force", {"axes_measured": [1, 2]}, "found axes_measured"),
+    ("streams/force", {"stamp": "dawn"}, "found stamp 'dawn'; known: start"),
+    ("streams/force", {"latency_calibration": [0, 1]}, "found latency_calibration"),
+    (
+        "streams/force",
+        {"latency_calibration": {"interval_s": [0.0, float("inf")]}},
+        "latency_calibration: found interval_s",
+    ),
+    ("streams/force", {"clock_fit": {}}, "found clock_fit"),
+    ("streams/force", with_fit(drift_ppm=float("nan")), r"pieces\[0\]: found drift_ppm nan"),
+    ("streams/force", with_fit(rows=-1), r"found rows -1; allowed: a whole number"),
+    ("streams/force", with_fit(knots_device_t=[0.0, 1e300]), "found knots_device_t"),
+    ("streams/force", {"roles": {"a": 1}}, "found roles"),
+    (".", {"contact_frame": [0.0] * 5 + [1e300]}, "found contact_frame"),
+    (".", {"contact_frame": [0.0] * 7}, "found contact_frame .*; allowed: 6 numbers"),
+    (".", {"replay_of": {"speed": float("nan")}}, "replay_of: found speed nan"),
+    (".", {"replay_of": "s.zarr"}, "found replay_of 's.zarr'"),
+    (".", {"t0_ns": 1e300}, "found t0_ns 1e"),
+    (".", {"targets_wanted": -5}, "found targets_wanted -5"),
+    (".", {"rebuilding": "recording"}, "found rebuilding 'recording'; allowed: complete"),
+    (".", {"sealed_later": [{"lost": "all"}]}, "found lost 'all'"),
+    (".", {"rate_hz": float("nan")}, "found rate_hz nan"),
+]
+
+
+@pytest.mark.parametrize(("where", "attrs", "message"), BOUNDED)
+def test_every_attribute_that_is_computed_with_is_bounded_by_name(
+    where: str, attrs: dict[str, Any], message: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "s.zarr"
+    shutil.copytree(OLD / "gelsight.zarr", path)
+    edit(path / where / "zarr.json", lambda d: d["attributes"].update(attrs))
+    with pytest.raises(SessionError, match=message):
+        Session(path)
+
+
+def test_metadata_that_is_nested_or_large_without_end_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "s.zarr"
+    shutil.copytree(OLD / "gelsight.zarr", path)
+    for text, message in (("[" * 100_000, "not readable as JSON"), ('{"attributes": 1}', "found")):
+        (path / "zarr.json").write_text(text)
+        with pytest.raises(SessionError, match=message):
+            Session(path)
+    monkeypatch.setattr("recorder.store.files.DOCUMENT_MAX", 10)
+    with pytest.raises(SessionError, match="17 bytes; allowed for metadata: 10"):
+        Session(path)
+
+
+def test_a_phase_of_centuries_is_refused_before_its_ticks_are_made(tmp_path: Path) -> None:
+    def change(name: str, columns: dict[str, Any]) -> dict[str, Any]:
+        if name == "segments":
+            columns["end_ns"] = np.where(np.arange(len(columns["end_ns"])) == 1, 9e18, 0)
+        return columns
+
+    with pytest.raises(SessionError, match=r"a phase of 9e\+09 s at 40 Hz; allowed"):
+        make_session(tmp_path / "s.zarr", seconds=1.0, names=("force",), change=change)
+
+
+@pytest.mark.parametrize(("column", "value"), [("target", 10**9), ("run", 77), ("target", -1)])
+def test_a_segment_of_an_unknown_target_or_run_is_refused_by_name(
+    column: str, value: int, tmp_path: Path
+) -> None:
+    def change(name: str, columns: dict[str, Any]) -> dict[str, Any]:
+        if name == "segments":
+            columns[column] = np.full(len(columns[column]), value, columns[column].dtype)
+        return columns
+
+    with pytest.raises(SessionError, match=f"segments: row 0: found {column} {value}; allowed: 0"):
+        make_session(tmp_path / "s.zarr", seconds=1.0, names=("force",), change=change)
+
+
 def test_rows_that_one_column_alone_declares_are_named_and_not_read(tmp_path: Path) -> None:
     path = tmp_path / "s.zarr"
     shutil.copytree(OLD / "gelsight.zarr", path)

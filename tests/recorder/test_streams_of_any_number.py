@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -383,3 +384,16 @@ def test_nan_is_a_fault_on_measured_axes_only(tmp_path: Path) -> None:
     assert faults(check(path)) == []
     set_attrs(path / "streams/force", axes_measured=["Fx", "Fz"])
     assert [finding.code for finding in faults(check(path))] == ["nan"]
+
+
+@pytest.mark.parametrize("name", ["camera", "a_name_with_as_many_letters_as_allowed__"])
+def test_columns_of_the_description_stand_below_their_titles(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "s.zarr"
+    specs = [camera_spec(30, name=name, height=4, width=4), force_spec(100)]
+    with SessionWriter.create(path, attrs={}, streams=specs, targets={}) as session:
+        session.finish("complete", rate_hz=30)
+    lines = describe(path).splitlines()
+    title = next(number for number, line in enumerate(lines) if line.startswith("stream "))
+    ends = [match.end() for match in re.finditer(r"rows|Hz|measured|gap ms|lost|MB", lines[title])]
+    for line in lines[title + 1 : title + 3]:
+        assert [match.end() for match in re.finditer(r"\S+", line)][1:] == ends

@@ -87,9 +87,9 @@ def test_force_share_tip_and_rates_are_those_of_the_shared_records(running: Runn
     running.watched_bench.press(PRESSED, (0.001, -0.002, -0.003))
     with running.watch() as client:
         state = next_state(client)
-    assert state["force"]["wrench"] == pytest.approx([0.3, 0, -1.7, 0, 60.0, 0])
-    assert state["force"]["load"] == pytest.approx([0.025, 0, 0.1, 0, 0.5, 0])
-    assert state["tip"] == pytest.approx([1.0, -2.0, -3.0])
+    assert state["forces"]["force"]["wrench"] == pytest.approx([0.3, 0, -1.7, 0, 60.0, 0])
+    assert state["forces"]["force"]["load"] == pytest.approx([0.025, 0, 0.1, 0, 0.5, 0])
+    assert state["tips"]["pose"] == pytest.approx([1.0, -2.0, -3.0])
     assert state["streams"]["force"]["rate"] == 998.0
     assert state["streams"]["force"]["expected"] == 1000.0
     assert state["streams"]["force"]["dropped"] == 3
@@ -99,22 +99,22 @@ def test_a_force_that_is_no_number_is_shown_as_none(running: Running) -> None:
     running.watched_bench.press((float("nan"),) * 6, (0.0, 0.0, 0.0))
     with running.watch() as client:
         state = next_state(client)
-    assert state["force"]["wrench"] == [None] * 6
+    assert state["forces"]["force"]["wrench"] == [None] * 6
 
 
 def test_the_trace_has_each_sample_once_and_late_watchers_get_the_past(running: Running) -> None:
     with running.watch() as first:
-        seen: list[list[float]] = next_state(first)["trace"]
+        seen: list[list[float]] = next_state(first)["traces"]["force"]
         for number in range(5):
             running.watched_bench.press((float(number), 0, 0, 0, 0, 0), (0, 0, 0))
             before = len(seen)
             while len(seen) == before:
-                seen += next_state(first)["trace"]
+                seen += next_state(first)["traces"]["force"]
     assert [point[1] for point in seen[-5:]] == [0.0, 1.0, 2.0, 3.0, 4.0]
     times = [point[0] for point in seen]
     assert times == sorted(set(times))
     with running.watch() as second:
-        assert next_state(second)["trace"][-5:] == seen[-5:]
+        assert next_state(second)["traces"]["force"][-5:] == seen[-5:]
 
 
 def test_images_are_the_cameras_own_bytes_while_the_shard_grows(running: Running) -> None:
@@ -286,7 +286,7 @@ def test_a_slow_reader_is_let_go_and_nobody_waits_for_it(running: Running) -> No
         def only_one_left() -> bool:
             running.watched_bench.picture()
             state = next_state(quick)
-            rows.append(state["image"])
+            rows.append(state["images"]["camera"])
             return bool(state["watchers"] == 1)
 
         until(only_one_left)

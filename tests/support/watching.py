@@ -132,8 +132,8 @@ def next_state(client: ClientConnection) -> dict[str, Any]:
 
 
 def next_image(client: ClientConnection) -> bytes:
-    """Return the next image."""
+    """Return the next image of the first camera."""
     while True:
         message = client.recv(timeout=10)
-        if isinstance(message, bytes):
-            return message
+        if isinstance(message, bytes) and message[0] == 0:
+            return message[1:]

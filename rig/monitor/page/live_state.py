@@ -27,8 +27,69 @@ from rig.core.shared_memory import AwaitedRecord
 TRACE_RATE_HZ = 40.0
 TRACE_SECONDS = 20.0
 
+# Most pictures and plots that the page shows; the table lists every stream.
+MOST_PICTURES, MOST_PLOTS, MOST_ARMS = 6, 4, 4
+
 # Time since the page's start [s] and Fx, Fy, Fz [N].
 Point = tuple[float, float | None, float | None, float | None]
+
+
+class Trace:
+    """Force of one gauge during the last TRACE_SECONDS."""
+
+    def __init__(self) -> None:
+        self._points: deque[Point] = deque(maxlen=round(TRACE_SECONDS * TRACE_RATE_HZ))
+        self._newest_ns = 0
+        self.total = 0
+        """Number of points ever added, including dropped ones."""
+
+    def add(self, record: np.void, start_ns: int) -> None:
+        """Add a sample, unless it is already there."""
+        t_ns = int(record["t_ns"])
+        if t_ns == self._newest_ns:
+            return
+        self._newest_ns = t_ns
+        x, y, z = (_number(value) for value in record["value"][:3])
+        self._points.append((round((t_ns - start_ns) / SECOND_NS, 3), x, y, z))
+        self.total += 1
+
+    def since(self, count: int) -> list[Point]:
+        """Return the points after the first `count` of all, as far as the trace reaches back."""
+        new = min(self.total - count, len(self._points))
+        return [self._points[k] for k in range(len(self._points) - new, len(self._points))]
+
+
+class Picture:
+    """Newest image of one camera, from the open shard."""
+
+    def __init__(self, group: Path) -> None:
+        self._group = group
+        self._tail: ImageTail | None = None
+        self.row = -1
+        """Row of the image; -1 before the first."""
+        self.jpeg: bytes | None = None
+        """Its JPEG bytes."""
+
+    def look(self, newest: np.void | None) -> None:
+        """Read the image of the newest sample, if it is another one."""
+        row = -1 if newest is None else int(newest["row"])
+        if row < 0 or row == self.row:
+            return
+        try:
+            if self._tail is None:
+                self._tail = open_tail(self._group)
+            data = self._tail.jpeg(row)
+        except (SessionError, OSError):
+            # Affects the display only: corrupt sessions are reported by `check`, not by the page.
+            return
+        if data is not None:
+            self.row, self.jpeg = row, data
+
+    def close(self) -> None:
+        """Close the shard; may be called twice."""
+        if self._tail is not None:
+            self._tail.close()
+            self._tail = None
 
 
 class LiveState:
@@ -43,7 +104,6 @@ class LiveState:
 
     def __init__(self, bench: Bench, folder: Path, session: Path, start_ns: int) -> None:
         self._bench = bench
-        self._session = session
         self._start_ns = start_ns
         names = stream_names(bench)
         self._latest = {
@@ -53,33 +113,33 @@ class LiveState:
         self._counters = {
             name: AwaitedRecord(folder / f"{name}.counters", COUNTERS) for name in names
         }
-        # The page shows the first stream of each kind, and the rates of all.
-        self._first = {row.kind: row.name for row in reversed(bench.rows)}
         self._to_contact = invert(bench.contact_frame)
-        self._tail: ImageTail | None = None
-        self._image: tuple[int, bytes | None] = (-1, None)
-        self._untouched: np.ndarray | None = None
-        self.trace: deque[Point] = deque(maxlen=round(TRACE_SECONDS * TRACE_RATE_HZ))
-        """Force during the last TRACE_SECONDS."""
-        self.traced = 0
-        """Number of points ever added to the trace, including dropped ones."""
-        self._traced_ns = 0
+        of_kind = {
+            kind: [row.name for row in bench.of_kind(kind)]
+            for kind in ("camera", "taxels", "force", "pose")
+        }
+        signal = None if bench.signal is None else bench.signal.name
+        shown = sorted([*of_kind["camera"], *of_kind["taxels"]], key=lambda name: name != signal)
+        self.kinds = {name: bench.row(name).kind for name in shown[:MOST_PICTURES]}
+        """Kind of each stream that is shown as a picture; the first stands large on the page."""
+        self._gauges = of_kind["force"][:MOST_PLOTS]
+        self._arms = of_kind["pose"][:MOST_ARMS]
+        self.pictures = {
+            name: Picture(session / "streams" / name)
+            for name, kind in self.kinds.items()
+            if kind == "camera"
+        }
+        """Newest image of each camera that is shown."""
+        self._untouched: dict[str, np.ndarray] = {}
+        self.traces = {name: Trace() for name in self._gauges}
+        """Trace of each gauge that is shown."""
 
     def sample(self) -> None:
-        """Add the newest force to the trace, unless it is already there."""
-        record = self._newest("force")
-        if record is None or int(record["t_ns"]) == self._traced_ns:
-            return
-        self._traced_ns = int(record["t_ns"])
-        seconds = (self._traced_ns - self._start_ns) / SECOND_NS
-        x, y, z = (_number(value) for value in record["value"][:3])
-        self.trace.append((round(seconds, 3), x, y, z))
-        self.traced += 1
-
-    def points_since(self, count: int) -> list[Point]:
-        """Return the points after the first `count` of all, as far as the trace reaches back."""
-        new = min(self.traced - count, len(self.trace))
-        return [self.trace[k] for k in range(len(self.trace) - new, len(self.trace))]
+        """Add the newest forces to the traces."""
+        for name, trace in self.traces.items():
+            record = self._latest[name].read()
+            if record is not None:
+                trace.add(record, self._start_ns)
 
     def streams(self, now_ns: int) -> dict[str, dict[str, Any]]:
         """Return rate, expected rate [Hz], dropped, longest gap and age [ms] of every stream."""
@@ -100,39 +160,48 @@ class LiveState:
             found[name] = row
         return found
 
-    def force(self) -> dict[str, Any] | None:
-        """Return the wrench [N, N mm] and each axis' share of its rating; None before the first."""
-        record = self._newest("force")
-        if record is None:
-            return None
+    def forces(self) -> dict[str, dict[str, Any]]:
+        """Return the wrench [N, N mm] of each gauge, and each axis' share of its rating."""
         limits = self._bench.limits
         ratings = (*limits.force_rating, *limits.torque_rating)
-        wrench = [float(value) for value in record["value"]]
-        shown = (*wrench[:3], *(from_si(value, "n_mm") for value in wrench[3:]))
-        return {
-            "wrench": [_number(value) for value in shown],
-            "load": [
-                _number(abs(value) / rating) for value, rating in zip(wrench, ratings, strict=True)
-            ],
-        }
+        found = {}
+        for name in self._gauges:
+            record = self._latest[name].read()
+            if record is None:
+                continue
+            wrench = [float(value) for value in record["value"]]
+            shown = (*wrench[:3], *(from_si(value, "n_mm") for value in wrench[3:]))
+            pairs = zip(wrench, ratings, strict=True)
+            found[name] = {
+                "wrench": [_number(value) for value in shown],
+                "load": [_number(abs(value) / rating) for value, rating in pairs],
+                "guards": any(gauge.name == name for gauge in self._bench.gauges),
+            }
+        return found
 
-    def tip(self) -> list[float | None] | None:
-        """Return the tip's position in the contact frame (3,) [mm], None before the first pose."""
-        record = self._newest("pose")
-        if record is None:
-            return None
-        place = transform(self._to_contact, record["value"][:3])
-        return [_number(from_si(float(value), "mm")) for value in place]
+    def tips(self) -> dict[str, list[float | None]]:
+        """Return the position of each arm's tip in the contact frame (3,) [mm]."""
+        found = {}
+        for name in self._arms:
+            record = self._latest[name].read()
+            if record is not None:
+                place = transform(self._to_contact, record["value"][:3])
+                found[name] = [_number(from_si(float(value), "mm")) for value in place]
+        return found
 
-    def taxels(self) -> list[list[int]] | None:
-        """Return the counts (16, 3) minus the first ones read, or None without taxels."""
-        record = self._newest("taxels")
-        if record is None:
-            return None
-        if self._untouched is None:
-            self._untouched = record["value"]
-        change: list[list[int]] = (record["value"] - self._untouched).tolist()
-        return change
+    def taxels(self) -> dict[str, list[list[int]]]:
+        """Return the counts (16, 3) of each array that is shown, minus the first ones read."""
+        found = {}
+        for name in self.kinds:
+            record = self._latest[name].read() if name not in self.pictures else None
+            if record is not None:
+                untouched = self._untouched.setdefault(name, record["value"].copy())
+                found[name] = (record["value"] - untouched).tolist()
+        return found
+
+    def shown(self) -> dict[str, Any]:
+        """Return the streams that are shown, as constant data."""
+        return {"pictures": self.kinds, "plots": self._gauges, "arms": self._arms}
 
     def limits(self) -> dict[str, Any]:
         """Return the constant limits: axes, their ratings, both fractions, the box [mm]."""
@@ -147,35 +216,18 @@ class LiveState:
             "box": [[from_si(value, "mm") for value in pair] for pair in box],
         }
 
-    def image(self) -> tuple[int, bytes | None]:
-        """Return row and JPEG bytes of the newest stored image; (-1, None) before the first."""
-        newest = self._newest("camera")
-        row = -1 if newest is None else int(newest["row"])
-        if row < 0 or row == self._image[0]:
-            return self._image
-        try:
-            if self._tail is None:
-                self._tail = open_tail(self._session / "streams" / self._first["camera"])
-            data = self._tail.jpeg(row)
-        except (SessionError, OSError):
-            # Affects the display only: corrupt sessions are reported by `check`, not by the page.
-            return self._image
-        if data is not None:
-            self._image = (row, data)
-        return self._image
-
-    def _newest(self, kind: str) -> np.void | None:
-        """Return the newest sample of the first stream of a kind; None before it, or without."""
-        name = self._first.get(kind)
-        return None if name is None else self._latest[name].read()
+    def images(self) -> dict[str, int]:
+        """Read the newest image of each camera that is shown; return their rows."""
+        for name, picture in self.pictures.items():
+            picture.look(self._latest[name].read())
+        return {name: picture.row for name, picture in self.pictures.items()}
 
     def close(self) -> None:
         """Release all records; may be called twice."""
         for record in (*self._latest.values(), *self._counters.values()):
             record.close()
-        if self._tail is not None:
-            self._tail.close()
-            self._tail = None
+        for picture in self.pictures.values():
+            picture.close()
 
 
 def _number(value: Any, digits: int = 3) -> float | None:

@@ -329,17 +329,23 @@ class PageServer:
 
     async def _show(self, client: ServerConnection, listening: asyncio.Task[str]) -> None:
         await self._send(client, json.dumps(self._hello()))
-        traced, logged, row = 0, 0, -1
+        traced = dict.fromkeys(self._look.traces, 0)
+        logged, turn = 0, 0
+        sent = dict.fromkeys(self._look.pictures, -1)
         while True:
             ended = self._ended.is_set()
             state = self._state(traced, logged)
-            traced, logged = self._look.traced, self._logged
-            newest, image = self._look.image()
-            state["image"] = newest
+            traced = {name: trace.total for name, trace in self._look.traces.items()}
+            logged = self._logged
+            state["images"] = self._look.images()
             await self._send(client, json.dumps(state))
-            if image is not None and newest != row:
-                row = newest
-                await self._send(client, image)
+            turn += 1
+            for name in _in_turn(list(sent), turn):
+                picture = self._look.pictures[name]
+                if picture.jpeg is not None and picture.row != sent[name]:
+                    sent[name] = picture.row
+                    number = list(self._look.kinds).index(name)
+                    await self._send(client, bytes([number]) + picture.jpeg)
             if ended:
                 await client.close(1001, "the collection ended")
                 return
@@ -387,7 +393,7 @@ class PageServer:
             "indenter": job.indenter,
             "mock": job.bench.mock,
             "session": job.session.name,
-            "camera": bool(job.bench.of_kind("camera")),
+            **self._look.shown(),
             "points": [{"point": point, "at": place} for point, place in points.items()],
             "targets": [[s.point, round(1e3 * s.depth, 4), s.direction] for s in job.spots],
             "directions": job.directions,
@@ -395,7 +401,7 @@ class PageServer:
             "seconds": TRACE_SECONDS,
         }
 
-    def _state(self, traced: int, logged: int) -> dict[str, Any]:
+    def _state(self, traced: dict[str, int], logged: int) -> dict[str, Any]:
         """Return the changing data, with the points and log lines that are new to the client."""
         now = self._snapshot
         new = min(self._logged - logged, len(self._log))
@@ -410,14 +416,23 @@ class PageServer:
             "elapsed": now.elapsed,
             "paused_by": list(now.paused_by),
             "streams": self._look.streams(self._clock.now_ns()),
-            "force": self._look.force(),
-            "tip": self._look.tip(),
+            "forces": self._look.forces(),
+            "tips": self._look.tips(),
             "taxels": self._look.taxels(),
-            "trace": self._look.points_since(traced),
+            "traces": {name: t.since(traced[name]) for name, t in self._look.traces.items()},
             "log": self._log[len(self._log) - new :],
             "watchers": len(self._watchers),
             "refused": self._refused,
         }
+
+
+def _in_turn(cameras: list[str], turn: int) -> list[str]:
+    """Return the cameras whose image is sent now: the first, and one of the others in turn.
+
+    So the data sent in one period do not grow with the number of cameras.
+    """
+    first, others = cameras[:1], cameras[1:]
+    return first + others[turn % len(others) :][:1] if others else first
 
 
 def parse_command(message: str | bytes) -> str | None:

@@ -16,8 +16,9 @@ const SILENT = 2000;
 const RETRY = 1500;
 
 const map = new TargetMap($("map"), $("cell"));
-const traces = new Traces($("traces"));
-let hello = null, state = null, socket = null, heard = 0, imageBusy = false, asked = "";
+const first = new Traces($("traces"));
+let traces = {}, pictures = [], captions = {};
+let hello = null, state = null, socket = null, heard = 0, asked = "";
 
 function text(id, value) {
   const node = typeof id === "string" ? $(id) : id;
@@ -101,11 +102,10 @@ function begin(message) {
   $("bench").hidden = false;
   text("total", ` / ${hello.targets.length}`);
   $("bar").setAttribute("aria-valuemax", hello.targets.length);
-  text("h-image", hello.camera ? "Live image" : "Taxels");
+  layOut();
   const sector = hello.directions > 1 ? "shear direction" : "repeat";
   text("map-note", `rose: contact point · ring: depth, deepest outside · sector: ${sector}`);
   $("log").textContent = "";
-  traces.clear(hello.seconds);
   map.build(hello);
   const { axes, ratings, soft, hard, box } = hello.limits;
   text("limits-note", `share of the rating; marks: soft limit ${percent(soft)}, hard ${percent(hard)}`);
@@ -119,6 +119,46 @@ function begin(message) {
     gauge("x", `x, allowed ${box[0].join(" to ")} mm`, ["dot"]),
     gauge("y", `y, allowed ${box[1].join(" to ")} mm`, ["dot"]),
   );
+}
+
+// The first picture and the first plot stand large on the page, further ones small below them.
+function layOut() {
+  captions = {};
+  $("more-images").textContent = "";
+  $("more-traces").textContent = "";
+  pictures = Object.entries(hello.pictures).map(([name, kind], k) => ({
+    name, kind, busy: false, canvas: k ? figure($("more-images"), name, 320, 240) : $("image"),
+  }));
+  $("image").parentElement.hidden = !pictures.length;
+  text("h-image", pictures[0]?.kind === "taxels" ? "Taxels" : "Live image");
+  traces = {};
+  hello.plots.forEach((name, k) => {
+    traces[name] = k ? new Traces(figure($("more-traces"), name)) : first;
+    traces[name].clear(hello.seconds);
+  });
+  $("traces").closest("section").hidden = !hello.plots.length;
+}
+
+function figure(parent, name, width, height) {
+  const made = document.createElement("figure"), caption = document.createElement("figcaption");
+  const canvas = document.createElement("canvas");
+  canvas.setAttribute("role", "img");
+  canvas.setAttribute("aria-label", name);
+  if (width) {
+    canvas.width = width;
+    canvas.height = height;
+    made.append(canvas);
+  } else {
+    const plot = document.createElement("div");
+    plot.className = "plot";
+    plot.append(canvas);
+    made.append(plot);
+  }
+  text(caption, name);
+  captions[name] = caption;
+  made.append(caption);
+  parent.append(made);
+  return canvas;
 }
 
 const percent = (share) => `${Math.round(100 * share)} %`;
@@ -178,11 +218,11 @@ function show(next) {
   const behind = counts.done + counts.limited;
   $("bar").firstElementChild.style.width = `${(100 * behind) / hello.targets.length}%`;
   $("bar").setAttribute("aria-valuenow", behind);
-  traces.add(state.trace);
-  forces(state.force);
-  place(state.tip);
+  for (const [name, points] of Object.entries(state.traces)) traces[name].add(points);
+  forces(state.forces);
+  places(state.tips);
   streams(state.streams);
-  if (!hello.camera) taxels(state.taxels);
+  for (const { name, canvas } of pictures) if (state.taxels[name]) taxels(canvas, state.taxels[name]);
   log(state.log);
   if (asked === "pause" && who) asked = "";
   if (asked === "resume" && !state.paused_by.includes("page")) asked = "";
@@ -200,20 +240,32 @@ function buttons() {
   if (!running && $("confirm").open) $("confirm").close();
 }
 
-function forces(force) {
-  if (!force) return;
-  const names = ["fx", "fy", "fz"];
-  names.forEach((name, k) => text(`v-${name}`, signed(force.wrench[k])));
-  text("fz", signed(force.wrench[2], 1));
+function forces(gauges) {
+  const force = gauges[hello.plots[0]];
+  if (force) {
+    ["fx", "fy", "fz"].forEach((name, k) => text(`v-${name}`, signed(force.wrench[k])));
+    text("fz", signed(force.wrench[2], 1));
+  }
+  for (const name of hello.plots.slice(1)) {
+    const shown = gauges[name]?.wrench.slice(0, 3).map((value) => signed(value)).join(", ");
+    text(captions[name], `${name}: ${shown ?? "–"} N`);
+  }
+  // The limits hold for every gauge that guards: the one nearest to them is shown.
+  const known = Object.values(gauges), guards = known.filter((gauge) => gauge.guards);
+  const loads = (guards.length ? guards : known).map((gauge) => gauge.load);
+  if (!loads.length) return;
   const { soft, hard } = hello.limits;
   [...$("loads").children].forEach((row, k) => {
-    const load = force.load[k];
+    const load = loads.some((each) => each[k] === null) ? null : Math.max(...loads.map((each) => each[k]));
     const level = load >= hard ? "over" : load >= soft ? "near" : "";
     setGauge(row, (load ?? 0) / railEnd(), load === null ? "–" : percent(load), level);
   });
 }
 
-function place(tip) {
+function places(tips) {
+  const further = hello.arms.slice(1).filter((name) => tips[name]);
+  text("more-tips", further.map((name) => `${name}: ${tips[name].map((value) => signed(value, 1)).join(", ")} mm`).join(" · "));
+  const tip = tips[hello.arms[0]];
   if (!tip) return;
   const [depth, ...sides] = $("box").children;
   const box = hello.limits.box, deep = Math.max(-tip[2], 0), most = -box[2][0];
@@ -263,12 +315,14 @@ function log(lines) {
   if (atEnd) box.scrollTop = box.scrollHeight;
 }
 
+// The first byte is the number of the picture, the rest its JPEG.
 async function picture(data) {
-  if (imageBusy) return;
-  imageBusy = true;
+  const shown = pictures[new Uint8Array(await data.slice(0, 1).arrayBuffer())[0]];
+  if (!shown || shown.busy) return;
+  shown.busy = true;
   try {
-    const bitmap = await createImageBitmap(data);
-    const canvas = $("image");
+    const bitmap = await createImageBitmap(data.slice(1));
+    const { name, canvas } = shown;
     if (canvas.width !== bitmap.width || canvas.height !== bitmap.height) {
       canvas.width = bitmap.width;
       canvas.height = bitmap.height;
@@ -276,21 +330,25 @@ async function picture(data) {
     canvas.getContext("2d").drawImage(bitmap, 0, 0);
     bitmap.close();
     canvas.dataset.shown = Number(canvas.dataset.shown ?? 0) + 1;
-    $("image-waiting").hidden = true;
-    if (state) text("image-note", `image ${state.image}`);
+    const row = state?.images[name];
+    if (captions[name]) text(captions[name], `${name}: image ${row}`);
+    else {
+      $("image-waiting").hidden = true;
+      text("image-note", pictures.length > 1 ? `${name}: image ${row}` : `image ${row}`);
+    }
   } finally {
-    imageBusy = false;
+    shown.busy = false;
   }
 }
 
 // 4 x 4 taxels as the server counts them: a disc for the normal force, a line for the shear.
-function taxels(values) {
-  if (!values) return;
-  const canvas = $("image"), pen = canvas.getContext("2d"), style = getComputedStyle(canvas);
-  $("image-waiting").hidden = true;
-  pen.clearRect(0, 0, canvas.width, canvas.height);
+function taxels(canvas, values) {
+  const pen = canvas.getContext("2d"), style = getComputedStyle(canvas);
+  if (canvas === $("image")) $("image-waiting").hidden = true;
+  pen.setTransform(canvas.width / 640, 0, 0, canvas.height / 480, 0, 0);
+  pen.clearRect(0, 0, 640, 480);
   values.forEach(([x, y, z], k) => {
-    const u = canvas.width / 2 + 115 * ((k % 4) - 1.5), v = canvas.height / 2 + 115 * (Math.floor(k / 4) - 1.5);
+    const u = 320 + 115 * ((k % 4) - 1.5), v = 240 + 115 * (Math.floor(k / 4) - 1.5);
     pen.fillStyle = style.getPropertyValue("--open");
     disc(pen, u, v, 50);
     pen.fillStyle = style.getPropertyValue("--done");

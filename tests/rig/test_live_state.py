@@ -1,0 +1,113 @@
+"""The page's state of benches with several streams of a kind, which is bounded."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.watching import jpeg
+
+from recorder import SessionWriter, StreamWriter, camera_spec
+from rig.bench.bench import Bench, bench_from
+from rig.bench.stream_kinds import kind_of, stream_names
+from rig.core.config import read_yaml
+from rig.core.packaged import BENCHES
+from rig.core.shared_memory import SharedLatest
+from rig.monitor.page.live_state import MOST_PICTURES, MOST_PLOTS, LiveState
+from rig.monitor.page.server import _in_turn
+
+
+def bench_with(cameras: int, gauges: int, taxels: int, arms: int) -> Bench:
+    streams: dict[str, Any] = {}
+    for k in range(cameras):
+        address = f"http://loopback:{8100 + k}/"
+        streams[f"eye_{k}"] = {"kind": "opencv", "address": address, "rate_hz": 10.0}
+    for k in range(gauges):
+        ports = {"http_port": 8200 + k, "udp_port": 49200 + k}
+        streams[f"gauge_{k}"] = {"kind": "netft", "host": "loopback", "rate_hz": 100.0, **ports}
+    for k in range(taxels):
+        address = f"ws://loopback:{5000 + k}"
+        streams[f"skin_{k}"] = {"kind": "xela", "address": address, "rate_hz": 20.0}
+    for k in range(arms):
+        streams[f"arm_{k}"] = {"kind": "ur_pose", "host": "loopback", "rate_hz": 25.0}
+    return bench_from(
+        {**read_yaml(BENCHES / "tacpalm.yaml", BENCHES), "streams": streams}, "b.yaml"
+    )
+
+
+@contextlib.contextmanager
+def seen(bench: Bench, folder: Path) -> Iterator[tuple[LiveState, dict[str, SharedLatest]]]:
+    with contextlib.ExitStack() as stack:
+        records = {
+            name: stack.enter_context(
+                contextlib.closing(
+                    SharedLatest.create(folder / f"{name}.latest", kind_of(bench, name).latest)
+                )
+            )
+            for name in stream_names(bench)
+        }
+        yield (
+            stack.enter_context(contextlib.closing(LiveState(bench, folder, folder / "s.zarr", 0))),
+            records,
+        )
+
+
+def test_every_gauge_arm_and_taxel_array_has_its_own_values(tmp_path: Path) -> None:
+    bench = bench_with(0, 2, 1, 1)
+    with seen(bench, tmp_path) as (state, records):
+        for number, name in enumerate(("force", "gauge_0", "gauge_1"), 1):
+            records[name].write((number, 0, (float(number), 0, 0, 0, 0, 0)))
+        place = np.asarray(bench.contact_frame[:3])
+        for number, name in enumerate(("pose", "arm_0"), 1):
+            tip = (place[0] + 1e-3 * number, *place[1:], 0.0, 0.0, 0.0)
+            records[name].write((1, 0.0, 0, 2, 1.0, tip))
+        records["skin_0"].write((1, np.full((16, 3), 7)))
+        state.taxels()
+        records["skin_0"].write((2, np.full((16, 3), 9)))
+        state.sample()
+        forces = state.forces()
+        assert {name: force["wrench"][0] for name, force in forces.items()} == {
+            "force": 1.0,
+            "gauge_0": 2.0,
+            "gauge_1": 3.0,
+        }
+        assert {name: tip[0] for name, tip in state.tips().items()} == {"pose": 1.0, "arm_0": 2.0}
+        assert state.taxels()["skin_0"][3] == [2, 2, 2]
+        assert [trace.since(0)[0][1] for trace in state.traces.values()] == [1.0, 2.0, 3.0]
+        assert set(state.streams(5)) == set(stream_names(bench))
+
+
+def test_each_camera_has_its_own_picture(tmp_path: Path) -> None:
+    bench = bench_with(1, 0, 0, 0)
+    names = ("camera", "eye_0")
+    specs = [camera_spec(30.0, name=name, codec="jpeg") for name in names]
+    SessionWriter.create(tmp_path / "s.zarr", attrs={}, streams=specs, targets={}).close()
+    with seen(bench, tmp_path) as (state, records):
+        for number, name in enumerate(names):
+            with StreamWriter.open(tmp_path / "s.zarr/streams" / name) as writer:
+                row = writer.append(value=jpeg(number), device_t=float("nan"), t_ns=1)
+            records[name].write((1, row))
+        assert state.images() == {"camera": 0, "eye_0": 0}
+        assert [picture.jpeg for picture in state.pictures.values()] == [jpeg(0), jpeg(1)]
+
+
+@pytest.mark.parametrize("count", [0, 1, 9])
+def test_the_page_shows_a_bounded_number_of_pictures_and_plots(count: int, tmp_path: Path) -> None:
+    bench = bench_with(count, count, count, count)
+    with seen(bench, tmp_path) as (state, _):
+        shown = state.shown()
+        assert next(iter(shown["pictures"])) == "camera"
+        assert len(shown["pictures"]) == min(2 * count + 1, MOST_PICTURES)
+        assert len(shown["plots"]) == min(count + 1, MOST_PLOTS)
+        assert len(state.streams(0)) == 3 + 4 * count
+
+
+def test_a_period_sends_the_first_camera_and_one_of_the_others_in_turn() -> None:
+    assert _in_turn([], 1) == []
+    assert _in_turn(["a"], 5) == ["a"]
+    sent = [_in_turn(["a", "b", "c"], turn) for turn in range(4)]
+    assert sent == [["a", "b"], ["a", "c"], ["a", "b"], ["a", "c"]]
