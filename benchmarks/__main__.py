@@ -13,6 +13,10 @@ BENCHMARKS = {
     # Recording
     "recording": ("benchmarks.recording.command", "cost of recording, compared with other stores"),
     "faults": ("benchmarks.faults.command", "inject every fault into a mock bench"),
+    "survival": (
+        "benchmarks.faults.survival",
+        "kill writing, recovering and resuming programs; fill disks",
+    ),
     "endurance": ("benchmarks.endurance.command", "half an hour on the mock bench"),
     # The simulator
     "hard-cases": ("benchmarks.sim.stability.command", "cases that break simulators"),

@@ -42,7 +42,7 @@ def fill_disk(folder: Path, benches: Path) -> FaultResult:
     disk = folder / "disk"
     disk.mkdir()
     bench = quick_bench(folder, ROW.sensor, benches)
-    with _tmpfs(disk), CollectionRun(disk / "s.zarr", *_arguments(bench)) as collection:
+    with tmpfs(disk, _SIZE_MB), CollectionRun(disk / "s.zarr", *_arguments(bench)) as collection:
         try:
             collection.until_pressing()
             collection.until(lambda: shutil.disk_usage(disk).free < _FULL, "a full disk", _FILLING)
@@ -66,8 +66,13 @@ def _arguments(bench: Path) -> tuple[str, ...]:
 
 
 @contextlib.contextmanager
-def _tmpfs(folder: Path) -> Iterator[None]:
-    mount = ["mount", "-t", "tmpfs", "-o", f"size={_SIZE_MB}m", "tmpfs", str(folder)]
+def tmpfs(folder: Path, megabytes: int) -> Iterator[None]:
+    """Mount a disk of a few megabytes in a folder, for the time of the context.
+
+    Raises:
+        CannotMount: Not root, or tmpfs is not available.
+    """
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={megabytes}m", "tmpfs", str(folder)]
     try:
         done = subprocess.run(mount, capture_output=True, text=True, check=False)
     except OSError as error:

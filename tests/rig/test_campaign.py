@@ -235,8 +235,10 @@ def test_the_same_sensor_indenter_and_plan_are_recorded_more_than_once(
     assert names == {f"{first}{again}.zarr" for again in ("", "-again-2", "-again-3")}
 
 
-def test_a_day_reads_each_session_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    count = 300
+@pytest.mark.parametrize("count", [100, pytest.param(1000, marks=pytest.mark.slow)])
+def test_a_day_reads_each_session_once(
+    count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     entry = "  - {{sensor: uskin, indenter: cylinder, targets: 1}}\n"
     campaign = _campaign(tmp_path, "out: {out}\nsessions:\n" + count * entry)
     read: list[str] = []

@@ -52,15 +52,20 @@ camera: null
 taxels: null
 streams: null
 """
+ONE = """
+extends: three.yaml
+streams: null
+"""
 NAMES = ("force", "pose", "camera", "taxels", "side", "room", "left", "right")
 NAMES += ("skin_2", "skin_3", "flange", "elbow")
 
 
 def written(folder: Path) -> Path:
-    """Write the two benches and return that with three of each."""
+    """Write the three benches and return that with three of each."""
     first = quick_bench(folder, "gelsight")
     (folder / "three.yaml").write_text(f"extends: {first.name}\n{THREE}")
     (folder / "none.yaml").write_text(NONE)
+    (folder / "one.yaml").write_text(ONE)
     return folder / "three.yaml"
 
 
@@ -224,14 +229,18 @@ def rig(*words: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.serial
 @pytest.mark.parametrize(
-    "name", ["none", pytest.param("three", marks=[pytest.mark.slow, pytest.mark.timeout(900)])]
+    ("name", "wanted"),
+    [
+        ("none", {"pose"}),
+        pytest.param("one", set(NAMES[:4]), marks=[pytest.mark.slow, pytest.mark.timeout(400)]),
+        pytest.param("three", set(NAMES), marks=[pytest.mark.slow, pytest.mark.timeout(900)]),
+    ],
 )
 @pytest.mark.timeout(200)
 def test_collected_killed_recovered_resumed_replayed_checked_and_exported(
-    name: str, tmp_path: Path
+    name: str, wanted: set[str], tmp_path: Path
 ) -> None:
     bench = written(tmp_path).with_name(f"{name}.yaml")
-    wanted = set(NAMES) if name == "three" else {"pose"}
     path = tmp_path / "s.zarr"
     run = Collection.start(path, "--targets", "2", "--bench", str(bench))
     run.until(lambda: run.session.exists() and run.segments() > 100, 400)
