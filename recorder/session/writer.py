@@ -1,5 +1,6 @@
 """Create a session, add runs to it, and close it."""
 
+import json
 import os
 import shutil
 from collections.abc import Mapping, Sequence
@@ -23,7 +24,8 @@ from recorder.spec import (
     check_streams,
     reference_spec,
 )
-from recorder.store.durable import sync_directory
+from recorder.store.bounds import check_session_attrs
+from recorder.store.durable import json_bytes, sync_directory
 from recorder.store.layout import (
     StreamLayout,
     create_stream,
@@ -121,6 +123,7 @@ class SessionWriter:
         first_row = {name: survey(StreamLayout.load(self.stream_path(name))).rows for name in names}
         first_row |= {"segments": self.segments.rows, "reference": self.reference.rows}
         runs = read_session_attrs(self.path)["runs"]
+        _check_written({"runs": [entry]}, self.path)
         merge_attrs(self.path, {"runs": [*runs, {**entry, "first_row": first_row}]})
 
     def stream_path(self, name: str) -> Path:
@@ -135,7 +138,12 @@ class SessionWriter:
         return self.path / "streams" / name
 
     def set_attrs(self, **attrs: Any) -> None:
-        """Merge into the session's attributes, atomically."""
+        """Merge into the session's attributes, atomically.
+
+        Raises:
+            SessionError: An attribute that readers would refuse.
+        """
+        _check_written(attrs, self.path)
         merge_attrs(self.path, attrs)
 
     def finish(
@@ -180,6 +188,11 @@ class SessionWriter:
         self.close()
 
 
+def _check_written(attrs: dict[str, Any], path: Path) -> None:
+    """Reject attributes that readers would refuse."""
+    check_session_attrs(json.loads(json_bytes(path, attrs)), str(path))
+
+
 def _stream_names(path: Path) -> list[str]:
     root = path / "streams"
     return sorted(entry.name for entry in root.iterdir() if (entry / "zarr.json").exists())
@@ -192,6 +205,7 @@ def _build(
     targets: Mapping[str, np.ndarray[Any, Any]],
 ) -> None:
     check_streams(streams)
+    _check_written(attrs, path)
     path.mkdir(parents=True)
     fixed = {"format": FORMAT, "format_version": FORMAT_VERSION, "status": "recording", "runs": []}
     write_group(path, {**attrs, **fixed})

@@ -273,6 +273,24 @@ def test_every_attribute_that_is_computed_with_is_bounded_by_name(
         Session(path)
 
 
+def test_attributes_that_readers_refuse_cannot_be_written(tmp_path: Path) -> None:
+    frame = {"contact_frame": [0.0] * 5}
+    specs = [force_spec(100)]
+    with pytest.raises(SessionError, match="found contact_frame"):
+        SessionWriter.create(tmp_path / "s.zarr", attrs=frame, streams=specs, targets={})
+    late = [force_spec(100, latency=-1.0)]
+    with pytest.raises(SessionError, match=r"found latency -1\.0; allowed: 0 to 60"):
+        SessionWriter.create(tmp_path / "s.zarr", attrs={}, streams=late, targets={})
+    with SessionWriter.create(tmp_path / "s.zarr", attrs={}, streams=specs, targets={}) as session:
+        with pytest.raises(SessionError, match="found contact_frame"):
+            session.set_attrs(**frame)
+        session.set_attrs(contact_frame=tuple(np.zeros(6)), t0_ns=np.int64(5))
+        with pytest.raises(SessionError, match="found t0_ns 'now'"):
+            session.begin_run({"t0_ns": "now"})
+        session.finish("complete", rate_hz=40)
+    assert check(tmp_path / "s.zarr", quick=True) == []
+
+
 def test_metadata_that_is_nested_or_large_without_end_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
