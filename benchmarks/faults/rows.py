@@ -33,8 +33,8 @@ OVERLOAD = {
     "force_rating_n": [12.0, 12.0, 0.3],
     "soft_fraction": 0.8,
     "hard_fraction": 0.8,
-    "horizon_ms": 0.001,
-    "stiffness_n_per_mm": 0.001,
+    "horizon_ms": 0.5,
+    "stiffness_n_per_mm": 0.005,
 }
 
 

@@ -61,7 +61,7 @@ class ClockPiece:
     residual_rms: float
     """RMS of arrival minus mapped time: the variation of the delays [s]."""
     drift_interval_ppm: float
-    """Half of the 95 % interval of the drift [ppm]; NaN in a fit stored without it."""
+    """Half of the 95 % interval of the drift [ppm]; inf or NaN if it is not known."""
     device_t: Floats
     """Knots (k,): device time since the first knot's origin, unwrapped [s]."""
     host_minus_device: Floats
@@ -108,7 +108,7 @@ class ClockFit:
                 "rows": part.rows,
                 "offset_s": part.offset,
                 "drift_ppm": part.drift_ppm,
-                "drift_interval_ppm": part.drift_interval_ppm,
+                "drift_interval_ppm": _finite(part.drift_interval_ppm),
                 "residual_rms_s": part.residual_rms,
                 "knots_device_t": part.device_t.tolist(),
                 "knots_host_minus_device": part.host_minus_device.tolist(),
@@ -128,7 +128,7 @@ class ClockFit:
                 float(part["offset_s"]),
                 float(part["drift_ppm"]),
                 float(part["residual_rms_s"]),
-                float(part.get("drift_interval_ppm", "nan")),
+                _or_nan(part.get("drift_interval_ppm")),
                 np.array(part["knots_device_t"], np.float64),
                 np.array(part["knots_host_minus_device"], np.float64),
             )
@@ -137,6 +137,15 @@ class ClockFit:
         wrap = stored["wrap_s"]
         causal = str(stored["method"]).endswith("causal")
         return cls(pieces, float(stored["window_s"]), causal, None if wrap is None else float(wrap))
+
+
+def _finite(value: float) -> float | None:
+    """Return a number that JSON can hold; None for any other."""
+    return value if np.isfinite(value) else None
+
+
+def _or_nan(value: Any) -> float:
+    return float("nan") if value is None else float(value)
 
 
 def fit_clock(

@@ -151,17 +151,56 @@ class ColumnReader:
     def _read(self, shard: int, numbers: list[int]) -> Iterator[Any]:
         """Read chunks of one local shard into one buffer, one after the other."""
         index = self._shard_index(shard)
-        wanted = [self._range(index, number) for number in numbers]
+        held = [n for n in numbers if not self.live or self._is_held(index, n)]
+        wanted = {number: self._range(index, number) for number in held}
         fd = self._opened(shard)
         try:
             size = os.fstat(fd).st_size  # of a range beyond it nothing is allocated
-            length = min(max(nbytes for _, nbytes in wanted), size)
+            length = min(max((nbytes for _, nbytes in wanted.values()), default=0), size)
             buffer: Any = np.empty(length, np.uint8)
-            for number, (offset, nbytes) in zip(numbers, wanted, strict=True):
+            for number in numbers:
+                if number not in wanted:
+                    yield self._moved(shard, number)
+                    continue
+                offset, nbytes = wanted[number]
                 found = os.preadv(fd, [buffer[:nbytes]], offset) if offset < size else 0
-                yield self._verified(index, buffer[:found], nbytes, number)
+                try:
+                    data = self._verified(index, buffer[:found], nbytes, number)
+                except SessionError:
+                    if not self.live:
+                        raise
+                    data = self._moved(shard, number)
+                yield data
         finally:
             os.close(fd)
+
+    def _moved(self, shard: int, number: int) -> Any:
+        """Read a chunk of a shard that its writer has replaced since its index was read.
+
+        A resumed stream takes its last, short chunk out of the growing shard until the chunk is
+        full. The sealed shard has it until the growing one takes its place.
+
+        Raises:
+            SessionError: Neither of them has it.
+        """
+        layout, fault = self.layout, SessionError(f"{self._where(number)} is missing")
+        places = ((layout.partial(shard), open_index), (layout.shard(shard), read_shard_index))
+        for path, read_index in 2 * places:  # one may become the other meanwhile
+            try:
+                index = read_index(layout, shard)
+                offset, nbytes = self._range(index, number)
+                with path.open("rb") as file:
+                    file.seek(offset)
+                    data = np.frombuffer(file.read(nbytes), np.uint8)
+                return self._verified(index, data, nbytes, number)
+            except FileNotFoundError:
+                continue
+            except SessionError as error:
+                fault = error if path.exists() else fault
+        raise fault
+
+    def _is_held(self, index: ShardIndex, number: int) -> bool:
+        return index.ranges[number % self.layout.chunks_per_shard][0] != MISSING
 
     def _opened(self, shard: int) -> int:
         if self.live:  # the chunks of a growing shard stay in their places when it is sealed
@@ -179,7 +218,7 @@ class ColumnReader:
     def _range(self, index: ShardIndex, number: int) -> tuple[int, int]:
         """Return the bytes to read for a chunk: with its record header if only this has a CRC."""
         offset, nbytes = index.ranges[number % self.layout.chunks_per_shard]
-        if offset == MISSING:
+        if not self._is_held(index, number):
             raise SessionError(f"{self._where(number)} is missing")
         if self.layout.chunk_crc:
             return offset, nbytes

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -186,3 +187,15 @@ def test_a_drift_that_means_nothing_is_silent() -> None:
     fit = fit_clock(true - START, np.round(arrived * 1e9).astype(np.int64))
     assert fit is not None
     assert not fit.drifts
+
+
+def test_a_drift_without_an_interval_is_stored_and_read_as_unknown() -> None:
+    # Samples at the ends of a recording only, with a long silence between.
+    at = np.concatenate([np.arange(50) / 100, 60 + np.arange(50) / 100])
+    fit = fit_clock(at, np.round(at * 1e9).astype(np.int64))
+    assert fit is not None
+    assert np.isinf(fit.pieces[-1].drift_interval_ppm)
+    stored = json.loads(json.dumps(fit.to_json(), allow_nan=False))
+    again = ClockFit.from_json(stored)
+    assert np.isnan(again.pieces[-1].drift_interval_ppm)
+    assert not again.drifts

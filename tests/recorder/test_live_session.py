@@ -131,3 +131,56 @@ def test_follow_ends_after_a_time_without_rows_and_names_an_unknown_stream(tmp_p
     assert list(session.follow("force", poll=0.01, timeout=0.05)) == []
     with pytest.raises(SessionError, match="no stream 'gauge'; known: camera, force"):
         next(session.follow("gauge"))
+
+
+def read_force(session: Session, count: int) -> None:
+    gauge = session.streams["force"]
+    assert len(gauge) == count
+    np.testing.assert_array_equal(gauge.array("value"), np.arange(6.0) + np.arange(count)[:, None])
+    np.testing.assert_array_equal(gauge.t_ns, 10**9 + np.arange(count))
+
+
+@pytest.mark.parametrize("more", [0, 7, 200])
+def test_rows_seen_before_a_stream_is_resumed_are_read_while_its_last_chunk_moves(
+    more: int, tmp_path: Path
+) -> None:
+    path = tmp_path / "s.zarr"
+    with begin(path) as writer:
+        with StreamWriter.open(writer.stream_path("force")) as stream:
+            for row in range(244):  # three chunks of 64 rows, and a short one
+                stream.append(**force(row))
+        writer.finish("stopped", rate_hz=50)
+    with SessionWriter.resume(path) as writer:
+        unread, known = Session(path), Session(path)
+        known.streams["force"].rows_between("seq", 0, 200)
+        known.streams["force"].rows_between("t_ns", 0, 10)  # its index is known from now on
+        with StreamWriter.open(writer.stream_path("force"), sync_interval=1e6) as stream:
+            for row in range(244, 244 + more):
+                stream.append(**force(row))
+            stream._flush()
+            read_force(unread, 244)
+            read_force(known, 244)
+        read_force(Session(path), 244 + more)
+        read_force(unread, 244)
+
+
+def test_a_damaged_chunk_of_a_growing_shard_is_still_refused(tmp_path: Path) -> None:
+    path = tmp_path / "s.zarr"
+    with (
+        begin(path) as writer,
+        StreamWriter.open(writer.stream_path("force"), sync_interval=1e6) as stream,
+    ):
+        for row in range(130):
+            stream.append(**force(row))
+        stream._flush()
+        session = Session(path)
+        (partial,) = (path / "streams/force/value/c/0").glob("*.partial")
+        data = bytearray(partial.read_bytes())
+        data[60] ^= 1
+        with partial.open("r+b") as file:
+            file.write(data)
+        with pytest.raises(SessionError, match=r"chunk 0 \(row 0\) (does not match|is missing)"):
+            session.streams["force"].array("value")
+        data[60] ^= 1
+        with partial.open("r+b") as file:
+            file.write(data)
