@@ -133,13 +133,9 @@ def depth_in(contact_frame: Floats, poses: Floats) -> Floats:
 
 def has_targets(session: Session) -> bool:
     """Return True if the session has targets; imported sessions have neither them nor segments."""
-    return _target_count(session) > 0
-
-
-def _target_count(session: Session) -> int:
     # Use the declared lengths: a table with corrupt chunks still has targets.
     arrays = (session.files.array(session.path / "targets" / name) for name in session.targets)
-    return max((array.shape[0] for array in arrays), default=0)
+    return any(array.shape[0] for array in arrays)
 
 
 def whole_run(session: Session, run: int, rate_hz: float) -> Times:
@@ -151,16 +147,6 @@ def whole_run(session: Session, run: int, rate_hz: float) -> Times:
 def _run_ticks(session: Session, rate_hz: float) -> Iterator[tuple[int, Times, NDArray[np.int64]]]:
     """Yield each run with its ticks and the segment of each tick."""
     segments = session.segments
-    for name, count in (
-        ("run", max(len(session.runs), 1)),
-        ("target", _target_count(session)),
-    ):
-        wrong = np.flatnonzero((segments[name] < 0) | (segments[name] >= count))
-        if wrong.size:
-            raise SessionError(
-                f"{session.name}: segments: row {wrong[0]}: found {name} "
-                f"{segments[name][wrong[0]]}; allowed: 0 to {count - 1}"
-            )
     if not has_targets(session):
         for run in range(max(len(session.runs), 1)):
             whole = whole_run(session, run, rate_hz)
@@ -261,7 +247,9 @@ def _reference_offset(
     if not known or not len(reference["point"]):
         return np.zeros((len(ticks), 6))
     offset = np.zeros((len(ticks), *reference[column].shape[1:]))
-    point = targets["point"][target]
+    points = targets["point"]
+    is_known = (target >= 0) & (target < len(points))  # `check` names any other
+    point = np.where(is_known, points[np.where(is_known, target, 0)], -1)
     for row in np.argsort(reference["t_ns"], kind="stable"):
         if reference["run"][row] == run:
             later = (point == reference["point"][row]) & (ticks >= reference["t_ns"][row])

@@ -315,17 +315,29 @@ def test_a_phase_of_centuries_is_refused_before_its_ticks_are_made(tmp_path: Pat
         make_session(tmp_path / "s.zarr", seconds=1.0, names=("force",), change=change)
 
 
-@pytest.mark.parametrize(("column", "value"), [("target", 10**9), ("run", 77), ("target", -1)])
-def test_a_segment_of_an_unknown_target_or_run_is_refused_by_name(
-    column: str, value: int, tmp_path: Path
-) -> None:
+def segments_with(column: str, value: int) -> Callable[[str, dict[str, Any]], dict[str, Any]]:
     def change(name: str, columns: dict[str, Any]) -> dict[str, Any]:
         if name == "segments":
             columns[column] = np.full(len(columns[column]), value, columns[column].dtype)
         return columns
 
-    with pytest.raises(SessionError, match=f"segments: row 0: found {column} {value}; allowed: 0"):
+    return change
+
+
+def test_a_phase_of_an_unknown_run_is_refused_by_name(tmp_path: Path) -> None:
+    change = segments_with("run", 77)
+    with pytest.raises(SessionError, match="no run 77; runs: 1"):
         make_session(tmp_path / "s.zarr", seconds=1.0, names=("force",), change=change)
+
+
+@pytest.mark.parametrize("target", [10**9, -7])
+def test_a_phase_of_an_unknown_target_is_found_and_the_session_can_be_closed(
+    target: int, tmp_path: Path
+) -> None:
+    change = segments_with("target", target)
+    make_session(tmp_path / "s.zarr", seconds=1.0, names=("force",), change=change)
+    found = [one.message for one in check(tmp_path / "s.zarr") if one.code == "segment-outside"]
+    assert found[0].startswith(f"row 0: found target {target}, there are")
 
 
 def test_rows_that_one_column_alone_declares_are_named_and_not_read(tmp_path: Path) -> None:

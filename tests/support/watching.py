@@ -95,7 +95,7 @@ class WatchedBench:
 
     def picture(self) -> bytes:
         """Record one more image and show its row; return its bytes."""
-        data = jpeg(len(self.images) % 4)
+        data = jpeg(len(self.images) % 32)
         now_ns = self.clock.now_ns()
         row = self.camera.append(value=data, device_t=float("nan"), t_ns=now_ns)
         self.images.append(data)
