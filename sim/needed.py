@@ -373,7 +373,7 @@ class _Draft:
             total = total.plus(change)
         if not names:
             return total
-        found = self.change(self._together(names))
+        found = self.change(self._all_of(names))
         if found is None:
             return None
         force = np.linalg.norm(self._whole().force, axis=1)
@@ -392,7 +392,7 @@ class _Draft:
         assert isinstance(whole, Result)
         return whole
 
-    def _together(self, names: Names) -> Names:
+    def _all_of(self, names: Names) -> Names:
         """Return the effects that the probe of `names` omits: for several, bounded ones too."""
         return names if len(names) < 2 else names | frozenset(self.bounded)
 
@@ -416,8 +416,8 @@ class _Draft:
         self.queue = []
         while self.candidates:
             first = self.candidates[0]
-            if self._together(first) not in self.solved:
-                self.queue = [self._together(first)]
+            if self._all_of(first) not in self.solved:
+                self.queue = [self._all_of(first)]
                 return
             if self._fits(first):
                 self.chosen, self.candidates = first, []
@@ -453,7 +453,7 @@ class _Draft:
             effects=tuple(each),
             joint=no_change(self.scene) if joint is None else joint,
             joint_by=" and ".join(filter(None, (probed, bounds))) or "nothing left out",
-            time=self.time(self._together(self.chosen)) if self.chosen else None,
+            time=self.time(self._all_of(self.chosen)) if self.chosen else None,
             probes=len(self.solved),
             seconds=self.seconds,
         )

@@ -102,8 +102,8 @@ def surface_of(result: Result, frame: int) -> Surface:
 
 def _refined(along: Array) -> Array:
     """Return evenly spaced `along` with enough points in between for at least `FINE` of them."""
-    between = -(-FINE // (len(along) - 1))
-    return np.linspace(along[0], along[-1], between * (len(along) - 1) + 1)
+    per_cell = -(-FINE // (len(along) - 1))
+    return np.linspace(along[0], along[-1], per_cell * (len(along) - 1) + 1)
 
 
 def _values_between(x: Array, y: Array, values: ArrayLike, fine_x: Array, fine_y: Array) -> Array:

@@ -64,12 +64,12 @@ def dry_run(plan: Plan, limits: Limits, *, speed: float, acceleration: float) ->
         acceleration: Acceleration of the recorded moves [m/s^2].
     """
     places: list[Point] = []
-    recorded = between = 0.0
+    recorded = unrecorded = 0.0
     moves = 0
     for target in plan.targets():
         path = plan.moves(target)
         if places:
-            between += move_duration(distance(places[-1], path[0].start), speed, acceleration)
+            unrecorded += move_duration(distance(places[-1], path[0].start), speed, acceleration)
         for move in path:
             recorded += move_duration(distance(move.start, move.end), speed, acceleration)
             places += [move.start, move.end]
@@ -78,7 +78,7 @@ def dry_run(plan: Plan, limits: Limits, *, speed: float, acceleration: float) ->
     high = tuple(max(place[axis] for place in places) for axis in range(3))
     depth = -low[2]
     force = limits.stiffness * depth
-    duration = recorded + between
+    duration = recorded + unrecorded
     checks = (
         (low[0] < limits.box_x[0] or high[0] > limits.box_x[1], "x", low[0], high[0], limits.box_x),
         (low[1] < limits.box_y[0] or high[1] > limits.box_y[1], "y", low[1], high[1], limits.box_y),

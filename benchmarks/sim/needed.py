@@ -106,8 +106,8 @@ def run(options: argparse.Namespace) -> int:
     rows: list[Row] = []
     with TemporaryDirectory() as folder, done_counts(print):
         scenes = scenes_of(options.seed, options.scenes, Path(folder))
-        together = 1 if options.device == "cpu" else len(scenes)
-        parts = [scenes[first : first + together] for first in range(0, len(scenes), together)]
+        batch_size = 1 if options.device == "cpu" else len(scenes)
+        parts = [scenes[first : first + batch_size] for first in range(0, len(scenes), batch_size)]
         compare = partial(
             compared, tolerance=options.tolerance, numerics=numerics, device=options.device
         )

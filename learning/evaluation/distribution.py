@@ -562,7 +562,7 @@ def classifier_accuracy(
     from sklearn.preprocessing import StandardScaler
 
     _require(one, other, 2)
-    features, which = _together(one, other)
+    features, which = _stacked(one, other)
     if groups.shape != which.shape:
         raise LearningError(f"groups: found shape {groups.shape}; allowed: {which.shape}")
     fewest = min(len(np.unique(groups[which == kind])) for kind in (0, 1))
@@ -585,7 +585,7 @@ def mixing_score(one: Floats, other: Floats, neighbours: int = NEIGHBOURS) -> fl
         LearningError: There are no more samples than neighbours, or widths differ.
     """
     _require(one, other, 2)
-    features, which = _together(one, other)
+    features, which = _stacked(one, other)
     if len(features) <= neighbours:
         raise LearningError(
             f"features: found {len(features)} samples; allowed: more than {neighbours} neighbours"
@@ -620,7 +620,7 @@ def embedded(features: Floats, *, seed: int) -> Floats:
     return np.asarray(projection.fit_transform(level), np.float64)
 
 
-def _together(one: Floats, other: Floats) -> tuple[Floats, NDArray[np.int64]]:
+def _stacked(one: Floats, other: Floats) -> tuple[Floats, NDArray[np.int64]]:
     features = np.concatenate([one, other]).astype(np.float64)
     return features, np.repeat(np.array([0, 1]), [len(one), len(other)])
 

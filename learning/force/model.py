@@ -26,7 +26,7 @@ from learning.training.checkpoint import read_model_folder
 # Kind of a force model's folder.
 KIND = "force"
 # Number of presses predicted at once, by type of device.
-_TOGETHER = {"cpu": 8, "cuda": 128}
+_AT_ONCE = {"cpu": 8, "cuda": 128}
 
 # Settings of the network: two of the keys of the presets. Those of the training are in `train`.
 
@@ -379,8 +379,8 @@ class ForceModel(nn.Module):
         predicted = torch.zeros(presses.frames, 3, device=self.device)
         done = 0
         self.eval()
-        together = _TOGETHER[self.device.type]
-        for group in lengths.argsort(descending=True, stable=True).split(together):
+        at_once = _AT_ONCE[self.device.type]
+        for group in lengths.argsort(descending=True, stable=True).split(at_once):
             state = self.untouched(len(group))
             for time in range(int(lengths[group].max())):
                 # Sorted by descending length, so finished presses are at the end.

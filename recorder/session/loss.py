@@ -356,14 +356,16 @@ def _missing(steps: Floats, period: float) -> Floats:
     sums = np.cumsum(beyond - SLOW)
     if (sums - np.minimum.accumulate(np.minimum(sums, 0.0))).max() + SLOW <= 0.5:
         return lost
-    carried = 0.0
+    remainder = 0.0
     for place, value in enumerate(beyond.tolist()):
-        carried += value
-        if carried > 0.5:
-            lost[place] = whole = math.floor(carried + 0.5)
-            carried -= whole
+        remainder += value
+        if remainder > 0.5:
+            lost[place] = whole = math.floor(remainder + 0.5)
+            remainder -= whole
         # Less than a period early is all that a delay before it can explain.
-        carried = max(carried - SLOW, 0.0) if carried > 0 else max(min(carried + SLOW, 0.0), -1.0)
+        remainder = (
+            max(remainder - SLOW, 0.0) if remainder > 0 else max(min(remainder + SLOW, 0.0), -1.0)
+        )
     return lost
 
 

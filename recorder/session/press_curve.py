@@ -158,6 +158,6 @@ def _at(grid: Floats, depth: Floats, force: Floats) -> Floats:
     # A fast move may leave an empty bin between two filled ones: interpolate it.
     known = np.flatnonzero(count)
     if known.size:
-        between = slice(known[0], known[-1] + 1)
-        values[between] = np.interp(grid[between], grid[known], values[known])
+        inside = slice(known[0], known[-1] + 1)
+        values[inside] = np.interp(grid[inside], grid[known], values[known])
     return values

@@ -306,8 +306,8 @@ class Session:
         """Return its place, status, sensor, indenter and the rows of its streams."""
         known = (self.attrs.get(key) for key in ("sensor", "indenter"))
         rows = ", ".join(f"{name} {len(stream):,}" for name, stream in self.streams.items())
-        facts = [self.status, *(str(each) for each in known if each), rows or "no streams"]
-        return f"<Session {self.name}: {', '.join(facts)}>"
+        parts = [self.status, *(str(each) for each in known if each), rows or "no streams"]
+        return f"<Session {self.name}: {', '.join(parts)}>"
 
     @property
     def name(self) -> str:

@@ -292,7 +292,7 @@ class Collector:
         }
 
     def _stream_attrs(self, name: str, request: CollectRequest) -> dict[str, Any]:
-        """Return a stream's attributes other than the facts of its device."""
+        """Return a stream's attributes other than the properties of its device."""
         if name in self._bias:
             axes = self._bench.row(name).config.axes_measured
             partly = {} if len(axes) == len(AXES) else {"axes_measured": list(axes)}

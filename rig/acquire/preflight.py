@@ -26,7 +26,7 @@ _AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """Facts and rates of the devices, found by the preflight."""
+    """Properties and rates of the devices, found by the preflight."""
 
     description: dict[str, dict[str, Any]]
     """`Driver.describe()` by stream."""

@@ -24,7 +24,7 @@ GROUPS = ("homogeneous", "material", "heterogeneous")
 SMOKE_SHAPES, SMOKE_CELLS = ("sphere", "prism"), 3
 SMOKE_SHARE, SMOKE_STEPS = 0.01, 3
 # Presses that a GPU solves in one launch: all of the paper's.
-TOGETHER_GPU = 162
+BATCH_SIZE_GPU = 162
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -182,7 +182,7 @@ def _make(options: argparse.Namespace, out: Path, plan: DatasetPlan) -> int:
     ready_device("cpu" if options.scheduler else options.device)
     if options.device != "cpu" and plan.solving.tier == "fem":
         solving = replace(plan.solving, one_topology=True)
-        plan = replace(plan, together=TOGETHER_GPU, solving=solving)
+        plan = replace(plan, batch_size=BATCH_SIZE_GPU, solving=solving)
     return _fill(options, begin(out, plan, "cpu" if options.scheduler else options.device))
 
 

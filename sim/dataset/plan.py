@@ -272,7 +272,7 @@ class DatasetPlan:
     """Fraction of the targets to use, spread evenly over points, depths and directions."""
     unit_presses: int = UNIT_PRESSES
     """Most presses of one indenter whose frames share a file."""
-    together: int = UNIT_PRESSES
+    batch_size: int = field(default=UNIT_PRESSES, metadata={"formerly": "together"})
     """Most presses solved in one call, rounded to whole files; a GPU needs many."""
 
     def __post_init__(self) -> None:
@@ -288,7 +288,7 @@ class DatasetPlan:
         check_range("plan", "steps", self.steps, 1, STEPS_MAX)
         check_range("plan", "share", self.share, 0.0, 1.0, open_low=True)
         check_range("plan", "unit_presses", self.unit_presses, 1, 10_000)
-        check_range("plan", "together", self.together, 1, 100_000)
+        check_range("plan", "batch_size", self.batch_size, 1, 100_000)
         for each in self.sensors:
             if self.work == "targets" and each.trajectory is None:
                 raise SceneError(f"{each.name}.trajectory: None; allowed: a sensor that has one")
@@ -594,10 +594,10 @@ class Unit:
 @functools.cache
 def families(plan: DatasetPlan) -> tuple[Family, ...]:
     """Return the sensors of a plan grouped by shared deformations, in order."""
-    together: dict[Hashable, list[SimulatedSensor]] = {}
+    by_deformation: dict[Hashable, list[SimulatedSensor]] = {}
     for each in plan.sensors:
-        together.setdefault(_deformation(plan, each), []).append(each)
-    return tuple(_family(plan, tuple(sensors)) for sensors in together.values())
+        by_deformation.setdefault(_deformation(plan, each), []).append(each)
+    return tuple(_family(plan, tuple(sensors)) for sensors in by_deformation.values())
 
 
 @functools.cache
@@ -605,7 +605,7 @@ def units(plan: DatasetPlan) -> tuple[Unit, ...]:
     """Return all units of a plan; they depend on the plan alone, not on finished work."""
     cut: list[Unit] = []
     for index, family in enumerate(families(plan)):
-        step = max(1, plan.together // family.unit_presses) * family.unit_presses
+        step = max(1, plan.batch_size // family.unit_presses) * family.unit_presses
         single = [press for press in family.presses if len(press.recordings) == 1]
         for first in range(0, len(single), step):
             last = min(first + step, len(single))

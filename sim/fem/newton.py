@@ -269,11 +269,11 @@ class Newton:
         axpy(active, self._lengths(np.full(len(long), 0.5)), state.u_old, way, self._start)
         state.put_within(long, 0.5, duration, way)
         state.put_tip_away(long)
-        between = assembly.evaluate(active, self._start, way).slope
+        middle = assembly.evaluate(active, self._start, way).slope
         state.put_within(long, 1.0, duration, way)
         state.set_tip(long)
         assembly.evaluate(active, state.u, way)
-        return np.where(long, (work + 2 * between) / 3, work)
+        return np.where(long, (work + 2 * middle) / 3, work)
 
     def mask(self, chosen: np.ndarray):
         """Return the chosen environments (B,) as a mask for the kernels."""

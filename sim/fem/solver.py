@@ -88,7 +88,7 @@ class Snapshot:
             "u": state.u,
             "touched": assembly.touched,
             "pressure": state.pressure,
-            "carried": state.multiplier,
+            "multiplier": state.multiplier,
             "normal": state.normal,
             "face_force": assembly.face_force,
             "face_overlap": assembly.face_overlap,
@@ -134,7 +134,7 @@ def contact_points(held: Snapshot, env: int, u: np.ndarray) -> ContactPoints:
     mesh = assembly.meshes[env]
     rows = np.flatnonzero(held.of(env, "touched"))
     pressure = held.of(env, "pressure")[rows].astype(float)
-    deep = (pressure - held.of(env, "carried")[rows]) / assembly.numerics.penalty
+    deep = (pressure - held.of(env, "multiplier")[rows]) / assembly.numerics.penalty
     push = held.of(env, "normal")[rows] * pressure[:, :, None]
     excess = np.nan
     traction = np.zeros_like(push)

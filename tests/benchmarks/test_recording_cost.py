@@ -519,6 +519,7 @@ def test_lerobot_writes_in_its_own_interpreter(key: str, tmp_path: Path) -> None
     assert row.write.nbytes > 0
 
 
+@pytest.mark.serial
 @pytest.mark.slow
 def test_the_whole_quick_run_writes_every_part(tmp_path: Path) -> None:
     out = tmp_path / "recording.md"

@@ -117,9 +117,9 @@ def test_padding_changes_neither_forces_nor_gradients_nor_statistics() -> None:
 def test_gradients_of_a_padded_batch_are_those_of_its_sequences() -> None:
     model = _model()
     frames = torch.randn(2, 5, 2, 32, 32)
-    together = _gradients(model, frames, (2, 5))
+    batched = _gradients(model, frames, (2, 5))
     alone = [_gradients(model, frames[[row], :n], (n,)) for row, n in ((0, 2), (1, 5))]
-    assert torch.allclose(together, (2 * alone[0] + 5 * alone[1]) / 7, atol=1e-6)
+    assert torch.allclose(batched, (2 * alone[0] + 5 * alone[1]) / 7, atol=1e-6)
 
 
 def test_truncation_keeps_forces_and_stops_gradients() -> None:

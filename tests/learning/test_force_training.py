@@ -14,8 +14,8 @@ from support.training import session
 from learning.data.presses import AUTHORS, Presses
 from learning.errors import LearningError
 from learning.force import load_force_model
+from learning.force.batched import train_batched
 from learning.force.model import KIND, ForceModel, InputSettings
-from learning.force.together import train_together
 from learning.force.train import (
     ForceSettings,
     Sequences,
@@ -317,7 +317,7 @@ def test_sensors_with_other_gauges_train_one_model() -> None:
 def test_models_trained_together_know_the_axes_of_their_labels() -> None:
     presses = noise_presses(3)
     settings = toy(stages=(StageSettings(epochs=1, learning_rate=1e-2),))
-    one, two = train_together([_measured(presses, 2), presses], settings)  # type: ignore[misc]
+    one, two = train_batched([_measured(presses, 2), presses], settings)  # type: ignore[misc]
     assert (one.axes, two.axes) == (("Fz",), ("Fx", "Fy", "Fz"))
     alone = train_force(_measured(presses, 2), settings)
     assert one.head.weight[2].tolist() == pytest.approx(alone.head.weight[2].tolist(), abs=1e-4)

@@ -10,7 +10,7 @@ from support.commands import run_module
 from support.made_up_archives import made_up_archive
 
 from learning.archive_writer import UNIT_ROWS
-from learning.cli import translate as verb
+from learning.cli import translate as command
 from learning.data.splits import make_split
 from learning.errors import LearningError
 from learning.training.checkpoint import Config
@@ -203,7 +203,7 @@ def test_weights_tell_models_apart(tmp_path):
 
 
 def run(*given: object) -> int:
-    return run_module(verb, *given)
+    return run_module(command, *given)
 
 
 def test_the_verb_translates_and_draws(tmp_path, capsys):

@@ -18,10 +18,10 @@ from learning.translation.field.network import (
     CHANNELS,
     SIDE,
     FieldModel,
-    carried,
     from_displacement,
     render,
     signed_distance,
+    transferred,
 )
 from learning.translation.field.train import ExampleSettings
 from learning.translation.field.translator import FieldTranslator
@@ -136,8 +136,10 @@ def test_growth_makes_discs_of_a_uskin_as_large_as_pressed_ones() -> None:
 def test_millimetres_stay_what_they_are_in_the_image_of_another_sensor() -> None:
     columns = torch.linspace(-1, 1, SIDE).expand(SIDE, SIDE)
     deformation = torch.stack([8 + 4 * columns, torch.full((SIDE, SIDE), -6.0), columns * 0 + 3])
-    assert torch.allclose(carried(deformation[None], torch.ones(1, 2))[0], deformation, atol=1e-5)
-    halved = carried(deformation[None], torch.tensor([[0.5, 0.5]]))[0]
+    assert torch.allclose(
+        transferred(deformation[None], torch.ones(1, 2))[0], deformation, atol=1e-5
+    )
+    halved = transferred(deformation[None], torch.tensor([[0.5, 0.5]]))[0]
     # A target pixel is half a source pixel: values double, and half of the view is visible.
     assert torch.allclose(halved[1], torch.full((SIDE, SIDE), -12.0))
     assert torch.allclose(halved[2], torch.full((SIDE, SIDE), 6.0))

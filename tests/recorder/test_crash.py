@@ -89,6 +89,15 @@ def recover(path: Path) -> int:
     return assert_every_row_is_itself(path)
 
 
+def test_the_reserved_space_of_an_older_killed_session_is_given_back(tmp_path: Path) -> None:
+    path = tmp_path / "force"
+    create_stream(path, force_spec(100))
+    StreamWriter.open(path).close()
+    (path / "t_ns" / "ballast").write_bytes(bytes(100))
+    assert unfinished_files(StreamLayout.load(path)) == (path / "t_ns" / "ballast",)
+    assert recover(path) == 0
+
+
 def record_until_killed(path: Path, accepted: mmap.mmap, slot: int, make: Any) -> None:
     """Append as fast as possible, counting accepted rows in memory shared with the parent."""
     with StreamWriter.open(path, sync_interval=0.01) as stream:

@@ -158,11 +158,11 @@ def test_shifts_centres_and_sizes_keep_their_limits() -> None:
 
 def test_frames_are_drawn_alike_alone_and_together() -> None:
     counts = np.random.default_rng(4).normal(0, 2000, (70, 16, 3))
-    together = draw_discs(counts)
-    assert together.shape == (70, HEIGHT, WIDTH)
+    batched = draw_discs(counts)
+    assert batched.shape == (70, HEIGHT, WIDTH)
     for frame in (0, 63, 64, 69):
-        np.testing.assert_array_equal(together[frame], draw_discs(counts[frame]))
-    np.testing.assert_array_equal(draw_discs(counts.reshape(7, 10, 16, 3))[6, 9], together[69])
+        np.testing.assert_array_equal(batched[frame], draw_discs(counts[frame]))
+    np.testing.assert_array_equal(draw_discs(counts.reshape(7, 10, 16, 3))[6, 9], batched[69])
     assert draw_discs(counts[:0]).shape == (0, HEIGHT, WIDTH)
 
 

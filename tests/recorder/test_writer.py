@@ -236,19 +236,19 @@ def test_a_full_disk_loses_no_accepted_row_and_can_be_closed(
     with pytest.raises(OSError, match="No space left"):
         stream.append(**camera_row(accepted))
     assert stream.rows == accepted
-    disk.room = stream_writer._BALLAST_BYTES  # space that closing frees before it seals
+    disk.room = stream_writer._RESERVED_BYTES  # space that closing frees before it seals
     stream.close()
     assert_holds_exactly(path, accepted)
 
 
-def test_the_ballast_covers_what_closing_writes(
+def test_the_reserved_space_covers_what_closing_writes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tiny_camera(tmp_path / "camera")
     stream = StreamWriter.open(path, sync_interval=30)
     for row in range(BLOCK - 1):
         stream.append(**camera_row(row))
-    reserved_space = (path / "t_ns" / "ballast").stat().st_size
+    reserved_space = (path / "t_ns" / "reserved").stat().st_size
     disk = SmallDisk(monkeypatch, reserved_space)
     stream.close()
     assert disk.room > 0

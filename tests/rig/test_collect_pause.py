@@ -161,7 +161,7 @@ def test_a_watched_grip_is_lost_whatever_way(
     assert why in (watch.lost or "")
 
 
-def test_one_spoilt_answer_is_no_lost_grip(gripper: RobotiqEmulator, watch: GripWatch) -> None:
+def test_one_corrupt_answer_is_no_lost_grip(gripper: RobotiqEmulator, watch: GripWatch) -> None:
     watch.open(2.0)
     gripper.inject("garbage", messages=1)
     seen = watch.polls
@@ -226,7 +226,7 @@ with Interlocks(bench, control, clock) as interlocks:
         clock.sleep_until(clock.now_ns() + 5_000_000)
     do("press")
 emulator.close()
-print(json.dumps({"seen": seen, "delays": delays, "facts": facts}))
+print(json.dumps({"seen": seen, "delays": delays, "properties": facts}))
 """
 HOLD, LET_GO = "press and hold the foot pedal", "let go of the foot pedal, then press and hold it"
 RELEASED = "DeadManReleased: the foot pedal was released"
@@ -240,7 +240,7 @@ def sentinels_saw(folder: Path, mode: str) -> dict[str, list[object]]:
     )
     found = json.loads(text)
     print(f"from foot to waking the walk: {[round(ms, 1) for ms in found['delays']]} ms")
-    assert found["facts"]["pedal"]["mode"] == mode
+    assert found["properties"]["pedal"]["mode"] == mode
     seen = {name: rest for name, *rest in found["seen"][:-1]}
     return seen | {"again": found["seen"][-1][1:], "first press": found["seen"][1][1:]}
 

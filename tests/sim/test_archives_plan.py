@@ -139,12 +139,12 @@ def test_sensors_that_are_mounted_or_held_otherwise_share_nothing() -> None:
     assert len(families(group(HETEROGENEOUS))) == len(HETEROGENEOUS)
 
 
-@pytest.mark.parametrize("together", [1, 9, 17, 162])
+@pytest.mark.parametrize("batch_size", [1, 9, 17, 162])
 @pytest.mark.parametrize(
     "plan", [STATES_PLAN, group((*HETEROGENEOUS, "r6"), share=0.1)], ids=["states", "targets"]
 )
-def test_units_hold_every_press_and_every_file_once(plan: DatasetPlan, together: int) -> None:
-    plan = replace(plan, together=together)
+def test_units_hold_every_press_and_every_file_once(plan: DatasetPlan, batch_size: int) -> None:
+    plan = replace(plan, batch_size=batch_size)
     for index, family in enumerate(families(plan)):
         mine = [unit for unit in units(plan) if unit.family == index]
         presses = [number for unit in mine for number in range(unit.first, unit.last)]
@@ -185,6 +185,15 @@ def test_a_plan_survives_json(plan: DatasetPlan) -> None:
     stored = json.loads(json.dumps(plan.document()))
     assert DatasetPlan.of(stored) == plan
     assert differing(stored, plan.document()) == []
+
+
+def test_a_plan_stored_under_former_keys_is_the_same_plan() -> None:
+    plan = group(("r6",), batch_size=162)
+    stored = plan.document()
+    stored["together"] = stored.pop("batch_size")
+    assert DatasetPlan.of(stored) == plan
+    with pytest.raises(SceneError, match="unknown together"):
+        DatasetPlan.of({**stored, "batch_size": 9})
 
 
 def test_plans_say_in_which_keys_they_differ() -> None:

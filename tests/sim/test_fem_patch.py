@@ -213,8 +213,8 @@ def test_environments_on_two_graded_meshes_get_in_a_batch_what_they_get_alone() 
         pushed = assembly.residual.numpy()
         return [residual, totals, np.asarray(assembly.block_matrix.matrix.numpy()), pushed]
 
-    together = answers([0, 1])
-    assert (np.abs(together[1][:, 6]) > 0).all(), "both are pressed"
+    batched = answers([0, 1])
+    assert (np.abs(batched[1][:, 6]) > 0).all(), "both are pressed"
     for env in (0, 1):
-        for one, two in zip(together, answers([env]), strict=True):
+        for one, two in zip(batched, answers([env]), strict=True):
             np.testing.assert_array_equal(one[env], two[0])

@@ -28,7 +28,7 @@ SKINS = DatasetPlan(
     share=0.01,
     steps=1,
     unit_presses=2,
-    together=2,
+    batch_size=2,
 )
 UNITS, IMAGES = 5, 2 * (2 + 3) * 5 + (4 + 3) * 5
 _IN_USE = sensor("array-i")

@@ -199,14 +199,14 @@ class Solver:
         turn, raised = turned(case)
         rows = ";".join(",".join(repr(float(value)) for value in row) for row in turn.T)
         model.add_initialized_data("lift", np.array([0.0, 0.0, raised]))
-        model.add_im_data("carried", self.number)
-        model.set_variable("carried", np.zeros(self.number.nbpts()))
+        model.add_im_data("multiplier", self.number)
+        model.set_variable("multiplier", np.zeros(self.number.nbpts()))
         model.add_macro("q", f"([{rows}]*(X+u-tip-lift))" if raised else "(X+u-tip)")
-        model.add_macro("push", f"pos_part(carried-eps*({distance(case)}))")
+        model.add_macro("push", f"pos_part(multiplier-eps*({distance(case)}))")
         if case.friction:
             self._rub(model)
         else:
-            self.contact = f"half_sqr_pos_part(carried-eps*({distance(case)}))/eps"
+            self.contact = f"half_sqr_pos_part(multiplier-eps*({distance(case)}))/eps"
         model.add_nonlinear_term(self.surface, self.contact, TOP)
         return model
 
@@ -319,11 +319,13 @@ class Solver:
     def settle(self) -> None:
         """Update the multipliers, so that no penetration remains."""
         for _ in range(AUGMENTATIONS):
-            before = self.model.variable("carried")
+            before = self.model.variable("multiplier")
             force = self.force()
-            self.model.set_variable("carried", self.model.interpolation("push", self.number, TOP))
+            self.model.set_variable(
+                "multiplier", self.model.interpolation("push", self.number, TOP)
+            )
             if not self.move(self.model.variable("tip")):
-                self.model.set_variable("carried", before)
+                self.model.set_variable("multiplier", before)
                 return
             if np.linalg.norm(self.force() - force) < 2e-4 * np.linalg.norm(force):
                 return

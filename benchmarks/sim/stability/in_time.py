@@ -216,14 +216,14 @@ def all_effects_at_once(solver: Solver) -> list[Law]:
         gravity=Gravity(),
     )
     motion = press_shear_return(0.8 * MM, 0.5 * MM, steps=3)
-    together = solver.one(Scene(SPHERE, motion, PAD, effects))
+    batched = solver.one(Scene(SPHERE, motion, PAD, effects))
     rubbed = solver.one(Scene(SPHERE, motion, PAD, Effects(friction=Friction(0.5))))
     return [
-        *validity_laws(together, det_f=0.3),
-        slides(together),
-        dissipates(together, 0.01),
-        at_least("force with all / with friction", push(together)[3] / push(rubbed)[3], 1.1),
-        lets_go(together),
+        *validity_laws(batched, det_f=0.3),
+        slides(batched),
+        dissipates(batched, 0.01),
+        at_least("force with all / with friction", push(batched)[3] / push(rubbed)[3], 1.1),
+        lets_go(batched),
     ]
 
 

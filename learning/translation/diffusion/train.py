@@ -566,4 +566,4 @@ def run(options: argparse.Namespace) -> int:
 
     data = ["archive", archive_fingerprint(archive), split.fingerprint, *sensors]
     data += [options.pairing, base, begun]
-    return run_training(options, KIND, settings, data, train_it, facts={BASE: base})
+    return run_training(options, KIND, settings, data, train_it, metadata={BASE: base})

@@ -118,7 +118,7 @@ class DiffusionTranslator:
 # Run folders of the diffusion translator and of its autoencoder.
 #
 # A folder holds only adapters, tokens and the UNet's first layer. The published weights are read
-# from its `base/` (a folder or a link) or from the path used in training; `facts.base` is their
+# from its `base/` (a folder or a link) or from the path used in training; `metadata.base` is their
 # required fingerprint.
 
 

@@ -249,13 +249,13 @@ class PatchDiscriminator(nn.Module):
         features = torch.cat([images, references], dim=1)
         for layer in self.layers:
             features = functional.leaky_relu(layer(features), 0.2)
-        verdict: Tensor = self.verdict(features)
-        return verdict
+        score: Tensor = self.verdict(features)
+        return score
 
 
-def generator_loss(verdicts: Tensor) -> Tensor:
+def generator_loss(scores: Tensor) -> Tensor:
     """Return the generator's hinge loss for scores of its images."""
-    return -verdicts.float().mean()
+    return -scores.float().mean()
 
 
 def discriminator_loss(real: Tensor, made: Tensor) -> Tensor:

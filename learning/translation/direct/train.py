@@ -277,8 +277,8 @@ def train(
         if weights.adversarial:
             adversary.requires_grad_(True)
             both = torch.cat([batch.target, made.detach()])
-            verdicts = judging(both, batch.reference.repeat(2, 1, 1, 1))
-            parts["adversary"] = discriminator_loss(*verdicts.chunk(2))
+            scores = judging(both, batch.reference.repeat(2, 1, 1, 1))
+            parts["adversary"] = discriminator_loss(*scores.chunk(2))
             set_rate(opponent, rate)
             counter.zero_grad(set_to_none=True)
             runs_on.backward(parts["adversary"])
@@ -302,8 +302,8 @@ def train(
             break
 
     if done == settings.steps:
-        facts = {"sensors": list(aligned.sensors)}
-        run.finish(done, {"model": average.weights}, facts=facts)
+        metadata = {"sensors": list(aligned.sensors)}
+        run.finish(done, {"model": average.weights}, metadata=metadata)
     result = DirectNetwork(**settings.structure).to(device)
     result.load_state_dict(dict(average.weights))
     return result.eval()

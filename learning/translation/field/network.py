@@ -231,7 +231,7 @@ def from_displacement(field: Tensor, lattice: Lattice, side: int = SIDE) -> Tens
     return shift
 
 
-def carried(deformation: Tensor, zoom: Tensor, placement: Tensor | None = None) -> Tensor:
+def transferred(deformation: Tensor, zoom: Tensor, placement: Tensor | None = None) -> Tensor:
     """Return a deformation (n, 3, h, w) converted to pixels of another sensor's image.
 
     The image centres coincide and lengths in millimetres are preserved.
@@ -397,8 +397,8 @@ class FieldMap(nn.Module):
         whole = self.placing(shown, condition)[-1].mean(dim=(2, 3))
         placement = self.place(whole).float().view(-1, 2, 3)
         zoom = target_scale / source_scale
-        identity = carried(deformation, zoom)
-        placed = carried(deformation, zoom, placement)
+        identity = transferred(deformation, zoom)
+        placed = transferred(deformation, zoom, placement)
         shown = torch.cat([placed / UNIT_PX, identity / UNIT_PX, places], dim=1)
         layouts = torch.cat([source_layout, target_layout], dim=1)
         change: Tensor = self.change(

@@ -31,7 +31,7 @@ from learning.train_command import open_data, run_training, trained_on
 from learning.training.optim import Cosine, set_rate
 from learning.training.run import LaunchSettings, Session, accelerator, generator
 from learning.translation.field.data import Bank, Examples, Frames, draw_examples, gather_role
-from learning.translation.field.network import FieldModel, carried, coverage, render
+from learning.translation.field.network import FieldModel, coverage, render, transferred
 
 # Kind of model in `config.yaml`.
 KIND = "field"
@@ -399,20 +399,20 @@ def map_scores(
         seed: Seed of the choice.
 
     Returns:
-        `dice` with the target's frame, `dice_carried` for the source's deformation unchanged in
+        `dice` with the target's frame, `dice_transferred` for the source's deformation unchanged in
         millimetres, `dice_still` for the target's unchanged reference.
     """
     chosen = _chosen(len(frames.pairs), most, seed, frames.device)
-    scores: dict[str, list[Tensor]] = {"dice": [], "dice_carried": [], "dice_still": []}
+    scores: dict[str, list[Tensor]] = {"dice": [], "dice_transferred": [], "dice_still": []}
     for part in _parts(chosen):
         source, target = frames.pairs[part].unbind(dim=1)
         distance, images = frames.distance(target), frames.seen(target)
         scales = frames.scale(source), frames.scale(target)
         deformation = found.of(part)
         mapped = model.map(deformation, frames.distance(source), distance, *scales)
-        still = carried(deformation, scales[1] / scales[0])
+        still = transferred(deformation, scales[1] / scales[0])
         scores["dice"].append(dice(render(distance, mapped), images))
-        scores["dice_carried"].append(dice(render(distance, still), images))
+        scores["dice_transferred"].append(dice(render(distance, still), images))
         scores["dice_still"].append(dice(distance, images))
     return _means(scores)
 

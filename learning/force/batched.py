@@ -39,7 +39,7 @@ from learning.training.run import seed_torch
 _AT_ONCE = 256
 
 
-def train_together(
+def train_batched(
     presses: Sequence[Presses],
     settings: ForceSettings,
     *,
