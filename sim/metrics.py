@@ -207,12 +207,12 @@ def marker_pixels(outcome: Outcome, body: Body) -> Array:
     x, y = marker_places(body)
     rest = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
     height = body.heights(x, y)
-    untouched = np.concatenate([rest, height[..., None]], axis=-1)
+    undeformed = np.concatenate([rest, height[..., None]], axis=-1)
     inner_x = np.clip(x, outcome.surface_x[0], outcome.surface_x[-1])
     inner_y = np.clip(y, outcome.surface_y[0], outcome.surface_y[-1])
     frames = range(len(outcome.force))
     return np.stack(
-        [seen(untouched + _displacement(outcome, frame, inner_x, inner_y)) for frame in frames]
+        [seen(undeformed + _displacement(outcome, frame, inner_x, inner_y)) for frame in frames]
     )
 
 

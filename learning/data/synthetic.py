@@ -169,10 +169,10 @@ def before(field: Tensor, lattice: Lattice | None, side: int = SIDE) -> Tensor:
         lattice: Lattice of the fields; None: centres of h x w cells that cover the image.
         side: Side of the small image [its pixels].
     """
-    return untouched(side, field.device) + inverse(field.float(), (side, side), lattice)
+    return pixel_grid(side, field.device) + inverse(field.float(), (side, side), lattice)
 
 
-def untouched(side: int, device: torch.device) -> Tensor:
+def pixel_grid(side: int, device: torch.device) -> Tensor:
     """Return the column and row of the pixels of a small image [px of 640 x 480].
 
     Pixel centres of both images are at whole numbers, and both cover the same scene.

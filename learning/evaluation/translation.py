@@ -551,9 +551,9 @@ def _endpoint_errors(found: NDArray[np.bool_], real: Real, part: slice) -> Float
     missed = [np.empty((0, 2))]
     for number in np.unique(reference).tolist():
         here = reference == number
-        untouched = unpack(sensor.references[number])
+        no_contact = unpack(sensor.references[number])
         missed.append(
-            endpoint_errors(found[here], untouched, field[here], sensor.lattice, real.smallest_px)
+            endpoint_errors(found[here], no_contact, field[here], sensor.lattice, real.smallest_px)
         )
     return np.concatenate(missed)
 

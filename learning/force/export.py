@@ -49,7 +49,7 @@ class OneFrame(nn.Module):
         Args:
             frame: Stored frame (n, 256, 256) uint8 or (n, 3, 32, 32) float32.
             state: State (n, channels, h, w).
-            reference: Image (n, 256, 256) uint8 of the untouched sensor, if the model needs it.
+            reference: Image (n, 256, 256) uint8 without contact, if the model needs it.
         """
         kind = self.model.head.weight.dtype
         prepared = prepare(frame, reference, self.model.inputs)
@@ -105,7 +105,7 @@ def export_onnx(model: ForceModel, path: str | os.PathLike[str]) -> float:
     model = copy.deepcopy(model).cpu().eval()
     inputs = model.inputs
     frames = torch.from_numpy(made_up_frames(model, 2))
-    arguments: tuple[Tensor, ...] = (frames[:1], model.untouched(1))
+    arguments: tuple[Tensor, ...] = (frames[:1], model.initial_state(1))
     if inputs.needs_reference:
         arguments += (frames[1:],)
     temporary = out.with_suffix(".part.onnx")

@@ -1,4 +1,4 @@
-"""A preset of marker detection, fitted to untouched pictures of a sensor.
+"""A preset of marker detection, fitted to pictures without contact of a sensor.
 
 For dark and for bright markers, in each channel, the contrast with the surroundings is measured at
 growing sizes of the element. Of these candidates the most regular one with the strongest contrast
@@ -60,7 +60,7 @@ TOUCHED, BLUR_PX = 18, 21
 
 @dataclass(frozen=True, slots=True)
 class Pattern:
-    """Markers found in an untouched picture by one detector."""
+    """Markers found in a picture without contact by one detector."""
 
     detector: Hat
     count: int
@@ -106,7 +106,7 @@ class Pattern:
 def fit_preset(
     pictures: Sequence[Picture], *, pitch_mm: float | None = None, description: str = ""
 ) -> tuple[CameraPreset, Pattern]:
-    """Return a preset for the sensor of untouched pictures (h, w, 3) RGB, and its markers.
+    """Return a preset for the sensor of pictures without contact (h, w, 3) RGB, and its markers.
 
     Args:
         pictures: One or more, without contact; their median is used.

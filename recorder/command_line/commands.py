@@ -118,7 +118,9 @@ SIMULATE = (
 LEARN = (
     Command("markers", "learning.cli.markers", "make a marker archive of recorded sessions"),
     Command(
-        "markers-fit", "learning.cli.markers_fit", "fit marker detection to untouched pictures"
+        "markers-fit",
+        "learning.cli.markers_fit",
+        "fit marker detection to pictures without contact",
     ),
     Command(
         "split",

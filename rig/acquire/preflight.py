@@ -36,7 +36,7 @@ class Found:
 
 @dataclass(frozen=True, slots=True)
 class Tare:
-    """Zero of the untouched F/T sensor."""
+    """Zero of the F/T sensor without contact."""
 
     mean: np.ndarray
     """Mean wrench (6,) [N, N m]."""
@@ -172,7 +172,7 @@ def _tare(bench: Bench, gauge: BenchStream, found: dict[str, Any]) -> Tare:
     return Tare(found["mean"], found["std"])
 
 
-def check_untouched(bench: Bench, gauge: BenchStream, force: np.ndarray, point: int) -> None:
+def check_no_contact(bench: Bench, gauge: BenchStream, force: np.ndarray, point: int) -> None:
     """Check that there is no contact above a contact point.
 
     Args:

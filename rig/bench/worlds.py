@@ -253,7 +253,7 @@ class AnalyticSpec:
     taxels: TaxelField | None = None
     """Response of the taxels; None for a sensor without any."""
     gauge_depth: float = field(default=0.02, metadata={"unit": "mm"})
-    """Depth of the F/T sensor's origin below the untouched surface [m]."""
+    """Depth of the F/T sensor's origin below the undeformed surface [m]."""
     friction: float | None = None
     """Coulomb's coefficient; None: frictionless contact without any shear."""
     hysteresis: Hysteresis | None = None
@@ -280,7 +280,7 @@ class SimulatedSpec:
     sensor: str
     """Name of a row of `sim.sensors`, or the path of a user's YAML file."""
     gauge_depth: float = field(default=0.02, metadata={"unit": "mm"})
-    """Depth of the F/T sensor's origin below the untouched surface [m]."""
+    """Depth of the F/T sensor's origin below the undeformed surface [m]."""
     rate_hz: float = 60.0
     """Solutions per second that the solver aims for."""
     grid: int = 96

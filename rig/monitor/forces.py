@@ -78,7 +78,7 @@ class Seen:
     def lines(self, wrench: np.ndarray | None = None) -> Iterator[str]:
         """Yield the summary; given the true wrench (n, 6), with the error of the forces."""
         if not self.frames:
-            yield "no force: no frame arrived after the untouched ones"
+            yield "no force: no frame arrived after the reference frames"
             return
         yield (
             f"{self.frames:,} forces in {self.seconds:.1f} s, {self.rate_hz:.1f} a second; "
@@ -129,8 +129,8 @@ def watch(
         DeviceLost: The sensor fell silent.
     """
     with _recording(out) as record:
-        if watched.untouched is not None:
-            predictor.begin(watched.untouched)
+        if watched.no_contact is not None:
+            predictor.begin(watched.no_contact)
         while not stop.requested and not _enough(seen, seconds):
             samples = watched.driver.read(_WAIT)
             watched.check()

@@ -174,10 +174,10 @@ class LayerPress:
         """Force and torque about the tip of the indenter on the body (6,) [N, N m]."""
         touched = self.traction.any(axis=0)
         row, column = np.nonzero(touched)
-        untouched = np.stack(
+        undeformed = np.stack(
             [self.grid.x[row], self.grid.y[column], self._clearance.surface[touched]]
         )
-        lever = untouched + self.displacement[:, touched] - self.tip[:, None]
+        lever = undeformed + self.displacement[:, touched] - self.tip[:, None]
         push = self.traction[:, touched] * self.grid.area
         return np.concatenate([push.sum(axis=1), np.cross(lever, push, axis=0).sum(axis=1)])
 

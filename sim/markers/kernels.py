@@ -44,7 +44,7 @@ def lens_of(camera: Camera) -> Lens:
 def seen(lens: Lens, place: wp.vec3):
     """Return column and row of a place [m] in the image, and its nearness: distance over depth.
 
-    The nearness is 1 in the plane of the untouched top, larger nearer to the camera, and, unlike
+    The nearness is 1 in the plane of the undeformed top, larger nearer to the camera, and, unlike
     the depth, linear over the image of a plane.
     """
     nearness = lens.distance / (lens.distance + place[2])
@@ -65,7 +65,7 @@ def seen(lens: Lens, place: wp.vec3):
 # point from the position within that triangle. The first pass keeps the largest of a number per
 # pixel, with nearness in its upper bits, so that the order of triangles does not matter.
 
-# Steps per unit of nearness in a pixel's number, finer than float32; 1 is the untouched top.
+# Steps per unit of nearness in a pixel's number, finer than float32; 1 is the undeformed top.
 NEARNESS_UNIT = 2.0**28
 # Upper limit of nearness, so that the number stays positive.
 NEARNESS_MOST = 7.9
@@ -463,7 +463,7 @@ def _kernel():
     def vertices(
         # Settings:
         lens: Lens,
-        # Untouched top:
+        # Undeformed top:
         x: wp.array[float],
         y: wp.array[float],
         height: wp.array2d[float],
@@ -509,7 +509,7 @@ def see_vertices(lens: Lens, top: DeviceTop, taps_x: Taps, taps_y: Taps, surface
     return out
 
 
-# From the displacement of the untouched image back to the image positions of material points.
+# From the displacement of the image without contact back to the image positions of material points.
 
 # Layers of places beside the gel to which the displacement is extrapolated: the four values around
 # a point of the border extend into two of them, or three if the image is rotated.
@@ -569,11 +569,11 @@ def _vertices_kernel():
         lens: Lens,
         step: float,
         margin: float,
-        # Untouched top:
+        # Undeformed top:
         x: wp.array[float],
         y: wp.array[float],
         height: wp.array2d[float],
-        # In: displacement of the untouched image
+        # In: displacement of the image without contact
         field: wp.array3d[wp.vec2],
         # Out: column, row, nearness
         vertex_out: wp.array3d[wp.vec3],
@@ -603,7 +603,7 @@ def _vertices_kernel():
 def vertices_from_lattice(lens: Lens, top: DeviceTop, lattice: Lattice, field) -> wp.array:
     """Return vertices (F, N, M) of the top, moved in the image by a field (F, R, C) of vec2 [px].
 
-    The field does not contain nearness, so vertices keep that of the untouched top.
+    The field does not contain nearness, so vertices keep that of the undeformed top.
     """
     device = field.device
     shape = (field.shape[0], len(top.x), len(top.y))
@@ -626,9 +626,9 @@ def vertices_from_lattice(lens: Lens, top: DeviceTop, lattice: Lattice, field) -
     return out
 
 
-# Displacement field in the image, on a lattice of the untouched image.
+# Displacement field in the image, on a lattice of the image without contact.
 #
-# The material point at pixel p of the untouched image moves to p + d(p). Storing d instead of
+# The material point at pixel p of the image without contact moves to p + d(p). Storing d instead of
 # images allows rendering of any pattern later.
 
 

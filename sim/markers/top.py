@@ -16,14 +16,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Top:
-    """Material points of the untouched top, from border to border."""
+    """Material points of the undeformed top, from border to border."""
 
     x: Array
     """x of the points (N,) [m], evenly spaced."""
     y: Array
     """y of the points (M,) [m], evenly spaced."""
     height: Array
-    """Height of the untouched top at the points (N, M) [m]; 0 if flat."""
+    """Height of the undeformed top at the points (N, M) [m]; 0 if flat."""
 
     @property
     def corner(self) -> tuple[float, float]:
@@ -51,7 +51,7 @@ def top_of(body: Body, spacing: float) -> Top:
 
 
 def heights(body: Body, x: Array, y: Array) -> Array:
-    """Return the height of the untouched top at x and y, broadcast together [m]."""
+    """Return the height of the undeformed top at x and y, broadcast together [m]."""
     if body.dome_radius is None:
         return np.zeros(np.broadcast_shapes(x.shape, y.shape))
     each: Array = np.vectorize(body.height, otypes=[float])(x, y)

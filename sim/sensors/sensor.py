@@ -31,9 +31,9 @@ class CameraSignal:
     patterns: tuple[str, ...]
     """Names of marker patterns (`sim.markers`); each of several gives separate images."""
     scale: float | None = field(default=None, metadata={"unit": "mm_per_px"})
-    """Size of a pixel on the untouched top [m/px], in place of `distance`."""
+    """Size of a pixel on the undeformed top [m/px], in place of `distance`."""
     distance: float | None = field(default=None, metadata={"unit": "mm"})
-    """Distance from the pinhole to the untouched top, or to the untouched tips of pins [m]."""
+    """Distance from the pinhole to the undeformed top, or to the undeformed tips of pins [m]."""
     pins: Pins | None = None
     """Pins under the skin, whose tips are the markers; None: markers are on the skin."""
     shading: Shading | None = None

@@ -290,12 +290,12 @@ class LiveSensor:
         self._slope = Slope(6 + COUNTS)
         # A light press gives the slope of the first contact, and is then discarded.
         self.press = LivePress(sensor, indenter, grid=grid, tolerance=tolerance)
-        self.answer = self._untouched()
+        self.answer = self._no_contact()
         """Latest solution."""
         for x, y, z in LIGHT:
             self.move(sensor.depth_max * np.array([x, y, z]), 0.0)
         self.press = LivePress(sensor, indenter, grid=grid, tolerance=tolerance)
-        self.answer = self._untouched()
+        self.answer = self._no_contact()
 
     def move(self, tip: Array, duration: float) -> None:
         """Move the tip to `tip` (3,) [m] in `duration` [s]; errors as `LivePress.move`."""
@@ -308,7 +308,7 @@ class LiveSensor:
             rate[:3] = press.relaxing(WITHIN)
         self.answer = Answer(press.tip, press.touching, values, self._slope.matrix, rate)
 
-    def _untouched(self) -> Answer:
+    def _no_contact(self) -> Answer:
         return Answer(
             self.press.tip,
             touching=False,

@@ -105,8 +105,8 @@ def test_a_force_aside_that_passes_by_the_centre_is_caught(good: Result) -> None
 
 
 def test_an_indenter_that_went_through_is_caught(good: Result) -> None:
-    untouched = replace(good, surface=np.zeros_like(good.surface))
-    assert {"no-overlap", "not-through"} <= _broken(untouched)
+    no_contact = replace(good, surface=np.zeros_like(good.surface))
+    assert {"no-overlap", "not-through"} <= _broken(no_contact)
 
 
 def test_a_skin_below_the_base_is_caught(good: Result) -> None:

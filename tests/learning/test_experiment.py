@@ -218,7 +218,7 @@ def test_presses_translated_together_are_those_translated_one_by_one(
     assert warped.sensor == "dots-to-grid"
 
 
-def test_without_memory_every_frame_is_untouched_before(archive: MarkerArchive) -> None:
+def test_without_memory_every_frame_has_no_contact_before(archive: MarkerArchive) -> None:
     packed = trained_on(archive["dots"], make_split(archive), "train", settings(), CPU)
     assert packed is not None
     alone = packed.each_frame_alone()

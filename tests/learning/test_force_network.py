@@ -56,7 +56,7 @@ def test_presets_make_models_that_take_what_they_say(name: str) -> None:
     frame = torch.empty(2, model.inputs.planes, model.inputs.side, model.inputs.side, device="meta")
     force, state = model.step(frame)
     assert force.shape == (2, 3)
-    assert state.shape == (2, *model.state_shape) == model.untouched(2).shape
+    assert state.shape == (2, *model.state_shape) == model.initial_state(2).shape
 
 
 @pytest.mark.parametrize("norm", ["instance", "batch"])

@@ -193,7 +193,7 @@ def test_the_box_of_forces_is_that_of_the_labels_or_of_the_authors() -> None:
 STARTS = [np.array([0, 5, 9, 16]), np.array([0, 6])]
 
 
-def test_sequences_begin_untouched_and_are_a_function_of_seed_and_step() -> None:
+def test_sequences_begin_without_contact_and_are_a_function_of_seed_and_step() -> None:
     settings = SequenceSettings(batch=2)
     passes = epoch(STARTS, (0, 1), settings, seed=3, number=1)
     assert passes.steps(ranks=1) == 2

@@ -93,12 +93,12 @@ def test_a_picture_goes_the_way_of_the_training_data() -> None:
     chosen = preset("bench-gelsight")
     assert isinstance(chosen, CameraPreset)
     camera = MarkerCamera(VIEWS["bench-gelsight"], grey_noise=1.0)
-    untouched = [camera.image(Surface((0.0, 0.0), 0.0, 0.0, 4e-3, (0.0, 0.0))) for _ in range(4)]
+    no_contact = [camera.image(Surface((0.0, 0.0), 0.0, 0.0, 4e-3, (0.0, 0.0))) for _ in range(4)]
     pressed = camera.image(Surface((0.0, 0.0), 0.5e-3, 2e-3, 4e-3, (0.3e-3, 0.0)))
     stub = Stub()
     predictor = LivePredictor(stub.stream(), chosen, start_frames=3)
-    assert [predictor.step(picture) for picture in untouched[:3]] == [None] * 3
-    quiet, found = predictor.step(untouched[3]), predictor.step(pressed)
+    assert [predictor.step(picture) for picture in no_contact[:3]] == [None] * 3
+    quiet, found = predictor.step(no_contact[3]), predictor.step(pressed)
     assert quiet is not None
     assert not quiet.contact
     assert found is not None

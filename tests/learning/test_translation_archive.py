@@ -166,7 +166,7 @@ def test_masks_of_another_shape_or_type_are_refused(archive):
         flow.translate(masks, masks[0], masks[:1])
 
 
-def test_the_untouched_press_gives_the_target_reference_back(archive):
+def test_a_press_without_contact_gives_the_target_reference_back(archive):
     source = torch.from_numpy(archive["dots"].reference(0))
     target = torch.from_numpy(archive["grid"].reference(0))
     made = FlowTranslator().translate(source[None], target, source)

@@ -112,7 +112,7 @@ def coverage(centre: NDArray[np.float64], radius: NDArray[np.float64]) -> NDArra
     return inside
 
 
-def test_an_untouched_sensor_is_sixteen_discs_of_481_pixels_at_their_places() -> None:
+def test_a_sensor_without_contact_is_sixteen_discs_of_481_pixels_at_their_places() -> None:
     mask = draw_discs(np.zeros((16, 3), np.int32))
     blobs = find_blobs(mask[None])
     assert len(blobs) == 16
@@ -298,8 +298,8 @@ def test_markers_that_grow_together_are_flagged_as_such() -> None:
 def with_flank(mask: Mask) -> tuple[Mask, NDArray[np.float16]]:
     """Return the mask with columns 260 to 300 seen nearly edge-on, and the matching field."""
     knees, moved = np.array([-200, 260, 300, 600, 900]), np.array([0.0, 0, -39, 0, 0])
-    untouched = np.interp(np.arange(WIDTH), knees + moved, knees)
-    column = np.round(untouched).astype(int).clip(0, WIDTH - 1)
+    no_contact = np.interp(np.arange(WIDTH), knees + moved, knees)
+    column = np.round(no_contact).astype(int).clip(0, WIDTH - 1)
     field = np.zeros(Lattice().shape)
     field[..., 0] = np.interp(Lattice().columns, knees, moved)
     field[:2] = np.nan  # without material

@@ -163,7 +163,7 @@ def surface(depth: float = 1e-3, shear: tuple[float, float] = (0.0, 0.0)) -> Sur
 VIEW = MarkerView("grid", pitch=1.6e-3, radius=0.26e-3, pixel=0.0249e-3)
 
 
-def test_markers_move_outwards_sideways_with_shear_and_rest_untouched() -> None:
+def test_markers_move_outwards_sideways_with_shear_and_rest_without_contact() -> None:
     camera = MarkerCamera(VIEW)
     rest = camera.pixels(surface(depth=0.0))
     pressed = camera.pixels(surface()) - rest

@@ -348,7 +348,7 @@ def test_what_is_seen_of_the_gel_ends_at_the_round_outline() -> None:
     round_, square = (np.isfinite(field[0, ..., 0]) for field in fields)
     assert not (round_ & ~square).any()
     assert round_.sum() == pytest.approx(math.pi / 4 * square.sum(), rel=0.05)
-    seen = [Renderer(body, camera).untouched().material()[..., 0] for body in bodies]
+    seen = [Renderer(body, camera).undeformed().material()[..., 0] for body in bodies]
     round_pixels, pixels = (int(np.isfinite(places).sum()) for places in seen)
     assert round_pixels == pytest.approx(math.pi / 4 * pixels, rel=0.01)
 

@@ -78,7 +78,7 @@ def test_the_layer_is_in_balance_everywhere_inside() -> None:
 def test_a_top_that_only_slides_or_sinks_takes_the_layer_along_evenly() -> None:
     """Without waves the displacement is linear in depth; the edges are far enough away."""
     wide = Body(size_x=80e-3, size_y=80e-3)
-    still = SurfaceField.untouched(wide).displacement
+    still = SurfaceField.undeformed(wide).displacement
     for direction in np.eye(3):
         moved = SurfaceField(
             *(np.linspace(-40e-3, 40e-3, 4),) * 2, (still + 1e-4 * direction).astype(np.float32)

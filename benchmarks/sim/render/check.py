@@ -73,9 +73,9 @@ def lines(states: Sequence[RenderState], *, ray_samples: int, device: str) -> It
 
         renderer, seen = view()
         direct = masks(renderer, seen)
-        untouched = masks(renderer, renderer.untouched())
+        undeformed = masks(renderer, renderer.undeformed())
         told = f"{ray_samples} x {ray_samples} rays a pixel"
-        yield _line(state, "untouched and deformed", untouched, direct)
+        yield _line(state, "undeformed and deformed", undeformed, direct)
         for samples in SAMPLES:
             drawn = masks(*view(samples=samples))
             yield _line(state, f"{samples} x {samples} samples, {told}", drawn, truth)

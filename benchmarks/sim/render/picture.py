@@ -39,7 +39,7 @@ def draw(path: str | PathLike[str], states: Sequence[RenderState]) -> None:
     for row, state in enumerate(states):
         renderer = Renderer(state.body, Camera.paper(), samples=5)
         textures = renderer.textures([named(name) for name in PATTERNS])
-        before = renderer.untouched().coverage(textures)[0]
+        before = renderer.undeformed().coverage(textures)[0]
         after = renderer.see(state.x, state.y, state.surface[None]).coverage(textures)[0]
         top = GAP + row * (TILE[1] + CAPTION + GAP)
         for column, name in enumerate(PATTERNS):

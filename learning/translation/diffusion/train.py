@@ -101,7 +101,7 @@ class TranslatorSettings(TrainingSettings):
     conditioning: Conditioning = "patch_tokens"
     """Encoding of references for cross-attention."""
     source_reference: bool = True
-    """True if the untouched source is also an input."""
+    """True if the source's reference is also an input."""
     unet_rank: int = 8
     """Rank of the UNet's adapter."""
     train_vae: bool = True
@@ -168,9 +168,9 @@ class Batch:
     target: torch.Tensor
     """Target images, likewise."""
     target_reference: torch.Tensor
-    """Latents of the untouched target."""
+    """Latents of the target's reference."""
     source_reference: torch.Tensor | None
-    """Latents of the untouched source, if they are an input."""
+    """Latents of the source's reference, if they are an input."""
     noise: torch.Tensor | None
     """Standard normal noise of a latent's shape; None: use the posterior's mean."""
     generator: torch.Generator
@@ -447,7 +447,7 @@ def evaluate(
 def encoded_references(
     network: MarkerToMarker, references: torch.Tensor, runs_on: Accelerator
 ) -> Posterior:
-    """Return the posteriors of untouched images (K, h, w) uint8 by the frozen encoder."""
+    """Return the posteriors of images without contact (K, h, w) uint8 by the frozen encoder."""
     with runs_on.autocast():
         parts = [
             network.reference_posterior(unit(part)) for part in torch.split(references, _AT_ONCE)
@@ -504,7 +504,7 @@ def _batch(
 def _latents(
     pairs: ImagePairs, references: Posterior, source_reference: bool, noise: torch.Tensor | None
 ) -> tuple[torch.Tensor, torch.Tensor | None]:
-    """Return the latents of the untouched targets, and of the sources if they are an input."""
+    """Return the latents of the targets' references, and of the sources if they are an input."""
     drawn = (None, None) if noise is None else (noise[0], noise[1])
     target = references.rows(pairs.reference[pairs.target]).at(drawn[0])
     if not source_reference:

@@ -337,8 +337,8 @@ def validate(
         error = (logits.float().sigmoid() - batch.target).square().mean(dim=(1, 2, 3))
         sums += torch.stack([*found, error]).sum(dim=1)
     network.train()
-    dice, untouched, squared = (sums / count).tolist()
-    return {"dice": dice, "dice_of_reference": untouched, "l2": squared}
+    dice, no_contact, squared = (sums / count).tolist()
+    return {"dice": dice, "dice_of_reference": no_contact, "l2": squared}
 
 
 # Trained models, and the command

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from learning.data.images import sampled
-from learning.data.synthetic import untouched
+from learning.data.synthetic import pixel_grid
 from recorder.markers import HEIGHT, WIDTH, Lattice
 
 if TYPE_CHECKING:
@@ -146,7 +146,7 @@ class FieldUnet(nn.Module):
 # pixel centres of an image of h rows and w columns:
 #
 # - channels 0 and 1: shift (column, row) [px]. The point at p in the frame was at p - shift(p) in
-#   the untouched image. The archive's fields are the same displacement at untouched positions.
+#   the reference image. The archive's fields are the same displacement at undeformed positions.
 # - channel 2: growth of the markers there [px of their radius], in addition to stretching by the
 #   shift. Discs of a uSkin grow where they are pressed, although nothing there moves sideways.
 #   Growth applies to whole markers and is coarse: fine growth could draw markers that do not exist.
@@ -224,7 +224,7 @@ def from_displacement(field: Tensor, lattice: Lattice, side: int = SIDE) -> Tens
         lattice: Lattice of the points.
         side: Cells along either axis.
     """
-    columns, rows = untouched(side, field.device)[0]
+    columns, rows = pixel_grid(side, field.device)[0]
     shift = torch.zeros(len(field), 2, side, side, device=field.device, dtype=field.dtype)
     for _ in range(_INVERSIONS):
         shift = sampled(field, columns - shift[:, 0], rows - shift[:, 1], lattice)
@@ -261,7 +261,7 @@ def _per_px(images: Tensor) -> Tensor:
     return images.new_tensor([2 / WIDTH, 2 / HEIGHT])
 
 
-# Network from a frame and its untouched reference to the deformation between them.
+# Network from a frame and its reference to the deformation between them.
 
 # Unit of deformations in the networks [px], chosen for values around one.
 UNIT_PX = 16.0

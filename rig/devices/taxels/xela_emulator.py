@@ -48,7 +48,7 @@ class XelaEmulatorConfig(EmulatorConfig):
     layout: Literal["1.7", "1.8"] = "1.8"
     """Message layout."""
     noise: float = 0.0
-    """Standard deviation of each value [counts]; a real untouched patch has about 2.1."""
+    """Standard deviation of each value [counts]; a real patch without contact has about 2.1."""
     source: Path | None = None
     """Log of raw counts (.npy) to play in place of the World."""
 

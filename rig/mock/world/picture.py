@@ -37,7 +37,7 @@ class Surface:
         """Return the displacement of material points of the surface.
 
         Args:
-            points: Untouched positions (n, 2) in the contact frame [m].
+            points: Undeformed positions (n, 2) in the contact frame [m].
 
         Returns:
             Displacement (n, 3) [m]; z is negative under the indenter.

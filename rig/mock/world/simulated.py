@@ -141,7 +141,7 @@ def gone_on(press: np.void, t_ns: int, tip: np.ndarray) -> np.ndarray:
     """Return wrench about the tip and taxels (54,) for a tip (3,) [m] at `t_ns`.
 
     They are extrapolated along the PRESS_STATE's slope from its tip; without contact, from the
-    untouched surface.
+    undeformed surface.
     """
     values: np.ndarray = press["values"].copy()
     if press["touching"]:

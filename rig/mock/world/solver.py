@@ -123,7 +123,7 @@ class Solver:
         return self._pacer.missed
 
     def start(self) -> None:
-        """Publish the untouched sensor and follow the arm from now on."""
+        """Publish the sensor without contact and follow the arm from now on."""
         self._shared.publish(self._clock.now_ns())
         self._began_ns = self._clock.now_ns()
         self._thread.start()

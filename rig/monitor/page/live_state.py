@@ -58,7 +58,7 @@ class LiveState:
         self._to_contact = invert(bench.contact_frame)
         self._tail: ImageTail | None = None
         self._image: tuple[int, bytes | None] = (-1, None)
-        self._untouched: np.ndarray | None = None
+        self._no_contact: np.ndarray | None = None
         self.trace: deque[Point] = deque(maxlen=round(TRACE_SECONDS * TRACE_RATE_HZ))
         """Force during the last TRACE_SECONDS."""
         self.traced = 0
@@ -129,9 +129,9 @@ class LiveState:
         record = self._newest("taxels")
         if record is None:
             return None
-        if self._untouched is None:
-            self._untouched = record["value"]
-        change: list[list[int]] = (record["value"] - self._untouched).tolist()
+        if self._no_contact is None:
+            self._no_contact = record["value"]
+        change: list[list[int]] = (record["value"] - self._no_contact).tolist()
         return change
 
     def limits(self) -> dict[str, Any]:
