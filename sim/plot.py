@@ -24,8 +24,9 @@ Array = NDArray[np.float64]
 
 # Least number of points along each side to which the surface is refined before it is drawn.
 FINE = 200
-# Iterations that search for the material at a place, and the share of the miss corrected in each:
-# they converge unless the surface folds over or is stretched to more than 2.8 times its length.
+# Iterations that search for the material at a place, and the fraction of the miss corrected in
+# each: they converge unless the surface folds over or is stretched to more than 2.8 times its
+# length.
 ROUNDS, RELAXATION = 40, 0.7
 
 

@@ -30,7 +30,7 @@ class Quality:
     """|force of the indenter + reaction of the base (+ weight, inertia)| over |force|."""
     energy_gap: Array
     """(Work done - energy stored) over the most work done so far: 0 if elastic and exact, the
-    dissipated share with friction or viscosity. `fem` sums the work of a step over the contact
+    dissipated fraction with friction or viscosity. `fem` sums the work of a step over the contact
     points, each along its own way, to 1 % in an elastic press; `layer` and `mpm` use the trapezoid
     rule."""
     det_f_min: Array

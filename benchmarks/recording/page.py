@@ -37,7 +37,7 @@ class Results:
     """Text of `machine()`."""
     quick: bool
     stores: tuple[StoreRow, ...] | None = None
-    share: tuple[Fed, ...] | None = None
+    cpu: tuple[Fed, ...] | None = None
     lateness: tuple[Lateness, ...] | None = None
     cameras: tuple[Cameras, ...] | None = None
     full: tuple[Fed, ...] | None = None

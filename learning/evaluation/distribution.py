@@ -318,7 +318,7 @@ class Extractor(Protocol):
 class MarkerGrid:
     """Marker coverage, position and edges in the cells of a grid.
 
-    For each of 8 x 8 cells: the covered share; the mean of coverage times column, and times row,
+    For each of 8 x 8 cells: the covered fraction; the mean of coverage times column, and times row,
     from -1 to 1 across the cell; the mean step to the next pixel, right and down. 256 numbers.
     """
 
@@ -542,10 +542,10 @@ def classifier_accuracy(
 ) -> float:
     """Return the accuracy with which a linear classifier separates features (n, d) and (m, d).
 
-    It is the mean over both sets of the share of samples that a logistic regression on standardised
-    features, fitted to the other folds, assigns to their own set: 0.5 is chance (classifier
-    two-sample test, Lopez-Paz and Oquab, 2017). A group is never divided between folds, so that the
-    classifier cannot recognise a sample by others of its group.
+    It is the mean over both sets of the fraction of samples that a logistic regression on
+    standardised features, fitted to the other folds, assigns to their own set: 0.5 is chance
+    (classifier two-sample test, Lopez-Paz and Oquab, 2017). A group is never divided between folds,
+    so that the classifier cannot recognise a sample by others of its group.
 
     Args:
         one: Features (n, d).
@@ -577,9 +577,10 @@ def classifier_accuracy(
 def mixing_score(one: Floats, other: Floats, neighbours: int = NEIGHBOURS) -> float:
     """Return the mixing of two sets of features (n, d), (m, d): 1 is full, 0 none.
 
-    For each sample, take the share of its k nearest neighbours, by Euclidean distance, that belong
-    to the other set, over the share expected by chance (m / (n + m - 1) for samples of the first).
-    The score is the mean of both sets' means. Random fluctuation takes it to either side of 1.
+    For each sample, take the fraction of its k nearest neighbours, by Euclidean distance, that
+    belong to the other set, over the fraction expected by chance (m / (n + m - 1) for samples of
+    the first). The score is the mean of both sets' means. Random fluctuation takes it to either
+    side of 1.
 
     Raises:
         LearningError: There are no more samples than neighbours, or widths differ.

@@ -298,7 +298,7 @@ class PairedScore:
     centroid_mm: float
     """Its median on the surface [mm]."""
     count_mismatch: float
-    """Share of frames with a wrong number of markers."""
+    """Fraction of frames with a wrong number of markers."""
     area_ratio_error: float
     """Mean of |marker area / true marker area - 1|."""
     epe_px: float
@@ -562,8 +562,8 @@ def _mean(values: Floats) -> float:
     return float(values.mean()) if len(values) else float("nan")
 
 
-def _quantile(values: Floats, share: float) -> float:
-    return float(np.quantile(values, share)) if len(values) else float("nan")
+def _quantile(values: Floats, fraction: float) -> float:
+    return float(np.quantile(values, fraction)) if len(values) else float("nan")
 
 
 # Default maximum of scored pairs of a role, drawn at random.

@@ -47,9 +47,9 @@ class ExperimentSettings:
     compensation: tuple[Compensated, ...] = ("compensated",)
     """Kinds of labels to train on, in addition to the source's own."""
     validation: float = 0.1
-    """Share of the presses of seen indenters for validation."""
+    """Fraction of the presses of seen indenters for validation."""
     new_press: float = 0.1
-    """Share of the presses of seen indenters for the test."""
+    """Fraction of the presses of seen indenters for the test."""
     train_presses: int | None = None
     """Number of training presses of force models, per source; none: all."""
     test_presses: int | None = None

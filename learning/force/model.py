@@ -106,7 +106,7 @@ class NetworkSettings:
     encoder_norm: Literal["instance", "batch", "group", "none"] = "instance"
     tail_norm: Literal["batch", "group", "none"] = "batch"
     dropout: float = 0.0
-    """Share of the encoder's channels dropped during training."""
+    """Fraction of the encoder's channels dropped during training."""
 
     def __post_init__(self) -> None:
         """Reject a network that cannot be built."""

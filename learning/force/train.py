@@ -131,7 +131,7 @@ class ForceSettings:
     force_range: Literal["training", "authors"] = "training"
     """Force range (a box) that the sigmoid spans: of the training labels, or of authors' code."""
     range_margin: float = 0.0
-    """Share of its length by which the box is extended at either end, because a sigmoid never
+    """Fraction of its length by which the box is extended at either end, because a sigmoid never
     reaches its limits."""
     launch: LaunchSettings = field(default_factory=LaunchSettings)
     """Devices and precision of training."""

@@ -142,8 +142,8 @@ def told(path: Path) -> tuple[str, ...]:
         if sensor.attrs["marker_check"] is None:
             text += "; markers are not counted"
         else:
-            share = len(flagged) / max(len(sensor), 1)
-            text += f"; marker count: {len(flagged)} flagged ({100 * share:.2f} %)"
+            fraction = len(flagged) / max(len(sensor), 1)
+            text += f"; marker count: {len(flagged)} flagged ({100 * fraction:.2f} %)"
         lines.append(text)
         lines += [f"  row {row}: {reported[of[row]][FLAG]}" for row in flagged[:NAMED]]
         if len(flagged) > NAMED:

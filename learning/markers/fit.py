@@ -207,8 +207,8 @@ def _pattern(view: Picture, size: int, channel: Channel, bright: bool) -> Patter
         return None
     # Patches count by their area, so that many specks do not outweigh the markers.
     order = np.argsort(own[large])
-    share = np.cumsum(area[large][order]) / area[large].sum()
-    typical = float(own[large][order][np.searchsorted(share, 0.5)])
+    fraction = np.cumsum(area[large][order]) / area[large].sum()
+    typical = float(own[large][order][np.searchsorted(fraction, 0.5)])
     least = round(max(floor, FAINT * typical), 4)
     mask = half_of_own(contrast, size, least) > 0
     blobs = find_blobs(mask[None], SMALLEST_PX)

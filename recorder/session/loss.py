@@ -83,8 +83,8 @@ class Losses:
         if not len(self.count):
             return np.zeros(len(t_ns), np.int64)
         width = np.maximum(self.end_ns[at] - self.start_ns[at], 1)
-        share = (t_ns - self.start_ns[at]) / width * (self.count[at] + 1.0)
-        part = np.clip(np.ceil(share) - 1, 0, self.count[at]).astype(np.int64)
+        fraction = (t_ns - self.start_ns[at]) / width * (self.count[at] + 1.0)
+        part = np.clip(np.ceil(fraction) - 1, 0, self.count[at]).astype(np.int64)
         return np.where(inside, done[at] + part, 0)
 
     def around(self, t_ns: Times) -> Bools:

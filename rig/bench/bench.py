@@ -69,9 +69,9 @@ class BenchLimits:
     duration_max: float = field(metadata={"unit": "min", "plausible": (0.1, 3000)})
     """Longest session [s]."""
     soft_fraction: float = 0.85
-    """Share of the rating that ends a target as force_limited."""
+    """Fraction of the rating that ends a target as force_limited."""
     hard_fraction: float = 1.0
-    """Share of the rating that stops the session."""
+    """Fraction of the rating that stops the session."""
     horizon: float = field(default=0.02, metadata={"unit": "ms", "plausible": (0.5, 1000)})
     """Extrapolation time of the guard's force prediction [s]."""
     stale_force: float = field(default=0.05, metadata={"unit": "ms", "plausible": (2, 5000)})

@@ -84,7 +84,9 @@ class Seen:
             f"{self.frames:,} forces in {self.seconds:.1f} s, {self.rate_hz:.1f} a second; "
             f"{self.skipped} frames skipped for newer ones, {self.lost} lost"
         )
-        middle, late = (1e3 * float(np.quantile(self.latency, share)) for share in (0.5, 0.99))
+        middle, late = (
+            1e3 * float(np.quantile(self.latency, fraction)) for fraction in (0.5, 0.99)
+        )
         yield (
             f"latency, frame in to force out: p50 {middle:.1f} ms, p99 {late:.1f} ms, worst "
             f"{1e3 * max(self.latency):.1f} ms"

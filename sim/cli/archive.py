@@ -138,7 +138,7 @@ def _states(options: argparse.Namespace) -> int:
 def _sensors(options: argparse.Namespace) -> int:
     from sim.dataset import DatasetPlan
 
-    smoke, share = _share(options.scale)
+    smoke, fraction = _share(options.scale)
     chosen = _chosen_sensors(options)
     out = options.out
     if out is None:
@@ -151,7 +151,7 @@ def _sensors(options: argparse.Namespace) -> int:
         solving=_solving(options, smoke=smoke),
         seed=options.seed,
         steps=steps,
-        share=share,
+        fraction=fraction,
     )
     return _make(options, out, plan)
 
@@ -346,12 +346,12 @@ def _share(text: str) -> tuple[bool, float]:
     if text in ("smoke", "full"):
         return text == "smoke", SMOKE_SHARE if text == "smoke" else 1.0
     try:
-        share = float(text)
+        fraction = float(text)
     except ValueError:
-        share = -1.0
-    if not 0 < share <= 1:
+        fraction = -1.0
+    if not 0 < fraction <= 1:
         raise SceneError(f"--scale: {text!r}; allowed: smoke, full, or above 0 to 1")
-    return False, share
+    return False, fraction
 
 
 def _chosen_sensors(options: argparse.Namespace) -> tuple[SimulatedSensor, ...]:

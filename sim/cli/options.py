@@ -436,7 +436,7 @@ def _add_effect_options(parser: argparse.ArgumentParser, friction: float, viscos
         "--plan-effects",
         action="store_true",
         help="only estimate, by coarse meshes, how much each effect changes force [%%, N] and "
-        "markers [px], and its share of the time. With --tolerance, also report which effects "
+        "markers [px], and its fraction of the time. With --tolerance, also report which effects "
         "would be omitted",
     )
 

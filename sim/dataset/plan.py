@@ -268,7 +268,7 @@ class DatasetPlan:
     """Seed of all random draws."""
     steps: int = 10
     """Frames per phase of a target; states have no phases."""
-    share: float = 1.0
+    fraction: float = field(default=1.0, metadata={"formerly": "share"})
     """Fraction of the targets to use, spread evenly over points, depths and directions."""
     unit_presses: int = UNIT_PRESSES
     """Most presses of one indenter whose frames share a file."""
@@ -286,7 +286,7 @@ class DatasetPlan:
             raise SceneError(f"plan.indenters: {self.indenters}; allowed: in the order of {NAMES}")
         check_range("plan", "seed", self.seed, 0, 2**32)
         check_range("plan", "steps", self.steps, 1, STEPS_MAX)
-        check_range("plan", "share", self.share, 0.0, 1.0, open_low=True)
+        check_range("plan", "fraction", self.fraction, 0.0, 1.0, open_low=True)
         check_range("plan", "unit_presses", self.unit_presses, 1, 10_000)
         check_range("plan", "batch_size", self.batch_size, 1, 100_000)
         for each in self.sensors:
@@ -366,7 +366,7 @@ def target_presses(plan: DatasetPlan, each: SimulatedSensor) -> tuple[PlannedPre
     """
     if each.trajectory is None:
         raise SceneError(f"{each.name}.trajectory: None; allowed: a sensor that has one")
-    targets = chosen_targets(each.trajectory, plan.share)
+    targets = chosen_targets(each.trajectory, plan.fraction)
     presses = [
         _target_press(plan, each, each.trajectory, indenter, target)
         for indenter in plan.indenters
@@ -377,14 +377,14 @@ def target_presses(plan: DatasetPlan, each: SimulatedSensor) -> tuple[PlannedPre
     return tuple(presses)
 
 
-def chosen_targets(trajectory: PressShear, share: float) -> tuple[Target, ...]:
+def chosen_targets(trajectory: PressShear, fraction: float) -> tuple[Target, ...]:
     """Return a fraction of the targets, at least one, spread over points, depths and directions.
 
     Greedily picks the target whose point, depth, direction and pairs of them have occurred least
     often so far, so that a smaller fraction is a subset of a larger one.
     """
     targets = list(trajectory.targets())
-    count = max(1, round(share * len(targets)))
+    count = max(1, round(fraction * len(targets)))
     if count == len(targets):
         return tuple(targets)
     met: dict[tuple[object, ...], int] = {}

@@ -2,8 +2,8 @@
 
 A contact is estimated before the solve, by a linear layer on a window of the contact's size
 (milliseconds), and again from the solution. The touching pixels form connected pieces. Within a
-piece, the size of elements is a share of its width; they grow outwards and downwards from there. So
-neither the body's size nor its thickness decides how finely a contact is resolved.
+piece, the size of elements is a fraction of its width; they grow outwards and downwards from there.
+So neither the body's size nor its thickness decides how finely a contact is resolved.
 
 Lengths in metres, in the contact frame.
 """

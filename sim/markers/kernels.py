@@ -93,7 +93,7 @@ def sampled(vertex: wp.vec3, samples: float):
 
 
 @wp.func
-def shares(a: wp.vec3, b: wp.vec3, c: wp.vec3, column: float, row: float):
+def fractions(a: wp.vec3, b: wp.vec3, c: wp.vec3, column: float, row: float):
     """Return barycentric coordinates of a sample's centre; -inf or NaN if there is no area."""
     ab = b - a
     ac = c - a
@@ -119,9 +119,9 @@ def cover_triangle(
     lower = wp.floor(wp.min(wp.max(wp.max(a[1], b[1]), c[1]) + OVERLAP, last_row))
     for row in range(int(upper), int(lower) + 1):
         for column in range(int(left), int(right) + 1):
-            share = shares(a, b, c, float(column), float(row))
-            if wp.min(wp.min(share[0], share[1]), share[2]) >= -OVERLAP:
-                nearness = share[0] * a[2] + share[1] * b[2] + share[2] * c[2]
+            fraction = fractions(a, b, c, float(column), float(row))
+            if wp.min(wp.min(fraction[0], fraction[1]), fraction[2]) >= -OVERLAP:
+                nearness = fraction[0] * a[2] + fraction[1] * b[2] + fraction[2] * c[2]
                 level = wp.int64(wp.min(nearness, NEARNESS_MOST) * NEARNESS_UNIT)
                 offer = (level << NEARNESS_BITS) | wp.int64(triangle)
                 wp.atomic_max(number, frame, row, column, offer)
@@ -199,11 +199,11 @@ def _material_kernel(run: int):
                 a = sampled(vertex[frame, i, j], samples)
                 b = sampled(vertex[frame, i + 1, j + second], samples)
                 c = sampled(vertex[frame, i + 1 - second, j + 1], samples)
-                share = shares(a, b, c, float(column), float(row))
+                fraction = fractions(a, b, c, float(column), float(row))
                 # A quantity that is linear in space is linear in the image once divided by depth.
-                share_b = share[1] * b[2]
-                share_c = share[2] * c[2]
-                scale = 1.0 / (share[0] * a[2] + share_b + share_c)
+                share_b = fraction[1] * b[2]
+                share_c = fraction[2] * c[2]
+                scale = 1.0 / (fraction[0] * a[2] + share_b + share_c)
                 both = (share_b + share_c) * scale
                 along_x = wp.where(second == 0, both, share_b * scale)
                 along_y = wp.where(second == 0, share_c * scale, both)
@@ -378,10 +378,10 @@ def _coverage_kernel(several: bool):
         coverage_out: wp.array4d[wp.uint8],
     ):
         frame, pattern, row, column = wp.tid()
-        share = wp.float32(0.0)
+        fraction = wp.float32(0.0)
         if wp.static(several):
             count = covered(material, frame, row, column, samples, values, pattern, corner, density)
-            share = float(count) / float(samples * samples)
+            fraction = float(count) / float(samples * samples)
         else:
             here = distance_at(values, pattern, corner, density, material[frame, row, column])
             if wp.isfinite(here):
@@ -398,10 +398,10 @@ def _coverage_kernel(several: bool):
                     material, frame, row + 1, column, values, pattern, corner, density, here
                 )
                 change = wp.length(wp.vec2(right - left, below - above)) * 0.5
-                share = wp.where(here <= 0.0, 1.0, 0.0)
+                fraction = wp.where(here <= 0.0, 1.0, 0.0)
                 if change > FLAT:
-                    share = wp.clamp(0.5 - here / change, 0.0, 1.0)
-        coverage_out[frame, pattern, row, column] = wp.uint8(share * 255.0 + 0.5)
+                    fraction = wp.clamp(0.5 - here / change, 0.0, 1.0)
+        coverage_out[frame, pattern, row, column] = wp.uint8(fraction * 255.0 + 0.5)
 
     return cover
 

@@ -92,9 +92,9 @@ def cubic_taps(axis: Array, places: Array, *, name: str = "axis") -> Taps:
     count = len(axis)
     cell = np.clip(np.searchsorted(axis, places, side="right") - 1, 0, count - 2)
     width = axis[cell + 1] - axis[cell]
-    share = (places - axis[cell]) / width
-    inside = np.clip(share, 0, 1)
-    beyond = (share - inside) * width
+    fraction = (places - axis[cell]) / width
+    inside = np.clip(fraction, 0, 1)
+    beyond = (fraction - inside) * width
     unit = np.eye(count)
     start, end = unit[cell], unit[cell + 1]
     start_slope, end_slope = slope[cell], slope[cell + 1]

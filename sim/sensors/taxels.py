@@ -182,15 +182,15 @@ def _reach(
     across_slope = (1 + np.exp(-2 * k * height)) * scale * k
 
     # For k = 0 the layer is sheared and compressed uniformly, so everything is linear in height.
-    for values, slopes, share in (
+    for values, slopes, fraction in (
         (plane[0, 0], plane_slope[0, 0], 1.0),
         (plane[1, 1], plane_slope[1, 1], 1.0),
         (plane[0, 1], plane_slope[0, 1], 0.0),
         (plane[1, 0], plane_slope[1, 0], 0.0),
         (across, across_slope, 1.0),
     ):
-        values[still] = share * height / thickness
-        slopes[still] = share / thickness
+        values[still] = fraction * height / thickness
+        slopes[still] = fraction / thickness
     cosine, sine = np.where(still, 1.0, kx / k), np.where(still, 0.0, ky / k)
     return (
         _turned(plane, across, cosine, sine),

@@ -237,8 +237,8 @@ class Slope:
     def learn(self, moved: Array, changed: Array) -> None:
         """Update after a move by `moved` (3,) [m] that changed the values by `changed` (n,)."""
         missed = changed - self.matrix @ moved
-        share = moved / (float(moved @ moved) + SURE**2)
-        self.matrix = self.matrix + np.outer(missed, share)
+        fraction = moved / (float(moved @ moved) + SURE**2)
+        self.matrix = self.matrix + np.outer(missed, fraction)
 
 
 # Time over which relaxation is extrapolated [s]: about the interval between solutions.

@@ -56,8 +56,8 @@ def _made_up(scene: Scene) -> Result:
         if deep.any():
             place = np.stack([*np.meshgrid(x, x, indexing="ij"), -deep], axis=-1) - np.array(tip)
             _, normal = scene.indenter.distance(place)
-            share = deep / -(deep * area * normal[..., 2]).sum()
-            traction[frame] = push * share[..., None] * normal
+            fraction = deep / -(deep * area * normal[..., 2]).sum()
+            traction[frame] = push * fraction[..., None] * normal
     none = np.full(frames, np.nan)
     quality = Quality(*[none] * 10, *[np.zeros(frames, np.int64)] * 3)
     return Result(scene, "fem", wrench, x, x, surface, traction, quality, {"warnings": []})

@@ -156,7 +156,7 @@ def test_a_location_that_is_another_press_is_refused(
     [
         ({"validation": 1.0}, "validation: found 1.0; allowed: 0 to less than 1"),
         ({"new_press": -0.1}, "new_press: found -0.1"),
-        ({"validation": 0.5, "new_press": 0.5}, "shares that leave some to train on"),
+        ({"validation": 0.5, "new_press": 0.5}, "fractions that leave some to train"),
         ({"unseen": ("ball",)}, "unseen: found ball; allowed: sphere, cone, prism"),
         ({"held_out_sensors": ("gel",)}, "held_out_sensors: found gel; allowed: dots, grid"),
     ],

@@ -51,7 +51,7 @@ def _open(path: Path, settings: ForceSettings = TOY, *, resume: bool = False) ->
 
 
 def _left(model: ForceModel, presses: Presses) -> float:
-    """Return the error as a share of that of predicting the mean."""
+    """Return the error as a fraction of that of predicting the mean."""
     wanted = presses.wrench.numpy()
     off = np.abs(model.predict(presses) - wanted).mean()
     return float(off / np.abs(wanted - wanted.mean(axis=0)).mean())

@@ -45,7 +45,7 @@ def sampled(
     Args:
         rate_hz: Declared rate.
         seconds: Duration [s].
-        actual: Actual rate as a share of the declared one.
+        actual: Actual rate as a fraction of the declared one.
         jitter: Mean delay of a sample in periods.
         seed: Seed of the delays.
     """
@@ -220,7 +220,7 @@ def test_what_is_deleted_from_a_stream_is_found_in_that_stream_alone(
     account = account_of(session, name)
     assert account.lost == lost
     assert found.message.startswith(f"{lost} samples lost in {account.places} places")
-    # Each target's share, by the times of the samples that are gone.
+    # Each target's part, by the times of the samples that are gone.
     gone = T0 + np.setdiff1d(rows[: there[-1]], there) / RATES[name] * 1e9
     segments = session.segments
     for target in np.unique(segments["target"]):

@@ -37,7 +37,7 @@ def check(guard: Guard, clock: FakeClock, value=(0.0,) * 6, mode="guarded", **pl
 
 
 def ramp(rate: float, *, axis: int = 2, mode="guarded", steps: int = 400):
-    """Apply a force growing at `rate` [N/s], sampled at 4 ms; return load share and violation."""
+    """Apply a force growing at `rate` [N/s], sampled at 4 ms; return load and violation."""
     guard, clock = Guard(LIMITS, FRAME), FakeClock()
     for _ in range(steps):
         clock.advance(0.004)
@@ -56,11 +56,11 @@ def test_nothing_wrong_is_no_verdict():
 @pytest.mark.parametrize("axis", range(6))
 @pytest.mark.parametrize("sign", [-1, 1])
 @pytest.mark.parametrize(
-    ("share", "kind"), [(0.849, None), (0.851, "force_soft"), (1.001, "force_hard")]
+    ("fraction", "kind"), [(0.849, None), (0.851, "force_soft"), (1.001, "force_hard")]
 )
-def test_each_axis_and_sign_has_its_limits(axis, sign, share, kind):
+def test_each_axis_and_sign_has_its_limits(axis, sign, fraction, kind):
     value = np.zeros(6)
-    value[axis] = sign * share * RATING[axis]
+    value[axis] = sign * fraction * RATING[axis]
     violation = check(Guard(LIMITS, FRAME), FakeClock(), value)
     assert (violation and violation.kind) == kind
     if violation:
@@ -70,23 +70,23 @@ def test_each_axis_and_sign_has_its_limits(axis, sign, share, kind):
 
 
 def test_a_steep_ramp_trips_before_the_limit_is_reached():
-    share, violation = ramp(100.0)
+    fraction, violation = ramp(100.0)
     assert violation.kind == "force_soft"
     assert "in 20 ms" in violation.reason
     # 100 N/s for 20 ms is 2 N of 12 N: about a sixth of the rating early.
-    assert 0.85 - 2 / 12 - 0.04 < share < 0.85 - 2 / 12 + 0.04
+    assert 0.85 - 2 / 12 - 0.04 < fraction < 0.85 - 2 / 12 + 0.04
 
 
 def test_a_steep_ramp_the_other_way_trips_early_too():
-    share, violation = ramp(-100.0)
+    fraction, violation = ramp(-100.0)
     assert violation.kind == "force_soft"
-    assert share < 0.75
+    assert fraction < 0.75
 
 
 def test_a_slow_ramp_trips_at_the_limit():
-    share, violation = ramp(10.0)
+    fraction, violation = ramp(10.0)
     assert violation.kind == "force_soft"
-    assert share == pytest.approx(0.85 - 0.2 / 12, abs=0.01)
+    assert fraction == pytest.approx(0.85 - 0.2 / 12, abs=0.01)
 
 
 def test_noise_well_below_the_limit_does_not_trip():
@@ -168,9 +168,9 @@ def test_retreat_may_leave_a_load_above_both_limits():
 
 
 def test_retreat_stops_while_a_load_above_the_hard_limit_grows():
-    share, violation = ramp(-100.0, mode="retreat")
+    fraction, violation = ramp(-100.0, mode="retreat")
     assert violation.kind == "force_hard"
-    assert 1.0 < share < 1.1
+    assert 1.0 < fraction < 1.1
 
 
 def test_retreat_goes_on_without_data_and_with_a_saturated_sensor():

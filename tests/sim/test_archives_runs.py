@@ -62,7 +62,7 @@ def test_stopped_again_and_again_and_made_in_another_order_it_is_the_same(
     left = []
     while True:
         begun, stop = begin(path, SKINS), Stop()
-        shares: list[float] = []
+        fractions: list[float] = []
 
         def one_and_stop(missing: Sequence[Unit], inside: object, stop: Stop = stop) -> Any:
             begun = begin(path, SKINS)
@@ -70,8 +70,8 @@ def test_stopped_again_and_again_and_made_in_another_order_it_is_the_same(
                 stop.asked = True
                 yield made
 
-        filled = fill(begun, one_and_stop, stop, shares.append)
-        assert shares == sorted(shares)
+        filled = fill(begun, one_and_stop, stop, fractions.append)
+        assert fractions == sorted(fractions)
         left.append(filled.left)
         if filled.complete:
             break
@@ -215,7 +215,7 @@ def test_processes_give_the_bytes_of_one(
             begun, units, inside, processes=processes, stop=stop
         ),
         stop,
-        lambda share: None,
+        lambda fraction: None,
     )
     assert filled.complete
     assert digests(begun.path) == undisturbed

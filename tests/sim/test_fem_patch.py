@@ -173,8 +173,8 @@ def test_push_is_the_derivative_of_the_nodal_forces_with_the_tip(
     travel = np.array([[0.3, -0.2, -1.0], [0.1, 0.4, -0.5]])
     step = 1e-7
 
-    def at(share: float) -> Array:
-        state.tip.assign(tip + share * step * travel)
+    def at(fraction: float) -> Array:
+        state.tip.assign(tip + fraction * step * travel)
         return _residual(assembly, u)
 
     slope = (at(1.0) - at(-1.0)) / (2 * step)

@@ -215,10 +215,10 @@ def test_a_result_says_what_ran_and_is_stored(small: Result, tmp_path: Path) -> 
 
 
 def test_progress_rises_to_one() -> None:
-    shares: list[float] = []
-    simulate_mpm([SCENE], COARSE, progress=shares.append)
-    assert shares == sorted(shares)
-    assert shares[-1] == 1.0
+    fractions: list[float] = []
+    simulate_mpm([SCENE], COARSE, progress=fractions.append)
+    assert fractions == sorted(fractions)
+    assert fractions[-1] == 1.0
 
 
 def test_the_end_of_a_line_does_not_lag() -> None:

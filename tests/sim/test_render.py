@@ -202,12 +202,12 @@ def test_several_samples_are_counted(renderer: Renderer) -> None:
     textures = fine.textures(PATTERNS[:1])
     view = fine.see(ASIDE.x, ASIDE.y, ASIDE.surface[None])
     exact = cKDTree(PATTERNS[0].centres).query(view.material()[0, 600:840, 900:1140])[0]
-    share = (exact <= PATTERNS[0].size / 2).reshape(80, 3, 80, 3).mean(axis=(1, 3))
+    fraction = (exact <= PATTERNS[0].size / 2).reshape(80, 3, 80, 3).mean(axis=(1, 3))
     grey = view.coverage(textures)[0, 0, 200:280, 300:380]
     # The texture's edge is 0.2 um off, so one sample of a pixel may differ.
-    assert np.abs(grey / 255 - share).max() < 1.01 * 2 / 9
-    assert np.abs(grey / 255 - share).mean() < 1e-3
-    assert mismatch(view.masks(textures)[0, 0, 200:280, 300:380], share >= 0.5) < 2e-3
+    assert np.abs(grey / 255 - fraction).max() < 1.01 * 2 / 9
+    assert np.abs(grey / 255 - fraction).mean() < 1e-3
+    assert mismatch(view.masks(textures)[0, 0, 200:280, 300:380], fraction >= 0.5) < 2e-3
 
 
 def test_the_undeformed_gel_is_its_reference_bit_for_bit(
@@ -317,8 +317,8 @@ def test_markers_at_the_gels_border_are_drawn_up_to_it() -> None:
 def test_an_image_of_a_pattern_renders_as_the_pattern(renderer: Renderer) -> None:
     pattern = named("Circle2")
     along = ((np.arange(1134) + 0.5) / 1134 - 0.5) * 20e-3
-    share = np.clip(0.5 - pattern.distance(along, along, 0.1e-3)[::-1] / (20e-3 / 1134), 0, 1)
-    drawn = ImagePattern("drawn", 255 * (1 - share), 20e-3)
+    fraction = np.clip(0.5 - pattern.distance(along, along, 0.1e-3)[::-1] / (20e-3 / 1134), 0, 1)
+    drawn = ImagePattern("drawn", 255 * (1 - fraction), 20e-3)
     both = masks(renderer, renderer.textures([pattern, drawn]), ASIDE)
     assert iou(*both) > 0.995
 

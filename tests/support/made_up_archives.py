@@ -201,13 +201,13 @@ def _sheared(depth: float, target: int, steps: int) -> list[tuple[float, float, 
     """Return depth, shear right and down [mm], loading: without contact, then four phases."""
     angle = np.pi / 4 * (3 * target + 1)
     right, down = SHEAR_MM * np.cos(angle), SHEAR_MM * np.sin(angle)
-    shares = [step / steps for step in range(1, steps + 1)]
+    fractions = [step / steps for step in range(1, steps + 1)]
     return [
         (0.0, 0.0, 0.0, True),
-        *((depth * share, 0.0, 0.0, True) for share in shares),
-        *((depth, right * share, down * share, True) for share in shares),
-        *((depth, right * (1 - share), down * (1 - share), True) for share in shares),
-        *((depth * (1 - share), 0.0, 0.0, False) for share in shares),
+        *((depth * fraction, 0.0, 0.0, True) for fraction in fractions),
+        *((depth, right * fraction, down * fraction, True) for fraction in fractions),
+        *((depth, right * (1 - fraction), down * (1 - fraction), True) for fraction in fractions),
+        *((depth * (1 - fraction), 0.0, 0.0, False) for fraction in fractions),
     ]
 
 

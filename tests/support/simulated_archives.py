@@ -25,7 +25,7 @@ SKINS = DatasetPlan(
     (sensor("r6"), sensor("r18"), sensor("uskin")),
     indenters=("sphere", "cone"),
     solving=LAYER,
-    share=0.01,
+    fraction=0.01,
     steps=1,
     unit_presses=2,
     batch_size=2,
@@ -59,7 +59,7 @@ def make(
         begun,
         lambda missing, inside: make_here(begun, units(missing), inside, device="cpu", stop=stop),
         stop,
-        lambda share: None,
+        lambda fraction: None,
     )
 
 

@@ -40,8 +40,8 @@ STIFFNESS = 300.0
 # Friction coefficient at which hardly any point slips.
 STUCK = 50.0
 GROWTH, CONVERGED, ITERATIONS, AUGMENTATIONS = 0.5, 1e-6, 14, 3
-# Shares of a Newton step, tried in turn.
-SHARES = (1.0, 0.5, 0.25, 0.125)
+# Fractions of a Newton step, tried in turn.
+FRACTIONS = (1.0, 0.5, 0.25, 0.125)
 # First Piola-Kirchhoff stress of the material law in `sim`, at virtual displacements.
 LAW = "(G*pow(Det(F),-2/3)*(F-Norm_sqr(F)/3*Inv(F)')+K/2*(sqr(Det(F))-1)*Inv(F)'):Grad_Test_u"
 
@@ -149,8 +149,8 @@ def _triangle(measures: tuple[float, ...], edge: float) -> str:
         x, y = f"(q(1)-({float(start[0])!r}))", f"(q(2)-({float(start[1])!r}))"
         sides.append(f"({float(v)!r}*{x}-({float(u)!r})*{y})")
         far = f"({float(u)!r}*{x}+({float(v)!r})*{y})"
-        share = f"({far}*step({far})*step({length!r}-{far})+{length!r}*step({far}-{length!r}))"
-        near.append(f"(sqr({x}-({float(u)!r})*{share})+sqr({y}-({float(v)!r})*{share}))")
+        fraction = f"({far}*step({far})*step({length!r}-{far})+{length!r}*step({far}-{length!r}))"
+        near.append(f"(sqr({x}-({float(u)!r})*{fraction})+sqr({y}-({float(v)!r})*{fraction}))")
     outside = f"(1-step(-{sides[0]})*step(-{sides[1]})*step(-{sides[2]}))"
     out = f"{outside}*{_least(near[0], _least(near[1], near[2]))}"
     return f"sqrt({out}+2*half_sqr_pos_part(({edge!r}-q(3)))+1e-30)-{edge!r}"
@@ -283,15 +283,15 @@ class Solver:
         start, change = self.model.variable("u"), np.zeros(self.field.nbdof())
         change[self.free] = self._solve(np.asarray(self.model.rhs())[self.free])
         left = {}
-        for share in SHARES:
-            left[share] = self._residual(start + share * change)
+        for fraction in FRACTIONS:
+            left[fraction] = self._residual(start + fraction * change)
             # NaN, from an inverted element, does not compare as less.
-            if left[share] < norm:
-                return left[share]
-        finite = [share for share in SHARES if math.isfinite(left[share])]
+            if left[fraction] < norm:
+                return left[fraction]
+        finite = [fraction for fraction in FRACTIONS if math.isfinite(left[fraction])]
         if not finite:
             return math.nan
-        return self._residual(start + min(finite, key=lambda share: left[share]) * change)
+        return self._residual(start + min(finite, key=lambda fraction: left[fraction]) * change)
 
     def _remember(self) -> None:
         if self.case.friction:
@@ -346,13 +346,13 @@ def main(name: str, scale: float) -> int:
             rate = np.zeros(solver.field.nbdof())
         heading = (aim - start) / length
         parts = 6 if case.friction else 3
-        share, step = 0.0, 1.0 / parts
-        while share < 1 - 1e-9:
-            ahead = min(1.0, share + step)
-            before, way = solver.model.variable("u"), (ahead - share) * length
+        fraction, step = 0.0, 1.0 / parts
+        while fraction < 1 - 1e-9:
+            ahead = min(1.0, fraction + step)
+            before, way = solver.model.variable("u"), (ahead - fraction) * length
             if solver.move(start + ahead * length * heading, way * rate):
                 rate = (solver.model.variable("u") - before) / way
-                share, step = ahead, min(1.0 / parts, 1.5 * step)
+                fraction, step = ahead, min(1.0 / parts, 1.5 * step)
             else:
                 step /= 2
                 if step < 1e-3:

@@ -41,13 +41,13 @@ class Line:
     overlap: float
     """Smallest intersection over union."""
     differ: float
-    """Mean share of pixels that differ."""
+    """Mean fraction of pixels that differ."""
     differ_most: float
 
     def __str__(self) -> str:
         """Return a row of a table."""
-        shares = f"{100 * self.differ:.4f} % | {100 * self.differ_most:.4f} %"
-        return f"| {self.state} | {self.what} | {self.overlap:.5f} | {shares} |"
+        fractions = f"{100 * self.differ:.4f} % | {100 * self.differ_most:.4f} %"
+        return f"| {self.state} | {self.what} | {self.overlap:.5f} | {fractions} |"
 
 
 def lines(states: Sequence[RenderState], *, ray_samples: int, device: str) -> Iterator[Line]:

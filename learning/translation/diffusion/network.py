@@ -149,7 +149,7 @@ BETA_FIRST, BETA_LAST = 0.00085, 0.012
 
 @cache
 def remaining_signal() -> float:
-    """Return the share of the clean latent's variance remaining at the last time (0.00466)."""
+    """Return the fraction of the clean latent's variance remaining at the last time (0.00466)."""
     low, high = math.sqrt(BETA_FIRST), math.sqrt(BETA_LAST)
     return math.prod(1 - (low + (high - low) * time / LAST_TIME) ** 2 for time in range(TIMES))
 

@@ -207,7 +207,7 @@ def merged(
     batches: Sequence[Batch], generator: Side, judges: Judges, runs_on: Accelerator
 ) -> dict[str, torch.Tensor]:
     """Train one step on its batches; return the mean of each unweighted loss."""
-    share = 1 / len(batches)
+    fraction = 1 / len(batches)
     reported: list[dict[str, torch.Tensor]] = []
     shown = []
     for number, batch in enumerate(batches):
@@ -216,7 +216,7 @@ def merged(
             parts = _reconstruction(made, batch, generator, judges, runs_on)
             if judges.heads is not None:
                 parts["adversarial"] = _fooling(made, batch, judges, runs_on)
-            runs_on.backward(_weighted(parts, judges.losses) * share)
+            runs_on.backward(_weighted(parts, judges.losses) * fraction)
         reported.append({name: part.detach() for name, part in parts.items()})
         shown.append(made.detach())
     _advance(generator, runs_on)
@@ -228,7 +228,7 @@ def merged(
                 logits = judges.heads.network(_seen(both, batch, judges.features))
                 true, fake = zip(*(level.chunk(2) for level in logits), strict=True)
                 loss = multilevel_sigmoid(true, real=True) + multilevel_sigmoid(fake, real=False)
-                runs_on.backward(loss * judges.losses.adversarial * share)
+                runs_on.backward(loss * judges.losses.adversarial * fraction)
             reported[number]["discriminator"] = loss.detach()
         _advance(judges.heads, runs_on)
     return {name: torch.stack([each[name] for each in reported]).mean() for name in reported[0]}

@@ -58,11 +58,11 @@ def move_edges(images: Tensor, by: Tensor) -> Tensor:
 
 
 def blot(images: Tensor, largest_share: float, generator: np.random.Generator) -> Tensor:
-    """Return images with random discs erased, up to a share of their area."""
+    """Return images with random discs erased, up to a fraction of their area."""
     count, _, height, width = images.shape
     radius = generator.uniform(*BLOT_RADIUS, (count, BLOTS))
-    share = generator.uniform(0, largest_share, (count, 1))
-    due = share * height * width / (np.pi * (radius**2).mean(axis=1, keepdims=True))
+    fraction = generator.uniform(0, largest_share, (count, 1))
+    due = fraction * height * width / (np.pi * (radius**2).mean(axis=1, keepdims=True))
     radius = np.where(generator.random((count, BLOTS)) < due / BLOTS, radius, 0.0)
     centre = generator.random((count, BLOTS, 2)) * (height, width)
     rows = torch.arange(height, device=images.device)[:, None]

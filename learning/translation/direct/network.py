@@ -97,7 +97,7 @@ class TransformerBlock(nn.Module):
 # Initial value of the plane that replaces a missing source reference; no image has this value.
 ABSENT = -1.0
 
-# Largest displacement of the reference's features, as a share of the image's side: 96 columns.
+# Largest displacement of the reference's features, as a fraction of the image's side: 96 columns.
 FARTHEST = 0.15
 
 
@@ -212,7 +212,8 @@ def fetched(features: Tensor, way: Tensor) -> Tensor:
 
     Args:
         features: Features to sample (n or 1, c, h, w).
-        way: Offset to the sampled position, across and down, as shares of the sides (n, 2, h', w').
+        way: Offset to the sampled position, across and down, as fractions of the sides
+            (n, 2, h', w').
     """
     count, height, width = len(way), *features.shape[2:]
     way = functional.interpolate(way, (height, width), mode="bilinear", align_corners=False)

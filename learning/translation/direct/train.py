@@ -66,11 +66,11 @@ class Augmentation:
     """Amounts of augmentation; 0 or false: none. Lengths are in pixels of the networks' images."""
 
     procedural_source: float = 0.25
-    """Share of samples whose source is a random pattern on the target's surface."""
+    """Fraction of samples whose source is a random pattern on the target's surface."""
     procedural_target: float = 0.25
-    """Share of samples whose target is a random pattern on the source's surface."""
+    """Fraction of samples whose target is a random pattern on the source's surface."""
     no_source_reference: float = 0.1
-    """Share of samples without the source's own reference."""
+    """Fraction of samples without the source's own reference."""
     orientation: bool = True
     """Mirror all images of a sample and rotate them by quarter turns."""
     edge: float = 0.8
@@ -78,7 +78,7 @@ class Augmentation:
     edge_frame: float = 0.2
     """Largest additional edge shift in a frame that its reference does not have."""
     drop: float = 0.05
-    """Largest share of a source frame that is erased."""
+    """Largest fraction of a source frame that is erased."""
     mount_shift: float = 3.0
     """Largest shift of a source and its reference along rows and columns."""
     mount_angle: float = 0.03

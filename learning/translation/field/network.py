@@ -197,7 +197,7 @@ def render(distance: Tensor, deformation: Tensor) -> Tensor:
 
 
 def coverage(level: Tensor) -> Tensor:
-    """Return the image of signed distances [px]: the share 0..1 of each pixel covered by a marker.
+    """Return the image of signed distances [px]: the covered fraction 0..1 of each pixel.
 
     The edge is assumed straight within a pixel; pixel size follows from the image size.
     """

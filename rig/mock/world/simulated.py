@@ -184,8 +184,8 @@ class SimulatedView:
         square = float(way @ way)
         if square < _MOVED**2:
             return surface
-        share = float(np.clip((tip - newest["tip"]) @ way / square, -_AHEAD, _AHEAD))
-        gone: np.ndarray = surface + np.float32(share) * (surface - newest["surface_before"])
+        fraction = float(np.clip((tip - newest["tip"]) @ way / square, -_AHEAD, _AHEAD))
+        gone: np.ndarray = surface + np.float32(fraction) * (surface - newest["surface_before"])
         return gone
 
 

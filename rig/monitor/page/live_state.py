@@ -101,7 +101,7 @@ class LiveState:
         return found
 
     def force(self) -> dict[str, Any] | None:
-        """Return the wrench [N, N mm] and each axis' share of its rating; None before the first."""
+        """Return the wrench [N, N mm] and the fraction of each rating; None before the first."""
         record = self._newest("force")
         if record is None:
             return None

@@ -31,7 +31,7 @@ PASSED: frozenset[Class] = frozenset({"right", "refused", "diverged", "warned"})
 SECONDS = 60.0
 # Maximum number of elements, so that a scene takes seconds; coarsened meshes are reported.
 SOLVED_MAX = 12_000
-# Share of the scenes that are also solved as a twin.
+# Fraction of the scenes that are also solved as a twin.
 TWINNED = 0.35
 
 AMOUNTS = r"near-layer|rises|same-place|closed-loop|coulomb|symmetric|twin-.*|no-overlap"

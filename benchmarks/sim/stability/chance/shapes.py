@@ -90,9 +90,9 @@ def blade(dice: Dice, unit: float) -> Indenter:
 
 
 def _edge(dice: Dice, most: float) -> float:
-    """Return an edge radius: usually a share of the maximum, sometimes zero or the maximum."""
-    share = dice.weighted({0.0: 1, 0.1: 2, 0.3: 4, 0.6: 3, 1.0: 1})
-    return float(share * min(most, 1.0))
+    """Return an edge radius: usually a fraction of the maximum, sometimes zero or the maximum."""
+    fraction = dice.weighted({0.0: 1, 0.1: 2, 0.3: 4, 0.6: 3, 1.0: 1})
+    return float(fraction * min(most, 1.0))
 
 
 def _polygon(dice: Dice, unit: float) -> Indenter:
