@@ -1,4 +1,4 @@
-"""Goals of recording, and their verdict for this run."""
+"""Goals of recording, and whether this run met them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _KINDS = {
 
 @dataclass(frozen=True, slots=True)
 class Criterion:
-    """One row of the verdict."""
+    """One goal, and whether it was met."""
 
     text: str
     measured: str

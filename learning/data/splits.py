@@ -256,7 +256,7 @@ def read_split(path: Path) -> Split:
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         problem = f"missing {error}" if isinstance(error, KeyError) else error
-        raise LearningError(f"{path}: not a whole split: {problem}") from error
+        raise LearningError(f"{path}: corrupt or incomplete split: {problem}") from error
     if len({press.location for press in presses}) != len(presses):
         raise LearningError(f"{path}: found a location twice; allowed: one role each")
     return split

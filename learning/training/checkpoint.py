@@ -60,7 +60,7 @@ def read_weights(path: Path) -> dict[str, Tensor]:
     except FileNotFoundError:
         raise LearningError(f"{path}: no such file") from None
     except (SafetensorError, OSError) as error:
-        raise LearningError(f"{path}: not a whole safetensors file: {error}") from None
+        raise LearningError(f"{path}: corrupt or incomplete safetensors file: {error}") from None
     return weights
 
 

@@ -67,7 +67,11 @@ RECORD = (
         "rig.cli.replay",
         "play a session through the emulators and record it again; nothing moves",
     ),
-    Command("compare", "rig.cli.compare", "compare a mock session with the World's ground truth"),
+    Command(
+        "compare",
+        "rig.cli.compare",
+        "compare a mock session with the true forces of its simulated contact",
+    ),
     Command(
         "live",
         "rig.cli.live",

@@ -346,13 +346,13 @@ def _least_ahead(values: Floats, size: int) -> Floats:
 def _missing(steps: Floats, period: float) -> Floats:
     """Return the samples missing in each step (n,).
 
-    The fraction of a period that rounding leaves is carried to the next step, so that steps of one
+    The fraction of a period that rounding leaves is added to the next step, so that steps of one
     and a half periods each lose every third sample. It fades, so that a rate within `SLOW` of the
     declared one loses none.
     """
     beyond = np.minimum(np.maximum(steps, 0.0) / period, _MOST) - 1.0
     lost = np.zeros(len(beyond))
-    # No carried fraction exceeds that of steps summed up from any earlier one.
+    # No remainder exceeds that of steps summed up from any earlier one.
     sums = np.cumsum(beyond - SLOW)
     if (sums - np.minimum.accumulate(np.minimum(sums, 0.0))).max() + SLOW <= 0.5:
         return lost

@@ -469,7 +469,7 @@ def read_attrs(
     found = attrs.get("format_version")
     if type(found) is not int or not 0 < found <= version:
         raise SessionError(
-            f"{name}: found format_version {found}, this program reads up to {version}"
+            f"{name}: found format_version {found}, this program reads up to {version}; update it"
         )
     return attrs
 

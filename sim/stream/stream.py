@@ -23,7 +23,7 @@ from sim.sensors.field import EVEN_STEP, cubic_weights
 Array = NDArray[np.floating[Any]]
 
 
-class Carried(Clearance):
+class DraggedClearance(Clearance):
     """Gap to an indenter above material that has moved sideways by `drag` (2,) [m]."""
 
     def __init__(self, indenter: Indenter, grid: Grid, motion: Motion) -> None:
@@ -35,7 +35,7 @@ class Carried(Clearance):
         return super().at(tip - np.array([*self.drag, 0.0]))
 
 
-class CarriedPress(LayerPress):
+class DraggedPress(LayerPress):
     """Press of tier `layer` whose gap follows the sideways displacement of the contact.
 
     With small strains, the gap is measured above undeformed material. An indenter that drags its
@@ -46,8 +46,8 @@ class CarriedPress(LayerPress):
 
     def __init__(self, scene: Scene, grid: Grid, tolerance: float) -> None:
         super().__init__(scene, grid, tolerance)
-        self._carried = Carried(scene.indenter, grid, scene.motion)
-        self._clearance = self._carried
+        self._dragged = DraggedClearance(scene.indenter, grid, scene.motion)
+        self._clearance = self._dragged
 
     @property
     def shear(self) -> Array:
@@ -62,7 +62,7 @@ class CarriedPress(LayerPress):
         """Move the tip straight to `tip` (3,) [m] in `duration` [s], as `LayerPress.move`."""
         super().move(tip, duration)
         limit = self.grid.body.thickness
-        self._carried.drag = np.clip(self.shear, -limit, limit)
+        self._dragged.drag = np.clip(self.shear, -limit, limit)
 
 
 # A layer under an indenter whose tip follows commanded poses.
@@ -106,7 +106,7 @@ class LivePress:
         self.scene = Scene(still.indenter, self._anywhere(), body=body, effects=still.effects)
         """Sensor and indenter, with a motion that spans all poses."""
         check_known(self.scene, tolerance)
-        self._press = CarriedPress(self.scene, Grid(body, grid), tolerance)
+        self._press = DraggedPress(self.scene, Grid(body, grid), tolerance)
         self._rests = True
 
     @property

@@ -256,7 +256,7 @@ def test_loading_ends_where_the_tip_goes_aside(good: Result) -> None:
     assert loading(good) == [1, 2]
 
 
-# Classes, shrinking and the verb.
+# Classes, shrinking and the command.
 
 
 def _of(error: Exception | None, scene: Scene | None = None) -> SceneOutcome:

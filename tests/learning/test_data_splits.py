@@ -184,7 +184,7 @@ def test_an_unfinished_archive_is_refused(tmp_path: Path) -> None:
         ("{", "not JSON"),
         ("[1]", "found format"),
         ('{"format": "tactile-rig split", "format_version": 2}', "allowed: ('tactile-rig split'"),
-        ('{"format": "tactile-rig split", "format_version": 1}', "not a whole split"),
+        ('{"format": "tactile-rig split", "format_version": 1}', "corrupt or incomplete split"),
     ],
 )
 def test_other_files_are_refused(tmp_path: Path, content: str, message: str) -> None:

@@ -252,7 +252,7 @@ def test_damaged_weights_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "model.safetensors"
     save_weights(Net(8), path)
     path.write_bytes(path.read_bytes()[:100])
-    with pytest.raises(LearningError, match="not a whole safetensors file"):
+    with pytest.raises(LearningError, match="corrupt or incomplete safetensors file"):
         read_weights(path)
     with pytest.raises(LearningError, match="no such file"):
         read_weights(tmp_path / "none.safetensors")

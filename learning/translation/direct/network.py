@@ -243,6 +243,7 @@ class PatchDiscriminator(nn.Module):
             spectral_norm(nn.Conv2d(before, after, 4, stride=stride, padding=1))
             for (before, after), stride in zip(pairwise(widths), strides, strict=True)
         )
+        # Stored checkpoints have weights under this name.
         self.verdict = spectral_norm(nn.Conv2d(widths[-1], 1, 4, padding=1))
 
     def forward(self, images: Tensor, references: Tensor) -> Tensor:

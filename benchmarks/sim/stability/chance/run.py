@@ -45,7 +45,7 @@ class Told:
     outcome: SceneOutcome
     seconds: float
     plain: SceneOutcome | None = None
-    """Verdict of the simplified counter-example."""
+    """Outcome of the simplified counter-example."""
     stored: Path | None = None
     """Path of the counter-example."""
 
