@@ -503,7 +503,7 @@ def _add_output_options(parser: argparse.ArgumentParser) -> None:
         "[m]; traction [Pa]",
     )
     group.add_argument(
-        "--out", type=Path, metavar="PNG", help="picture to write (default: COMMAND-SHAPE.png)"
+        "--out", type=Path, metavar="PNG", help="picture to write (default: e.g. press-sphere.png)"
     )
     group.add_argument(
         "--save", type=Path, metavar="ZARR", help="save the whole result in this new Zarr directory"
