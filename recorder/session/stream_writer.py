@@ -322,9 +322,10 @@ class StreamWriter:
                 self._image.drop_last()
                 raise
         number = self.rows
-        self.rows += 1
-        with suppress(OSError):  # this row is stored; the next append tries again
-            self._hand_over()
+        self.rows = number + 1
+        if self._journal.full or (self._image is not None and self._image.full):
+            with suppress(OSError):  # this row is stored; the next append tries again
+                self._hand_over()
         return number
 
     def set_attrs(self, **attrs: Any) -> None:
@@ -376,8 +377,9 @@ class StreamWriter:
         full = self._journal.full
         if full:
             if self._spares:
-                take_over(self._spares.popleft(), self._layout, self.rows)
-            following = Journal(self._layout, self.rows, [])
+                following = take_over(self._spares.popleft(), self._layout, self.rows)
+            else:
+                following = Journal(self._layout, self.rows, [])
             self._full_journals.append(self._journal)
             self._journal = following
         # The next flush stores and seals them; before that only if there are many.

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import simplejpeg
 import zarr
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -190,6 +191,25 @@ def test_a_wrong_image_is_refused(codec: str, image: Any, message: str, tmp_path
         with pytest.raises(SessionError, match=message):
             stream.append(value=image, device_t=0.0, t_ns=1)
         assert stream.rows == 0
+
+
+def test_a_wrong_jpeg_after_right_ones_is_refused(tmp_path: Path) -> None:
+    def jpeg(value: int, side: int = 16) -> bytes:
+        data: bytes = simplejpeg.encode_jpeg(np.full((side, 16, 3), value, np.uint8))
+        return data
+
+    create_stream(tmp_path / "camera", camera_spec(60, height=16, width=16, codec="jpeg"))
+    right = jpeg(1)
+    cut = right[: right.index(b"\xff\xda")]  # before its coded picture
+    commented = right[:2] + b"\xff\xfe\x00\x06abcd" + right[2:]
+    accepted = [right, jpeg(200), commented, commented, right]
+    with StreamWriter.open(tmp_path / "camera") as stream:
+        for image in accepted:
+            stream.append(value=image, device_t=0.0, t_ns=1)
+            for wrong in (jpeg(1, side=32), cut, commented[:40], b"\x00" + image[1:]):
+                with pytest.raises(SessionError, match=r"found no JPEG|found JPEG 32x16"):
+                    stream.append(value=wrong, device_t=0.0, t_ns=1)
+    assert list(Stream(tmp_path / "camera").jpegs(range(5))) == accepted
 
 
 class SmallDisk:
