@@ -17,10 +17,11 @@ import numpy as np
 
 from recorder.errors import SessionError
 from recorder.store import images
+from recorder.store.growing import GrowingColumn
 from recorder.store.journal import CRC_BYTES, HEADER, record_matches
 from recorder.store.layout import Layout, decoded_rows
 from recorder.store.recent import RECENT, Kept
-from recorder.store.shard import MISSING, ShardIndex, open_index, read_shard_index
+from recorder.store.shard import MISSING, ShardIndex, read_shard_index
 
 Array = np.ndarray[Any, Any]
 
@@ -42,8 +43,8 @@ class ColumnReader:
         """Read the declared length; shards are opened only when needed."""
         self.layout = layout
         self.rows = layout.rows()
-        self.live = False
-        """True to read also from the shard that is still growing; set before the first read."""
+        self.growing: GrowingColumn | None = None
+        """Shards that are still growing, to be read too; set before the first read."""
         self._local = layout.files.local
         self._indices: Kept[ShardIndex] = Kept()
         self._decoded: Kept[Array] = Kept()
@@ -164,7 +165,9 @@ class ColumnReader:
             os.close(fd)
 
     def _opened(self, shard: int) -> int:
-        if self.live:  # the chunks of a growing shard stay in their places when it is sealed
+        if (
+            self.growing is not None
+        ):  # the chunks of a growing shard stay in their places when it is sealed
             with suppress(FileNotFoundError):
                 return os.open(self.layout.partial(shard), os.O_RDONLY)
         return os.open(self.layout.shard(shard), os.O_RDONLY)
@@ -188,17 +191,14 @@ class ColumnReader:
         return offset - HEADER.size, nbytes + HEADER.size
 
     def _shard_index(self, shard: int) -> ShardIndex:
+        growing = None if self.growing is None else self.growing.index(shard)
+        if growing is not None:
+            return growing
         nbytes = _ENTRY_BYTES * self.layout.chunks_per_shard
         index = self._indices.get(shard, nbytes)
         if index is None:
-            index = self._indices.put(shard, self._read_index(shard), nbytes)
+            index = self._indices.put(shard, read_shard_index(self.layout, shard), nbytes)
         return index
-
-    def _read_index(self, shard: int) -> ShardIndex:
-        if self.live:
-            with suppress(FileNotFoundError):
-                return open_index(self.layout, shard)
-        return read_shard_index(self.layout, shard)
 
     def _verified(self, index: ShardIndex, data: Any, nbytes: int, number: int) -> Any:
         crcs = index.crcs

@@ -348,11 +348,7 @@ class JournalledRows:
 
 def read_journals(layout: StreamLayout) -> JournalledRows | None:
     """Return the journalled rows, or None if there is no journal."""
-    found = sorted(
-        (int(path.name.removeprefix("journal-")), path)
-        for path in layout.time.path.glob("journal-*")
-        if path.name.removeprefix("journal-").isdecimal()
-    )
+    found = sorted(layout.journals().items())
     if not found:
         return None
     rows: list[bytes] = []

@@ -276,6 +276,12 @@ class StreamLayout:
         """
         return self.time.path / f"journal-{first_row}"
 
+    def journals(self) -> dict[int, Path]:
+        """Return the journals by the row at which they start."""
+        paths = self.time.path.glob("journal-*")
+        numbers = {path.name.removeprefix("journal-"): path for path in paths}
+        return {int(number): path for number, path in numbers.items() if number.isdecimal()}
+
     def attrs(self) -> dict[str, Any]:
         """Return the attributes of the group."""
         document = read_document(self.time.files, self.path / "zarr.json")

@@ -189,19 +189,6 @@ def read_shard_index(layout: Layout, number: int) -> ShardIndex:
     return ShardIndex(entries, ranges, crcs)
 
 
-def open_index(layout: Layout, number: int) -> ShardIndex:
-    """Return the index of the complete chunks of a growing shard.
-
-    Raises:
-        FileNotFoundError: It is not growing, or was just sealed.
-    """
-    records = scan_partial(layout, number)[0]
-    ranges = [(record.offset, record.nbytes) for record in records]
-    ranges += [(MISSING, MISSING)] * (layout.chunks_per_shard - len(ranges))
-    crcs = [record.crc for record in records] if layout.chunk_crc else None
-    return ShardIndex(np.array(ranges, np.uint64), ranges, crcs)
-
-
 def chunk_count(index: Index) -> int:
     """Return the number of chunks before the first missing one."""
     missing = np.flatnonzero(index[:, 0] == MISSING)
