@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from trajectories.moves import Plan, Point
+from trajectories.moves import Plan, Point, dome_height
 from trajectories.profile import distance, move_duration
 
 
@@ -26,6 +26,8 @@ class Limits:
     """Expected normal stiffness of the sensor under the indenter [N/m], to predict the force."""
     duration_max: float
     """Longest session [s]."""
+    dome_radius: float | None = None
+    """Radius of the sensor's spherical top [m]; None: flat. Depths are below the top."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +78,7 @@ def dry_run(plan: Plan, limits: Limits, *, speed: float, acceleration: float) ->
             moves += 1
     low = tuple(min(place[axis] for place in places) for axis in range(3))
     high = tuple(max(place[axis] for place in places) for axis in range(3))
-    depth = -low[2]
+    depth = max(dome_height(limits.dome_radius, x, y) - z for x, y, z in places)
     force = limits.stiffness * depth
     duration = recorded + unrecorded
     checks = (

@@ -232,7 +232,7 @@ class RecordedSensor:
             "location": location,
             "target": placed.first_target + target,
             "phase": recording.column("phase")[rows],
-            "depth": np.maximum(-position[:, 2], 0.0),
+            "depth": np.maximum(recording.surface()[rows] - position[:, 2], 0.0),
             "position": position[:, :2],
             "wrench": wrench,
             "frame": recording.number[rows],

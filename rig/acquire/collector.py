@@ -374,7 +374,7 @@ def _first_cause(error: BaseException, interrupt: InterruptFlag) -> BaseExceptio
 def seconds_per_target(bench: Bench, plan: Plan) -> float:
     """Return the predicted mean duration of a target [s], with travel and references."""
     arm = bench.arm
-    moving = dry_run(plan, bench.limits.plan, speed=arm.speed, acceleration=arm.acceleration)
+    moving = dry_run(plan, bench.plan_limits, speed=arm.speed, acceleration=arm.acceleration)
     points = len({target.point for target in plan.targets()})
     return (moving.duration + points * bench.preflight.point_window) / len(plan)
 

@@ -260,6 +260,9 @@ class AnalyticSpec:
     """None: forces depend on the tip's position only, not on its path."""
     noise: Noise | None = None
     """None: instruments without noise."""
+    dome_radius: float | None = field(default=None, metadata={"unit": "mm", "plausible": (5, 5000)})
+    """Radius of the spherical top of the layer [m]; None: flat. A contact is computed as on a flat
+    layer at the height of the top under the tip."""
 
     @property
     def camera_delay(self) -> float:
@@ -296,6 +299,9 @@ class SimulatedSpec:
     """Latency of the emulated camera [s]."""
     noise: Noise | None = None
     """None: instruments without noise."""
+    dome_radius: float | None = field(default=None, metadata={"unit": "mm", "plausible": (5, 5000)})
+    """Radius of the spherical top of the layer [m]; None: flat. The sensor is solved as it is,
+    flat, at the height of the top under the tip."""
 
     def __post_init__(self) -> None:
         if not 0 < self.rate_hz <= 500:

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from rig.core.clock import SECOND_NS
 from rig.core.geometry import invert, matrix_from_vector, transform
+from trajectories import dome_height
 
 Mode = Literal["guarded", "retreat", "travel"]
 Kind = Literal[
@@ -72,6 +73,9 @@ class GuardLimits:
     """Limit on the summed fractions of (Fxy, Tz) and (Fz, Txy); ATI's rule is 1.05. None: off."""
     axes_measured: tuple[str, ...] = tuple(name for name, _ in AXES)
     """Axes that the F/T sensor measures; values of the others are ignored, NaN or not."""
+    dome_radius: float | None = None
+    """Radius of the sensor's spherical top [m], from which the box's depth is measured; None:
+    flat."""
 
     def __post_init__(self) -> None:
         """Reject limits that would never trip, or always.
@@ -153,7 +157,9 @@ def outside_box(limits: GuardLimits, contact_frame: ArrayLike, position: ArrayLi
 
 def _box_reason(limits: GuardLimits, point: ArrayLike) -> str | None:
     found = np.asarray(point, np.float64).tolist()
-    for name, value, low, high in zip("xyz", found, *limits.box, strict=True):
+    (low_x, low_y, low_z), upper = limits.box
+    lower = (low_x, low_y, low_z + dome_height(limits.dome_radius, found[0], found[1]))
+    for name, value, low, high in zip("xyz", found, lower, upper, strict=True):
         # Negated, so that NaN is outside too.
         if not low <= value <= high:
             return (

@@ -20,7 +20,7 @@ from sim.scene import Body, Motion, Scene, from_target, press, through
 from sim.sensors import CameraSignal, SimulatedSensor, sensor
 from sim.simulate import plan as within
 from sim.simulate import simulate_many
-from trajectories import PHASES, ForceDepth, Point, PressShear, Target
+from trajectories import PHASES, ForceDepth, Point, PressShear, Target, with_order
 
 # A press that is simulated once, and those of its frames that become rows of an archive.
 
@@ -306,10 +306,22 @@ class DatasetPlan:
     def of(cls, document: Any, where: str = "plan") -> DatasetPlan:
         """Return the plan that `document()` stored; `where` names it in errors.
 
+        Trajectories without `order` are older than it, and keep the order of those days.
+
         Raises:
             SceneError: The document is not a plan.
         """
+        if isinstance(document, dict) and isinstance(sensors := document.get("sensors"), list):
+            document = {**document, "sensors": [_with_order(each) for each in sensors]}
         return from_json(cls, document, where)
+
+
+def _with_order(stored: Any) -> Any:
+    """Return a stored sensor whose trajectory states the order of its points."""
+    trajectory = stored.get("trajectory") if isinstance(stored, dict) else None
+    if not isinstance(trajectory, dict):
+        return stored
+    return {**stored, "trajectory": with_order(trajectory)}
 
 
 def names(sensor: SimulatedSensor) -> tuple[str, ...]:
@@ -440,8 +452,17 @@ def _target_press(
 
 @functools.lru_cache(maxsize=4096)
 def _motion(trajectory: PressShear, target: Target, steps: int, speed: float) -> Motion:
-    """Return the motion of a target, cached: all indenters and most sensors of a group share it."""
-    return from_target(trajectory, target, steps=steps, speed=speed)
+    """Return the motion of a target, cached: all indenters and most sensors of a group share it.
+
+    A body that is pressed as if it had a dome is flat: its top follows the dome from point to
+    point, so the tip's heights are those above the top at the point.
+    """
+    drop = trajectory.height(*target.origin[:2])
+    origin, bottom, sheared = (
+        (x, y, z - drop) for x, y, z in (target.origin, target.bottom, target.sheared)
+    )
+    flat = replace(target, origin=origin, bottom=bottom, sheared=sheared)
+    return from_target(trajectory, flat, steps=steps, speed=speed)
 
 
 def _force_depth(

@@ -106,6 +106,12 @@ class SimulatedSensor:
                     f"{self.name}.{name}.depth_max: {plan.depth_max:g} m; allowed: up to this "
                     f"sensor's depth_max, {self.depth_max:g} m"
                 )
+        domed = self.trajectory is not None and self.trajectory.dome_radius is not None
+        if domed and self.body.dome_radius is not None:
+            raise SceneError(
+                f"{self.name}.trajectory.dome_radius: found one beside body.dome_radius; allowed: "
+                "one of both, a flat body is pressed as if it lay at the height of the dome"
+            )
         if isinstance(self.signal, TaxelSignal):
             TaxelPad(self.body, self.signal)
             return

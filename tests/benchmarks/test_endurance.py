@@ -24,7 +24,7 @@ def test_the_plan_is_as_long_as_asked_and_no_longer_than_needed(tmp_path: Path) 
     bench, _ = load_bench(path)
     walked = dry_run(
         bench.trajectory,
-        bench.limits.plan,
+        bench.plan_limits,
         speed=bench.arm.speed,
         acceleration=bench.arm.acceleration,
     )

@@ -9,6 +9,7 @@ from rig.core.clock import FakeClock
 from rig.core.geometry import transform
 from rig.core.guard import AXES, Guard, GuardLimits, judge_safety, outside_box
 from rig.core.samples import FORCE_LATEST, POSE_LATEST
+from trajectories import dome_height
 
 RATING = (10.0, 11.0, 12.0, 0.1, 0.2, 0.3)
 BOX = ((-0.02, -0.03, -0.001), (0.02, 0.03, 0.1))
@@ -150,6 +151,16 @@ def test_each_face_of_the_box_holds(axis, face):
         assert violation.kind == "box"
         assert f"{'xyz'[axis]} = " in violation.reason
     assert check(guard, FakeClock(), place=outside, mode="retreat") is None
+
+
+def test_on_a_dome_the_box_is_as_deep_below_the_surface_everywhere():
+    domed = dataclasses.replace(LIMITS, dome_radius=0.029)
+    x, y = BOX[1][0] / 2, BOX[1][1] / 2
+    low = BOX[0][2] + dome_height(0.029, x, y)
+    assert low < BOX[0][2] - 0.005
+    assert outside_box(domed, FRAME, transform(FRAME, (x, y, low + 1e-6))) is None
+    assert "z = " in outside_box(domed, FRAME, transform(FRAME, (x, y, low - 1e-5)))
+    assert "z = " in outside_box(domed, FRAME, transform(FRAME, (0.0, 0.0, BOX[0][2] - 1e-5)))
 
 
 def test_a_target_outside_the_box_says_so_in_millimetres():

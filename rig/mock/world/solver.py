@@ -194,7 +194,9 @@ def emulate(settings: WorldConfig, clock: Clock) -> Served:
     live = live_sensor(spec, settings.indenter)
     shared = Shared(settings.folder, live)
     arm = SharedLatest.attach(settings.folder / ARM_FILE, ARM_TRUTH)
-    solver = Solver(live, ContactFrame(settings.contact_frame), arm, shared, spec, clock)
+    solver = Solver(
+        live, ContactFrame(settings.contact_frame, spec.dome_radius), arm, shared, spec, clock
+    )
 
     def conclude() -> int:
         shared.close()
