@@ -183,6 +183,11 @@ LEARN = (
         "translate, train, compensate and evaluate all pairs of an archive",
     ),
     Command(
+        "archive join",
+        "learning.cli.archive_join",
+        "join sensors of several archives: presses meet by place, depth and direction",
+    ),
+    Command(
         "import-genforce",
         "learning.cli.import_genforce",
         "make a marker archive of the published GenForce folders",
@@ -216,6 +221,7 @@ COMMANDS = {command.words: command for group in GROUPS.values() for command in g
 # First words of two-word commands.
 FAMILIES = {
     "session": "inspect, check and convert sessions and marker archives",
+    "archive": "join marker archives",
     "sim": "press rigid indenters into a soft layer; lengths in mm, forces in N",
     "train": "train translators and force models",
 }
