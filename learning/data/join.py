@@ -6,7 +6,7 @@ another order of points, numbers them otherwise. Place, depth and direction are 
 frames, at the ends of the phases; frames of presses that met are then paired phase by phase.
 
 A joined archive is a copy. Presses that met share a location; those that met none keep one of
-their own. Every press of an indenter is numbered anew, equally in all sensors.
+their own. The presses of an indenter are numbered again, equally in all sensors.
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ class Presses:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Differences:
-    """How far some presses are from others (p, q)."""
+    """Differences between some presses and others (p, q)."""
 
     indenter: NDArray[np.bool_]
     """True where the indenter is another."""
@@ -338,7 +338,7 @@ def _ambiguous(
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """What met between two sensors."""
+    """Presses of two sensors that met, and reasons of the others."""
 
     one: str
     other: str
@@ -456,7 +456,7 @@ class Joined:
     indenters: tuple[str, ...]
     """Names, by code."""
     pairs: tuple[Pair, ...]
-    """What met, for each two sensors."""
+    """Presses that met, for each two sensors."""
     tolerances: Tolerances
 
     def lines(self) -> Iterator[str]:

@@ -73,8 +73,7 @@ def test_groups_have_the_papers_targets_and_location_pairs(
 @pytest.mark.parametrize(
     ("bench", "row"),
     [
-        ("gelsight.yaml", "array-i"),
-        ("gelsight-material.yaml", "r6"),
+        *((f"{name}.yaml", name) for name in (*HOMOGENEOUS, *MATERIAL)),
         ("gelsight-hetero.yaml", "gelsight"),
         ("uskin.yaml", "uskin"),
         ("tacpalm.yaml", "tacpalm"),
