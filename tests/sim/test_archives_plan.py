@@ -186,7 +186,6 @@ def test_a_plan_survives_json(plan: DatasetPlan) -> None:
     assert differing(stored, plan.document()) == []
 
 
-
 def test_a_plan_stored_under_former_keys_is_the_same_plan() -> None:
     plan = group(("r6",), batch_size=162, fraction=0.3)
     stored = plan.document()
