@@ -18,6 +18,7 @@ from recorder.session import stream_writer
 from recorder.session.reader import Stream
 from recorder.store import journal
 from recorder.store.layout import StreamLayout, create_stream
+from recorder.store.tables import Table, write_table
 
 BLOCK = 64  # rows per journal at camera rates, and frames per image shard
 
@@ -86,6 +87,18 @@ def test_a_stream_longer_than_a_shard_of_small_columns_reads_back(tmp_path: Path
     np.testing.assert_array_equal(np.asarray(group["a"])[:, 1], -np.arange(rows))
     np.testing.assert_array_equal(np.asarray(group["b"]), np.arange(rows) / 2)
     np.testing.assert_array_equal(np.asarray(group["t_ns"]), np.arange(rows))
+
+
+@pytest.mark.parametrize("rows", [0, 1, 8192, 8193, 20_000])
+def test_a_table_of_any_length_reads_back(rows: int, tmp_path: Path) -> None:
+    numbers = np.arange(rows)
+    columns = {"row": numbers, "force": np.stack([numbers + 0.5, -numbers], axis=1)}
+    write_table(tmp_path / "table", columns, {})
+    table = Table.of_group(tmp_path / "table")
+    group = zarr.open_group(tmp_path / "table", mode="r")
+    for name, values in columns.items():
+        np.testing.assert_array_equal(table[name], values)
+        np.testing.assert_array_equal(np.asarray(group[name]), values)
 
 
 def test_a_dark_frame_is_stored_like_any_other(tmp_path: Path) -> None:
