@@ -543,10 +543,12 @@ def loss_lines(accounts: Mapping[str, Account]) -> list[str]:
 
 
 def unseen(account: Account) -> str:
-    """Return a note for a stream whose device does not tell of its losses."""
+    """Return a note for a stream whose device does not report its losses."""
     if account.source == ARRIVAL:
-        return "drops cannot be seen: they are inferred from arrivals and the declared rate"
-    return "drops cannot be seen: neither numbers, nor times that tell of them"
+        return (
+            "drops are inferred from arrivals and the declared rate: the device numbers no samples"
+        )
+    return "drops cannot be seen: the device gives neither numbers nor usable times"
 
 
 def is_compressed(attrs: Mapping[str, Any]) -> bool:

@@ -99,7 +99,7 @@ def notes_on(
     ]
     for name, device in description.items():
         if device.get("numbering", "device") != "device":
-            notes.append(f"{name}: drops cannot be seen: its device numbers no samples")
+            notes.append(f"{name}: drops are only inferred: the device numbers no samples")
     return notes
 
 

@@ -22,8 +22,6 @@ KINDS: dict[str, float] = {
     "tube": 1.5, "torus": 1.5, "bar": 2, "needle": 1, "polygon": 1.5, "composed": 2, "stl": 1.5,
     "plane": 0.3,
 }  # fmt: skip
-# Kinds without a recess, round or blunt enough for the mesh to resolve.
-CONVEX = {"sphere", "box", "punch", "cone", "rounded_cone", "bar"}
 # Maximum tilt [rad], just below the allowed 30 degrees.
 TILT_MAX = 0.5
 
