@@ -86,18 +86,19 @@ def dry_run(plan: Plan, limits: Limits, *, speed: float, acceleration: float) ->
         (low[1] < limits.box_y[0] or high[1] > limits.box_y[1], "y", low[1], high[1], limits.box_y),
     )
     broken = [
-        f"{axis}: {1e3 * a:.2f} to {1e3 * b:.2f} mm; allowed: {1e3 * c[0]:.2f} to {1e3 * c[1]:.2f}"
+        f"{axis}: {1e3 * a:.2f} to {1e3 * b:.2f} mm; "
+        f"allowed: {1e3 * c[0]:.2f} to {1e3 * c[1]:.2f} mm"
         for bad, axis, a, b, c in checks
         if bad
     ]
     if depth > limits.depth_max + 1e-9:
-        broken.append(f"depth: {1e3 * depth:.3f} mm; allowed: {1e3 * limits.depth_max:.3f}")
+        broken.append(f"depth: {1e3 * depth:.3f} mm; allowed: {1e3 * limits.depth_max:.3f} mm")
     if high[2] > limits.height_max + 1e-9:
-        broken.append(f"height: {1e3 * high[2]:.2f} mm; allowed: {1e3 * limits.height_max:.2f}")
+        broken.append(f"height: {1e3 * high[2]:.2f} mm; allowed: {1e3 * limits.height_max:.2f} mm")
     if force > limits.force_rating:
-        broken.append(f"force: {force:.1f} N expected; allowed: {limits.force_rating:.1f}")
+        broken.append(f"force: {force:.1f} N expected; allowed: {limits.force_rating:.1f} N")
     if duration > limits.duration_max:
-        broken.append(f"duration: {duration:.0f} s; allowed: {limits.duration_max:.0f}")
+        broken.append(f"duration: {duration:.0f} s; allowed: {limits.duration_max:.0f} s")
     return DryRun(
         targets=len(plan),
         moves=moves,
