@@ -31,6 +31,8 @@ class Frames:
     """Columns of `recorder.archive.GIVEN`."""
     source: Sequence[str]
     """Provenance of each row."""
+    displacement: NDArray[np.float16] | None = None
+    """Displacement fields (n, *lattice.shape) [px], if the sensor's plan has a lattice."""
 
 
 class SensorFrames(Protocol):
@@ -86,7 +88,11 @@ def fill_archive(
             rows = _rows(writer, name, unit)
             frames = sensor.read(rows)
             writer.sensors[name].write(
-                unit, packed=frames.packed, table=frames.table, source=frames.source
+                unit,
+                packed=frames.packed,
+                table=frames.table,
+                source=frames.source,
+                displacement=frames.displacement,
             )
             made += rows.stop - rows.start
             progress(total - todo + made, total)

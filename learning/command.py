@@ -76,3 +76,11 @@ def named_number(text: str) -> tuple[str, float]:
         return name, float(number)
     except ValueError:
         raise argparse.ArgumentTypeError(f"found {text!r}; allowed: NAME=NUMBER") from None
+
+
+def named_path(text: str) -> tuple[str, Path]:
+    """Read NAME=PATH."""
+    name, _, path = text.partition("=")
+    if not name or not path:
+        raise argparse.ArgumentTypeError(f"found {text!r}; allowed: NAME=PATH")
+    return name, Path(path)

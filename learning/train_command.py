@@ -39,7 +39,7 @@ def run_training(
     train: Callable[[Session], Iterable[str] | None],
     *,
     reading: str = "images",
-    facts: Mapping[str, Any] | None = None,
+    metadata: Mapping[str, Any] | None = None,
 ) -> int:
     """Begin or resume a run, train, and print the result.
 
@@ -51,7 +51,7 @@ def run_training(
         train: Reads the data, trains, and finishes the run unless it was stopped. Returns lines to
             print at the end, or None for the default line.
         reading: Name of the items that are counted while data is read.
-        facts: Values known before training that are needed to use the model.
+        metadata: Values known before training that are needed to use the model.
 
     Returns:
         The exit code: 0, or `EXIT_INTERRUPTED`.
@@ -62,7 +62,13 @@ def run_training(
     launched = accelerator(settings.launch)
     writes = launched.is_main_process
     with RunFolder.open(
-        options.out, kind, settings, " ".join(data), options.resume, facts=facts, writes=writes
+        options.out,
+        kind,
+        settings,
+        " ".join(data),
+        options.resume,
+        metadata=metadata,
+        writes=writes,
     ) as run:
         if run.finished:
             print(f"{options.out}: is finished")

@@ -32,7 +32,7 @@ CODES = {
 # Codes of the notes on a session: limits of what it can tell, which are no faults of its data.
 NOTES: dict[str, str] = {
     "uncalibrated": "a signal whose latency was not measured: an interval is assumed",
-    "drops-unseen": "a device that tells neither numbers nor times: drops cannot be seen",
+    "drops-unseen": "a device without numbers and times: drops are inferred, or not seen",
     "sealed-later": "a manifest that was lost and made again: earlier changes cannot be seen",
     "not-sealed": "a run without a manifest that would show a removed or changed file",
 }

@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 QUIET = 2.0
 # Time between lines, and between looks of the thread that draws [s].
 LINE_EVERY, LOOK_EVERY = 10.0, 0.25
-# Share that must be done before the remaining time is estimated from it.
+# Fraction that must be done before the remaining time is estimated from it.
 ESTIMATE_FROM = 0.01
 
 
 class Progress:
-    """Context manager that is called with the share done, 0 to 1, and shows it while it is open.
+    """Context manager that is called with the fraction done, 0 to 1, and shows it while it is open.
 
     A daemon thread draws, so the elapsed time advances while the caller computes; without it
     (`threaded=False`, for measurements) calls draw. The bar is wiped at the end. Standard output is
@@ -66,11 +66,11 @@ class Progress:
             threading.Thread(target=self._watch, name="progress", daemon=True) if threaded else None
         )
 
-    def __call__(self, share: float) -> None:
-        """Store the share done, 0 to 1; a smaller share than before restarts the estimate."""
-        if self._origin is None or share < self._share:
-            self._origin = self._clock(), share
-        self._share = share
+    def __call__(self, fraction: float) -> None:
+        """Store the fraction done, 0 to 1; a smaller fraction than before restarts the estimate."""
+        if self._origin is None or fraction < self._share:
+            self._origin = self._clock(), fraction
+        self._share = fraction
         if self._thread is None:
             self.look()
 
@@ -112,7 +112,7 @@ class Progress:
         return self.name
 
     def _state(self, spent: str) -> str:
-        """Return the share done, the elapsed and the remaining time."""
+        """Return the fraction done, the elapsed and the remaining time."""
         if self._origin is not None:
             return f"{100 * self._share:.0f} %, {spent}{self._left()}"
         if self._compiled() > self._known:

@@ -3,9 +3,10 @@
 A field whose metadata has a `unit` is written in that unit in files, under a key that ends with
 it: `depth_max` with unit mm is `depth_max_mm`. Values in memory are SI. A field with metadata
 `pose` is written as a `Pose`. Metadata `plausible` is the range of a field's magnitude in the unit
-of the file, unless it is 0: a value outside it is probably in another unit, and refused. Where a
-field may be one of several dataclasses, the key `kind` names one by its `KIND`. Every error states
-file, key, the value found, and the allowed ones.
+of the file, unless it is 0: a value outside it is probably in another unit, and refused. Metadata
+`formerly` is a field's key in older files, which is still read. Where a field may be one of several
+dataclasses, the key `kind` names one by its `KIND`. Every error states file, key, the value found,
+and the allowed ones.
 """
 
 from __future__ import annotations
@@ -89,6 +90,15 @@ class Pose:
         return (*self.position, *self.rotation)
 
 
+def current_keys(kind: Any, content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a mapping for the dataclass `kind`, with the keys of older files renamed."""
+    content = dict(content)
+    for each in dataclasses.fields(kind):
+        if (old := each.metadata.get("formerly")) in content and each.name not in content:
+            content[each.name] = content.pop(old)
+    return content
+
+
 @dataclass(frozen=True, slots=True)
 class Reader:
     """Builds dataclasses from mappings, and describes the mappings as JSON Schemas."""
@@ -142,7 +152,7 @@ class Reader:
             raise self.error(
                 f"{where}: found {describe(content)}; allowed: a mapping of keys to values"
             )
-        content = dict(content)
+        content = current_keys(kind, content)
         word = getattr(kind, "KIND", None)
         if word is not None and (found := content.pop("kind", word)) != word:
             raise self.error(f"{where}.kind: found {found!r}; allowed: {word}")

@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
-# Share of the largest traction of a frame below which it does not count as contact.
+# Fraction of the largest traction of a frame below which it does not count as contact.
 FAINT = 0.02
 
 

@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 # Largest slope of a force over depth, over force / depth: 1 for a flat punch, 1.5 for a sphere, 2
 # for a cone, more as the layer fills up.
 STIFFENING = 3.0
-# Largest change of the force by friction, as a share, over its coefficient: 1 on a flat contact.
+# Largest change of the force by friction, as a fraction, over its coefficient: 1 on a flat contact.
 ALONG = 3.0
 # Coefficient above which friction has no bound: its effect may be of any size.
 SLIPPERY = 0.01
@@ -39,7 +39,7 @@ SLIPPERY = 0.01
 class Change:
     """Difference between two solutions of one scene; F frames."""
 
-    share: tuple[float, ...]
+    fraction: tuple[float, ...]
     """Change of the force along x, y or z of each frame, over `sim.metrics.force_scale` (F,)."""
     force: float
     """Largest change of the force along x, y or z [N]."""
@@ -47,18 +47,18 @@ class Change:
     """Root mean square of the distances between 14 x 14 markers' images, largest frame [px]."""
 
     def value(self, kind: str) -> float:
-        """Return the number that a tolerance of `kind` ("share", "force", "marker") limits."""
-        return max(self.share, default=0.0) if kind == "share" else float(getattr(self, kind))
+        """Return the number that a tolerance of `kind` ("fraction", "force", "marker") limits."""
+        return max(self.fraction, default=0.0) if kind == "fraction" else float(getattr(self, kind))
 
     def times(self, factor: float) -> Change:
         """Return the change scaled by `factor`."""
-        share = tuple(factor * one for one in self.share)
-        return Change(share, factor * self.force, factor * self.marker)
+        fraction = tuple(factor * one for one in self.fraction)
+        return Change(fraction, factor * self.force, factor * self.marker)
 
     def plus(self, other: Change) -> Change:
         """Return the sum of both changes."""
-        share = tuple(a + b for a, b in zip(self.share, other.share, strict=True))
-        return Change(share, self.force + other.force, self.marker + other.marker)
+        fraction = tuple(a + b for a, b in zip(self.fraction, other.fraction, strict=True))
+        return Change(fraction, self.force + other.force, self.marker + other.marker)
 
 
 def no_change(scene: Scene) -> Change:
@@ -82,8 +82,8 @@ class _Layer:
 
     def change(self, newton: Array, pixels: float) -> Change:
         """Return the change for forces that change by `newton` (F,) and markers by `pixels`."""
-        share = tuple(float(one) for one in newton / self.scale)
-        return Change(share, float(newton.max(initial=0.0)), pixels)
+        fraction = tuple(float(one) for one in newton / self.scale)
+        return Change(fraction, float(newton.max(initial=0.0)), pixels)
 
     @property
     def width(self) -> float:
@@ -158,7 +158,7 @@ def _friction(scene: Scene, layer: _Layer) -> Change:
 
 
 def _viscosity(scene: Scene, layer: _Layer) -> Change:
-    """Bound overstress: each branch adds its share of all changes of force not yet relaxed.
+    """Bound overstress: each branch adds its fraction of all changes of force not yet relaxed.
 
     Within a segment the force changes as in `layer`, and under a sliding contact the skin is loaded
     and unloaded once per width. A branch keeps exp(-t / time) of a change, and the mean of that for

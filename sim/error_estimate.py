@@ -73,16 +73,16 @@ def with_estimate(result: Result) -> Result:
     return replace(result, record={**result.record, "error": error})
 
 
-def measured(result: Result, share: Array, by: str, **more: Any) -> dict[str, Any]:
+def measured(result: Result, fraction: Array, by: str, **more: Any) -> dict[str, Any]:
     """Return the entry `record["error"]` if a second mesh was solved.
 
     Args:
         result: Result that the error belongs to.
-        share: Error of the force of each frame (F,), over the force.
+        fraction: Error of the force of each frame (F,), over the force.
         by: Method of the measurement, in words.
         more: Further entries.
     """
-    return {**_told(result, "measured", share, by), **more}
+    return {**_told(result, "measured", fraction, by), **more}
 
 
 def fineness_of(result: Result) -> Array:
@@ -122,17 +122,19 @@ def _of_elements(result: Result) -> dict[str, Any]:
     for stage in result.record.get("stages", []):
         layers[: stage["waypoints"]] = stage["mesh"]["cells"][2]
     # Quadratic where the contact is resolved, linear where it is barely resolved.
-    share = PER_SQUARE / (np.maximum(fineness, RESOLVED) * fineness)
-    share = share + squeeze(result.scene, result.quality.contact_width) / layers**2
+    fraction = PER_SQUARE / (np.maximum(fineness, RESOLVED) * fineness)
+    fraction = fraction + squeeze(result.scene, result.quality.contact_width) / layers**2
     edge, finest = result.scene.indenter.sharpest, result.record["mesh"].get("finest", 0.0)
-    share = share + min(EDGE_MOST, PER_EDGE * (finest / max(edge, 1e-9)) ** 2)
+    fraction = fraction + min(EDGE_MOST, PER_EDGE * (finest / max(edge, 1e-9)) ** 2)
     pressed = np.array([point[2] < 0 for point in result.scene.motion.tip])
-    error = _told(result, "estimated", _weighed(result, share), "how finely the contact is meshed")
+    error = _told(
+        result, "estimated", _weighed(result, fraction), "how finely the contact is meshed"
+    )
     missed = pressed & ~result.force.any(axis=1) & (result.quality.overlap > 0)
     if missed.any():
         error["force"] = [
-            1.0 if one else share
-            for one, share in zip(missed.tolist(), error["force"], strict=True)
+            1.0 if one else fraction
+            for one, fraction in zip(missed.tolist(), error["force"], strict=True)
         ]
         error["percent"] = 100.0
     return error
@@ -141,12 +143,12 @@ def _of_elements(result: Result) -> dict[str, Any]:
 def _of_layer(result: Result) -> dict[str, Any]:
     body = result.scene.body
     deep = np.maximum(-np.array(result.scene.motion.tip)[:, 2], 0.0) / body.thickness
-    share = LAYER_LEAST + LAYER_PER_DEPTH * deep
+    fraction = LAYER_LEAST + LAYER_PER_DEPTH * deep
     width = np.maximum(result.quality.contact_width, 1e-12)
     pixels = LAYER_PER_PIXEL * pixel_of(result) / width
-    share = share + np.where(result.force.any(axis=1), pixels, 0.0)
-    share = np.maximum(_weighed(result, share), _missed(result))
-    error = _told(result, "estimated", share, "depth over thickness, and pixels")
+    fraction = fraction + np.where(result.force.any(axis=1), pixels, 0.0)
+    fraction = np.maximum(_weighed(result, fraction), _missed(result))
+    error = _told(result, "estimated", fraction, "depth over thickness, and pixels")
     if body.rim < RIM_UNEVEN * body.thickness:
         return {
             "status": "none",
@@ -181,23 +183,23 @@ def _missed(result: Result) -> Array:
     return found
 
 
-def _weighed(result: Result, share: Array) -> Array:
-    """Convert shares of each frame's force to shares of it or of `WEAK` of the largest one."""
+def _weighed(result: Result, fraction: Array) -> Array:
+    """Convert fractions of each force to fractions of it or of `WEAK` of the largest one."""
     force = np.linalg.norm(result.force, axis=1)
     least = WEAK * float(force.max(initial=0.0))
     if least <= 0:
-        return np.where(np.isfinite(share), share, 0.0)
-    found = np.where(np.isfinite(share), share, 0.0)
+        return np.where(np.isfinite(fraction), fraction, 0.0)
+    found = np.where(np.isfinite(fraction), fraction, 0.0)
     return np.where(force >= least, found, found * np.maximum(force, 1e-3 * least) / least)
 
 
-def _told(result: Result, status: str, share: Array, by: str) -> dict[str, Any]:
-    share = np.minimum(np.maximum(share, vanishing_share(result)), 1.0)
+def _told(result: Result, status: str, fraction: Array, by: str) -> dict[str, Any]:
+    fraction = np.minimum(np.maximum(fraction, vanishing_share(result)), 1.0)
     return {
         "status": status,
         "by": by,
-        "percent": float(100 * share.max(initial=0.0)),
-        "force": [float(f"{one:.4g}") for one in share],
+        "percent": float(100 * fraction.max(initial=0.0)),
+        "force": [float(f"{one:.4g}") for one in fraction],
     }
 
 

@@ -100,13 +100,13 @@ def extrapolated(coarse: Result, fine: Result) -> Result:
     ratio = cells[1] / cells[0]
     more = (fine.wrench - coarse.wrench) * left_of_difference(ratio)
     largest = float(np.linalg.norm(fine.force, axis=1).max())
-    share = float(np.linalg.norm(more[:, :3], axis=1).max()) / largest if largest > 0 else 0.0
+    fraction = float(np.linalg.norm(more[:, :3], axis=1).max()) / largest if largest > 0 else 0.0
     found = with_symmetry(replace(fine, wrench=fine.wrench + more))
     apart = np.abs(fine.force - coarse.force).max(axis=1) / force_scale(found.force)
     error = unknown_at_side(fine, measured=True) or measured(
         found, apart * most_of_difference(coarse, ratio), "two meshes, extrapolated"
     )
-    how = {"order": ORDER, "cells": cells, "force_share": share}
+    how = {"order": ORDER, "cells": cells, "force_share": fraction}
     return replace(found, record={**found.record, "extrapolated": how, "error": error})
 
 

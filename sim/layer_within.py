@@ -42,7 +42,7 @@ def worth_a_look(scene: Scene, wanted: Tolerance) -> bool:
     least = LAYER_LEAST + LAYER_PER_DEPTH * scene.motion.depth_max / body.thickness
     return (
         wanted.kind != "marker"
-        and (wanted.kind != "share" or least <= wanted.value)
+        and (wanted.kind != "fraction" or least <= wanted.value)
         and not scene.effects.key
         and body.dome_radius is None
         and body.footprint == "rectangle"
@@ -63,7 +63,7 @@ def solved_by_layer(
     Args:
         scene: Scene to simulate.
         wanted: Tolerance.
-        progress: Called with the share done, 0 to 1.
+        progress: Called with the fraction done, 0 to 1.
 
     Raises:
         SceneError: The scene is not supported by `layer`.
@@ -77,7 +77,7 @@ def solved_by_layer(
     result = replace(result, record={**result.record, "error": {**error, "newton": newton}})
     if wanted.kind == "marker":
         return result, np.inf, "layer: error of markers not known, only that of the force"
-    value = error["percent"] / 100 if wanted.kind == "share" else newton
+    value = error["percent"] / 100 if wanted.kind == "fraction" else newton
     return result, value, f"layer: {with_unit(wanted.kind, value)}, estimated"
 
 

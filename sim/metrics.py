@@ -105,8 +105,8 @@ MARKERS = 14
 
 def marker_places(body: Body) -> tuple[Array, Array]:
     """Return x (14,) and y (14,) of the regular grid of markers on the undeformed top [m]."""
-    share = (np.arange(MARKERS) + 0.5) / MARKERS - 0.5
-    return share * body.size_x, share * body.size_y
+    fraction = (np.arange(MARKERS) + 0.5) / MARKERS - 0.5
+    return fraction * body.size_x, fraction * body.size_y
 
 
 def seen(place: Array) -> Array:
@@ -126,7 +126,7 @@ Array = NDArray[np.float64]
 POINTS = 121
 
 
-# Share of the largest force below which a frame's error is no longer divided by its own force.
+# Fraction of the largest force below which a frame's error is no longer divided by its own force.
 WEAK = 0.1
 
 
@@ -167,13 +167,13 @@ def compare(outcome: Outcome, reference: Outcome, body: Body) -> Errors:
         ValueError: The numbers of frames differ, or points are beyond the body.
     """
     check_same(outcome, reference, body)
-    force, share = force_errors(outcome, reference)
+    force, fraction = force_errors(outcome, reference)
     frames = range(len(force))
     surface = np.array([_surface_errors(outcome, reference, frame) for frame in frames]).T
     pixels = marker_errors(outcome, reference, body)
     return Errors(
         force=force,
-        force_share=share,
+        force_share=fraction,
         surface=surface[0],
         surface_rms=surface[1],
         outside=surface[2],
@@ -207,12 +207,12 @@ def marker_pixels(outcome: Outcome, body: Body) -> Array:
     x, y = marker_places(body)
     rest = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
     height = body.heights(x, y)
-    untouched = np.concatenate([rest, height[..., None]], axis=-1)
+    undeformed = np.concatenate([rest, height[..., None]], axis=-1)
     inner_x = np.clip(x, outcome.surface_x[0], outcome.surface_x[-1])
     inner_y = np.clip(y, outcome.surface_y[0], outcome.surface_y[-1])
     frames = range(len(outcome.force))
     return np.stack(
-        [seen(untouched + _displacement(outcome, frame, inner_x, inner_y)) for frame in frames]
+        [seen(undeformed + _displacement(outcome, frame, inner_x, inner_y)) for frame in frames]
     )
 
 
@@ -257,10 +257,10 @@ def _largest(values: Array) -> float:
 
 # Error that a user accepts: "2 %", "0.05 N" or "0.5 px".
 
-Kind = Literal["share", "force", "marker"]
+Kind = Literal["fraction", "force", "marker"]
 ALLOWED = 'a number above 0 with its unit: "2 %", "0.05 N" or "0.5 px"'
 _UNITS: dict[str, tuple[Kind, float]] = {
-    "%": ("share", 0.01),
+    "%": ("fraction", 0.01),
     "N": ("force", 1.0),
     "mN": ("force", 1e-3),
     "px": ("marker", 1.0),
@@ -271,9 +271,9 @@ _UNITS: dict[str, tuple[Kind, float]] = {
 class Tolerance:
     """Largest accepted error at any frame.
 
-    `share`: |F_i - Ftrue_i| along x, y or z over max(|Ftrue| of the frame, a tenth of the largest);
-    `force`: |F_i - Ftrue_i| [N]; `marker`: root mean square of the distances between 14 x 14
-    markers' images and their true positions [px], in the paper's camera.
+    `fraction`: |F_i - Ftrue_i| along x, y or z over max(|Ftrue| of the frame, a tenth of the
+    largest); `force`: |F_i - Ftrue_i| [N]; `marker`: root mean square of the distances between 14 x
+    14 markers' images and their true positions [px], in the paper's camera.
     """
 
     kind: Kind
@@ -303,17 +303,17 @@ def tolerance_of(text: str) -> Tolerance:
 
 def with_unit(kind: Kind, value: float) -> str:
     """Return a value of a kind with its unit."""
-    if kind == "share":
+    if kind == "fraction":
         return f"{100 * value:.3g} %"
     return f"{value:.3g} {'N' if kind == 'force' else 'px'}"
 
 
 def worst_errors(one: Outcome, other: Outcome, body: Body) -> dict[Kind, float]:
     """Return the largest differences of two outcomes by kind, in its unit: 1, N, px."""
-    force, share = force_errors(one, other)
+    force, fraction = force_errors(one, other)
     pixels = marker_errors(one, other, body)
     return {
-        "share": float(share.max()),
+        "fraction": float(fraction.max()),
         "force": float(force.max()),
         "marker": float(np.sqrt(np.mean(pixels**2, axis=1)).max()),
     }

@@ -35,7 +35,7 @@ from sim.tolerance import FLOOR, Only, simulate_within
 
 Progress = Callable[[float], None]
 
-# Share of a tolerance that left-out effects may use; the rest is for the mesh.
+# Fraction of a tolerance that left-out effects may use; the rest is for the mesh.
 PART = 1 / 3
 # Largest error by leaving out effects on a finer mesh over that of the probes: up to 1.34 in 22
 # random scenes, except for one whose error was below `NOISE` (`python -m benchmarks needed`).
@@ -43,10 +43,10 @@ SAFETY = 1.5
 # Least error of a force, over the force, that probes resolve: their states are found along
 # different steps, and with a remaining penetration.
 NOISE = 5e-4
-# Share of that part below which a bound makes a probe unnecessary.
+# Fraction of that part below which a bound makes a probe unnecessary.
 BOUND_PART = 0.1
 # Such limits without a tolerance: a tenth of the resolution of a force by two meshes, and pixels.
-NEGLIGIBLE: dict[Kind, float] = {"share": 1e-4, "marker": 0.01}
+NEGLIGIBLE: dict[Kind, float] = {"fraction": 1e-4, "marker": 0.01}
 # Fineness and most elements of the probes' meshes.
 FINENESS, ELEMENTS_MAX = 0.3, 1500
 # Tolerances of the probes' states, at and between waypoints: they change an influence by less than
@@ -69,7 +69,7 @@ class EffectWorth:
     change: Change | None = None
     """None if the probe found no solution."""
     time: float | None = None
-    """Share of the run's time that the effect takes: 1 - work without it / work with it. Work is
+    """Fraction of the run's time that the effect takes: 1 - work without it / work with it. Work is
     iterations of the linear solver and 50 for each Newton iteration of the probes. Negative if the
     scene is harder without it; None if no probe ran without it."""
     omitted: bool = False
@@ -91,7 +91,7 @@ class EffectsPlan:
     joint_by: str
     """Source of the error: `nothing left out`, `bounds`, `probe`, or `probe and bounds`."""
     time: float | None = None
-    """Share of the run's time that is saved; as in `EffectWorth`."""
+    """Fraction of the run's time that is saved; as in `EffectWorth`."""
     probes: int = 0
     """Number of scenes that were solved for the plan."""
     seconds: float = 0.0
@@ -116,7 +116,7 @@ class EffectsPlan:
         )
 
     def record(self) -> dict[str, Any]:
-        """Return the plan as plain JSON values; shares of force and time are in percent."""
+        """Return the plan as plain JSON values; fractions of force and time are in percent."""
         return {
             "asked": to_json(self.scene.effects),
             "kept": list(self.needed.effects.key),
@@ -151,7 +151,7 @@ class EffectsPlan:
         ]
         for one in reversed(self.effects):
             less = "< " if one.by == "bound" and one.change and one.change.force > 0 else ""
-            kinds: tuple[Kind, ...] = ("share", "force", "marker")
+            kinds: tuple[Kind, ...] = ("fraction", "force", "marker")
             changes = ["?"] * 3
             if one.change is not None:
                 changes = [less + with_unit(kind, one.change.value(kind)) for kind in kinds]
@@ -234,7 +234,7 @@ def simulate_needed(
         tolerance: Such as "2 %", "0.05 N", "0.5 px".
         tier: As in `simulate_within`; None is `fem` if effects are left out.
         device: Device to run on.
-        progress: Called with the share done, 0 to 1, of each mesh in turn.
+        progress: Called with the fraction done, 0 to 1, of each mesh in turn.
 
     Raises:
         SceneError: The tolerance is invalid, or the finest mesh allowed does not reach it.
@@ -263,16 +263,16 @@ def simulate_needed(
 def _with_both_errors(result: Result, found: EffectsPlan, wanted: Tolerance) -> Result:
     """Return the mesh's result with the sum of its error and that of the effects."""
     mesh, joint = result.record["error"], found.joint
-    share = [a + b for a, b in zip(mesh["force"], joint.share, strict=True)]
+    fraction = [a + b for a, b in zip(mesh["force"], joint.fraction, strict=True)]
     error = {
         **mesh,
         "by": f"{mesh['by']}; effects left out: {found.joint_by}",
-        "percent": mesh["percent"] + 100 * joint.value("share"),
-        "force": share,
+        "percent": mesh["percent"] + 100 * joint.value("fraction"),
+        "force": fraction,
         "newton": mesh["newton"] + joint.force,
         **({"marker": mesh["marker"] + joint.marker} if "marker" in mesh else {}),
         "mesh_percent": mesh["percent"],
-        "effects_percent": 100 * joint.value("share"),
+        "effects_percent": 100 * joint.value("fraction"),
     }
     plan = result.record["plan"]
     plan = {
@@ -287,7 +287,7 @@ def _with_both_errors(result: Result, found: EffectsPlan, wanted: Tolerance) -> 
 def part_of_tolerance(tolerance: Tolerance) -> float:
     """Return the part of a tolerance that left-out effects may use, in its unit."""
     part = PART * tolerance.value
-    if tolerance.kind == "share":
+    if tolerance.kind == "fraction":
         part = min(part, tolerance.value - FLOOR)
     return float(max(part, 0.0))
 
@@ -299,7 +299,7 @@ def _in_words(tolerance: Tolerance) -> str:
 def _text(kind: Kind, value: float) -> str:
     """Return a tolerance as text, rounded down to four digits."""
     number, unit = {
-        "share": (100 * value, "%"),
+        "fraction": (100 * value, "%"),
         "force": (value, "N"),
         "marker": (value, "px"),
     }[kind]
@@ -309,7 +309,7 @@ def _text(kind: Kind, value: float) -> str:
 
 def _numbers(change: Change) -> dict[str, float]:
     return {
-        "percent": 100 * change.value("share"),
+        "percent": 100 * change.value("fraction"),
         "newton": change.force,
         "marker": change.marker,
     }
@@ -360,7 +360,7 @@ class _Draft:
         return _between(whole, less)
 
     def time(self, names: Names) -> float | None:
-        """Return the share of the work that `names` take; None if a probe found no solution."""
+        """Return the fraction of the work that `names` take; None if a probe found no solution."""
         whole, less = self.solved.get(frozenset()), self.solved.get(names)
         if not (isinstance(whole, Result) and isinstance(less, Result)):
             return None
@@ -373,14 +373,14 @@ class _Draft:
             total = total.plus(change)
         if not names:
             return total
-        found = self.change(self._together(names))
+        found = self.change(self._all_of(names))
         if found is None:
             return None
         force = np.linalg.norm(self._whole().force, axis=1)
         found = found.times(SAFETY)
-        least = np.maximum(found.share, NOISE * (force > 0))
+        least = np.maximum(found.fraction, NOISE * (force > 0))
         found = Change(
-            share=tuple(least.tolist()),
+            fraction=tuple(least.tolist()),
             force=max(found.force, NOISE * float(force.max())),
             marker=found.marker,
         )
@@ -392,7 +392,7 @@ class _Draft:
         assert isinstance(whole, Result)
         return whole
 
-    def _together(self, names: Names) -> Names:
+    def _all_of(self, names: Names) -> Names:
         """Return the effects that the probe of `names` omits: for several, bounded ones too."""
         return names if len(names) < 2 else names | frozenset(self.bounded)
 
@@ -416,8 +416,8 @@ class _Draft:
         self.queue = []
         while self.candidates:
             first = self.candidates[0]
-            if self._together(first) not in self.solved:
-                self.queue = [self._together(first)]
+            if self._all_of(first) not in self.solved:
+                self.queue = [self._all_of(first)]
                 return
             if self._fits(first):
                 self.chosen, self.candidates = first, []
@@ -426,7 +426,7 @@ class _Draft:
 
     def ordered(self) -> list[str]:
         """Return the probed effects, least influence first; those without a solution last."""
-        kind: Kind = "share" if self.wanted is None else self.wanted.kind
+        kind: Kind = "fraction" if self.wanted is None else self.wanted.kind
 
         def worth(name: str) -> float:
             change = self.change(frozenset({name}))
@@ -453,7 +453,7 @@ class _Draft:
             effects=tuple(each),
             joint=no_change(self.scene) if joint is None else joint,
             joint_by=" and ".join(filter(None, (probed, bounds))) or "nothing left out",
-            time=self.time(self._together(self.chosen)) if self.chosen else None,
+            time=self.time(self._all_of(self.chosen)) if self.chosen else None,
             probes=len(self.solved),
             seconds=self.seconds,
         )
@@ -491,10 +491,10 @@ def _solve(
 def _between(whole: Result, less: Result) -> Change:
     """Return the difference of the probe without an effect from the one with it."""
     one, reference = outcome_of(less), outcome_of(whole)
-    force, share = force_errors(one, reference)
+    force, fraction = force_errors(one, reference)
     pixels = marker_errors(one, reference, whole.scene.body)
     return Change(
-        share=tuple(float(most) for most in share.max(axis=1)),
+        fraction=tuple(float(most) for most in fraction.max(axis=1)),
         force=float(force.max()),
         marker=float(np.sqrt(np.mean(pixels**2, axis=1)).max()),
     )

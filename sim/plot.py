@@ -24,8 +24,9 @@ Array = NDArray[np.float64]
 
 # Least number of points along each side to which the surface is refined before it is drawn.
 FINE = 200
-# Iterations that search for the material at a place, and the share of the miss corrected in each:
-# they converge unless the surface folds over or is stretched to more than 2.8 times its length.
+# Iterations that search for the material at a place, and the fraction of the miss corrected in
+# each: they converge unless the surface folds over or is stretched to more than 2.8 times its
+# length.
 ROUNDS, RELAXATION = 40, 0.7
 
 
@@ -102,8 +103,8 @@ def surface_of(result: Result, frame: int) -> Surface:
 
 def _refined(along: Array) -> Array:
     """Return evenly spaced `along` with enough points in between for at least `FINE` of them."""
-    between = -(-FINE // (len(along) - 1))
-    return np.linspace(along[0], along[-1], between * (len(along) - 1) + 1)
+    per_cell = -(-FINE // (len(along) - 1))
+    return np.linspace(along[0], along[-1], per_cell * (len(along) - 1) + 1)
 
 
 def _values_between(x: Array, y: Array, values: ArrayLike, fine_x: Array, fine_y: Array) -> Array:

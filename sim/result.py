@@ -30,7 +30,7 @@ class Quality:
     """|force of the indenter + reaction of the base (+ weight, inertia)| over |force|."""
     energy_gap: Array
     """(Work done - energy stored) over the most work done so far: 0 if elastic and exact, the
-    dissipated share with friction or viscosity. `fem` sums the work of a step over the contact
+    dissipated fraction with friction or viscosity. `fem` sums the work of a step over the contact
     points, each along its own way, to 1 % in an elastic press; `layer` and `mpm` use the trapezoid
     rule."""
     det_f_min: Array
@@ -192,6 +192,9 @@ def from_json(kind: type[Value], stored: Any, where: str) -> Value:
     return Reader(SceneError, stored=True).build(kind, stored, where)
 
 
+_SAID = object()
+
+
 def _plain(value: Any) -> Any:
     if dataclasses.is_dataclass(value):
         fields = {
@@ -210,6 +213,10 @@ def _plain(value: Any) -> Any:
 
 
 def _unsaid(field: dataclasses.Field[Any], value: Any) -> bool:
-    """True if the field has its default, and is omitted as in files of versions without it."""
+    """True if the field is omitted, as in files of versions without it.
+
+    It then has its default, or the value that was the only one in those versions.
+    """
+    found = getattr(value, field.name)
     later = field.metadata.get("stored") == "unless default"
-    return later and getattr(value, field.name) == field.default
+    return bool((later and found == field.default) or found == field.metadata.get("unsaid", _SAID))

@@ -117,8 +117,8 @@ class Body:
             return np.asarray(np.minimum(half_x - np.abs(x), half_y - np.abs(y)))
         return np.asarray((1.0 - np.hypot(x / half_x, y / half_y)) * min(half_x, half_y))
 
-    def shares(self, x: Places, y: Places) -> Array:
-        """Return the exact share of the area of each cell that the footprint covers (X - 1, Y - 1).
+    def fractions(self, x: Places, y: Places) -> Array:
+        """Return the exact fraction of each cell that the footprint covers (X - 1, Y - 1).
 
         Args:
             x: Edges of the cells along x (X,) [m], rising.
@@ -269,11 +269,11 @@ def ramp_hold(
     at: tuple[float, float] = (0.0, 0.0),
 ) -> Motion:
     """Return a ramp to `depth` [m] in `ramp` s, then a hold of `hold` s, `steps` frames each."""
-    share = [index / steps for index in range(1, steps + 1)]
+    fraction = [index / steps for index in range(1, steps + 1)]
     tip = [(at[0], at[1], 0.0)]
-    tip += [(at[0], at[1], -depth * part) for part in share]
+    tip += [(at[0], at[1], -depth * part) for part in fraction]
     tip += [(at[0], at[1], -depth)] * steps
-    time = [0.0] + [ramp * part for part in share] + [ramp + hold * part for part in share]
+    time = [0.0] + [ramp * part for part in fraction] + [ramp + hold * part for part in fraction]
     return Motion(tip=tuple(tip), time=tuple(time))
 
 

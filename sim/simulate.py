@@ -66,7 +66,7 @@ def simulate(
             `Fem`: finite elements, large strain; `Mpm`: explicit material points. `Measured` and
             `Extrapolated` solve one more mesh, for the error or for better forces.
         device: Device of `Fem` and `Mpm`, `cpu` or `cuda:0` and the like; `Layer` uses the CPU.
-        progress: Called with the share done, 0 to 1.
+        progress: Called with the fraction done, 0 to 1.
 
     Raises:
         SceneError: The tier does not support the scene, or there is no mesh coarser than that of
@@ -135,7 +135,7 @@ class Plan:
         that are kept.
 
         Args:
-            progress: Called with the share done, 0 to 1, of `layer` and each mesh in turn.
+            progress: Called with the fraction done, 0 to 1, of `layer` and each mesh in turn.
 
         Raises:
             SceneError: A tier does not support the scene, or the tolerance cannot be reached.
@@ -199,7 +199,7 @@ def plan(
         effects: `needed`: leave out effects as far as the tolerance allows, a third of it at most.
             Probes on coarse meshes are solved now to find them (`sim.needed`).
         device: Device of probes and meshes, `cpu` or `cuda:0` and the like.
-        progress: Called with the share done, 0 to 1, of the probes.
+        progress: Called with the fraction done, 0 to 1, of the probes.
 
     Raises:
         SceneError: The scene or the tolerance is invalid, or the device does not exist.
@@ -234,7 +234,7 @@ def plan_effects(
         scene: Scene with the effects in question.
         tolerance: Such as "2 %", "0.05 N", "0.5 px", of which left-out effects may use a third.
         device: Device of the probes.
-        progress: Called with the share done, 0 to 1.
+        progress: Called with the fraction done, 0 to 1.
 
     Raises:
         SceneError: The scene or the tolerance is invalid, or the device does not exist.

@@ -106,16 +106,6 @@ def load_result(path: Path, index: int = 0) -> Result:
     )
 
 
-def result_count(path: Path) -> int:
-    """Return the number of results in a directory.
-
-    Raises:
-        FileNotFoundError: There is no Zarr group at `path`.
-    """
-    count: Any = zarr.open_group(Path(path), mode="r", zarr_format=3).attrs["results"]
-    return int(count)
-
-
 # Entries of `Quality` in metres; the others have no unit.
 LENGTHS = ("overlap", "overlap_bound", "overlap_path", "contact_width")
 

@@ -37,7 +37,7 @@ ALIKE = 5e-3
 # Points along x and y, and heights, at which an indenter is compared with its image: first a few,
 # which find most asymmetric ones, then many.
 COLUMNS, LEVELS = (10, 40), 6
-# Share of the force above which there is a warning.
+# Fraction of the force above which there is a warning.
 WORTH_SAYING = 0.01
 NOTE = "the scene is its own image in the plane"
 
@@ -72,7 +72,7 @@ def with_symmetry(result: Result) -> Result:
     scale = force_scale(result.force)
     across = {name: np.abs(result.force[:, :2] @ PLANES[name]) for name in planes}
     plane = max(planes, key=lambda name: float((across[name] / scale).max(initial=0.0)))
-    share = float((across[plane] / scale).max(initial=0.0))
+    fraction = float((across[plane] / scale).max(initial=0.0))
     x, y = PLANES[plane]
     # A mirror reverses torques in its plane, so only a torque along its normal is allowed.
     forbidden = result.wrench[:, 3:] @ np.array([[-y, 0.0], [x, 0.0], [0.0, 1.0]])
@@ -80,12 +80,12 @@ def with_symmetry(result: Result) -> Result:
         "plane": plane,
         "vanishing_force_newton": float(across[plane].max(initial=0.0)),
         "vanishing_torque_newton_metre": float(np.linalg.norm(forbidden, axis=1).max(initial=0.0)),
-        "percent": 100 * share,
+        "percent": 100 * fraction,
     }
     warnings = [one for one in result.record["warnings"] if not str(one).startswith(NOTE)]
-    if share > WORTH_SAYING:
+    if fraction > WORTH_SAYING:
         warnings.append(
-            f"{NOTE} {plane}, but {100 * share:.2g} % of the force is across it: the mesh, or a "
+            f"{NOTE} {plane}, but {100 * fraction:.2g} % of the force is across it: the mesh, or a "
             "state that is not symmetric"
         )
     return replace(result, record={**result.record, "symmetry": symmetry, "warnings": warnings})
@@ -135,10 +135,12 @@ def _difference(
     indenter: Indenter, normal: Normal, reach: float, half: Array, columns: int
 ) -> float:
     # Points are denser near the tip; none is on a plane of symmetry, where both sides agree.
-    share = (np.arange(columns) + 0.5) / columns * 2 - 1
-    share = share * np.abs(share)
+    fraction = (np.arange(columns) + 0.5) / columns * 2 - 1
+    fraction = fraction * np.abs(fraction)
     height = reach * np.linspace(0.0, 1.0, LEVELS)
-    points = np.stack(np.meshgrid(share * half[0], share * half[1], height), -1).reshape(-1, 3)
+    points = np.stack(np.meshgrid(fraction * half[0], fraction * half[1], height), -1).reshape(
+        -1, 3
+    )
     aside = points[:, :2] @ normal
     points, aside = points[aside > 0], aside[aside > 0]
     image = points.copy()

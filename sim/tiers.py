@@ -83,11 +83,11 @@ def _by_tier(
 
         outcomes: list[Outcome] = []
         for index, scene in enumerate(scenes):
-            share = None
+            fraction = None
             if progress is not None:
-                share = part_of(progress, index, len(scenes))
+                fraction = part_of(progress, index, len(scenes))
             try:
-                outcomes.append(simulate_layer(scene, tier, progress=share))
+                outcomes.append(simulate_layer(scene, tier, progress=fraction))
             except SimulationDiverged as diverged:
                 outcomes.append(diverged)
         return outcomes
@@ -136,7 +136,7 @@ def simulate_in_processes(
         scenes: Scenes to simulate.
         tier: As in `simulate_many`.
         processes: Largest number of processes.
-        progress: Called with the share of the scenes that are done.
+        progress: Called with the fraction of the scenes that are done.
 
     Raises:
         SceneError: As in `simulate_many`, the other scenes are abandoned; or meshes have to agree
@@ -206,5 +206,5 @@ def seconds_of(scene: Scene, tier: Layer | Fem, mesh: Mesh | None = None) -> flo
 
 
 def part_of(progress: Callable[[float], None], index: int, count: int) -> Callable[[float], None]:
-    """Return a callback that converts the share of part `index` of `count` to that of the whole."""
-    return lambda share: progress((index + share) / count)
+    """Return a callback that converts the fraction of a part of `count` to that of the whole."""
+    return lambda fraction: progress((index + fraction) / count)

@@ -2,9 +2,9 @@
 
 Both meshes follow the contact, the coarser one with elements 1.6 times as long, which takes an
 eighth of the time. The force of the result is extrapolated from both (Richardson 1911, order 2).
-Its error is taken as a share of that correction, which held in presses solved independently
+Its error is taken as a fraction of that correction, which held in presses solved independently
 (`python -m benchmarks independent --tolerance "1 %"`). Surface and markers are those of the finer
-mesh; their error is the difference of both times the share that remains at order 2.
+mesh; their error is the difference of both times the fraction that remains at order 2.
 
 Before any mesh `layer` is tried, which takes a tenth of a second. Its result is returned if its
 estimate is below a tolerance of the force, in scenes on which it was checked (`sim.layer_within`).
@@ -105,7 +105,7 @@ def simulate_within(
         tier: `layer` or `fem`: only that one is tried. None: `layer` first, if its estimate was
             checked on such scenes (`sim.layer_within`), then `fem`.
         device: Device on which meshes are solved; `layer` runs on the CPU.
-        progress: Called with the share done, 0 to 1, of `layer` and each mesh in turn.
+        progress: Called with the fraction done, 0 to 1, of `layer` and each mesh in turn.
 
     Raises:
         SceneError: The tolerance is invalid, or the finest mesh allowed does not reach it; with
@@ -115,7 +115,7 @@ def simulate_within(
     """
     began = time.perf_counter()
     wanted = tolerance_of(tolerance)
-    if wanted.kind == "share" and wanted.value < FLOOR:
+    if wanted.kind == "fraction" and wanted.value < FLOOR:
         raise SceneError(
             f"tolerance: {tolerance!r}; allowed: {100 * FLOOR:g} % or more: meshes tell no less"
         )
@@ -160,17 +160,17 @@ def simulate_within(
 def first_mesh(scene: Scene, wanted: Tolerance, device: str) -> Fem:
     """Return the settings of the finer mesh with which the search begins."""
     most = ELEMENTS_MAX["cpu" if device == "cpu" else "cuda"]
-    share = wanted.value if wanted.kind == "share" else 0.01
-    fineness = float(np.clip((EXPECTED / share) ** 0.5, FIRST_LEAST, FIRST_MOST))
-    return replace(_states(scene, share), fineness=fineness, elements_max=most)
+    fraction = wanted.value if wanted.kind == "fraction" else 0.01
+    fineness = float(np.clip((EXPECTED / fraction) ** 0.5, FIRST_LEAST, FIRST_MOST))
+    return replace(_states(scene, fraction), fineness=fineness, elements_max=most)
 
 
-def _states(scene: Scene, share: float) -> Fem:
-    """Return numerics with the tolerance of states for an allowed error of the force (a share)."""
+def _states(scene: Scene, fraction: float) -> Fem:
+    """Return numerics with the tolerance of states for an allowed relative error of the force."""
     from sim.fem.numerics import Fem
 
     plain = Fem()
-    tolerance = float(np.clip(STATES * share, plain.tolerance, STATES_MOST))
+    tolerance = float(np.clip(STATES * fraction, plain.tolerance, STATES_MOST))
     effects = scene.effects
     if effects.viscosity is not None or effects.inertia is not None:
         return replace(plain, tolerance=tolerance)
@@ -268,19 +268,19 @@ def _of_both(coarse: Result, fine: Result, wanted: Tolerance, floor: float) -> t
     apart = np.abs(fine.force - coarse.force).max(axis=1)
     unsure = LEFT * most_of_difference(coarse, least_ratio(coarse, fine)) * apart
     newton = np.maximum(unsure, vanishing_share(found) * scale)
-    share = np.maximum(newton / scale, floor * (size > 0))
+    fraction = np.maximum(newton / scale, floor * (size > 0))
     moved = marker_errors(outcome_of(fine), outcome_of(coarse), fine.scene.body)
     pixels = MARKERS * left * float(np.sqrt(np.mean(moved**2, axis=1)).max(initial=0.0))
     by = f"two meshes, elements {ratio:.2g} times as long in the coarser one"
     error = measured(
         found,
-        share,
+        fraction,
         by,
         newton=float(np.maximum(newton, floor * size).max(initial=0.0)),
         marker=pixels,
         second_mesh=dict(coarse.record["mesh"]),
     )
-    value = {"share": error["percent"] / 100, "force": error["newton"], "marker": pixels}
+    value = {"fraction": error["percent"] / 100, "force": error["newton"], "marker": pixels}
     return replace(found, record={**found.record, "error": error}), float(value[wanted.kind])
 
 
@@ -324,8 +324,8 @@ def with_measured_error(result: Result, numerics: Fem, *, device: str = "cpu") -
     difference = np.abs(result.wrench - second.wrench)[:, :3].max(axis=1)
     size = np.linalg.norm(result.force, axis=1)
     scale = force_scale(result.force)
-    share = np.maximum(left * difference / scale, FLOOR * (size > 0))
-    error = measured(result, share, "a coarser mesh", second_mesh=dict(second.record["mesh"]))
+    fraction = np.maximum(left * difference / scale, FLOOR * (size > 0))
+    error = measured(result, fraction, "a coarser mesh", second_mesh=dict(second.record["mesh"]))
     return _with_bar(result, error, left * apart["force"], left * apart["marker"])
 
 
@@ -351,9 +351,9 @@ def _beside_elements(result: Result, numerics: Fem, device: str) -> Result:
     if own["status"] == "none":
         return replace(result, record={**result.record, "error": own})
     difference = np.abs(result.wrench - second.wrench)[:, :3].max(axis=1)
-    share = difference / force_scale(second.force) + np.array(own["force"])
+    fraction = difference / force_scale(second.force) + np.array(own["force"])
     mesh = dict(second.record["mesh"])
-    error = measured(result, share, "elements, and what they state themselves", second_mesh=mesh)
+    error = measured(result, fraction, "elements, and what they state themselves", second_mesh=mesh)
     own_force = own["percent"] / 100 * np.linalg.norm(second.force, axis=1).max()
     return _with_bar(result, error, apart["force"] + own_force, apart["marker"])
 

@@ -5,10 +5,10 @@ A spec is stored as JSON in the session recorded with it; its moves are derived 
 
 from trajectories.force_depth import ForceDepth
 from trajectories.limits import DryRun, Limits, dry_run
-from trajectories.moves import PHASES, Move, Plan, Point, Target
+from trajectories.moves import PHASES, Move, Plan, Point, Target, dome_height
 from trajectories.press_shear import PressShear
 from trajectories.profile import move_duration
-from trajectories.stored import plan_from_json, plan_to_json
+from trajectories.stored import plan_from_json, plan_to_json, with_order
 from trajectories.taps import Taps
 from trajectories.touch import Touch
 
@@ -24,8 +24,10 @@ __all__ = [
     "Taps",
     "Target",
     "Touch",
+    "dome_height",
     "dry_run",
     "move_duration",
     "plan_from_json",
     "plan_to_json",
+    "with_order",
 ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from trajectories.moves import Plan, Point
+from trajectories.moves import Plan, Point, dome_height
 from trajectories.profile import distance, move_duration
 
 
@@ -26,6 +26,8 @@ class Limits:
     """Expected normal stiffness of the sensor under the indenter [N/m], to predict the force."""
     duration_max: float
     """Longest session [s]."""
+    dome_radius: float | None = None
+    """Radius of the sensor's spherical top [m]; None: flat. Depths are below the top."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,38 +66,39 @@ def dry_run(plan: Plan, limits: Limits, *, speed: float, acceleration: float) ->
         acceleration: Acceleration of the recorded moves [m/s^2].
     """
     places: list[Point] = []
-    recorded = between = 0.0
+    recorded = unrecorded = 0.0
     moves = 0
     for target in plan.targets():
         path = plan.moves(target)
         if places:
-            between += move_duration(distance(places[-1], path[0].start), speed, acceleration)
+            unrecorded += move_duration(distance(places[-1], path[0].start), speed, acceleration)
         for move in path:
             recorded += move_duration(distance(move.start, move.end), speed, acceleration)
             places += [move.start, move.end]
             moves += 1
     low = tuple(min(place[axis] for place in places) for axis in range(3))
     high = tuple(max(place[axis] for place in places) for axis in range(3))
-    depth = -low[2]
+    depth = max(dome_height(limits.dome_radius, x, y) - z for x, y, z in places)
     force = limits.stiffness * depth
-    duration = recorded + between
+    duration = recorded + unrecorded
     checks = (
         (low[0] < limits.box_x[0] or high[0] > limits.box_x[1], "x", low[0], high[0], limits.box_x),
         (low[1] < limits.box_y[0] or high[1] > limits.box_y[1], "y", low[1], high[1], limits.box_y),
     )
     broken = [
-        f"{axis}: {1e3 * a:.2f} to {1e3 * b:.2f} mm; allowed: {1e3 * c[0]:.2f} to {1e3 * c[1]:.2f}"
+        f"{axis}: {1e3 * a:.2f} to {1e3 * b:.2f} mm; "
+        f"allowed: {1e3 * c[0]:.2f} to {1e3 * c[1]:.2f} mm"
         for bad, axis, a, b, c in checks
         if bad
     ]
     if depth > limits.depth_max + 1e-9:
-        broken.append(f"depth: {1e3 * depth:.3f} mm; allowed: {1e3 * limits.depth_max:.3f}")
+        broken.append(f"depth: {1e3 * depth:.3f} mm; allowed: {1e3 * limits.depth_max:.3f} mm")
     if high[2] > limits.height_max + 1e-9:
-        broken.append(f"height: {1e3 * high[2]:.2f} mm; allowed: {1e3 * limits.height_max:.2f}")
+        broken.append(f"height: {1e3 * high[2]:.2f} mm; allowed: {1e3 * limits.height_max:.2f} mm")
     if force > limits.force_rating:
-        broken.append(f"force: {force:.1f} N expected; allowed: {limits.force_rating:.1f}")
+        broken.append(f"force: {force:.1f} N expected; allowed: {limits.force_rating:.1f} N")
     if duration > limits.duration_max:
-        broken.append(f"duration: {duration:.0f} s; allowed: {limits.duration_max:.0f}")
+        broken.append(f"duration: {duration:.0f} s; allowed: {limits.duration_max:.0f} s")
     return DryRun(
         targets=len(plan),
         moves=moves,

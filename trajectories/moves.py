@@ -1,11 +1,12 @@
 """Points, targets and moves: the elements of a plan.
 
 Frame: the contact frame. Its origin is on the undeformed surface of the sensor at its centre; z
-points out of the sensor, so an indentation is a negative z.
+points out of the sensor, so an indentation of a flat sensor is a negative z.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -66,6 +67,19 @@ class Plan(Protocol):
 
     def moves(self, target: Target) -> tuple[Move, ...]:
         """Return the recorded moves of one target, each starting at the end of the previous one."""
+
+
+def dome_height(radius: float | None, x: float, y: float) -> float:
+    """Return the height of a sensor's undeformed top at (x, y) [m], 0 at the centre.
+
+    Args:
+        radius: Radius of the spherical top, its apex at the origin [m]; None: flat.
+        x: Place in the contact frame [m]; beyond the dome the height is that of its rim.
+        y: Place in the contact frame [m].
+    """
+    if radius is None:
+        return 0.0
+    return math.sqrt(max(radius * radius - x * x - y * y, 0.0)) - radius
 
 
 def check_positive(spec: object, names: Sequence[str]) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 from trajectories.force_depth import ForceDepth
 from trajectories.moves import Plan
-from trajectories.press_shear import PressShear
+from trajectories.press_shear import OLD_ORDER, PressShear
 from trajectories.taps import Taps
 from trajectories.touch import Touch
 
@@ -22,13 +22,21 @@ def plan_to_json(plan: Plan) -> dict[str, Any]:
     return {"kind": plan.kind, **dataclasses.asdict(plan)}
 
 
+def with_order(stored: dict[str, Any]) -> dict[str, Any]:
+    """Return a copy of a stored plan that states the order of its points."""
+    old = stored.get("kind") == PressShear.KIND and "order" not in stored
+    return {**stored, "order": OLD_ORDER} if old else dict(stored)
+
+
 def plan_from_json(stored: dict[str, Any]) -> Plan:
     """Return the spec that `plan_to_json` wrote.
+
+    A press-shear plan without `order` is older than it, and means the order of those days.
 
     Raises:
         ValueError: An unknown kind or field, or a value that the spec rejects.
     """
-    fields = dict(stored)
+    fields = with_order(stored)
     kind = fields.pop("kind", None)
     if kind not in KINDS:
         raise ValueError(f"plan.kind: {kind!r}; allowed: {sorted(KINDS)}")

@@ -56,7 +56,7 @@ def long_bench(bench_file: Path, seconds: float, folder: Path) -> tuple[Path, in
     def length(directions: int) -> float:
         longer = replace(plan, angle_step=2 * pi / directions)
         return dry_run(
-            longer, bench.limits.plan, speed=bench.arm.speed, acceleration=bench.arm.acceleration
+            longer, bench.plan_limits, speed=bench.arm.speed, acceleration=bench.arm.acceleration
         ).duration
 
     most = length(_MOST_DIRECTIONS)

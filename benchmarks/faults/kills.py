@@ -87,10 +87,10 @@ def kill_often(
     rng = random.Random(seed)
     found = Kills()
     for number in range(sessions):
-        share = (kills - found.victims.total()) // (sessions - number)
+        fraction = (kills - found.victims.total()) // (sessions - number)
         place = folder / f"chain-{number}"
         place.mkdir()
-        _chain(_Place(place, benches, targets), share, rng, found, report)
+        _chain(_Place(place, benches, targets), fraction, rng, found, report)
         if not found.wrong:
             shutil.rmtree(place)
     return found

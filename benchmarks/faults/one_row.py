@@ -94,7 +94,7 @@ def judge(row: Row, collection: CollectionRun, code: int, touched: int = 0) -> F
     if row.counts is not None:
         stream, reason = row.counts
         counted = left.rejected.get(stream, {}).get(reason, 0)
-        # Several clients share the arm's line, so its share of the touched messages is unknown.
+        # Several clients share the arm's line, so its fraction of the touched messages is unknown.
         if counted == 0 or (row.device != "arm" and counted != touched):
             wrong.append(f"{stream}: {counted} counted as {reason}, {touched} injected")
     word = collection.last_line.replace(str(collection.session), collection.session.name)

@@ -22,7 +22,7 @@ from rig.devices.arm.settings import ArmConfig
 _LONGEST = 150
 
 # Reasons of rejection as shown, where the key of the session differs.
-_SHOWN = {"spoilt": "corrupt"}
+_SHOWN = {"corrupt": "corrupt"}
 
 
 def page(results: Results, benches: Path) -> str:

@@ -143,7 +143,7 @@ def _matrix() -> list[Row]:
                     _GOES_ON,
                     act3,
                     sensor=sensor,
-                    counts=(device, "spoilt"),
+                    counts=(device, "corrupt"),
                 )
             )
     return rows

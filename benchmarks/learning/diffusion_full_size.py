@@ -25,7 +25,7 @@ import torch
 
 from learning.config import read_settings, settings_to_dict
 from learning.data.images import SIDE, enlarge_images
-from learning.data.synthetic import before, random_fields, sample_patterns, untouched
+from learning.data.synthetic import before, pixel_grid, random_fields, sample_patterns
 from learning.errors import LearningError
 from learning.training.run import METRICS, RunFolder, Session, described, generator
 from learning.training.run import accelerator as launched
@@ -223,7 +223,7 @@ def overfitted_pairs(count: int, side: int, device: torch.device) -> ImagePairs:
     patterns = sample_patterns(2 * count, chance, device)
     field = random_fields(count, chance, device)
     moved = patterns.draw(before(torch.cat((field, field)), None, side))
-    still = patterns.draw(untouched(side, device))
+    still = patterns.draw(pixel_grid(side, device))
     images, references = ((each[:, 0] * 255).round().to(torch.uint8) for each in (moved, still))
     every = torch.arange(2 * count, device=device)
     return ImagePairs(images, every, references, every[:count], every[count:])

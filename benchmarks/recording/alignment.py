@@ -308,9 +308,9 @@ def _time_windows(session: Session, recorded: Recorded) -> tuple[float, float, f
         start, before = clock.now_ns(), cpu_seconds()
         window = session.window(int(rng.choice(when)), WINDOW)
         took += clock.now_ns() - start
-        between = cpu_seconds()
+        read_at = cpu_seconds()
         camera.images(window.signal_row)
-        cpu, cpu_images = cpu + between - before, cpu_images + cpu_seconds() - between
+        cpu, cpu_images = cpu + read_at - before, cpu_images + cpu_seconds() - read_at
         done += 1
     images = done * WINDOW
     return took / SECOND_NS / done, aligned, images / cpu, images / cpu_images

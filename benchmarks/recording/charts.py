@@ -29,8 +29,8 @@ def stores_chart(path: Path, rows: Sequence[StoreRow]) -> None:
                 [max(value, 1) for value in values],
                 color=[BLUE if row.key.startswith("ours") else SKY for row in rows],
             )
-            said = [f"{value:,.0f}" if value > 0 else "not measured" for value in values]
-            axes.bar_label(bars, said, padding=3, fontsize="small")
+            labels = [f"{value:,.0f}" if value > 0 else "not measured" for value in values]
+            axes.bar_label(bars, labels, padding=3, fontsize="small")
             axes.set(xlabel=title, xscale="log", xlim=(1, 6 * max(*values, 10)))
             axes.grid(visible=False, axis="y")
             axes.margins(y=0.01)

@@ -10,7 +10,7 @@ from rig.bench.bench import find_bench
 from rig.core.errors import ConfigError
 from rig.core.packaged import BENCHES
 
-_PARTS = ("stores", "share", "lateness", "cameras", "full", "alignment")
+_PARTS = ("stores", "cpu", "lateness", "cameras", "full", "alignment")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

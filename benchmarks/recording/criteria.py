@@ -1,4 +1,4 @@
-"""Goals of recording, and their verdict for this run."""
+"""Goals of recording, and whether this run met them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ APPEND_P99 = 5e-3
 CORE = 0.60
 # Minimum number of images per second of CPU time in random windows.
 WINDOW_IMAGES = 2500.0
-# Minimum share of the speed of decoding from memory, in random windows of JPEG images.
+# Minimum fraction of the speed of decoding from memory, in random windows of JPEG images.
 OF_DECODING = 0.9
 # Maximum number of frames lost to a kill -9.
 LOST = 1
@@ -29,7 +29,7 @@ _KINDS = {
 
 @dataclass(frozen=True, slots=True)
 class Criterion:
-    """One row of the verdict."""
+    """One goal, and whether it was met."""
 
     text: str
     measured: str
@@ -63,12 +63,12 @@ def of_stores(rows: Sequence[StoreRow]) -> list[Criterion]:
             )
         )
         if row.decode_cpu:
-            share = row.read_cpu / row.decode_cpu
+            fraction = row.read_cpu / row.decode_cpu
             criteria.append(
                 Criterion(
                     f"{name}: {100 * OF_DECODING:g} % of the JPEG decoder alone or more",
-                    f"{100 * share:.0f} % of {row.decode_cpu:,.0f} images per CPU-second",
-                    share >= OF_DECODING,
+                    f"{100 * fraction:.0f} % of {row.decode_cpu:,.0f} images per CPU-second",
+                    fraction >= OF_DECODING,
                 )
             )
     criteria += _of_writing(rows)
@@ -119,7 +119,7 @@ def of_full_load(fed: Sequence[Fed]) -> list[Criterion]:
     dropped = sum(one.dropped for one in fed)
     failed = [one.failure for one in fed if one.failure]
     p99 = max(one.append.p99 for one in fed)
-    share = sum(one.share for one in fed)
+    cores = sum(one.cpu_share for one in fed)
     return [
         Criterion(
             "two lossless cameras at 60 Hz, force 1 kHz, pose 500 Hz, uSkin 60 Hz: nothing dropped",
@@ -133,8 +133,8 @@ def of_full_load(fed: Sequence[Fed]) -> list[Criterion]:
         ),
         Criterion(
             f"the same: less than {100 * CORE:.0f} % of one core",
-            f"{100 * share:.0f} % of one core, all processes together",
-            share < CORE,
+            f"{100 * cores:.0f} % of one core, all processes together",
+            cores < CORE,
         ),
     ]
 

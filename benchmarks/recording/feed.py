@@ -43,7 +43,7 @@ _READ_TIMEOUT = 0.05
 # Time between the last process being ready and the first tick [s].
 _LEAD = 0.3
 _READY_TIMEOUT = 120.0
-# Share of the run after which memory is first measured.
+# Fraction of the run after which memory is first measured.
 _SETTLE = 0.2
 # Capacity of the drivers' inboxes [samples].
 CAPACITY = {"camera": 120, "force": 60_000, "pose": 60_000, "taxels": 10_000}
@@ -85,7 +85,7 @@ class Fed:
     """Number of frames that the receiver missed and of samples that met a full inbox."""
     late: int
     """Number of rows whose append began after the next sample was due: queued, not lost."""
-    share: float
+    cpu_share: float
     """CPU time over wall time: 1 is a whole core."""
     append: Spread
     """Duration of one append [s]."""
@@ -215,7 +215,7 @@ def _feed(
         rows=writer.rows,
         dropped=inbox.overflowed + (0 if buffered else pacer.missed),
         late=late,
-        share=(cpu_seconds() - cpu) / wall,
+        cpu_share=(cpu_seconds() - cpu) / wall,
         append=Spread.of(took),
         nbytes=tree_bytes(path),
         rss_start=rss_start,

@@ -46,7 +46,7 @@ class LoadTest:
     """Number of frames lost, over all cameras."""
     late: int
     """Number of appends that began after the next frame was due."""
-    share: float
+    cpu_share: float
     """CPU share of all cameras: 1 is a whole core."""
     append_p99: float
     """The worst camera's p99 append time [s]."""
@@ -64,17 +64,17 @@ class Cameras:
     trials: tuple[LoadTest, ...]
 
 
-def estimate_share(scale: Scale) -> float:
-    """Return the expected duration of `share` [s]."""
-    return len(SINGLE) * (scale.share + _START)
+def estimate_cpu_share(scale: Scale) -> float:
+    """Return the expected duration of `cpu_share` [s]."""
+    return len(SINGLE) * (scale.cpu_share + _START)
 
 
-def share(scale: Scale, place: Path, steps: Steps) -> tuple[Fed, ...]:
+def cpu_share(scale: Scale, place: Path, steps: Steps) -> tuple[Fed, ...]:
     """Record each stream separately at its real rate."""
     found: list[Fed] = []
     for number, feed in enumerate(SINGLE):
-        steps.step(f"CPU share: {feed.title}", scale.share + _START)
-        found += record([feed], scale.share, place / f"share-{number}")
+        steps.step(f"CPU share: {feed.title}", scale.cpu_share + _START)
+        found += record([feed], scale.cpu_share, place / f"cpu-{number}")
     return tuple(found)
 
 
@@ -113,7 +113,7 @@ def load_test_of(fed: tuple[Fed, ...]) -> LoadTest:
         cameras=len(fed),
         dropped=sum(one.dropped for one in fed) + sum(bool(one.failure) for one in fed),
         late=sum(one.late for one in fed),
-        share=sum(one.share for one in fed),
+        cpu_share=sum(one.cpu_share for one in fed),
         append_p99=max(one.append.p99 for one in fed),
     )
 

@@ -23,7 +23,7 @@ class Scale:
     """Duration of reading one store [s]."""
     kills: int
     """Number of kills per store."""
-    share: float
+    cpu_share: float
     """Duration of recording one stream by itself [s]."""
     lateness: float
     """Duration of measuring wake-ups at one rate [s]."""
@@ -44,7 +44,7 @@ FULL = Scale(
     write_bytes=400_000_000,
     read=1.5,
     kills=2,
-    share=12.0,
+    cpu_share=12.0,
     lateness=3.0,
     cameras=6.0,
     cameras_most=48,
@@ -58,7 +58,7 @@ QUICK = Scale(
     write_bytes=20_000_000,
     read=0.2,
     kills=1,
-    share=0.6,
+    cpu_share=0.6,
     lateness=0.15,
     cameras=0.6,
     cameras_most=2,

@@ -37,7 +37,7 @@ class Results:
     """Text of `machine()`."""
     quick: bool
     stores: tuple[StoreRow, ...] | None = None
-    share: tuple[Fed, ...] | None = None
+    cpu: tuple[Fed, ...] | None = None
     lateness: tuple[Lateness, ...] | None = None
     cameras: tuple[Cameras, ...] | None = None
     full: tuple[Fed, ...] | None = None
@@ -90,7 +90,7 @@ def ratio(first: float, second: float, form: str = ".1f") -> str:
 
 
 def criteria_of(results: Results) -> list[criteria.Criterion]:
-    """Return the verdict on the goals that this run measured."""
+    """Return the goals that this run measured, and whether it met them."""
     found: list[criteria.Criterion] = []
     if results.full is not None:
         found += criteria.of_full_load(results.full)

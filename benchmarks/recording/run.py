@@ -42,7 +42,7 @@ def parts(bench: Path) -> tuple[Part, ...]:
     collect = partial(mock_session.collect, bench)
     return (
         Part("stores", store_benchmark.estimate, store_benchmark.race),
-        Part("share", load.estimate_share, load.share),
+        Part("cpu", load.estimate_cpu_share, load.cpu_share),
         Part("lateness", lateness.estimate, lambda scale, _, told: lateness.lateness(scale, told)),
         Part("cameras", load.estimate_cameras, load.cameras),
         Part("full", load.estimate_full, load.full_load),

@@ -9,7 +9,7 @@ class Steps:
     """Progress over all announced steps.
 
     Args:
-        progress: Display of the share done; its name is that of the current step.
+        progress: Display of the fraction done; its name is that of the current step.
         total: Expected duration of all steps together [s].
     """
 

@@ -48,7 +48,7 @@ class Row:
     name: str
     found: EffectsPlan
     true: dict[Kind, float] | None
-    """Errors of the force (share, N) and of markers (px) on the default mesh; None: no solution."""
+    """Errors of the force (fraction, N) and of markers (px) on the default mesh; None: unsolved."""
     full: float
     """Time of the scene with all effects [s]."""
     less: float
@@ -106,8 +106,8 @@ def run(options: argparse.Namespace) -> int:
     rows: list[Row] = []
     with TemporaryDirectory() as folder, done_counts(print):
         scenes = scenes_of(options.seed, options.scenes, Path(folder))
-        together = 1 if options.device == "cpu" else len(scenes)
-        parts = [scenes[first : first + together] for first in range(0, len(scenes), together)]
+        batch_size = 1 if options.device == "cpu" else len(scenes)
+        parts = [scenes[first : first + batch_size] for first in range(0, len(scenes), batch_size)]
         compare = partial(
             compared, tolerance=options.tolerance, numerics=numerics, device=options.device
         )
@@ -189,7 +189,7 @@ def compared(
     rows = []
     for i, ((name, scene), one) in enumerate(zip(scenes, plans, strict=True)):
         if i not in lesser:
-            rows.append(Row(name, one, {"share": 0.0, "force": 0.0, "marker": 0.0}, 0.0, 0.0))
+            rows.append(Row(name, one, {"fraction": 0.0, "force": 0.0, "marker": 0.0}, 0.0, 0.0))
             continue
         both = full[lesser.index(i)], less[lesser.index(i)]
         true = None
@@ -215,12 +215,14 @@ def line(row: Row) -> str:
         return f"{text}nothing; probes {found.seconds:.1f} s"
     joint = found.joint
     text += f"{' '.join(found.omitted)} ({found.joint_by}); stated "
-    text += with_unit("share", joint.value("share"))
+    text += with_unit("fraction", joint.value("fraction"))
     text += f" {with_unit('marker', joint.marker)}"
     if row.true is None:
         return f"{text}; no solution on the default mesh"
     kept = "" if row.value <= joint.value(found.tolerance.kind) else " MORE THAN STATED"
-    true = f"{with_unit('share', row.true['share'])} {with_unit('marker', row.true['marker'])}"
+    true = (
+        f"{with_unit('fraction', row.true['fraction'])} {with_unit('marker', row.true['marker'])}"
+    )
     saved = f"{row.full:.1f} - {row.less:.1f} = {row.full - row.less:.1f} s saved"
     return f"{text}, true {true}{kept}; {saved}, probes {found.seconds:.1f} s"
 

@@ -135,11 +135,11 @@ def summary(rows: Sequence[Row], tolerance: str) -> str:
     counts = {kind: sum(row.kind == kind for row in rows) for kind in Kind.__args__}  # type: ignore[attr-defined]
     given = counts["kept"] + counts["missed"]
     none = counts["refused"] + counts["diverged"] + counts["timeout"]
-    share = 100 * counts["kept"] / max(given, 1)
+    fraction = 100 * counts["kept"] / max(given, 1)
     median = float(np.median([row.seconds for row in rows]))
     return (
         f"{len(rows)} scenes within {tolerance}: kept {counts['kept']} of {given} with a known "
-        f"reference ({share:.1f} %), no answer {none} ({100 * none / len(rows):.1f} %: "
+        f"reference ({fraction:.1f} %), no answer {none} ({100 * none / len(rows):.1f} %: "
         f"{counts['refused']} refused, {counts['diverged']} diverged, {counts['timeout']} out of "
         f"time), no truth {counts['no truth']}; median {median:.2g} s"
     )
@@ -186,7 +186,7 @@ def run(options: argparse.Namespace, say: Callable[[str], None] = print) -> int:
     for name in ("scenes", "processes"):
         if getattr(options, name) < 1:
             raise SceneError(f"--{name}: {getattr(options, name)}; allowed: 1 or more")
-    if tolerance_of(options.tolerance).kind != "share":
+    if tolerance_of(options.tolerance).kind != "fraction":
         raise SceneError(f"--tolerance: {options.tolerance!r}; allowed: such as '3 %'")
     ready_device(options.device)
     judge = partial(

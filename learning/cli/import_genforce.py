@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from learning.command import add_unseen, named_number
+from learning.command import add_unseen, named_number, named_path
 from recorder.progress import ItemProgress
 
 
@@ -41,6 +41,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="depth files hold heights; this is the surface's",
     )
     parser.add_argument(
+        "--plan",
+        type=named_path,
+        action="append",
+        default=[],
+        metavar="SENSOR=FILE",
+        help="bench file with the trajectory by which a training folder's presses are numbered; "
+        "without it their places are unknown, and they cannot be joined with other archives",
+    )
+    parser.add_argument(
         "--compensation", type=Path, metavar="DIR", help="<sensor>_down.csv and _up.csv"
     )
     add_unseen(parser)
@@ -48,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
-    from learning.data.genforce import import_folder, read_compensation
+    from learning.data.genforce import import_folder, read_compensation, read_plan
     from learning.data.genforce.importing import Choices
     from learning.data.genforce.training import SURFACES_MM
     from learning.markers.build import told
@@ -59,6 +68,7 @@ def run(options: argparse.Namespace) -> int:
         preset_name=options.preset,
         mm_per_px=dict(options.mm_per_px),
         surfaces_mm=surfaces,
+        plans={name: read_plan(path) for name, path in options.plan},
         unseen=options.unseen,
         compensation={}
         if options.compensation is None

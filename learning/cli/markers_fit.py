@@ -1,4 +1,4 @@
-"""`python -m learning markers-fit`: fit marker detection to untouched pictures of a sensor."""
+"""`python -m learning markers-fit`: fit marker detection to pictures without contact."""
 
 from __future__ import annotations
 
@@ -51,16 +51,18 @@ def run(options: argparse.Namespace) -> int:
 
     if options.pitch_mm is not None and not 0 < options.pitch_mm < 100:
         raise LearningError(f"--pitch-mm: found {options.pitch_mm:g}; allowed: above 0 to 100")
-    untouched = [read_picture(path) for path in files_of(options.images)]
+    no_contact = [read_picture(path) for path in files_of(options.images)]
     pressed = [(path, read_picture(path)) for path in files_of(options.pressed)]
-    preset, pattern = fit_preset(untouched, pitch_mm=options.pitch_mm)
+    preset, pattern = fit_preset(no_contact, pitch_mm=options.pitch_mm)
     print(pattern)
     with ItemProgress("pictures", sys.stderr) as progress:
         for number, (path, picture) in enumerate(pressed):
             progress(number, len(pressed))
-            print(f"{path.name}: {recall(preset, untouched[0], picture)}")
+            print(f"{path.name}: {recall(preset, no_contact[0], picture)}")
     if options.sheet is not None:
-        draw_outlines(preset, [*untouched, *(picture for _path, picture in pressed)], options.sheet)
+        draw_outlines(
+            preset, [*no_contact, *(picture for _path, picture in pressed)], options.sheet
+        )
         print(f"{options.sheet}: written")
     text = yaml.safe_dump(as_yaml(preset), sort_keys=False, width=100)
     if options.out is None:

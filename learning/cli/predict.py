@@ -64,7 +64,7 @@ def run(options: argparse.Namespace) -> int:
     from recorder import MarkerArchive
 
     folder = read_model_folder(options.model, "force")
-    source, method = _trained_on(options, folder.config.facts.get("sensors", []))
+    source, method = _trained_on(options, folder.config.metadata.get("sensors", []))
     archive = MarkerArchive(options.archive)
     if options.sensor not in archive:
         known = ", ".join(archive)

@@ -52,9 +52,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--coefficients-of",
-        choices=("mm", "share"),
+        choices=("mm", "fraction"),
         default="mm",
-        help="unit of depth in published coefficients: mm, or share of the depth range "
+        help="unit of depth in published coefficients: mm, or fraction of the depth range "
         "(heterogeneous test) (%(default)s)",
     )
     parser.add_argument(
@@ -68,9 +68,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--d0",
         type=numbers(),
-        metavar="SHARE,...",
-        help="starting depths to try, as shares of the source's depth range, 0 to 1 (default: the "
-        "supplement's, 0, 0.4, 0.8 mm for skins of one depth range, else 0, 0.25, 0.5, 0.75)",
+        metavar="FRACTION,...",
+        help="starting depths to try, as fractions of the source's depth range, 0 to 1 (default: "
+        "the supplement's, 0, 0.4, 0.8 mm for skins of one depth range, else 0, 0.25, 0.5, 0.75)",
     )
     parser.add_argument(
         "--lambda",

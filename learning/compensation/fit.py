@@ -54,7 +54,7 @@ CRITERIA = {
     "oracle": "least mean distance between compensated labels and the target's own at paired "
     "locations of training presses [N]",
 }
-UNITS = "d0: share of the source's depth range; depths m; forces, errors and residuals N"
+UNITS = "d0: fraction of the source's depth range; depths m; forces, errors and residuals N"
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ class PairCompensation:
     source: Prior
     target: Prior
     d0: float
-    """Share of the source's depth range below which labels are unchanged."""
+    """Fraction of the source's depth range below which labels are unchanged."""
     weight: float
     """Lambda."""
 
@@ -249,7 +249,7 @@ class Curves:
     coefficients: Path | None = None
     """Folder of <sensor>_down.csv and <sensor>_up.csv, as published."""
     per_mm: bool = True
-    """True if published coefficients are of depth in mm; else of its share of the range."""
+    """True if published coefficients are of depth in mm; else of its fraction of the range."""
     ranges_mm: Mapping[str, float] = field(default_factory=dict)
     """Depth that counts as 1, by sensor [mm], instead of the deepest located press."""
 
@@ -340,7 +340,7 @@ class Search:
     default: tuple[float, float] = (DEFAULT_D0, DEFAULT_WEIGHT)
     """d0 and lambda of the fixed choice."""
     d0: tuple[float, ...] | None = None
-    """Shares of the source's depth range; None: the paper's for these sensors."""
+    """Fractions of the source's depth range; None: the paper's for these sensors."""
     weights: tuple[float, ...] = WEIGHTS
     split: Path | None = None
     """File of a split; None: labels of all seen indenters."""
@@ -399,9 +399,9 @@ def _chosen(
 
 
 def _d0_of_paper(source: Prior, target: Prior) -> tuple[float, ...]:
-    """Return starting depths as shares of the range (the supplement's Tables S1 and S2).
+    """Return starting depths as fractions of the range (the supplement's Tables S1 and S2).
 
-    They are constant in mm for sensors of similar range, and constant as shares for others.
+    They are constant in mm for sensors of similar range, and constant as fractions for others.
     """
     spans = source.depth_range, target.depth_range
     if abs(spans[0] - spans[1]) > _ALIKE * max(spans):
@@ -477,11 +477,11 @@ def draw_curves(found: StoredCompensation, gathered: Gathered, path: Path) -> No
                     curve = gathered.measured[name]
                     points = curve.loading if loading else curve.unloading
                     points = points[:: max(1, len(points) // _POINTS)]
-                    share = points[:, 0] / prior.depth_range
-                    panel.plot(share * unit, points[:, 1], ".", color=colour, ms=3, alpha=0.5)
-                share = np.linspace(0.0, prior.share_max, 100)
-                force = prior.branch(loading).compression(share)
-                panel.plot(share * unit, force, color=colour, label=name)
+                    fraction = points[:, 0] / prior.depth_range
+                    panel.plot(fraction * unit, points[:, 1], ".", color=colour, ms=3, alpha=0.5)
+                fraction = np.linspace(0.0, prior.share_max, 100)
+                force = prior.branch(loading).compression(fraction)
+                panel.plot(fraction * unit, force, color=colour, label=name)
             panel.set_title("loading" if loading else "unloading")
             panel.set_xlabel("depth [mm]" if alike else "depth over the sensor's range [1]")
         axes[0].set_ylabel("compression [N]")

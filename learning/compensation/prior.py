@@ -139,15 +139,15 @@ class Branch:
     """Compression over depth in one direction."""
 
     coefficients: tuple[float, ...]
-    """Polynomial in the share of the depth range, highest power first [N]."""
+    """Polynomial in the fraction of the depth range, highest power first [N]."""
     residual: float | None = None
     """Root mean square of the fit's residuals [N]; None if nothing was fitted."""
     samples: int = 0
     """Number of fitted forces."""
 
-    def compression(self, share: Floats) -> Floats:
-        """Return the compression (n,) [N] at shares of the depth range (n,)."""
-        return np.asarray(np.polyval(self.coefficients, share), np.float64)
+    def compression(self, fraction: Floats) -> Floats:
+        """Return the compression (n,) [N] at fractions of the depth range (n,)."""
+        return np.asarray(np.polyval(self.coefficients, fraction), np.float64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +160,7 @@ class Prior:
     depth_range: float
     """Depth that counts as 1 [m].
 
-    Two sensors are compared at the same share of their ranges, which is the same depth if the
+    Two sensors are compared at the same fraction of their ranges, which is the same depth if the
     ranges are equal (the paper, Methods: heterogeneous).
     """
     depth_max: float
@@ -186,7 +186,7 @@ class Prior:
 
     @property
     def share_max(self) -> float:
-        """Greatest measured share of the range."""
+        """Greatest measured fraction of the range."""
         return self.depth_max / self.depth_range
 
     def branch(self, loading: bool) -> Branch:
@@ -230,7 +230,7 @@ def prior_of_coefficients(
         sensor: Name of the sensor.
         known: Polynomials for loading and unloading, highest power first.
         depth_range: Depth that counts as 1 [m].
-        per_mm: True if they are of depth in mm (material test); else of its share of the range
+        per_mm: True if they are of depth in mm (material test); else of its fraction of the range
             (heterogeneous test).
         source: Description of their origin.
 
@@ -243,7 +243,7 @@ def prior_of_coefficients(
 
 
 def _converted(values: tuple[float, ...], unit: float) -> Branch:
-    """Convert a polynomial of depth, where `unit` is the whole range, to one of the share."""
+    """Convert a polynomial of depth, where `unit` is the whole range, to one of the fraction."""
     powers = np.arange(len(values) - 1, -1, -1)
     coefficients = np.asarray(values, np.float64) * unit**powers
     sign = -1.0 if coefficients.sum() < 0 else 1.0
@@ -259,11 +259,11 @@ def _fitted(sensor: str, name: str, pairs: Floats, span: float) -> Branch:
         raise LearningError(
             f"{where}: found forces at {depths} depths; allowed: {DEGREE + 1} or more"
         )
-    share, force = pairs[:, 0] / span, pairs[:, 1]
-    powers = np.vander(share, DEGREE + 1)
+    fraction, force = pairs[:, 0] / span, pairs[:, 1]
+    powers = np.vander(fraction, DEGREE + 1)
     coefficients = np.linalg.lstsq(powers, force, rcond=None)[0]
     residual = float(np.sqrt(np.mean((powers @ coefficients - force) ** 2)))
-    deepest = force[share >= np.quantile(share, 0.9)].mean()
+    deepest = force[fraction >= np.quantile(fraction, 0.9)].mean()
     if not deepest > 0:
         raise LearningError(
             f"{where}: found {deepest:.3g} N of compression at its deepest; allowed: above 0 "
@@ -304,7 +304,7 @@ def compensate(
         phase: Codes of phases (n,); -1 only where nothing is compensated.
         source: Prior of the sensor whose labels are compensated.
         target: Prior of the sensor that they are compensated for.
-        d0: Share of the source's depth range below which labels are unchanged, 0 to 1.
+        d0: Fraction of the source's depth range below which labels are unchanged, 0 to 1.
         lam: Weight of the correction, 0 to 1.
 
     Raises:
@@ -332,14 +332,16 @@ def ratios(
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """Return f_T / f_S (n,), clamped to `LEAST` and `LARGEST`, and a mask of the clamped ones.
 
-    Both curves are evaluated at the same share of their ranges. Beyond the greatest depth measured
-    for both, the ratio is constant. Where the source's curve is at or below 0 the ratio is the
-    largest, or 1 if the target's curve is too.
+    Both curves are evaluated at the same fraction of their ranges. Beyond the greatest depth
+    measured for both, the ratio is constant. Where the source's curve is at or below 0 the ratio is
+    the largest, or 1 if the target's curve is too.
     """
-    share = np.clip(depth / source.depth_range, 0.0, min(source.share_max, target.share_max))
+    fraction = np.clip(depth / source.depth_range, 0.0, min(source.share_max, target.share_max))
     loading = np.isin(phase, LOADING)
     own, other = (
-        np.where(loading, prior.loading.compression(share), prior.unloading.compression(share))
+        np.where(
+            loading, prior.loading.compression(fraction), prior.unloading.compression(fraction)
+        )
         for prior in (source, target)
     )
     pushes = own > 0

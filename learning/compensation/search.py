@@ -42,7 +42,7 @@ class Grid:
     """Values of d0 and lambda to try."""
 
     d0: tuple[float, ...] = D0_SHARES
-    """Starting depths, as shares of the source's range."""
+    """Starting depths, as fractions of the source's range."""
     weights: tuple[float, ...] = WEIGHTS
 
     def __post_init__(self) -> None:
@@ -57,7 +57,7 @@ class Choice:
     """A starting depth, a weight and their errors."""
 
     d0: float
-    """Share of the source's depth range."""
+    """Fraction of the source's depth range."""
     weight: float
     """Lambda."""
     error: float | None

@@ -387,7 +387,8 @@ class ForceRange:
 
         Args:
             wrench: Labels of the training split; NaN is no label.
-            margin: Share of the range to add at both ends, as a sigmoid never reaches its limits.
+            margin: Fraction of the range to add at both ends, as a sigmoid never reaches its
+                limits.
 
         Raises:
             LearningError: There are no labels, one is infinite, or the margin is negative.

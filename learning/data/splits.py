@@ -54,7 +54,7 @@ class Split:
     held_out_sensors: tuple[str, ...] = ()
     """Names, in alphabetical order."""
     validation: float = 0.0
-    """Requested share of the presses of seen indenters for validation."""
+    """Requested fraction of the presses of seen indenters for validation."""
     new_press: float = 0.0
     """The same for `new_press`."""
     seed: int = 0
@@ -166,12 +166,13 @@ def make_split(
 ) -> Split:
     """Split the presses of an archive.
 
-    Each share is taken evenly from the seen indenters; unless it is 0, it has at least one press.
+    Each fraction is taken evenly from the seen indenters; unless it is 0, it has at least one
+    press.
 
     Args:
         archive: A complete archive.
-        validation: Share of the presses of seen indenters.
-        new_press: Share of the presses of seen indenters.
+        validation: Fraction of the presses of seen indenters.
+        new_press: Fraction of the presses of seen indenters.
         held_out_sensors: Names of sensors that no model may be trained on.
         seed: Seed of the choice, which depends on nothing else but the presses.
         unseen: Indenters that no model may be trained on; None: the archive's list.
@@ -181,9 +182,9 @@ def make_split(
             sensors disagree on a press.
         SessionError: The archive is still being written.
     """
-    for name, share in (("validation", validation), ("new_press", new_press)):
-        if not 0 <= share < 1:
-            raise LearningError(f"{name}: found {share}; allowed: 0 to less than 1")
+    for name, fraction in (("validation", validation), ("new_press", new_press)):
+        if not 0 <= fraction < 1:
+            raise LearningError(f"{name}: found {fraction}; allowed: 0 to less than 1")
     _require_known("held_out_sensors", held_out_sensors, archive)
     places = presses_of(archive)
     if unseen is None:
@@ -194,11 +195,14 @@ def make_split(
     for location, press in sorted(places.items()):
         states.setdefault(press, []).append(location)
     seen = _shuffled([press for press in states if press[0] not in unseen], seed)
-    counts = [max(1, round(share * len(seen))) if share else 0 for share in (new_press, validation)]
+    counts = [
+        max(1, round(fraction * len(seen))) if fraction else 0
+        for fraction in (new_press, validation)
+    ]
     if sum(counts) >= len(seen):
         raise LearningError(
             f"{archive.name}: found {len(seen)} presses of seen indenters, {counts[0]} for "
-            f"new_press and {counts[1]} for validation; allowed: shares that leave some to train on"
+            f"new_press and {counts[1]} for validation; allowed: fractions that leave some to train"
         )
     roles: dict[tuple[str, int], Role] = {press: "new_indenter" for press in states}
     for number, press in enumerate(seen):
@@ -252,7 +256,7 @@ def read_split(path: Path) -> Split:
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         problem = f"missing {error}" if isinstance(error, KeyError) else error
-        raise LearningError(f"{path}: not a whole split: {problem}") from error
+        raise LearningError(f"{path}: corrupt or incomplete split: {problem}") from error
     if len({press.location for press in presses}) != len(presses):
         raise LearningError(f"{path}: found a location twice; allowed: one role each")
     return split

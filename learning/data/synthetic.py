@@ -21,7 +21,7 @@ from recorder.markers import HEIGHT, WIDTH, Lattice
 # Smallest and largest pitch [px of 640 x 480]: from the densest texture of the paper's simulation
 # (320 markers) to a uSkin's 4 x 4 discs.
 PITCH_PX = 24.0, 135.0
-# Radius of a marker as a share of the smaller pitch.
+# Radius of a marker as a fraction of the smaller pitch.
 FILL = 0.09, 0.42
 # Minimum radius of a marker [px of 640 x 480]: segmentation drops smaller ones.
 SMALLEST_RADIUS_PX = 4.0
@@ -169,10 +169,10 @@ def before(field: Tensor, lattice: Lattice | None, side: int = SIDE) -> Tensor:
         lattice: Lattice of the fields; None: centres of h x w cells that cover the image.
         side: Side of the small image [its pixels].
     """
-    return untouched(side, field.device) + inverse(field.float(), (side, side), lattice)
+    return pixel_grid(side, field.device) + inverse(field.float(), (side, side), lattice)
 
 
-def untouched(side: int, device: torch.device) -> Tensor:
+def pixel_grid(side: int, device: torch.device) -> Tensor:
     """Return the column and row of the pixels of a small image [px of 640 x 480].
 
     Pixel centres of both images are at whole numbers, and both cover the same scene.

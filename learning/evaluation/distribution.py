@@ -318,7 +318,7 @@ class Extractor(Protocol):
 class MarkerGrid:
     """Marker coverage, position and edges in the cells of a grid.
 
-    For each of 8 x 8 cells: the covered share; the mean of coverage times column, and times row,
+    For each of 8 x 8 cells: the covered fraction; the mean of coverage times column, and times row,
     from -1 to 1 across the cell; the mean step to the next pixel, right and down. 256 numbers.
     """
 
@@ -542,10 +542,10 @@ def classifier_accuracy(
 ) -> float:
     """Return the accuracy with which a linear classifier separates features (n, d) and (m, d).
 
-    It is the mean over both sets of the share of samples that a logistic regression on standardised
-    features, fitted to the other folds, assigns to their own set: 0.5 is chance (classifier
-    two-sample test, Lopez-Paz and Oquab, 2017). A group is never divided between folds, so that the
-    classifier cannot recognise a sample by others of its group.
+    It is the mean over both sets of the fraction of samples that a logistic regression on
+    standardised features, fitted to the other folds, assigns to their own set: 0.5 is chance
+    (classifier two-sample test, Lopez-Paz and Oquab, 2017). A group is never divided between folds,
+    so that the classifier cannot recognise a sample by others of its group.
 
     Args:
         one: Features (n, d).
@@ -562,7 +562,7 @@ def classifier_accuracy(
     from sklearn.preprocessing import StandardScaler
 
     _require(one, other, 2)
-    features, which = _together(one, other)
+    features, which = _stacked(one, other)
     if groups.shape != which.shape:
         raise LearningError(f"groups: found shape {groups.shape}; allowed: {which.shape}")
     fewest = min(len(np.unique(groups[which == kind])) for kind in (0, 1))
@@ -577,15 +577,16 @@ def classifier_accuracy(
 def mixing_score(one: Floats, other: Floats, neighbours: int = NEIGHBOURS) -> float:
     """Return the mixing of two sets of features (n, d), (m, d): 1 is full, 0 none.
 
-    For each sample, take the share of its k nearest neighbours, by Euclidean distance, that belong
-    to the other set, over the share expected by chance (m / (n + m - 1) for samples of the first).
-    The score is the mean of both sets' means. Random fluctuation takes it to either side of 1.
+    For each sample, take the fraction of its k nearest neighbours, by Euclidean distance, that
+    belong to the other set, over the fraction expected by chance (m / (n + m - 1) for samples of
+    the first). The score is the mean of both sets' means. Random fluctuation takes it to either
+    side of 1.
 
     Raises:
         LearningError: There are no more samples than neighbours, or widths differ.
     """
     _require(one, other, 2)
-    features, which = _together(one, other)
+    features, which = _stacked(one, other)
     if len(features) <= neighbours:
         raise LearningError(
             f"features: found {len(features)} samples; allowed: more than {neighbours} neighbours"
@@ -620,7 +621,7 @@ def embedded(features: Floats, *, seed: int) -> Floats:
     return np.asarray(projection.fit_transform(level), np.float64)
 
 
-def _together(one: Floats, other: Floats) -> tuple[Floats, NDArray[np.int64]]:
+def _stacked(one: Floats, other: Floats) -> tuple[Floats, NDArray[np.int64]]:
     features = np.concatenate([one, other]).astype(np.float64)
     return features, np.repeat(np.array([0, 1]), [len(one), len(other)])
 

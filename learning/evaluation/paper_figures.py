@@ -1,7 +1,7 @@
 """The paper's figures with their sources, and our values in the same setting.
 
 The paper's forces reach 18 N normal and 4 N shear, ours may not. So errors are given in newtons and
-as a share of the range of the labels (the paper: 18 N normal, 8 N shear, Results).
+as a fraction of the range of the labels (the paper: 18 N normal, 8 N shear, Results).
 """
 
 from __future__ import annotations
@@ -143,7 +143,7 @@ def beside_the_paper(rows: Sequence[ForceRow]) -> tuple[Beside, ...]:
                     _statistic(held_out, figure),
                     _statistic(unseen, figure),
                     paper_share(figure),
-                    _statistic(held_out, figure, share=True),
+                    _statistic(held_out, figure, fraction=True),
                 )
             )
     return tuple(found)
@@ -173,8 +173,8 @@ def _paired(figure: PaperFigure) -> int:
     return sum(_chosen(a, b, figure) for a in sensors for b in sensors if a != b)
 
 
-def _statistic(rows: Sequence[ForceRow], figure: PaperFigure, *, share: bool = False) -> float:
-    values = [_value(row, figure.measure, share) for row in rows]
+def _statistic(rows: Sequence[ForceRow], figure: PaperFigure, *, fraction: bool = False) -> float:
+    values = [_value(row, figure.measure, fraction) for row in rows]
     values = [value for value in values if not math.isnan(value)]  # axes without labels
     if not values:
         return math.nan
@@ -183,13 +183,13 @@ def _statistic(rows: Sequence[ForceRow], figure: PaperFigure, *, share: bool = F
     return min(values) if figure.statistic == "min" else sum(values) / len(values)
 
 
-def _value(row: ForceRow, measure: str, share: bool) -> float:
+def _value(row: ForceRow, measure: str, fraction: bool) -> float:
     if measure.startswith("r2"):
-        if share:
+        if fraction:
             return math.nan
         return row.errors.r2_mean if measure == "r2" else row.value(measure)
     axes = SHEAR if measure == "shear" else (measure,)
-    if share:
+    if fraction:
         return label_share(row, axes)
     return sum(row.errors.mae[AXES.index(axis)] for axis in axes) / len(axes)
 

@@ -369,17 +369,17 @@ def write_report(
     if not predictions and not scores:
         raise LearningError("evaluate: found neither predictions nor translation scores")
     require_alone(scores)
-    together = merged(predictions)
-    rows, unscored = force_rows(together), unscored_lines(together)
+    pooled = merged(predictions)
+    rows, unscored = force_rows(pooled), unscored_lines(pooled)
     beside = beside_the_paper(rows)
-    force = _force(together, rows, beside, seed=seed)
+    force = _force(pooled, rows, beside, seed=seed)
     progress(1, 3)
     translated = _translation(scores, seed=seed)
     progress(2, 3)
     page = render(
         Path(__file__).with_suffix(".html"),
         title=title,
-        summary=_summary(together, scores),
+        summary=_summary(pooled, scores),
         escaped=lambda text: html.escape(str(text).strip()),
         measures=GAINS,
         variant_name=variant_name,

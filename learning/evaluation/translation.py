@@ -298,7 +298,7 @@ class PairedScore:
     centroid_mm: float
     """Its median on the surface [mm]."""
     count_mismatch: float
-    """Share of frames with a wrong number of markers."""
+    """Fraction of frames with a wrong number of markers."""
     area_ratio_error: float
     """Mean of |marker area / true marker area - 1|."""
     epe_px: float
@@ -551,9 +551,9 @@ def _endpoint_errors(found: NDArray[np.bool_], real: Real, part: slice) -> Float
     missed = [np.empty((0, 2))]
     for number in np.unique(reference).tolist():
         here = reference == number
-        untouched = unpack(sensor.references[number])
+        no_contact = unpack(sensor.references[number])
         missed.append(
-            endpoint_errors(found[here], untouched, field[here], sensor.lattice, real.smallest_px)
+            endpoint_errors(found[here], no_contact, field[here], sensor.lattice, real.smallest_px)
         )
     return np.concatenate(missed)
 
@@ -562,8 +562,8 @@ def _mean(values: Floats) -> float:
     return float(values.mean()) if len(values) else float("nan")
 
 
-def _quantile(values: Floats, share: float) -> float:
-    return float(np.quantile(values, share)) if len(values) else float("nan")
+def _quantile(values: Floats, fraction: float) -> float:
+    return float(np.quantile(values, fraction)) if len(values) else float("nan")
 
 
 # Default maximum of scored pairs of a role, drawn at random.

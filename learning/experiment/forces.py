@@ -17,7 +17,7 @@ from learning.data.presses import Presses
 from learning.data.splits import Split
 from learning.errors import LearningError
 from learning.evaluation.predictions import CHOICES, Predictions, predictions_of, read_predictions
-from learning.experiment.models import Places, Tuning, tune_together
+from learning.experiment.models import Places, Tuning, tune_batched
 from learning.experiment.parts import (
     Pair,
     Tested,
@@ -120,7 +120,7 @@ class Forces:
         """
         return self._predicted(pair, BEFORE)
 
-    def carried_over(
+    def translated(
         self,
         pairs: Sequence[Pair],
         translator: str,
@@ -142,7 +142,7 @@ class Forces:
         """
         # Targets of the same scale share the fields computed from the source's frames.
         known: dict[tuple[float, float], torch.Tensor] = {}
-        at_once = max(1, self.settings.together // (1 + len(self.settings.compensation)))
+        at_once = max(1, self.settings.models_per_batch // (1 + len(self.settings.compensation)))
         found = []
         for first in range(0, len(pairs), at_once):
             tunings = [
@@ -155,10 +155,10 @@ class Forces:
                 pair: self._translated(pair, model, known)
                 for pair in dict.fromkeys(each.pair for each in due)
             }
-            if due and self.settings.together > 1:
+            if due and self.settings.models_per_batch > 1:
                 seen = {pair: self._as_seen(presses) for pair, presses in shown.items()}
                 _, own = self._own_model(due[0].pair.source)
-                tune_together(due, seen, self._settings(tuning=True), own, self._run_of)
+                tune_batched(due, seen, self._settings(tuning=True), own, self._run_of)
             for each in tunings:
                 found.append(self._predicted(each.pair, each.method, each, shown.get(each.pair)))
         for pair in pairs:

@@ -17,8 +17,8 @@ from learning.errors import LearningError
 from learning.experiment.parts import Pair
 from learning.experiment.settings import ExperimentSettings, ModelChoice
 from learning.experiment.translating import WithoutSourceReference
+from learning.force.batched import train_batched
 from learning.force.model import ForceModel
-from learning.force.together import train_together
 from learning.force.train import Compensation, ForceSettings
 from learning.training.run import RunFolder, Stop
 from learning.translation.archive import Model, hash_of
@@ -184,7 +184,7 @@ class Tuning:
         return f"force-{self.pair.source}-to-{self.pair.target}.{self.method}.{self.translator}"
 
 
-def tune_together(
+def tune_batched(
     tunings: Sequence[Tuning],
     shown: Mapping[Pair, Presses],
     settings: ForceSettings,
@@ -221,7 +221,7 @@ def tune_together(
             ItemProgress(name, sys.stderr) as steps,
             Stop(partial(print, file=sys.stderr)) as stop,
         ):
-            trained = train_together(
+            trained = train_batched(
                 [shown[tunings[number].pair] for number in due],
                 settings,
                 start_from=start_from,

@@ -25,6 +25,7 @@ from learning.experiment.parts import Pair, labelled_sensors, pairs_of
 from learning.experiment.settings import ExperimentSettings
 from learning.experiment.worker import Job, do_all
 from recorder import MarkerArchive
+from recorder.settings import current_keys
 from recorder.store import replace_file
 
 Say = Callable[[str], None]
@@ -135,7 +136,7 @@ def _begin(
         places.predictions.mkdir(parents=True, exist_ok=True)
         replace_file(path, (json.dumps(plain, indent=1) + "\n").encode())
         return
-    found = json.loads(path.read_text(encoding="utf-8"))
+    found = current_keys(ExperimentSettings, json.loads(path.read_text(encoding="utf-8")))
     for key in plain:
         if found.get(key) != plain[key]:
             raise LearningError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -46,16 +47,16 @@ class ExperimentSettings:
     compensation: tuple[Compensated, ...] = ("compensated",)
     """Kinds of labels to train on, in addition to the source's own."""
     validation: float = 0.1
-    """Share of the presses of seen indenters for validation."""
+    """Fraction of the presses of seen indenters for validation."""
     new_press: float = 0.1
-    """Share of the presses of seen indenters for the test."""
+    """Fraction of the presses of seen indenters for the test."""
     train_presses: int | None = None
     """Number of training presses of force models, per source; none: all."""
     test_presses: int | None = None
     """Number of test presses of each role, per target; none: all."""
     scored_presses: int = 30
     """Number of presses of each role for scores of translations; 0: no scores."""
-    together: int = 1
+    models_per_batch: int = dataclasses.field(default=1, metadata={"formerly": "together"})
     """Number of models fine-tuned in one batch on a source's translated frames.
 
     Batching keeps a GPU busy.
@@ -86,7 +87,9 @@ class ExperimentSettings:
             value = getattr(self, name)
             if value is not None and value < 1:
                 raise LearningError(f"{name}: found {value}; allowed: 1 and more, or none")
-        if self.together < 1:
-            raise LearningError(f"together: found {self.together}; allowed: 1 and more")
+        if self.models_per_batch < 1:
+            raise LearningError(
+                f"models_per_batch: found {self.models_per_batch}; allowed: 1 and more"
+            )
         if self.scored_presses < 0:
             raise LearningError(f"scored_presses: found {self.scored_presses}; allowed: 0 and more")

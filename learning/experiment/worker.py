@@ -77,7 +77,7 @@ class Job:
             *(("own", sensor) for sensor in sensors if sensor not in self.unlabelled),
         ]
         return {task: frozenset() for task in alone} | {
-            ("carried", source, name): frozenset([("train", name), *fitted, ("own", source)])
+            ("translated", source, name): frozenset([("train", name), *fitted, ("own", source)])
             for source in sources
             for name in self.settings.translators
         }
@@ -154,14 +154,14 @@ class Worker:
             found.append(self._forces.own(sensor))
         return TaskResult(found)
 
-    def carried(self, source: str, name: str) -> TaskResult:
+    def translated(self, source: str, name: str) -> TaskResult:
         """Fine-tune models on a source's translated frames; predict targets, score translations."""
         model = open_translator(self._places, self._work.settings, name, self._device)
         pairs = [pair for pair in self._work.pairs if pair.source == source]
         stored = self._places.compensation
         asked = self._work.settings.compensation and stored.exists()
         labels = read_stored(stored) if asked else None
-        found = self._forces.carried_over(pairs, name, model, labels)
+        found = self._forces.translated(pairs, name, model, labels)
         return TaskResult(found, self._scores(source, pairs, name, model))
 
     def _scores(

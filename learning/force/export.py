@@ -27,7 +27,7 @@ from learning.force.stream import (
     open_exported,
 )
 
-# Tolerated difference of the exported step from torch, as a share of the force range.
+# Tolerated difference of the exported step from torch, as a fraction of the force range.
 CLOSE = 1e-4
 # Number of consecutive frames to compare.
 _FRAMES = 4
@@ -49,7 +49,7 @@ class OneFrame(nn.Module):
         Args:
             frame: Stored frame (n, 256, 256) uint8 or (n, 3, 32, 32) float32.
             state: State (n, channels, h, w).
-            reference: Image (n, 256, 256) uint8 of the untouched sensor, if the model needs it.
+            reference: Image (n, 256, 256) uint8 without contact, if the model needs it.
         """
         kind = self.model.head.weight.dtype
         prepared = prepare(frame, reference, self.model.inputs)
@@ -93,7 +93,7 @@ def made_up_frames(model: ForceModel, count: int, seed: int = 0) -> np.ndarray:
 
 
 def export_onnx(model: ForceModel, path: str | os.PathLike[str]) -> float:
-    """Write the model's step atomically; return its deviation from torch as a share of the box.
+    """Write the model's step atomically; return its deviation from torch as a fraction of the box.
 
     Raises:
         LearningError: The file already exists, or the exported model differs from torch.
@@ -105,7 +105,7 @@ def export_onnx(model: ForceModel, path: str | os.PathLike[str]) -> float:
     model = copy.deepcopy(model).cpu().eval()
     inputs = model.inputs
     frames = torch.from_numpy(made_up_frames(model, 2))
-    arguments: tuple[Tensor, ...] = (frames[:1], model.untouched(1))
+    arguments: tuple[Tensor, ...] = (frames[:1], model.initial_state(1))
     if inputs.needs_reference:
         arguments += (frames[1:],)
     temporary = out.with_suffix(".part.onnx")
@@ -139,7 +139,7 @@ def export_onnx(model: ForceModel, path: str | os.PathLike[str]) -> float:
 
 
 def _difference(model: ForceModel, file: Path) -> float:
-    """Return the largest force difference over a few frames, as a share of the box."""
+    """Return the largest force difference over a few frames, as a fraction of the box."""
     streams = torch_stream(model), open_exported(file, threads=1)
     first, *frames = made_up_frames(model, 1 + _FRAMES)
     box = (model.high - model.low).numpy()

@@ -6,8 +6,8 @@
 
 Each frame is processed like the training data: markers by a preset of `learning.markers`, then the
 image or marker field that the network takes (`shown_to`), then a network step that keeps its state.
-The first frames must show the untouched sensor. Training sequences are short and begin untouched,
-so the state is reset while nothing touches the sensor (`ContactRule`).
+The first frames must show the sensor without contact. Training sequences are short and begin
+without contact, so the state is reset while nothing touches the sensor (`ContactRule`).
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ class Shown(Protocol):
 
     @property
     def reference(self) -> NDArray[np.uint8] | None:
-        """Image of the untouched sensor, for a network that takes images."""
+        """Image of the sensor without contact, for a network that takes images."""
 
     def of(self, mask: Mask) -> NDArray[Any]:
         """Return the network input for the next mask (480, 640)."""
 
     def restart(self) -> None:
-        """Forget earlier frames; the next frame is untouched."""
+        """Forget earlier frames; the next frame shows no contact."""
 
 
 def shown_to(network: ForceStream, reference: Mask) -> Shown:
@@ -51,7 +51,7 @@ def shown_to(network: ForceStream, reference: Mask) -> Shown:
 
     Args:
         network: The force model.
-        reference: The untouched mask (480, 640).
+        reference: The mask without contact (480, 640).
 
     Raises:
         LearningError: The network takes other inputs, or the reference has no markers.
@@ -71,7 +71,7 @@ class Images:
     """Images of 256 x 256, as in the training data."""
 
     def __init__(self, reference: Mask) -> None:
-        """Store the untouched mask (480, 640)."""
+        """Store the mask without contact (480, 640)."""
         self.reference: NDArray[np.uint8] | None = self.of(reference)
 
     def of(self, mask: Mask) -> NDArray[np.uint8]:
@@ -102,10 +102,10 @@ class Fields(FieldReader):
 
 # Contact detection from the motion of marker edges.
 #
-# The number of pixels in which a mask differs from the untouched one, divided by the length of the
-# markers' edges, is the mean motion of those edges [px]. Its largest value in the untouched frames
-# is the noise. Contact begins above twice the noise plus a margin. It ends after several
-# consecutive frames below, so that a press that briefly looks untouched keeps its history.
+# The number of pixels in which a mask differs from the reference, divided by the length of the
+# markers' edges, is the mean motion of those edges [px]. Its largest value in the frames without
+# contact is the noise. Contact begins above twice the noise plus a margin. It ends after several
+# consecutive frames below, so that a press that briefly looks like no contact keeps its history.
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,13 +113,13 @@ class ContactRule:
     """Thresholds for contact."""
 
     times_noise: float = 2.0
-    """Factor on the largest motion among the untouched frames."""
+    """Factor on the largest motion among the frames without contact."""
     least_px: float = 0.02
     """Margin added to it, as mean motion of the markers' edges [px of 640 x 480]."""
     frames: int = 5
     """Number of consecutive frames below the threshold that end contact."""
     noise_px: float = 0.5
-    """Largest motion accepted in untouched frames [px]."""
+    """Largest motion accepted in frames without contact [px]."""
 
     def __post_init__(self) -> None:
         """Reject thresholds by which contact never ends, or every frame is contact."""
@@ -133,26 +133,26 @@ class ContactRule:
 class Contact:
     """Detects contact from the masks of one sensor."""
 
-    def __init__(self, untouched: NDArray[np.bool_], rule: ContactRule | None = None) -> None:
-        """Compute the untouched mask and its noise from frames without contact.
+    def __init__(self, no_contact: NDArray[np.bool_], rule: ContactRule | None = None) -> None:
+        """Compute the mask without contact and its noise from frames without contact.
 
         Args:
-            untouched: Masks (n, 480, 640), one or more.
+            no_contact: Masks (n, 480, 640), one or more.
             rule: Thresholds for contact.
 
         Raises:
-            LearningError: There are no markers, or the frames differ too much to be untouched.
+            LearningError: There are no markers, or the frames differ too much.
         """
         self._rule = rule or ContactRule()
-        self.reference: Mask = np.asarray(2 * untouched.sum(axis=0) > len(untouched), np.bool_)
-        """Majority of the untouched masks (480, 640)."""
+        self.reference: Mask = np.asarray(2 * no_contact.sum(axis=0) > len(no_contact), np.bool_)
+        """Majority of the masks without contact (480, 640)."""
         self._edge = _edge_length(self.reference)
         if not self._edge:
-            raise LearningError("untouched frames: found no markers; allowed: another preset")
-        noise = max(self.moved(mask) for mask in untouched)
+            raise LearningError("frames without contact: found no markers; allowed: another preset")
+        noise = max(self.moved(mask) for mask in no_contact)
         if noise > self._rule.noise_px:
             raise LearningError(
-                f"untouched frames: their markers move by {noise:.2f} px; allowed: "
+                f"frames without contact: their markers move by {noise:.2f} px; allowed: "
                 f"{self._rule.noise_px} px; was the sensor touched while its reference was taken?"
             )
         self.threshold_px = self._rule.times_noise * noise + self._rule.least_px
@@ -162,7 +162,7 @@ class Contact:
         """Mean motion of the markers' edges in the last frame [px]."""
 
     def moved(self, mask: Mask) -> float:
-        """Return the mean distance of the markers' edges from their untouched positions [px]."""
+        """Return the mean distance of the markers' edges from their undeformed positions [px]."""
         return float(np.count_nonzero(mask != self.reference)) / self._edge
 
     def step(self, mask: Mask) -> bool:
@@ -183,7 +183,7 @@ Frame = NDArray[Any]
 
 # Runtimes: ONNX Runtime and OpenVINO run the exported model, torch the trained one.
 RUNTIMES = ("onnx", "openvino", "openvino-bf16", "torch")
-# Number of untouched frames for the reference.
+# Number of frames without contact for the reference.
 START_FRAMES = 10
 _TAXELS = (16, 3)
 
@@ -195,8 +195,8 @@ class LiveForce:
     force: tuple[float, float, float]
     """Fx, Fy, Fz on the sensor [N]; pressing is negative Fz; NaN on axes unknown to the model."""
     contact: bool
-    """True if the sensor is touched; if not, the force is the network's output for an untouched
-    sensor."""
+    """True if the sensor is touched; if not, the force is the network's output without
+    contact."""
     motion_px: float
     """Mean motion of the markers' edges [px of 640 x 480]."""
 
@@ -204,7 +204,7 @@ class LiveForce:
 class Masks(Protocol):
     """Computes masks from sensor frames."""
 
-    def untouched(self, frames: NDArray[Any]) -> NDArray[np.bool_]:
+    def reference_masks(self, frames: NDArray[Any]) -> NDArray[np.bool_]:
         """Return masks (n, 480, 640) of frames without contact, and store their baseline."""
 
     def mask(self, frame: Frame) -> NDArray[np.bool_]:
@@ -228,7 +228,7 @@ class LivePredictor:
             network: Stream of the force model.
             chosen: Preset for finding markers in pictures or drawing them from taxels.
             rule: Thresholds for contact.
-            start_frames: Number of untouched frames for the reference.
+            start_frames: Number of frames without contact for the reference.
 
         Raises:
             LearningError: `start_frames` is below 1.
@@ -246,7 +246,7 @@ class LivePredictor:
 
     @property
     def reference(self) -> NDArray[np.bool_] | None:
-        """The untouched mask (480, 640); None until it is known."""
+        """The mask without contact (480, 640); None until it is known."""
         return None if self._contact is None else self._contact.reference
 
     def begin(self, frames: NDArray[Any]) -> None:
@@ -256,11 +256,11 @@ class LivePredictor:
             frames: Pictures (n, h, w, 3) uint8, RGB, or counts of taxels (n, 16, 3).
 
         Raises:
-            LearningError: There are no frames, they have no markers, or they are not untouched.
+            LearningError: There are no frames, they have no markers, or they differ too much.
         """
         if not len(frames):
-            raise LearningError("untouched frames: found none; allowed: one or more")
-        self._contact = Contact(self._masks.untouched(frames), self._rule)
+            raise LearningError("frames without contact: found none; allowed: one or more")
+        self._contact = Contact(self._masks.reference_masks(frames), self._rule)
         self._shown = shown_to(self._network, self._contact.reference)
         self._network.reset(self._shown.reference)
         self._first.clear()
@@ -342,7 +342,7 @@ class _PictureMasks:
     def __init__(self, chosen: CameraPreset) -> None:
         self._segmenter = Segmenter(chosen)
 
-    def untouched(self, frames: NDArray[Any]) -> NDArray[np.bool_]:
+    def reference_masks(self, frames: NDArray[Any]) -> NDArray[np.bool_]:
         """Return the masks (n, 480, 640) of pictures (n, h, w, 3)."""
         return np.stack([self.mask(frame) for frame in frames])
 
@@ -352,7 +352,7 @@ class _PictureMasks:
 
 
 class _TaxelMasks:
-    """Masks of taxel counts: discs, relative to the mean of the untouched counts."""
+    """Masks of taxel counts: discs, relative to the mean of the counts without contact."""
 
     def __init__(self, chosen: Preset) -> None:
         if isinstance(chosen, CameraPreset):
@@ -360,7 +360,7 @@ class _TaxelMasks:
         self._preset = chosen
         self._rest = np.zeros(_TAXELS)
 
-    def untouched(self, frames: NDArray[Any]) -> NDArray[np.bool_]:
+    def reference_masks(self, frames: NDArray[Any]) -> NDArray[np.bool_]:
         """Return the masks (n, 480, 640) of counts (n, 16, 3)."""
         self._rest = _counts(frames[0], frames).mean(axis=0)
         return taxel_masks(frames, self._rest, self._preset)

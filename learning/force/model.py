@@ -26,7 +26,7 @@ from learning.training.checkpoint import read_model_folder
 # Kind of a force model's folder.
 KIND = "force"
 # Number of presses predicted at once, by type of device.
-_TOGETHER = {"cpu": 8, "cuda": 128}
+_AT_ONCE = {"cpu": 8, "cuda": 128}
 
 # Settings of the network: two of the keys of the presets. Those of the training are in `train`.
 
@@ -40,7 +40,7 @@ class InputSettings:
     """Network input computed from a frame."""
 
     form: Literal["image", "difference", "both", "field"] = "both"
-    """The image, the image minus the untouched one, image and difference as two channels, or the
+    """The image, the image minus the reference, image and difference as two channels, or the
     measured marker field (dx, dy, change of log area)."""
     side_px: int = 256
     """Side to which images are averaged down; fields have a fixed side."""
@@ -84,7 +84,7 @@ class InputSettings:
 
     @property
     def needs_reference(self) -> bool:
-        """True if the untouched image is needed in addition to a frame."""
+        """True if the image without contact is needed in addition to a frame."""
         return self.form in ("difference", "both")
 
 
@@ -106,7 +106,7 @@ class NetworkSettings:
     encoder_norm: Literal["instance", "batch", "group", "none"] = "instance"
     tail_norm: Literal["batch", "group", "none"] = "batch"
     dropout: float = 0.0
-    """Share of the encoder's channels dropped during training."""
+    """Fraction of the encoder's channels dropped during training."""
 
     def __post_init__(self) -> None:
         """Reject a network that cannot be built."""
@@ -287,7 +287,7 @@ class ForceModel(nn.Module):
         side = self.inputs.side // (2 if self.inputs.form == "field" else 8)
         return self.memory.hidden, side, side
 
-    def untouched(self, batch: int) -> Tensor:
+    def initial_state(self, batch: int) -> Tensor:
         """Return the initial state (batch, channels, h, w)."""
         return self.head.weight.new_zeros(batch, *self.state_shape)
 
@@ -318,7 +318,7 @@ class ForceModel(nn.Module):
             torch.tensor(index, device=frames.device) for index in zip(*place, strict=True)
         )
         features = self.encoder(frames[rows, times])
-        hidden = self.untouched(batch).to(features.dtype) if state is None else state
+        hidden = self.initial_state(batch).to(features.dtype) if state is None else state
         hidden = hidden[order]
         seen, begin = [], 0
         for time in range(max(length)):
@@ -340,7 +340,7 @@ class ForceModel(nn.Module):
         In evaluation mode, repeated steps equal `forward` on the sequence.
         """
         features = self.encoder(frame)
-        before = self.untouched(len(frame)).to(features.dtype) if state is None else state
+        before = self.initial_state(len(frame)).to(features.dtype) if state is None else state
         after = self.memory(features, before)
         return torch.sigmoid(self.head(self.tail(after)).float()), after
 
@@ -379,9 +379,9 @@ class ForceModel(nn.Module):
         predicted = torch.zeros(presses.frames, 3, device=self.device)
         done = 0
         self.eval()
-        together = _TOGETHER[self.device.type]
-        for group in lengths.argsort(descending=True, stable=True).split(together):
-            state = self.untouched(len(group))
+        at_once = _AT_ONCE[self.device.type]
+        for group in lengths.argsort(descending=True, stable=True).split(at_once):
+            state = self.initial_state(len(group))
             for time in range(int(lengths[group].max())):
                 # Sorted by descending length, so finished presses are at the end.
                 running = group[lengths[group] > time]
@@ -442,7 +442,7 @@ def prepare(frames: Tensor, references: Tensor | None, inputs: InputSettings) ->
     Args:
         frames: Images (n, 256, 256) uint8, or marker fields (n, 3, 32, 32) float: dx, dy [px of
             the 640 x 480 image] and the change of the logarithm of a marker's area.
-        references: Images of the untouched sensor (n, 256, 256) uint8, if the form needs them.
+        references: Images without contact (n, 256, 256) uint8, if the form needs them.
         inputs: Settings of the network input.
 
     Raises:
@@ -456,7 +456,7 @@ def prepare(frames: Tensor, references: Tensor | None, inputs: InputSettings) ->
     if inputs.needs_reference:
         if references is None:
             raise LearningError(
-                f"reference: missing; input {inputs.form} needs the untouched image"
+                f"reference: missing; input {inputs.form} needs the image without contact"
             )
         require_stored(references, inputs, "reference")
         difference = image - _reduced(references, inputs)

@@ -1,8 +1,8 @@
 """Forces of a stream of frames by an exported model on any runtime; needs no torch.
 
-An exported model is one step: it takes a frame, the state and, if needed, the untouched image, and
-returns the force in newtons and the next state. It takes stored frames, so that no preprocessing is
-needed outside of it.
+An exported model is one step: it takes a frame, the state and, if needed, the image without
+contact, and returns the force in newtons and the next state. It takes stored frames, so that no
+preprocessing is needed outside of it.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class StepInputs:
     state: tuple[int, ...]
     """Shape (1, c, h, w) of the state, float32."""
     needs_reference: bool
-    """True if the image of the untouched sensor is an input."""
+    """True if the image of the sensor without contact is an input."""
 
 
 class ForceStream:
@@ -56,7 +56,7 @@ class ForceStream:
         """Reset the state, as at no contact, and optionally replace the reference.
 
         Args:
-            reference: Image (256, 256) uint8 of the untouched sensor.
+            reference: Image (256, 256) uint8 of the sensor without contact.
 
         Raises:
             LearningError: The reference has another shape or type.
@@ -86,7 +86,7 @@ class ForceStream:
         inputs = {FRAME: self._checked(frame, FRAME), STATE: self._state}
         if self.inputs.needs_reference:
             if self._reference is None:
-                raise LearningError("reference: missing; pass the untouched image to reset()")
+                raise LearningError("reference: missing; pass the image without contact to reset()")
             inputs[REFERENCE] = self._reference
         return inputs
 

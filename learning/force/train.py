@@ -131,7 +131,7 @@ class ForceSettings:
     force_range: Literal["training", "authors"] = "training"
     """Force range (a box) that the sigmoid spans: of the training labels, or of authors' code."""
     range_margin: float = 0.0
-    """Share of its length by which the box is extended at either end, because a sigmoid never
+    """Fraction of its length by which the box is extended at either end, because a sigmoid never
     reaches its limits."""
     launch: LaunchSettings = field(default_factory=LaunchSettings)
     """Devices and precision of training."""
@@ -236,9 +236,9 @@ def epoch(
     strings = []
     for sensor in sensors:
         order = random.permutation(len(starts[sensor]) - 1).astype(np.int64)
-        together = min(settings.presses, len(order))
-        whole = order[: len(order) - len(order) % together]
-        strings += [(sensor, presses) for presses in whole.reshape(-1, together)]
+        per_row = min(settings.presses, len(order))
+        whole = order[: len(order) - len(order) % per_row]
+        strings += [(sensor, presses) for presses in whole.reshape(-1, per_row)]
     shuffled = [strings[place] for place in random.permutation(len(strings))]
     return Epoch(tuple(shuffled), tuple(starts), settings, seed, number)
 
@@ -681,7 +681,7 @@ def run(options: argparse.Namespace) -> int:
             )
             yield f"{each.sensor}: off in validation by {by} N"
 
-    return run_training(options, KIND, settings, data, train, facts={"sensors": sensors})
+    return run_training(options, KIND, settings, data, train, metadata={"sensors": sensors})
 
 
 def _partly_labelled(model: ForceModel, presses: Sequence[Presses]) -> Iterator[str]:

@@ -142,8 +142,8 @@ def told(path: Path) -> tuple[str, ...]:
         if sensor.attrs["marker_check"] is None:
             text += "; markers are not counted"
         else:
-            share = len(flagged) / max(len(sensor), 1)
-            text += f"; marker count: {len(flagged)} flagged ({100 * share:.2f} %)"
+            fraction = len(flagged) / max(len(sensor), 1)
+            text += f"; marker count: {len(flagged)} flagged ({100 * fraction:.2f} %)"
         lines.append(text)
         lines += [f"  row {row}: {reported[of[row]][FLAG]}" for row in flagged[:NAMED]]
         if len(flagged) > NAMED:
@@ -235,10 +235,10 @@ def _camera(
 
 def _taxels(recording: Recording, preset: TaxelPreset) -> dict[str, float]:
     counts = recording.column("taxels")[:FRAMES]
-    untouched = recording.session.reference["taxels"][recording.references[0]]
-    masks = taxel_masks(counts, untouched, preset)
+    no_contact = recording.session.reference["taxels"][recording.references[0]]
+    masks = taxel_masks(counts, no_contact, preset)
     return {
-        "mask": _fastest(lambda: taxel_masks(counts, untouched, preset), len(counts)),
+        "mask": _fastest(lambda: taxel_masks(counts, no_contact, preset), len(counts)),
         "packing": _fastest(lambda: pack(masks), len(counts)),
     }
 
@@ -306,7 +306,7 @@ def _draw_row(
     first = int(archived.table["reference"][of[0]])
     view = _view(archived, placed, int(_reference_image(placed)))
     mask = unpack(archived.references[first])
-    tiles = [(_outlined(view, mask), f"reference: {_count(archived, mask)}", "untouched", False)]
+    tiles = [(_outlined(view, mask), f"reference: {_count(archived, mask)}", "no contact", False)]
     for row in chosen:
         (mask,) = archived.masks([row])
         picture = _outlined(_view(archived, placed, _image_of(placed, row - of[0])), mask)

@@ -82,8 +82,8 @@ def _level(packed: bytes) -> NDArray[np.float32]:
 def _middle(soft: NDArray[np.float32], area: float) -> float:
     """Return the level of a blurred marker (h, w) above which its area lies, with partial pixels.
 
-    The share of a pixel above the level follows from its value and slope. Whole pixels would switch
-    by the dozen, since markers are symmetric.
+    The fraction of a pixel above the level follows from its value and slope. Whole pixels would
+    switch by the dozen, since markers are symmetric.
     """
     down, across = np.gradient(soft)
     slope = np.maximum(np.hypot(down, across), _LEAST_SLOPE)
@@ -104,7 +104,7 @@ def _middle(soft: NDArray[np.float32], area: float) -> float:
 Floats = NDArray[np.float64]
 Chosen = NDArray[np.bool_]
 
-# Regularisation as a share of the stiffness. It makes a field unique if its markers (fewer than
+# Regularisation as a fraction of the stiffness. It makes a field unique if its markers (fewer than
 # three, or all on one line) do not determine it.
 _RIDGE = 1e-6
 # Minimum number of markers for a field that grows linearly beyond them.
@@ -208,7 +208,7 @@ ROUNDS = 5
 # Maximum distance of a marker from its expected position [pitch]: beyond half of it, it could as
 # well be its neighbour.
 GATE = 0.5
-# Share of the last frame's motion that is expected to continue.
+# Fraction of the last frame's motion that is expected to continue.
 SPEED = 0.5
 # Area, relative to the median marker, above which a patch counts as merged markers.
 MERGED = 1.5

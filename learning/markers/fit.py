@@ -1,4 +1,4 @@
-"""A preset of marker detection, fitted to untouched pictures of a sensor.
+"""A preset of marker detection, fitted to pictures without contact of a sensor.
 
 For dark and for bright markers, in each channel, the contrast with the surroundings is measured at
 growing sizes of the element. Of these candidates the most regular one with the strongest contrast
@@ -60,7 +60,7 @@ TOUCHED, BLUR_PX = 18, 21
 
 @dataclass(frozen=True, slots=True)
 class Pattern:
-    """Markers found in an untouched picture by one detector."""
+    """Markers found in a picture without contact by one detector."""
 
     detector: Hat
     count: int
@@ -106,7 +106,7 @@ class Pattern:
 def fit_preset(
     pictures: Sequence[Picture], *, pitch_mm: float | None = None, description: str = ""
 ) -> tuple[CameraPreset, Pattern]:
-    """Return a preset for the sensor of untouched pictures (h, w, 3) RGB, and its markers.
+    """Return a preset for the sensor of pictures without contact (h, w, 3) RGB, and its markers.
 
     Args:
         pictures: One or more, without contact; their median is used.
@@ -207,8 +207,8 @@ def _pattern(view: Picture, size: int, channel: Channel, bright: bool) -> Patter
         return None
     # Patches count by their area, so that many specks do not outweigh the markers.
     order = np.argsort(own[large])
-    share = np.cumsum(area[large][order]) / area[large].sum()
-    typical = float(own[large][order][np.searchsorted(share, 0.5)])
+    fraction = np.cumsum(area[large][order]) / area[large].sum()
+    typical = float(own[large][order][np.searchsorted(fraction, 0.5)])
     least = round(max(floor, FAINT * typical), 4)
     mask = half_of_own(contrast, size, least) > 0
     blobs = find_blobs(mask[None], SMALLEST_PX)

@@ -26,20 +26,20 @@ _SIDE = 4
 
 def taxel_masks(
     counts: NDArray[np.floating | np.integer],
-    untouched: NDArray[np.floating | np.integer],
+    no_contact: NDArray[np.floating | np.integer],
     preset: TaxelPreset,
 ) -> NDArray[np.bool_]:
     """Draw the masks (n, 480, 640) of counts.
 
     Args:
         counts: Counts in the device's order (n, 16, 3) [counts].
-        untouched: Counts without contact (16, 3), or one set for each (n, 16, 3) [counts].
+        no_contact: Counts without contact (16, 3), or one set for each (n, 16, 3) [counts].
         preset: Numbering of the taxels.
 
     Raises:
         ValueError: A shape is wrong, or counts are not finite.
     """
-    change = np.asarray(counts, np.float64) - np.asarray(untouched, np.float64)
+    change = np.asarray(counts, np.float64) - np.asarray(no_contact, np.float64)
     if preset.rows_from_top:
         rows = change.reshape(*change.shape[:-2], _SIDE, _SIDE, 3)
         change = (rows[..., ::-1, :, :] * [1.0, -1.0, 1.0]).reshape(change.shape)
@@ -190,8 +190,8 @@ class RecordedSensor:
         """Return the masks of some rows of a recording; each picture is processed once."""
         if isinstance(self.preset, TaxelPreset):
             counts = recording.column("taxels")[chosen]
-            untouched = recording.session.reference["taxels"][recording.references]
-            return taxel_masks(counts, untouched[recording.reference[chosen]], self.preset)
+            no_contact = recording.session.reference["taxels"][recording.references]
+            return taxel_masks(counts, no_contact[recording.reference[chosen]], self.preset)
         images, place = np.unique(recording.column("image")[chosen], return_inverse=True)
         return self._seen(recording, images)[place.reshape(-1)]
 
@@ -232,7 +232,7 @@ class RecordedSensor:
             "location": location,
             "target": placed.first_target + target,
             "phase": recording.column("phase")[rows],
-            "depth": np.maximum(-position[:, 2], 0.0),
+            "depth": np.maximum(recording.surface()[rows] - position[:, 2], 0.0),
             "position": position[:, :2],
             "wrench": wrench,
             "frame": recording.number[rows],

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from learning.errors import LearningError
 from learning.indenters import coded
 from recorder import Session, Stream
-from recorder.session import quaternion
+from recorder.session import quaternion, surface_heights
 from recorder.spec import AXES, PHASES
 from trajectories.press_shear import PressShear
 from trajectories.stored import plan_from_json
@@ -64,6 +64,10 @@ class Recording:
     def targets(self) -> int:
         """Number of planned targets."""
         return len(self.session.targets["point"])
+
+    def surface(self) -> NDArray[np.float64]:
+        """Return the height of the untouched surface at each row's target (n,) [m]; 0 if flat."""
+        return np.asarray(surface_heights(self.session)[self.column("target")])
 
     @property
     def camera(self) -> Stream:
@@ -385,7 +389,8 @@ def _require_alike(recordings: Sequence[Recording]) -> None:
         if not np.array_equal(one.layout(), other.layout()):
             raise LearningError(
                 f"{one.name}: found {one.targets} targets that are not those of {other.name} "
-                f"({other.targets}); allowed: sessions of one plan, or an archive for each plan"
+                f"({other.targets}); allowed: sessions of one plan, or an archive for each plan, "
+                "joined by place with `archive join`"
             )
         _require_same_places(one, other)
     first: dict[str, Recording] = {}
@@ -409,13 +414,16 @@ def _require_same_places(one: Recording, other: Recording) -> None:
         raise LearningError(
             f"{one.name}: found shear directions {math.degrees(plan.angle_step):g} deg apart, "
             f"{other.name} has {math.degrees(due.angle_step):g} deg; allowed: the same angles, "
-            "or an archive for each plan"
+            "or an archive for each plan, joined by place with `archive join`"
         )
-    if plan.layout != due.layout and (one.session.targets["point"] > 1).any():
-        raise LearningError(
-            f"{one.name}: found layout {plan.layout!r} of points, {other.name} has "
-            f"{due.layout!r}; allowed: the same layout, or an archive for each plan"
-        )
+    for name in ("layout", "order"):
+        found, expected = getattr(plan, name), getattr(due, name)
+        if found != expected and (one.session.targets["point"] > 1).any():
+            raise LearningError(
+                f"{one.name}: found {name} {found!r} of points, {other.name} has {expected!r}; "
+                f"allowed: the same {name}, or an archive for each plan, joined by place with "
+                "`archive join`"
+            )
 
 
 def _require_one_device(recordings: Sequence[Recording]) -> None:

@@ -56,7 +56,7 @@ class Tracker:
             reference: Column and row (m, 2) of the markers without contact [px].
             gate: Maximum distance of a marker from its expected position [pitch]: half the distance
                 to a neighbour, beyond which it could be either.
-            speed: Share of the last frame's motion that is expected to continue, 0 to 1.
+            speed: Fraction of the last frame's motion that is expected to continue, 0 to 1.
 
         Raises:
             LearningError: There are no markers, positions are not finite, or gate or speed is out

@@ -1,7 +1,7 @@
 """The folder of a trained model: its weights, settings and provenance.
 
     model.safetensors     the weights; other networks of the training have files of their names
-    config.yaml           kind, settings, facts, data, code_version
+    config.yaml           kind, settings, metadata, data, code_version
 
 A finished run is such a folder, and so is each of its checkpoints.
 """
@@ -60,7 +60,7 @@ def read_weights(path: Path) -> dict[str, Tensor]:
     except FileNotFoundError:
         raise LearningError(f"{path}: no such file") from None
     except (SafetensorError, OSError) as error:
-        raise LearningError(f"{path}: not a whole safetensors file: {error}") from None
+        raise LearningError(f"{path}: corrupt or incomplete safetensors file: {error}") from None
     return weights
 
 
@@ -121,9 +121,9 @@ def weights_hash(path: Path) -> str:
         raise LearningError(f"{path}: no such file") from None
 
 
-def _listed(names: list[str], between: str = ", ") -> str:
+def _listed(names: list[str], separator: str = ", ") -> str:
     rest = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
-    return between.join(names[:_SHOWN]) + rest
+    return separator.join(names[:_SHOWN]) + rest
 
 
 Settings = TypeVar("Settings")
@@ -147,7 +147,7 @@ class Config:
     """Fingerprint of the training data."""
     code_version: str
     """Version of this package."""
-    facts: Mapping[str, Any] = field(default_factory=dict)
+    metadata: Mapping[str, Any] = field(default_factory=dict)
     """Values found by training and needed to use the model, e.g. the force range; plain values."""
     step: int | None = None
     """Number of training steps; None: the run is not finished."""
@@ -158,7 +158,7 @@ class Config:
         """Write it to a folder, atomically.
 
         Raises:
-            LearningError: Settings or facts are not plain values.
+            LearningError: Settings or metadata are not plain values.
         """
         try:
             text = yaml_text(asdict(self))
@@ -246,6 +246,8 @@ def read_config(folder: Path) -> Config:
     if not path.is_file():
         raise LearningError(f"{folder}: found no {CONFIG}; allowed: the folder of a training run")
     content = READER.read(path)
+    if "facts" in content:  # the key of older runs
+        content.setdefault("metadata", content.pop("facts"))
     known = Config.__dataclass_fields__
     if unknown := sorted(set(content) - set(known)):
         raise LearningError(f"{path}: unknown {', '.join(unknown)}; known: {', '.join(known)}")

@@ -25,7 +25,7 @@ class Ema:
 
         Args:
             module: The module to average; not wrapped by Accelerate.
-            decay: Share of the average that an update keeps, 0 to less than 1.
+            decay: Fraction of the average that an update keeps, 0 to less than 1.
 
         Raises:
             LearningError: The decay is out of range.
@@ -115,7 +115,7 @@ class Constant:
 
 @dataclass(frozen=True, slots=True)
 class Cosine:
-    """Half a cosine wave from the rate to a share of it."""
+    """Half a cosine wave from the rate to a fraction of it."""
 
     KIND: ClassVar[str] = "cosine"
 
@@ -125,7 +125,7 @@ class Cosine:
     warm_up: int = 0
     """Steps over which the rate rises; they are the first of `steps`."""
     final: float = 0.0
-    """Share of the rate at the end."""
+    """Fraction of the rate at the end."""
 
     def __post_init__(self) -> None:
         _require(self.rate, self.warm_up)
@@ -139,8 +139,8 @@ class Cosine:
         """Return the rate of a step, from 0."""
         if step < self.warm_up:
             return self.rate * _risen(step, self.warm_up)
-        share = min(1.0, (step - self.warm_up) / (self.steps - self.warm_up))
-        wave = (1 + math.cos(math.pi * share)) / 2
+        fraction = min(1.0, (step - self.warm_up) / (self.steps - self.warm_up))
+        wave = (1 + math.cos(math.pi * fraction)) / 2
         return self.rate * (self.final + (1 - self.final) * wave)
 
 

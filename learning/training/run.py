@@ -78,7 +78,7 @@ class RunFolder:
         data_fingerprint: str,
         resume: bool = False,
         *,
-        facts: Mapping[str, Any] | None = None,
+        metadata: Mapping[str, Any] | None = None,
         keep: int = 2,
         writes: bool = True,
     ) -> Self:
@@ -90,7 +90,7 @@ class RunFolder:
             settings: Frozen dataclass with all settings of the training.
             data_fingerprint: Fingerprint of the training data, including the split.
             resume: Continue an existing run; without one, a new run begins.
-            facts: Plain values known before training that are needed to use the model.
+            metadata: Plain values known before training that are needed to use the model.
             keep: Number of newest checkpoints to keep, in addition to the best.
             writes: True if this process writes; of several, only the main one does.
 
@@ -104,7 +104,7 @@ class RunFolder:
         if keep < 1:
             raise LearningError(f"keep: found {keep}; allowed: 1 and more")
         config = Config(
-            kind, settings_to_dict(settings), data_fingerprint, code_version(), dict(facts or {})
+            kind, settings_to_dict(settings), data_fingerprint, code_version(), dict(metadata or {})
         )
         run = cls(folder, config, keep=keep, writes=writes)
         if not writes:
@@ -255,7 +255,7 @@ class RunFolder:
         step: int,
         models: Mapping[str, nn.Module | Mapping[str, Tensor]],
         *,
-        facts: Mapping[str, Any] | None = None,
+        metadata: Mapping[str, Any] | None = None,
         score: float | None = None,
     ) -> None:
         """Write the model, which marks the run as finished.
@@ -263,13 +263,13 @@ class RunFolder:
         Args:
             step: Number of steps done.
             models: Networks by name; `model` is the one to use.
-            facts: Further plain values that belong to the model.
+            metadata: Further plain values that belong to the model.
             score: Validation score.
         """
         if not self.writes:
             return
-        facts = {**self.config.facts, **(facts or {})}
-        self.config = replace(self.config, step=step, score=score, facts=facts)
+        metadata = {**self.config.metadata, **(metadata or {})}
+        self.config = replace(self.config, step=step, score=score, metadata=metadata)
         self.config.write(self.path)
         # `model` is written last, as it marks the run as finished.
         for name in sorted(models, key=lambda name: name == MODEL):

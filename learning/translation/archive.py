@@ -222,7 +222,7 @@ def _sensor(archive: MarkerArchive, name: str) -> ArchivedSensor:
     if len(empty):
         raise LearningError(
             f"{archive.name}: reference {empty[0]} of {name} has no marker; allowed: a mask "
-            "of the untouched sensor"
+            "of the sensor without contact"
         )
     return sensor
 

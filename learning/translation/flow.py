@@ -1,4 +1,4 @@
-"""The classical translator: warps the target's untouched mask by the source's marker motion."""
+"""The classical translator: warps the target's reference mask by the source's marker motion."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import torch
 
 from learning.data.images import warp
 from learning.markers.displacement import LATTICE, SMOOTHING, FieldReader, edge_level
-from learning.translation.translator import FLOW, SensorView, require_masks, untouched_source
+from learning.translation.translator import FLOW, SensorView, require_masks, source_reference_of
 from recorder.markers import pack, unpack
 
 # Batched warping of masks by displacement fields, on any device.
@@ -23,7 +23,7 @@ def warp_masks(reference: torch.Tensor, fields: torch.Tensor) -> torch.Tensor:
     """Warp a reference by displacement fields; return masks, bool (n, 480, 640).
 
     Args:
-        reference: The untouched mask, bool (480, 640), on any device.
+        reference: The mask without contact, bool (480, 640), on any device.
         fields: Displacement on the lattice of archives (n, 57, 73, 2) [px], components column, row.
             The warp runs on their device.
     """
@@ -76,10 +76,10 @@ class FlowTranslator:
 
         Args:
             source: Masks of the source, bool (n, 480, 640), on any device; the result is there too.
-            target_reference: The untouched target, bool (480, 640).
-            source_reference: The untouched source, bool (480, 640); None: the first frame of an
+            target_reference: The target's reference, bool (480, 640).
+            source_reference: The source's reference, bool (480, 640); None: the first frame of an
                 ordered press.
-            ordered: True if the frames are one press in time order that begins untouched.
+            ordered: True if the frames are one press in time order that begins without contact.
 
         Raises:
             LearningError: Wrong shapes or types, a required reference is missing, or a reference
@@ -88,7 +88,7 @@ class FlowTranslator:
         require_masks(source, target_reference, source_reference)
         if not len(source):
             return source.clone()
-        source_reference = untouched_source(source, source_reference, ordered=ordered)
+        source_reference = source_reference_of(source, source_reference, ordered=ordered)
         reader = _reader(pack(source_reference.cpu().numpy()).tobytes(), self.smoothing)
         fields = reader.displacement(
             source.cpu().numpy(), ordered=ordered, source=self.source, target=self.target

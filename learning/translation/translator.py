@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 # Name of the translator that needs no training and therefore has no folder.
 FLOW = "flow"
 
-_SAME_DISCS_PX = 3.0  # an untouched uSkin's disc lies within this distance of its drawn position
+_SAME_DISCS_PX = 3.0  # an unloaded uSkin's disc lies within this distance of its drawn position
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ class SensorView:
 
 
 def shows_discs(reference: np.ndarray[Any, np.dtype[np.bool_]]) -> bool:
-    """Return True if an untouched mask (480, 640) shows a uSkin: discs at their drawn positions."""
+    """Return True if a reference mask (480, 640) shows a uSkin: discs at their drawn positions."""
     found = marker_centres(reference)
     if len(found) != TAXELS:
         return False
@@ -75,11 +75,11 @@ class Translator(Protocol):
 
         Args:
             source: Masks of the source, bool (n, 480, 640), on any device; the result is there too.
-            target_reference: The untouched target, bool (480, 640).
-            source_reference: The untouched source, bool (480, 640). If it is needed and missing,
+            target_reference: The target's reference, bool (480, 640).
+            source_reference: The source's reference, bool (480, 640). If it is needed and missing,
                 the first frame of an ordered press is used.
             ordered: True if the frames are one press in time order. Without a source reference
-                the press must begin untouched.
+                the press must begin without contact.
 
         Raises:
             LearningError: Wrong shapes or types, or a required reference is missing.
@@ -129,10 +129,10 @@ def require_masks(
             )
 
 
-def untouched_source(
+def source_reference_of(
     source: torch.Tensor, source_reference: torch.Tensor | None, *, ordered: bool
 ) -> torch.Tensor:
-    """Return the untouched source, bool (480, 640): given, or an ordered press's first frame.
+    """Return the source's reference, bool (480, 640): given, or an ordered press's first frame.
 
     Raises:
         LearningError: No reference, and the frames are not ordered.
@@ -141,6 +141,6 @@ def untouched_source(
         return source_reference
     if not ordered:
         raise LearningError(
-            "source_reference: missing; allowed: the untouched source, or an ordered press"
+            "source_reference: missing; allowed: the source's reference, or an ordered press"
         )
     return source[0]

@@ -220,10 +220,10 @@ def _check_counts(sensor: ArchivedSensor) -> Iterator[Finding]:
         yield Finding("marker-count", sensor.name, str(error))
         return
     if flags:
-        share = len(flags) / len(sensor)
+        fraction = len(flags) / len(sensor)
         reasons = "; ".join(map(str, flags[:_NAMED]))
         rows = _some(np.array([flag.row for flag in flags]))
-        message = f"{share:.3%} of the frames, {rows}. {reasons}"
+        message = f"{fraction:.3%} of the frames, {rows}. {reasons}"
         yield Finding("marker-count", f"{sensor.name}/markers", message)
 
 

@@ -67,7 +67,11 @@ RECORD = (
         "rig.cli.replay",
         "play a session through the emulators and record it again; nothing moves",
     ),
-    Command("compare", "rig.cli.compare", "compare a mock session with the World's ground truth"),
+    Command(
+        "compare",
+        "rig.cli.compare",
+        "compare a mock session with the true forces of its simulated contact",
+    ),
     Command(
         "live",
         "rig.cli.live",
@@ -123,7 +127,9 @@ SIMULATE = (
 LEARN = (
     Command("markers", "learning.cli.markers", "make a marker archive of recorded sessions"),
     Command(
-        "markers-fit", "learning.cli.markers_fit", "fit marker detection to untouched pictures"
+        "markers-fit",
+        "learning.cli.markers_fit",
+        "fit marker detection to pictures without contact",
     ),
     Command(
         "split",
@@ -182,6 +188,11 @@ LEARN = (
         "translate, train, compensate and evaluate all pairs of an archive",
     ),
     Command(
+        "archive join",
+        "learning.cli.archive_join",
+        "join sensors of several archives: presses meet by place, depth and direction",
+    ),
+    Command(
         "import-genforce",
         "learning.cli.import_genforce",
         "make a marker archive of the published GenForce folders",
@@ -215,6 +226,7 @@ COMMANDS = {command.words: command for group in GROUPS.values() for command in g
 # First words of two-word commands.
 FAMILIES = {
     "session": "inspect, check and convert sessions and marker archives",
+    "archive": "join marker archives",
     "sim": "press rigid indenters into a soft layer; lengths in mm, forces in N",
     "train": "train translators and force models",
 }

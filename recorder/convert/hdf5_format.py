@@ -24,7 +24,7 @@ from recorder.spec import PHASES, TARGET_UNITS, Column
 
 _BLOCK = 4096  # rows
 _IMAGES = 16
-_BALLAST = 32 << 20  # bytes; more than the chunk caches of all open datasets, 1 MB each
+_RESERVED = 32 << 20  # bytes; more than the chunk caches of all open datasets, 1 MB each
 _PACKED = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
 
 
@@ -53,10 +53,10 @@ def _room_to_close(path: Path) -> Iterator[Callable[[], None]]:
 
     If a file cannot be flushed when it is closed, the HDF5 library crashes the interpreter.
     """
-    reserved_space = path.with_name(path.name + ".ballast")
+    reserved_space = path.with_name(path.name + ".reserved")
     try:
         with reserved_space.open("wb") as file:
-            os.posix_fallocate(file.fileno(), 0, _BALLAST)
+            os.posix_fallocate(file.fileno(), 0, _RESERVED)
         yield lambda: reserved_space.unlink(missing_ok=True)
     finally:
         reserved_space.unlink(missing_ok=True)

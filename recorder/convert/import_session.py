@@ -155,7 +155,7 @@ Progress = Callable[[int, int], None]
 Rows = Iterator[dict[str, Any]]
 
 _IMPORTING = ".importing"
-# Recordings may differ in length by this share, or by this duration [s].
+# Recordings may differ in length by this fraction, or by this duration [s].
 _LENGTH_TOLERANCE = 0.05
 _LENGTH_LEAST = 0.1
 

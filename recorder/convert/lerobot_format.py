@@ -57,16 +57,16 @@ class _Part:
         counts, as in LeRobot itself.
         """
         total = self.count + other.count
-        share = other.count / total
+        fraction = other.count / total
         shift = other.mean - self.mean
         return _Part(
             total,
             np.fmin(self.low, other.low),
             np.fmax(self.high, other.high),
-            self.mean + share * shift,
-            (1 - share) * self.var + share * other.var + share * (1 - share) * shift**2,
+            self.mean + fraction * shift,
+            (1 - fraction) * self.var + fraction * other.var + fraction * (1 - fraction) * shift**2,
             {
-                name: (1 - share) * value + share * other.quantiles[name]
+                name: (1 - fraction) * value + fraction * other.quantiles[name]
                 for name, value in self.quantiles.items()
             },
         )

@@ -96,7 +96,10 @@ def utc_offset(session: Session, run: int) -> int:
         stated = entry.get("utc", attrs.get("started_utc"))
         utc_ns = None if stated is None else parse_utc(str(stated))
     if t0_ns is None or utc_ns is None:
-        raise SessionError(f"{session.name}: run {run} has no t0_ns with its utc_ns")
+        raise SessionError(
+            f"{session.name}: run {run} has no start time in UTC, which this format needs "
+            "(imported sessions have none); allowed: --to hdf5"
+        )
     return int(utc_ns) - int(t0_ns)
 
 

@@ -46,7 +46,7 @@ class DiscMap:
     dots_per_inch: float = 100.0
     """Pixels per inch."""
     least_coverage: float = 50 / 255
-    """A pixel is set if the disc covers more than this share: grey above 50 of 255."""
+    """A pixel is set if the disc covers more than this fraction: grey above 50 of 255."""
 
     def __post_init__(self) -> None:
         """Reject a map that draws nothing.
@@ -121,8 +121,8 @@ def place_discs(
     limit = disc_map.shift_max
     shift = np.clip(counts[..., :2] * disc_map.shear_per_count, -limit, limit)
     place = np.clip(home + shift, disc_map.centre_min, disc_map.centre_max)
-    share = (place - disc_map.axis_min) / (disc_map.axis_max - disc_map.axis_min)
-    centre = np.stack([share[..., 0] * WIDTH, (1.0 - share[..., 1]) * HEIGHT], axis=-1)
+    fraction = (place - disc_map.axis_min) / (disc_map.axis_max - disc_map.axis_min)
+    centre = np.stack([fraction[..., 0] * WIDTH, (1.0 - fraction[..., 1]) * HEIGHT], axis=-1)
     grown = disc_map.size_min + disc_map.size_per_count * counts[..., 2]
     size = np.clip(grown, disc_map.size_min, disc_map.size_max)
     radius = 0.5 * np.sqrt(size) * disc_map.dots_per_inch / _POINTS_PER_INCH
@@ -159,7 +159,7 @@ def _half_chord(radius: Array, across: Array, coverage: float) -> Array:
     Args:
         radius: Radius of the discs [px].
         across: Distance from the centre to the row of pixel centres [px].
-        coverage: Share of a pixel that the disc must cover.
+        coverage: Fraction of a pixel that the disc must cover.
     """
     half = np.sqrt(np.maximum(radius**2 - across**2, 0.0))
     for _ in range(3):
@@ -168,14 +168,14 @@ def _half_chord(radius: Array, across: Array, coverage: float) -> Array:
     return np.where(square >= 0, half, -1.0)
 
 
-def _beyond_edge(along: Array, across: Array, share: float) -> Array:
+def _beyond_edge(along: Array, across: Array, fraction: float) -> Array:
     """Return the distance outside a straight edge of the centre of a partly covered pixel [px].
 
-    The edge is normal to (along, across) and covers `share` of the pixel. It cuts off a triangle of
-    the unit square if it passes one corner, and a trapezium if it passes two.
+    The edge is normal to (along, across) and covers `fraction` of the pixel. It cuts off a triangle
+    of the unit square if it passes one corner, and a trapezium if it passes two.
     """
     along, across = np.abs(along), np.abs(across)
     length = np.maximum(np.hypot(along, across), 1e-9)
     long, short = np.maximum(along, across) / length, np.minimum(along, across) / length
-    triangle = 0.5 * (long + short) - np.sqrt(2.0 * long * short * share)
-    return np.where(2.0 * share * long >= short, long * (0.5 - share), triangle)
+    triangle = 0.5 * (long + short) - np.sqrt(2.0 * long * short * fraction)
+    return np.where(2.0 * fraction * long >= short, long * (0.5 - fraction), triangle)

@@ -107,5 +107,5 @@ def _cells(
     place = (centres + lattice.margin_px) / lattice.step_px
     most = np.array([lattice.shape[1], lattice.shape[0]]) - 2
     cell = np.clip(np.floor(place).astype(np.int64), 0, most)
-    share = place - cell
-    return cell[:, 0], cell[:, 1], share[:, :1], share[:, 1:]
+    fraction = place - cell
+    return cell[:, 0], cell[:, 1], fraction[:, :1], fraction[:, 1:]

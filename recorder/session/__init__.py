@@ -2,6 +2,7 @@
 
 from recorder.session.align import EXPOSURE, captured, linear, quaternion
 from recorder.session.clocks import clock_lines, fit_clocks
+from recorder.session.frames import surface_heights
 from recorder.session.loss import Account, accounts_of, loss_lines
 from recorder.session.press_curve import press_curves, save_curves
 from recorder.session.reader import Stream
@@ -27,5 +28,6 @@ __all__ = [
     "quaternion",
     "save_curves",
     "sigmas_of",
+    "surface_heights",
     "time_lines",
 ]

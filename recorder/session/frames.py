@@ -124,11 +124,27 @@ def depth_in(contact_frame: Floats, poses: Floats) -> Floats:
 
     Args:
         contact_frame: Contact frame in the base frame (6,) [m, rad], z along the outward normal.
-        poses: Tool poses in the base frame (n, 6) [m, rad].
+        poses: Places, or tool poses, in the base frame (n, 3 or more) [m, rad].
     """
     w, x, y, z = quaternion(contact_frame[3:])
     normal = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
     return np.asarray(-((poses[:, :3] - contact_frame[:3]) @ normal))
+
+
+def surface_heights(session: Session) -> Floats:
+    """Return the height of the untouched surface at each target's point (t,) [m].
+
+    It is 0 on a flat sensor. On one with a dome, which the plan states, it is below 0 beside the
+    apex; depths are measured from it.
+    """
+    targets, frame = session.targets, session.attrs.get("contact_frame")
+    plan = session.attrs.get("plan")
+    if frame is None or not isinstance(plan, dict) or plan.get("dome_radius") is None:
+        return np.zeros(len(targets.get("depth", ())))
+    planned = np.asarray(targets["planned"], np.float64)
+    height = np.asarray(targets["depth"]) - depth_in(np.asarray(frame, np.float64), planned)
+    # Planned places went through a rotation; no surface is known to a nanometre.
+    return np.asarray(height.round(9) + 0.0)
 
 
 def has_targets(session: Session) -> bool:
@@ -201,6 +217,8 @@ def _run_table(
     frame = session.attrs.get("contact_frame")
     if frame is not None:
         table["depth"] = depth_in(np.asarray(frame, np.float64), table["pose"])
+        if len(heights := surface_heights(session)):
+            table["depth"] += np.where(target >= 0, heights[target], 0.0)
     return table
 
 

@@ -83,8 +83,8 @@ class Losses:
         if not len(self.count):
             return np.zeros(len(t_ns), np.int64)
         width = np.maximum(self.end_ns[at] - self.start_ns[at], 1)
-        share = (t_ns - self.start_ns[at]) / width * (self.count[at] + 1.0)
-        part = np.clip(np.ceil(share) - 1, 0, self.count[at]).astype(np.int64)
+        fraction = (t_ns - self.start_ns[at]) / width * (self.count[at] + 1.0)
+        part = np.clip(np.ceil(fraction) - 1, 0, self.count[at]).astype(np.int64)
         return np.where(inside, done[at] + part, 0)
 
     def around(self, t_ns: Times) -> Bools:
@@ -346,24 +346,26 @@ def _least_ahead(values: Floats, size: int) -> Floats:
 def _missing(steps: Floats, period: float) -> Floats:
     """Return the samples missing in each step (n,).
 
-    The fraction of a period that rounding leaves is carried to the next step, so that steps of one
+    The fraction of a period that rounding leaves is added to the next step, so that steps of one
     and a half periods each lose every third sample. It fades, so that a rate within `SLOW` of the
     declared one loses none.
     """
     beyond = np.minimum(np.maximum(steps, 0.0) / period, _MOST) - 1.0
     lost = np.zeros(len(beyond))
-    # No carried fraction exceeds that of steps summed up from any earlier one.
+    # No remainder exceeds that of steps summed up from any earlier one.
     sums = np.cumsum(beyond - SLOW)
     if (sums - np.minimum.accumulate(np.minimum(sums, 0.0))).max() + SLOW <= 0.5:
         return lost
-    carried = 0.0
+    remainder = 0.0
     for place, value in enumerate(beyond.tolist()):
-        carried += value
-        if carried > 0.5:
-            lost[place] = whole = math.floor(carried + 0.5)
-            carried -= whole
+        remainder += value
+        if remainder > 0.5:
+            lost[place] = whole = math.floor(remainder + 0.5)
+            remainder -= whole
         # Less than a period early is all that a delay before it can explain.
-        carried = max(carried - SLOW, 0.0) if carried > 0 else max(min(carried + SLOW, 0.0), -1.0)
+        remainder = (
+            max(remainder - SLOW, 0.0) if remainder > 0 else max(min(remainder + SLOW, 0.0), -1.0)
+        )
     return lost
 
 
@@ -541,10 +543,12 @@ def loss_lines(accounts: Mapping[str, Account]) -> list[str]:
 
 
 def unseen(account: Account) -> str:
-    """Return a note for a stream whose device does not tell of its losses."""
+    """Return a note for a stream whose device does not report its losses."""
     if account.source == ARRIVAL:
-        return "drops cannot be seen: they are inferred from arrivals and the declared rate"
-    return "drops cannot be seen: neither numbers, nor times that tell of them"
+        return (
+            "drops are inferred from arrivals and the declared rate: the device numbers no samples"
+        )
+    return "drops cannot be seen: the device gives neither numbers nor usable times"
 
 
 def is_compressed(attrs: Mapping[str, Any]) -> bool:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from recorder.errors import SessionError
 from recorder.plot import Curve, line_plot
 from recorder.session import align
+from recorder.session.frames import surface_heights
 from recorder.session.reader import Session
 from recorder.spec import PHASES
 
@@ -68,12 +69,14 @@ def press_curves(session: Session) -> PressCurves:
     if "contact_frame" not in session.attrs:
         raise SessionError(f"{session.path}: no contact_frame, so no depth")
     segments = session.segments
+    surface = surface_heights(session)
     presses: dict[int, dict[int, tuple[Floats, Floats]]] = {}
     deepest = 0.0
     for row in range(len(segments["target"])):
         target, phase = int(segments["target"][row]), int(segments["phase"][row])
         if phase in (PHASES.index("normal_inc"), PHASES.index("normal_dec")):
             depth, force = _samples(session, row)
+            depth = depth + surface[target]
             if len(depth) > 1:
                 presses.setdefault(target, {})[phase] = (depth, force)
                 deepest = max(deepest, float(depth.max()))
@@ -158,6 +161,6 @@ def _at(grid: Floats, depth: Floats, force: Floats) -> Floats:
     # A fast move may leave an empty bin between two filled ones: interpolate it.
     known = np.flatnonzero(count)
     if known.size:
-        between = slice(known[0], known[-1] + 1)
-        values[between] = np.interp(grid[between], grid[known], values[known])
+        inside = slice(known[0], known[-1] + 1)
+        values[inside] = np.interp(grid[inside], grid[known], values[known])
     return values

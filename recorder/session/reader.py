@@ -19,7 +19,7 @@ from recorder.errors import SessionError
 from recorder.session.align import Sources, sources_of_run
 from recorder.session.loss import Losses, is_compressed, stream_losses
 from recorder.session.nearby import Arrivals, sources_near, span_of_run
-from recorder.session.tail import LiveRows, live_rows
+from recorder.session.tail import LiveRows, LiveStream
 from recorder.session.window import Window, align_window, ticks_before
 from recorder.spec import Column, Traits, frame_columns, in_order, signal_of
 from recorder.store import images
@@ -66,14 +66,27 @@ class Stream:
         self._readers = {layout.column.name: ColumnReader(layout) for layout in self.layout.columns}
         self._rows = min(reader.rows for reader in self._readers.values())
         self._live: LiveRows | None = None
+        self._tail: LiveStream | None = None
         if live:
-            self._live = live_rows(self.layout)
-            self._rows = self._live.rows
-            for reader in self._readers.values():
-                image = reader.layout.column.is_image
-                reader.live, reader.rows = True, self._rows if image else self._live.stored
+            self._tail = LiveStream(self.layout)
+            for name, column in self._tail.columns.items():
+                self._readers[name].growing = column
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Show the rows that were recorded since; reads only what was added. No effect if closed.
+
+        Raises:
+            SessionError: A sealed shard is corrupt.
+        """
         self._columns: Kept[Array] = Kept()
         self._arrivals: dict[tuple[int, int], Arrivals] = {}
+        if self._tail is None:
+            return
+        self._live = self._tail.update()
+        self._rows = self._live.rows
+        for reader in self._readers.values():
+            reader.rows = self._rows if reader.layout.column.is_image else self._live.stored
 
     def __len__(self) -> int:
         """Return the number of rows that every column has."""
@@ -311,8 +324,8 @@ class Session:
         """Return its place, status, sensor, indenter and the rows of its streams."""
         known = (self.attrs.get(key) for key in ("sensor", "indenter"))
         rows = ", ".join(f"{name} {len(stream):,}" for name, stream in self.streams.items())
-        facts = [self.status, *(str(each) for each in known if each), rows or "no streams"]
-        return f"<Session {self.name}: {', '.join(facts)}>"
+        parts = [self.status, *(str(each) for each in known if each), rows or "no streams"]
+        return f"<Session {self.name}: {', '.join(parts)}>"
 
     @property
     def name(self) -> str:
@@ -474,16 +487,20 @@ class Session:
             known = ", ".join(self.order)
             raise SessionError(f"{self.name}: no stream {unknown[0]!r}; known: {known}")
         ends = {name: len(self.streams[name]) for name in streams or self.order}
+        followed = {name: Stream(self.path / "streams" / name, live=True) for name in ends}
         last = time.monotonic()
         while True:
             live = read_session_attrs(self.path, LOCAL)["status"] == "recording"
             found = False
-            for name in ends:
-                stream = Stream(self.path / "streams" / name, live=live)
-                for row in stream.rows_from(ends[name]):
+            for name, start in ends.items():
+                if live:
+                    followed[name].refresh()
+                else:
+                    followed[name] = Stream(self.path / "streams" / name)
+                for row in followed[name].rows_from(start):
                     yield row
                     found = True
-                ends[name] = len(stream)
+                ends[name] = len(followed[name])
             if not live and not found:
                 return
             last = time.monotonic() if found else last

@@ -48,7 +48,9 @@ from recorder.store.shard import (
 # Number of full journals and shards that wait for the next flush at most.
 _PENDING_MAX = 8
 # Reserved space on disk for a stream being written, so that it can be closed on a full disk.
-BALLAST = "ballast"
+_RESERVED = "reserved"
+# All names of it; the second is that of sessions recorded before.
+_RESERVED_NAMES = (_RESERVED, "ballast")
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +120,7 @@ def unfinished_files(layout: StreamLayout) -> tuple[Path, ...]:
 def is_unfinished(layout: StreamLayout, path: Path) -> bool:
     """Return True if a path below a stream exists only while the stream is being written."""
     name, parent = path.name, path.parent
-    if parent == layout.time.path and (name.startswith("journal-") or name == BALLAST):
+    if parent == layout.time.path and (name.startswith("journal-") or name in _RESERVED_NAMES):
         return True
     columns = [column.path for column in layout.columns]
     if name.endswith(TEMPORARY) and parent in (layout.path, *columns):
@@ -145,7 +147,7 @@ def restore(layout: StreamLayout) -> OpenStream:
         SessionError: The stream is corrupt where it has to be read.
     """
     for path in unfinished_files(layout):
-        if path.name.endswith(TEMPORARY) or path.name == BALLAST:
+        if path.name.endswith(TEMPORARY) or path.name in _RESERVED_NAMES:
             path.unlink()
     state = survey(layout)
     block = layout.block
@@ -222,7 +224,7 @@ def _read_chunk(column: Layout, chunk: int) -> NDArray[Any]:
     return decoded_rows(column, data)
 
 
-_BALLAST_BYTES = 1 << 16  # indices and metadata of a dozen columns, in full disk blocks
+_RESERVED_BYTES = 1 << 16  # indices and metadata of a dozen columns, in full disk blocks
 
 
 class StreamWriter:
@@ -251,7 +253,7 @@ class StreamWriter:
             self._encode = images.encoder(image, f"{layout.name}.{image.name}")
         self.rows: int = self._journal.first_row + len(self._journal.rows)
         """Number of rows accepted so far."""
-        _write_ballast(layout)
+        _reserve(layout)
         layout.set_attrs(sync_interval=sync_interval)
         # Handed over to the background thread: shards with the journal of their last image.
         self._full_shards: deque[tuple[OpenShard, Journal]] = deque()
@@ -320,9 +322,10 @@ class StreamWriter:
                 self._image.drop_last()
                 raise
         number = self.rows
-        self.rows += 1
-        with suppress(OSError):  # this row is stored; the next append tries again
-            self._hand_over()
+        self.rows = number + 1
+        if self._journal.full or (self._image is not None and self._image.full):
+            with suppress(OSError):  # this row is stored; the next append tries again
+                self._hand_over()
         return number
 
     def set_attrs(self, **attrs: Any) -> None:
@@ -344,7 +347,7 @@ class StreamWriter:
         self._closed = True
         try:
             self._background.stop()
-            (self._layout.time.path / BALLAST).unlink(missing_ok=True)
+            (self._layout.time.path / _RESERVED).unlink(missing_ok=True)
             self._background.drain()
             self._settle()
             for spare in self._spares:
@@ -374,8 +377,9 @@ class StreamWriter:
         full = self._journal.full
         if full:
             if self._spares:
-                take_over(self._spares.popleft(), self._layout, self.rows)
-            following = Journal(self._layout, self.rows, [])
+                following = take_over(self._spares.popleft(), self._layout, self.rows)
+            else:
+                following = Journal(self._layout, self.rows, [])
             self._full_journals.append(self._journal)
             self._journal = following
         # The next flush stores and seals them; before that only if there are many.
@@ -445,10 +449,10 @@ def lock_stream(layout: StreamLayout) -> int:
     return fd
 
 
-def _write_ballast(layout: StreamLayout) -> None:
+def _reserve(layout: StreamLayout) -> None:
     """Reserve the space that sealing will need; a full disk has none to reserve."""
-    room = _BALLAST_BYTES + layout.block * (layout.row_dtype.itemsize + HEADER.size)
-    path = layout.time.path / BALLAST
+    room = _RESERVED_BYTES + layout.block * (layout.row_dtype.itemsize + HEADER.size)
+    path = layout.time.path / _RESERVED
     try:
         path.write_bytes(bytes(room))
     except OSError:

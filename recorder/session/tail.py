@@ -11,9 +11,9 @@ from typing import Any, Self
 import numpy as np
 
 from recorder.errors import SessionError
-from recorder.session.stream_writer import survey
 from recorder.store import images
 from recorder.store.column import ColumnReader
+from recorder.store.growing import GrowingColumn, GrowingLog
 from recorder.store.journal import CHUNK_MAGIC, CRC_BYTES, HEADER, MAGIC, record_matches
 from recorder.store.layout import Layout, StreamLayout
 from recorder.store.shard import MISSING, read_shard_index
@@ -31,38 +31,66 @@ class LiveRows:
     """The others (rows - stored,), with one field per small column."""
 
 
-def live_rows(layout: StreamLayout) -> LiveRows:
-    """Return the complete rows of a stream at this moment.
+class LiveStream:
+    """A stream that is being written; `update` reads what was added since the last call."""
 
-    Raises:
-        SessionError: A sealed shard is corrupt, or files keep changing faster than they are read.
-    """
-    for _ in range(_ATTEMPTS):
-        before = _files(layout)
-        try:
-            state = survey(layout)
-        except (FileNotFoundError, SessionError):
-            if _files(layout) == before:
-                raise
-            continue
-        # A journal or shard that was renamed meanwhile may have been read under another name.
-        if _files(layout) == before:
-            break
-    else:
-        raise SessionError(f"{layout.path}: its files change faster than they can be read")
-    if state.journalled is None:
-        return LiveRows(state.rows, state.rows, np.empty(0, layout.row_dtype))
-    stored = min(state.journalled.first_row, state.rows)
-    rows = b"".join(state.journalled.rows[: state.rows - stored])
-    return LiveRows(state.rows, stored, np.frombuffer(rows, layout.row_dtype))
+    def __init__(self, layout: StreamLayout) -> None:
+        """Read nothing yet."""
+        self.layout = layout
+        self.columns = {layout_.column.name: GrowingColumn(layout_) for layout_ in layout.columns}
+        self._journals: dict[Path, GrowingLog] = {}
+
+    def update(self) -> LiveRows:
+        """Return the complete rows at this moment.
+
+        Raises:
+            SessionError: A sealed shard is corrupt, or files keep changing faster than read.
+        """
+        for _ in range(_ATTEMPTS):
+            before = self.layout.journals()
+            try:
+                rows = self._rows(before)
+            except (FileNotFoundError, SessionError):
+                if self.layout.journals() == before:
+                    raise
+                continue
+            # A journal that was renamed meanwhile may have been read as another one.
+            if self.layout.journals() == before:
+                return rows
+        raise SessionError(f"{self.layout.path}: its files change faster than they can be read")
+
+    def _rows(self, journals: dict[int, Path]) -> LiveRows:
+        layout, block = self.layout, self.layout.block
+        if not journals:  # closed, or never opened: the declared lengths hold
+            rows = min(column.rows() for column in layout.columns)
+            return LiveRows(rows, rows, np.empty(0, layout.row_dtype))
+        first_row, journalled = min(journals), self._journalled(journals)
+        counts = {name: column.update() for name, column in self.columns.items()}
+        stored = min(counts[column.column.name] for column in layout.small) * block
+        rows = first_row + len(journalled) if stored >= first_row else stored
+        if layout.image is not None:
+            rows = min(rows, counts[layout.image.column.name])
+        stored = min(first_row, rows)
+        packed = b"".join(journalled[: rows - stored])
+        return LiveRows(rows, stored, np.frombuffer(packed, layout.row_dtype))
+
+    def _journalled(self, journals: dict[int, Path]) -> list[bytes]:
+        """Return the packed rows of the journals, up to the first gap."""
+        self._journals = {
+            path: self._journals.get(path)
+            or GrowingLog(path, first_index=first, limit=self.layout.block, payloads=True)
+            for first, path in sorted(journals.items())
+        }
+        start, rows = min(journals), list[bytes]()
+        for first, path in sorted(journals.items()):
+            log = self._journals[path]
+            log.update()
+            if first == start + len(rows):  # otherwise the journal before it is torn
+                rows += log.payloads
+        return rows
 
 
 _ATTEMPTS = 50
-
-
-def _files(layout: StreamLayout) -> set[Path]:
-    journals = set(layout.time.path.glob("journal-*"))
-    return journals.union(*(column.path.glob("c/**/*") for column in layout.columns))
 
 
 class ImageTail:

@@ -104,8 +104,8 @@ def time_sigma(stream: StreamLike, rows: slice, source: Source) -> TimeSigma:
         exposure = source.exposure if stated else max(period, EXPOSURE)
         if stamped and not stated:
             # The end of the exposure lies anywhere from the stamp to a whole exposure after it.
-            share = STAMPS[stream.traits.stamp]
-            latency = float(np.hypot(latency, share * exposure / np.sqrt(3.0)))
+            fraction = STAMPS[stream.traits.stamp]
+            latency = float(np.hypot(latency, fraction * exposure / np.sqrt(3.0)))
     calibrated = bool(np.isnan(prior))
     return TimeSigma(latency, exposure / float(np.sqrt(12.0)), clock, queue, calibrated, prior)
 

@@ -17,10 +17,11 @@ import numpy as np
 
 from recorder.errors import SessionError
 from recorder.store import images
+from recorder.store.growing import GrowingColumn, index_now
 from recorder.store.journal import CRC_BYTES, HEADER, record_matches
 from recorder.store.layout import Layout, decoded_rows
 from recorder.store.recent import RECENT, Kept
-from recorder.store.shard import MISSING, ShardIndex, open_index, read_shard_index
+from recorder.store.shard import MISSING, ShardIndex, read_shard_index
 
 Array = np.ndarray[Any, Any]
 
@@ -42,8 +43,8 @@ class ColumnReader:
         """Read the declared length; shards are opened only when needed."""
         self.layout = layout
         self.rows = layout.rows()
-        self.live = False
-        """True to read also from the shard that is still growing; set before the first read."""
+        self.growing: GrowingColumn | None = None
+        """Shards that are still growing, to be read too; set before the first read."""
         self._local = layout.files.local
         self._indices: Kept[ShardIndex] = Kept()
         self._decoded: Kept[Array] = Kept()
@@ -151,7 +152,7 @@ class ColumnReader:
     def _read(self, shard: int, numbers: list[int]) -> Iterator[Any]:
         """Read chunks of one local shard into one buffer, one after the other."""
         index = self._shard_index(shard)
-        held = [n for n in numbers if not self.live or self._is_held(index, n)]
+        held = [n for n in numbers if self.growing is None or self._is_held(index, n)]
         wanted = {number: self._range(index, number) for number in held}
         fd = self._opened(shard)
         try:
@@ -167,7 +168,7 @@ class ColumnReader:
                 try:
                     data = self._verified(index, buffer[:found], nbytes, number)
                 except SessionError:
-                    if not self.live:
+                    if self.growing is None:
                         raise
                     data = self._moved(shard, number)
                 yield data
@@ -184,7 +185,7 @@ class ColumnReader:
             SessionError: Neither of them has it.
         """
         layout, fault = self.layout, SessionError(f"{self._where(number)} is missing")
-        places = ((layout.partial(shard), open_index), (layout.shard(shard), read_shard_index))
+        places = ((layout.partial(shard), index_now), (layout.shard(shard), read_shard_index))
         for path, read_index in 2 * places:  # one may become the other meanwhile
             try:
                 index = read_index(layout, shard)
@@ -203,7 +204,8 @@ class ColumnReader:
         return index.ranges[number % self.layout.chunks_per_shard][0] != MISSING
 
     def _opened(self, shard: int) -> int:
-        if self.live:  # the chunks of a growing shard stay in their places when it is sealed
+        # The chunks of a growing shard stay in their places when it is sealed.
+        if self.growing is not None:
             with suppress(FileNotFoundError):
                 return os.open(self.layout.partial(shard), os.O_RDONLY)
         return os.open(self.layout.shard(shard), os.O_RDONLY)
@@ -227,17 +229,14 @@ class ColumnReader:
         return offset - HEADER.size, nbytes + HEADER.size
 
     def _shard_index(self, shard: int) -> ShardIndex:
+        growing = None if self.growing is None else self.growing.index(shard)
+        if growing is not None:
+            return growing
         nbytes = _ENTRY_BYTES * self.layout.chunks_per_shard
         index = self._indices.get(shard, nbytes)
         if index is None:
-            index = self._indices.put(shard, self._read_index(shard), nbytes)
+            index = self._indices.put(shard, read_shard_index(self.layout, shard), nbytes)
         return index
-
-    def _read_index(self, shard: int) -> ShardIndex:
-        if self.live:
-            with suppress(FileNotFoundError):
-                return open_index(self.layout, shard)
-        return read_shard_index(self.layout, shard)
 
     def _verified(self, index: ShardIndex, data: Any, nbytes: int, number: int) -> Any:
         crcs = index.crcs

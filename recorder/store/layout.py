@@ -279,6 +279,12 @@ class StreamLayout:
         """
         return self.time.path / f"journal-{first_row}"
 
+    def journals(self) -> dict[int, Path]:
+        """Return the journals by the row at which they start."""
+        paths = self.time.path.glob("journal-*")
+        numbers = {path.name.removeprefix("journal-"): path for path in paths}
+        return {int(number): path for number, path in numbers.items() if number.isdecimal()}
+
     def attrs(self) -> dict[str, Any]:
         """Return the attributes of the group."""
         document = read_document(self.time.files, self.path / "zarr.json")
@@ -476,7 +482,7 @@ def read_attrs(
     found = attrs.get("format_version")
     if type(found) is not int or not 0 < found <= version:
         raise SessionError(
-            f"{name}: found format_version {found}, this program reads up to {version}"
+            f"{name}: found format_version {found}, this program reads up to {version}; update it"
         )
     return attrs
 

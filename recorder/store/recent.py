@@ -17,6 +17,8 @@ T = TypeVar("T")
 
 # Largest size of everything kept [bytes].
 LIMIT = 64 << 20
+# Memory that the interpreter needs for one object that is kept: header, entries, reference [bytes].
+_OBJECT_BYTES = 600
 
 
 class Recent:
@@ -87,4 +89,4 @@ class Kept(Generic[T]):
 
 
 def _keep(value: Any, nbytes: int | None) -> None:
-    RECENT.keep(value, value.nbytes if nbytes is None else nbytes)
+    RECENT.keep(value, _OBJECT_BYTES + (value.nbytes if nbytes is None else nbytes))

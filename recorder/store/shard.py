@@ -23,12 +23,14 @@ from recorder.store.files import Files
 from recorder.store.journal import (
     CRC_BYTES,
     HEADER,
+    STEP,
     JournalRecord,
     RecordLog,
     chunk_header,
     header,
     packed_crc,
     scan,
+    torn_bytes,
 )
 from recorder.store.layout import Layout
 
@@ -51,7 +53,8 @@ class OpenShard:
         path = layout.partial(number)
         path.parent.mkdir(parents=True, exist_ok=True)
         end = records[-1].end if records else 0
-        self._log = RecordLog(path, end=end, below=layout.path)
+        step = STEP if layout.column.is_image else 0
+        self._log = RecordLog(path, end=end, below=layout.path, step=step)
 
     def __len__(self) -> int:
         """Return the number of chunks."""
@@ -186,19 +189,6 @@ def read_shard_index(layout: Layout, number: int) -> ShardIndex:
     return ShardIndex(entries, ranges, crcs)
 
 
-def open_index(layout: Layout, number: int) -> ShardIndex:
-    """Return the index of the complete chunks of a growing shard.
-
-    Raises:
-        FileNotFoundError: It is not growing, or was just sealed.
-    """
-    records = scan_partial(layout, number)[0]
-    ranges = [(record.offset, record.nbytes) for record in records]
-    ranges += [(MISSING, MISSING)] * (layout.chunks_per_shard - len(ranges))
-    crcs = [record.crc for record in records] if layout.chunk_crc else None
-    return ShardIndex(np.array(ranges, np.uint64), ranges, crcs)
-
-
 def chunk_count(index: Index) -> int:
     """Return the number of chunks before the first missing one."""
     missing = np.flatnonzero(index[:, 0] == MISSING)
@@ -214,7 +204,7 @@ def scan_partial(layout: Layout, number: int) -> tuple[list[JournalRecord], int]
     # A writer that died between index and rename leaves the index at the end; nothing is torn.
     entries = [(record.offset, record.nbytes) for record in records]
     end = _shard_end(layout, entries, [record.crc for record in records])
-    return records, 0 if end.startswith(tail) else len(tail)
+    return records, 0 if end.startswith(tail.rstrip(b"\0")) else torn_bytes(tail)
 
 
 def reopen(layout: Layout, number: int, chunks: int) -> OpenShard:
@@ -298,9 +288,14 @@ class ColumnLog:
             self._shard.drop_last()
             self.chunks -= 1
 
+    @property
+    def full(self) -> bool:
+        """True if the open shard is full."""
+        return self._shard is not None and self._shard.full
+
     def take_full(self) -> OpenShard | None:
         """Return the open shard if it is full and detach it; the next chunk starts another."""
-        if self._shard is None or not self._shard.full:
+        if not self.full:
             return None
         shard, self._shard = self._shard, None
         return shard

@@ -77,7 +77,7 @@ def _write_column(path: Path, column: Array, attrs: dict[str, Any]) -> None:
         chunk[: len(rows)] = rows
         data = images.compress(chunk.data.cast("B"))
         key = path.joinpath("c", str(number), *("0" for _ in column.shape[1:]))
-        key.parent.mkdir(parents=True)
+        key.parent.mkdir(parents=True, exist_ok=True)
         key.write_bytes(data + packed_crc(data))
 
 

@@ -139,7 +139,7 @@ def _walk(entry: Entry, where: str, benches: Path) -> _Walked:
     if plan is None or plan.kind != entry.plan:
         raise ConfigError(f"{where}.plan: found {entry.plan!r}; {bench_path} has none")
     walked = dry_run(
-        plan, bench.limits.plan, speed=bench.arm.speed, acceleration=bench.arm.acceleration
+        plan, bench.plan_limits, speed=bench.arm.speed, acceleration=bench.arm.acceleration
     )
     if walked.broken:
         raise ConfigError(f"{where}: the plan breaks a limit: {'; '.join(walked.broken)}")

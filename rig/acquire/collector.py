@@ -292,7 +292,7 @@ class Collector:
         }
 
     def _stream_attrs(self, name: str, request: CollectRequest) -> dict[str, Any]:
-        """Return a stream's attributes other than the facts of its device."""
+        """Return a stream's attributes other than the properties of its device."""
         if name in self._bias:
             axes = self._bench.row(name).config.axes_measured
             partly = {} if len(axes) == len(AXES) else {"axes_measured": list(axes)}
@@ -374,7 +374,7 @@ def _first_cause(error: BaseException, interrupt: InterruptFlag) -> BaseExceptio
 def seconds_per_target(bench: Bench, plan: Plan) -> float:
     """Return the predicted mean duration of a target [s], with travel and references."""
     arm = bench.arm
-    moving = dry_run(plan, bench.limits.plan, speed=arm.speed, acceleration=arm.acceleration)
+    moving = dry_run(plan, bench.plan_limits, speed=arm.speed, acceleration=arm.acceleration)
     points = len({target.point for target in plan.targets()})
     return (moving.duration + points * bench.preflight.point_window) / len(plan)
 

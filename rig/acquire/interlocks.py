@@ -1,7 +1,7 @@
 """Interlocks that do not record: the gripper that holds the indenter, and the foot pedal.
 
 Each is watched by its own thread. `wake` notifies the plan runner, which then calls `check` and
-acts. Their facts are in the session's run entry, under `devices`.
+acts. Their properties are in the session's run entry, under `devices`.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class Interlocks:
         self.close()
 
     def open(self) -> dict[str, dict[str, Any]]:
-        """Connect to all devices, start watching, and return their facts by device.
+        """Connect to all devices, start watching, and return their properties by device.
 
         Raises:
             ConfigError, DeviceLost: Devices are missing, or the gripper holds nothing; the message

@@ -14,7 +14,7 @@ from recorder import OUTCOMES, SessionError, SessionWriter
 from recorder.spec import frame_columns, reference_spec
 from rig.acquire.control import Control, InterruptFlag
 from rig.acquire.interlocks import DeadManReleased, Interlocks
-from rig.acquire.preflight import check_untouched, tip_position
+from rig.acquire.preflight import check_no_contact, tip_position
 from rig.acquire.progress_line import LiveLine
 from rig.acquire.streams import Streams
 from rig.bench.bench import Bench, empty_spec
@@ -59,7 +59,7 @@ class PlanRunner:
         interlocks: Interlocks, checked while the arm moves.
         clock: Clock.
         run: Number of this run.
-        zeros: Reading of each untouched F/T sensor after the tare (6,) [N, N m], by stream.
+        zeros: Reading of each F/T sensor without contact after the tare (6,) [N, N m], by stream.
     """
 
     def __init__(
@@ -178,7 +178,7 @@ class PlanRunner:
         self._asked()
 
     def _take_reference(self, point: int) -> None:
-        """Store the values of the untouched sensor, having checked that it is untouched.
+        """Store the values of the sensor, having checked that nothing touches it.
 
         Raises:
             DeviceLost: A stream gives no samples.
@@ -193,7 +193,7 @@ class PlanRunner:
                 raise DeviceLost(f"{gauge.name}: no sample over point {point}")
         for gauge in bench.gauges:
             tared = found[gauge.name]["mean"] - self._zeros[gauge.name]
-            check_untouched(bench, gauge, tared, point)
+            check_no_contact(bench, gauge, tared, point)
         ended_ns = max((int(each["t_ns"]) for each in found.values()), default=0)
         self._writer.reference.append(
             **_reference(bench, self._streams, found),

@@ -26,7 +26,7 @@ _AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """Facts and rates of the devices, found by the preflight."""
+    """Properties and rates of the devices, found by the preflight."""
 
     description: dict[str, dict[str, Any]]
     """`Driver.describe()` by stream."""
@@ -36,7 +36,7 @@ class Found:
 
 @dataclass(frozen=True, slots=True)
 class Tare:
-    """Zero of the untouched F/T sensor."""
+    """Zero of the F/T sensor without contact."""
 
     mean: np.ndarray
     """Mean wrench (6,) [N, N m]."""
@@ -99,7 +99,7 @@ def notes_on(
     ]
     for name, device in description.items():
         if device.get("numbering", "device") != "device":
-            notes.append(f"{name}: drops cannot be seen: its device numbers no samples")
+            notes.append(f"{name}: drops are only inferred: the device numbers no samples")
     return notes
 
 
@@ -172,7 +172,7 @@ def _tare(bench: Bench, gauge: BenchStream, found: dict[str, Any]) -> Tare:
     return Tare(found["mean"], found["std"])
 
 
-def check_untouched(bench: Bench, gauge: BenchStream, force: np.ndarray, point: int) -> None:
+def check_no_contact(bench: Bench, gauge: BenchStream, force: np.ndarray, point: int) -> None:
     """Check that there is no contact above a contact point.
 
     Args:

@@ -31,7 +31,7 @@ def preview(bench: Bench, picture: Path) -> int:
         Exit code of wrong input if the plan breaks a limit, else 0.
     """
     plan, arm = bench.trajectory, bench.arm
-    walked = dry_run(plan, bench.limits.plan, speed=arm.speed, acceleration=arm.acceleration)
+    walked = dry_run(plan, bench.plan_limits, speed=arm.speed, acceleration=arm.acceleration)
     lines = summary(bench, walked)
     draw(bench, list(plan.targets()), lines, bool(walked.broken)).save(picture)
     print("\n".join(lines))
@@ -51,7 +51,7 @@ def summary(bench: Bench, walked: DryRun) -> list[str]:
         f"y {1e3 * walked.y[0]:+.2f} to {1e3 * walked.y[1]:+.2f} mm"
         f"  (box {1e3 * limits.box_y[0]:+.1f} to {1e3 * limits.box_y[1]:+.1f})",
         f"depth {1e3 * walked.depth:.3f} mm  (limit {1e3 * limits.depth_max:.3f})",
-        f"force about {walked.force:.1f} N  (soft limit {limits.plan.force_rating:.1f} N of "
+        f"force about {walked.force:.1f} N  (soft limit {bench.plan_limits.force_rating:.1f} N of "
         f"{limits.force_rating[2]:.0f} N rated)",
         f"speed {1e3 * bench.arm.speed:.1f} mm/s, about {duration(walked.duration + settling)} "
         f"(limit {duration(limits.duration_max)})",

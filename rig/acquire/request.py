@@ -75,7 +75,7 @@ def plan_of(request: CollectRequest, bench: Bench, plan: Plan | None = None) -> 
     if not 1 <= total <= len(plan):
         raise ConfigError(f"TARGETS: found {total}; allowed: 1 to {len(plan)}")
     walked = dry_run(
-        plan, bench.limits.plan, speed=bench.arm.speed, acceleration=bench.arm.acceleration
+        plan, bench.plan_limits, speed=bench.arm.speed, acceleration=bench.arm.acceleration
     )
     if walked.broken:
         raise ConfigError(f"{bench.sensor}: the plan breaks a limit: {'; '.join(walked.broken)}")

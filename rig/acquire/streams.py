@@ -59,7 +59,7 @@ class StreamHandle:
         return self._process.pid or 0
 
     def wait_opened(self) -> dict[str, Any]:
-        """Wait until the driver is open and return the facts of its device.
+        """Wait until the driver is open and return the properties of its device.
 
         Raises:
             ConfigError, DeviceLost: The driver failed.
@@ -215,7 +215,7 @@ class Streams:
         return name in self._handles
 
     def wait_opened(self) -> dict[str, dict[str, Any]]:
-        """Wait until all drivers are open and return the facts of their devices by stream.
+        """Wait until all drivers are open and return the properties of their devices by stream.
 
         Raises:
             ConfigError, DeviceLost: Drivers failed; the message names all of them.

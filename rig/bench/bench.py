@@ -69,9 +69,9 @@ class BenchLimits:
     duration_max: float = field(metadata={"unit": "min", "plausible": (0.1, 3000)})
     """Longest session [s]."""
     soft_fraction: float = 0.85
-    """Share of the rating that ends a target as force_limited."""
+    """Fraction of the rating that ends a target as force_limited."""
     hard_fraction: float = 1.0
-    """Share of the rating that stops the session."""
+    """Fraction of the rating that stops the session."""
     horizon: float = field(default=0.02, metadata={"unit": "ms", "plausible": (0.5, 1000)})
     """Extrapolation time of the guard's force prediction [s]."""
     stale_force: float = field(default=0.05, metadata={"unit": "ms", "plausible": (2, 5000)})
@@ -79,9 +79,12 @@ class BenchLimits:
     stale_pose: float = field(default=0.1, metadata={"unit": "ms", "plausible": (2, 5000)})
     """Age of the newest pose sample that stops the session [s]."""
 
-    @property
-    def plan(self) -> Limits:
-        """Limits that a plan is checked against before anything moves."""
+    def for_plan(self, dome_radius: float | None) -> Limits:
+        """Return the limits that a plan is checked against before anything moves.
+
+        Args:
+            dome_radius: Radius of the sensor's spherical top [m]; None: flat.
+        """
         return Limits(
             box_x=self.box_x,
             box_y=self.box_y,
@@ -90,6 +93,7 @@ class BenchLimits:
             force_rating=self.soft_fraction * self.force_rating[2],
             stiffness=self.stiffness,
             duration_max=self.duration_max,
+            dome_radius=dome_radius,
         )
 
 
@@ -280,6 +284,16 @@ class Bench:
         return None if name is None else self.row(name)
 
     @property
+    def dome_radius(self) -> float | None:
+        """Radius of the sensor's spherical top [m], as its plan states it; None: flat."""
+        return getattr(self.trajectory, "dome_radius", None)
+
+    @property
+    def plan_limits(self) -> Limits:
+        """Limits that a plan is checked against before anything moves."""
+        return self.limits.for_plan(self.dome_radius)
+
+    @property
     def gauges(self) -> tuple[BenchStream, ...]:
         """F/T sensors that stop the arm at the bench's limits, in order."""
         return tuple(row for row in self.of_kind("force") if "guard" in row.traits.roles)
@@ -307,6 +321,7 @@ class Bench:
                 (limits.box_x[0], limits.box_y[0], -limits.depth_max),
                 (limits.box_x[1], limits.box_y[1], limits.height_max),
             ),
+            dome_radius=self.dome_radius,
         )
 
 

@@ -140,7 +140,7 @@ def _force_driver(config: ForceConfig, clock: Clock) -> Driver:
 def stream_spec(
     bench: Bench, name: str, description: dict[str, Any], rate_hz: float, **attrs: Any
 ) -> StreamSpec:
-    """Return the storage spec of a stream, given the facts of its opened driver.
+    """Return the storage spec of a stream, given the properties of its opened driver.
 
     Args:
         bench: The bench.

@@ -253,13 +253,16 @@ class AnalyticSpec:
     taxels: TaxelField | None = None
     """Response of the taxels; None for a sensor without any."""
     gauge_depth: float = field(default=0.02, metadata={"unit": "mm"})
-    """Depth of the F/T sensor's origin below the untouched surface [m]."""
+    """Depth of the F/T sensor's origin below the undeformed surface [m]."""
     friction: float | None = None
     """Coulomb's coefficient; None: frictionless contact without any shear."""
     hysteresis: Hysteresis | None = None
     """None: forces depend on the tip's position only, not on its path."""
     noise: Noise | None = None
     """None: instruments without noise."""
+    dome_radius: float | None = field(default=None, metadata={"unit": "mm", "plausible": (5, 5000)})
+    """Radius of the spherical top of the layer [m]; None: flat. A contact is computed as on a flat
+    layer at the height of the top under the tip."""
 
     @property
     def camera_delay(self) -> float:
@@ -280,7 +283,7 @@ class SimulatedSpec:
     sensor: str
     """Name of a row of `sim.sensors`, or the path of a user's YAML file."""
     gauge_depth: float = field(default=0.02, metadata={"unit": "mm"})
-    """Depth of the F/T sensor's origin below the untouched surface [m]."""
+    """Depth of the F/T sensor's origin below the undeformed surface [m]."""
     rate_hz: float = 60.0
     """Solutions per second that the solver aims for."""
     grid: int = 96
@@ -296,6 +299,9 @@ class SimulatedSpec:
     """Latency of the emulated camera [s]."""
     noise: Noise | None = None
     """None: instruments without noise."""
+    dome_radius: float | None = field(default=None, metadata={"unit": "mm", "plausible": (5, 5000)})
+    """Radius of the spherical top of the layer [m]; None: flat. The sensor is solved as it is,
+    flat, at the height of the top under the tip."""
 
     def __post_init__(self) -> None:
         if not 0 < self.rate_hz <= 500:

@@ -29,7 +29,10 @@ from rig.core.errors import ConfigError
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     bench_options(parser, sources=True).add_argument(
-        "--truth", type=Path, metavar="FILE", help="log the World's truth here"
+        "--truth",
+        type=Path,
+        metavar="FILE",
+        help="write the simulated contact's true motion and forces, for `tactile compare`",
     )
     parser.description = (
         "Records one session: checks the rates of all streams, tares the gauge, and "

@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Read the sensor, print Fx, Fy, Fz for every frame, and finally the latency. "
         "No arm moves; on a mock bench an emulated finger presses along its trajectory. "
-        "Start with the sensor untouched: its first frames are the reference."
+        "Start with the sensor without contact: its first frames are the reference."
     )
     parser.add_argument(
         "--model", type=Path, required=True, metavar="DIR", help="folder of a trained force model"

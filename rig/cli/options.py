@@ -1,4 +1,4 @@
-"""Options shared by several verbs, and the objects made from them."""
+"""Options shared by several commands, and the objects made from them."""
 
 from __future__ import annotations
 
@@ -61,14 +61,14 @@ def bench_options(
     group.add_argument(
         "--world",
         choices=("sim",),
-        help="use the simulator in place of the bench file's world",
+        help="simulate the contact by `sim` in place of the bench file's formulae",
     )
     if sources:
         group.add_argument(
             "--camera",
             type=Path,
             metavar="PATH",
-            help="play this folder of images or video file in place of the World's view",
+            help="play this folder of images or video file in place of the simulated view",
         )
         group.add_argument(
             "--still",
@@ -287,7 +287,7 @@ def log_to(path: Path) -> None:
     logging.basicConfig(level=logging.INFO, handlers=[terminal, file])
 
 
-# Calibration options of the verbs that record.
+# Calibration options of the commands that record.
 
 
 def calibration_options(parser: argparse.ArgumentParser) -> None:

@@ -44,7 +44,7 @@ class Driver(Protocol):
         """
 
     def describe(self) -> dict[str, Any]:
-        """Return facts read from the open device, JSON-serialisable: model, units, stated rates."""
+        """Return properties of the open device, JSON-serialisable: model, units, stated rates."""
 
     def close(self) -> None:
         """Stop the stream and release the device; may be called twice."""
@@ -56,7 +56,7 @@ class Sorting(Protocol):
 
     @property
     def rejected(self) -> dict[str, int]:
-        """Number of samples left out since `open`, by reason: `repeated`, `late`, `spoilt`."""
+        """Number of samples left out since `open`, by reason: `repeated`, `late`, `corrupt`."""
 
 
 def rejected(driver: Driver) -> dict[str, int]:

@@ -150,7 +150,7 @@ class _Handler(socketserver.StreamRequestHandler):
 
 
 # Depth served before the World's first state: the indenter well above the surface [m].
-UNTOUCHED_DEPTH = -0.01
+NO_CONTACT_DEPTH = -0.01
 
 
 class WorldReader(Protocol):
@@ -170,7 +170,7 @@ class SharedWorld:
     def __init__(self, path: Path | None) -> None:
         self._record = AwaitedRecord(path, WORLD_STATE)
         self._state: np.void = np.zeros(1, WORLD_STATE)[0]
-        self._state["depth"] = UNTOUCHED_DEPTH
+        self._state["depth"] = NO_CONTACT_DEPTH
         self._count = 0
 
     def state(self) -> tuple[int, np.void]:

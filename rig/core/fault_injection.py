@@ -58,7 +58,7 @@ def corrupted_bytes(message: bytes, rng: random.Random) -> bytes:
     return rng.randbytes(len(message))
 
 
-def spoilt_text(message: str, rng: random.Random) -> str:
+def corrupted_text(message: str, rng: random.Random) -> str:
     """Return the same characters in random order."""
     return "".join(rng.sample(message, len(message)))
 

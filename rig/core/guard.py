@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from rig.core.clock import SECOND_NS
 from rig.core.geometry import invert, matrix_from_vector, transform
+from trajectories import dome_height
 
 Mode = Literal["guarded", "retreat", "travel"]
 Kind = Literal[
@@ -39,7 +40,7 @@ _SLOPE_WINDOW_NS = 12_000_000
 _SLOPE_SAMPLES = 4
 _SLOPE_SPAN_NS = 60_000_000
 
-# In retreat, the load counts as growing if it gains this share of the rating in `horizon`.
+# In retreat, the load counts as growing if it gains this fraction of the rating in `horizon`.
 _GROWTH = 0.02
 
 # RTDE safety_status_bits: 5, 6, 7 emergency stops, 8 violation; 2 protective, 4 safeguard (a door,
@@ -57,9 +58,9 @@ class GuardLimits:
     box: tuple[tuple[float, float, float], tuple[float, float, float]]
     """Lower and upper corner for the TCP in the contact frame [m]; minus lower z is the depth."""
     soft_fraction: float = 0.85
-    """Share of the rating that ends a press, marks it force-limited and continues the session."""
+    """Fraction of the rating that ends a press as force-limited and continues the session."""
     hard_fraction: float = 1.0
-    """Share of the rating that stops the run for inspection."""
+    """Fraction of the rating that stops the run for inspection."""
     horizon: float = 0.02
     """The soft limit also trips if force plus slope times this time would exceed it [s]."""
     stale_force: float = 0.05
@@ -69,9 +70,12 @@ class GuardLimits:
     force_status_mask: int = 0
     """Status bits of the F/T sensor that mark its values as invalid (saturation and others)."""
     combined_fraction: float | None = None
-    """Limit on the summed shares of (Fxy, Tz) and (Fz, Txy); ATI's rule is 1.05. None: off."""
+    """Limit on the summed fractions of (Fxy, Tz) and (Fz, Txy); ATI's rule is 1.05. None: off."""
     axes_measured: tuple[str, ...] = tuple(name for name, _ in AXES)
     """Axes that the F/T sensor measures; values of the others are ignored, NaN or not."""
+    dome_radius: float | None = None
+    """Radius of the sensor's spherical top [m], from which the box's depth is measured; None:
+    flat."""
 
     def __post_init__(self) -> None:
         """Reject limits that would never trip, or always.
@@ -153,7 +157,9 @@ def outside_box(limits: GuardLimits, contact_frame: ArrayLike, position: ArrayLi
 
 def _box_reason(limits: GuardLimits, point: ArrayLike) -> str | None:
     found = np.asarray(point, np.float64).tolist()
-    for name, value, low, high in zip("xyz", found, *limits.box, strict=True):
+    (low_x, low_y, low_z), upper = limits.box
+    lower = (low_x, low_y, low_z + dome_height(limits.dome_radius, found[0], found[1]))
+    for name, value, low, high in zip("xyz", found, lower, upper, strict=True):
         # Negated, so that NaN is outside too.
         if not low <= value <= high:
             return (
@@ -302,20 +308,22 @@ class Guard:
         return None
 
     def _loads(self, force: list[float]) -> list[tuple[str, str, float]]:
-        """Return name, text and share of rating of each axis, and of combined loads if limited."""
+        """Return name, text and fraction of rating of each axis, and of limited combined loads."""
         rating = self._limits.force_rating
-        shares = [abs(value) / most for value, most in zip(force, rating, strict=True)]
+        fractions = [abs(value) / most for value, most in zip(force, rating, strict=True)]
         loads = [
-            (name, f"{value:.3g} {unit} ({share:.0%} of {most:g} {unit})", share)
-            for (name, unit), value, most, share in zip(AXES, force, rating, shares, strict=True)
+            (name, f"{value:.3g} {unit} ({fraction:.0%} of {most:g} {unit})", fraction)
+            for (name, unit), value, most, fraction in zip(
+                AXES, force, rating, fractions, strict=True
+            )
         ]
         if self._limits.combined_fraction is not None:
             for name, total in (
-                ("Fxy and Tz together", math.hypot(shares[0], shares[1]) + shares[5]),
-                ("Fz and Txy together", shares[2] + math.hypot(shares[3], shares[4])),
+                ("Fxy and Tz together", math.hypot(fractions[0], fractions[1]) + fractions[5]),
+                ("Fz and Txy together", fractions[2] + math.hypot(fractions[3], fractions[4])),
             ):
-                share = total / self._limits.combined_fraction
-                loads.append((name, f"{total:.0%} of their ratings", share))
+                fraction = total / self._limits.combined_fraction
+                loads.append((name, f"{total:.0%} of their ratings", fraction))
         return loads
 
     def _predict(self) -> list[float] | None:

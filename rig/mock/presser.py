@@ -145,8 +145,8 @@ def _way(bench: Bench) -> Iterator[tuple[Point, float]]:
             yield move.end, arm.speed
 
 
-def _towards(start: Point, goal: Point, share: float) -> Point:
-    x, y, z = (a + share * (b - a) for a, b in zip(start, goal, strict=True))
+def _towards(start: Point, goal: Point, fraction: float) -> Point:
+    x, y, z = (a + fraction * (b - a) for a, b in zip(start, goal, strict=True))
     return (x, y, z)
 
 

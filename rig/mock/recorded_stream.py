@@ -21,7 +21,7 @@ from rig.mock.processes import StartedOrClosed
 # The first run: later ones were recorded after a stop.
 _RUN = 0
 _LEAD_NS = SECOND_NS // 10
-# Frames before the session's first reference that are taken as untouched.
+# Frames before the session's first reference that are taken as without contact.
 _UNTOUCHED = 10
 
 
@@ -79,7 +79,7 @@ class ReplayedSensor(StartedOrClosed):
         """
         self._players.check()
 
-    def untouched(self) -> np.ndarray | None:
+    def no_contact(self) -> np.ndarray | None:
         """Return images (n, h, w, 3) or counts (n, 16, 3) up to the first reference, None without.
 
         Raises:

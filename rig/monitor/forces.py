@@ -78,13 +78,15 @@ class Seen:
     def lines(self, wrench: np.ndarray | None = None) -> Iterator[str]:
         """Yield the summary; given the true wrench (n, 6), with the error of the forces."""
         if not self.frames:
-            yield "no force: no frame arrived after the untouched ones"
+            yield "no force: no frame arrived after the reference frames"
             return
         yield (
             f"{self.frames:,} forces in {self.seconds:.1f} s, {self.rate_hz:.1f} a second; "
             f"{self.skipped} frames skipped for newer ones, {self.lost} lost"
         )
-        middle, late = (1e3 * float(np.quantile(self.latency, share)) for share in (0.5, 0.99))
+        middle, late = (
+            1e3 * float(np.quantile(self.latency, fraction)) for fraction in (0.5, 0.99)
+        )
         yield (
             f"latency, frame in to force out: p50 {middle:.1f} ms, p99 {late:.1f} ms, worst "
             f"{1e3 * max(self.latency):.1f} ms"
@@ -129,8 +131,8 @@ def watch(
         DeviceLost: The sensor fell silent.
     """
     with _recording(out) as record:
-        if watched.untouched is not None:
-            predictor.begin(watched.untouched)
+        if watched.no_contact is not None:
+            predictor.begin(watched.no_contact)
         while not stop.requested and not _enough(seen, seconds):
             samples = watched.driver.read(_WAIT)
             watched.check()

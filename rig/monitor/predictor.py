@@ -24,7 +24,7 @@ class Predictor(Protocol):
     """Predicts a force for each frame."""
 
     def begin(self, frames: Any) -> None:
-        """Set the untouched reference from frames without contact (n, ...)."""
+        """Set the reference from frames without contact (n, ...)."""
 
     def step(self, frame: Any) -> Reading | None:
         """Return the force of an image (h, w, 3) uint8 or counts (16, 3); None before begin."""

@@ -32,10 +32,10 @@ class Watched:
     """Name of its stream."""
     driver: Driver
     """Open driver."""
-    untouched: np.ndarray | None = None
+    no_contact: np.ndarray | None = None
     """Frames known to be without contact; None: the first to arrive must be."""
     begin: Callable[[], None] = lambda: None
-    """Starts the presses of a mock bench; called after the untouched frames."""
+    """Starts the presses of a mock bench; called after the frames without contact."""
     over: Callable[[], bool] = lambda: False
     """Returns True if no more frames will come."""
     check: Callable[[], None] = lambda: None
@@ -96,13 +96,13 @@ def replayed(path: Path, folder: Path, clock: Clock) -> Iterator[Watched]:
         SessionError, DeviceLost: The session cannot be played.
     """
     with ReplayedSensor(path, folder, clock) as source:
-        untouched = source.untouched()
+        no_contact = source.no_contact()
         source.play()
         yield Watched(
             source.sensor,
             source.stream,
             source.driver,
-            untouched,
+            no_contact,
             over=source.over,
             check=source.check,
             wrench=source.wrench,

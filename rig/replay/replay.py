@@ -218,7 +218,7 @@ class Replay:
             if stop is not None and t_ns > covered[run]:
                 continue
             moved = {"run": numbers[run], "t_ns": int(t_ns), "point": row["point"]}
-            writer.reference.append(**{**_untouched(self._source, replay, row), **moved})
+            writer.reference.append(**{**_no_contact(self._source, replay, row), **moved})
         status, reason = "complete", ""
         if stop is not None:
             status, reason = "stopped", f"replay: {str(stop) or type(stop).__name__}"
@@ -270,7 +270,7 @@ class Replay:
         return EXIT_DONE if equal else EXIT_DIFFERENT
 
 
-def _untouched(source: Session, replay: Session, row: dict[str, Any]) -> dict[str, Any]:
+def _no_contact(source: Session, replay: Session, row: dict[str, Any]) -> dict[str, Any]:
     """Return the columns of a row of `reference` that come from streams, as the replay has them.
 
     A stream that is left out moves the columns of those after it.

@@ -177,7 +177,7 @@ class ReplayedRun:
                 players.close()
 
     def open(self, interrupt: InterruptFlag) -> dict[str, dict[str, Any]]:
-        """Open every driver and return the facts of the devices, by stream.
+        """Open every driver and return the properties of the devices, by stream.
 
         Those of cameras are opened last: such a driver waits for the next frame with a timeout
         that also delays closing, so that timeout is short.

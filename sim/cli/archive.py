@@ -24,7 +24,7 @@ GROUPS = ("homogeneous", "material", "heterogeneous")
 SMOKE_SHAPES, SMOKE_CELLS = ("sphere", "prism"), 3
 SMOKE_SHARE, SMOKE_STEPS = 0.01, 3
 # Presses that a GPU solves in one launch: all of the paper's.
-TOGETHER_GPU = 162
+BATCH_SIZE_GPU = 162
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -138,7 +138,7 @@ def _states(options: argparse.Namespace) -> int:
 def _sensors(options: argparse.Namespace) -> int:
     from sim.dataset import DatasetPlan
 
-    smoke, share = _share(options.scale)
+    smoke, fraction = _share(options.scale)
     chosen = _chosen_sensors(options)
     out = options.out
     if out is None:
@@ -151,7 +151,7 @@ def _sensors(options: argparse.Namespace) -> int:
         solving=_solving(options, smoke=smoke),
         seed=options.seed,
         steps=steps,
-        share=share,
+        fraction=fraction,
     )
     return _make(options, out, plan)
 
@@ -182,7 +182,7 @@ def _make(options: argparse.Namespace, out: Path, plan: DatasetPlan) -> int:
     ready_device("cpu" if options.scheduler else options.device)
     if options.device != "cpu" and plan.solving.tier == "fem":
         solving = replace(plan.solving, one_topology=True)
-        plan = replace(plan, together=TOGETHER_GPU, solving=solving)
+        plan = replace(plan, batch_size=BATCH_SIZE_GPU, solving=solving)
     return _fill(options, begin(out, plan, "cpu" if options.scheduler else options.device))
 
 
@@ -346,12 +346,12 @@ def _share(text: str) -> tuple[bool, float]:
     if text in ("smoke", "full"):
         return text == "smoke", SMOKE_SHARE if text == "smoke" else 1.0
     try:
-        share = float(text)
+        fraction = float(text)
     except ValueError:
-        share = -1.0
-    if not 0 < share <= 1:
+        fraction = -1.0
+    if not 0 < fraction <= 1:
         raise SceneError(f"--scale: {text!r}; allowed: smoke, full, or above 0 to 1")
-    return False, share
+    return False, fraction
 
 
 def _chosen_sensors(options: argparse.Namespace) -> tuple[SimulatedSensor, ...]:

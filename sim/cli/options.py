@@ -436,7 +436,7 @@ def _add_effect_options(parser: argparse.ArgumentParser, friction: float, viscos
         "--plan-effects",
         action="store_true",
         help="only estimate, by coarse meshes, how much each effect changes force [%%, N] and "
-        "markers [px], and its share of the time. With --tolerance, also report which effects "
+        "markers [px], and its fraction of the time. With --tolerance, also report which effects "
         "would be omitted",
     )
 
@@ -503,7 +503,7 @@ def _add_output_options(parser: argparse.ArgumentParser) -> None:
         "[m]; traction [Pa]",
     )
     group.add_argument(
-        "--out", type=Path, metavar="PNG", help="picture to write (default: VERB-SHAPE.png)"
+        "--out", type=Path, metavar="PNG", help="picture to write (default: e.g. press-sphere.png)"
     )
     group.add_argument(
         "--save", type=Path, metavar="ZARR", help="save the whole result in this new Zarr directory"

@@ -68,7 +68,7 @@ class Reader:
 
     @property
     def mm_per_px(self) -> float:
-        """Size of a pixel on the untouched top [mm], along columns."""
+        """Size of a pixel on the undeformed top [mm], along columns."""
         signal = self.sensor.signal
         if isinstance(signal, CameraSignal):
             return signal.camera().mm_per_px
@@ -91,8 +91,8 @@ class Reader:
         return isinstance(self._readout, CameraReadout)
 
     def references(self) -> Packed:
-        """Return packed masks (P, K, 38400) of the untouched sensor, one per creep offset."""
-        still = SurfaceField.untouched(self.sensor.body)
+        """Return packed masks (P, K, 38400) of the sensor without contact, one per creep offset."""
+        still = SurfaceField.undeformed(self.sensor.body)
         masks = [self._still.masks(crept(still, offset))[0] for offset in self._creep]
         return np.stack([pack(each) for each in masks], axis=1)
 

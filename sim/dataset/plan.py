@@ -20,7 +20,7 @@ from sim.scene import Body, Motion, Scene, from_target, press, through
 from sim.sensors import CameraSignal, SimulatedSensor, sensor
 from sim.simulate import plan as within
 from sim.simulate import simulate_many
-from trajectories import PHASES, ForceDepth, Point, PressShear, Target
+from trajectories import PHASES, ForceDepth, Point, PressShear, Target, with_order
 
 # A press that is simulated once, and those of its frames that become rows of an archive.
 
@@ -268,11 +268,11 @@ class DatasetPlan:
     """Seed of all random draws."""
     steps: int = 10
     """Frames per phase of a target; states have no phases."""
-    share: float = 1.0
+    fraction: float = field(default=1.0, metadata={"formerly": "share"})
     """Fraction of the targets to use, spread evenly over points, depths and directions."""
     unit_presses: int = UNIT_PRESSES
     """Most presses of one indenter whose frames share a file."""
-    together: int = UNIT_PRESSES
+    batch_size: int = field(default=UNIT_PRESSES, metadata={"formerly": "together"})
     """Most presses solved in one call, rounded to whole files; a GPU needs many."""
 
     def __post_init__(self) -> None:
@@ -286,9 +286,9 @@ class DatasetPlan:
             raise SceneError(f"plan.indenters: {self.indenters}; allowed: in the order of {NAMES}")
         check_range("plan", "seed", self.seed, 0, 2**32)
         check_range("plan", "steps", self.steps, 1, STEPS_MAX)
-        check_range("plan", "share", self.share, 0.0, 1.0, open_low=True)
+        check_range("plan", "fraction", self.fraction, 0.0, 1.0, open_low=True)
         check_range("plan", "unit_presses", self.unit_presses, 1, 10_000)
-        check_range("plan", "together", self.together, 1, 100_000)
+        check_range("plan", "batch_size", self.batch_size, 1, 100_000)
         for each in self.sensors:
             if self.work == "targets" and each.trajectory is None:
                 raise SceneError(f"{each.name}.trajectory: None; allowed: a sensor that has one")
@@ -306,10 +306,22 @@ class DatasetPlan:
     def of(cls, document: Any, where: str = "plan") -> DatasetPlan:
         """Return the plan that `document()` stored; `where` names it in errors.
 
+        Trajectories without `order` are older than it, and keep the order of those days.
+
         Raises:
             SceneError: The document is not a plan.
         """
+        if isinstance(document, dict) and isinstance(sensors := document.get("sensors"), list):
+            document = {**document, "sensors": [_with_order(each) for each in sensors]}
         return from_json(cls, document, where)
+
+
+def _with_order(stored: Any) -> Any:
+    """Return a stored sensor whose trajectory states the order of its points."""
+    trajectory = stored.get("trajectory") if isinstance(stored, dict) else None
+    if not isinstance(trajectory, dict):
+        return stored
+    return {**stored, "trajectory": with_order(trajectory)}
 
 
 def names(sensor: SimulatedSensor) -> tuple[str, ...]:
@@ -366,7 +378,7 @@ def target_presses(plan: DatasetPlan, each: SimulatedSensor) -> tuple[PlannedPre
     """
     if each.trajectory is None:
         raise SceneError(f"{each.name}.trajectory: None; allowed: a sensor that has one")
-    targets = chosen_targets(each.trajectory, plan.share)
+    targets = chosen_targets(each.trajectory, plan.fraction)
     presses = [
         _target_press(plan, each, each.trajectory, indenter, target)
         for indenter in plan.indenters
@@ -377,14 +389,14 @@ def target_presses(plan: DatasetPlan, each: SimulatedSensor) -> tuple[PlannedPre
     return tuple(presses)
 
 
-def chosen_targets(trajectory: PressShear, share: float) -> tuple[Target, ...]:
+def chosen_targets(trajectory: PressShear, fraction: float) -> tuple[Target, ...]:
     """Return a fraction of the targets, at least one, spread over points, depths and directions.
 
     Greedily picks the target whose point, depth, direction and pairs of them have occurred least
     often so far, so that a smaller fraction is a subset of a larger one.
     """
     targets = list(trajectory.targets())
-    count = max(1, round(share * len(targets)))
+    count = max(1, round(fraction * len(targets)))
     if count == len(targets):
         return tuple(targets)
     met: dict[tuple[object, ...], int] = {}
@@ -440,8 +452,17 @@ def _target_press(
 
 @functools.lru_cache(maxsize=4096)
 def _motion(trajectory: PressShear, target: Target, steps: int, speed: float) -> Motion:
-    """Return the motion of a target, cached: all indenters and most sensors of a group share it."""
-    return from_target(trajectory, target, steps=steps, speed=speed)
+    """Return the motion of a target, cached: all indenters and most sensors of a group share it.
+
+    A body that is pressed as if it had a dome is flat: its top follows the dome from point to
+    point, so the tip's heights are those above the top at the point.
+    """
+    drop = trajectory.height(*target.origin[:2])
+    origin, bottom, sheared = (
+        (x, y, z - drop) for x, y, z in (target.origin, target.bottom, target.sheared)
+    )
+    flat = replace(target, origin=origin, bottom=bottom, sheared=sheared)
+    return from_target(trajectory, flat, steps=steps, speed=speed)
 
 
 def _force_depth(
@@ -594,10 +615,10 @@ class Unit:
 @functools.cache
 def families(plan: DatasetPlan) -> tuple[Family, ...]:
     """Return the sensors of a plan grouped by shared deformations, in order."""
-    together: dict[Hashable, list[SimulatedSensor]] = {}
+    by_deformation: dict[Hashable, list[SimulatedSensor]] = {}
     for each in plan.sensors:
-        together.setdefault(_deformation(plan, each), []).append(each)
-    return tuple(_family(plan, tuple(sensors)) for sensors in together.values())
+        by_deformation.setdefault(_deformation(plan, each), []).append(each)
+    return tuple(_family(plan, tuple(sensors)) for sensors in by_deformation.values())
 
 
 @functools.cache
@@ -605,7 +626,7 @@ def units(plan: DatasetPlan) -> tuple[Unit, ...]:
     """Return all units of a plan; they depend on the plan alone, not on finished work."""
     cut: list[Unit] = []
     for index, family in enumerate(families(plan)):
-        step = max(1, plan.together // family.unit_presses) * family.unit_presses
+        step = max(1, plan.batch_size // family.unit_presses) * family.unit_presses
         single = [press for press in family.presses if len(press.recordings) == 1]
         for first in range(0, len(single), step):
             last = min(first + step, len(single))

@@ -225,7 +225,7 @@ class Stop:
         self._say("stopping: the units in flight are finished first; Ctrl-C again stops at once")
 
 
-# Called with the share of the current unit's presses that is solved (units made one at a time).
+# Called with the fraction of the current unit's presses that is solved (units made one at a time).
 Inside = Callable[[float], None]
 # Makes units and yields the statistics of each when it is done.
 Maker = Callable[[Sequence[Unit], Inside], Iterator[UnitStats]]
@@ -268,10 +268,10 @@ def fill(
     progress(done / whole)
     made: list[UnitStats] = []
 
-    def inside(share: float) -> None:
+    def inside(fraction: float) -> None:
         """Report progress within a unit; presses take most of its time, units come in order."""
         now = missing[len(made)].number
-        progress((done + share * weights[now]) / whole)
+        progress((done + fraction * weights[now]) / whole)
 
     for one in maker(missing, inside):
         made.append(one)

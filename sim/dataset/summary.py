@@ -20,7 +20,7 @@ SHOWN = 5
 
 
 def summary(
-    path: Path, *, check: bool = True, progress: Callable[[float], None] = lambda share: None
+    path: Path, *, check: bool = True, progress: Callable[[float], None] = lambda fraction: None
 ) -> Iterator[str]:
     """Yield the lines of the summary of a complete archive.
 
@@ -68,8 +68,8 @@ def _flags(archive: MarkerArchive, images: int, progress: Callable[[float], None
         counted += _counted(sensor)
         flagged += [f"{sensor.name} {flag}" for flag in found]
         progress((place + 1) / len(archive))
-    share = f", {1e3 * len(flagged) / counted:.2f} in 1,000" if flagged else ""
-    yield f"marker count: {len(flagged)} of {counted:,} images flagged{share}"
+    fraction = f", {1e3 * len(flagged) / counted:.2f} in 1,000" if flagged else ""
+    yield f"marker count: {len(flagged)} of {counted:,} images flagged{fraction}"
     yield from _some("", flagged)
     if counted < images:
         yield f"  ({images - counted:,} images have no markers to count, or are not valid)"

@@ -35,6 +35,6 @@ class Friction:
     def __post_init__(self) -> None:
         check_range("friction", "coefficient", self.coefficient, 0.0, 10.0)
 
-    def weakened(self, share: float) -> Friction:
-        """Return the effect with its coefficient scaled by `share`; vanishes as `share` -> 0."""
-        return replace(self, coefficient=share * self.coefficient)
+    def weakened(self, fraction: float) -> Friction:
+        """Return the effect with its coefficient scaled by `fraction`; at 0 it vanishes."""
+        return replace(self, coefficient=fraction * self.coefficient)

@@ -32,7 +32,7 @@ class Gravity:
         for index, value in enumerate(self.acceleration):
             check_range("gravity", f"acceleration[{index}]", value, -1e3, 1e3, unit="m/s^2")
 
-    def weakened(self, share: float) -> Gravity:
-        """Return the effect with its acceleration scaled by `share`; vanishes as `share` -> 0."""
+    def weakened(self, fraction: float) -> Gravity:
+        """Return the effect with its acceleration scaled by `fraction`; at 0 it vanishes."""
         x, y, z = self.acceleration
-        return replace(self, acceleration=(share * x, share * y, share * z))
+        return replace(self, acceleration=(fraction * x, fraction * y, fraction * z))

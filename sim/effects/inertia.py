@@ -32,6 +32,6 @@ class Inertia:
     def __post_init__(self) -> None:
         check_range("inertia", "scale", self.scale, 0.0, 1e6)
 
-    def weakened(self, share: float) -> Inertia:
-        """Return the effect with its mass scaled by `share`; vanishes as `share` -> 0."""
-        return replace(self, scale=share * self.scale)
+    def weakened(self, fraction: float) -> Inertia:
+        """Return the effect with its mass scaled by `fraction`; at 0 it vanishes."""
+        return replace(self, scale=fraction * self.scale)

@@ -57,6 +57,6 @@ class Viscosity:
         if self.relaxes not in ("all", "shear"):
             raise SceneError(f"viscosity.relaxes: {self.relaxes!r}; allowed: 'all', 'shear'")
 
-    def weakened(self, share: float) -> Viscosity:
-        """Return the effect with its ratios scaled by `share`; vanishes as `share` -> 0."""
-        return replace(self, ratios=tuple(share * ratio for ratio in self.ratios))
+    def weakened(self, fraction: float) -> Viscosity:
+        """Return the effect with its ratios scaled by `fraction`; at 0 it vanishes."""
+        return replace(self, ratios=tuple(fraction * ratio for ratio in self.ratios))

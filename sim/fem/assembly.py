@@ -215,12 +215,12 @@ class SolverState:
             chosen: Environments whose step begins.
             tip: Targets of their tips; `set_tip` moves them.
             duration: Time of the current step of each environment, begun now or before (B,) [s].
-            guess: Share of the last accepted change of `u` that `u` begins with (B,).
+            guess: Fraction of the last accepted change of `u` that `u` begins with (B,).
         """
         self._tip_after[chosen] = tip[chosen]
         active = self._mask(chosen)
-        share = self._array(guess, self._real)
-        extrapolate(active, share, self.u_old, self._u_before, self.u)
+        fraction = self._array(guess, self._real)
+        extrapolate(active, fraction, self.u_old, self._u_before, self.u)
         self._remember(active, duration)
         self._foresee(active, duration)
 
@@ -238,25 +238,25 @@ class SolverState:
             step = np.maximum(duration, 1e-12)
             self.rates = self._mass / step**2
             self.inertia_rate.assign(self._array(self.rates, self._real))
-            share = self._array(step / self._duration_old, self._real)
-            extrapolate(active, share, self.u_old, self._u_before, self.predicted)
+            fraction = self._array(step / self._duration_old, self._real)
+            extrapolate(active, fraction, self.u_old, self._u_before, self.predicted)
 
-    def put_within(self, chosen: np.ndarray, share: float, duration: np.ndarray, way) -> None:
-        """Set history and predicted motion of the chosen (B,) for a share of their step.
+    def put_within(self, chosen: np.ndarray, fraction: float, duration: np.ndarray, way) -> None:
+        """Set history and predicted motion of the chosen (B,) for a fraction of their step.
 
         `duration` (B,) [s] is that of the whole step, and `way` (B, N) the displacement of the
         nodes over it, with constant acceleration.
         """
         active = self._mask(chosen)
-        self._remember(active, np.where(chosen, share, 1.0) * duration)
+        self._remember(active, np.where(chosen, fraction, 1.0) * duration)
         if "inertia" in self._effects:
             self._foresee(active, duration)
-            back = self._array(np.full(len(chosen), share - 1.0), self._real)
+            back = self._array(np.full(len(chosen), fraction - 1.0), self._real)
             axpy(active, back, self.predicted, way, self.predicted)
 
-    def put_weight(self, share: np.ndarray) -> None:
-        """Set the share of their weight that bodies have (B,)."""
-        self.weight.assign(self._array(self._weight * share[:, None], self.weight.dtype))
+    def put_weight(self, fraction: np.ndarray) -> None:
+        """Set the fraction of their weight that bodies have (B,)."""
+        self.weight.assign(self._array(self._weight * fraction[:, None], self.weight.dtype))
 
     def put_tip_away(self, chosen: np.ndarray) -> None:
         """Move the tips of the chosen environments (B,) to where they touch nothing."""
@@ -291,9 +291,9 @@ class SolverState:
         """Set the limit of friction to the pressure of the last evaluated state."""
         copy_active(active, self.pressure, self.limit)
 
-    def relax_limit(self, active, share: float) -> None:
-        """Move the limit of friction by `share` of the way from its last relaxed value."""
-        blend(active, share, self.pressure, self._limit_relaxed)
+    def relax_limit(self, active, fraction: float) -> None:
+        """Move the limit of friction by `fraction` of the way from its last relaxed value."""
+        blend(active, fraction, self.pressure, self._limit_relaxed)
         copy_active(active, self._limit_relaxed, self.limit)
 
     def accept(self, chosen: np.ndarray, duration: np.ndarray, mesh, material) -> None:

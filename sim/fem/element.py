@@ -424,7 +424,7 @@ def element_blocks_kernel(real, viscous: bool):
         return 9 * (bits >> 2) + 3 * ((bits >> 1) & 1) + (bits & 1)
 
     @wp.func
-    def share(b: int):
+    def fraction(b: int):
         """Return a corner's value in mode b, except for its sign, after taking the derivative."""
         size = (b >> 2) + ((b >> 1) & 1) + (b & 1)
         value = eighth
@@ -572,7 +572,7 @@ def element_blocks_kernel(real, viscous: bool):
                                 else:
                                     block += wp.transpose(moments[walsh, r + s + 2])
                 block += wp.outer(mean_a * stiffness, mean_b)
-                block = block * (share(a) * share(b))
+                block = block * (fraction(a) * fraction(b))
                 blocks[a, b] = block
                 if a != b:
                     blocks[b, a] = wp.transpose(block)
@@ -951,9 +951,9 @@ class Branches:
             Factors on stress and pressure (B,) of all environments: for those that are not active,
             pass the duration of their current step.
         """
-        share = np.maximum(duration, 1e-12)[:, None] / self._times
-        gain = self._ratios * -np.expm1(-share) / share
-        self._decay, self._gain = self._array(np.exp(-share)), self._array(gain)
+        fraction = np.maximum(duration, 1e-12)[:, None] / self._times
+        gain = self._ratios * -np.expm1(-fraction) / fraction
+        self._decay, self._gain = self._array(np.exp(-fraction)), self._array(gain)
         self._bulk_gain = self._array(gain * self._bulk)
         wp.launch(
             _kernels(self._real)[0],

@@ -41,8 +41,8 @@ GAUSS = 1 / np.sqrt(3)
 # Numbers of elements along x and y are a multiple of this, above `MANY` of twice this, so that many
 # presses share a topology.
 MULTIPLE, MANY = 4, 24
-# Share of a column of elements within the footprint below which the column is dropped: such slivers
-# give their nodes next to no stiffness.
+# Fraction of a column of elements within the footprint below which the column is dropped: such
+# slivers give their nodes next to no stiffness.
 SHARE_LEAST = 0.1
 # Exponent of the vertical grading: elements are flatter towards the top, where the strain is.
 GRADING = 1.25
@@ -82,9 +82,9 @@ class Mesh:
     """True for nodes that move (N,): all but those on the base."""
     node_volume: NDArray[np.float64]
     """Volume lumped to each node (N,)."""
-    share: NDArray[np.float64] | None = None
-    """Share of each column of elements within a round footprint (X - 1, Y - 1), which weights its
-    elements; 0 means no elements. None: all columns are whole."""
+    fraction: NDArray[np.float64] | None = None
+    """Fraction of each column of elements within a round footprint (X - 1, Y - 1), which weights
+    its elements; 0 means no elements. None: all columns are whole."""
 
     @property
     def finest(self) -> float:
@@ -94,16 +94,16 @@ class Mesh:
     @property
     def topmost(self) -> float:
         """Height of the topmost elements, in thicknesses."""
-        middle = (0, 0) if self.share is None else (self.cells[0] // 2, self.cells[1] // 2)
+        middle = (0, 0) if self.fraction is None else (self.cells[0] // 2, self.cells[1] // 2)
         column = self.top[middle]
         return float(self.nodes[column, 2] - self.nodes[column - 1, 2])
 
     @property
     def beside(self) -> NDArray[np.bool_]:
         """True for columns of nodes that belong to no element (X, Y)."""
-        if self.share is None:
+        if self.fraction is None:
             return np.zeros((len(self.x), len(self.y)), dtype=bool)
-        empty = np.pad(self.share == 0, 1, constant_values=True)
+        empty = np.pad(self.fraction == 0, 1, constant_values=True)
         return np.asarray(empty[1:, 1:] & empty[:-1, 1:] & empty[1:, :-1] & empty[:-1, :-1])
 
     @property
@@ -226,15 +226,15 @@ def build_mesh(
     return _mesh(body, x, y, 1.0 - np.linspace(1.0, 0.0, layers + 1) ** GRADING)
 
 
-def _mesh(body: Body, x: Array, y: Array, share: Array, fineness: float = np.nan) -> Mesh:
-    """Return the mesh with nodes at x (X,), y (Y,) [thicknesses] and shares (Z,) of the height."""
+def _mesh(body: Body, x: Array, y: Array, fraction: Array, fineness: float = np.nan) -> Mesh:
+    """Return the mesh with nodes at x (X,), y (Y,) [thicknesses] and z (Z,) [height]."""
     unit = body.thickness
-    cells = len(x) - 1, len(y) - 1, len(share) - 1
+    cells = len(x) - 1, len(y) - 1, len(fraction) - 1
     height = body.heights(x * unit, y * unit) / unit
-    place = np.empty((len(x), len(y), len(share), 3))
+    place = np.empty((len(x), len(y), len(fraction), 3))
     place[..., 0] = x[:, None, None]
     place[..., 1] = y[None, :, None]
-    place[..., 2] = -1.0 + (1.0 + height[:, :, None]) * share
+    place[..., 2] = -1.0 + (1.0 + height[:, :, None]) * fraction
     nodes = place.reshape(-1, 3)
     grid = _topology(cells)
     if height.any():
@@ -242,13 +242,13 @@ def _mesh(body: Body, x: Array, y: Array, share: Array, fineness: float = np.nan
         volume = _node_volumes(grid.elements, weight, len(nodes))
         area = _face_areas(nodes[grid.faces])
     else:
-        sides = np.diff(x), np.diff(y), np.diff(share)
+        sides = np.diff(x), np.diff(y), np.diff(fraction)
         inverse, weight = _box_geometry(*sides)
         volume = _box_node_volumes(*sides)
         area = _box_face_areas(*sides)
     inside = None
     if body.footprint != "rectangle":
-        inside = body.shares(x * unit, y * unit)
+        inside = body.fractions(x * unit, y * unit)
         inside[inside < SHARE_LEAST] = 0.0
         weight = weight * np.repeat(inside.ravel(), cells[2])[:, None]
         volume = _node_volumes(grid.elements, weight, len(nodes))
@@ -269,7 +269,7 @@ def _mesh(body: Body, x: Array, y: Array, share: Array, fineness: float = np.nan
         node_faces=grid.node_faces,
         free=grid.free,
         node_volume=volume,
-        share=inside,
+        fraction=inside,
     )
 
 

@@ -33,8 +33,8 @@ ACCURACY, ACCURACY_LEAST = 0.1, 3e-3
 # Accuracy of the linear solve that follows the tip. With 0.1 the touching skin moves alone, the
 # body below it is crushed, and Newton's method takes up to three times the iterations.
 PREDICTION = 0.01
-# Below this share of a full step, or if the tangent is not convex, the next tangent is made convex;
-# if it already was, it is damped.
+# Below this fraction of a full step, or if the tangent is not convex, the next tangent is made
+# convex; if it already was, it is damped.
 LENGTH_GOOD = 0.2
 # Residual below which a tangent that was made convex is exact again; it is multiplied by the second
 # whenever that was too early.
@@ -52,7 +52,7 @@ DAMPING_LEAST, DAMPING_MOST = 2.0, 1e5
 # With viscosity, whose steps are short in time, a state in between would add 5 % to the run time.
 WORK_STEP, WORK_STEP_VISCOUS = 1 / 30, 1 / 12
 # Iterations in which friction's limit follows the pressure fully; later it moves by the second, a
-# share of the way. Otherwise the two may alternate for ever with equal and opposite changes.
+# fraction of the way. Otherwise the two may alternate for ever with equal and opposite changes.
 RELAX_AFTER, RELAX_SHARE = 4, 0.5
 
 
@@ -269,11 +269,11 @@ class Newton:
         axpy(active, self._lengths(np.full(len(long), 0.5)), state.u_old, way, self._start)
         state.put_within(long, 0.5, duration, way)
         state.put_tip_away(long)
-        between = assembly.evaluate(active, self._start, way).slope
+        middle = assembly.evaluate(active, self._start, way).slope
         state.put_within(long, 1.0, duration, way)
         state.set_tip(long)
         assembly.evaluate(active, state.u, way)
-        return np.where(long, (work + 2 * between) / 3, work)
+        return np.where(long, (work + 2 * middle) / 3, work)
 
     def mask(self, chosen: np.ndarray):
         """Return the chosen environments (B,) as a mask for the kernels."""
@@ -320,10 +320,10 @@ class Path:
     ramped: bool = False
     """True if the weight is ramped up over segment 0."""
     segment: int = 0
-    share: float = 0.0
-    """Completed share of the segment."""
+    fraction: float = 0.0
+    """Completed fraction of the segment."""
     step: float = 1.0
-    """Share of the segment that the next step may take."""
+    """Fraction of the segment that the next step may take."""
     halvings: int = 0
     tried: list[str] = field(default_factory=list)
 
@@ -339,7 +339,7 @@ class Path:
 
     @property
     def limit(self) -> float:
-        """Largest share of the segment that one step may take."""
+        """Largest fraction of the segment that one step may take."""
         return 1.0 / self._steps_of(self.segment)
 
     @property
@@ -359,42 +359,42 @@ class Path:
         return float(max(1.0, by_way, np.ceil(by_time)))
 
     def goal(self) -> tuple[float, Array, float]:
-        """Return the share of the segment after the next step, the tip (3,), and its time [s]."""
+        """Return the fraction of the segment after the next step, tip (3,), and time [s]."""
         step = min(self.step, self.limit)
-        left = 1.0 - self.share
+        left = 1.0 - self.fraction
         step = left if left < 1.2 * step else min(step, left)
-        share = 1.0 if step == left else self.share + step
+        fraction = 1.0 if step == left else self.fraction + step
         start, end = self.corners[self.segment], self.corners[self.segment + 1]
         duration = (self.times[self.segment + 1] - self.times[self.segment]) * step
         if self.segment == 0:
             duration = FULL_RELAXATION_TIME if self.length == 0 else 0.0
-        return share, start + (end - start) * share, float(duration)
+        return fraction, start + (end - start) * fraction, float(duration)
 
-    def load(self, share: float) -> float:
-        """Return the share of the weight that acts after a share of the current segment."""
-        return share if self.ramped and self.segment == 0 else 1.0
+    def load(self, fraction: float) -> float:
+        """Return the fraction of the weight that acts after a fraction of the current segment."""
+        return fraction if self.ramped and self.segment == 0 else 1.0
 
-    def accept(self, share: float) -> bool:
+    def accept(self, fraction: float) -> bool:
         """Accept the step; return True if a waypoint was reached."""
-        step = share - self.share
-        if share < 1.0:
-            self.share = share
+        step = fraction - self.fraction
+        if fraction < 1.0:
+            self.fraction = fraction
             self.step = step * GROWTH
             return False
         travel = step * self.length
         self.segment += 1
-        self.share, self.halvings = 0.0, 0
+        self.fraction, self.halvings = 0.0, 0
         self.tried.clear()
         self.step = 1.0
         if not self.finished and self.length > 0 and travel > 0:
             self.step = max(travel, 0.25 * self.longest) * GROWTH / self.length
         return True
 
-    def refuse(self, share: float, message: str) -> bool:
+    def refuse(self, fraction: float, message: str) -> bool:
         """Reject the step and halve it; return True if there is a smaller one to try."""
-        step = share - self.share
+        step = fraction - self.fraction
         self.tried.append(f"segment {self.segment}, step of {step:.3g} of it: {message}")
-        self.ramped |= self.heavy and self.segment == 0 and self.share == 0
+        self.ramped |= self.heavy and self.segment == 0 and self.fraction == 0
         self.step = step / 2
         self.halvings += 1
         return self.halvings <= self.halvings_max and (

@@ -141,12 +141,12 @@ def _depths(mesh: Mesh, places: Array, element: Indices, local: Array, points: A
     cells = np.array(mesh.cells)
     grid = places.reshape(*(cells + 1), 3)
     first = np.stack(np.unravel_index(element, mesh.cells), axis=1)
-    share = (local + 1) / 2
+    fraction = (local + 1) / 2
     depth = np.full(len(points), np.inf)
     for axis, at in ((2, cells[2]), (0, 0), (0, cells[0]), (1, 0), (1, cells[1])):
         sheet = np.take(grid, at, axis=axis)
         one, other = (each for each in range(3) if each != axis)
-        i, j, a, b = first[:, one], first[:, other], share[:, [one]], share[:, [other]]
+        i, j, a, b = first[:, one], first[:, other], fraction[:, [one]], fraction[:, [other]]
         skin = (sheet[i, j] * (1 - b) + sheet[i, j + 1] * b) * (1 - a)
         skin += (sheet[i + 1, j] * (1 - b) + sheet[i + 1, j + 1] * b) * a
         depth = np.minimum(depth, np.linalg.norm(skin - points, axis=1))

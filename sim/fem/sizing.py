@@ -2,8 +2,8 @@
 
 A contact is estimated before the solve, by a linear layer on a window of the contact's size
 (milliseconds), and again from the solution. The touching pixels form connected pieces. Within a
-piece, the size of elements is a share of its width; they grow outwards and downwards from there. So
-neither the body's size nor its thickness decides how finely a contact is resolved.
+piece, the size of elements is a fraction of its width; they grow outwards and downwards from there.
+So neither the body's size nor its thickness decides how finely a contact is resolved.
 
 Lengths in metres, in the contact frame.
 """
@@ -538,18 +538,18 @@ def extent_of(
     closer, passes = CLOSER, PASSES
     while True:
         x, y = (np.linspace(low[axis], high[axis], SAMPLES) for axis in (0, 1))
-        distance, between = outside(x, y), (high - low) / (SAMPLES - 1)
+        distance, spacing = outside(x, y), (high - low) / (SAMPLES - 1)
         found = distance <= 0
         if found.any():
             in_x, in_y = (np.unique(place) for place in np.nonzero(found))
             passes -= 1
-        elif closer and distance.min() <= np.linalg.norm(between):
+        elif closer and distance.min() <= np.linalg.norm(spacing):
             in_x, in_y = (np.array([at]) for at in np.unravel_index(distance.argmin(), found.shape))
             closer -= 1
         else:
             return None
-        least = np.array([x[in_x[0]], y[in_y[0]]]) - between
-        most = np.array([x[in_x[-1]], y[in_y[-1]]]) + between
+        least = np.array([x[in_x[0]], y[in_y[0]]]) - spacing
+        most = np.array([x[in_x[-1]], y[in_y[-1]]]) + spacing
         low, high = np.maximum(least, low), np.minimum(most, high)
         if not passes:
             return low, high

@@ -88,7 +88,7 @@ class Snapshot:
             "u": state.u,
             "touched": assembly.touched,
             "pressure": state.pressure,
-            "carried": state.multiplier,
+            "multiplier": state.multiplier,
             "normal": state.normal,
             "face_force": assembly.face_force,
             "face_overlap": assembly.face_overlap,
@@ -134,7 +134,7 @@ def contact_points(held: Snapshot, env: int, u: np.ndarray) -> ContactPoints:
     mesh = assembly.meshes[env]
     rows = np.flatnonzero(held.of(env, "touched"))
     pressure = held.of(env, "pressure")[rows].astype(float)
-    deep = (pressure - held.of(env, "carried")[rows]) / assembly.numerics.penalty
+    deep = (pressure - held.of(env, "multiplier")[rows]) / assembly.numerics.penalty
     push = held.of(env, "normal")[rows] * pressure[:, :, None]
     excess = np.nan
     traction = np.zeros_like(push)
@@ -164,11 +164,11 @@ def surface_traction(held: Snapshot, env: int) -> np.ndarray:
     nx, ny, nz = mesh.cells
     top = nx * ny
     rows = np.flatnonzero(held.of(env, "touched")[:top])
-    share = held.of(env, "face_force")[rows].astype(float).reshape(-1, 3)
+    fraction = held.of(env, "face_force")[rows].astype(float).reshape(-1, 3)
     columns = mesh.faces[:top] // (nz + 1)  # columns of nodes, which are numbered upwards
     count = (nx + 1) * (ny + 1)
     touched = columns[rows].ravel()
-    force = [np.bincount(touched, share[:, axis], count) for axis in range(3)]
+    force = [np.bincount(touched, fraction[:, axis], count) for axis in range(3)]
     area = np.bincount(columns.ravel(), np.repeat(mesh.face_area[:top], 4), count)
     area[area == 0] = np.inf  # outside a round body
     nodal = np.stack(force, axis=-1) / area[:, None]
@@ -222,15 +222,15 @@ class Round:
         self._nearest = KDTree(places[~beside]).query(places)[1]
         """Index of the body's nearest column of nodes, for each column (X, Y)."""
         self._of_body = np.flatnonzero(~beside)
-        self._cut = ((mesh.share > 0) & (mesh.share < 1)).ravel()
+        self._cut = ((mesh.fraction > 0) & (mesh.fraction < 1)).ravel()
         angle = np.linspace(0.0, 2 * np.pi, AROUND, endpoint=False)
         self._wall = np.stack([np.cos(angle), np.sin(angle)], axis=1) / (2 * unit)
         self._wall *= body.size_x, body.size_y
         ends = [[mesh.x[0], mesh.y[0]], [mesh.x[-1], mesh.y[-1]]]
         self._wall = np.clip(self._wall, *ends)  # rounding may put them outside
         rim = np.array([body.height(*place) for place in self._wall * unit]) / unit
-        share = 1.0 + mesh.nodes[mesh.top[0, 0] - mesh.cells[2] : mesh.top[0, 0] + 1, 2]
-        self._levels = -1.0 + (1.0 + rim)[:, None] * (share / share[-1])
+        fraction = 1.0 + mesh.nodes[mesh.top[0, 0] - mesh.cells[2] : mesh.top[0, 0] + 1, 2]
+        self._levels = -1.0 + (1.0 + rim)[:, None] * (fraction / fraction[-1])
 
     def continued(self, u: np.ndarray) -> np.ndarray:
         """Return displacements (N, 3) by column (X, Y, Z, 3), extended beyond the body's edge.
@@ -298,7 +298,7 @@ class Collector:
         self._work, self._work_most = 0.0, 0.0
         self._tip = np.zeros(3)
         self._start: float | None = None
-        self._round = None if mesh.share is None else Round(scene, mesh)
+        self._round = None if mesh.fraction is None else Round(scene, mesh)
         self.at_side: dict[str, list[int]] = {"rim": [], "wall": []}
         """Waypoints at which the rim or the side wall of a round body is touched."""
 
@@ -447,7 +447,7 @@ def simulate_fem(
             are solved in one batch.
         numerics: Mesh, precision and tolerances.
         device: `cpu`, or `cuda:0` and the like.
-        progress: Called with the share done, 0 to 1.
+        progress: Called with the fraction done, 0 to 1.
         asked: Element sizes that solutions of the same scenes on coarser meshes required; those
             required by these solutions are added. They save building a mesh that proves too coarse.
 
@@ -551,9 +551,9 @@ def _on_meshes(
     meshed = (time.perf_counter() - began) / max(len(scenes), 1)
     outcomes: dict[int, Outcome] = {}
     for chosen in _batches(scenes, meshes, numerics, device):
-        share = None
+        fraction = None
         if progress is not None:
-            share = _part(progress, len(outcomes), len(chosen), len(scenes))
+            fraction = _part(progress, len(outcomes), len(chosen), len(scenes))
         stiffer = replace(numerics, penalty=_penalty(meshes[chosen[0]], numerics))
         some = _solve(
             [scenes[i] for i in chosen],
@@ -561,7 +561,7 @@ def _on_meshes(
             stiffer,
             device,
             meshed * len(chosen),
-            share,
+            fraction,
         )
         outcomes.update(zip(chosen, some, strict=True))
     return [outcomes[i] for i in range(len(scenes))]
@@ -620,7 +620,7 @@ def more_wanted(result: Result) -> Sizes | None:
 
 
 def _wanted_of_overlap(result: Result, most: float) -> Sizes:
-    """Return smaller elements where the overlap is largest, if its share is more than `most`."""
+    """Return smaller elements where the overlap is largest, if its fraction is more than `most`."""
     if overlap_shares(result, result.quality.overlap).max(initial=0.0) <= most:
         return NOTHING
     fineness = result.record["mesh"]["fineness"]
@@ -675,17 +675,17 @@ def _judged(outcome: Outcome) -> Outcome:
         (outcome.quality.overlap, outcome.record["overlap"]["place"], "the indenter", PASSES),
         (np.array(own["metres"]), own.get("place"), "the skin beside it", MEETS_ITSELF),
     ):
-        shares = overlap_shares(outcome, overlap)
-        worst = int(np.argmax(shares))
-        if shares[worst] <= OVERLAP_GOOD:
+        fractions = overlap_shares(outcome, overlap)
+        worst = int(np.argmax(fractions))
+        if fractions[worst] <= OVERLAP_GOOD:
             continue
         deepest = float(overlap[worst])
         where = (
             f"the skin that lay at ({1e3 * place[0]:.3g}, {1e3 * place[1]:.3g}) mm stands "
             f"{deepest * 1e6:.3g} um inside {inside} at waypoint {worst}, "
-            f"{100 * shares[worst]:.3g} % of the contact's width or depth"
+            f"{100 * fractions[worst]:.3g} % of the contact's width or depth"
         )
-        if shares[worst] > OVERLAP_MOST and deepest > PASSED * outcome.record["mesh"]["finest"]:
+        if fractions[worst] > OVERLAP_MOST and deepest > PASSED * outcome.record["mesh"]["finest"]:
             return SimulationDiverged(rejected.format(where), tried=(), dump=None)
         warnings.append(where)
     straight, most = _straight_push(outcome), _buckling_load(outcome.scene.body)
@@ -764,8 +764,8 @@ def _batches(
 
 
 def _part(progress: Progress, before: int, these: int, all_: int) -> Progress:
-    """Return a callback that converts the share of a batch into a share of the whole."""
-    return lambda share: progress((before + share * these) / all_)
+    """Return a callback that converts the fraction of a batch into a fraction of the whole."""
+    return lambda fraction: progress((before + fraction * these) / all_)
 
 
 def _solve(scenes, meshes, numerics, device, meshed, progress) -> list[Outcome]:
@@ -951,7 +951,7 @@ class _Batch:
             segment, step = self._last[i]
             going_on = segment == path.segment and step > 0 and path.halvings == 0
             if going_on and "friction" in self._assembly.effects:
-                guess[i] = min((self._share[i] - path.share) / step, 1.5)
+                guess[i] = min((self._share[i] - path.fraction) / step, 1.5)
         self._busy |= idle
         self._augmented[idle] = 0
         if "gravity" in self._assembly.effects:
@@ -959,13 +959,13 @@ class _Batch:
         self._assembly.state.begin_step(idle, self._tip, self._duration, guess)
         self._newton.begin(idle, tolerance, predict=guess == 0)
 
-    def _tolerance(self, share: float) -> float:
+    def _tolerance(self, fraction: float) -> float:
         numerics = self._numerics
         loose = numerics.path_tolerance
         if loose is None:
             history = {"viscosity", "inertia"} & set(self._assembly.effects)
             loose = 1e-3 if history else 1e-2
-        return numerics.tolerance if share >= 1.0 else max(loose, numerics.tolerance)
+        return numerics.tolerance if fraction >= 1.0 else max(loose, numerics.tolerance)
 
     def _finish(self, done: np.ndarray) -> None:
         """Accept the steps that have converged, halve those that have failed (B,)."""
@@ -1023,7 +1023,7 @@ class _Batch:
         for i in steps:
             path = self._paths[i]
             self._spent[i].steps += 1
-            self._last[i] = path.segment, self._share[i] - path.share
+            self._last[i] = path.segment, self._share[i] - path.fraction
             frame = path.segment
             if path.accept(self._share[i]):
                 kept[i] = frame
@@ -1048,7 +1048,7 @@ class _Batch:
         self._aside.do(self._collect, taken)
         assembly.accept(good, self._duration)
         if self._progress is not None:
-            done = sum(path.segment + path.share - 1 for path in self._paths)
+            done = sum(path.segment + path.fraction - 1 for path in self._paths)
             whole = sum(max(len(path.corners) - 2, 1) for path in self._paths)
             self._progress(max(done, 0.0) / whole)
 
@@ -1075,14 +1075,14 @@ class _Batch:
             )
         except OSError:
             dump = None
-        where = path.corners[path.segment] + path.share * (
+        where = path.corners[path.segment] + path.fraction * (
             path.corners[path.segment + 1] - path.corners[path.segment]
         )
         weight = ""
         if path.ramped and path.segment == 0:
             pull = ", ".join(f"{value:g}" for value in scene.effects.gravity.acceleration)
             weight = (
-                f" under {100 * path.share:.3g} % of gravity's ({pull}) m/s^2, applied "
+                f" under {100 * path.fraction:.3g} % of gravity's ({pull}) m/s^2, applied "
                 "in steps (the body may be too soft to carry its weight)"
             )
         millimetres = where * scene.body.thickness * 1e3

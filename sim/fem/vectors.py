@@ -79,7 +79,7 @@ def _extrapolate_kernel(real, vec3):
     def extrapolate(
         # In:
         active: wp.array(dtype=wp.int32),
-        share: wp.array(dtype=real),
+        fraction: wp.array(dtype=real),
         now: wp.array2d(dtype=vec3),
         before: wp.array2d(dtype=vec3),
         # Out:
@@ -88,17 +88,17 @@ def _extrapolate_kernel(real, vec3):
         env, n = wp.tid()
         if active[env] == 0:
             return
-        guess_out[env, n] = now[env, n] + (now[env, n] - before[env, n]) * share[env]
+        guess_out[env, n] = now[env, n] + (now[env, n] - before[env, n]) * fraction[env]
 
     return extrapolate
 
 
-def extrapolate(active, share, now, before, out) -> None:
-    """Write out = now + share * (now - before) where active; vectors (B, N), share (B,)."""
+def extrapolate(active, fraction, now, before, out) -> None:
+    """Write out = now + fraction * (now - before) where active; vectors (B, N), fraction (B,)."""
     wp.launch(
-        _extrapolate_kernel(share.dtype, now.dtype),
+        _extrapolate_kernel(fraction.dtype, now.dtype),
         dim=now.shape,
-        inputs=[active, share, now, before],
+        inputs=[active, fraction, now, before],
         outputs=[out],
         device=now.device,
     )
@@ -141,7 +141,7 @@ def _blend_kernel(real):
     def blend(
         # In:
         active: wp.array(dtype=wp.int32),
-        share: real,
+        fraction: real,
         source: wp.array3d(dtype=real),
         # In and out:
         mean_out: wp.array3d(dtype=real),
@@ -150,19 +150,19 @@ def _blend_kernel(real):
         if active[env] == 0:
             return
         for j in range(source.shape[2]):
-            mean_out[env, i, j] = mean_out[env, i, j] + share * (
+            mean_out[env, i, j] = mean_out[env, i, j] + fraction * (
                 source[env, i, j] - mean_out[env, i, j]
             )
 
     return blend
 
 
-def blend(active, share: float, source, mean) -> None:
-    """Move `mean` by `share` of the way to `source` where active; numbers (B, n, m)."""
+def blend(active, fraction: float, source, mean) -> None:
+    """Move `mean` by `fraction` of the way to `source` where active; numbers (B, n, m)."""
     wp.launch(
         _blend_kernel(source.dtype),
         dim=source.shape[:2],
-        inputs=[active, share, source],
+        inputs=[active, fraction, source],
         outputs=[mean],
         device=source.device,
     )

@@ -28,23 +28,23 @@ def field_function(real: type, table_type: Any) -> Any:
     four, flat = real(4.0), real(FLAT)
 
     @wp.func
-    def weights(share: real):
-        left = one - share
+    def weights(fraction: real):
+        left = one - fraction
         return quad(
             left * left * left / six,
-            (four + share * share * (three * share - six)) / six,
+            (four + fraction * fraction * (three * fraction - six)) / six,
             (four + left * left * (three * left - six)) / six,
-            share * share * share / six,
+            fraction * fraction * fraction / six,
         )
 
     @wp.func
-    def slopes(share: real):
-        left = one - share
+    def slopes(fraction: real):
+        left = one - fraction
         return quad(
             -left * left / two,
-            share * (three * share - four) / two,
+            fraction * (three * fraction - four) / two,
             -left * (three * left - four) / two,
-            share * share / two,
+            fraction * fraction / two,
         )
 
     @wp.func
@@ -52,19 +52,19 @@ def field_function(real: type, table_type: Any) -> Any:
         spacing = table.field_place[indenter, 3]
         ny, nz = table.field_size[indenter, 1], table.field_size[indenter, 2]
         node = wp.vec3i()
-        share = triple()
+        fraction = triple()
         beyond = triple()
         for axis in range(3):
             place = (x[axis] - table.field_place[indenter, axis]) / spacing
             held = wp.clamp(place, one, real(table.field_size[indenter, axis] - 3))
             node[axis] = int(held)
-            share[axis] = held - real(node[axis])
+            fraction[axis] = held - real(node[axis])
             beyond[axis] = (place - held) * spacing
         corner = ((node[0] - 1) * ny + node[1] - 1) * nz + node[2] - 1
         start = table.field_first[indenter] + corner
         beyond[2] = wp.min(beyond[2], zero)
-        along_x, along_y, along_z = weights(share[0]), weights(share[1]), weights(share[2])
-        slope_x, slope_y, slope_z = slopes(share[0]), slopes(share[1]), slopes(share[2])
+        along_x, along_y, along_z = weights(fraction[0]), weights(fraction[1]), weights(fraction[2])
+        slope_x, slope_y, slope_z = slopes(fraction[0]), slopes(fraction[1]), slopes(fraction[2])
         gap = zero
         gradient = triple()
         # A dynamic bound prevents unrolling, which would give 64 bodies at every call.

@@ -58,8 +58,8 @@ class OutlinePiece:
     def centre(self) -> Pair:
         """Centre of the arc [m]."""
         (u, v), (end_u, end_v) = self.start, self.end
-        share = (1 - self.bulge**2) / (4 * self.bulge)
-        return (u + end_u) / 2 - share * (end_v - v), (v + end_v) / 2 + share * (end_u - u)
+        fraction = (1 - self.bulge**2) / (4 * self.bulge)
+        return (u + end_u) / 2 - fraction * (end_v - v), (v + end_v) / 2 + fraction * (end_u - u)
 
     def tangent(self, *, end: bool) -> Pair:
         """Return the unit direction of travel at the start or the end."""
@@ -79,7 +79,7 @@ class OutlinePiece:
         normal = (sign * (point[0] - centre[0]) / length, sign * (point[1] - centre[1]) / length)
         return sign * length - self.radius, normal
 
-    def share(self, point: Pair) -> float:
+    def fraction(self, point: Pair) -> float:
         """Return the position of `point` on the line or circle: 0 at the start, 1 at the end."""
         if not self.bulge:
             along_u, along_v = self.tangent(end=False)
@@ -138,8 +138,8 @@ def rounded(values: Sequence[float], radius: float) -> list[OutlinePiece] | None
             fillet = _fillet(before, after, radius)
             if fillet is None:
                 return None
-            last[index - 1] = before.share(fillet.start)
-            first[index] = after.share(fillet.end)
+            last[index - 1] = before.fraction(fillet.start)
+            first[index] = after.fraction(fillet.end)
         arcs.append(fillet)
     path: list[OutlinePiece] = []
     for index, piece in enumerate(sharp):
@@ -199,7 +199,7 @@ def extent(values: tuple[float, ...], radius: float) -> tuple[Pair, Pair]:
             (u, v), reach = piece.centre, abs(piece.radius)
             area += reach**2 * (piece.angle - math.sin(piece.angle)) / 2
             poles = [(u + reach, v), (u - reach, v), (u, v + reach), (u, v - reach)]
-            points += [pole for pole in poles if 0 <= piece.share(pole) <= 1]
+            points += [pole for pole in poles if 0 <= piece.fraction(pole) <= 1]
     if area < 0:
         return (-math.inf, math.inf), (-math.inf, math.inf)
     first, second = [point[0] for point in points], [point[1] for point in points]
@@ -293,9 +293,9 @@ def distance(table: Array, u: Array, v: Array) -> tuple[Array, Array, Array]:
     for kind, at_u, at_v, along_u, along_v, size, cosine in table:
         from_u, from_v = u - at_u, v - at_v
         if kind == LINE:
-            share = along_u * from_u + along_v * from_v
+            fraction = along_u * from_u + along_v * from_v
             here = along_v * from_u - along_u * from_v
-            nearer = (share >= 0) & (share <= size) & (np.abs(here) < np.abs(gap))
+            nearer = (fraction >= 0) & (fraction <= size) & (np.abs(here) < np.abs(gap))
             here_u, here_v = np.full_like(u, along_v), np.full_like(u, -along_u)
         else:
             length = np.hypot(from_u, from_v)

@@ -269,9 +269,9 @@ def _metres(corners_mm: list[tuple[float, float, float]]) -> tuple[float, ...]:
 
 
 def _between(
-    start: tuple[float, float], end: tuple[float, float], share: float
+    start: tuple[float, float], end: tuple[float, float], fraction: float
 ) -> tuple[float, float]:
-    return start[0] + share * (end[0] - start[0]), start[1] + share * (end[1] - start[1])
+    return start[0] + fraction * (end[0] - start[0]), start[1] + fraction * (end[1] - start[1])
 
 
 # Edge radius [mm]. A mesh finer than the radius gives reproducible solutions, a sharp edge never

@@ -105,23 +105,23 @@ def coefficients(values: Array) -> Array:
     return found
 
 
-def _weights(share: Array) -> tuple[list[Array], list[Array]]:
-    """Return the four cubic B-splines over a cell and their derivatives, at `share` of its width.
+def _weights(fraction: Array) -> tuple[list[Array], list[Array]]:
+    """Return the four cubic B-splines and their derivatives at `fraction` of a cell's width.
 
     De Boor, A Practical Guide to Splines (1978), chapter X, for even knots.
     """
-    left = 1 - share
+    left = 1 - fraction
     weight = [
         left**3 / 6,
-        (4 + share * share * (3 * share - 6)) / 6,
+        (4 + fraction * fraction * (3 * fraction - 6)) / 6,
         (4 + left * left * (3 * left - 6)) / 6,
-        share**3 / 6,
+        fraction**3 / 6,
     ]
     slope = [
         -left * left / 2,
-        share * (3 * share - 4) / 2,
+        fraction * (3 * fraction - 4) / 2,
         -left * (3 * left - 4) / 2,
-        share * share / 2,
+        fraction * fraction / 2,
     ]
     return weight, slope
 
@@ -377,8 +377,8 @@ def _crossings(
     """
     (low, at_low), (high, at_high) = lower, upper
     for turn in range(PASSES):
-        share = at_low / (at_low - at_high)
-        place = low + share[:, None] * (high - low)
+        fraction = at_low / (at_low - at_high)
+        place = low + fraction[:, None] * (high - low)
         value, gradient = function(place)
         if turn < PASSES - 1:
             like_low = (value > 0) == (at_low > 0)

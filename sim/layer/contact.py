@@ -68,9 +68,9 @@ def descend(
         curvature, size = float(np.vdot(move, answer)), float(np.vdot(answer, answer))
         if not (curvature > 0 and size > 0):
             break  # the limit of the precision: squares underflow before residuals do
-        share = min(1.0, -float(np.vdot(slope, move)) / curvature)
-        x = x + share * move
-        slope = slope + share * answer
+        fraction = min(1.0, -float(np.vdot(slope, move)) / curvature)
+        x = x + fraction * move
+        slope = slope + fraction * answer
         step = float(np.vdot(move, move)) / curvature if done % 2 else curvature / size
         residual = problem.residual(x, slope)
     return Found(x, slope, residual, done)
@@ -82,9 +82,10 @@ ITERATIONS = 300
 TURNS = 200
 # Target of a descent over its initial residual: the other descent will move its goal again.
 SHARE = 0.1
-# A turn that leaves more than this share of the residual has overshot.
+# A turn that leaves more than this fraction of the residual has overshot.
 STALLED = 0.8
-# Factor on the share of the new shear that is applied, after each such turn; and the least share.
+# Factor on the fraction of the new shear that is applied, after each such turn; and the least
+# fraction.
 DAMPED, DAMPED_MOST = 0.6, 0.05
 # Avoids 0 / 0 where there is no pressure [Pa].
 TINY = 1e-30
@@ -143,7 +144,7 @@ def solve_frictional(
     caused = answer.full(np.concatenate([shear, -pressure[None]]))
     gap, slip = gap - caused[2], slip + caused[:2]
     normal = Problem(answer.normal, _pushing, body.local_normal)
-    iterations, share, before = 0, 1.0, np.inf
+    iterations, fraction, before = 0, 1.0, np.inf
     for _ in range(TURNS):
         tangential = _tangential(body, coefficient * pressure)
         residuals = normal.residual(pressure, gap), tangential.residual(shear, slip)
@@ -151,7 +152,7 @@ def solve_frictional(
         if residual <= tolerance:
             break
         if residual > STALLED * before:
-            share = max(DAMPED * share, DAMPED_MOST)
+            fraction = max(DAMPED * fraction, DAMPED_MOST)
         before = residual
         goals = [max(SHARE * each, tolerance / 2) for each in residuals]
         pushed = descend(normal, pressure, gap, tolerance=goals[0], iterations=ITERATIONS)
@@ -161,8 +162,8 @@ def solve_frictional(
         allowed = tangential.project(shear)
         slip = slip + answer.shear(allowed - shear)
         rubbed = descend(tangential, allowed, slip, tolerance=goals[1], iterations=ITERATIONS)
-        rubbing = allowed + share * (rubbed.x - allowed)
-        slip = slip + share * (rubbed.slope - slip)
+        rubbing = allowed + fraction * (rubbed.x - allowed)
+        slip = slip + fraction * (rubbed.slope - slip)
         gap = gap - answer.normal_by_shear(rubbing - shear)
         shear = rubbing
         iterations += pushed.iterations + rubbed.iterations

@@ -35,9 +35,9 @@ class Relaxed:
     held: Array
     """Traction from the history (3, X, Y) [Pa]."""
     kept: tuple[float, ...]
-    """Share of each branch's stress that remains after the step."""
+    """Fraction of each branch's stress that remains after the step."""
     gained: tuple[float, ...]
-    """Share of a change in the elastic part that each branch takes up."""
+    """Fraction of a change in the elastic part that each branch takes up."""
 
 
 class History:
@@ -67,16 +67,16 @@ class History:
             for ratio, span in zip(self._ratios, spans, strict=True)
         )
         held = np.zeros_like(self.elastic) - sum(gained) * self.elastic
-        for share, branch in zip(kept, self._tractions, strict=True):
-            held += share * branch
+        for fraction, branch in zip(kept, self._tractions, strict=True):
+            held += fraction * branch
         return Relaxed(1 + sum(gained), held, kept, gained)
 
     def take(self, step: Relaxed, elastic: Array) -> None:
         """End a step with this elastic part."""
         change = elastic - self.elastic
         self._tractions = [
-            share * branch + gain * change
-            for share, gain, branch in zip(step.kept, step.gained, self._tractions, strict=True)
+            fraction * branch + gain * change
+            for fraction, gain, branch in zip(step.kept, step.gained, self._tractions, strict=True)
         ]
         self.elastic = elastic
 
@@ -100,7 +100,7 @@ TRAVEL = 0.1
 TRAVEL_LEAST = 0.5
 # Most times that a step that does not converge is halved.
 HALVINGS = 4
-# Share of the overlap by which the skin may rise next to the contact and touch elsewhere.
+# Fraction of the overlap by which the skin may rise next to the contact and touch elsewhere.
 BULGE = 0.2
 # Window sizes are multiples of this many pixels, so that few sizes occur.
 BLOCK = 8
@@ -174,10 +174,10 @@ class LayerPress:
         """Force and torque about the tip of the indenter on the body (6,) [N, N m]."""
         touched = self.traction.any(axis=0)
         row, column = np.nonzero(touched)
-        untouched = np.stack(
+        undeformed = np.stack(
             [self.grid.x[row], self.grid.y[column], self._clearance.surface[touched]]
         )
-        lever = untouched + self.displacement[:, touched] - self.tip[:, None]
+        lever = undeformed + self.displacement[:, touched] - self.tip[:, None]
         push = self.traction[:, touched] * self.grid.area
         return np.concatenate([push.sum(axis=1), np.cross(lever, push, axis=0).sum(axis=1)])
 
@@ -209,10 +209,10 @@ class LayerPress:
         start, left = self.tip, 1.0
         length = float(np.linalg.norm(tip - start))
         while left > 0:
-            share = min(left, self._longest(tip) / length) if length > 0 else left
-            share = left / math.ceil(left / share - 1e-9)
-            left = left - share if share < left else 0.0
-            self._step_or_halve(tip + (start - tip) * left, duration * share, 0)
+            fraction = min(left, self._longest(tip) / length) if length > 0 else left
+            fraction = left / math.ceil(left / fraction - 1e-9)
+            left = left - fraction if fraction < left else 0.0
+            self._step_or_halve(tip + (start - tip) * left, duration * fraction, 0)
 
     def _longest(self, tip: Array) -> float:
         """Return the longest next step on the way to `tip` [m]."""
@@ -416,7 +416,7 @@ def simulate_layer(
     Args:
         scene: Scene with friction and viscosity that relaxes all, but no mass.
         layer: Pixels and tolerance.
-        progress: Called with the share done, 0 to 1.
+        progress: Called with the fraction done, 0 to 1.
 
     Raises:
         SceneError: This tier does not support an effect, the body or a setting.

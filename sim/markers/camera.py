@@ -19,7 +19,7 @@ WIDTH, HEIGHT = 640, 480
 LENS, FILM = 35e-3, 36e-3
 # The same focal length in pixels.
 FOCAL = LENS / FILM * WIDTH
-# Distance from the paper's pinhole to the untouched top [m], at which a pixel covers 33.9 um.
+# Distance from the paper's pinhole to the undeformed top [m], at which a pixel covers 33.9 um.
 DISTANCE = 21.11e-3
 # Column and row of the middle of the image; pixel centres are at integers.
 MIDDLE = ((WIDTH - 1) / 2, (HEIGHT - 1) / 2)
@@ -40,7 +40,7 @@ class Camera:
     focal: float = FOCAL
     """Focal length [px], 1 to 1e6."""
     distance: float = DISTANCE
-    """Distance from the pinhole to the untouched top (a dome's apex) [m], 1e-4 to 10."""
+    """Distance from the pinhole to the undeformed top (a dome's apex) [m], 1e-4 to 10."""
     shift: tuple[float, float] = (0.0, 0.0)
     """Shift of the image by the mount, to the right and downwards [px], up to 1000."""
     rotation: float = 0.0
@@ -60,13 +60,13 @@ class Camera:
 
     @classmethod
     def of_scale(cls, mm_per_px: float) -> Camera:
-        """Return the paper's lens at the distance with this pixel size on the untouched top."""
+        """Return the paper's lens at the distance with this pixel size on the undeformed top."""
         check_range("camera", "mm_per_px", mm_per_px, 1e-4, 10.0, unit="mm")
         return cls(distance=mm_per_px * 1e-3 * FOCAL)
 
     @property
     def mm_per_px(self) -> float:
-        """Size of a pixel on the untouched top [mm]."""
+        """Size of a pixel on the undeformed top [mm]."""
         return 1e3 * self.distance / self.focal
 
     def on_film(self, points: Array) -> Array:
@@ -90,7 +90,7 @@ class Camera:
         )
 
     def places(self, pixels: Array, body: Body) -> Array:
-        """Return x and y (..., 2) [m] on the body's untouched top at pixels (..., 2).
+        """Return x and y (..., 2) [m] on the body's undeformed top at pixels (..., 2).
 
         The top is extended beyond the body; NaN where the ray misses the sphere of a dome.
         """

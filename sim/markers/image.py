@@ -83,8 +83,8 @@ def distance_to(segments: Array, points: Array, limit: float) -> Array:
         chosen = index[inside, rank]
         offset = points[inside] - start[chosen]
         size = np.maximum(length[chosen] ** 2, np.finfo(float).tiny)
-        share = np.clip((offset * along[chosen]).sum(axis=1) / size, 0, 1)
-        beside = offset - share[:, None] * along[chosen]
+        fraction = np.clip((offset * along[chosen]).sum(axis=1) / size, 0, 1)
+        beside = offset - fraction[:, None] * along[chosen]
         found[inside] = np.minimum(found[inside], np.hypot(beside[:, 0], beside[:, 1]))
     return found
 

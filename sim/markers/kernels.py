@@ -44,7 +44,7 @@ def lens_of(camera: Camera) -> Lens:
 def seen(lens: Lens, place: wp.vec3):
     """Return column and row of a place [m] in the image, and its nearness: distance over depth.
 
-    The nearness is 1 in the plane of the untouched top, larger nearer to the camera, and, unlike
+    The nearness is 1 in the plane of the undeformed top, larger nearer to the camera, and, unlike
     the depth, linear over the image of a plane.
     """
     nearness = lens.distance / (lens.distance + place[2])
@@ -65,7 +65,7 @@ def seen(lens: Lens, place: wp.vec3):
 # point from the position within that triangle. The first pass keeps the largest of a number per
 # pixel, with nearness in its upper bits, so that the order of triangles does not matter.
 
-# Steps per unit of nearness in a pixel's number, finer than float32; 1 is the untouched top.
+# Steps per unit of nearness in a pixel's number, finer than float32; 1 is the undeformed top.
 NEARNESS_UNIT = 2.0**28
 # Upper limit of nearness, so that the number stays positive.
 NEARNESS_MOST = 7.9
@@ -93,7 +93,7 @@ def sampled(vertex: wp.vec3, samples: float):
 
 
 @wp.func
-def shares(a: wp.vec3, b: wp.vec3, c: wp.vec3, column: float, row: float):
+def fractions(a: wp.vec3, b: wp.vec3, c: wp.vec3, column: float, row: float):
     """Return barycentric coordinates of a sample's centre; -inf or NaN if there is no area."""
     ab = b - a
     ac = c - a
@@ -119,9 +119,9 @@ def cover_triangle(
     lower = wp.floor(wp.min(wp.max(wp.max(a[1], b[1]), c[1]) + OVERLAP, last_row))
     for row in range(int(upper), int(lower) + 1):
         for column in range(int(left), int(right) + 1):
-            share = shares(a, b, c, float(column), float(row))
-            if wp.min(wp.min(share[0], share[1]), share[2]) >= -OVERLAP:
-                nearness = share[0] * a[2] + share[1] * b[2] + share[2] * c[2]
+            fraction = fractions(a, b, c, float(column), float(row))
+            if wp.min(wp.min(fraction[0], fraction[1]), fraction[2]) >= -OVERLAP:
+                nearness = fraction[0] * a[2] + fraction[1] * b[2] + fraction[2] * c[2]
                 level = wp.int64(wp.min(nearness, NEARNESS_MOST) * NEARNESS_UNIT)
                 offer = (level << NEARNESS_BITS) | wp.int64(triangle)
                 wp.atomic_max(number, frame, row, column, offer)
@@ -199,11 +199,11 @@ def _material_kernel(run: int):
                 a = sampled(vertex[frame, i, j], samples)
                 b = sampled(vertex[frame, i + 1, j + second], samples)
                 c = sampled(vertex[frame, i + 1 - second, j + 1], samples)
-                share = shares(a, b, c, float(column), float(row))
+                fraction = fractions(a, b, c, float(column), float(row))
                 # A quantity that is linear in space is linear in the image once divided by depth.
-                share_b = share[1] * b[2]
-                share_c = share[2] * c[2]
-                scale = 1.0 / (share[0] * a[2] + share_b + share_c)
+                share_b = fraction[1] * b[2]
+                share_c = fraction[2] * c[2]
+                scale = 1.0 / (fraction[0] * a[2] + share_b + share_c)
                 both = (share_b + share_c) * scale
                 along_x = wp.where(second == 0, both, share_b * scale)
                 along_y = wp.where(second == 0, share_c * scale, both)
@@ -378,10 +378,10 @@ def _coverage_kernel(several: bool):
         coverage_out: wp.array4d[wp.uint8],
     ):
         frame, pattern, row, column = wp.tid()
-        share = wp.float32(0.0)
+        fraction = wp.float32(0.0)
         if wp.static(several):
             count = covered(material, frame, row, column, samples, values, pattern, corner, density)
-            share = float(count) / float(samples * samples)
+            fraction = float(count) / float(samples * samples)
         else:
             here = distance_at(values, pattern, corner, density, material[frame, row, column])
             if wp.isfinite(here):
@@ -398,10 +398,10 @@ def _coverage_kernel(several: bool):
                     material, frame, row + 1, column, values, pattern, corner, density, here
                 )
                 change = wp.length(wp.vec2(right - left, below - above)) * 0.5
-                share = wp.where(here <= 0.0, 1.0, 0.0)
+                fraction = wp.where(here <= 0.0, 1.0, 0.0)
                 if change > FLAT:
-                    share = wp.clamp(0.5 - here / change, 0.0, 1.0)
-        coverage_out[frame, pattern, row, column] = wp.uint8(share * 255.0 + 0.5)
+                    fraction = wp.clamp(0.5 - here / change, 0.0, 1.0)
+        coverage_out[frame, pattern, row, column] = wp.uint8(fraction * 255.0 + 0.5)
 
     return cover
 
@@ -463,7 +463,7 @@ def _kernel():
     def vertices(
         # Settings:
         lens: Lens,
-        # Untouched top:
+        # Undeformed top:
         x: wp.array[float],
         y: wp.array[float],
         height: wp.array2d[float],
@@ -509,7 +509,7 @@ def see_vertices(lens: Lens, top: DeviceTop, taps_x: Taps, taps_y: Taps, surface
     return out
 
 
-# From the displacement of the untouched image back to the image positions of material points.
+# From the displacement of the image without contact back to the image positions of material points.
 
 # Layers of places beside the gel to which the displacement is extrapolated: the four values around
 # a point of the border extend into two of them, or three if the image is rotated.
@@ -569,11 +569,11 @@ def _vertices_kernel():
         lens: Lens,
         step: float,
         margin: float,
-        # Untouched top:
+        # Undeformed top:
         x: wp.array[float],
         y: wp.array[float],
         height: wp.array2d[float],
-        # In: displacement of the untouched image
+        # In: displacement of the image without contact
         field: wp.array3d[wp.vec2],
         # Out: column, row, nearness
         vertex_out: wp.array3d[wp.vec3],
@@ -603,7 +603,7 @@ def _vertices_kernel():
 def vertices_from_lattice(lens: Lens, top: DeviceTop, lattice: Lattice, field) -> wp.array:
     """Return vertices (F, N, M) of the top, moved in the image by a field (F, R, C) of vec2 [px].
 
-    The field does not contain nearness, so vertices keep that of the untouched top.
+    The field does not contain nearness, so vertices keep that of the undeformed top.
     """
     device = field.device
     shape = (field.shape[0], len(top.x), len(top.y))
@@ -626,9 +626,9 @@ def vertices_from_lattice(lens: Lens, top: DeviceTop, lattice: Lattice, field) -
     return out
 
 
-# Displacement field in the image, on a lattice of the untouched image.
+# Displacement field in the image, on a lattice of the image without contact.
 #
-# The material point at pixel p of the untouched image moves to p + d(p). Storing d instead of
+# The material point at pixel p of the image without contact moves to p + d(p). Storing d instead of
 # images allows rendering of any pattern later.
 
 

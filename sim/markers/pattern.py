@@ -24,7 +24,7 @@ ROUND_OFF = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Pattern:
-    """Equal markers on the untouched top of a gel, in the contact frame.
+    """Equal markers on the undeformed top of a gel, in the contact frame.
 
     Raises:
         SceneError: The shape is unknown, a size or place is out of range, or there is no marker.

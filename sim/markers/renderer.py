@@ -123,8 +123,8 @@ class Renderer:
         """Return textures of patterns for `View.masks`; each must fit on the gel."""
         return textures_of(markers, self.body, step=step, device=self.device)
 
-    def untouched(self) -> View:
-        """Return the view of the untouched gel: one frame, the reference of every pattern."""
+    def undeformed(self) -> View:
+        """Return the view of the undeformed gel: one frame, the reference of every pattern."""
         axes = [np.linspace(-size / 2, size / 2, TAPS) for size in self._size]
         return self.see(*axes, np.zeros((1, TAPS, TAPS, 3), np.float32))
 
@@ -160,7 +160,7 @@ class Renderer:
 
         Returns:
             Displacement (F, rows, columns, 2) [px], columns to the right and rows down; NaN where
-            the untouched image shows no gel.
+            the image without contact shows no gel.
         """
         lattice = Lattice() if lattice is None else lattice
         places, on_gel = seen_places(lattice, self.camera, self.body)

@@ -16,14 +16,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Top:
-    """Material points of the untouched top, from border to border."""
+    """Material points of the undeformed top, from border to border."""
 
     x: Array
     """x of the points (N,) [m], evenly spaced."""
     y: Array
     """y of the points (M,) [m], evenly spaced."""
     height: Array
-    """Height of the untouched top at the points (N, M) [m]; 0 if flat."""
+    """Height of the undeformed top at the points (N, M) [m]; 0 if flat."""
 
     @property
     def corner(self) -> tuple[float, float]:
@@ -51,7 +51,7 @@ def top_of(body: Body, spacing: float) -> Top:
 
 
 def heights(body: Body, x: Array, y: Array) -> Array:
-    """Return the height of the untouched top at x and y, broadcast together [m]."""
+    """Return the height of the undeformed top at x and y, broadcast together [m]."""
     if body.dome_radius is None:
         return np.zeros(np.broadcast_shapes(x.shape, y.shape))
     each: Array = np.vectorize(body.height, otypes=[float])(x, y)
@@ -92,9 +92,9 @@ def cubic_taps(axis: Array, places: Array, *, name: str = "axis") -> Taps:
     count = len(axis)
     cell = np.clip(np.searchsorted(axis, places, side="right") - 1, 0, count - 2)
     width = axis[cell + 1] - axis[cell]
-    share = (places - axis[cell]) / width
-    inside = np.clip(share, 0, 1)
-    beyond = (share - inside) * width
+    fraction = (places - axis[cell]) / width
+    inside = np.clip(fraction, 0, 1)
+    beyond = (fraction - inside) * width
     unit = np.eye(count)
     start, end = unit[cell], unit[cell + 1]
     start_slope, end_slope = slope[cell], slope[cell + 1]

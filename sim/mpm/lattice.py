@@ -187,7 +187,7 @@ class Pace:
     window: int
     """Number of steps to which a frame's force is fitted."""
     settling: float
-    """Share of its velocity that the body loses per step until the first corner."""
+    """Fraction of its velocity that the body loses per step until the first corner."""
 
     @property
     def steps(self) -> int:

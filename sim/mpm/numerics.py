@@ -62,10 +62,10 @@ class Mpm:
     """Force is the end of a straight line fitted to the last steps before a waypoint: as many as a
     pressure wave takes for this many thicknesses, 0 to 1000 (0: the last step alone)."""
     particle_volume: float | None = None
-    """Volume of a particle [m^3]; None: an equal share of the body's volume. Force and mass are
+    """Volume of a particle [m^3]; None: an equal fraction of the body's volume. Force and mass are
     proportional to it, deformation is not."""
     det_floor: float = 0.05
-    """Share of its volume below which a compressed particle ends the simulation, 0 to 1."""
+    """Fraction of its volume below which a compressed particle ends the simulation, 0 to 1."""
     precision: Literal["float32", "float64"] = "float32"
     """Precision of everything but the sums on the grid, which are 64-bit integers."""
 

@@ -136,7 +136,7 @@ class Frames:
 
     @property
     def lost(self) -> float:
-        """Largest share of the work that was neither stored nor kinetic."""
+        """Largest fraction of the work that was neither stored nor kinetic."""
         return float(np.nanmax(self._quality["energy_gap"]))
 
     def result(self, record: dict) -> Result:
@@ -173,7 +173,7 @@ Progress = Callable[[float], None]
 
 # Particles per cell and dimension below which the material falls apart into loose columns.
 COUPLED = 1.0
-# Share of the work of a frictionless press above which its loss is a warning: spheres lose 0.05.
+# Fraction of the work of a frictionless press above which its loss is a warning: spheres lose 0.05.
 LOST = 0.1
 
 
@@ -194,7 +194,7 @@ def simulate_mpm(
         scenes: Scenes with the same size, thickness, dome and set of effects; the rest may differ.
         numerics: Grid, sampling, mass, time step and contact.
         device: `cpu`, or `cuda:0` and the like.
-        progress: Called with the share done, 0 to 1.
+        progress: Called with the fraction done, 0 to 1.
 
     Raises:
         SceneError: A scene has viscosity, the scenes cannot share a lattice, or the lattice or the

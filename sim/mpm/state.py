@@ -350,9 +350,9 @@ def particle_kernel(real):
             for j in range(3):
                 row = ((first[0] + i) * nodes[1] + first[1] + j) * nodes[2] + first[2]
                 for k in range(3):
-                    share = velocity[env, row + k] * (w[0, i] * w[1, j] * w[2, k])
-                    v += share
-                    affine += wp.outer(share, vec3(arm[0, i], arm[1, j], arm[2, k]))
+                    fraction = velocity[env, row + k] * (w[0, i] * w[1, j] * w[2, k])
+                    v += fraction
+                    affine += wp.outer(fraction, vec3(arm[0, i], arm[1, j], arm[2, k]))
         affine = affine * moment
         if p < held:
             v = vec3()
@@ -459,12 +459,12 @@ def reading_kernels(real):
                 row = ((first[0] + i) * nodes[1] + first[1] + j) * nodes[2] + first[2]
                 for k in range(3):
                     v += velocity[env, row + k] * (w[0, i] * w[1, j] * w[2, k])
-        share = volume[p] / whole * unit
-        stored = energy(h, shear[env], bulk[env]) * share
+        fraction = volume[p] / whole * unit
+        stored = energy(h, shear[env], bulk[env]) * fraction
         wp.atomic_add(sums_out, env, 0, wp.int64(stored))
-        wp.atomic_add(sums_out, env, 1, wp.int64(half * wp.length_sq(v) * share))
+        wp.atomic_add(sums_out, env, 1, wp.int64(half * wp.length_sq(v) * fraction))
         for c in range(3):
-            wp.atomic_add(sums_out, env, 2 + c, wp.int64(u[c] * share))
+            wp.atomic_add(sums_out, env, 2 + c, wp.int64(u[c] * fraction))
         wp.atomic_min(det_out, env, one + dilatation(h))
 
     return surface, body

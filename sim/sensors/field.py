@@ -59,8 +59,8 @@ class SurfaceField:
         return cls(result.surface_x, result.surface_y, result.surface)
 
     @classmethod
-    def untouched(cls, body: Body) -> SurfaceField:
-        """Return one frame of an untouched top."""
+    def undeformed(cls, body: Body) -> SurfaceField:
+        """Return one frame of an undeformed top."""
         x, y = (np.linspace(-size / 2, size / 2, 4) for size in (body.size_x, body.size_y))
         return cls(x, y, np.zeros((1, 4, 4, 3), np.float32))
 

@@ -115,8 +115,8 @@ class Shading:
             axis=-1,
         )
         normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-        share = np.where(seen, coverage, 0.0)[..., None]
-        light = (1 - share) * self.colours(normal) + share * np.array(self.ink)
+        fraction = np.where(seen, coverage, 0.0)[..., None]
+        light = (1 - fraction) * self.colours(normal) + fraction * np.array(self.ink)
         light[~seen] = 0.0
         picture: NDArray[np.uint8] = np.rint(light).astype(np.uint8)
         return picture
@@ -212,10 +212,10 @@ def tip_coverage(centres: Array, radii: Array, *, width: int, height: int) -> ND
             (row - places[:, 1, None])[:, :, None], (column - places[:, 0, None])[:, None, :]
         )
         # Coverage of a pixel by a straight edge at this distance from its centre, to first order.
-        share = np.clip(sizes[:, None, None] - distance + 0.5, 0.0, 1.0)
-        rows = np.broadcast_to(row[:, :, None], share.shape)
-        columns = np.broadcast_to(column[:, None, :], share.shape)
+        fraction = np.clip(sizes[:, None, None] - distance + 0.5, 0.0, 1.0)
+        rows = np.broadcast_to(row[:, :, None], fraction.shape)
+        columns = np.broadcast_to(column[:, None, :], fraction.shape)
         inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
-        grey = np.rint(255 * share[inside]).astype(np.uint8)
+        grey = np.rint(255 * fraction[inside]).astype(np.uint8)
         np.maximum.at(image, (rows[inside], columns[inside]), grey)
     return images

@@ -70,7 +70,7 @@ class TaxelReadout:
         self._seed, self._names = seed, (sensor.name, *session)
 
     def counts(self, top: SurfaceField, first: int = 0) -> Counts:
-        """Return counts (F, 16, 3) minus those of the untouched pad."""
+        """Return counts (F, 16, 3) minus those of the pad without contact."""
         return self._pad.counts(self._placement.field(top), self._noise(len(top), first))
 
     def raw(self, top: SurfaceField, first: int = 0) -> Counts:
@@ -155,7 +155,7 @@ class CameraReadout:
     ) -> NDArray[np.float16]:
         """Return the displacement (F, rows, columns, 2) [px] of points on a lattice of pixels.
 
-        The lattice is in the untouched image; NaN where that image shows no gel.
+        The lattice is in the image without contact; NaN where that image shows no gel.
         """
         seen = self.seen(top)
         return self._renderer.displacement(seen.x, seen.y, seen.displacement, lattice)

@@ -31,9 +31,9 @@ class CameraSignal:
     patterns: tuple[str, ...]
     """Names of marker patterns (`sim.markers`); each of several gives separate images."""
     scale: float | None = field(default=None, metadata={"unit": "mm_per_px"})
-    """Size of a pixel on the untouched top [m/px], in place of `distance`."""
+    """Size of a pixel on the undeformed top [m/px], in place of `distance`."""
     distance: float | None = field(default=None, metadata={"unit": "mm"})
-    """Distance from the pinhole to the untouched top, or to the untouched tips of pins [m]."""
+    """Distance from the pinhole to the undeformed top, or to the undeformed tips of pins [m]."""
     pins: Pins | None = None
     """Pins under the skin, whose tips are the markers; None: markers are on the skin."""
     shading: Shading | None = None
@@ -106,6 +106,12 @@ class SimulatedSensor:
                     f"{self.name}.{name}.depth_max: {plan.depth_max:g} m; allowed: up to this "
                     f"sensor's depth_max, {self.depth_max:g} m"
                 )
+        domed = self.trajectory is not None and self.trajectory.dome_radius is not None
+        if domed and self.body.dome_radius is not None:
+            raise SceneError(
+                f"{self.name}.trajectory.dome_radius: found one beside body.dome_radius; allowed: "
+                "one of both, a flat body is pressed as if it lay at the height of the dome"
+            )
         if isinstance(self.signal, TaxelSignal):
             TaxelPad(self.body, self.signal)
             return

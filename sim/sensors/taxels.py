@@ -182,15 +182,15 @@ def _reach(
     across_slope = (1 + np.exp(-2 * k * height)) * scale * k
 
     # For k = 0 the layer is sheared and compressed uniformly, so everything is linear in height.
-    for values, slopes, share in (
+    for values, slopes, fraction in (
         (plane[0, 0], plane_slope[0, 0], 1.0),
         (plane[1, 1], plane_slope[1, 1], 1.0),
         (plane[0, 1], plane_slope[0, 1], 0.0),
         (plane[1, 0], plane_slope[1, 0], 0.0),
         (across, across_slope, 1.0),
     ):
-        values[still] = share * height / thickness
-        slopes[still] = share / thickness
+        values[still] = fraction * height / thickness
+        slopes[still] = fraction / thickness
     cosine, sine = np.where(still, 1.0, kx / k), np.where(still, 0.0, ky / k)
     return (
         _turned(plane, across, cosine, sine),
@@ -256,7 +256,7 @@ class TaxelSignal:
     pitch: float = field(metadata={"unit": "mm"})
     """Distance between neighbouring taxels [m]."""
     magnet_depth: float = field(metadata={"unit": "mm"})
-    """Depth of a magnet's middle below the untouched top [m]."""
+    """Depth of a magnet's middle below the undeformed top [m]."""
     hall_depth: float = field(metadata={"unit": "mm"})
     """Depth of the Hall elements below the base of the silicone [m]."""
     moment: float = field(metadata={"unit": "ma_m2"})
@@ -266,7 +266,7 @@ class TaxelSignal:
     gain_normal: float = field(metadata={"unit": "counts_per_mt"})
     """Counts per flux density along z [1/T]."""
     rest: tuple[float, float, float] = (48_000.0, 16_500.0, 40_000.0)
-    """Raw counts of an untouched taxel along x, y, z; they determine the range to saturation."""
+    """Raw counts of an unloaded taxel along x, y, z; they determine the range to saturation."""
     noise: float = 0.0
     """Standard deviation of a count; 0 is no noise."""
 
@@ -333,7 +333,7 @@ class TaxelPad:
         self._magnets = _at_height(places, -signal.magnet_depth)
         self._halls = _at_height(places, -body.thickness - signal.hall_depth)
         still = np.zeros((1, len(places), 3))
-        self._untouched = self.flux(still, np.zeros((*still.shape, 3)))[0]
+        self._undeformed = self.flux(still, np.zeros((*still.shape, 3)))[0]
 
     def flux(self, moved: Array, gradient: Array) -> Array:
         """Return the flux density (F, 16, 3) [T] at the Hall elements.
@@ -346,9 +346,9 @@ class TaxelPad:
         return flux_density(moments, self._magnets + moved, self._halls)
 
     def change(self, top: SurfaceField) -> Array:
-        """Return the change of the flux density (F, 16, 3) [T] from that of the untouched pad."""
+        """Return the change of the flux density (F, 16, 3) [T] from that of the unloaded pad."""
         moved, gradient = self._interior.at(top)
-        change: Array = self.flux(moved, gradient) - self._untouched
+        change: Array = self.flux(moved, gradient) - self._undeformed
         return change
 
     def raw(self, top: SurfaceField, normal: Array | None = None) -> Counts:
@@ -366,7 +366,7 @@ class TaxelPad:
         return np.clip(np.rint(analog), 0, COUNT_MAX).astype(np.int32)
 
     def counts(self, top: SurfaceField, normal: Array | None = None) -> Counts:
-        """Return counts (F, 16, 3) minus those of the untouched pad, which are free of noise."""
+        """Return counts (F, 16, 3) minus those of the unloaded pad, which are free of noise."""
         return self.raw(top, normal) - np.rint(self.signal.rest).astype(np.int32)
 
 

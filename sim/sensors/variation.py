@@ -272,7 +272,7 @@ class Framing:
 
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """Creep of the skin during a session, so that untouched images differ between points.
+    """Creep of the skin during a session, so that images without contact differ between points.
 
     Raises:
         SceneError: The step is out of range.

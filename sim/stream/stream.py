@@ -23,7 +23,7 @@ from sim.sensors.field import EVEN_STEP, cubic_weights
 Array = NDArray[np.floating[Any]]
 
 
-class Carried(Clearance):
+class DraggedClearance(Clearance):
     """Gap to an indenter above material that has moved sideways by `drag` (2,) [m]."""
 
     def __init__(self, indenter: Indenter, grid: Grid, motion: Motion) -> None:
@@ -35,7 +35,7 @@ class Carried(Clearance):
         return super().at(tip - np.array([*self.drag, 0.0]))
 
 
-class CarriedPress(LayerPress):
+class DraggedPress(LayerPress):
     """Press of tier `layer` whose gap follows the sideways displacement of the contact.
 
     With small strains, the gap is measured above undeformed material. An indenter that drags its
@@ -46,8 +46,8 @@ class CarriedPress(LayerPress):
 
     def __init__(self, scene: Scene, grid: Grid, tolerance: float) -> None:
         super().__init__(scene, grid, tolerance)
-        self._carried = Carried(scene.indenter, grid, scene.motion)
-        self._clearance = self._carried
+        self._dragged = DraggedClearance(scene.indenter, grid, scene.motion)
+        self._clearance = self._dragged
 
     @property
     def shear(self) -> Array:
@@ -62,7 +62,7 @@ class CarriedPress(LayerPress):
         """Move the tip straight to `tip` (3,) [m] in `duration` [s], as `LayerPress.move`."""
         super().move(tip, duration)
         limit = self.grid.body.thickness
-        self._carried.drag = np.clip(self.shear, -limit, limit)
+        self._dragged.drag = np.clip(self.shear, -limit, limit)
 
 
 # A layer under an indenter whose tip follows commanded poses.
@@ -106,7 +106,7 @@ class LivePress:
         self.scene = Scene(still.indenter, self._anywhere(), body=body, effects=still.effects)
         """Sensor and indenter, with a motion that spans all poses."""
         check_known(self.scene, tolerance)
-        self._press = CarriedPress(self.scene, Grid(body, grid), tolerance)
+        self._press = DraggedPress(self.scene, Grid(body, grid), tolerance)
         self._rests = True
 
     @property
@@ -237,8 +237,8 @@ class Slope:
     def learn(self, moved: Array, changed: Array) -> None:
         """Update after a move by `moved` (3,) [m] that changed the values by `changed` (n,)."""
         missed = changed - self.matrix @ moved
-        share = moved / (float(moved @ moved) + SURE**2)
-        self.matrix = self.matrix + np.outer(missed, share)
+        fraction = moved / (float(moved @ moved) + SURE**2)
+        self.matrix = self.matrix + np.outer(missed, fraction)
 
 
 # Time over which relaxation is extrapolated [s]: about the interval between solutions.
@@ -290,12 +290,12 @@ class LiveSensor:
         self._slope = Slope(6 + COUNTS)
         # A light press gives the slope of the first contact, and is then discarded.
         self.press = LivePress(sensor, indenter, grid=grid, tolerance=tolerance)
-        self.answer = self._untouched()
+        self.answer = self._no_contact()
         """Latest solution."""
         for x, y, z in LIGHT:
             self.move(sensor.depth_max * np.array([x, y, z]), 0.0)
         self.press = LivePress(sensor, indenter, grid=grid, tolerance=tolerance)
-        self.answer = self._untouched()
+        self.answer = self._no_contact()
 
     def move(self, tip: Array, duration: float) -> None:
         """Move the tip to `tip` (3,) [m] in `duration` [s]; errors as `LivePress.move`."""
@@ -308,7 +308,7 @@ class LiveSensor:
             rate[:3] = press.relaxing(WITHIN)
         self.answer = Answer(press.tip, press.touching, values, self._slope.matrix, rate)
 
-    def _untouched(self) -> Answer:
+    def _no_contact(self) -> Answer:
         return Answer(
             self.press.tip,
             touching=False,

@@ -24,7 +24,7 @@ def test_the_plan_is_as_long_as_asked_and_no_longer_than_needed(tmp_path: Path) 
     bench, _ = load_bench(path)
     walked = dry_run(
         bench.trajectory,
-        bench.limits.plan,
+        bench.plan_limits,
         speed=bench.arm.speed,
         acceleration=bench.arm.acceleration,
     )
@@ -71,6 +71,7 @@ def test_a_leak_shows_as_its_slope_and_the_warm_up_does_not() -> None:
     assert growth_of(Track("y", [0.0, 5.0], [1.0, 1.0], [1, 1]), 10.0) is None
 
 
+@pytest.mark.serial
 @pytest.mark.slow
 @pytest.mark.timeout(180)
 def test_a_short_long_run_finds_every_process_and_says_what_was_recorded(tmp_path: Path) -> None:

@@ -186,9 +186,11 @@ def test_several_are_told_of_at_a_glance_below_the_intro(experiment: Path, tmp_p
     found = [line.split(" | ") for line in lines[: lines.index("## Homogeneous")]]
     told = {cells[0].removeprefix("| "): cells[1:] for cells in found if len(cells) > 2}
     assert told["homogeneous"] == told["again"]
-    pairs, model, _before, after, worst, others, _own, labels, newtons, shares, dice = told["again"]
-    assert (pairs, model, labels, newtons) == ("2", "priors, flow", "0.375", "0.250, 0.250")
+    pairs, model, _before, after, worst, others, _own, labels, errors, fractions, dice = told[
+        "again"
+    ]
+    assert (pairs, model, labels, errors) == ("2", "priors, flow", "0.375", "0.250, 0.250")
     assert float(after) == pytest.approx(float(worst), abs=1e-3)
     assert others == "-", "there is but one indenter"
-    assert shares == "16.7, 6.2"  # the labels' ranges are 3, 1 and 4 N
+    assert fractions == "16.7, 6.2"  # the labels' ranges are 3, 1 and 4 N
     assert dice == "0.950 |"

@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 from benchmarks.sim.stability.chance import run
-from benchmarks.sim.stability.chance.judgement import Settings, Verdict, judge_scene
+from benchmarks.sim.stability.chance.judgement import SceneOutcome, Settings, judge_scene
 from benchmarks.sim.stability.chance.scenes import drawn
 from benchmarks.sim.stability.chance.shrink import failure
 from benchmarks.sim.stability.planted import MISTAKES, planted
 
 
-def _judged(index: int, settings: Settings, folder: Path, mistake: str | None) -> Verdict:
+def _judged(index: int, settings: Settings, folder: Path, mistake: str | None) -> SceneOutcome:
     scene = drawn(0, index, folder).scene
     assert scene is not None
     with planted(mistake):
@@ -66,9 +66,9 @@ def test_a_mistake_is_planted_while_a_scene_is_judged(
         yield
         active.pop()
 
-    def judge(*_scene: object, **_given: object) -> Verdict:
+    def judge(*_scene: object, **_given: object) -> SceneOutcome:
         judged.append(list(active))
-        return Verdict("right", "")
+        return SceneOutcome("right", "")
 
     monkeypatch.setattr(run, "planted", recorded)
     monkeypatch.setattr(run, "judge", judge)

@@ -14,8 +14,8 @@ from benchmarks.sim.stability.chance import bounds
 from benchmarks.sim.stability.chance.footprint import footprint, half_wall
 from benchmarks.sim.stability.chance.judgement import (
     OutOfTime,
+    SceneOutcome,
     Settings,
-    Verdict,
     covered,
     judge,
     of_laws,
@@ -56,8 +56,8 @@ def _made_up(scene: Scene) -> Result:
         if deep.any():
             place = np.stack([*np.meshgrid(x, x, indexing="ij"), -deep], axis=-1) - np.array(tip)
             _, normal = scene.indenter.distance(place)
-            share = deep / -(deep * area * normal[..., 2]).sum()
-            traction[frame] = push * share[..., None] * normal
+            fraction = deep / -(deep * area * normal[..., 2]).sum()
+            traction[frame] = push * fraction[..., None] * normal
     none = np.full(frames, np.nan)
     quality = Quality(*[none] * 10, *[np.zeros(frames, np.int64)] * 3)
     return Result(scene, "fem", wrench, x, x, surface, traction, quality, {"warnings": []})
@@ -73,9 +73,9 @@ def _broken(result: Result) -> set[str]:
 
 
 def test_a_made_up_answer_of_the_right_size_keeps_all_laws(good: Result) -> None:
-    verdict = of_laws(good, held(good))
-    assert verdict.kind == "right", verdict.why
-    assert {"near-layer", "within-bounds", "sums-up", "no-overlap"} <= set(verdict.laws)
+    outcome = of_laws(good, held(good))
+    assert outcome.kind == "right", outcome.why
+    assert {"near-layer", "within-bounds", "sums-up", "no-overlap"} <= set(outcome.laws)
 
 
 @pytest.mark.parametrize(
@@ -105,8 +105,8 @@ def test_a_force_aside_that_passes_by_the_centre_is_caught(good: Result) -> None
 
 
 def test_an_indenter_that_went_through_is_caught(good: Result) -> None:
-    untouched = replace(good, surface=np.zeros_like(good.surface))
-    assert {"no-overlap", "not-through"} <= _broken(untouched)
+    no_contact = replace(good, surface=np.zeros_like(good.surface))
+    assert {"no-overlap", "not-through"} <= _broken(no_contact)
 
 
 def test_a_skin_below_the_base_is_caught(good: Result) -> None:
@@ -256,10 +256,10 @@ def test_loading_ends_where_the_tip_goes_aside(good: Result) -> None:
     assert loading(good) == [1, 2]
 
 
-# Classes, shrinking and the verb.
+# Classes, shrinking and the command.
 
 
-def _of(error: Exception | None, scene: Scene | None = None) -> Verdict:
+def _of(error: Exception | None, scene: Scene | None = None) -> SceneOutcome:
     return judge(Drawn(0, 0, "x", scene, error), Settings())
 
 
@@ -291,19 +291,19 @@ def test_a_counter_example_is_made_plain_while_the_same_law_stays_broken(
         Effects(friction=Friction(0.3)),
     )
 
-    def pulls(simpler: Scene) -> Verdict:
+    def pulls(simpler: Scene) -> SceneOutcome:
         """Judge as if friction were the only cause."""
         if simpler.effects.friction is None:
-            return Verdict("right", scene=simpler)
+            return SceneOutcome("right", scene=simpler)
         return replace(of_laws(good, bad), kind="silent", scene=simpler)
 
-    plain, verdict = shrunk(scene, pulls(scene), Settings(), judge=pulls)
+    plain, outcome = shrunk(scene, pulls(scene), Settings(), judge=pulls)
     assert plain.effects == Effects(friction=Friction(0.3))
     assert plain.motion.tip == ((0.0, 0.0, 0.0),)
     assert plain.indenter.tilt == (0.0, 0.0)
     assert plain.body.modulus == pytest.approx(0.145e6, rel=0.4)
-    store(tmp_path / "found.json", plain, verdict, "0/1")
-    assert load(tmp_path / "found.json") == (plain, failure(verdict), "")
+    store(tmp_path / "found.json", plain, outcome, "0/1")
+    assert load(tmp_path / "found.json") == (plain, failure(outcome), "")
     lines = snippet(plain).splitlines()
     made: dict[str, Scene] = {}
     exec("\n".join(lines[:4]), made)
@@ -322,12 +322,12 @@ def test_the_page_counts_by_class_and_by_law(good: Result) -> None:
 
 def test_the_last_line_counts_what_passed(good: Result, capsys: pytest.CaptureFixture[str]) -> None:
     right = of_laws(good, held(good))
-    late = Verdict("timeout", "no answer")
+    late = SceneOutcome("timeout", "no answer")
     assert not tell([Told("0/0", "x", right, 1.0), Told("0/1", "y", late, 2.0)])
     lines = capsys.readouterr().out.splitlines()
     assert lines[-1] == "2 cases, 1 passed"
     assert lines[-2].startswith("1 right, 0 refused, 0 diverged, 0 warned, 0 silent, 0 crash")
-    assert tell([Told("0/1", "y", Verdict("crash", "x"), 2.0)])
+    assert tell([Told("0/1", "y", SceneOutcome("crash", "x"), 2.0)])
 
 
 @pytest.mark.parametrize(

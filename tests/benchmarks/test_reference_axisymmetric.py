@@ -149,7 +149,7 @@ def _widening(exponent: float, limits: list[tuple[float, float, float]]) -> list
     ids=["springs", "sliding springs", "squeezed film"],
 )
 def test_a_thin_layer_carries_a_punch_as_a_film(base, poisson, exponent, film) -> None:
-    """The rest is an edge effect: the punch acts as if wider by a fixed share of the height."""
+    """The rest is an edge effect: the punch acts as if wider by a fixed fraction of the height."""
     limits = []
     for ratio in (20.0, 40.0):
         force = layer_punch(1.0, ratio, 1.0, 1.0, poisson, base=base).force

@@ -34,10 +34,10 @@ def _ratio_from_elasticity(alpha: float, poisson: float, base: str) -> float:
             [0, 0, -1, 0],  # S' = -T
         ]
     )
-    carried = expm(system * alpha)
+    transferred = expm(system * alpha)
     # At the base W = 0 and U = 0 (bonded) or T = 0 (frictionless): two amplitudes are free.
     start = [2, 3] if base == "bonded" else [0, 3]
-    top = carried[:, start]
+    top = transferred[:, start]
     amplitude = np.linalg.solve(top[2:], [0.0, 1.0])
     sinking = float(top[1] @ amplitude)
     return sinking / (1 - poisson)  # over 2 (1 - nu^2)/(E k) = (1 - nu)/G

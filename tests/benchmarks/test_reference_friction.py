@@ -57,9 +57,9 @@ def _shift_at(x: float, y: float, tangential: float) -> np.ndarray:
     return total * 2 * np.pi / count
 
 
-@pytest.mark.parametrize("share", [0.2, 0.7, 0.95])
-def test_the_sticking_core_moves_as_one_and_by_the_formula(share: float) -> None:
-    tangential = share * MOST
+@pytest.mark.parametrize("fraction", [0.2, 0.7, 0.95])
+def test_the_sticking_core_moves_as_one_and_by_the_formula(fraction: float) -> None:
+    tangential = fraction * MOST
     shift = mindlin_displacement(tangential, *SYSTEM)
     core = mindlin_stick_radius(tangential, *SYSTEM[:3])
     for x, y in ((0.0, 0.0), (0.6 * core, 0.0), (-0.3 * core, 0.8 * core)):
@@ -89,9 +89,9 @@ def test_slipping_points_stay_behind() -> None:
     assert 0 < edge < 0.99 * mindlin_displacement(tangential, *SYSTEM)
 
 
-@pytest.mark.parametrize("share", [0.0, 0.3, 0.8, 1.0])
-def test_traction_adds_up_to_the_force_and_never_beats_friction(share: float) -> None:
-    tangential = share * MOST
+@pytest.mark.parametrize("fraction", [0.0, 0.3, 0.8, 1.0])
+def test_traction_adds_up_to_the_force_and_never_beats_friction(fraction: float) -> None:
+    tangential = fraction * MOST
     core = mindlin_stick_radius(tangential, *SYSTEM[:3])
 
     def ring(r: float) -> float:
@@ -116,9 +116,9 @@ def test_a_small_push_meets_the_stiffness_of_full_stick() -> None:
 
 
 def test_force_is_the_inverse_of_displacement_up_to_full_slip() -> None:
-    for share in (-1.0, -0.4, 0.0, 0.1, 0.5, 0.99, 1.0):
-        shift = mindlin_displacement(share * MOST, *SYSTEM)
-        assert mindlin_force(shift, *SYSTEM) == pytest.approx(share * MOST, rel=1e-9, abs=1e-15)
+    for fraction in (-1.0, -0.4, 0.0, 0.1, 0.5, 0.99, 1.0):
+        shift = mindlin_displacement(fraction * MOST, *SYSTEM)
+        assert mindlin_force(shift, *SYSTEM) == pytest.approx(fraction * MOST, rel=1e-9, abs=1e-15)
     assert mindlin_force(10 * mindlin_displacement(MOST, *SYSTEM), *SYSTEM) == MOST
 
 
@@ -143,9 +143,9 @@ def test_return_follows_from_adding_a_reversed_slip_ring() -> None:
     assert mindlin_return(tangential, turn, *SYSTEM) == pytest.approx(expected, rel=1e-12)
 
 
-@pytest.mark.parametrize("share", [0.1, 0.6, 1.0])
-def test_loss_is_the_area_of_the_loop(share: float) -> None:
-    turn = share * MOST
+@pytest.mark.parametrize("fraction", [0.1, 0.6, 1.0])
+def test_loss_is_the_area_of_the_loop(fraction: float) -> None:
+    turn = fraction * MOST
     # Shift on unloading minus shift on loading, integrated over the force.
     area, _ = quad(
         lambda force: mindlin_return(force, turn, *SYSTEM) + mindlin_return(-force, turn, *SYSTEM),

@@ -121,11 +121,11 @@ def _surface_under(traction, load, radius: float, x: float, points: int = 48):
     return total
 
 
-@pytest.mark.parametrize("share", [0.0, 0.3, 0.8])
-def test_boussinesq_under_hertz_pressure_gives_the_paraboloid(share: float) -> None:
+@pytest.mark.parametrize("fraction", [0.0, 0.3, 0.8])
+def test_boussinesq_under_hertz_pressure_gives_the_paraboloid(fraction: float) -> None:
     depth, radius = 0.3e-3, 4e-3
     contact_radius = hertz_contact_radius(depth, radius)
-    x = share * contact_radius
+    x = fraction * contact_radius
 
     def pull(r):
         return -hertz_pressure(r, depth, radius, *SOFT)
@@ -137,7 +137,7 @@ def test_boussinesq_under_hertz_pressure_gives_the_paraboloid(share: float) -> N
     modulus, poisson = SOFT
     peak = float(hertz_pressure(0, depth, radius, *SOFT))
     drag = (1 - 2 * poisson) * (1 + poisson) / (3 * modulus) * peak * contact_radius
-    inwards = -drag * (1 - (1 - share**2) ** 1.5) / share if share else 0.0
+    inwards = -drag * (1 - (1 - fraction**2) ** 1.5) / fraction if fraction else 0.0
     assert moved[0] == pytest.approx(inwards, rel=1e-5, abs=1e-12)
     assert moved[1] == pytest.approx(0, abs=1e-12)
 
@@ -158,8 +158,8 @@ def test_hertz_displacement_outside_is_the_pressure_seen_from_there() -> None:
     assert joined[0] == pytest.approx(joined[1], rel=1e-6)
 
 
-@pytest.mark.parametrize("share", [0.0, 0.5, 0.9])
-def test_cerruti_under_mindlins_punch_traction_moves_the_disc_evenly(share: float) -> None:
+@pytest.mark.parametrize("fraction", [0.0, 0.5, 0.9])
+def test_cerruti_under_mindlins_punch_traction_moves_the_disc_evenly(fraction: float) -> None:
     """T/(2 pi a sqrt(a^2 - r^2)) shifts the whole disc by (2 - nu) T/(8 G a): Mindlin (1949)."""
     modulus, poisson = SOFT
     radius, force = 3e-3, 0.2
@@ -167,7 +167,7 @@ def test_cerruti_under_mindlins_punch_traction_moves_the_disc_evenly(share: floa
     def shear(r):
         return force / (2 * np.pi * radius) / np.sqrt(radius**2 - r**2)
 
-    moved = _surface_under(shear, cerruti, radius, share * radius, points=400)
+    moved = _surface_under(shear, cerruti, radius, fraction * radius, points=400)
     expected = (2 - poisson) * force * 2 * (1 + poisson) / (8 * modulus * radius)
     assert moved[0] == pytest.approx(expected, rel=5e-3)
     assert moved[1] == pytest.approx(0, abs=1e-9 * expected)

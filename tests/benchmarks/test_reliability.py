@@ -31,6 +31,7 @@ MS = 1_000_000
 SECOND = 1_000 * MS
 
 
+@pytest.mark.serial
 @pytest.mark.slow
 @pytest.mark.timeout(120)
 def test_the_command_runs_a_row_and_writes_its_page(
@@ -187,16 +188,17 @@ def test_a_labs_stale_limits_are_50_and_100_ms_and_stop_the_arm_just_past_them()
     force, pose = np.zeros((), FORCE_LATEST), np.zeros((), POSE_LATEST)
     pose["safety_status"] = 1
 
-    def verdict(force_age_ns: int, pose_age_ns: int) -> str | None:
+    def stop_reason(force_age_ns: int, pose_age_ns: int) -> str | None:
         force["t_ns"], pose["t_ns"] = clock.now_ns() - force_age_ns, clock.now_ns() - pose_age_ns
         found = Guard(limits, np.zeros(6)).check(clock.now_ns(), force[()], pose[()])
         return None if found is None else found.kind
 
-    assert verdict(50 * MS, 100 * MS) is None
-    assert verdict(50 * MS + 1, 100 * MS) == "stale_force"
-    assert verdict(50 * MS, 100 * MS + 1) == "stale_pose"
+    assert stop_reason(50 * MS, 100 * MS) is None
+    assert stop_reason(50 * MS + 1, 100 * MS) == "stale_force"
+    assert stop_reason(50 * MS, 100 * MS + 1) == "stale_pose"
 
 
+@pytest.mark.serial
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("name", [name for name in names() if name not in ("kills", "disk-full")])
@@ -207,6 +209,7 @@ def test_every_row_is_as_it_should_be(
     assert code == 0, capsys.readouterr().out
 
 
+@pytest.mark.serial
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_a_full_disk_loses_nothing(tmp_path: Path) -> None:

@@ -83,10 +83,10 @@ def test_a_row_that_is_off_by_more_than_a_percent_is_told() -> None:
 
 
 def test_the_sheet_has_a_tile_for_each_picture() -> None:
-    mask, untouched = np.zeros((2, 480, 640), bool)
+    mask, no_contact = np.zeros((2, 480, 640), bool)
     mask[100:110, 100:110] = True
-    untouched[200:220, 200:220] = True
-    pixels = outlined(mask, untouched)
+    no_contact[200:220, 200:220] = True
+    pixels = outlined(mask, no_contact)
     assert (pixels[105, 105] > 230).all()
     assert pixels[200, 210].tolist() == pixels[219, 210].tolist() != pixels[210, 210].tolist()
     page = sheet([Tile("a", "b", pixels)] * (COLUMNS + 1))

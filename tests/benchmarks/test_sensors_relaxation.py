@@ -46,17 +46,17 @@ def test_the_skin_lets_go_before_the_way_is_back() -> None:
     assert (force[-5:] == 0).all()
 
 
-@pytest.mark.parametrize("share", [0.1, 0.2])
-def test_the_fitted_ratio_loses_the_wanted_share(share: float) -> None:
-    branches = fitted(DEPTH, FORCE, (0.05, 0.5), speed=5e-3, share=share)
+@pytest.mark.parametrize("fraction", [0.1, 0.2])
+def test_the_fitted_ratio_loses_the_wanted_share(fraction: float) -> None:
+    branches = fitted(DEPTH, FORCE, (0.05, 0.5), speed=5e-3, fraction=fraction)
     assert branches.ratios[0] == branches.ratios[1]
     lost = hysteresis(*relaxed(DEPTH, FORCE, branches, speed=5e-3))
-    assert lost == pytest.approx(share, abs=1e-5)
+    assert lost == pytest.approx(fraction, abs=1e-5)
 
 
 def test_a_share_that_no_ratio_loses_is_refused() -> None:
-    with pytest.raises(SceneError, match=r"share: 0\.99; allowed with times \(0\.05,\) s"):
-        fitted(DEPTH, FORCE, (0.05,), speed=5e-3, share=0.99)
+    with pytest.raises(SceneError, match=r"fraction: 0\.99; allowed with times \(0\.05,\) s"):
+        fitted(DEPTH, FORCE, (0.05,), speed=5e-3, fraction=0.99)
 
 
 def test_a_way_that_turns_twice_is_refused() -> None:

@@ -41,8 +41,8 @@ LEARNING = (
 HELP = tuple(
     Case(
         f"{package}-help",
-        (f"{package} --help", *(f"{package} {verb} --help" for verb in subcommands)),
-        together=True,
+        (f"{package} --help", *(f"{package} {command} --help" for command in subcommands)),
+        one_process=True,
     )
     for package, subcommands in (
         ("rig", RIG),
@@ -79,7 +79,7 @@ RIG_CASES = (
         "rig-preview",
         timed=False,
         commands=tuple(f"rig preview --sensor {name} --out {{out}}/{name}.png" for name in BENCHES),
-        together=True,
+        one_process=True,
         look=("*.png",),
     ),
     Case(
@@ -95,7 +95,7 @@ RIG_CASES = (
             "rig preview --sensor nosuch --out {out}/x.png",
             "rig preview --out {out}/x.png",
         ),
-        together=True,
+        one_process=True,
         prepare=(
             *(
                 ("write", f"{{out}}/{name}.yaml", _bench(text))
@@ -121,7 +121,7 @@ RIG_CASES = (
             "rig jog --sensor gelsight",
             "rig grip --sensor nosuch",
         ),
-        together=True,
+        one_process=True,
         prepare=_copied(GELSIGHT),
     ),
     Case(
@@ -140,7 +140,7 @@ RIG_CASES = (
             "rig collect --resume {out}/y.zarr --bench {out}/same.yaml",
             "rig collect --resume {out}/z.zarr",
         ),
-        together=True,
+        one_process=True,
         prepare=(
             ("write", "{out}/same.yaml", _bench("", of="tacpalm")),
             *_copied(GELSIGHT, "y.zarr", ("json", "zarr.json", "attributes.status", "stopped")),
@@ -154,7 +154,7 @@ RIG_CASES = (
             "rig campaign --file {out}/none.yaml --list",
             *(f"rig campaign --file {{out}}/{name}.yaml --list" for name in WRONG_CAMPAIGNS),
         ),
-        together=True,
+        one_process=True,
         prepare=tuple(
             ("write", f"{{out}}/{name}.yaml", f"out: {{out}}/day\n{text}\n")
             for name, text in WRONG_CAMPAIGNS.items()
@@ -163,7 +163,7 @@ RIG_CASES = (
     Case(
         "rig-compare",
         ("rig compare --session " + GELSIGHT + " --truth {out}/none.truth",),
-        together=True,
+        one_process=True,
     ),
     Case(
         "rig-replay",
@@ -187,7 +187,7 @@ RIG_CASES = (
             f"rig replay --session {GELSIGHT} --without smell --out {{out}}/x.zarr",
             f"rig replay --session {ARCHIVE} --out {{out}}/x.zarr",
         ),
-        together=True,
+        one_process=True,
     ),
     Case(
         "rig-collect-tacpalm",
@@ -259,7 +259,7 @@ RIG_CASES = (
             f"rig live --model {MODELS}/force --session {{out}}/none.zarr",
             f"rig live --session {GELSIGHT}",
         ),
-        together=True,
+        one_process=True,
     ),
 )
 
@@ -270,19 +270,19 @@ RECORDER_CASES = (
     Case(
         "recorder-info",
         (f"recorder info {GELSIGHT}", f"recorder info {USKIN}", f"recorder info {ARCHIVE}"),
-        together=True,
+        one_process=True,
         portable=True,
     ),
     Case(
         "recorder-check",
         (f"recorder check {GELSIGHT}", f"recorder check {USKIN}", f"recorder check {ARCHIVE}"),
-        together=True,
+        one_process=True,
         portable=True,
     ),
     Case(
         "recorder-check-broken",
         tuple(f"recorder check {{out}}/{name}.zarr" for name in "abcdefgh"),
-        together=True,
+        one_process=True,
         portable=True,
         prepare=(
             *_copied(GELSIGHT, "a.zarr", ("delete", "streams/force/seq/c/0")),
@@ -299,11 +299,11 @@ RECORDER_CASES = (
         "recorder-refused",
         (
             *(
-                f"recorder {verb} {{out}}/none.zarr"
-                for verb in ("info", "check", "recover", "sheet")
+                f"recorder {command} {{out}}/none.zarr"
+                for command in ("info", "check", "recover", "sheet")
             ),
-            *(f"recorder {verb} {{out}}/text.zarr" for verb in ("info", "check", "sheet")),
-            *(f"recorder {verb} {{out}}/newer.zarr" for verb in ("info", "check", "recover")),
+            *(f"recorder {command} {{out}}/text.zarr" for command in ("info", "check", "sheet")),
+            *(f"recorder {command} {{out}}/newer.zarr" for command in ("info", "check", "recover")),
             "recorder info {out}/other.zarr",
             "recorder info {out}/bare.zarr",
             "recorder info {out}/newer.markers.zarr",
@@ -317,7 +317,7 @@ RECORDER_CASES = (
             f"recorder export {ARCHIVE} {{out}}/x --to hdf5",
             "recorder recover s3://bucket/x.zarr",
         ),
-        together=True,
+        one_process=True,
         portable=True,
         prepare=(
             ("write", "{out}/text.zarr", "no session\n"),
@@ -331,7 +331,7 @@ RECORDER_CASES = (
     Case(
         "recorder-missing-field",
         tuple(f"recorder info {{out}}/{name}.zarr" for name in "abcdef"),
-        together=True,
+        one_process=True,
         portable=True,
         prepare=(
             *_copied(GELSIGHT, "a.zarr", ("json", "zarr.json", "attributes.status", None)),
@@ -349,7 +349,7 @@ RECORDER_CASES = (
             "recorder recover {out}/x.zarr",
             "recorder check {out}/x.zarr",
         ),
-        together=True,
+        one_process=True,
         portable=True,
         prepare=_copied(
             GELSIGHT,
@@ -378,7 +378,7 @@ RECORDER_CASES = (
             f"recorder export {GELSIGHT} {{out}}/y.h5 --to hdf5",
             f"recorder export {GELSIGHT} {{out}}/z.h5 --to hdf5 --decode",
         ),
-        together=True,
+        one_process=True,
         portable=True,
         look=("*.h5",),
     ),
@@ -388,7 +388,7 @@ RECORDER_CASES = (
             f"recorder export {USKIN} {{out}}/x.mcap --to mcap",
             f"recorder export {GELSIGHT} {{out}}/y.mcap --to mcap",
         ),
-        together=True,
+        one_process=True,
         portable=True,
         look=("*.mcap",),
     ),
@@ -398,7 +398,7 @@ RECORDER_CASES = (
             f"recorder export {USKIN} {{out}}/x --to lerobot",
             f"recorder export {GELSIGHT} {{out}}/y --to lerobot --valid-only",
         ),
-        together=True,
+        one_process=True,
         portable=True,
         look=("x", "y"),
     ),
@@ -408,7 +408,7 @@ RECORDER_CASES = (
             f"recorder export {GELSIGHT} {{out}}/x --to genforce",
             f"recorder export {USKIN} {{out}}/y --to genforce",
         ),
-        together=True,
+        one_process=True,
         portable=True,
         look=("x", "y"),
     ),
@@ -418,7 +418,7 @@ RECORDER_CASES = (
             f"recorder sheet {GELSIGHT} --output {{out}}/x.png --count 5",
             f"recorder sheet {USKIN} --output {{out}}/y.png",
         ),
-        together=True,
+        one_process=True,
         look=("*.png",),
     ),
     Case(
@@ -434,7 +434,7 @@ RECORDER_CASES = (
             "recorder info {out}/b.zarr",
             "recorder check {out}/a.zarr",
         ),
-        together=True,
+        one_process=True,
         portable=True,
         prepare=(
             *(("png", f"{{out}}/frames/{index:03}.png", index) for index in range(12)),
@@ -460,7 +460,7 @@ RECORDER_CASES = (
             "recorder import {out}/a.zarr --video {out}/f.csv --fps 9 --sensor u --indenter b",
             "recorder import {out}/a.zarr --video {out}/none --fps 9 --sensor u --indenter b",
         ),
-        together=True,
+        one_process=True,
         portable=True,
         prepare=(
             ("npy", "{out}/t.npy", 60, 48, 3),
@@ -565,7 +565,7 @@ SIM_CASES = (
             "sim loop --tier layer --shape sphere --steps 1 --out {out}/loop.png",
             "sim hold --tier layer --shape line --steps 2 --out {out}/hold.png",
         ),
-        together=True,
+        one_process=True,
         look=("*.png",),
     ),
     Case(
@@ -608,7 +608,7 @@ SIM_CASES = (
                 "press --shape {out}/none.stl",
             )
         ),
-        together=True,
+        one_process=True,
     ),
     Case(
         "sim-archive-sensors",
@@ -687,7 +687,7 @@ SIM_CASES = (
             f"sim archive resume {ARCHIVE.replace('skins.markers', 'gelsight')}",
             "sim archive sheet {out}/none.markers.zarr --out {out}/x.png",
         ),
-        together=True,
+        one_process=True,
         prepare=(
             (
                 "write",
@@ -757,7 +757,7 @@ LEARNING_CASES = (
             f"learning markers {USKIN} --out {{out}}/b.markers.zarr",
             "recorder info {out}/a.markers.zarr",
         ),
-        together=True,
+        one_process=True,
         look=("*.markers.zarr", "a.png"),
     ),
     Case(
@@ -772,7 +772,7 @@ LEARNING_CASES = (
             f"learning markers {GELSIGHT} --out {{out}}/a.markers.zarr --sam-encoder x.onnx",
             f"learning markers {ARCHIVE} --out {{out}}/a.markers.zarr",
         ),
-        together=True,
+        one_process=True,
         prepare=(("write", "{out}/key.yaml", "description: mine\nspeed: 3\n"),),
     ),
     Case(
@@ -787,7 +787,7 @@ LEARNING_CASES = (
             "learning split {out}/none.markers.zarr --out {out}/d.json",
             f"learning split {GELSIGHT} --out {{out}}/d.json",
         ),
-        together=True,
+        one_process=True,
         portable=True,
         look=("*.json",),
     ),
@@ -802,7 +802,7 @@ LEARNING_CASES = (
             "learning import-genforce {data} --out {out}/z.markers.zarr",
             "learning import-genforce {out}/x --mm-per-px r6 --out {out}/z.markers.zarr",
         ),
-        together=True,
+        one_process=True,
         look=("x", "y.markers.zarr"),
     ),
     Case(
@@ -816,7 +816,7 @@ LEARNING_CASES = (
             f"learning compensate {ARCHIVE} --out {{out}}/c.json --default 0",
             f"learning compensate {ARCHIVE} --out {{out}}/c.json --range-mm r6",
         ),
-        together=True,
+        one_process=True,
         look=("*.json", "*.png"),
     ),
     Case(
@@ -859,7 +859,7 @@ LEARNING_CASES = (
             f"learning translate {ARCHIVE} {TRANSLATED} --split {SPLIT} --role nobody",
             f"learning translate {GELSIGHT} {TRANSLATED}",
         ),
-        together=True,
+        one_process=True,
         prepare=(
             ("copy", f"{MODELS}/direct", "{out}/broken"),
             ("cut", "{out}/broken/model.safetensors", 1000),
@@ -881,7 +881,7 @@ LEARNING_CASES = (
             "learning evaluate {out}/none --out {out}/report2",
             f"learning evaluate {{out}}/results --archive {ARCHIVE} --out {{out}}/report2",
         ),
-        together=True,
+        one_process=True,
         prepare=(("write", "{out}/results/.keep", ""),),
         look=("results/*.npz", "report"),
     ),
@@ -979,7 +979,7 @@ LEARNING_CASES = (
             "learning import-weights {out}/none.pkl --base {data}/base --out {out}/x",
             f"learning import-weights {SPLIT} --base {{data}}/base --out {{out}}/x",
         ),
-        together=True,
+        one_process=True,
         prepare=(("copy", f"{MODELS}/force", "{out}/force"),),
     ),
     Case(
@@ -1004,7 +1004,7 @@ LEARNING_CASES = (
             f"learning experiment {ARCHIVE} --out {{out}}/x --jobs 0",
             "learning experiment {out}/none.markers.zarr --out {out}/x",
         ),
-        together=True,
+        one_process=True,
     ),
     Case(
         "learning-demo",

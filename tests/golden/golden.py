@@ -87,7 +87,7 @@ class Case:
 
     name: str
     commands: tuple[str, ...]
-    together: bool = False
+    one_process: bool = False
     prepare: tuple[tuple[Any, ...], ...] = ()
     look: tuple[str, ...] = ()
     loose: bool = False
@@ -111,7 +111,11 @@ def run_case(case: Case, root: Path) -> dict[str, Any]:
     try:
         for step in case.prepare:
             _prepare(step, places)
-        ran = _run_together(case, root, places) if case.together else _run_each(case, root, places)
+        ran = (
+            _run_in_one_process(case, root, places)
+            if case.one_process
+            else _run_each(case, root, places)
+        )
         commands = [
             _told(case, line, *each, places) for line, each in zip(case.commands, ran, strict=True)
         ]
@@ -136,9 +140,11 @@ def _run_each(case: Case, root: Path, places: dict[str, str]) -> list[tuple[int,
     return ran
 
 
-def _run_together(case: Case, root: Path, places: dict[str, str]) -> list[tuple[int, str, str]]:
+def _run_in_one_process(
+    case: Case, root: Path, places: dict[str, str]
+) -> list[tuple[int, str, str]]:
     lines = json.dumps([_words(line, places) for line in case.commands])
-    done = _process([sys.executable, str(HERE / "together.py"), lines], case, root)
+    done = _process([sys.executable, str(HERE / "one_process.py"), lines], case, root)
     if done.returncode:
         raise RuntimeError(f"{case.name}: {done.stderr[-2000:]}")
     return [(code, reported, erred) for code, reported, erred in json.loads(done.stdout)]

@@ -16,7 +16,7 @@ from replay import replayed
 
 
 def _marks(case: Case) -> list[pytest.MarkDecorator]:
-    timeout = pytest.mark.timeout(case.timeout * (1 if case.together else len(case.commands)))
+    timeout = pytest.mark.timeout(case.timeout * (1 if case.one_process else len(case.commands)))
     return [timeout, pytest.mark.slow] if case.slow else [timeout]
 
 

@@ -242,7 +242,7 @@ def _of_texts(kind: str) -> Case:
     return Case(
         f"wrong-{kind.replace(' ', '-')}",
         tuple(command.replace("{}", each) for each in given.values()),
-        together=True,
+        one_process=True,
         once=True,
         prepare=tuple(
             ("write", given[each], f"{text}\n") for each, text in mistakes.items() if suffix
@@ -260,7 +260,7 @@ def _of_folders(kind: str) -> Case:
     return Case(
         f"wrong-{kind.replace(' ', '-')}",
         tuple(command.replace("{}", _place(mistake, suffix)) for mistake in mistakes),
-        together=True,
+        one_process=True,
         once=True,
         prepare=tuple(steps),
     )

@@ -84,8 +84,8 @@ def test_sensors_of_unlike_depth_are_compared_at_the_same_share_of_their_ranges(
     shallow, deep = (
         fit_prior(ForceDepth(name, "prism", "made up", curve, curve), depth_range=reach)
         for name, reach, factor in (("gelsight", 1.0e-3, 2.0), ("tacpalm", 4.5e-3, 1.0))
-        for share in (np.linspace(0.05, 1.0, 20),)
-        for curve in (np.stack([share * reach, factor * (share + share**2)], axis=1),)
+        for fraction in (np.linspace(0.05, 1.0, 20),)
+        for curve in (np.stack([fraction * reach, factor * (fraction + fraction**2)], axis=1),)
     )
     depth, phase = np.array([0.25e-3, 0.5e-3, 1.0e-3]), np.full(3, DOWN)
     found, _ = compensate(np.full((3, 3), 2.0), depth, phase, shallow, deep, 0.0, 1.0)
@@ -210,11 +210,11 @@ def test_a_recorded_session_has_the_curve_that_was_pressed(tmp_path: Path) -> No
     assert (curve.sensor, curve.indenter, curve.source) == ("uskin", "sphere", "session s.zarr")
     prior = fit_prior(curve)
     assert prior.depth_max == pytest.approx(1e-3, rel=0.1)
-    share = np.array([0.25, 0.5, 0.75])
+    fraction = np.array([0.25, 0.5, 0.75])
     # 3 N at 1 mm, linear below that.
-    due = 3e3 * share * prior.depth_range
+    due = 3e3 * fraction * prior.depth_range
     for branch in (prior.loading, prior.unloading):
-        assert np.allclose(branch.compression(share), due, atol=0.15)
+        assert np.allclose(branch.compression(fraction), due, atol=0.15)
 
 
 @pytest.fixture(scope="module")

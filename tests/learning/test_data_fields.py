@@ -21,7 +21,7 @@ from learning.data.images import (
 from learning.errors import LearningError
 
 PRESSED = State((320.0, 260.0), 90.0, 1.0, (0.3, -0.2))
-UNTOUCHED = State((320.0, 260.0), 90.0, 0.0)
+NO_CONTACT = State((320.0, 260.0), 90.0, 0.0)
 
 
 def _lattice_field(state: State = PRESSED) -> torch.Tensor:
@@ -36,10 +36,10 @@ def _dice(one: torch.Tensor, other: torch.Tensor) -> float:
     return 2 * (one & other).sum().item() / (one.sum() + other.sum()).item()
 
 
-def test_an_untouched_image_becomes_what_the_press_shows() -> None:
-    moved = warp(_image(UNTOUCHED), _lattice_field())
+def test_a_reference_image_becomes_what_the_press_shows() -> None:
+    moved = warp(_image(NO_CONTACT), _lattice_field())
     due = _image(PRESSED) > 0.5
-    assert _dice(_image(UNTOUCHED) > 0.5, due) < 0.85
+    assert _dice(_image(NO_CONTACT) > 0.5, due) < 0.85
     # The edges of the downscaled binary mask are up to half a pixel off those of the pattern.
     assert _dice(moved > 0.5, due) > 0.975
 

@@ -20,7 +20,7 @@ def _masks() -> np.ndarray:
 
 
 def _overlaps(pixels: int, images: int) -> np.ndarray:
-    """Return the share of each pixel (images, pixels) that an image's pixel covers."""
+    """Return the fraction of each pixel (images, pixels) that an image's pixel covers."""
     ends = np.arange(images + 1) * pixels / images
     low, high = np.arange(pixels), np.arange(pixels) + 1
     return np.clip(np.minimum(ends[1:, None], high) - np.maximum(ends[:-1, None], low), 0, None) / (

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from learning.data.images import shrink_masks, warp
-from learning.data.synthetic import before, random_fields, sample_patterns, untouched
+from learning.data.synthetic import before, pixel_grid, random_fields, sample_patterns
 from recorder.markers import HEIGHT, WIDTH
 
 CPU = torch.device("cpu")
@@ -16,7 +16,7 @@ def _chance(seed: int = 0) -> np.random.Generator:
 
 
 def _drawn(count: int, chance: np.random.Generator) -> torch.Tensor:
-    return sample_patterns(count, chance, CPU).draw(untouched(64, CPU))
+    return sample_patterns(count, chance, CPU).draw(pixel_grid(64, CPU))
 
 
 def _pixels() -> torch.Tensor:
@@ -45,16 +45,16 @@ def test_a_small_image_is_what_shrinking_a_mask_of_the_same_pattern_gives() -> N
     patterns = sample_patterns(3, _chance(1), CPU)
     masks = patterns.draw(_pixels())[:, 0] > 0.5
     shrunk = shrink_masks(masks).float() / 255
-    drawn = patterns.draw(untouched(256, CPU))[:, 0]
+    drawn = patterns.draw(pixel_grid(256, CPU))[:, 0]
     assert float((drawn - shrunk).abs().mean()) < 0.02
 
 
 def test_some_of_the_patterns_are_drawn_as_they_are_among_all() -> None:
     patterns = sample_patterns(3, _chance(2), CPU)
-    every = patterns.draw(untouched(64, CPU))
+    every = patterns.draw(pixel_grid(64, CPU))
     some = patterns[torch.tensor([2, 0])]
     assert len(some) == 2
-    assert torch.equal(some.draw(untouched(64, CPU)), every[[2, 0]])
+    assert torch.equal(some.draw(pixel_grid(64, CPU)), every[[2, 0]])
 
 
 def test_an_even_displacement_shifts_a_pattern_by_as_much() -> None:
@@ -62,7 +62,7 @@ def test_an_even_displacement_shifts_a_pattern_by_as_much() -> None:
     field = torch.tensor([20.0, 15.0]).view(1, 2, 1, 1).expand(2, 2, 24, 32)
     # One pixel is 2.5 columns by 1.875 rows: 8 pixels each.
     moved = patterns.draw(before(field, None))
-    rest = patterns.draw(untouched(256, CPU))
+    rest = patterns.draw(pixel_grid(256, CPU))
     assert torch.allclose(moved[..., 8:, 8:], rest[..., :-8, :-8], atol=1e-3)
 
 
@@ -70,10 +70,10 @@ def test_a_deformed_pattern_is_its_image_warped() -> None:
     patterns = sample_patterns(2, _chance(6), CPU)
     field = random_fields(2, _chance(7), CPU)
     drawn = patterns.draw(before(field, None))
-    warped = warp(patterns.draw(untouched(256, CPU)), field, None)
+    warped = warp(patterns.draw(pixel_grid(256, CPU)), field, None)
     middle = (..., slice(32, -32), slice(32, -32))
     assert float((drawn - warped)[middle].abs().mean()) < 0.02
-    still = patterns.draw(untouched(256, CPU))
+    still = patterns.draw(pixel_grid(256, CPU))
     assert float((drawn - still)[middle].abs().mean()) > 0.05
 
 

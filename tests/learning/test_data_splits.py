@@ -156,7 +156,7 @@ def test_a_location_that_is_another_press_is_refused(
     [
         ({"validation": 1.0}, "validation: found 1.0; allowed: 0 to less than 1"),
         ({"new_press": -0.1}, "new_press: found -0.1"),
-        ({"validation": 0.5, "new_press": 0.5}, "shares that leave some to train on"),
+        ({"validation": 0.5, "new_press": 0.5}, "fractions that leave some to train"),
         ({"unseen": ("ball",)}, "unseen: found ball; allowed: sphere, cone, prism"),
         ({"held_out_sensors": ("gel",)}, "held_out_sensors: found gel; allowed: dots, grid"),
     ],
@@ -184,7 +184,7 @@ def test_an_unfinished_archive_is_refused(tmp_path: Path) -> None:
         ("{", "not JSON"),
         ("[1]", "found format"),
         ('{"format": "tactile-rig split", "format_version": 2}', "allowed: ('tactile-rig split'"),
-        ('{"format": "tactile-rig split", "format_version": 1}', "not a whole split"),
+        ('{"format": "tactile-rig split", "format_version": 1}', "corrupt or incomplete split"),
     ],
 )
 def test_other_files_are_refused(tmp_path: Path, content: str, message: str) -> None:

@@ -91,10 +91,10 @@ def test_augmentation_depends_on_its_generator_alone_and_passes_gradients() -> N
 def test_augmentation_cuts_out_a_square_of_up_to_half_the_side() -> None:
     images = torch.full((64, 3, 16, 16), 7.0)
     cut = augment(images, _generator()) == 0
-    share = cut.all(dim=1).float().mean(dim=(1, 2))
+    fraction = cut.all(dim=1).float().mean(dim=(1, 2))
     # A square of at most 8 x 8, and up to 2 rows and columns that were shifted out.
-    assert 0.05 < float(share.mean()) < 0.45
-    assert float(share.max()) <= (64 + 2 * 32) / 256
+    assert 0.05 < float(fraction.mean()) < 0.45
+    assert float(fraction.max()) <= (64 + 2 * 32) / 256
 
 
 def test_lpips_is_nothing_for_equal_images_and_grows_as_they_part() -> None:

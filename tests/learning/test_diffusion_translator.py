@@ -43,8 +43,8 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("finished")
     base = write_base(folder / "sd-turbo", DEEP_VAE)
     settings = tiny_settings(base=str(base))
-    facts = {BASE: fingerprint(str(base))}
-    with RunFolder.open(folder / "run", KIND, settings, "made up", facts=facts) as run:
+    metadata = {BASE: fingerprint(str(base))}
+    with RunFolder.open(folder / "run", KIND, settings, "made up", metadata=metadata) as run:
         run.finish(4, {"model": _network(moved=True)})
     return folder / "run"
 

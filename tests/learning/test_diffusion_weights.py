@@ -128,7 +128,7 @@ def test_other_networks_weights_are_refused(base: Path, tmp_path: Path) -> None:
     with pytest.raises(LearningError, match="not the weights of this network: missing decoder"):
         read_vae(str(tmp_path / "mixed"))
     path.write_bytes(b"no weights")
-    with pytest.raises(LearningError, match="not a whole safetensors file"):
+    with pytest.raises(LearningError, match="corrupt or incomplete safetensors file"):
         read_vae(str(tmp_path / "mixed"))
 
 

@@ -112,23 +112,28 @@ def test_pieces_side_by_side_give_what_they_give_one_after_the_other(
         line for line in reported if " to " in line
     )
     file = Path("results") / "dots-to-grid.compensated.flow.npz"
-    alone, together = (read_predictions(place / file) for place in (out, tmp_path))
-    assert np.array_equal(alone.predicted, together.predicted)
+    alone, batched = (read_predictions(place / file) for place in (out, tmp_path))
+    assert np.array_equal(alone.predicted, batched.predicted)
 
 
 def test_models_trained_together_say_what_those_trained_alone_say(
     archive: MarkerArchive, done: tuple[Path, list[str]], tmp_path: Path
 ) -> None:
-    run(archive, tmp_path, "together=4")
+    run(archive, tmp_path, "models_per_batch=4")
+    stored = (tmp_path / "experiment.json").read_text()
+    (tmp_path / "experiment.json").write_text(stored.replace("models_per_batch", "together"))
+    run(archive, tmp_path, "models_per_batch=4")  # the former key is read
+    with pytest.raises(LearningError, match="models_per_batch: found 4, asked for 1"):
+        run(archive, tmp_path)
     file = Path("results") / "dots-to-grid.compensated.flow.npz"
-    alone, together = (read_predictions(place / file) for place in (done[0], tmp_path))
-    assert np.abs(alone.predicted - together.predicted).max() < 1e-3
-    assert not np.array_equal(alone.predicted, together.predicted)
+    alone, batched = (read_predictions(place / file) for place in (done[0], tmp_path))
+    assert np.abs(alone.predicted - batched.predicted).max() < 1e-3
+    assert not np.array_equal(alone.predicted, batched.predicted)
 
 
 def test_a_piece_begins_when_what_it_needs_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
     slow, quick = ("train", "slow"), ("train", "quick")
-    after_slow, after_quick = ("carried", "slow"), ("carried", "quick")
+    after_slow, after_quick = ("translated", "slow"), ("translated", "quick")
     begun, went_on = [], threading.Event()
 
     def do(piece: tuple[str, ...]) -> tuple[TaskResult, list[str]]:
@@ -153,7 +158,7 @@ def test_a_piece_begins_when_what_it_needs_is_done(monkeypatch: pytest.MonkeyPat
     assert begun[2:] == [after_quick, after_slow]
     assert set(begun) == set(tasks)
     for name in ("slow", "quick"):
-        assert reported.index(f"train {name}") < reported.index(f"carried {name}")
+        assert reported.index(f"train {name}") < reported.index(f"translated {name}")
     assert len(reported) == len(tasks)
 
 
@@ -206,14 +211,14 @@ def test_presses_translated_together_are_those_translated_one_by_one(
             torch.from_numpy(source.reference(0)),
             ordered=True,
         )
-        together = warped.images[packed.starts[press] : packed.starts[press + 1]]
+        batched = warped.images[packed.starts[press] : packed.starts[press + 1]]
         # Fields are stored in 16 bits: an edge may move by one pixel.
-        assert (together.int() - shrink_masks(alone).int()).abs().float().mean() < 0.5
+        assert (batched.int() - shrink_masks(alone).int()).abs().float().mean() < 0.5
     assert (warped.wrench == packed.wrench).all()
     assert warped.sensor == "dots-to-grid"
 
 
-def test_without_memory_every_frame_is_untouched_before(archive: MarkerArchive) -> None:
+def test_without_memory_every_frame_has_no_contact_before(archive: MarkerArchive) -> None:
     packed = trained_on(archive["dots"], make_split(archive), "train", settings(), CPU)
     assert packed is not None
     alone = packed.each_frame_alone()
@@ -302,7 +307,7 @@ def test_presets_can_be_read(name: str) -> None:
         ("translators=[]", "translators: found"),
         ("translators=[flow, flow]", "each once"),
         ("source_reference=false", "or direct alone"),
-        ("together=0", "together: found 0"),
+        ("models_per_batch=0", "models_per_batch: found 0"),
         ("train_presses=0", "train_presses: found 0; allowed: 1 and more, or none"),
         ("scored_presses=-1", "scored_presses: found -1"),
     ],

@@ -56,7 +56,7 @@ def test_presets_make_models_that_take_what_they_say(name: str) -> None:
     frame = torch.empty(2, model.inputs.planes, model.inputs.side, model.inputs.side, device="meta")
     force, state = model.step(frame)
     assert force.shape == (2, 3)
-    assert state.shape == (2, *model.state_shape) == model.untouched(2).shape
+    assert state.shape == (2, *model.state_shape) == model.initial_state(2).shape
 
 
 @pytest.mark.parametrize("norm", ["instance", "batch"])
@@ -117,9 +117,9 @@ def test_padding_changes_neither_forces_nor_gradients_nor_statistics() -> None:
 def test_gradients_of_a_padded_batch_are_those_of_its_sequences() -> None:
     model = _model()
     frames = torch.randn(2, 5, 2, 32, 32)
-    together = _gradients(model, frames, (2, 5))
+    batched = _gradients(model, frames, (2, 5))
     alone = [_gradients(model, frames[[row], :n], (n,)) for row, n in ((0, 2), (1, 5))]
-    assert torch.allclose(together, (2 * alone[0] + 5 * alone[1]) / 7, atol=1e-6)
+    assert torch.allclose(batched, (2 * alone[0] + 5 * alone[1]) / 7, atol=1e-6)
 
 
 def test_truncation_keeps_forces_and_stops_gradients() -> None:

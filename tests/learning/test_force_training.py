@@ -14,8 +14,8 @@ from support.training import session
 from learning.data.presses import AUTHORS, Presses
 from learning.errors import LearningError
 from learning.force import load_force_model
+from learning.force.batched import train_batched
 from learning.force.model import KIND, ForceModel, InputSettings
-from learning.force.together import train_together
 from learning.force.train import (
     ForceSettings,
     Sequences,
@@ -51,7 +51,7 @@ def _open(path: Path, settings: ForceSettings = TOY, *, resume: bool = False) ->
 
 
 def _left(model: ForceModel, presses: Presses) -> float:
-    """Return the error as a share of that of predicting the mean."""
+    """Return the error as a fraction of that of predicting the mean."""
     wanted = presses.wrench.numpy()
     off = np.abs(model.predict(presses) - wanted).mean()
     return float(off / np.abs(wanted - wanted.mean(axis=0)).mean())
@@ -193,7 +193,7 @@ def test_the_box_of_forces_is_that_of_the_labels_or_of_the_authors() -> None:
 STARTS = [np.array([0, 5, 9, 16]), np.array([0, 6])]
 
 
-def test_sequences_begin_untouched_and_are_a_function_of_seed_and_step() -> None:
+def test_sequences_begin_without_contact_and_are_a_function_of_seed_and_step() -> None:
     settings = SequenceSettings(batch=2)
     passes = epoch(STARTS, (0, 1), settings, seed=3, number=1)
     assert passes.steps(ranks=1) == 2
@@ -317,7 +317,7 @@ def test_sensors_with_other_gauges_train_one_model() -> None:
 def test_models_trained_together_know_the_axes_of_their_labels() -> None:
     presses = noise_presses(3)
     settings = toy(stages=(StageSettings(epochs=1, learning_rate=1e-2),))
-    one, two = train_together([_measured(presses, 2), presses], settings)  # type: ignore[misc]
+    one, two = train_batched([_measured(presses, 2), presses], settings)  # type: ignore[misc]
     assert (one.axes, two.axes) == (("Fz",), ("Fx", "Fy", "Fz"))
     alone = train_force(_measured(presses, 2), settings)
     assert one.head.weight[2].tolist() == pytest.approx(alone.head.weight[2].tolist(), abs=1e-4)

@@ -18,7 +18,7 @@ from learning.markers.segment import CameraPreset, TaxelPreset
 from recorder.markers import pack
 from rig.mock.world.picture import MarkerCamera, Surface
 
-REST = np.full((16, 3), 30_000.0)
+NO_CONTACT = np.full((16, 3), 30_000.0)
 SHAPE = (1, 256, 256)
 
 
@@ -41,7 +41,7 @@ class Stub:
 
 
 def touched(taxel: int = 5, z: float = 4000.0) -> np.ndarray[Any, Any]:
-    counts = REST.copy()
+    counts = NO_CONTACT.copy()
     counts[taxel, 2] += z
     return counts
 
@@ -55,23 +55,31 @@ def uskin() -> tuple[LivePredictor, Stub]:
 
 def test_the_first_frames_are_the_reference_and_say_no_force() -> None:
     predictor, stub = uskin()
-    assert [predictor.step(REST + offset) for offset in (-1, 0, 1)] == [None, None, None]
-    found = predictor.step(REST)
+    assert [predictor.step(NO_CONTACT + offset) for offset in (-1, 0, 1)] == [None, None, None]
+    found = predictor.step(NO_CONTACT)
     assert found is not None
     assert not found.contact
     assert found.motion_px == 0.0
     reference = predictor.reference
     assert reference is not None
-    image = shrink(pack(taxel_masks(REST[None], REST, TaxelPreset("still"))))[0]
+    image = shrink(pack(taxel_masks(NO_CONTACT[None], NO_CONTACT, TaxelPreset("still"))))[0]
     assert np.array_equal(stub.references[-1], image)
     assert np.array_equal(stub.frames[-1], image)
 
 
-def test_memory_is_carried_while_touched_and_cleared_when_contact_has_ended() -> None:
+def test_memory_is_kept_while_touched_and_cleared_when_contact_has_ended() -> None:
     predictor, _ = uskin()
-    predictor.begin(np.stack([REST] * 3))
+    predictor.begin(np.stack([NO_CONTACT] * 3))
     rule = ContactRule()
-    frames = [REST, REST, touched(), touched(), REST, touched(), *[REST] * (rule.frames + 2)]
+    frames = [
+        NO_CONTACT,
+        NO_CONTACT,
+        touched(),
+        touched(),
+        NO_CONTACT,
+        touched(),
+        *[NO_CONTACT] * (rule.frames + 2),
+    ]
     found = [predictor.step(frame) for frame in frames]
     steps = [one.force[0] for one in found if one is not None]
     # Each frame without contact starts again; a short loss of contact does not clear the memory.
@@ -85,12 +93,12 @@ def test_a_picture_goes_the_way_of_the_training_data() -> None:
     chosen = preset("bench-gelsight")
     assert isinstance(chosen, CameraPreset)
     camera = MarkerCamera(VIEWS["bench-gelsight"], grey_noise=1.0)
-    untouched = [camera.image(Surface((0.0, 0.0), 0.0, 0.0, 4e-3, (0.0, 0.0))) for _ in range(4)]
+    no_contact = [camera.image(Surface((0.0, 0.0), 0.0, 0.0, 4e-3, (0.0, 0.0))) for _ in range(4)]
     pressed = camera.image(Surface((0.0, 0.0), 0.5e-3, 2e-3, 4e-3, (0.3e-3, 0.0)))
     stub = Stub()
     predictor = LivePredictor(stub.stream(), chosen, start_frames=3)
-    assert [predictor.step(picture) for picture in untouched[:3]] == [None] * 3
-    quiet, found = predictor.step(untouched[3]), predictor.step(pressed)
+    assert [predictor.step(picture) for picture in no_contact[:3]] == [None] * 3
+    quiet, found = predictor.step(no_contact[3]), predictor.step(pressed)
     assert quiet is not None
     assert not quiet.contact
     assert found is not None
@@ -103,19 +111,19 @@ def test_a_picture_goes_the_way_of_the_training_data() -> None:
 def test_a_light_touch_is_contact_and_noise_is_not() -> None:
     random = np.random.default_rng(0)
     chosen = TaxelPreset("noise")
-    scans = REST + random.normal(scale=2.1, size=(60, 16, 3))
-    masks = taxel_masks(scans, REST, chosen)
+    scans = NO_CONTACT + random.normal(scale=2.1, size=(60, 16, 3))
+    masks = taxel_masks(scans, NO_CONTACT, chosen)
     contact = Contact(masks[:10])
     assert not any(contact.step(mask) for mask in masks[10:])
-    assert contact.step(taxel_masks(touched(z=400.0), REST, chosen))
+    assert contact.step(taxel_masks(touched(z=400.0), NO_CONTACT, chosen))
 
 
 def test_a_sensor_that_is_touched_at_the_beginning_is_refused() -> None:
     predictor, _ = uskin()
-    predictor.step(REST)
-    predictor.step(REST)
+    predictor.step(NO_CONTACT)
+    predictor.step(NO_CONTACT)
     with pytest.raises(LearningError, match="was the sensor touched"):
-        predictor.step(REST + 4000.0)
+        predictor.step(NO_CONTACT + 4000.0)
 
 
 @pytest.mark.parametrize(
@@ -127,7 +135,7 @@ def test_a_sensor_that_is_touched_at_the_beginning_is_refused() -> None:
 )
 def test_frames_of_another_sensor_are_refused(frame: np.ndarray[Any, Any], message: str) -> None:
     predictor, _ = uskin()
-    predictor.begin(np.stack([REST] * 3))
+    predictor.begin(np.stack([NO_CONTACT] * 3))
     with pytest.raises(LearningError, match=message):
         predictor.step(frame)
 
@@ -144,13 +152,15 @@ def test_a_model_of_marker_fields_is_shown_those_of_the_training_data() -> None:
     stub = Stub()
     network = ForceStream(stub, StepInputs((1, 3, 32, 32), False, (1, 1, 1, 1), False))
     predictor = LivePredictor(network, chosen)
-    predictor.begin(np.stack([REST] * 3))
+    predictor.begin(np.stack([NO_CONTACT] * 3))
     steps = np.linspace(0.0, 1.0, 4)
-    scans = np.array([REST + (touched() - REST + 900.0 * (REST > 0)) * step for step in steps])
+    scans = np.array(
+        [NO_CONTACT + (touched() - NO_CONTACT + 900.0 * (NO_CONTACT > 0)) * step for step in steps]
+    )
     for scan in scans:
         predictor.step(scan)
-    due = FieldReader(Contact(taxel_masks(REST[None], REST, chosen)).reference).maps(
-        taxel_masks(scans, REST, chosen), ordered=True
+    due = FieldReader(Contact(taxel_masks(NO_CONTACT[None], NO_CONTACT, chosen)).reference).maps(
+        taxel_masks(scans, NO_CONTACT, chosen), ordered=True
     )
     assert np.allclose(np.array(stub.frames), due, atol=1e-5)
     assert np.abs(due[-1]).max() > 1.0
@@ -159,7 +169,7 @@ def test_a_model_of_marker_fields_is_shown_those_of_the_training_data() -> None:
 def test_a_model_of_something_else_or_none_is_refused(tmp_path: Any) -> None:
     odd = ForceStream(Stub(), StepInputs((1, 2, 8, 8), False, (1, 1, 1, 1), False))
     with pytest.raises(LearningError, match=r"takes frames \(2, 8, 8\)"):
-        LivePredictor(odd, preset("uskin")).begin(np.stack([REST] * 3))
+        LivePredictor(odd, preset("uskin")).begin(np.stack([NO_CONTACT] * 3))
     for runtime in ("onnx", "openvino", "openvino-bf16"):
         with pytest.raises(LearningError, match=r"model\.onnx: no such file"):
             open_live(tmp_path, sensor="uskin", runtime=runtime)

@@ -1,4 +1,4 @@
-"""Marker detection fitted to untouched pictures, on painted ones whose mask is known."""
+"""Marker detection fitted to pictures without contact, on painted ones whose mask is known."""
 
 from __future__ import annotations
 
@@ -59,14 +59,14 @@ def iou(one: Any, other: Any) -> float:
 def test_a_fitted_preset_finds_painted_markers_and_finds_them_again_under_a_contact(
     bright: bool,
 ) -> None:
-    untouched, mask = painted(0, bright=bright)
-    preset, pattern = fit_preset([untouched], pitch_mm=1.8)
+    no_contact, mask = painted(0, bright=bright)
+    preset, pattern = fit_preset([no_contact], pitch_mm=1.8)
     assert (pattern.count, pattern.detector.bright) == (63, bright)
     assert preset.mm_per_px == pytest.approx(1.8 / 70, rel=0.05)
     pressed, pressed_mask = painted(0, pressed=True, bright=bright)
-    assert iou(Segmenter(preset).mask(untouched), mask) >= 0.98
+    assert iou(Segmenter(preset).mask(no_contact), mask) >= 0.98
     assert iou(Segmenter(preset).mask(pressed), pressed_mask) >= 0.98
-    found = recall(preset, untouched, pressed)
+    found = recall(preset, no_contact, pressed)
     assert found.under >= (0 if bright else 5)  # on a dark skin the light hardly changes
     assert (found.under_found, found.elsewhere_found) == (found.under, found.elsewhere)
 

@@ -239,18 +239,18 @@ def test_contrast_follows_uneven_light() -> None:
     assert sorted(centres.place[:, 0].round().tolist()) == [place[0] for place in places]
 
 
-def test_taxels_are_drawn_less_the_untouched_ones() -> None:
+def test_taxels_are_drawn_less_those_without_contact() -> None:
     counts = np.zeros((2, 16, 3))
     counts[1, 5] = (1500, -1000, 4000)
-    untouched = np.random.default_rng(0).integers(20_000, 40_000, (16, 3))
+    no_contact = np.random.default_rng(0).integers(20_000, 40_000, (16, 3))
     plain, turned = TaxelPreset(""), TaxelPreset("", rows_from_top=True)
-    masks = taxel_masks(counts + untouched, untouched, plain)
+    masks = taxel_masks(counts + no_contact, no_contact, plain)
     np.testing.assert_array_equal(masks, draw_discs(counts))
     # Taxel 5 is in the second row from the top, where taxel 9 is if y is flipped.
     mirrored = np.zeros((16, 3))
     mirrored[9] = (1500, 1000, 4000)
     np.testing.assert_array_equal(
-        taxel_masks(counts + untouched, untouched, turned)[1], draw_discs(mirrored)
+        taxel_masks(counts + no_contact, no_contact, turned)[1], draw_discs(mirrored)
     )
     centre, _ = place_discs(mirrored)
     assert centre[9, 1] < 288 - 10

@@ -283,6 +283,10 @@ def with_plan(source: Path, path: Path, sensor: str, **changes: Any) -> Path:
             {"angle_step": math.radians(45)},
             r"b\.zarr: found shear directions 45 deg apart, a\.zarr has 30 deg",
         ),
+        (
+            {"order": "authors"},
+            r"b\.zarr: found order 'authors' of points, a\.zarr has 'quadrants'; .*archive join",
+        ),
         ({"layout": "cross"}, r"b\.zarr: found layout 'cross' of points, a\.zarr has 'corners'"),
         ({"angle_step": 1.0}, r"b\.zarr: angle_step: 1\.0 rad"),
         ({"step_x": 5e-3}, None),

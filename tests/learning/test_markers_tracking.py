@@ -18,11 +18,11 @@ def grid(columns: int = 9, rows: int = 7, pitch: float = 60.0) -> np.ndarray[Any
     return np.stack([x.ravel(), y.ravel()], axis=1) * pitch + 60.0
 
 
-def bulge(places: np.ndarray[Any, Any], share: float) -> np.ndarray[Any, Any]:
+def bulge(places: np.ndarray[Any, Any], fraction: float) -> np.ndarray[Any, Any]:
     """Return the marker displacement: outwards and to the right, largest around the middle."""
     away = places - [300.0, 240.0]
     bell = np.exp(-np.sum(away**2, axis=1) / 2 / 120.0**2)[:, None]
-    return share * (bell * [55.0, 20.0] + 0.25 * bell * away)
+    return fraction * (bell * [55.0, 20.0] + 0.25 * bell * away)
 
 
 def shuffled(places: np.ndarray[Any, Any], random: np.random.Generator) -> Any:
@@ -34,8 +34,8 @@ def shuffled(places: np.ndarray[Any, Any], random: np.random.Generator) -> Any:
 def test_names_are_kept_beyond_half_a_pitch_of_motion() -> None:
     reference, random = grid(), np.random.default_rng(1)
     tracker = Tracker(reference)
-    for share in [*np.linspace(0, 1, 9), *np.linspace(1, 0, 9)]:
-        truth = reference + bulge(reference, share)
+    for fraction in [*np.linspace(0, 1, 9), *np.linspace(1, 0, 9)]:
+        truth = reference + bulge(reference, fraction)
         given, order = shuffled(truth + random.normal(0, 0.1, truth.shape), random)
         track = tracker.step(given)
         np.testing.assert_array_equal(track.found, order)
@@ -54,10 +54,10 @@ def test_a_leap_of_three_quarters_of_a_pitch_is_followed_by_their_neighbours() -
 def test_markers_that_are_lost_are_found_again_under_their_names() -> None:
     reference, random = grid(), np.random.default_rng(2)
     tracker = Tracker(reference)
-    shares = [*np.linspace(0, 1, 12), *np.linspace(1, 0, 12)]
+    fractions = [*np.linspace(0, 1, 12), *np.linspace(1, 0, 12)]
     hidden = random.choice(len(reference), 9, replace=False)
-    for number, share in enumerate(shares):
-        truth = reference + bulge(reference, share)
+    for number, fraction in enumerate(fractions):
+        truth = reference + bulge(reference, fraction)
         seen = np.ones(len(truth), bool)
         if 4 <= number < 16:
             seen[hidden] = False
@@ -91,8 +91,8 @@ def test_pictures_of_the_mock_bench_are_tracked_to_a_tenth_of_a_pixel() -> None:
     camera = MarkerCamera(view, grey_noise=1.0)
     segmenter = Segmenter(preset("bench-tacpalm"))  # type: ignore[arg-type]
     tracker, order = None, np.zeros(0, int)
-    for share in np.linspace(0, 1, 6):
-        surface = Surface((1e-3, 0.0), 4e-3 * share, 3e-3, 12e-3, (1.5e-3 * share, 0.0))
+    for fraction in np.linspace(0, 1, 6):
+        surface = Surface((1e-3, 0.0), 4e-3 * fraction, 3e-3, 12e-3, (1.5e-3 * fraction, 0.0))
         picture, truth = camera.image(surface), camera.pixels(surface)
         centres = find_centres(segmenter.mask(picture), grey(picture))
         if tracker is None:

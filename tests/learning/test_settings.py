@@ -101,7 +101,7 @@ def test_plain_values_make_the_same_settings_again(presets: Path) -> None:
 @dataclass(frozen=True)
 class Ranged:
     steps: int | None = 1
-    share: float = 0.5
+    fraction: float = 0.5
     betas: tuple[float, float] = (0.0, 1.0)
 
 
@@ -110,9 +110,13 @@ class Ranged:
     [
         (Ranged(steps=0), {"least": 1}, "steps: found 0; allowed: 1 or more"),
         (Ranged(steps=0), {"above": 0}, "steps: found 0; allowed: above 0"),
-        (Ranged(share=1.5), {"least": 0, "most": 1}, "share: found 1.5; allowed: 0 to 1"),
-        (Ranged(share=float("nan")), {"least": 0}, "share: found nan; allowed: 0 or more"),
-        (Ranged(share=-1.0), {"above": 0, "most": 1}, "share: found -1.0; allowed: above 0 to 1"),
+        (Ranged(fraction=1.5), {"least": 0, "most": 1}, "fraction: found 1.5; allowed: 0 to 1"),
+        (Ranged(fraction=float("nan")), {"least": 0}, "fraction: found nan; allowed: 0 or more"),
+        (
+            Ranged(fraction=-1.0),
+            {"above": 0, "most": 1},
+            "fraction: found -1.0; allowed: above 0 to 1",
+        ),
         (Ranged(betas=(0.0, 2.0)), {"most": 1}, r"betas: found \(0.0, 2.0\); allowed: 1 or less"),
         (Ranged(steps=None), {"least": 0}, ""),
         (Ranged(), {"least": 0, "most": 1}, ""),
@@ -121,7 +125,7 @@ class Ranged:
 def test_numbers_outside_their_range_are_refused_by_name(
     settings: Ranged, wanted: dict[str, float], message: str
 ) -> None:
-    names = ("steps", "share", "betas")
+    names = ("steps", "fraction", "betas")
     if not message:
         require(settings, *names, **wanted)
         return

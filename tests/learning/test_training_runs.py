@@ -9,10 +9,12 @@ from pathlib import Path
 
 import pytest
 import torch
+import yaml
 from torch import nn
 
 from learning.errors import LearningError
 from learning.training.checkpoint import (
+    KINDS,
     load_weights,
     read_config,
     read_model_folder,
@@ -76,7 +78,7 @@ def _train(folder: Path, until: int, *, resume: bool = False) -> Net:
                     score=abs(step - 14.0),
                 )
         if until == toy.steps:
-            run.finish(until, {"model": net}, facts={"range": [1.0, 2.0]})
+            run.finish(until, {"model": net}, metadata={"range": [1.0, 2.0]})
     return net
 
 
@@ -195,11 +197,18 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
         RunFolder.open(tmp_path / "new", "net", Toy(), "data")
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_models_of_runs_with_the_former_key_facts_open(kind: str) -> None:
+    folder = Path(__file__).parents[1] / "golden/data/models" / kind
+    stored = yaml.safe_load((folder / "config.yaml").read_text())
+    assert read_model_folder(folder, kind).config.metadata == stored["facts"]
+
+
 def test_a_finished_run_is_a_model(tmp_path: Path) -> None:
     net = _train(tmp_path / "run", 40)
     found = read_model_folder(tmp_path / "run", "force")
     assert found.settings(Toy) == Toy()
-    assert found.config.facts == {"range": [1.0, 2.0]}
+    assert found.config.metadata == {"range": [1.0, 2.0]}
     assert (found.config.step, found.config.data) == (40, "data")
     assert len(found.hash()) == 64
     again = Net(8)
@@ -243,7 +252,7 @@ def test_damaged_weights_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "model.safetensors"
     save_weights(Net(8), path)
     path.write_bytes(path.read_bytes()[:100])
-    with pytest.raises(LearningError, match="not a whole safetensors file"):
+    with pytest.raises(LearningError, match="corrupt or incomplete safetensors file"):
         read_weights(path)
     with pytest.raises(LearningError, match="no such file"):
         read_weights(tmp_path / "none.safetensors")

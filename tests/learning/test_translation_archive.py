@@ -10,7 +10,7 @@ from support.commands import run_module
 from support.made_up_archives import made_up_archive
 
 from learning.archive_writer import UNIT_ROWS
-from learning.cli import translate as verb
+from learning.cli import translate as command
 from learning.data.splits import make_split
 from learning.errors import LearningError
 from learning.training.checkpoint import Config
@@ -166,7 +166,7 @@ def test_masks_of_another_shape_or_type_are_refused(archive):
         flow.translate(masks, masks[0], masks[:1])
 
 
-def test_the_untouched_press_gives_the_target_reference_back(archive):
+def test_a_press_without_contact_gives_the_target_reference_back(archive):
     source = torch.from_numpy(archive["dots"].reference(0))
     target = torch.from_numpy(archive["grid"].reference(0))
     made = FlowTranslator().translate(source[None], target, source)
@@ -203,7 +203,7 @@ def test_weights_tell_models_apart(tmp_path):
 
 
 def run(*given: object) -> int:
-    return run_module(verb, *given)
+    return run_module(command, *given)
 
 
 def test_the_verb_translates_and_draws(tmp_path, capsys):

@@ -107,11 +107,11 @@ def test_features_have_the_last_width_and_do_not_depend_on_the_company(
 ) -> None:
     network = new_autoencoder(TINY).eval()
     with torch.no_grad():
-        together = network.features(images)
+        batched = network.features(images)
         alone = network.features(images[3:4])
-    assert together.shape == (8, 16)
-    assert torch.allclose(together[3:4], alone, atol=1e-5)
-    assert not torch.allclose(together[0], together[1], atol=1e-3)
+    assert batched.shape == (8, 16)
+    assert torch.allclose(batched[3:4], alone, atol=1e-5)
+    assert not torch.allclose(batched[0], batched[1], atol=1e-3)
 
 
 def test_noise_of_the_latent_has_the_spread_that_was_learned() -> None:

@@ -116,8 +116,8 @@ def test_the_adversary_learns_to_tell_real_from_made_and_the_network_to_fool_it(
     made = torch.rand_like(real)
     losses = []
     for _ in range(12):
-        verdicts = adversary(torch.cat([real, made]), torch.cat([reference, reference]))
-        loss = discriminator_loss(*verdicts.chunk(2))
+        scores = adversary(torch.cat([real, made]), torch.cat([reference, reference]))
+        loss = discriminator_loss(*scores.chunk(2))
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()

@@ -18,22 +18,22 @@ from learning.translation.field.network import (
     CHANNELS,
     SIDE,
     FieldModel,
-    carried,
     from_displacement,
     render,
     signed_distance,
+    transferred,
 )
 from learning.translation.field.train import ExampleSettings
 from learning.translation.field.translator import FieldTranslator
 from recorder import MarkerArchive, SessionError
 from recorder.markers import HEIGHT, WIDTH, draw_discs, place_discs
 
-UNTOUCHED = State((320.0, 240.0), 90.0, 0.0)
+NO_CONTACT = State((320.0, 240.0), 90.0, 0.0)
 PRESSED = State((300.0, 260.0), 90.0, 1.5, (0.4, -0.3))
 CPU = torch.device("cpu")
 
 
-def mask(name: str, state: State = UNTOUCHED) -> Tensor:
+def mask(name: str, state: State = NO_CONTACT) -> Tensor:
     return torch.from_numpy(mask_of(name, state))
 
 
@@ -83,18 +83,18 @@ def test_near_an_edge_a_signed_distance_tells_its_place_within_a_pixel() -> None
 
 
 def test_without_deformation_the_reference_stays_as_it_is() -> None:
-    untouched = mask("dots")[None]
-    level = render(signed_distance(untouched), torch.zeros(2, CHANNELS, SIDE, SIDE))
-    assert torch.equal(level[:, 0] > 0, untouched.expand(2, -1, -1))
+    no_contact = mask("dots")[None]
+    level = render(signed_distance(no_contact), torch.zeros(2, CHANNELS, SIDE, SIDE))
+    assert torch.equal(level[:, 0] > 0, no_contact.expand(2, -1, -1))
 
 
 def test_a_constant_shift_moves_every_marker_by_as_much() -> None:
-    untouched = mask("grid")
+    no_contact = mask("grid")
     deformation = torch.zeros(1, CHANNELS, SIDE, SIDE)
     deformation[:, 0], deformation[:, 1] = 6.0, -4.0
-    moved = render(signed_distance(untouched[None]), deformation)[0, 0] > 0
+    moved = render(signed_distance(no_contact[None]), deformation)[0, 0] > 0
     inner = slice(30, HEIGHT - 30), slice(30, WIDTH - 30)
-    due = untouched.roll((-4, 6), dims=(0, 1))
+    due = no_contact.roll((-4, 6), dims=(0, 1))
     assert torch.equal(moved[inner], due[inner])
 
 
@@ -123,21 +123,23 @@ def test_growth_makes_discs_of_a_uskin_as_large_as_pressed_ones() -> None:
     nearest = (apart - radius).argmin(axis=-1)
     moved = np.stack([*(centre - rest_centre).T, radius - rest_radius])[:, nearest]
     deformation = torch.from_numpy(moved.astype(np.float32))[None]
-    untouched = torch.from_numpy(draw_discs(np.zeros((16, 3))))
-    made = render(signed_distance(untouched[None]), deformation)[0, 0] > 0
+    no_contact = torch.from_numpy(draw_discs(np.zeros((16, 3))))
+    made = render(signed_distance(no_contact[None]), deformation)[0, 0] > 0
     pressed = torch.from_numpy(draw_discs(counts))
     assert radius.max() > 2.5 * rest_radius.max()
     assert dice(made, pressed) > 0.98
     without = deformation.clone()
     without[:, 2] = 0
-    assert dice(render(signed_distance(untouched[None]), without)[0, 0] > 0, pressed) < 0.8
+    assert dice(render(signed_distance(no_contact[None]), without)[0, 0] > 0, pressed) < 0.8
 
 
 def test_millimetres_stay_what_they_are_in_the_image_of_another_sensor() -> None:
     columns = torch.linspace(-1, 1, SIDE).expand(SIDE, SIDE)
     deformation = torch.stack([8 + 4 * columns, torch.full((SIDE, SIDE), -6.0), columns * 0 + 3])
-    assert torch.allclose(carried(deformation[None], torch.ones(1, 2))[0], deformation, atol=1e-5)
-    halved = carried(deformation[None], torch.tensor([[0.5, 0.5]]))[0]
+    assert torch.allclose(
+        transferred(deformation[None], torch.ones(1, 2))[0], deformation, atol=1e-5
+    )
+    halved = transferred(deformation[None], torch.tensor([[0.5, 0.5]]))[0]
     # A target pixel is half a source pixel: values double, and half of the view is visible.
     assert torch.allclose(halved[1], torch.full((SIDE, SIDE), -12.0))
     assert torch.allclose(halved[2], torch.full((SIDE, SIDE), 6.0))

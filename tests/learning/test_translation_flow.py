@@ -21,7 +21,7 @@ STATES = [
     State(CENTRE, WIDTH_PX, 1.4 * min(step, 5) / 5, (0.08 * max(step - 5, 0), 0.04))
     for step in range(9)
 ]
-UNTOUCHED = State(CENTRE, WIDTH_PX, 0.0)
+NO_CONTACT = State(CENTRE, WIDTH_PX, 0.0)
 DEEP = STATES[-1]
 # Part of the lattice inside the image.
 INSIDE = (slice(4, 53), slice(4, 69))
@@ -34,8 +34,8 @@ def presses() -> dict[str, np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def untouched() -> dict[str, np.ndarray]:
-    return {name: mask_of(name, UNTOUCHED) for name in ("dots", "grid", "dense")}
+def no_contact() -> dict[str, np.ndarray]:
+    return {name: mask_of(name, NO_CONTACT) for name in ("dots", "grid", "dense")}
 
 
 def truth(state: State) -> np.ndarray:
@@ -48,18 +48,18 @@ def error(field: np.ndarray, state: State) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", ["dots", "grid", "dense"])
-def test_the_field_of_a_followed_press_is_found_to_part_of_a_pixel(presses, untouched, name):
-    fields = FieldReader(untouched[name]).displacement(presses[name], ordered=True)
+def test_the_field_of_a_followed_press_is_found_to_part_of_a_pixel(presses, no_contact, name):
+    fields = FieldReader(no_contact[name]).displacement(presses[name], ordered=True)
     wrong = error(fields[-1], DEEP)
     assert np.median(wrong) < 0.3
     assert np.quantile(wrong, 0.95) < 2.0
     assert np.linalg.norm(truth(DEEP), axis=-1).max() > 20
 
 
-def test_an_untouched_frame_has_no_displacement_and_no_growth(untouched):
-    reader = FieldReader(untouched["dots"])
-    assert np.abs(reader.displacement(untouched["dots"][None], ordered=False)).max() < 1e-6
-    assert np.abs(reader.maps(untouched["dots"][None], ordered=True)).max() < 1e-6
+def test_a_frame_without_contact_has_no_displacement_and_no_growth(no_contact):
+    reader = FieldReader(no_contact["dots"])
+    assert np.abs(reader.displacement(no_contact["dots"][None], ordered=False)).max() < 1e-6
+    assert np.abs(reader.maps(no_contact["dots"][None], ordered=True)).max() < 1e-6
 
 
 def slid(mask: np.ndarray, step_px: int, steps: int) -> np.ndarray:
@@ -70,21 +70,21 @@ def slid(mask: np.ndarray, step_px: int, steps: int) -> np.ndarray:
     return frames
 
 
-def test_markers_that_moved_by_more_than_a_pitch_are_known_along_the_press_alone(untouched):
-    frames = slid(untouched["dense"], 8, 8)
-    reader = FieldReader(untouched["dense"])
+def test_markers_that_moved_by_more_than_a_pitch_are_known_along_the_press_alone(no_contact):
+    frames = slid(no_contact["dense"], 8, 8)
+    reader = FieldReader(no_contact["dense"])
     followed = reader.displacement(frames, ordered=True)[-1]
     alone = reader.displacement(frames[-1:], ordered=False)[0]
     assert np.abs(followed[INSIDE] - [56, 0]).max() < 1  # the pitch is 40 px
     assert np.median(np.abs(alone[INSIDE][..., 0] - 56)) > 30
 
 
-def test_a_press_may_begin_in_the_middle(presses, untouched):
-    fields = FieldReader(untouched["grid"]).displacement(presses["grid"][3:], ordered=True)
+def test_a_press_may_begin_in_the_middle(presses, no_contact):
+    fields = FieldReader(no_contact["grid"]).displacement(presses["grid"][3:], ordered=True)
     assert np.median(error(fields[-1], DEEP)) < 0.3
 
 
-def test_lost_markers_and_specks_change_little(presses, untouched):
+def test_lost_markers_and_specks_change_little(presses, no_contact):
     rng = np.random.default_rng(5)
     spoiled = presses["dots"].copy()
     for mask in spoiled:
@@ -92,34 +92,34 @@ def test_lost_markers_and_specks_change_little(presses, untouched):
             left, top = int(column) - 18, int(row) - 18
             mask[max(top, 0) : top + 36, max(left, 0) : left + 36] = False
         mask[rng.random(mask.shape) < 1e-3] = True
-    fields = FieldReader(untouched["dots"]).displacement(spoiled, ordered=True)
+    fields = FieldReader(no_contact["dots"]).displacement(spoiled, ordered=True)
     assert np.median(error(fields[-1], DEEP)) < 0.5
     assert np.quantile(error(fields[-1], DEEP), 0.95) < 4.0
 
 
-def test_a_marker_that_moves_against_all_others_is_let_go(untouched):
-    column, row = marker_centres(untouched["dots"])[33].astype(int)
+def test_a_marker_that_moves_against_all_others_is_let_go(no_contact):
+    column, row = marker_centres(no_contact["dots"])[33].astype(int)
     around = (slice(row - 17, row + 18), slice(column - 17, column + 18))
-    frame = untouched["dots"].copy()
+    frame = no_contact["dots"].copy()
     frame[around] = False
     frame = np.roll(frame, (-10, -10), (0, 1))
-    frame[row + 3 : row + 38, column + 3 : column + 38] |= untouched["dots"][around]
-    matcher = Matcher(untouched["dots"], smoothing=0.0)
+    frame[row + 3 : row + 38, column + 3 : column + 38] |= no_contact["dots"][around]
+    matcher = Matcher(no_contact["dots"], smoothing=0.0)
     match = matcher.step(frame)
     here = int(np.linalg.norm(matcher.markers - [column, row], axis=1).argmin())
     assert not match.known[here]
     assert np.abs(match.moved[here] + 10).max() < 1
 
 
-def test_fields_stay_finite_when_markers_leave_the_image(untouched):
-    frames = slid(untouched["dots"], 20, 8)
-    field = FieldReader(untouched["dots"]).displacement(frames, ordered=True)[-1]
+def test_fields_stay_finite_when_markers_leave_the_image(no_contact):
+    frames = slid(no_contact["dots"], 20, 8)
+    field = FieldReader(no_contact["dots"]).displacement(frames, ordered=True)[-1]
     assert np.isfinite(field).all()
     assert np.abs(field[INSIDE] - [140, 0]).max() < 3
 
 
-def test_growth_is_the_logarithm_of_how_areas_change(presses, untouched):
-    maps = FieldReader(untouched["dots"]).maps(presses["dots"], ordered=True)
+def test_growth_is_the_logarithm_of_how_areas_change(presses, no_contact):
+    maps = FieldReader(no_contact["dots"]).maps(presses["dots"], ordered=True)
     assert maps.shape == (len(STATES), 3, 32, 32)
     assert maps.dtype == np.float32
     columns, rows = (np.arange(32) + 0.5) * WIDTH / 32 - 0.5, (np.arange(32) + 0.5) * HEIGHT / 32
@@ -133,9 +133,9 @@ def test_growth_is_the_logarithm_of_how_areas_change(presses, untouched):
     assert np.corrcoef(maps[5, 2][middle].ravel(), area[middle].ravel())[0, 1] > 0.95
 
 
-def test_packed_frames_give_the_same_maps(presses, untouched):
+def test_packed_frames_give_the_same_maps(presses, no_contact):
     some = presses["grid"][:3]
-    reader = FieldReader(untouched["grid"])
+    reader = FieldReader(no_contact["grid"])
     plain = reader.maps(some, ordered=True)
     np.testing.assert_array_equal(reader.maps(pack(some), ordered=True), plain)
 
@@ -164,9 +164,9 @@ def test_sixteen_discs_are_followed_until_they_grow_together():
         assert np.abs(match.growth - growth).max() < 0.1
 
 
-def test_a_field_goes_over_to_another_scale_in_millimetres(presses, untouched):
+def test_a_field_goes_over_to_another_scale_in_millimetres(presses, no_contact):
     near, far = SensorView("near", 0.03, 0.03), SensorView("far", 0.06, 0.045)
-    reader = FieldReader(untouched["dots"])
+    reader = FieldReader(no_contact["dots"])
     field = reader.displacement(presses["dots"], ordered=True, source=near, target=far)[-1]
     middle = np.array([(WIDTH - 1) / 2, (HEIGHT - 1) / 2])
     for target in (np.array([240.0, 200.0]), np.array([400.0, 300.0])):
@@ -182,13 +182,13 @@ def test_a_reference_without_markers_is_refused():
         FieldReader(np.zeros((HEIGHT, WIDTH), np.bool_))
 
 
-def test_a_frame_without_markers_repeats_the_one_before(presses, untouched):
+def test_a_frame_without_markers_repeats_the_one_before(presses, no_contact):
     frames = presses["grid"][:5].copy()
     frames[4] = False
-    fields = FieldReader(untouched["grid"]).displacement(frames, ordered=True)
+    fields = FieldReader(no_contact["grid"]).displacement(frames, ordered=True)
     assert np.isfinite(fields).all()
     assert np.linalg.norm(fields[4] - fields[3], axis=-1).max() < 6
-    alone = FieldReader(untouched["grid"]).displacement(frames[4:], ordered=False)
+    alone = FieldReader(no_contact["grid"]).displacement(frames[4:], ordered=False)
     assert not alone.any()
 
 
@@ -202,9 +202,9 @@ def test_a_frame_without_markers_repeats_the_one_before(presses, untouched):
         np.zeros((2, 100), np.uint8),
     ],
 )
-def test_frames_that_are_no_masks_are_refused(untouched, frames):
+def test_frames_that_are_no_masks_are_refused(no_contact, frames):
     with pytest.raises(LearningError, match=r"frames: found .*; allowed: bool \(n, 480, 640\)"):
-        FieldReader(untouched["grid"]).maps(frames, ordered=True)
+        FieldReader(no_contact["grid"]).maps(frames, ordered=True)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 5, 6, 40])
@@ -234,13 +234,13 @@ def test_markers_on_one_line_give_a_finite_field():
     assert field == pytest.approx(1.0)
 
 
-def test_many_presses_at_once_are_the_presses_one_by_one(presses, untouched):
+def test_many_presses_at_once_are_the_presses_one_by_one(presses, no_contact):
     packed = pack(np.concatenate([presses["dots"][:3], presses["grid"][:4]]))
-    references = pack(np.stack([untouched["dots"], untouched["grid"]]))
+    references = pack(np.stack([no_contact["dots"], no_contact["grid"]]))
     many = PackedPresses(packed, np.array([0, 3, 7]), references, np.array([0] * 3 + [1] * 4))
     fields = fields_of_presses(many)
     assert fields.shape == (7, *LATTICE.shape)
-    one = FieldReader(untouched["grid"]).displacement(packed[3:], ordered=True)
+    one = FieldReader(no_contact["grid"]).displacement(packed[3:], ordered=True)
     np.testing.assert_array_equal(fields[3:], one.astype(np.float16))
     reported: list[tuple[int, int]] = []
     maps = fields_of_presses(many, "maps", progress=lambda *now: reported.append(now))
@@ -251,19 +251,19 @@ def test_many_presses_at_once_are_the_presses_one_by_one(presses, untouched):
 
 
 @pytest.mark.slow
-def test_two_processes_give_the_fields_of_one(presses, untouched):
+def test_two_processes_give_the_fields_of_one(presses, no_contact):
     count = 20
     packed = pack(np.concatenate([presses["dots"][:2]] * count))
     starts = 2 * np.arange(count + 1)
     zeros = np.zeros(2 * count, int)
-    many = PackedPresses(packed, starts, pack(untouched["dots"][None]), zeros)
+    many = PackedPresses(packed, starts, pack(no_contact["dots"][None]), zeros)
     np.testing.assert_array_equal(
         fields_of_presses(many, processes=2), fields_of_presses(many, processes=1)
     )
 
 
-def test_presses_that_do_not_fit_together_are_refused(presses, untouched):
-    packed, reference = pack(presses["dots"][:3]), pack(untouched["dots"][None])
+def test_presses_that_do_not_fit_together_are_refused(presses, no_contact):
+    packed, reference = pack(presses["dots"][:3]), pack(no_contact["dots"][None])
     zeros = np.zeros(3, int)
     with pytest.raises(LearningError, match="starts: "):
         PackedPresses(packed, np.array([0, 2]), reference, zeros)
@@ -273,6 +273,6 @@ def test_presses_that_do_not_fit_together_are_refused(presses, untouched):
         PackedPresses(packed[:, :5], np.array([0, 3]), reference, zeros)
 
 
-def test_the_score_of_two_masks(untouched):
-    assert dice(untouched["dots"], untouched["dots"]) == 1.0
-    assert dice(untouched["dots"], ~untouched["dots"]) == 0.0
+def test_the_score_of_two_masks(no_contact):
+    assert dice(no_contact["dots"], no_contact["dots"]) == 1.0
+    assert dice(no_contact["dots"], ~no_contact["dots"]) == 0.0

@@ -183,8 +183,8 @@ def test_interpolation_turns_at_a_constant_rate_about_one_axis(
 @given(vectors, vectors, st.floats(0, 1))
 def test_a_vector_and_its_wrap_interpolate_alike(first: Any, second: Any, weight: float) -> None:
     wrapped = second - 2 * np.pi * second / np.linalg.norm(second)
-    between = np.linalg.norm(rotation_of(matrix(first).T @ matrix(second)))
-    if between > np.pi - 1e-3:
+    angle = np.linalg.norm(rotation_of(matrix(first).T @ matrix(second)))
+    if angle > np.pi - 1e-3:
         return  # half a turn apart: both directions are equally short
     plain, other = interpolated(first, second, weight), interpolated(first, wrapped, weight)
     np.testing.assert_allclose(matrix(plain), matrix(other), atol=1e-9)

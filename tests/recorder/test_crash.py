@@ -4,6 +4,7 @@ Tested in two ways: by SIGKILL of a real process at random moments, and by stopp
 file system call of the writer in turn.
 """
 
+import errno
 import mmap
 import multiprocessing
 import os
@@ -26,6 +27,7 @@ from recorder import StreamSpec, StreamWriter, camera_spec, force_spec
 from recorder.session import stream_writer
 from recorder.session.reader import Stream
 from recorder.session.stream_writer import survey, unfinished_files
+from recorder.store import journal, shard
 from recorder.store.durable import Background
 from recorder.store.layout import StreamLayout, create_stream
 
@@ -87,6 +89,15 @@ def recover(path: Path) -> int:
     StreamWriter.open(path).close()
     assert unfinished_files(StreamLayout.load(path)) == ()
     return assert_every_row_is_itself(path)
+
+
+def test_the_reserved_space_of_an_older_killed_session_is_given_back(tmp_path: Path) -> None:
+    path = tmp_path / "force"
+    create_stream(path, force_spec(100))
+    StreamWriter.open(path).close()
+    (path / "t_ns" / "ballast").write_bytes(bytes(100))
+    assert unfinished_files(StreamLayout.load(path)) == (path / "t_ns" / "ballast",)
+    assert recover(path) == 0
 
 
 def record_until_killed(path: Path, accepted: mmap.mmap, slot: int, make: Any) -> None:
@@ -199,12 +210,24 @@ SCENARIOS = {
 @pytest.mark.parametrize(
     ("kind", "scenario"),
     [("images", scenario) for scenario in SCENARIOS]
+    + [
+        ("images ahead of which the file grows", "resume a short block"),
+        pytest.param(
+            "images ahead of which the file grows",
+            "cross a block and a shard of images",
+            marks=pytest.mark.slow,
+        ),
+    ]
     + [("numbers", "resume a short block"), ("numbers", "cross a block and a shard of images")],
 )
 def test_dying_in_front_of_any_file_operation_loses_nothing(
-    kind: str, scenario: str, tmp_path: Path
+    kind: str, scenario: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before, count = SCENARIOS[scenario]
+    if "ahead" in kind:
+        monkeypatch.setattr(journal, "_AHEAD_FROM", 1)
+        monkeypatch.setattr(shard, "STEP", 1000)
+    kind = kind.split()[0]
     make = image_row if kind == "images" else force_row
     origin = tmp_path / "origin"
     create_stream(origin, lossless_camera(60) if kind == "images" else force_spec(60))
@@ -269,10 +292,10 @@ def abandoned_with_nine_images(folder: Path) -> Path:
 
 def test_a_torn_tail_is_dropped_and_the_rest_kept(tmp_path: Path) -> None:
     path = abandoned_with_nine_images(tmp_path)
-    shard = next(path.glob("value/c/0/0/0/*.partial"))
-    shard.write_bytes(shard.read_bytes()[:-1])
-    journal = next(path.glob("t_ns/journal-0"))
-    journal.write_bytes(journal.read_bytes() + b"TRL1 half a record")
+    images = next(path.glob("value/c/0/0/0/*.partial"))
+    images.write_bytes(images.read_bytes()[:-1])
+    rows = next(path.glob("t_ns/journal-0"))
+    rows.write_bytes(rows.read_bytes() + b"TRL1 half a record")
     state = survey(StreamLayout.load(path))
     assert (state.rows, state.dropped_rows) == (8, 1)
     assert state.torn_bytes > len(b"half a record")
@@ -281,6 +304,50 @@ def test_a_torn_tail_is_dropped_and_the_rest_kept(tmp_path: Path) -> None:
 
 def test_an_image_without_its_row_does_not_count(tmp_path: Path) -> None:
     path = abandoned_with_nine_images(tmp_path)
-    journal = next(path.glob("t_ns/journal-0"))
-    journal.write_bytes(journal.read_bytes()[:-1])
+    rows = next(path.glob("t_ns/journal-0"))
+    rows.write_bytes(rows.read_bytes()[:-1])
     assert recover(path) == 8
+
+
+def test_zeros_ahead_of_the_records_are_no_torn_bytes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(journal, "_AHEAD_FROM", 1)
+    path = abandoned_with_nine_images(tmp_path)
+    images = next(path.glob("value/c/0/0/0/*.partial"))
+    assert images.stat().st_size == shard.STEP
+    assert survey(StreamLayout.load(path)).torn_bytes == 0
+    assert recover(path) == 9
+    assert next(path.glob("value/c/0/0/0/0")).stat().st_size < shard.STEP
+
+
+@pytest.mark.parametrize("room", [100, 1000, 5000])
+def test_a_disk_that_fills_while_the_file_grows_ahead_loses_no_row(
+    room: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(journal, "_AHEAD_FROM", 1)
+    path = tmp_path / "camera"
+    create_stream(path, lossless_camera(60))
+    stream = StreamWriter.open(path)
+    write = os.pwrite
+    left = room
+
+    def pwrite(fd: int, data: bytes, offset: int) -> int:
+        nonlocal left
+        if not left:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        # Only bytes behind the end of the file need space.
+        held = max(os.fstat(fd).st_size - offset, 0)
+        written = write(fd, data[: held + left], offset)
+        left -= max(written - held, 0)
+        return written
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "pwrite", pwrite)
+        patch.setattr(os, "pwritev", lambda fd, parts, at: pwrite(fd, b"".join(parts), at))
+        with pytest.raises(OSError, match="No space left"):  # noqa: PT012
+            while True:
+                stream.append(**image_row(stream.rows))
+    accepted = stream.rows
+    stream.close()
+    assert assert_every_row_is_itself(path) == accepted

@@ -75,7 +75,7 @@ def test_a_flipped_bit_in_a_shard_is_refused_or_changes_no_value(
     path = tmp_path / "s.zarr"
     shutil.copytree(request.getfixturevalue(kind), path)
     session, dice = Session(path), random.Random(7)
-    refused = 0
+    rejected = 0
     for name, stream in session.streams.items():
         good = columns_of(stream)
         for shard in sorted(p for p in stream.layout.path.glob("*/c/**/*") if p.is_file()):
@@ -85,9 +85,9 @@ def test_a_flipped_bit_in_a_shard_is_refused_or_changes_no_value(
                 try:
                     assert same(columns_of(Stream(stream.layout.path)), good), f"{name} {shard}"
                 except SessionError:
-                    refused += 1
+                    rejected += 1
                 shard.write_bytes(whole)
-    assert refused > 10
+    assert rejected > 10
 
 
 def test_a_swapped_chunk_is_refused_although_its_own_checksum_matches(tmp_path: Path) -> None:

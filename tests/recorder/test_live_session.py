@@ -1,5 +1,6 @@
 """A session that is being recorded, or whose writer was killed, shows every complete row."""
 
+import errno
 import shutil
 import threading
 from pathlib import Path
@@ -17,6 +18,10 @@ from recorder import (
     force_spec,
     recover,
 )
+from recorder.session.reader import Stream
+from recorder.session.tail import LiveStream
+from recorder.store.journal import HEADER, Journal
+from recorder.store.layout import StreamLayout, create_stream
 
 TARGETS = {
     "point": np.zeros(1, np.int16),
@@ -64,8 +69,8 @@ def test_every_row_is_readable_while_it_is_recorded_and_after_a_kill(tmp_path: P
     path = tmp_path / "s.zarr"
     with (
         begin(path) as writer,
-        StreamWriter.open(writer.stream_path("camera")) as camera,
-        StreamWriter.open(writer.stream_path("force")) as gauge,
+        StreamWriter.open(writer.stream_path("camera"), sync_interval=60) as camera,
+        StreamWriter.open(writer.stream_path("force"), sync_interval=60) as gauge,
     ):
         # Blocks of 64 rows; a shard of images holds 64, one of the other columns 4096 rows.
         for row in range(300):
@@ -123,6 +128,64 @@ def test_follow_yields_each_row_once_in_order_until_the_session_is_closed(tmp_pa
     assert [row.columns["value"][0, 0, 0] for row in seen["camera"]] == [
         row % 251 + 1 for row in range(250)
     ]
+
+
+def bytes_read() -> int:
+    """Return the bytes that this process has read from files so far."""
+    return int(Path("/proc/self/io").read_text().split()[1])
+
+
+def test_following_reads_each_byte_once(tmp_path: Path) -> None:
+    create_stream(tmp_path / "camera", camera_spec(20, height=64, width=64, codec="zstd"))
+    noise = np.random.default_rng(0)
+    with StreamWriter.open(tmp_path / "camera") as camera:
+
+        def append() -> int:
+            """Append a row and return the size of its records."""
+            pixels = noise.integers(0, 255, (64, 64, 3), np.uint8)
+            camera.append(value=pixels, device_t=0.0, t_ns=1)
+            return pixels.nbytes + 16 + 3 * HEADER.size
+
+        for _ in range(40):
+            append()
+        tail = LiveStream(StreamLayout.load(tmp_path / "camera"))
+        start = bytes_read()
+        assert tail.update().rows == 40
+        assert bytes_read() - start > 40 * 64 * 64 * 3
+        for rows in range(41, 200):  # through three shards of images and of journals
+            added = append()
+            start = bytes_read()
+            assert tail.update().rows == rows
+            # A few headers are looked at again, and a new journal or shard is small at first.
+            assert bytes_read() - start < added + 2000
+        start = bytes_read()
+        assert tail.update().rows == 199
+        assert bytes_read() - start < 500
+
+
+def test_following_sees_that_an_image_was_removed_on_a_full_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    create_stream(tmp_path / "camera", camera_spec(20, height=4, width=4, codec="zstd"))
+    tail = LiveStream(StreamLayout.load(tmp_path / "camera"))
+    stream = Stream(tmp_path / "camera", live=True)
+    with StreamWriter.open(tmp_path / "camera") as camera:
+        camera.append(**picture(0))
+
+        def full(*_: Any) -> None:
+            tail.update()  # has seen the image whose row cannot be written
+            raise OSError(errno.ENOSPC, "full")
+
+        with monkeypatch.context() as patch:
+            patch.setattr(Journal, "append", full)
+            with pytest.raises(OSError, match="full"):
+                camera.append(**picture(1))
+        assert tail.columns["value"].chunks == 2
+        assert tail.update().rows == 1
+        camera.append(**picture(7))
+        assert tail.update().rows == 2
+        stream.refresh()
+        assert stream.images([1])[0, 0, 0, 0] == 8
 
 
 def test_follow_ends_after_a_time_without_rows_and_names_an_unknown_stream(tmp_path: Path) -> None:

@@ -45,7 +45,7 @@ def sampled(
     Args:
         rate_hz: Declared rate.
         seconds: Duration [s].
-        actual: Actual rate as a share of the declared one.
+        actual: Actual rate as a fraction of the declared one.
         jitter: Mean delay of a sample in periods.
         seed: Seed of the delays.
     """
@@ -220,7 +220,7 @@ def test_what_is_deleted_from_a_stream_is_found_in_that_stream_alone(
     account = account_of(session, name)
     assert account.lost == lost
     assert found.message.startswith(f"{lost} samples lost in {account.places} places")
-    # Each target's share, by the times of the samples that are gone.
+    # Each target's part, by the times of the samples that are gone.
     gone = T0 + np.setdiff1d(rows[: there[-1]], there) / RATES[name] * 1e9
     segments = session.segments
     for target in np.unique(segments["target"]):
@@ -244,7 +244,7 @@ def test_a_row_is_invalid_where_a_sample_that_it_needs_is_lost(tmp_path: Path) -
         assert np.abs(bad - lost_ns).max() < 60e6
 
 
-def test_a_stream_without_numbers_or_times_says_that_drops_cannot_be_seen(tmp_path: Path) -> None:
+def test_a_stream_without_numbers_or_times_says_that_drops_are_inferred(tmp_path: Path) -> None:
     def silent(stream: str, columns: Columns) -> Columns:
         if stream != "camera":
             return columns
@@ -253,8 +253,8 @@ def test_a_stream_without_numbers_or_times_says_that_drops_cannot_be_seen(tmp_pa
     path = make_session(tmp_path / "s.zarr", seconds=1.6, shape=(24, 32), change=silent)
     notes = {finding.code: finding for finding in check(path) if finding.level == "note"}
     assert notes["drops-unseen"].where == "streams/camera"
-    assert "drops cannot be seen" in notes["drops-unseen"].message
-    assert "drops cannot be seen" in describe(path)
+    assert "drops are inferred" in notes["drops-unseen"].message
+    assert "drops are inferred" in describe(path)
     assert faults(check(path)) == []
 
 

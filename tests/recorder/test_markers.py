@@ -94,7 +94,7 @@ def test_the_lattice_reaches_beyond_the_image_on_every_side() -> None:
 
 
 def coverage(centre: NDArray[np.float64], radius: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the share of each pixel that the discs cover, by 16 x 16 samples per pixel."""
+    """Return the fraction of each pixel that the discs cover, by 16 x 16 samples per pixel."""
     inside = np.zeros((HEIGHT, WIDTH))
     offset = (np.arange(16) + 0.5) / 16 - 0.5
     for (column, row), reach in zip(centre, radius, strict=True):
@@ -103,16 +103,16 @@ def coverage(centre: NDArray[np.float64], radius: NDArray[np.float64]) -> NDArra
         y = (top + np.arange(span))[:, None] + offset
         x = (left + np.arange(span))[:, None] + offset
         near = (y.ravel()[:, None] - row) ** 2 + (x.ravel()[None] - column) ** 2 <= reach**2
-        share = near.reshape(span, 16, span, 16).mean(axis=(1, 3))
+        fraction = near.reshape(span, 16, span, 16).mean(axis=(1, 3))
         rows, columns = np.arange(top, top + span), np.arange(left, left + span)
         kept = np.ix_((rows >= 0) & (rows < HEIGHT), (columns >= 0) & (columns < WIDTH))
         block = inside[np.clip(top, 0, None) :, np.clip(left, 0, None) :]
-        block = block[: share[kept].shape[0], : share[kept].shape[1]]
-        block[...] = np.maximum(block, share[kept])
+        block = block[: fraction[kept].shape[0], : fraction[kept].shape[1]]
+        block[...] = np.maximum(block, fraction[kept])
     return inside
 
 
-def test_an_untouched_sensor_is_sixteen_discs_of_481_pixels_at_their_places() -> None:
+def test_a_sensor_without_contact_is_sixteen_discs_of_481_pixels_at_their_places() -> None:
     mask = draw_discs(np.zeros((16, 3), np.int32))
     blobs = find_blobs(mask[None])
     assert len(blobs) == 16
@@ -127,9 +127,9 @@ def test_a_pixel_is_set_where_a_disc_covers_more_than_50_of_255() -> None:
     counts[..., 2] = generator.uniform(-2000, 40_000, (6, 16))
     masks = draw_discs(counts)
     for mask, centre, radius in zip(masks, *place_discs(counts), strict=True):
-        share = coverage(centre, radius)
-        sure = np.abs(share - 50 / 255) > 0.02
-        np.testing.assert_array_equal(mask[sure], (share > 50 / 255)[sure])
+        fraction = coverage(centre, radius)
+        sure = np.abs(fraction - 50 / 255) > 0.02
+        np.testing.assert_array_equal(mask[sure], (fraction > 50 / 255)[sure])
         assert np.count_nonzero(~sure) < 200  # only few pixels are that close to the limit
 
 
@@ -158,11 +158,11 @@ def test_shifts_centres_and_sizes_keep_their_limits() -> None:
 
 def test_frames_are_drawn_alike_alone_and_together() -> None:
     counts = np.random.default_rng(4).normal(0, 2000, (70, 16, 3))
-    together = draw_discs(counts)
-    assert together.shape == (70, HEIGHT, WIDTH)
+    batched = draw_discs(counts)
+    assert batched.shape == (70, HEIGHT, WIDTH)
     for frame in (0, 63, 64, 69):
-        np.testing.assert_array_equal(together[frame], draw_discs(counts[frame]))
-    np.testing.assert_array_equal(draw_discs(counts.reshape(7, 10, 16, 3))[6, 9], together[69])
+        np.testing.assert_array_equal(batched[frame], draw_discs(counts[frame]))
+    np.testing.assert_array_equal(draw_discs(counts.reshape(7, 10, 16, 3))[6, 9], batched[69])
     assert draw_discs(counts[:0]).shape == (0, HEIGHT, WIDTH)
 
 
@@ -193,9 +193,9 @@ def test_a_disc_map_that_draws_nothing_names_its_field(field: str, value: float)
 # ----------------------------------------------------------------------------------- counting
 
 
-@pytest.mark.parametrize("share", [0.02, 0.3, 0.55, 0.6, 0.9])
-def test_patches_are_those_of_scipy(share: float) -> None:
-    masks = np.random.default_rng(int(100 * share)).random((3, 90, 130)) < share
+@pytest.mark.parametrize("fraction", [0.02, 0.3, 0.55, 0.6, 0.9])
+def test_patches_are_those_of_scipy(fraction: float) -> None:
+    masks = np.random.default_rng(int(100 * fraction)).random((3, 90, 130)) < fraction
     blobs = find_blobs(masks)
     for frame, mask in enumerate(masks):
         label, count = ndimage.label(mask)
@@ -298,8 +298,8 @@ def test_markers_that_grow_together_are_flagged_as_such() -> None:
 def with_flank(mask: Mask) -> tuple[Mask, NDArray[np.float16]]:
     """Return the mask with columns 260 to 300 seen nearly edge-on, and the matching field."""
     knees, moved = np.array([-200, 260, 300, 600, 900]), np.array([0.0, 0, -39, 0, 0])
-    untouched = np.interp(np.arange(WIDTH), knees + moved, knees)
-    column = np.round(untouched).astype(int).clip(0, WIDTH - 1)
+    no_contact = np.interp(np.arange(WIDTH), knees + moved, knees)
+    column = np.round(no_contact).astype(int).clip(0, WIDTH - 1)
     field = np.zeros(Lattice().shape)
     field[..., 0] = np.interp(Lattice().columns, knees, moved)
     field[:2] = np.nan  # without material

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import pickle
+import shutil
+import sys
 import tracemalloc
 from collections import Counter
 from dataclasses import fields
@@ -174,6 +177,7 @@ def test_what_was_released_is_read_again_and_a_copy_begins_empty(recorded: Path)
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(600)  # 200 sessions
 def test_windows_over_200_open_sessions_need_no_more_memory(
     recorded: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -201,3 +205,43 @@ def test_windows_over_200_open_sessions_need_no_more_memory(
     # Far less than one column of each session (172 kB), and no growth.
     assert first < RECENT.limit + 200 * 20_000
     assert max(later) < first + 200 * 5_000
+
+
+class WindowsOfSessions:
+    """Windows of many sessions at random, as a data set of PyTorch; items are memory in bytes."""
+
+    def __init__(self, paths: list[Path]) -> None:
+        self.sessions = [Session(path) for path in paths]
+        span = span_of_run(self.sessions[0], 0)
+        assert span is not None
+        self.span = span
+
+    def __len__(self) -> int:
+        return len(self.sessions)
+
+    def __getitem__(self, number: int) -> int:
+        rng = np.random.default_rng()
+        for _ in range(4):
+            window = self.sessions[number].window(int(rng.integers(*self.span)), 4)
+        assert window.image is not None
+        rollup = Path("/proc/self/smaps_rollup").read_text()
+        return 1024 * int(rollup.split("Anonymous:")[1].split()[0])
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)  # 200 sessions
+@pytest.mark.skipif(sys.platform != "linux", reason="memory is read from /proc")
+def test_a_data_loader_over_200_sessions_does_not_grow_after_its_first_epochs(
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = pytest.importorskip("torch.utils.data")
+    monkeypatch.setattr(RECENT, "limit", 8 << 20)  # full within the first epoch
+    paths = [tmp_path / f"{number}.zarr" for number in range(200)]
+    for path in paths:
+        shutil.copytree(recorded, path, copy_function=os.link)
+    loader = data.DataLoader(
+        WindowsOfSessions(paths), shuffle=True, num_workers=2, persistent_workers=True
+    )
+    peaks = [max(int(item) for item in loader) for _ in range(6)]
+    assert peaks[0] > 20 << 20  # measured at all
+    assert max(peaks[3:]) < peaks[2] + (3 << 20), [peak >> 20 for peak in peaks]

@@ -1,4 +1,4 @@
-"""Progress: nothing at first, then the share done and the time left, as a bar or as lines."""
+"""Progress: nothing at first, then the fraction done and the time left, as a bar or as lines."""
 
 from __future__ import annotations
 

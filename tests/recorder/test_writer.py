@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import simplejpeg
 import zarr
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -17,6 +18,7 @@ from recorder.session import stream_writer
 from recorder.session.reader import Stream
 from recorder.store import journal
 from recorder.store.layout import StreamLayout, create_stream
+from recorder.store.tables import Table, write_table
 
 BLOCK = 64  # rows per journal at camera rates, and frames per image shard
 
@@ -85,6 +87,18 @@ def test_a_stream_longer_than_a_shard_of_small_columns_reads_back(tmp_path: Path
     np.testing.assert_array_equal(np.asarray(group["a"])[:, 1], -np.arange(rows))
     np.testing.assert_array_equal(np.asarray(group["b"]), np.arange(rows) / 2)
     np.testing.assert_array_equal(np.asarray(group["t_ns"]), np.arange(rows))
+
+
+@pytest.mark.parametrize("rows", [0, 1, 8192, 8193, 20_000])
+def test_a_table_of_any_length_reads_back(rows: int, tmp_path: Path) -> None:
+    numbers = np.arange(rows)
+    columns = {"row": numbers, "force": np.stack([numbers + 0.5, -numbers], axis=1)}
+    write_table(tmp_path / "table", columns, {})
+    table = Table.of_group(tmp_path / "table")
+    group = zarr.open_group(tmp_path / "table", mode="r")
+    for name, values in columns.items():
+        np.testing.assert_array_equal(table[name], values)
+        np.testing.assert_array_equal(np.asarray(group[name]), values)
 
 
 def test_a_dark_frame_is_stored_like_any_other(tmp_path: Path) -> None:
@@ -192,6 +206,25 @@ def test_a_wrong_image_is_refused(codec: str, image: Any, message: str, tmp_path
         assert stream.rows == 0
 
 
+def test_a_wrong_jpeg_after_right_ones_is_refused(tmp_path: Path) -> None:
+    def jpeg(value: int, side: int = 16) -> bytes:
+        data: bytes = simplejpeg.encode_jpeg(np.full((side, 16, 3), value, np.uint8))
+        return data
+
+    create_stream(tmp_path / "camera", camera_spec(60, height=16, width=16, codec="jpeg"))
+    right = jpeg(1)
+    cut = right[: right.index(b"\xff\xda")]  # before its coded picture
+    commented = right[:2] + b"\xff\xfe\x00\x06abcd" + right[2:]
+    accepted = [right, jpeg(200), commented, commented, right]
+    with StreamWriter.open(tmp_path / "camera") as stream:
+        for image in accepted:
+            stream.append(value=image, device_t=0.0, t_ns=1)
+            for wrong in (jpeg(1, side=32), cut, commented[:40], b"\x00" + image[1:]):
+                with pytest.raises(SessionError, match=r"found no JPEG|found JPEG 32x16"):
+                    stream.append(value=wrong, device_t=0.0, t_ns=1)
+    assert list(Stream(tmp_path / "camera").jpegs(range(5))) == accepted
+
+
 class SmallDisk:
     """Replacement for the writer's file system calls, with limited capacity.
 
@@ -236,19 +269,19 @@ def test_a_full_disk_loses_no_accepted_row_and_can_be_closed(
     with pytest.raises(OSError, match="No space left"):
         stream.append(**camera_row(accepted))
     assert stream.rows == accepted
-    disk.room = stream_writer._BALLAST_BYTES  # space that closing frees before it seals
+    disk.room = stream_writer._RESERVED_BYTES  # space that closing frees before it seals
     stream.close()
     assert_holds_exactly(path, accepted)
 
 
-def test_the_ballast_covers_what_closing_writes(
+def test_the_reserved_space_covers_what_closing_writes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tiny_camera(tmp_path / "camera")
     stream = StreamWriter.open(path, sync_interval=30)
     for row in range(BLOCK - 1):
         stream.append(**camera_row(row))
-    reserved_space = (path / "t_ns" / "ballast").stat().st_size
+    reserved_space = (path / "t_ns" / "reserved").stat().st_size
     disk = SmallDisk(monkeypatch, reserved_space)
     stream.close()
     assert disk.room > 0

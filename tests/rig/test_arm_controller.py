@@ -113,9 +113,9 @@ def test_a_move_follows_a_straight_line_within_its_speed(client):
         places.append(client.controller.robot.pose[:3].copy())
         speeds.append(np.linalg.norm(client.controller.robot.speed[:3]))
     way = (goal - START)[:3]
-    share = (np.array(places) - START[:3]) @ way / (way @ way)
-    assert_allclose(np.array(places), START[:3] + share[:, None] * way, atol=1e-12)
-    assert (np.diff(share) >= 0).all()
+    fraction = (np.array(places) - START[:3]) @ way / (way @ way)
+    assert_allclose(np.array(places), START[:3] + fraction[:, None] * way, atol=1e-12)
+    assert (np.diff(fraction) >= 0).all()
     assert max(speeds) == pytest.approx(0.05, rel=1e-6)
 
 

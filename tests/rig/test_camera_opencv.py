@@ -238,7 +238,7 @@ def test_frames_of_the_world_carry_the_time_of_its_state(host: str) -> None:
 
 
 @pytest.fixture(name="any_state")
-def untouched_state() -> Any:
+def no_contact_state() -> Any:
     return np.zeros(1, WORLD_STATE)[0]
 
 

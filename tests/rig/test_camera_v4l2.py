@@ -243,7 +243,7 @@ driver = V4l2Driver(CameraConfig(**options), SystemClock())
 found = {"samples": [], "error": None}
 try:
     driver.open(1.0)
-    found["facts"] = driver.describe()
+    found["properties"] = driver.describe()
     while len(found["samples"]) < 200:
         for sample in driver.read(1.0):
             value = sample["value"]
@@ -305,10 +305,10 @@ def test_jpeg_frames_carry_the_buffers_own_monotonic_time_until_the_camera_is_un
     shim: Path,
 ) -> None:
     found = seen(shim, {"exposure": 0.02, "gain": 12}, unplug_after=40)
-    assert found["facts"]["backend"] == "V4L2"
-    assert found["facts"]["jpeg_bytes_kept"] is True
-    assert found["facts"]["device_clock"] == "monotonic"
-    assert found["facts"]["rate_hz"] == 100.0
+    assert found["properties"]["backend"] == "V4L2"
+    assert found["properties"]["jpeg_bytes_kept"] is True
+    assert found["properties"]["device_clock"] == "monotonic"
+    assert found["properties"]["rate_hz"] == 100.0
     assert len(found["samples"]) >= 35
     for sample in found["samples"]:
         number, t_ns = sample["stamp"]
@@ -333,7 +333,7 @@ def test_frames_that_the_node_lost_are_gaps_in_its_numbers(shim: Path) -> None:
     lost = numbers[-1] - numbers[0] + 1 - len(numbers)
     assert lost >= 8
     assert found["dropped"] == lost
-    assert found["facts"]["numbering"] == "device"
+    assert found["properties"]["numbering"] == "device"
 
 
 def test_a_camera_that_falls_silent_is_lost(shim: Path) -> None:
@@ -351,7 +351,7 @@ def test_a_camera_that_never_sends_is_lost_when_it_is_opened(shim: Path) -> None
 
 def test_yuyv_frames_come_as_rgb(shim: Path) -> None:
     found = seen(shim, {"fourcc": "YUYV"}, mjpg=False, unplug_after=20)
-    assert found["facts"]["jpeg_bytes_kept"] is False
+    assert found["properties"]["jpeg_bytes_kept"] is False
     sample = found["samples"][-1]
     assert sample["shape"] == [480, 640, 3]
     red, green, blue = sample["pixel"]

@@ -161,7 +161,7 @@ def test_a_watched_grip_is_lost_whatever_way(
     assert why in (watch.lost or "")
 
 
-def test_one_spoilt_answer_is_no_lost_grip(gripper: RobotiqEmulator, watch: GripWatch) -> None:
+def test_one_corrupt_answer_is_no_lost_grip(gripper: RobotiqEmulator, watch: GripWatch) -> None:
     watch.open(2.0)
     gripper.inject("garbage", messages=1)
     seen = watch.polls
@@ -213,7 +213,7 @@ def do(fault):
     delays.append((clock.now_ns() - began_ns) / 1e6)
     seen.append([fault, *look()])
 with Interlocks(bench, control, clock) as interlocks:
-    facts = interlocks.open()
+    properties = interlocks.open()
     while not emulator.inject("state")["clients"]:
         clock.sleep_until(clock.now_ns() + 5_000_000)
     seen.append(["begin", *look()])
@@ -226,27 +226,27 @@ with Interlocks(bench, control, clock) as interlocks:
         clock.sleep_until(clock.now_ns() + 5_000_000)
     do("press")
 emulator.close()
-print(json.dumps({"seen": seen, "delays": delays, "facts": facts}))
+print(json.dumps({"seen": seen, "delays": delays, "properties": properties}))
 """
 HOLD, LET_GO = "press and hold the foot pedal", "let go of the foot pedal, then press and hold it"
 RELEASED = "DeadManReleased: the foot pedal was released"
 UNPLUGGED = "DeadManReleased: the foot pedal was unplugged"
 
 
-def sentinels_saw(folder: Path, mode: str) -> dict[str, list[object]]:
+def interlocks_saw(folder: Path, mode: str) -> dict[str, list[object]]:
     bench = BENCHES / "tacpalm.yaml"
     text = hidraw_nodes.run(
         hidraw_nodes.library(folder), INTERLOCKS, str(folder / "pedal.hidraw"), mode, str(bench)
     )
     found = json.loads(text)
-    print(f"from foot to waking the walk: {[round(ms, 1) for ms in found['delays']]} ms")
-    assert found["facts"]["pedal"]["mode"] == mode
+    print(f"from the foot to waking the runner: {[round(ms, 1) for ms in found['delays']]} ms")
+    assert found["properties"]["pedal"]["mode"] == mode
     seen = {name: rest for name, *rest in found["seen"][:-1]}
     return seen | {"again": found["seen"][-1][1:], "first press": found["seen"][1][1:]}
 
 
 def test_a_dead_man_pedal_arms_by_a_press_and_says_what_it_waits_for(tmp_path: Path) -> None:
-    seen = sentinels_saw(tmp_path, "dead_man")
+    seen = interlocks_saw(tmp_path, "dead_man")
     assert seen["begin"] == [RELEASED, False, HOLD, []]
     # The check right after a press still finds it unarmed; the query arms it.
     assert seen["first press"] == [RELEASED, True, LET_GO, []]
@@ -262,7 +262,7 @@ def test_a_dead_man_pedal_arms_by_a_press_and_says_what_it_waits_for(tmp_path: P
 def test_a_pause_pedal_toggles_the_pause_and_asks_for_one_when_it_is_taken_out(
     tmp_path: Path,
 ) -> None:
-    seen = sentinels_saw(tmp_path, "pause")
+    seen = interlocks_saw(tmp_path, "pause")
     assert seen["begin"][-1] == []
     assert seen["first press"][-1] == ["foot pedal"]
     assert seen["release"][-1] == ["foot pedal"]

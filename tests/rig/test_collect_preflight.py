@@ -112,10 +112,10 @@ def test_a_still_gauge_is_tared_and_a_restless_or_silent_one_refused() -> None:
 def test_contact_before_the_press_is_refused_on_every_axis(axis: int, sign: int) -> None:
     force = np.zeros(6)
     force[axis] = sign * 0.29
-    preflight.check_untouched(BENCH, BENCH.gauges[0], force, point=3)
+    preflight.check_no_contact(BENCH, BENCH.gauges[0], force, point=3)
     force[axis] = sign * 0.31
     with pytest.raises(SafetyStop, match=f"point 3: F{'xyz'[axis]} is"):
-        preflight.check_untouched(BENCH, BENCH.gauges[0], force, point=3)
+        preflight.check_no_contact(BENCH, BENCH.gauges[0], force, point=3)
 
 
 def _measuring(*axes: Any) -> Bench:
@@ -129,11 +129,11 @@ def test_nan_hides_no_contact(axis: int) -> None:
     force = np.zeros(6)
     force[axis], force[(axis + 1) % 3] = np.nan, -10.0
     with pytest.raises(DeviceLost, match=f"F{'xyz'[axis]} not a number above point 3"):
-        preflight.check_untouched(BENCH, BENCH.gauges[0], force, point=3)
+        preflight.check_no_contact(BENCH, BENCH.gauges[0], force, point=3)
     others: Any = [f"F{name}" for place, name in enumerate("xyz") if place != axis]
     bench = _measuring(*others)
     with pytest.raises(SafetyStop, match=r"is -10\.00 N before the press"):
-        preflight.check_untouched(bench, bench.gauges[0], force, point=3)
+        preflight.check_no_contact(bench, bench.gauges[0], force, point=3)
 
 
 def test_an_axis_that_is_not_measured_needs_no_tare() -> None:

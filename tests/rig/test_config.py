@@ -14,6 +14,7 @@ from rig.bench.bench import find_bench, load_bench
 from rig.core.config import build, read_yaml
 from rig.core.errors import ConfigError
 from rig.core.packaged import BENCHES, CAMPAIGNS, packaged
+from trajectories import dry_run
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,6 +139,10 @@ TARGETS = {
     "gelsight-hetero": 160,
     "uskin": 160,
     "tacpalm": 160,
+    **dict.fromkeys(("array-i", "array-ii", "circle-i", "circle-ii", "diamond-i"), 240),
+    **dict.fromkeys(("r6", "r8", "r10", "r12", "r14", "r16", "r18"), 48),
+    "gelsight-mini": 240,
+    "digit": 160,
 }
 
 
@@ -147,6 +152,11 @@ def test_every_bench_in_the_repository_loads_with_the_papers_targets(sensor: str
     assert bench.sensor == sensor
     assert bench.mock
     assert len(bench.trajectory) == TARGETS[sensor]
+    arm = bench.arm
+    walked = dry_run(
+        bench.trajectory, bench.plan_limits, speed=arm.speed, acceleration=arm.acceleration
+    )
+    assert walked.broken == ()
     assert content["mock"] is True
 
 

@@ -16,7 +16,7 @@ import pytest
 
 from rig.core.clock import SystemClock
 from rig.core.config import READER
-from rig.core.emulation import UNTOUCHED_DEPTH, Served, SharedWorld
+from rig.core.emulation import NO_CONTACT_DEPTH, Served, SharedWorld
 from rig.core.samples import WORLD_STATE
 from rig.core.shared_memory import SharedLatest
 from rig.devices.arm.settings import ArmConfig
@@ -50,8 +50,8 @@ def state(t_ns: int, fz: float) -> np.ndarray:
 def test_before_the_first_state_nothing_is_touched_even_without_a_file(tmp_path: Path) -> None:
     path = tmp_path / "world"
     world = SharedWorld(path)
-    number, untouched = world.state()
-    assert (number, untouched["depth"], untouched["t_ns"]) == (0, UNTOUCHED_DEPTH, 0)
+    number, no_contact = world.state()
+    assert (number, no_contact["depth"], no_contact["t_ns"]) == (0, NO_CONTACT_DEPTH, 0)
     record = SharedLatest.create(path, WORLD_STATE)
     assert world.state()[0] == 0
     for k in (1, 2):

@@ -17,7 +17,7 @@ from rig.core import emulation
 from rig.core.clock import FakeClock, SystemClock
 from rig.core.emulation import FaultPort
 from rig.core.errors import DeviceLost
-from rig.core.fault_injection import FAULTS, FaultInjector, corrupted_bytes, spoilt_text
+from rig.core.fault_injection import FAULTS, FaultInjector, corrupted_bytes, corrupted_text
 from rig.core.samples import WORLD_STATE
 from rig.devices.arm import emulator_faults
 from rig.devices.arm.emulated_arm import POSTURE, flange_pose
@@ -49,7 +49,7 @@ def clock_of_its_own() -> FakeClock:
 
 
 def text_line(clock: FakeClock, **options: Any) -> FaultInjector[str]:
-    return FaultInjector[str](clock, spoil=spoilt_text, **options)
+    return FaultInjector[str](clock, spoil=corrupted_text, **options)
 
 
 def sent(line: FaultInjector[str], clock: FakeClock, count: int) -> list[str]:
@@ -341,7 +341,7 @@ def test_three_bad_messages_are_counted_and_the_stream_goes_on(device: str, host
     with streaming(device, host) as (driver, inject):
         inject("garbage", messages=3)
         collect(driver, 20)
-        assert driver.rejected["spoilt"] == 3
+        assert driver.rejected["corrupt"] == 3
 
 
 def number_of(device: str, sample: dict[str, Any]) -> float:

@@ -171,16 +171,16 @@ def test_the_wrench_is_in_newton_and_newton_metre(link: Path, form: str) -> None
         assert driver.describe()["replies"] == {}
 
 
-@pytest.mark.parametrize(("form", "carried"), [("binary", 295.4), ("ascii", 85.3)])
+@pytest.mark.parametrize(("form", "line_rate"), [("binary", 295.4), ("ascii", 85.3)])
 def test_the_emulator_sends_no_more_than_the_line_carries(
-    link: Path, form: str, carried: float
+    link: Path, form: str, line_rate: float
 ) -> None:
     with (
         emulated(link, rate_hz=38400 / 10 / RECORD_BYTES["binary"]) as emulator,
         opened(link, records=form) as driver,
     ):
         collect(driver, 3)
-        assert emulator.rate_hz == pytest.approx(carried, abs=0.1)
+        assert emulator.rate_hz == pytest.approx(line_rate, abs=0.1)
 
 
 def test_a_rate_the_line_cannot_carry_is_refused() -> None:
@@ -205,7 +205,7 @@ def test_lost_bytes_cost_records_and_never_make_false_ones(link: Path, form: str
             # Noise is 0.01 N; a record combined from two would be off by newtons.
             assert np.abs(values[:, :3] - WRENCH[:3]).max() < 0.25
             assert driver.dropped >= 4
-            assert driver.rejected == {"spoilt": driver.corrupt}
+            assert driver.rejected == {"corrupt": driver.corrupt}
             marked = [k for k, sample in enumerate(samples) if sample["status"] & LOST_BEFORE]
             numbers = [sample["seq"] for sample in samples]
             gaps = [k for k in range(1, len(numbers)) if numbers[k] != numbers[k - 1] + 1]

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.cal_files import emit_calibration
 
 from rig.core.errors import ConfigError
 from rig.core.packaged import BENCHES
@@ -18,7 +19,6 @@ from rig.devices.force.calibration import (
     FORCE_UNITS,
     TORQUE_UNITS,
     TransducerCalibration,
-    emit_calibration,
     parse_calibration,
     read_calibration,
 )

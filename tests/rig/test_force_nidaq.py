@@ -14,13 +14,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.cal_files import emit_calibration
 
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.packaged import BENCHES
 from rig.core.samples import WORLD_STATE
 from rig.devices.force import nidaq_task
-from rig.devices.force.calibration import emit_calibration, read_calibration
+from rig.devices.force.calibration import read_calibration
 from rig.devices.force.nidaq import NidaqDriver
 from rig.devices.force.nidaq_emulator import NidaqEmulator, NidaqEmulatorConfig
 from rig.devices.force.sample_clock import BEYOND_RATING, LOST_BEFORE, SATURATED

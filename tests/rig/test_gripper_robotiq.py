@@ -172,7 +172,7 @@ def test_another_slave_address_is_met_with_silence(public: minimalmodbus.Instrum
     assert parse_status(public.read_registers(0x07D0, 3)).holding
 
 
-def test_a_spoilt_request_is_met_with_silence_and_the_next_one_is_answered(
+def test_a_corrupt_request_is_met_with_silence_and_the_next_one_is_answered(
     emulator: RobotiqEmulator,
 ) -> None:
     with serial.Serial(emulator.address, 115200, timeout=0.2) as port:

@@ -9,6 +9,7 @@ from rig.core.clock import FakeClock
 from rig.core.geometry import transform
 from rig.core.guard import AXES, Guard, GuardLimits, judge_safety, outside_box
 from rig.core.samples import FORCE_LATEST, POSE_LATEST
+from trajectories import dome_height
 
 RATING = (10.0, 11.0, 12.0, 0.1, 0.2, 0.3)
 BOX = ((-0.02, -0.03, -0.001), (0.02, 0.03, 0.1))
@@ -37,7 +38,7 @@ def check(guard: Guard, clock: FakeClock, value=(0.0,) * 6, mode="guarded", **pl
 
 
 def ramp(rate: float, *, axis: int = 2, mode="guarded", steps: int = 400):
-    """Apply a force growing at `rate` [N/s], sampled at 4 ms; return load share and violation."""
+    """Apply a force growing at `rate` [N/s], sampled at 4 ms; return load and violation."""
     guard, clock = Guard(LIMITS, FRAME), FakeClock()
     for _ in range(steps):
         clock.advance(0.004)
@@ -56,11 +57,11 @@ def test_nothing_wrong_is_no_verdict():
 @pytest.mark.parametrize("axis", range(6))
 @pytest.mark.parametrize("sign", [-1, 1])
 @pytest.mark.parametrize(
-    ("share", "kind"), [(0.849, None), (0.851, "force_soft"), (1.001, "force_hard")]
+    ("fraction", "kind"), [(0.849, None), (0.851, "force_soft"), (1.001, "force_hard")]
 )
-def test_each_axis_and_sign_has_its_limits(axis, sign, share, kind):
+def test_each_axis_and_sign_has_its_limits(axis, sign, fraction, kind):
     value = np.zeros(6)
-    value[axis] = sign * share * RATING[axis]
+    value[axis] = sign * fraction * RATING[axis]
     violation = check(Guard(LIMITS, FRAME), FakeClock(), value)
     assert (violation and violation.kind) == kind
     if violation:
@@ -70,23 +71,23 @@ def test_each_axis_and_sign_has_its_limits(axis, sign, share, kind):
 
 
 def test_a_steep_ramp_trips_before_the_limit_is_reached():
-    share, violation = ramp(100.0)
+    fraction, violation = ramp(100.0)
     assert violation.kind == "force_soft"
     assert "in 20 ms" in violation.reason
     # 100 N/s for 20 ms is 2 N of 12 N: about a sixth of the rating early.
-    assert 0.85 - 2 / 12 - 0.04 < share < 0.85 - 2 / 12 + 0.04
+    assert 0.85 - 2 / 12 - 0.04 < fraction < 0.85 - 2 / 12 + 0.04
 
 
 def test_a_steep_ramp_the_other_way_trips_early_too():
-    share, violation = ramp(-100.0)
+    fraction, violation = ramp(-100.0)
     assert violation.kind == "force_soft"
-    assert share < 0.75
+    assert fraction < 0.75
 
 
 def test_a_slow_ramp_trips_at_the_limit():
-    share, violation = ramp(10.0)
+    fraction, violation = ramp(10.0)
     assert violation.kind == "force_soft"
-    assert share == pytest.approx(0.85 - 0.2 / 12, abs=0.01)
+    assert fraction == pytest.approx(0.85 - 0.2 / 12, abs=0.01)
 
 
 def test_noise_well_below_the_limit_does_not_trip():
@@ -152,6 +153,16 @@ def test_each_face_of_the_box_holds(axis, face):
     assert check(guard, FakeClock(), place=outside, mode="retreat") is None
 
 
+def test_on_a_dome_the_box_is_as_deep_below_the_surface_everywhere():
+    domed = dataclasses.replace(LIMITS, dome_radius=0.029)
+    x, y = BOX[1][0] / 2, BOX[1][1] / 2
+    low = BOX[0][2] + dome_height(0.029, x, y)
+    assert low < BOX[0][2] - 0.005
+    assert outside_box(domed, FRAME, transform(FRAME, (x, y, low + 1e-6))) is None
+    assert "z = " in outside_box(domed, FRAME, transform(FRAME, (x, y, low - 1e-5)))
+    assert "z = " in outside_box(domed, FRAME, transform(FRAME, (0.0, 0.0, BOX[0][2] - 1e-5)))
+
+
 def test_a_target_outside_the_box_says_so_in_millimetres():
     reason = outside_box(LIMITS, FRAME, transform(FRAME, (0.0, 0.0, -0.0012)))
     assert reason is not None
@@ -168,9 +179,9 @@ def test_retreat_may_leave_a_load_above_both_limits():
 
 
 def test_retreat_stops_while_a_load_above_the_hard_limit_grows():
-    share, violation = ramp(-100.0, mode="retreat")
+    fraction, violation = ramp(-100.0, mode="retreat")
     assert violation.kind == "force_hard"
-    assert 1.0 < share < 1.1
+    assert 1.0 < fraction < 1.1
 
 
 def test_retreat_goes_on_without_data_and_with_a_saturated_sensor():

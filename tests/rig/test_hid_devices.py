@@ -113,7 +113,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("by_ids", [False, True])
-def test_a_pedal_is_pressed_released_spoilt_unplugged_and_back(
+def test_a_pedal_is_pressed_released_corrupt_unplugged_and_back(
     by_ids: bool, shim: Path, tmp_path: Path
 ) -> None:
     node = tmp_path / "pedal.hidraw"

@@ -44,10 +44,10 @@ class Stub:
     clock: FakeClock | None = None
     first: int = 2
     seen: list[Any] = field(default_factory=list)
-    untouched: list[Any] = field(default_factory=list)
+    no_contact: list[Any] = field(default_factory=list)
 
     def begin(self, frames: Any) -> None:
-        self.untouched += list(frames)
+        self.no_contact += list(frames)
 
     def step(self, frame: Any) -> Said | None:
         self.seen.append(frame)
@@ -131,7 +131,7 @@ def test_it_ends_when_time_is_up_when_it_is_over_and_when_it_is_asked_to(
     watch(over, Stub(clock), clock, Never(requested=True), seen=(seen := Seen()), out=out)
     assert seen.frames == 0
     assert not out.exists()
-    assert list(seen.lines()) == ["no force: no frame arrived after the untouched ones"]
+    assert list(seen.lines()) == ["no force: no frame arrived after the reference frames"]
 
 
 def test_a_damaged_picture_is_counted_and_left_out() -> None:
@@ -178,7 +178,7 @@ def test_forces_are_shown_no_more_often_than_they_can_be_read() -> None:
         assert "Fz   -3.00 N  contact    8.0 ms" in out.getvalue()
 
 
-def test_the_finger_of_a_mock_bench_presses_once_the_sensor_was_seen_untouched(
+def test_the_finger_of_a_mock_bench_presses_once_the_sensor_was_seen_without_contact(
     tmp_path: Path,
 ) -> None:
     path = find_bench("uskin", BENCHES)
@@ -212,7 +212,7 @@ def test_a_session_is_watched_at_its_recorded_times(tmp_path: Path) -> None:
         assert watched.wrench is not None
         wrench = watched.wrench(np.array(seen.shown_ns))
     rows = len(recorded.streams["taxels"])
-    assert np.array_equal(predictor.untouched, recorded.streams["taxels"].array("value")[:5])
+    assert np.array_equal(predictor.no_contact, recorded.streams["taxels"].array("value")[:5])
     # One more: the driver also returns the sample that it needed to open.
     assert seen.frames + seen.skipped == rows + 1
     values = np.asarray(recorded.streams["taxels"].array("value"))

@@ -18,7 +18,7 @@ from rig.core.packaged import BENCHES
         ("gelsight-material", ("48 targets",)),
         ("gelsight-hetero", ("160 targets", "depth 1.000 mm")),
         ("uskin", ("160 targets", "at 60 Hz")),
-        ("tacpalm", ("160 targets", "x -8.00 to +8.00 mm", "depth 4.500 mm")),
+        ("tacpalm", ("160 targets", "x -8.00 to +8.00 mm", "depth 4.957 mm")),
     ],
 )
 def test_every_plan_is_drawn_and_described(
@@ -42,7 +42,7 @@ def test_a_plan_that_breaks_a_limit_is_drawn_and_refused(
     bench.write_text(f"extends: {BENCHES / 'tacpalm.yaml'}\nlimits: {{depth_max_mm: 4.0}}\n")
     picture = tmp_path / "plan.png"
     assert main(["preview", "--bench", str(bench), "--out", str(picture)]) == 2
-    assert "BREAKS A LIMIT: depth: 4.500 mm; allowed: 4.000" in capsys.readouterr().out
+    assert "BREAKS A LIMIT: depth: 4.957 mm; allowed: 4.000 mm" in capsys.readouterr().out
     assert picture.exists()
 
 

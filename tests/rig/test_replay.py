@@ -258,8 +258,8 @@ def test_one_offset_carries_the_recorded_times_over_to_the_new_clock() -> None:
     assert (at_once(old) - 55).tolist() == [0, 1, 7_000_000_001]
     faster = Retiming(int(old[0]), 55, 4.0, none, none)
     assert (faster(old) - 55).tolist() == [0, 0, 1_750_000_000]
-    between = Retiming(int(old[0]), 55, 0.0, old, np.array([60, 70, 90]))
-    assert between(np.array([old[0], (old[1] + old[2]) // 2 + 1])).tolist() == [60, 80]
+    retimed = Retiming(int(old[0]), 55, 0.0, old, np.array([60, 70, 90]))
+    assert retimed(np.array([old[0], (old[1] + old[2]) // 2 + 1])).tolist() == [60, 80]
 
 
 def _position(state: int, sent: int) -> Any:

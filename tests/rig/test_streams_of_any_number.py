@@ -136,11 +136,11 @@ def test_a_v4l2_camera_stores_its_exposure_and_the_moment_of_its_times(
     content = read_yaml(BENCHES / "gelsight.yaml", BENCHES)
     camera = {"kind": "opencv", "address": "/dev/video0", "rate_hz": 30, "exposure_ms": 8.0}
     bench = bench_from({**content, "camera": {**camera, "stamp": stated}}, "bench.yaml")
-    facts: dict[str, Any] = {"jpeg_bytes_kept": True, "height": 480, "width": 640}
-    facts |= {"stamp": driver, "device_clock": "monotonic"}
-    spec = stream_spec(bench, "camera", facts, 30.0)
+    properties: dict[str, Any] = {"jpeg_bytes_kept": True, "height": 480, "width": 640}
+    properties |= {"stamp": driver, "device_clock": "monotonic"}
+    spec = stream_spec(bench, "camera", properties, 30.0)
     assert (spec.traits.stamp, spec.attrs["exposure"]) == (stamp, 0.008)
-    assert stream_spec(bench, "camera", facts, 30.0, exposure=0.004).attrs["exposure"] == 0.004
+    assert stream_spec(bench, "camera", properties, 30.0, exposure=0.004).attrs["exposure"] == 0.004
 
 
 @pytest.mark.parametrize("force", [None, {"kind": "netft", "roles": ["label"]}])

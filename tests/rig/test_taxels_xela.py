@@ -369,7 +369,7 @@ def test_values_that_all_jump_are_refused_and_ten_in_a_row_are_device_lost(host:
 
     with emulated(host, rescaled) as emulator, opened(host) as driver:
         assert all(sample["value"].min() >= 48000 for sample in collect(driver, 60))
-        assert driver.rejected["spoilt"] >= 2
+        assert driver.rejected["corrupt"] >= 2
         emulator.fault = lambda number, text: rescaled(5, text)
         with pytest.raises(DeviceLost, match="change its scale"):
             collect(driver, 10_000)

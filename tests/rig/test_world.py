@@ -98,6 +98,22 @@ def test_without_friction_and_hysteresis_force_is_a_function_of_depth_alone() ->
     assert (sideways["shear"] == 0).all()
 
 
+def test_a_dome_is_touched_at_its_own_height_and_pressed_as_deep() -> None:
+    domed = dataclasses.replace(BARE, dome_radius=29e-3)
+    drop = 29e-3 - math.sqrt(29e-3**2 - 2 * 6.5e-3**2)
+    assert drop == pytest.approx(1.5e-3, abs=1e-5)
+    tip = np.array([[0, 0, -1e-3], [6.5e-3, -6.5e-3, -1e-3], [6.5e-3, -6.5e-3, -1e-3 - drop]])
+    states = states_along(domed, tip)
+    assert states["depth"] == pytest.approx([1e-3, 1e-3 - drop, 1e-3])
+    forces = states["wrench"][:, 2]
+    assert forces[0] == pytest.approx(forces[2])
+    assert forces[1] == 0
+    lever = [6.5e-3, -6.5e-3, BARE.gauge_depth - drop]
+    np.testing.assert_allclose(
+        states["wrench"][2, 3:], np.cross(lever, states["wrench"][2, :3]), atol=1e-12
+    )
+
+
 def test_torque_is_force_times_lever() -> None:
     spec = dataclasses.replace(BARE, friction=0.8)
     states = states_along(spec, np.array([[2e-3, 1e-3, -1e-3], [2.2e-3, 1.1e-3, -1e-3]]))
@@ -163,7 +179,7 @@ def surface(depth: float = 1e-3, shear: tuple[float, float] = (0.0, 0.0)) -> Sur
 VIEW = MarkerView("grid", pitch=1.6e-3, radius=0.26e-3, pixel=0.0249e-3)
 
 
-def test_markers_move_outwards_sideways_with_shear_and_rest_untouched() -> None:
+def test_markers_move_outwards_sideways_with_shear_and_rest_without_contact() -> None:
     camera = MarkerCamera(VIEW)
     rest = camera.pixels(surface(depth=0.0))
     pressed = camera.pixels(surface()) - rest

@@ -118,7 +118,7 @@ def test_a_world_goes_on_along_the_slope_of_the_last_solution() -> None:
     np.testing.assert_array_equal(last["values"], values)
 
 
-def test_before_it_touches_the_force_begins_at_the_untouched_surface() -> None:
+def test_before_it_touches_the_force_begins_at_the_undeformed_surface() -> None:
     slope = np.zeros((54, 3))
     slope[2, 2] = 2000.0
     last = press_state(tip=(0, 0, 1e-3), slope=slope)

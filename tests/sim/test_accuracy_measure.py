@@ -51,8 +51,8 @@ def even(points):
 
 def graded(points):
     """Return points that are denser in the middle."""
-    share = np.linspace(-1, 1, points)
-    return 10e-3 * (0.3 * share + 0.7 * share**3)
+    fraction = np.linspace(-1, 1, points)
+    return 10e-3 * (0.3 * fraction + 0.7 * fraction**3)
 
 
 def test_an_outcome_is_no_distance_from_itself():

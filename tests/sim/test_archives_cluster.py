@@ -58,7 +58,7 @@ def test_a_cluster_gives_the_bytes_of_one_process_though_a_worker_is_killed(
                 os.kill(killed[0], signal.SIGKILL)
             yield made
 
-    filled = fill(begun, making, stop, lambda share: None)
+    filled = fill(begun, making, stop, lambda fraction: None)
     assert killed
     assert filled.complete
     assert filled.images == IMAGES
@@ -74,7 +74,7 @@ def test_a_stop_leaves_what_no_worker_has(tmp_path: Path, local: Any) -> None:
             begun, units, inside, address=local.scheduler_address, device="cpu", stop=stop
         ),
         stop,
-        lambda share: None,
+        lambda fraction: None,
     )
     assert not filled.complete
     assert filled.left == UNITS

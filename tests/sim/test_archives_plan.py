@@ -73,8 +73,7 @@ def test_groups_have_the_papers_targets_and_location_pairs(
 @pytest.mark.parametrize(
     ("bench", "row"),
     [
-        ("gelsight.yaml", "array-i"),
-        ("gelsight-material.yaml", "r6"),
+        *((f"{name}.yaml", name) for name in (*HOMOGENEOUS, *MATERIAL)),
         ("gelsight-hetero.yaml", "gelsight"),
         ("uskin.yaml", "uskin"),
         ("tacpalm.yaml", "tacpalm"),
@@ -88,12 +87,12 @@ def test_trajectories_are_those_of_the_benches(bench: str, row: str) -> None:
 
 
 @pytest.mark.parametrize("row", ["array-i", "r6", "gelsight"])
-@pytest.mark.parametrize("share", [0.02, 0.05, 0.1, 0.3, 0.5])
-def test_a_share_of_the_targets_is_spread_evenly(row: str, share: float) -> None:
+@pytest.mark.parametrize("fraction", [0.02, 0.05, 0.1, 0.3, 0.5])
+def test_a_share_of_the_targets_is_spread_evenly(row: str, fraction: float) -> None:
     trajectory = sensor(row).trajectory
     assert isinstance(trajectory, PressShear)
-    some = chosen_targets(trajectory, share)
-    assert len(some) == max(1, round(share * len(trajectory)))
+    some = chosen_targets(trajectory, fraction)
+    assert len(some) == max(1, round(fraction * len(trajectory)))
     for trait, kinds in (
         ("point", len(trajectory.points)),
         ("depth", trajectory.depth_count),
@@ -106,7 +105,7 @@ def test_a_share_of_the_targets_is_spread_evenly(row: str, share: float) -> None
 
 
 def test_a_press_has_as_many_frames_as_the_papers_and_all_of_them_a_phase() -> None:
-    (family,) = families(group(("gelsight",), indenters=("sphere",), share=0.01))
+    (family,) = families(group(("gelsight",), indenters=("sphere",), fraction=0.01))
     first = family.presses[0].recordings[0]
     assert 20 <= family.rows_each <= 60
     assert first.phases == (0,) * 11 + (1,) * 10 + (2,) * 10 + (3,) * 10
@@ -124,7 +123,7 @@ def test_a_press_has_as_many_frames_as_the_papers_and_all_of_them_a_phase() -> N
 
 
 def test_skins_that_differ_in_modulus_alone_share_their_deformation() -> None:
-    plan = group(MATERIAL, share=0.05, indenters=("sphere",))
+    plan = group(MATERIAL, fraction=0.05, indenters=("sphere",))
     (family,) = families(plan)
     moduli = [sensor(name).body.modulus for name in MATERIAL]
     found = [force_scale(plan, each) for each in family.sensors]
@@ -139,12 +138,12 @@ def test_sensors_that_are_mounted_or_held_otherwise_share_nothing() -> None:
     assert len(families(group(HETEROGENEOUS))) == len(HETEROGENEOUS)
 
 
-@pytest.mark.parametrize("together", [1, 9, 17, 162])
+@pytest.mark.parametrize("batch_size", [1, 9, 17, 162])
 @pytest.mark.parametrize(
-    "plan", [STATES_PLAN, group((*HETEROGENEOUS, "r6"), share=0.1)], ids=["states", "targets"]
+    "plan", [STATES_PLAN, group((*HETEROGENEOUS, "r6"), fraction=0.1)], ids=["states", "targets"]
 )
-def test_units_hold_every_press_and_every_file_once(plan: DatasetPlan, together: int) -> None:
-    plan = replace(plan, together=together)
+def test_units_hold_every_press_and_every_file_once(plan: DatasetPlan, batch_size: int) -> None:
+    plan = replace(plan, batch_size=batch_size)
     for index, family in enumerate(families(plan)):
         mine = [unit for unit in units(plan) if unit.family == index]
         presses = [number for unit in mine for number in range(unit.first, unit.last)]
@@ -159,7 +158,7 @@ def test_units_hold_every_press_and_every_file_once(plan: DatasetPlan, together:
 
 
 def test_a_part_of_the_indenters_keeps_codes_locations_and_draws() -> None:
-    whole, part = group(("array-i",)), group(("array-i",), indenters=("cone", "moon"), share=0.1)
+    whole, part = group(("array-i",)), group(("array-i",), indenters=("cone", "moon"), fraction=0.1)
     known = {
         (press.indenter, one.target): (one, press.motion)
         for press in families(whole)[0].presses
@@ -178,13 +177,33 @@ def test_a_part_of_the_indenters_keeps_codes_locations_and_draws() -> None:
     [
         STATES_PLAN,
         group((*HETEROGENEOUS, *HOMOGENEOUS), solving=Solving(spacing=1e-3), seed=7),
-        group(("r6",), solving=Solving(tolerance="3 %"), share=0.3, steps=4),
+        group(("r6",), solving=Solving(tolerance="3 %"), fraction=0.3, steps=4),
     ],
 )
 def test_a_plan_survives_json(plan: DatasetPlan) -> None:
     stored = json.loads(json.dumps(plan.document()))
     assert DatasetPlan.of(stored) == plan
     assert differing(stored, plan.document()) == []
+
+
+def test_a_plan_stored_under_former_keys_is_the_same_plan() -> None:
+    plan = group(("r6",), batch_size=162, fraction=0.3)
+    stored = plan.document()
+    stored["share"] = stored.pop("fraction")
+    stored["together"] = stored.pop("batch_size")
+    assert DatasetPlan.of(stored) == plan
+    with pytest.raises(SceneError, match="unknown together"):
+        DatasetPlan.of({**stored, "batch_size": 9})
+
+
+def test_a_plan_stored_before_the_order_of_points_keeps_its_order_and_its_bytes() -> None:
+    stored = json.loads(json.dumps(group(("gelsight", "uskin")).document()))
+    assert [each["trajectory"].pop("order") for each in stored["sensors"]] == ["authors"] * 2
+    plan = DatasetPlan.of(stored)
+    first = plan.sensors[0].trajectory
+    assert first is not None
+    assert first.order == "quadrants"
+    assert plan.document() == stored
 
 
 def test_plans_say_in_which_keys_they_differ() -> None:
@@ -213,7 +232,7 @@ def test_plans_say_in_which_keys_they_differ() -> None:
         ({"sensors": (gel(), gel())}, "plan.sensors: .*all different"),
         ({"indenters": ("sphere", "ball")}, r"plan.indenters: \['ball'\]; allowed: sphere"),
         ({"indenters": ("moon", "sphere")}, "in the order of"),
-        ({"share": 0.0}, "plan.share: 0.0; allowed: above 0 to 1"),
+        ({"fraction": 0.0}, "plan.fraction: 0.0; allowed: above 0 to 1"),
         ({"steps": 0}, "plan.steps: 0; allowed: 1 to"),
         ({"seed": -1}, "plan.seed: -1; allowed: 0 to"),
         ({"work": "targets"}, "gel.trajectory: None; allowed: a sensor that has one"),

@@ -33,7 +33,9 @@ __all__ = ["solved_once"]
 ROOT = Path(__file__).parents[2]
 OPTIONS = ("--sensors", "r6,r18,uskin", "--indenters", "sphere,cone", "--scale", "0.01", "--steps",
            "1", "--tier", "layer")  # fmt: skip
-SKINS_OF_THE_VERB: DatasetPlan = replace(SKINS, unit_presses=UNIT_PRESSES, together=UNIT_PRESSES)
+SKINS_OF_THE_COMMAND: DatasetPlan = replace(
+    SKINS, unit_presses=UNIT_PRESSES, batch_size=UNIT_PRESSES
+)
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +62,7 @@ def test_stopped_again_and_again_and_made_in_another_order_it_is_the_same(
     left = []
     while True:
         begun, stop = begin(path, SKINS), Stop()
-        shares: list[float] = []
+        fractions: list[float] = []
 
         def one_and_stop(missing: Sequence[Unit], inside: object, stop: Stop = stop) -> Any:
             begun = begin(path, SKINS)
@@ -68,8 +70,8 @@ def test_stopped_again_and_again_and_made_in_another_order_it_is_the_same(
                 stop.asked = True
                 yield made
 
-        filled = fill(begun, one_and_stop, stop, shares.append)
-        assert shares == sorted(shares)
+        filled = fill(begun, one_and_stop, stop, fractions.append)
+        assert fractions == sorted(fractions)
         left.append(filled.left)
         if filled.complete:
             break
@@ -213,7 +215,7 @@ def test_processes_give_the_bytes_of_one(
             begun, units, inside, processes=processes, stop=stop
         ),
         stop,
-        lambda share: None,
+        lambda fraction: None,
     )
     assert filled.complete
     assert digests(begun.path) == undisturbed
@@ -291,7 +293,7 @@ def test_ctrl_c_ends_after_the_units_in_flight_with_130(tmp_path: Path) -> None:
     assert "Traceback" not in reported[1]
     assert "stopping: the units in flight are finished first" in reported[1]
     assert "to continue: python -m sim archive resume" in reported[1]
-    assert found(path).plan == SKINS_OF_THE_VERB
+    assert found(path).plan == SKINS_OF_THE_COMMAND
     resumed = subprocess.run(
         [sys.executable, "-m", "sim", "archive", "resume", str(path)],
         cwd=ROOT,

@@ -212,8 +212,8 @@ def test_wrong_input_is_named_and_nothing_is_written(
     words: str, message: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     # The last --tier counts: those in the rows are for `fem`.
-    verb, *rest = words.split()
-    assert main([verb, *QUICK, *rest]) == 2
+    command, *rest = words.split()
+    assert main([command, *QUICK, *rest]) == 2
     captured = capsys.readouterr()
     assert re.match(f"wrong input: .*{message}", captured.err)
     assert captured.out == ""
@@ -281,12 +281,12 @@ def test_ctrl_c_ends_with_130_and_leaves_nothing(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("verb", ["press", "loop", "hold"])
+@pytest.mark.parametrize("command", ["press", "loop", "hold"])
 def test_every_number_of_the_help_has_its_unit(
-    verb: str, capsys: pytest.CaptureFixture[str]
+    command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit):
-        main([verb, "--help"])
+        main([command, "--help"])
     text = " ".join(capsys.readouterr().out.split())
     assert text.count("[mm]") >= 10
     for unit in ("[MPa]", "[deg]", "[m/s^2]", "[kg/m^3]", "[s]"):
@@ -319,9 +319,9 @@ def test_the_commands_of_the_tutorial_are_understood() -> None:
     commands = re.findall(r"^\.venv/bin/tactile (sim [^#\n]*)", text, re.MULTILINE)
     assert len(commands) >= 2
     for command in commands:
-        _, verb, *words = shlex.split(command)
+        _, command, *words = shlex.split(command)
         parser = argparse.ArgumentParser()
-        importlib.import_module(f"sim.cli.{verb}").add_arguments(parser)
+        importlib.import_module(f"sim.cli.{command}").add_arguments(parser)
         assert indenter_of(parser.parse_args(words)).parts
 
 
@@ -335,9 +335,9 @@ def test_the_python_of_the_documentation_runs() -> None:
 
 def test_the_options_of_the_documentation_exist(capsys: pytest.CaptureFixture[str]) -> None:
     known = ""
-    for verb in ("press", "loop", "hold"):
+    for command in ("press", "loop", "hold"):
         with pytest.raises(SystemExit):
-            main([verb, "--help"])
+            main([command, "--help"])
         known += capsys.readouterr().out
     named = set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", PAGE))
     assert named

@@ -54,9 +54,9 @@ def test_an_error_that_falls_as_the_square_is_taken_off_whole(
         on(coarse, few, exact * (1 + 0.9 / few**2)), on(coarse, many, exact * (1 + 0.9 / many**2))
     )
     np.testing.assert_allclose(found.wrench, exact, rtol=1e-12)
-    share = (0.9 / many**2) / (1 + 0.9 / many**2)
+    fraction = (0.9 / many**2) / (1 + 0.9 / many**2)
     assert found.record["extrapolated"]["cells"] == [few, many]
-    assert found.record["extrapolated"]["force_share"] == pytest.approx(share)
+    assert found.record["extrapolated"]["force_share"] == pytest.approx(fraction)
 
 
 def test_both_meshes_are_solved_and_the_finer_ones_skin_is_kept(coarse: Result) -> None:

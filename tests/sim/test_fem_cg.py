@@ -162,13 +162,13 @@ def test_an_environment_that_is_off_costs_nothing_and_a_zero_right_hand_side_end
 def test_a_batch_gives_each_system_what_it_gets_alone_bit_for_bit() -> None:
     matrices = np.stack([_symmetric(np.linspace(1, high, SIZE), high) for high in (4, 40, 400)])
     right = _right(3)
-    together = Solved(matrices, right, np.ones(3), 1e-10, wp.float64, 400)
+    batched = Solved(matrices, right, np.ones(3), 1e-10, wp.float64, 400)
     for env in range(3):
         alone = Solved(
             matrices[env : env + 1], right[env : env + 1], np.ones(1), 1e-10, wp.float64, 400
         )
-        np.testing.assert_array_equal(alone.solution[0], together.solution[env])
-        assert alone.count[0] == together.count[env]
+        np.testing.assert_array_equal(alone.solution[0], batched.solution[env])
+        assert alone.count[0] == batched.count[env]
 
 
 def test_a_direction_that_is_not_convex_is_said_and_ends_the_solve() -> None:
@@ -191,12 +191,12 @@ def test_rows_that_are_gathered_change_nothing() -> None:
     """Seven systems that end at seven times, one inactive: 8 rows, then 4, 2 and 1."""
     matrices = np.stack([_symmetric(np.geomspace(1, 4**k, SIZE), k) for k in range(1, 9)])
     right, active = _right(8), np.array([1, 1, 1, 0, 1, 1, 1, 1])
-    apart, together = (
+    apart, batched = (
         Solved(matrices, right, active, 1e-8, wp.float64, 2000, gather=gather)
         for gather in (False, True)
     )
     assert len(np.unique(apart.count)) > 5
     assert not apart.count[3]
-    np.testing.assert_array_equal(apart.count, together.count)
-    np.testing.assert_array_equal(apart.solution, together.solution)
-    np.testing.assert_array_equal(apart.slope, together.slope)
+    np.testing.assert_array_equal(apart.count, batched.count)
+    np.testing.assert_array_equal(apart.solution, batched.solution)
+    np.testing.assert_array_equal(apart.slope, batched.slope)

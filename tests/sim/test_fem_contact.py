@@ -163,11 +163,11 @@ def _expected(
     ]
 
 
-CARRIES = pytest.mark.parametrize("carries", [False, True], ids=["penalty", "carried"])
+AUGMENTED = pytest.mark.parametrize("augmented", [False, True], ids=["penalty", "augmented"])
 RUBS = pytest.mark.parametrize("rubs", [False, True], ids=["frictionless", "friction"])
 
 
-@CARRIES
+@AUGMENTED
 @pytest.mark.parametrize("points", [2, 3])
 @RUBS
 @pytest.mark.parametrize(
@@ -175,17 +175,17 @@ RUBS = pytest.mark.parametrize("rubs", [False, True], ids=["frictionless", "fric
     [pytest.param(wp.float64, 1e-10, id="float64"), pytest.param(wp.float32, 1e-3, id="float32")],
 )
 def test_contact_is_that_of_the_hosts_distance_and_a_return_map(
-    real: Any, error: float, rubs: bool, points: int, carries: bool
+    real: Any, error: float, rubs: bool, points: int, augmented: bool
 ) -> None:
     friction = _rubbing(points * points) if rubs else None
-    multiplier = _multiplier(points * points) * carries
+    multiplier = _multiplier(points * points) * augmented
     u = _displacements()
     found = Contact(real, friction, points, multiplier).evaluate(u)
     slips = touches = 0
     for env, expected in enumerate(_expected(u, friction, points, multiplier)):
         assert expected["touched"].any()
         bridged = (expected["gap"] > 0) & (expected["pressure"] > 0)
-        assert bridged.any() == carries, "a gap is bridged by pressure that was carried, only"
+        assert bridged.any() == augmented, "a gap is bridged by a multiplier only"
         np.testing.assert_array_equal(found["touched"][env], expected["touched"])
         names = ("force", "pressure", "energy", "normal") + (("traction",) if rubs else ())
         for name in names:
@@ -195,11 +195,11 @@ def test_contact_is_that_of_the_hosts_distance_and_a_return_map(
     assert not rubs or 0.1 < slips / touches < 0.9, "nearly all stick, or nearly all slip"
 
 
-@CARRIES
-def test_frictionless_contact_tangent_is_the_derivative_of_the_force(carries: bool) -> None:
+@AUGMENTED
+def test_frictionless_contact_tangent_is_the_derivative_of_the_force(augmented: bool) -> None:
     """For points that stay in or out: the normal turns on a sphere, but not on a plane."""
     u = _displacements()
-    contact = Contact(wp.float64, None, multiplier=_multiplier(4) * carries)
+    contact = Contact(wp.float64, None, multiplier=_multiplier(4) * augmented)
     v = np.random.default_rng(1).normal(0, 1, u.shape)
     step = 1e-7
     slope = (contact.evaluate(u + step * v)["force"] - contact.evaluate(u - step * v)["force"]) / (
@@ -223,14 +223,14 @@ def test_a_convex_contact_tangent_has_no_negative_stiffness() -> None:
     assert least[1] > -1e-9
 
 
-@CARRIES
+@AUGMENTED
 def test_friction_tangent_is_the_derivative_of_the_force_sticking_and_slipping(
-    carries: bool,
+    augmented: bool,
 ) -> None:
     """On a plane, whose normal is constant; the limit is given, as by the Newton loop."""
     friction = _rubbing(4)
     u = _displacements()
-    contact = Contact(wp.float64, friction, multiplier=_multiplier(4) * carries)
+    contact = Contact(wp.float64, friction, multiplier=_multiplier(4) * augmented)
     v = np.random.default_rng(1).normal(0, 1, u.shape)
     step = 1e-8
     slope = (contact.evaluate(u + step * v)["force"] - contact.evaluate(u - step * v)["force"]) / (
@@ -242,13 +242,13 @@ def test_friction_tangent_is_the_derivative_of_the_force_sticking_and_slipping(
     assert oracle.relative(-product[3][touched], slope[3][touched]) < 1e-6
 
 
-@CARRIES
+@AUGMENTED
 @RUBS
-def test_contact_force_is_the_slope_of_the_energy(rubs: bool, carries: bool) -> None:
+def test_contact_force_is_the_slope_of_the_energy(rubs: bool, augmented: bool) -> None:
     """Normal springs and the Huber potential of friction, on a plane, whose normal is constant."""
     u = _displacements()
     contact = Contact(
-        wp.float64, _rubbing(4) if rubs else None, multiplier=_multiplier(4) * carries
+        wp.float64, _rubbing(4) if rubs else None, multiplier=_multiplier(4) * augmented
     )
     v = np.random.default_rng(6).normal(0, 1, u.shape)
     step = 1e-6
@@ -292,12 +292,12 @@ def test_an_environment_gets_in_a_batch_of_two_meshes_what_it_gets_alone(rubs: b
     """Bitwise; on the other mesh the result differs."""
     friction = _rubbing(4) if rubs else None
     u = _displacements()
-    together = Contact(wp.float64, friction, multiplier=_multiplier(4)).evaluate(u)
+    batched = Contact(wp.float64, friction, multiplier=_multiplier(4)).evaluate(u)
     for mesh in (0, 1):
         one = [mesh] * len(INDENTERS)
         alone = Contact(wp.float64, friction, multiplier=_multiplier(4), variant=one).evaluate(u)
         for env, name in itertools.product(range(len(INDENTERS)), ("force", "pressure", "energy")):
-            same = np.array_equal(alone[name][env], together[name][env])
+            same = np.array_equal(alone[name][env], batched[name][env])
             assert same == (VARIANT[env] == mesh), name
 
 

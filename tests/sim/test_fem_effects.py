@@ -52,7 +52,7 @@ ALL: dict[str, Any] = {
     "inertia": Inertia(),
     "gravity": Gravity((300.0, 0.0, -500.0)),
 }
-# Share of `ALL` at which each effect is weak enough for a linear response.
+# Fraction of `ALL` at which each effect is weak enough for a linear response.
 WEAK = {"friction": 1e-3, "viscosity": 1e-4, "inertia": 1e-4, "gravity": 2e-3}
 
 
@@ -179,17 +179,17 @@ def _plain() -> Result:
     return simulate(_scene(Effects()), TIGHT)
 
 
-def _difference(name: str, share: float) -> float:
+def _difference(name: str, fraction: float) -> float:
     """Return the change of the last force by the effect [N]."""
-    weak = ALL[name].weakened(share)
+    weak = ALL[name].weakened(fraction)
     result = simulate(_scene(Effects(**{name: weak})), TIGHT)
     return float(np.linalg.norm(result.wrench[-1, :3] - _plain().wrench[-1, :3]))
 
 
 @pytest.mark.parametrize("name", EFFECTS)
 def test_a_weak_effect_changes_the_force_in_proportion_to_its_parameter(name: str) -> None:
-    share = WEAK[name]
-    whole, half, tenth = (_difference(name, share * part) for part in (1.0, 0.5, 0.1))
+    fraction = WEAK[name]
+    whole, half, tenth = (_difference(name, fraction * part) for part in (1.0, 0.5, 0.1))
     size = float(np.linalg.norm(_plain().force[-1]))
     assert 1e-9 * size < whole < 0.02 * size
     assert half == pytest.approx(whole / 2, rel=0.1)

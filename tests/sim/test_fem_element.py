@@ -151,12 +151,12 @@ def test_rigid_motion_has_no_force_and_no_energy() -> None:
 def test_an_environment_gets_in_a_batch_of_two_meshes_what_it_gets_alone(kind: str) -> None:
     """Bitwise; on the other mesh the result differs."""
     materials, u = _materials(kind), _states(2)
-    together = _residual(materials, u, wp.float64, kind)
+    batched = _residual(materials, u, wp.float64, kind)
     for env in range(2):
         of = slice(env, env + 1)
         for variant in (0, 1):
             alone = _residual(materials[of], u[of], wp.float64, kind, variant=[variant])
-            for one, two in zip(together, alone, strict=True):
+            for one, two in zip(batched, alone, strict=True):
                 assert np.array_equal(one[env], two[0]) == (variant == VARIANT[env])
 
 

@@ -35,7 +35,7 @@ def _stated(result: Result) -> float:
 
 
 def _along(force: Array, normal: Array) -> float:
-    """Return the share of a force (3,) that is not along a normal."""
+    """Return the fraction of a force (3,) that is not along a normal."""
     return float(np.linalg.norm(np.cross(force, normal)) / np.linalg.norm(force))
 
 

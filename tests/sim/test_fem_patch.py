@@ -173,8 +173,8 @@ def test_push_is_the_derivative_of_the_nodal_forces_with_the_tip(
     travel = np.array([[0.3, -0.2, -1.0], [0.1, 0.4, -0.5]])
     step = 1e-7
 
-    def at(share: float) -> Array:
-        state.tip.assign(tip + share * step * travel)
+    def at(fraction: float) -> Array:
+        state.tip.assign(tip + fraction * step * travel)
         return _residual(assembly, u)
 
     slope = (at(1.0) - at(-1.0)) / (2 * step)
@@ -213,8 +213,8 @@ def test_environments_on_two_graded_meshes_get_in_a_batch_what_they_get_alone() 
         pushed = assembly.residual.numpy()
         return [residual, totals, np.asarray(assembly.block_matrix.matrix.numpy()), pushed]
 
-    together = answers([0, 1])
-    assert (np.abs(together[1][:, 6]) > 0).all(), "both are pressed"
+    batched = answers([0, 1])
+    assert (np.abs(batched[1][:, 6]) > 0).all(), "both are pressed"
     for env in (0, 1):
-        for one, two in zip(together, answers([env]), strict=True):
+        for one, two in zip(batched, answers([env]), strict=True):
             np.testing.assert_array_equal(one[env], two[0])

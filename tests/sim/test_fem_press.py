@@ -104,9 +104,9 @@ def test_a_batch_gives_what_its_scenes_give_alone_bit_for_bit(effects: Effects) 
         Scene(flat_punch(1.5e-3, 0.6e-3), press([0.2e-3], at=(1e-3, 0.0)), soft, effects),
         Scene(named("torus"), press([0.1e-3, 0.2e-3, 0.1e-3]), SMALL, effects),
     ]
-    for scene, together in zip(scenes, _results(scenes, COARSE), strict=True):
+    for scene, batched in zip(scenes, _results(scenes, COARSE), strict=True):
         alone = _arrays(simulate(scene, COARSE))
-        for name, array in _arrays(together).items():
+        for name, array in _arrays(batched).items():
             np.testing.assert_array_equal(array, alone[name], err_msg=name)
 
 

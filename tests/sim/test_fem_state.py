@@ -97,7 +97,7 @@ def test_an_accepted_step_is_where_the_next_begins_for_the_chosen_only() -> None
 
 @pytest.mark.parametrize("chosen", [BOTH, FIRST])
 def test_a_step_begins_by_extrapolation_and_bodies_fly_on_at_their_speed(chosen: Array) -> None:
-    """u starts with a share of the last change; without forces it continues at u' = du / dt."""
+    """u starts with a fraction of the last change; without forces it continues at u' = du / dt."""
     assembly = _pressed()
     state = assembly.state
     random = np.random.default_rng(1)

@@ -45,8 +45,8 @@ def _footprint(scene: Scene, samples: int = 161) -> np.ndarray:
     top = np.array([[(a, b, body.height(a, b)) for b in y] for a in x]).reshape(-1, 3)
     covered = np.zeros(len(top), bool)
     for start, end in pairwise(tip):
-        for share in (0.25, 0.5, 0.75, 1.0):
-            covered |= scene.indenter.distance(top - (start + share * (end - start)))[0] < 0
+        for fraction in (0.25, 0.5, 0.75, 1.0):
+            covered |= scene.indenter.distance(top - (start + fraction * (end - start)))[0] < 0
     found = top[covered, :2]
     return np.stack([found.min(0), found.max(0)], axis=1)
 

@@ -37,8 +37,8 @@ SLOW: dict[str, list[pytest.MarkDecorator]] = {
 @pytest.mark.parametrize("path", [_case(path) for path in FOUND])
 def test_a_scene_once_found_is_no_longer_silently_wrong(path: Path) -> None:
     scene, _broken, twin = load(path)
-    verdict = judge_scene(scene, Settings(), twin or None)
-    assert not failure(verdict), verdict.why
+    outcome = judge_scene(scene, Settings(), twin or None)
+    assert not failure(outcome), outcome.why
 
 
 def test_every_reason_has_its_scene_and_every_scene_says_what_it_breaks() -> None:

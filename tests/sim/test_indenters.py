@@ -132,8 +132,8 @@ def test_heights_are_where_the_distance_first_becomes_zero(name: str) -> None:
     assert hit.any()
     on_surface = np.column_stack([plan[hit], heights[hit]])
     assert np.abs(indenter.distance(on_surface)[0]).max() < 1e-9
-    for share in np.linspace(0, 0.999, 40):
-        below = np.column_stack([plan, share * np.where(hit, heights, reach)])
+    for fraction in np.linspace(0, 0.999, 40):
+        below = np.column_stack([plan, fraction * np.where(hit, heights, reach)])
         assert np.all(indenter.distance(below)[0] > -1e-9)
 
 

@@ -50,8 +50,8 @@ def _oracle(body: files.Body, points: Array) -> tuple[Array, Array]:
         for here, there in zip(corners, np.roll(corners, -1, axis=0), strict=True):
             side = there - here
             within &= (foot - here) @ np.cross(normal, side) >= 0
-            share = np.clip((points - here) @ side / (side @ side), 0, 1)
-            away = np.linalg.norm(points - here - share[:, None] * side, axis=1)
+            fraction = np.clip((points - here) @ side / (side @ side), 0, 1)
+            away = np.linalg.norm(points - here - fraction[:, None] * side, axis=1)
             nearest = np.minimum(nearest, away)
         nearest = np.where(within, np.minimum(nearest, np.abs(height)), nearest)
         a, b, c = (corner - points for corner in corners)
@@ -102,16 +102,16 @@ def test_the_nodes_of_a_grid_have_the_signed_distance_near_the_surface_and_its_s
 def test_shells_that_overlap_or_are_inside_out_are_misplaced() -> None:
     one, other = files.block(2, 2, 2), files.moved(files.ball(0.8, 9), [0, 0, 2])
 
-    def share(*bodies: files.Body) -> float:
+    def fraction(*bodies: files.Body) -> float:
         vertices, faces = files.joined(*bodies)
         return misplaced_share(vertices * 1e-3, faces.astype(np.int32))
 
-    assert share(one, files.moved(other, [4, 0, 0])) == 0
+    assert fraction(one, files.moved(other, [4, 0, 0])) == 0
     # Half of the ball is inside the block. Part of the block's top is inside the ball, but its two
     # triangles are too coarse to show it: their centroids are outside.
-    assert 0.05 < share(one, other) < 0.6
-    assert share(one, (other[0] + [4, 0, 0], other[1][:, ::-1])) > 0.1
+    assert 0.05 < fraction(one, other) < 0.6
+    assert fraction(one, (other[0] + [4, 0, 0], other[1][:, ::-1])) > 0.1
     # A cavity is valid.
     bubble = files.moved(files.ball(0.5, 9), [0, 0, 1])
-    assert share(one, (bubble[0], bubble[1][:, ::-1])) == 0
-    assert share(one, bubble) > 0.05
+    assert fraction(one, (bubble[0], bubble[1][:, ::-1])) == 0
+    assert fraction(one, bubble) > 0.05

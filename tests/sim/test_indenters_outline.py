@@ -25,12 +25,12 @@ def _polygon(values: tuple[float, ...], count: int = 2000) -> Array:
     """Return the path as a fine polygon, its arcs divided by turning about their centres."""
     points = []
     for piece in pieces(values):
-        share = np.arange(count)[:, None] / count
+        fraction = np.arange(count)[:, None] / count
         start, end = np.array(piece.start), np.array(piece.end)
         if piece.bulge == 0:
-            points.append(start + share * (end - start))
+            points.append(start + fraction * (end - start))
             continue
-        arm, turn = start - piece.centre, share[:, 0] * piece.angle
+        arm, turn = start - piece.centre, fraction[:, 0] * piece.angle
         u = np.cos(turn) * arm[0] - np.sin(turn) * arm[1]
         v = np.sin(turn) * arm[0] + np.cos(turn) * arm[1]
         points.append(np.stack([u, v], axis=1) + piece.centre)
@@ -44,8 +44,8 @@ def _polygon_distance(polygon: Array, points: Array) -> Array:
     result = np.empty(len(points))
     for index, point in enumerate(points):
         offset = point - start
-        share = np.clip((offset * along).sum(1) / (along * along).sum(1), 0, 1)
-        nearest = np.linalg.norm(offset - share[:, None] * along, axis=1).min()
+        fraction = np.clip((offset * along).sum(1) / (along * along).sum(1), 0, 1)
+        nearest = np.linalg.norm(offset - fraction[:, None] * along, axis=1).min()
         straddles = (start[:, 1] > point[1]) != (end[:, 1] > point[1])
         with np.errstate(divide="ignore", invalid="ignore"):
             crossing = start[:, 0] + (point[1] - start[:, 1]) / along[:, 1] * along[:, 0]
@@ -152,14 +152,16 @@ def test_points_on_the_path_and_on_its_corners_have_a_unit_normal() -> None:
 
 def test_the_bulge_of_an_arc_is_found_from_three_of_its_points() -> None:
     for angle in (0.3, 2.0, 5.0, -1.0, -4.0):
-        at = [(math.cos(share * angle), math.sin(share * angle)) for share in (0.0, 0.3, 1.0)]
+        at = [
+            (math.cos(fraction * angle), math.sin(fraction * angle)) for fraction in (0.0, 0.3, 1.0)
+        ]
         turn = bulge(at[0], at[1], at[2])
         arc = OutlinePiece(at[0], at[2], turn)
         assert turn == pytest.approx(math.tan(angle / 4))
         assert arc.centre == pytest.approx((0, 0), abs=1e-12)
         assert arc.radius == pytest.approx(math.copysign(1, angle))
         assert arc.length == pytest.approx(abs(angle))
-        assert arc.share(at[1]) == pytest.approx(0.3)
+        assert arc.fraction(at[1]) == pytest.approx(0.3)
 
 
 def test_a_path_that_turns_back_on_itself_is_refused() -> None:

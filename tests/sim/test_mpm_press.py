@@ -100,10 +100,10 @@ def test_a_press_in_a_batch_is_the_press_alone_to_the_last_bit(small: Result) ->
     batch = [one for one in simulate_mpm([other, SCENE, third], COARSE) if isinstance(one, Result)]
     assert len(batch) == 3
     alone = [_one(other), small, _one(third)]
-    for together, single in zip(batch, alone, strict=True):
-        np.testing.assert_array_equal(together.wrench, single.wrench)
-        np.testing.assert_array_equal(together.surface, single.surface)
-        np.testing.assert_array_equal(together.quality.energy_gap, single.quality.energy_gap)
+    for batched, single in zip(batch, alone, strict=True):
+        np.testing.assert_array_equal(batched.wrench, single.wrench)
+        np.testing.assert_array_equal(batched.surface, single.surface)
+        np.testing.assert_array_equal(batched.quality.energy_gap, single.quality.energy_gap)
     assert batch[0].record["environments"] == 3
 
 
@@ -215,10 +215,10 @@ def test_a_result_says_what_ran_and_is_stored(small: Result, tmp_path: Path) -> 
 
 
 def test_progress_rises_to_one() -> None:
-    shares: list[float] = []
-    simulate_mpm([SCENE], COARSE, progress=shares.append)
-    assert shares == sorted(shares)
-    assert shares[-1] == 1.0
+    fractions: list[float] = []
+    simulate_mpm([SCENE], COARSE, progress=fractions.append)
+    assert fractions == sorted(fractions)
+    assert fractions[-1] == 1.0
 
 
 def test_the_end_of_a_line_does_not_lag() -> None:

@@ -58,13 +58,13 @@ def test_what_is_said_is_what_leaving_it_out_changes_on_a_finer_mesh() -> None:
     finer = Fem(fineness=0.5)
     full, less = (sim.simulate(one, finer) for one in (TWO, found.needed))
     true = worst_errors(outcome_of(less), outcome_of(full), BODY)
-    assert 0.3 * found.joint.value("share") < true["share"] <= found.joint.value("share")
+    assert 0.3 * found.joint.value("fraction") < true["fraction"] <= found.joint.value("fraction")
     assert 0 < true["marker"] <= found.joint.marker
 
 
 def test_effects_are_judged_together() -> None:
     worth = _by_name(plan_effects(TWO))
-    each = sorted(one.change.value("share") for one in worth.values())
+    each = sorted(one.change.value("fraction") for one in worth.values())
     # Enough for the larger one alone, but not for both together.
     room = module.SAFETY * (each[1] + 0.25 * each[0])
     found = plan_effects(TWO, f"{100 * room / module.PART:.6f} %")
@@ -72,10 +72,10 @@ def test_effects_are_judged_together() -> None:
     assert part_of_tolerance(found.tolerance) == pytest.approx(room, rel=1e-3)
     for one in found.effects:
         assert one.change is not None
-        assert module.SAFETY * one.change.value("share") <= room
+        assert module.SAFETY * one.change.value("fraction") <= room
     assert len(found.omitted) == 1
     assert found.omitted[0] == found.effects[0].name
-    assert found.joint.value("share") <= room
+    assert found.joint.value("fraction") <= room
 
 
 def test_without_effects_there_is_no_probe_and_the_same_bits(
@@ -103,7 +103,7 @@ def test_effects_of_no_strength_are_left_out_without_a_probe(
     nothing = Effects(Friction(0.0), Viscosity((0.0,), (1.0,)), Inertia(0.0), Gravity((0, 0, 0)))
     found = plan_effects(replace(RUBS, effects=nothing), "2 %")
     assert set(found.omitted) == {"friction", "viscosity", "inertia", "gravity"}
-    assert found.joint.value("share") == 0
+    assert found.joint.value("fraction") == 0
     assert found.needed.effects == Effects()
 
 
@@ -140,7 +140,7 @@ def test_a_bound_is_no_less_than_the_probe(speed: float) -> None:
         assert isinstance(full, Result)
         assert isinstance(less, Result)
         true = worst_errors(outcome_of(less), outcome_of(full), wide)
-        assert 0 < true["share"] <= bounds[name].value("share"), name
+        assert 0 < true["fraction"] <= bounds[name].value("fraction"), name
         assert 0 < true["marker"] <= bounds[name].marker, name
 
 
@@ -156,7 +156,7 @@ def test_what_layer_does_not_know_has_no_bound() -> None:
 
 def test_the_rest_of_a_tolerance_is_never_rounded_up() -> None:
     for value in (0.0199999, 0.01, 1.23456e-3, 0.15):
-        for kind, factor in (("share", 1.0), ("force", 1.0), ("marker", 1.0)):
+        for kind, factor in (("fraction", 1.0), ("force", 1.0), ("marker", 1.0)):
             text = module._text(kind, factor * value)  # type: ignore[arg-type]
             rest = tolerance_of(text)
             assert rest.kind == kind

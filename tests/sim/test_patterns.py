@@ -99,8 +99,8 @@ def outline(pattern: Pattern, count: int) -> np.ndarray:
         start = pattern.angle + (0 if pattern.shape == "diamond" else np.pi / 4)
         half = pattern.size / 2 * (1 if pattern.shape == "diamond" else np.sqrt(2))
         corner = half * np.exp(1j * (start + np.pi / 2 * np.arange(5)))
-        share = np.linspace(0, 1, count // 4, endpoint=False)[:, None]
-        sides = (corner[:4] * (1 - share) + corner[1:] * share).T.ravel()
+        fraction = np.linspace(0, 1, count // 4, endpoint=False)[:, None]
+        sides = (corner[:4] * (1 - fraction) + corner[1:] * fraction).T.ravel()
         edge = np.stack([sides.real, sides.imag], axis=1)
     return (pattern.centres[:, None] + edge).reshape(-1, 2)
 
@@ -134,8 +134,8 @@ def test_inside_is_negative_and_covers_the_area_of_the_markers() -> None:
     pixel = float(x[1] - x[0]) ** 2
     for shape, area in (("disc", math.pi / 4), ("square", 1.0), ("diamond", 0.5)):
         pattern = Pattern("one", shape, 1e-3, ((0.0, 0.0), (3e-3, -2e-3)))  # type: ignore[arg-type]
-        share = np.clip(0.5 - pattern.distance(x, x, 0.1e-3) / 10e-6, 0, 1)
-        assert share.sum() * pixel == pytest.approx(2 * area * 1e-6, rel=2e-3)
+        fraction = np.clip(0.5 - pattern.distance(x, x, 0.1e-3) / 10e-6, 0, 1)
+        assert fraction.sum() * pixel == pytest.approx(2 * area * 1e-6, rel=2e-3)
 
 
 def test_a_texture_read_in_between_is_within_a_micrometre() -> None:
@@ -220,8 +220,8 @@ def disc_image(pattern: Pattern, pixels: int, soft: bool) -> np.ndarray:
     along = ((np.arange(pixels) + 0.5) / pixels - 0.5) * 20e-3
     pixel = 20e-3 / pixels
     distance = pattern.distance(along, along, 4 * pixel)[::-1]
-    share = np.clip(0.5 - distance / pixel, 0, 1) if soft else distance <= 0
-    return np.round(255 * (1 - share))
+    fraction = np.clip(0.5 - distance / pixel, 0, 1) if soft else distance <= 0
+    return np.round(255 * (1 - fraction))
 
 
 @pytest.mark.parametrize(("soft", "within"), [(True, 0.15), (False, 0.75)])

@@ -155,7 +155,7 @@ def test_the_map_is_that_of_the_projected_points(renderer: Renderer) -> None:
 @pytest.mark.parametrize("mounted", [Camera(), Camera(shift=(9.0, -4.0), rotation=0.15)])
 def test_beside_the_gel_nothing_is_seen(mounted: Camera) -> None:
     body = Body(size_x=12e-3, size_y=9e-3)
-    seen = Renderer(body, mounted).untouched().material()[0]
+    seen = Renderer(body, mounted).undeformed().material()[0]
     pixels = np.stack(np.meshgrid(np.arange(640.0), np.arange(480.0)), axis=-1)
     places = mounted.places(pixels, body)
     beyond = np.abs(places) - (6e-3, 4.5e-3)
@@ -202,18 +202,18 @@ def test_several_samples_are_counted(renderer: Renderer) -> None:
     textures = fine.textures(PATTERNS[:1])
     view = fine.see(ASIDE.x, ASIDE.y, ASIDE.surface[None])
     exact = cKDTree(PATTERNS[0].centres).query(view.material()[0, 600:840, 900:1140])[0]
-    share = (exact <= PATTERNS[0].size / 2).reshape(80, 3, 80, 3).mean(axis=(1, 3))
+    fraction = (exact <= PATTERNS[0].size / 2).reshape(80, 3, 80, 3).mean(axis=(1, 3))
     grey = view.coverage(textures)[0, 0, 200:280, 300:380]
     # The texture's edge is 0.2 um off, so one sample of a pixel may differ.
-    assert np.abs(grey / 255 - share).max() < 1.01 * 2 / 9
-    assert np.abs(grey / 255 - share).mean() < 1e-3
-    assert mismatch(view.masks(textures)[0, 0, 200:280, 300:380], share >= 0.5) < 2e-3
+    assert np.abs(grey / 255 - fraction).max() < 1.01 * 2 / 9
+    assert np.abs(grey / 255 - fraction).mean() < 1e-3
+    assert mismatch(view.masks(textures)[0, 0, 200:280, 300:380], fraction >= 0.5) < 2e-3
 
 
-def test_the_untouched_gel_is_its_reference_bit_for_bit(
+def test_the_undeformed_gel_is_its_reference_bit_for_bit(
     renderer: Renderer, textures: Textures
 ) -> None:
-    reference = renderer.untouched()
+    reference = renderer.undeformed()
     for axis in (ASIDE.x, np.linspace(-9.95e-3, 9.95e-3, 40)):
         still = np.zeros((1, len(axis), len(axis), 3), np.float32)
         view = renderer.see(axis, axis, still)
@@ -231,7 +231,7 @@ def test_the_reference_is_the_pattern_as_the_camera_sees_it(
     pixels = np.stack(np.meshgrid(np.arange(640.0), np.arange(480.0)), axis=-1)
     places = renderer.camera.places(pixels, renderer.body)
     places[(np.abs(places) > 10e-3).any(axis=-1)] = np.nan
-    for pattern, mask in zip(PATTERNS, renderer.untouched().masks(textures)[0], strict=True):
+    for pattern, mask in zip(PATTERNS, renderer.undeformed().masks(textures)[0], strict=True):
         assert mismatch(mask, marked(pattern, places, 1)) < 2e-4
 
 
@@ -291,7 +291,7 @@ def test_no_marker_is_lost_or_made(name: str) -> None:
     renderer = Renderer(Body(), camera)
     textures = renderer.textures([named(name)])
     states = [ASIDE, dent(depth=1.5e-3), dent(at=(-5e-3, 4e-3), aside=(0.0, -0.8e-3))]
-    assert count_markers(renderer.untouched().masks(textures)[0, 0]) == len(named(name))
+    assert count_markers(renderer.undeformed().masks(textures)[0, 0]) == len(named(name))
     for state in states:
         assert count_markers(masks(renderer, textures, state)[0]) == len(named(name))
 
@@ -300,7 +300,7 @@ def test_markers_at_the_gels_border_are_drawn_up_to_it() -> None:
     body = Body(size_x=12e-3, size_y=9e-3)
     pattern = Pattern("edge", "square", 1e-3, ((5.5e-3, 4.0e-3), (-5.5e-3, -4.0e-3)))
     renderer = Renderer(body)
-    mask = renderer.untouched().masks(renderer.textures([pattern]))[0, 0]
+    mask = renderer.undeformed().masks(renderer.textures([pattern]))[0, 0]
     _, count = label(mask)
     assert count == 2
     assert mask.sum() * PIXEL**2 == pytest.approx(2e-6, rel=0.05)
@@ -317,8 +317,8 @@ def test_markers_at_the_gels_border_are_drawn_up_to_it() -> None:
 def test_an_image_of_a_pattern_renders_as_the_pattern(renderer: Renderer) -> None:
     pattern = named("Circle2")
     along = ((np.arange(1134) + 0.5) / 1134 - 0.5) * 20e-3
-    share = np.clip(0.5 - pattern.distance(along, along, 0.1e-3)[::-1] / (20e-3 / 1134), 0, 1)
-    drawn = ImagePattern("drawn", 255 * (1 - share), 20e-3)
+    fraction = np.clip(0.5 - pattern.distance(along, along, 0.1e-3)[::-1] / (20e-3 / 1134), 0, 1)
+    drawn = ImagePattern("drawn", 255 * (1 - fraction), 20e-3)
     both = masks(renderer, renderer.textures([pattern, drawn]), ASIDE)
     assert iou(*both) > 0.995
 
@@ -421,7 +421,7 @@ def test_options_that_mean_nothing_are_refused() -> None:
 @pytest.mark.slow
 def test_the_check_and_the_bench_measure_what_they_say() -> None:
     found = {line.what: line for line in lines([ASIDE], ray_samples=1, device="cpu")}
-    assert found["untouched and deformed"].differ > 0.01
+    assert found["undeformed and deformed"].differ > 0.01
     assert found["1 x 1 samples, 1 x 1 rays a pixel"].overlap > 0.996
     assert found["from displacement every 10 px, direct"].differ_most < 3e-4
     assert "| dent | float16 and float32 every 5 px | 0.99" in "\n".join(map(str, found.values()))

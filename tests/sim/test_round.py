@@ -70,15 +70,15 @@ def test_shares_of_cells_are_their_area_within_the_ellipse(size_x: float, size_y
         for edges in (x, y)
     )
     sampled = body.covers(fine_x[:, None], fine_y).reshape(len(x) - 1, count, len(y) - 1, count)
-    assert body.shares(x, y) == pytest.approx(sampled.mean(axis=(1, 3)), abs=2e-3)
+    assert body.fractions(x, y) == pytest.approx(sampled.mean(axis=(1, 3)), abs=2e-3)
     edges = np.linspace(-10 * MM, 10 * MM, 8)
-    area = float((body.shares(edges, edges) * np.diff(edges)[0] ** 2).sum())
+    area = float((body.fractions(edges, edges) * np.diff(edges)[0] ** 2).sum())
     assert area == pytest.approx(math.pi / 4 * body.size_x * body.size_y, rel=1e-8)
 
 
 def test_a_rectangle_covers_whole_cells() -> None:
     edges = np.linspace(-10 * MM, 10 * MM, 7)
-    assert (Body().shares(edges, edges) == 1).all()
+    assert (Body().fractions(edges, edges) == 1).all()
 
 
 def test_the_distance_from_the_side_of_a_disc_is_exact_and_of_an_ellipse_no_more() -> None:
@@ -348,7 +348,7 @@ def test_what_is_seen_of_the_gel_ends_at_the_round_outline() -> None:
     round_, square = (np.isfinite(field[0, ..., 0]) for field in fields)
     assert not (round_ & ~square).any()
     assert round_.sum() == pytest.approx(math.pi / 4 * square.sum(), rel=0.05)
-    seen = [Renderer(body, camera).untouched().material()[..., 0] for body in bodies]
+    seen = [Renderer(body, camera).undeformed().material()[..., 0] for body in bodies]
     round_pixels, pixels = (int(np.isfinite(places).sum()) for places in seen)
     assert round_pixels == pytest.approx(math.pi / 4 * pixels, rel=0.01)
 
@@ -364,8 +364,8 @@ def test_what_a_picture_of_markers_shows_beside_the_gel_is_cut_off() -> None:
             pass
 
     texture = distance_texture(Everywhere(), DISC, step=0.1 * MM)
-    share = (texture.values < 0).mean()
-    assert share == pytest.approx(math.pi / 4, rel=0.02)
+    fraction = (texture.values < 0).mean()
+    assert fraction == pytest.approx(math.pi / 4, rel=0.02)
 
 
 def test_a_drawn_surface_ends_at_the_round_outline() -> None:

@@ -95,13 +95,13 @@ def test_a_tier_that_is_not_there_is_refused() -> None:
 
 def test_many_scenes_give_many_results_in_their_order() -> None:
     scenes = [Scene(sphere(4e-3), press([depth])) for depth in (0.4e-3, 0.1e-3, 0.2e-3)]
-    shares: list[float] = []
-    results = simulate_many(scenes, Layer(), progress=shares.append)
+    fractions: list[float] = []
+    results = simulate_many(scenes, Layer(), progress=fractions.append)
     assert [result.scene for result in results] == scenes
     forces = [-result.force[-1, 2] for result in results]
     assert forces[1] < forces[2] < forces[0]
     # Hertz' exponent is a lower bound: a bonded layer stiffens faster.
     assert forces[0] / forces[2] > 2**1.5
-    assert shares == sorted(shares)
-    assert shares[-1] == 1
+    assert fractions == sorted(fractions)
+    assert fractions[-1] == 1
     assert simulate_many([], Layer()) == []

@@ -89,8 +89,8 @@ def test_normals_follow_a_rigid_turn_of_a_right_angle() -> None:
     np.testing.assert_allclose(found, np.broadcast_to([-1.0, 0, 0], found.shape), atol=1e-5)
 
 
-def test_an_untouched_top_does_not_move() -> None:
-    still = SurfaceField.untouched(Body(size_x=30e-3))
+def test_an_undeformed_top_does_not_move() -> None:
+    still = SurfaceField.undeformed(Body(size_x=30e-3))
     assert (still.x[0], still.x[-1], still.y[-1]) == (-15e-3, 15e-3, 10e-3)
     assert len(still) == 1
     assert not still.displacement.any()

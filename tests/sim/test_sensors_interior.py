@@ -78,7 +78,7 @@ def test_the_layer_is_in_balance_everywhere_inside() -> None:
 def test_a_top_that_only_slides_or_sinks_takes_the_layer_along_evenly() -> None:
     """Without waves the displacement is linear in depth; the edges are far enough away."""
     wide = Body(size_x=80e-3, size_y=80e-3)
-    still = SurfaceField.untouched(wide).displacement
+    still = SurfaceField.undeformed(wide).displacement
     for direction in np.eye(3):
         moved = SurfaceField(
             *(np.linspace(-40e-3, 40e-3, 4),) * 2, (still + 1e-4 * direction).astype(np.float32)
@@ -125,9 +125,9 @@ def test_it_agrees_with_the_inside_that_fem_solves(
         field = SurfaceField(result.surface_x, result.surface_y, result.surface[frame : frame + 1])
         places = nodes[chosen, :2]
         found = Interior(BODY, -level, places).at(field)[0][0]
-        share = np.linalg.norm(found - moved[chosen], axis=1)
-        share /= np.linalg.norm(moved[chosen], axis=1).max()
+        fraction = np.linalg.norm(found - moved[chosen], axis=1)
+        fraction /= np.linalg.norm(moved[chosen], axis=1).max()
         evenly = field.at(places)[0] * (1 + level / BODY.thickness) - moved[chosen]
-        assert np.sqrt((share**2).mean()) < rms
-        assert share.max() < 2.5 * rms
+        assert np.sqrt((fraction**2).mean()) < rms
+        assert fraction.max() < 2.5 * rms
         assert np.linalg.norm(found - moved[chosen]) < np.linalg.norm(evenly) / 3.5

@@ -120,8 +120,8 @@ def test_edges_waver_by_the_stated_deviation() -> None:
     jitter = 0.4
     rows = np.arange(480)
     edge = 320 + 20 * rows / 480
-    share = np.clip(edge[:, None] + 0.5 - np.arange(640), 0, 1)
-    grey = np.rint(255 * np.broadcast_to(share, (60, 480, 640))).astype(np.uint8)
+    fraction = np.clip(edge[:, None] + 0.5 - np.arange(640), 0, 1)
+    grey = np.rint(255 * np.broadcast_to(fraction, (60, 480, 640))).astype(np.uint8)
     seen = Segmenter(Segmentation(jitter_px=jitter, correlation_px=4.0), 0, "a").seen(grey)
     moved = seen.sum(axis=2) - (edge + 0.5)
     # Counting whole pixels adds the variance of a uniform distribution over one of them.
@@ -145,8 +145,8 @@ def test_the_stated_share_of_markers_is_missed_whole() -> None:
     plain = grey >= 128
     seen = Segmenter(Segmentation(missing=0.05), 0, "a").seen(grey)
     assert not (seen & ~plain).any()
-    share = 1 - seen.sum() / plain.sum()
-    assert share == pytest.approx(0.05, abs=4 * math.sqrt(0.05 * 0.95 / 4800))
+    fraction = 1 - seen.sum() / plain.sum()
+    assert fraction == pytest.approx(0.05, abs=4 * math.sqrt(0.05 * 0.95 / 4800))
     kept = seen[:, 60:72, 60:72].any(axis=(1, 2))
     assert (seen[:, 50:72, 50:72].sum(axis=(1, 2))[kept] > 230).all()
 

@@ -59,11 +59,11 @@ def gelsight() -> CameraReadout:
     return camera_readout(plain("gelsight"))
 
 
-def test_an_untouched_skin_is_the_renderers_reference(gelsight: CameraReadout) -> None:
+def test_an_undeformed_skin_is_the_renderers_reference(gelsight: CameraReadout) -> None:
     each = plain("gelsight")
     renderer = Renderer(each.body, Camera.of_scale(0.0249))
-    expected = renderer.untouched().masks(renderer.textures([pattern_of("GelSight")]))
-    np.testing.assert_array_equal(gelsight.masks(SurfaceField.untouched(each.body)), expected)
+    expected = renderer.undeformed().masks(renderer.textures([pattern_of("GelSight")]))
+    np.testing.assert_array_equal(gelsight.masks(SurfaceField.undeformed(each.body)), expected)
 
 
 def test_a_mirrored_press_mirrors_the_image(gelsight: CameraReadout) -> None:
@@ -76,7 +76,7 @@ def test_a_dent_pushes_the_markers_apart(gelsight: CameraReadout) -> None:
     each = plain("gelsight")
     still, moved = (
         marker_centres(gelsight.masks(field)[0, 0])
-        for field in (SurfaceField.untouched(each.body), dent(each))
+        for field in (SurfaceField.undeformed(each.body), dent(each))
     )
     middle = np.array([319.5, 239.5])
     radius = np.linalg.norm(still - middle, axis=1)
@@ -87,7 +87,7 @@ def test_a_dent_pushes_the_markers_apart(gelsight: CameraReadout) -> None:
 
 def test_a_skin_that_has_crept_shifts_its_reference(gelsight: CameraReadout) -> None:
     each = plain("gelsight")
-    still = SurfaceField.untouched(each.body)
+    still = SurfaceField.undeformed(each.body)
     step = 10 * 0.0249e-3
     before, after = (gelsight.masks(field)[0, 0] for field in (still, still.shifted(step, 0.0)))
     inner = slice(100, 500)
@@ -97,7 +97,7 @@ def test_a_skin_that_has_crept_shifts_its_reference(gelsight: CameraReadout) -> 
 
 def test_the_displacement_lattice_says_how_far_the_image_moved(gelsight: CameraReadout) -> None:
     each = plain("gelsight")
-    still = SurfaceField.untouched(each.body)
+    still = SurfaceField.undeformed(each.body)
     field = gelsight.displacement(still.shifted(0.0249e-3, -2 * 0.0249e-3))
     assert field.shape == (1, 57, 73, 2)
     np.testing.assert_allclose(field[0, 28, 36], [1.0, 2.0], atol=2e-3)
@@ -144,7 +144,7 @@ def test_tacpalm_shows_127_round_tips_that_fan_out_under_a_dent() -> None:
     reader = camera_readout(each)
     still, moved = (
         reader.masks(field)[0, 0]
-        for field in (SurfaceField.untouched(each.body), dent(each, depth=3e-3))
+        for field in (SurfaceField.undeformed(each.body), dent(each, depth=3e-3))
     )
     assert count_markers(still) == count_markers(moved) == 127
     areas = np.asarray(find_blobs(still[None]).area)
@@ -167,10 +167,10 @@ def test_a_stiff_film_rounds_the_edges_of_indenters_that_have_some() -> None:
 def test_a_picture_shows_each_side_of_a_dent_in_another_colour(gelsight: CameraReadout) -> None:
     each = plain("gelsight")
     picture = gelsight.pictures(dent(each))[0].astype(int)
-    level = gelsight.pictures(SurfaceField.untouched(each.body))[0].astype(int)
+    level = gelsight.pictures(SurfaceField.undeformed(each.body))[0].astype(int)
     assert picture.shape == (480, 640, 3)
     free = ~(
-        gelsight.masks(dent(each))[0, 0] | gelsight.masks(SurfaceField.untouched(each.body))[0, 0]
+        gelsight.masks(dent(each))[0, 0] | gelsight.masks(SurfaceField.undeformed(each.body))[0, 0]
     )
     left, right = (
         (picture - level)[160:320, columns][free[160:320, columns]].mean(axis=0)
@@ -183,7 +183,7 @@ def test_a_picture_shows_each_side_of_a_dent_in_another_colour(gelsight: CameraR
 def test_a_sensor_without_lamps_has_no_pictures() -> None:
     each = plain("gel")
     with pytest.raises(SceneError, match=r"signal\.shading: None"):
-        camera_readout(each).pictures(SurfaceField.untouched(each.body))
+        camera_readout(each).pictures(SurfaceField.undeformed(each.body))
 
 
 def test_the_gel_shows_its_twelve_patterns_on_one_deformation() -> None:

@@ -43,9 +43,9 @@ def pressed(x: float, y: float, aside: float = 0.0) -> Result:
     return simulate(scene, Layer())
 
 
-def test_an_untouched_pad_counts_nothing_and_draws_16_discs_of_481_px() -> None:
+def test_an_undeformed_pad_counts_nothing_and_draws_16_discs_of_481_px() -> None:
     reader = readout(sensor("uskin"))
-    still = SurfaceField.untouched(BODY)
+    still = SurfaceField.undeformed(BODY)
     assert not TaxelPad(BODY, SIGNAL).counts(still).any()
     blobs = find_blobs(reader.masks(still)[:, 0])
     assert len(blobs.area) == 16
@@ -129,7 +129,7 @@ def test_shear_moves_discs_the_way_the_skin_goes(sheared: tuple[Result, Result])
 
 def test_noise_has_the_stated_deviation_and_is_the_same_for_a_frame_each_time() -> None:
     reader = readout(sensor("uskin"), seed=7, session=("prism",))
-    still = SurfaceField.untouched(BODY)
+    still = SurfaceField.undeformed(BODY)
     many = replace(still, displacement=np.repeat(still.displacement, 400, axis=0))
     counts = reader.counts(many)  # type: ignore[union-attr]
     # Rounding to whole counts adds 1/12 to the variance.

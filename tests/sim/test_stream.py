@@ -175,7 +175,7 @@ def test_an_answer_foretells_the_next_one(name: str) -> None:
         assert np.linalg.norm(error[6:]) < 0.4 * np.linalg.norm(change[6:])
 
 
-def test_the_first_answer_is_of_an_untouched_sensor_that_knows_what_a_touch_does() -> None:
+def test_the_first_answer_is_of_a_sensor_without_contact_that_knows_what_a_touch_does() -> None:
     each = LiveSensor(GELSIGHT, named("cylinder"), grid=COARSE)
     assert not each.answer.touching
     assert not each.answer.values.any()

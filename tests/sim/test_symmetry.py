@@ -124,9 +124,9 @@ def test_forces_of_two_meshes_say_what_symmetry_forbids_of_them() -> None:
     wrench[1, 1] -= 0.1
     found = extrapolated(replace(coarse, wrench=wrench), fine)
     assert found.wrench[1, 1] > 0.1
-    share = found.record["symmetry"]["percent"]
-    assert share == pytest.approx(100 * found.wrench[1, 1] / np.linalg.norm(found.force[1]))
-    assert found.record["error"]["percent"] >= share
+    fraction = found.record["symmetry"]["percent"]
+    assert fraction == pytest.approx(100 * found.wrench[1, 1] / np.linalg.norm(found.force[1]))
+    assert found.record["error"]["percent"] >= fraction
     assert "across it" in found.record["warnings"][-1]
 
 

@@ -22,7 +22,7 @@ WET = replace(BALL, effects=Effects(viscosity=Viscosity((0.5,), (0.1,))))
 
 
 @pytest.mark.parametrize(
-    ("scene", "share", "tolerance", "path"),
+    ("scene", "fraction", "tolerance", "path"),
     [
         (BALL, 0.02, 2e-4, 2e-3),
         (BALL, 0.5, STATES_MOST, 10 * STATES_MOST),
@@ -32,9 +32,9 @@ WET = replace(BALL, effects=Effects(viscosity=Viscosity((0.5,), (0.1,))))
     ids=["two per cent", "coarse", "finest", "history"],
 )
 def test_states_are_as_exact_as_a_tolerance_asks(
-    scene: Scene, share: float, tolerance: float, path: float | None
+    scene: Scene, fraction: float, tolerance: float, path: float | None
 ) -> None:
-    states = _states(scene, share)
+    states = _states(scene, fraction)
     assert states.tolerance == pytest.approx(tolerance)
     assert states.path_tolerance == (None if path is None else pytest.approx(path))
 

@@ -32,7 +32,7 @@ def toy(**changes: Any) -> ForceSettings:
 def noise_presses(
     count: int = 3, frames: int = 4, *, seed: int = 0, form: str = "images"
 ) -> Presses:
-    """Return presses of noise whose force is the share of markers in their images."""
+    """Return presses of noise whose force is the fraction of markers in their images."""
     random = torch.Generator().manual_seed(seed)
     lengths = torch.tensor([frames + press % 2 for press in range(count)])
     starts = torch.cat([torch.zeros(1, dtype=torch.int64), lengths.cumsum(0)])

@@ -154,20 +154,20 @@ def lattice_field(state: State) -> NDArray[np.float16]:
 
 def mask_of(name: str, state: State) -> NDArray[np.bool_]:
     """Return the mask (480, 640) of a sensor."""
-    return _pattern(name, *_untouched(state))
+    return _pattern(name, *_no_contact(state))
 
 
 def _masks(sensors: Sequence[str], states: Sequence[State]) -> dict[str, NDArray[np.uint8]]:
     """Return the packed masks (n, 38400) of sensors, which share the inverse field."""
     packed = {name: np.empty((len(states), PACKED), np.uint8) for name in sensors}
     for row, state in enumerate(states):
-        places = _untouched(state)
+        places = _no_contact(state)
         for name in sensors:
             packed[name][row] = pack(_pattern(name, *places))
     return packed
 
 
-def _untouched(state: State) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _no_contact(state: State) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the contact-free column and row (480, 640) [px] of the material at each pixel."""
     if state.depth_mm == 0 and state.shear_mm == (0.0, 0.0):
         return _pixels()
@@ -201,13 +201,13 @@ def _sheared(depth: float, target: int, steps: int) -> list[tuple[float, float, 
     """Return depth, shear right and down [mm], loading: without contact, then four phases."""
     angle = np.pi / 4 * (3 * target + 1)
     right, down = SHEAR_MM * np.cos(angle), SHEAR_MM * np.sin(angle)
-    shares = [step / steps for step in range(1, steps + 1)]
+    fractions = [step / steps for step in range(1, steps + 1)]
     return [
         (0.0, 0.0, 0.0, True),
-        *((depth * share, 0.0, 0.0, True) for share in shares),
-        *((depth, right * share, down * share, True) for share in shares),
-        *((depth, right * (1 - share), down * (1 - share), True) for share in shares),
-        *((depth * (1 - share), 0.0, 0.0, False) for share in shares),
+        *((depth * fraction, 0.0, 0.0, True) for fraction in fractions),
+        *((depth, right * fraction, down * fraction, True) for fraction in fractions),
+        *((depth, right * (1 - fraction), down * (1 - fraction), True) for fraction in fractions),
+        *((depth * (1 - fraction), 0.0, 0.0, False) for fraction in fractions),
     ]
 
 

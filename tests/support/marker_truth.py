@@ -64,9 +64,9 @@ def mock_pictures(view: MarkerView, *, grey_noise: float, frames: int = 6) -> It
     stencil = MarkerCamera(replace(view, background=(0, 0, 0), ink=(255, 255, 255)))
     depth = 1.2e-3 if view.layout == "grid" else 4.0e-3
     radius_px = view.radius / view.pixel
-    for share in np.linspace(0, 1, frames):
+    for fraction in np.linspace(0, 1, frames):
         surface = Surface(
-            (1e-3, -0.5e-3), depth * share, 3e-3, 4e-3, (0.4e-3 * share, 0.2e-3 * share)
+            (1e-3, -0.5e-3), depth * fraction, 3e-3, 4e-3, (0.4e-3 * fraction, 0.2e-3 * fraction)
         )
         centres = camera.pixels(surface)
         # The drawn disc is half a pixel wider than specified; the ground truth is the drawn one.

@@ -74,9 +74,9 @@ def move(
         v, affine = np.zeros(3), np.zeros((3, 3))
         for node in near(x):
             way = np.array(node) - x
-            share = velocity[node] * spline(way)
-            v += share
-            affine += 4 * np.outer(share, way)
+            fraction = velocity[node] * spline(way)
+            v += fraction
+            affine += 4 * np.outer(fraction, way)
         shift[p] += v
         gradient[p] += affine @ (np.eye(3) + gradient[p])
         x = rest + shift[p] + corner

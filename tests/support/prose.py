@@ -1,7 +1,8 @@
-"""Check the prose of the repository, or of paths: `python tests/support/prose.py PATH...`.
+"""Check prose and names of the repository, or of paths: `python tests/support/prose.py PATH...`.
 
 Prose is the text of Markdown files, docstrings and comments; code in backticks is left out. Every
-finding is one line, `file:line: found; use ...`. The exit code is 1 if there is any.
+finding is one line, `file:line: found; use ...`. Names are those of Python code. The exit code is
+1 if there is any finding.
 """
 
 from __future__ import annotations
@@ -36,6 +37,33 @@ WORDS = {
     r"without a word\b": "silently",
     r"by whoever\b": "by anyone",
     r"that which\b": "rewrite the sentence",
+}
+# Names in code that readers have to translate, and better ones. A word counts only as a whole name.
+NAMES = {
+    "share": "fraction",
+    "together": "batch_size, batched",
+    "untouched": "no_contact, undeformed, reference",
+    "carried": "multiplier, transferred",
+    "between": "name the quantity",
+    "Verdict": "Outcome",
+    "verb": "command",
+    "verbs": "commands, cli",
+    "facts": "metadata, properties",
+    "said": "printed",
+    "spoilt": "corrupt",
+    "ballast": "reserved",
+    "newtons": "force, errors",
+    "Order": "Request",
+    "Look": "LiveState",
+    "Walk": "PlanRunner",
+    "Sentinels": "Interlocks",
+    "Judgement": "Result",
+    "Claim": "Criterion",
+    "Stencil": "BlockMatrix",
+    "Offer": "Candidate",
+    "Course": "TrainState",
+    "Life": "DeviceVariation",
+    "REST": "name the state",
 }
 # "What" in a thousand words, at most; the model projects have 0.05 to 0.3.
 WHAT_MOST = 1.0
@@ -115,6 +143,14 @@ def findings_of(text: Text) -> Iterator[str]:
             yield f"{line}: a sentence of {count} words; at most {SENTENCE_MOST}"
 
 
+def names_of(path: Path) -> Iterator[str]:
+    """Yield `line: name; use ...` for each name of `NAMES` in a Python file."""
+    content = path.read_text(encoding="utf-8")
+    for token in tokenize.generate_tokens(io.StringIO(content).readline):
+        if token.type == tokenize.NAME and token.string in NAMES:
+            yield f"{token.start[0]}: name {token.string}; use {NAMES[token.string]}"
+
+
 def files(paths: list[str]) -> list[Path]:
     """Return the Python and Markdown files among those that Git knows under `paths`."""
     listed = subprocess.run(
@@ -138,6 +174,9 @@ def main(paths: list[str]) -> int:
     """Print all findings and return the exit code."""
     words = whats = count = 0
     for path in files(paths):
+        for finding in names_of(path) if path.suffix == ".py" else ():
+            print(f"{path.relative_to(ROOT)}:{finding}")
+            count += 1
         for text in texts_of(path):
             for finding in findings_of(text):
                 print(f"{path.relative_to(ROOT)}:{finding}")

@@ -25,10 +25,10 @@ SKINS = DatasetPlan(
     (sensor("r6"), sensor("r18"), sensor("uskin")),
     indenters=("sphere", "cone"),
     solving=LAYER,
-    share=0.01,
+    fraction=0.01,
     steps=1,
     unit_presses=2,
-    together=2,
+    batch_size=2,
 )
 UNITS, IMAGES = 5, 2 * (2 + 3) * 5 + (4 + 3) * 5
 _IN_USE = sensor("array-i")
@@ -59,7 +59,7 @@ def make(
         begun,
         lambda missing, inside: make_here(begun, units(missing), inside, device="cpu", stop=stop),
         stop,
-        lambda share: None,
+        lambda fraction: None,
     )
 
 

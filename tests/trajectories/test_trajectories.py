@@ -5,8 +5,10 @@ from __future__ import annotations
 import itertools
 import json
 import math
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -31,8 +33,8 @@ INDENTERS = 18
 KEPT_FRAMES = 4  # the last frame of each phase makes a location pair
 
 press_shears = st.builds(
-    lambda x, y, step, levels, directions, shear, clearance, points, layout: PressShear(
-        x, y, step, step * levels, 2 * math.pi / directions, shear, clearance, points, layout
+    lambda x, y, step, levels, directions, shear, clearance, points, layout, order: PressShear(
+        x, y, step, step * levels, 2 * math.pi / directions, shear, clearance, points, layout, order
     ),
     st.floats(1e-4, 1e-2),
     st.floats(1e-4, 1e-2),
@@ -43,6 +45,7 @@ press_shears = st.builds(
     st.floats(1e-5, 1e-3),
     st.lists(st.integers(1, 5), min_size=1, max_size=5, unique=True).map(tuple),
     st.sampled_from(("corners", "cross")),
+    st.sampled_from(("authors", "quadrants")),
 )
 plans = st.one_of(press_shears, st.builds(ForceDepth, st.floats(1e-4, 5e-3), st.integers(1, 5)))
 
@@ -111,6 +114,59 @@ def test_json_gives_the_same_plan_back(plan: Plan) -> None:
     assert plan_from_json(json.loads(json.dumps(plan_to_json(plan)))) == plan
 
 
+def test_points_are_in_the_order_of_the_papers_authors() -> None:
+    # Their collector: centre, left top, left bottom, right bottom, right top, then by depth and
+    # counter-clockwise by direction.
+    signs = [tuple(np.sign(HOMOGENEOUS.position(point))) for point in range(1, 6)]
+    assert signs == [(0, 0), (-1, 1), (-1, -1), (1, -1), (1, 1)]
+    second = [target for target in HOMOGENEOUS.targets() if target.point == 2][:13]
+    assert [target.direction for target in second] == [*range(12), 0]
+    assert second[0].origin[:2] == (-3 * MM, 4 * MM)
+
+
+def test_a_plan_stored_before_the_order_keeps_its_own() -> None:
+    stored = plan_to_json(HOMOGENEOUS)
+    assert stored["order"] == "authors"
+    old = {name: value for name, value in stored.items() if name not in ("order", "dome_radius")}
+    plan = plan_from_json(old)
+    assert isinstance(plan, PressShear)
+    signs = [tuple(np.sign(plan.position(point))) for point in range(1, 6)]
+    assert signs == [(0, 0), (1, 1), (-1, 1), (-1, -1), (1, -1)]
+    assert plan_from_json(plan_to_json(plan)) == plan
+
+
+@given(press_shears, st.floats(1.01, 50))
+def test_on_a_dome_each_press_is_as_deep_below_the_surface_at_its_point(
+    plan: PressShear, ratio: float
+) -> None:
+    farthest = max(math.hypot(*plan.position(point)) for point in plan.points) + plan.shear
+    radius = ratio * farthest
+    domed = replace(plan, dome_radius=radius)
+    for flat, target in zip(plan.targets(), domed.targets(), strict=True):
+        drop = radius - math.sqrt(radius**2 - math.hypot(*flat.origin[:2]) ** 2)
+        for one, other in zip(
+            (flat.origin, flat.bottom, flat.sheared),
+            (target.origin, target.bottom, target.sheared),
+            strict=True,
+        ):
+            assert other[:2] == one[:2]
+            assert one[2] - other[2] == pytest.approx(drop, abs=1e-12)
+
+
+def test_the_tacpalms_dome_lowers_its_outer_points_as_the_authors_do() -> None:
+    plan = PressShear(
+        6.5 * MM, 6.5 * MM, 1.125 * MM, 4.5 * MM, math.radians(45), 1.5 * MM, dome_radius=29 * MM
+    )
+    heights = [plan.height(*plan.position(point)) for point in range(1, 6)]
+    assert heights[0] == 0
+    assert heights[1:] == pytest.approx([-1.5 * MM] * 4, abs=0.01 * MM)
+    limits = replace(WIDE, depth_max=4.5 * MM, dome_radius=29 * MM)
+    walked = dry_run(plan, limits, speed=0.005, acceleration=0.05)
+    # A shear towards the apex keeps its height while the surface rises.
+    assert walked.depth == pytest.approx(4.957 * MM, abs=1e-6)
+    assert any("depth: 4.957 mm" in line for line in walked.broken)
+
+
 @given(st.floats(1e-6, 0.1), st.floats(1e-4, 0.5), st.floats(1e-3, 5))
 def test_a_move_takes_at_least_its_length_over_its_speed(
     length: float, speed: float, acceleration: float
@@ -140,6 +196,9 @@ def test_the_profile_is_continuous_where_it_just_reaches_its_speed() -> None:
         ({"points": (1, 1)}, "points"),
         ({"points": ()}, "points"),
         ({"layout": "star"}, "layout"),
+        ({"order": "alphabetical"}, "order: 'alphabetical'; allowed: authors, quadrants"),
+        ({"dome_radius": 5.5e-3}, r"dome_radius: 0\.0055; allowed: above 0\.006"),
+        ({"dome_radius": math.nan}, "dome_radius"),
         ({"clearance": 0.0}, "clearance"),
     ],
 )

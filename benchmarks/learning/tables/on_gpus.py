@@ -4,7 +4,7 @@
 
 Does the work of run.sh and ablations.sh, starting each task as soon as its dependencies are done:
 presses are simulated on the CPU cores, two archives at a time at low priority; each table and each
-ablation takes a share of a GPU. The pages are written at the end; the time of each task goes to
+ablation takes a fraction of a GPU. The pages are written at the end; the time of each task goes to
 OUT/times.csv and its output to OUT/log. If a task fails, only its dependents are skipped. After
 Ctrl-C, the same command continues.
 """

@@ -31,7 +31,7 @@ from recorder.strict_yaml import natural_key
 GOAL_R2 = {"homogeneous": 0.95, "heterogeneous": 0.9}
 # Goal for the Dice score, and for translation from the taxels of a uSkin.
 GOAL_DICE, GOAL_DICE_TAXELS = 0.97, 0.93
-# Goal for the errors relative to the paper's: both as shares of the range of the labels.
+# Goal for the errors relative to the paper's: both as fractions of the range of the labels.
 GOAL_SHARE = 0.5
 TITLE = "# Forces on sensors that never saw a force gauge"
 

@@ -62,11 +62,11 @@ def measure(plan: AccuracyCampaign, path: Path, say: Callable[[str], None]) -> N
         for row in _case_rows(plan, case, truth, done):
             append(path, row)
             say(_line(row))
-        share = (index + 1) / len(plan.cases)
+        fraction = (index + 1) / len(plan.cases)
         spent = time.perf_counter() - began
         say(
             f"[{index + 1}/{len(plan.cases)}] {case.name} done, about "
-            f"{duration(spent / share - spent)} left"
+            f"{duration(spent / fraction - spent)} left"
         )
 
 
@@ -193,11 +193,11 @@ def _closed_form_row(case: Case, truth: Sequence[Reference | None]) -> Row | Non
     known = true.outcome.force
     size = np.linalg.norm(known, axis=1)
     error = np.abs(force - known)
-    share = error / np.maximum(size, WEAK * size.max())[:, None]
+    fraction = error / np.maximum(size, WEAK * size.max())[:, None]
     errors = dict.fromkeys(MEASURES, np.nan) | {
         "force": float(error.max()),
-        "force_share": float(share.max()),
-        "force_last": float(share[-1].max()),
+        "force_share": float(fraction.max()),
+        "force_last": float(fraction[-1].max()),
     }
     axes = tuple(float(value) for value in error.max(axis=0))
     return Row(case.name, CLOSED_FORM, "", 0.0, "none", 0.0, 0.0, 0, 0, errors, errors, axes)

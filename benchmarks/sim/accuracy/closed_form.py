@@ -75,17 +75,17 @@ def _shear(scene: Scene, radius: float, normal: Array) -> Array:
         if moved and limit:
             contact = hertz_contact_radius(-float(tip[frame, 2]), radius)
             # Masing's rule for a reversal: twice the displacement for twice the force.
-            share = 0.5 if before * moved < 0 else 1.0
+            fraction = 0.5 if before * moved < 0 else 1.0
             change = (
                 mindlin_force(
-                    moved * share,
+                    moved * fraction,
                     float(normal[frame]),
                     coefficient,
                     contact,
                     body.modulus,
                     body.poisson,
                 )
-                / share
+                / fraction
             )
         shear[frame] = np.clip(before + change, -limit, limit)
     return shear

@@ -84,10 +84,10 @@ def finer(motion: Motion, parts: int) -> Motion:
     pieces = pairwise(zip(motion.tip, motion.time, strict=True))
     for (start, begin), (end, finish) in pieces:
         for part in range(1, parts + 1):
-            share = part / parts
-            x, y, z = (a + (b - a) * share for a, b in zip(start, end, strict=True))
+            fraction = part / parts
+            x, y, z = (a + (b - a) * fraction for a, b in zip(start, end, strict=True))
             tip.append((x, y, z) if part < parts else end)
-            time.append(begin + (finish - begin) * share if part < parts else finish)
+            time.append(begin + (finish - begin) * fraction if part < parts else finish)
     return Motion(tip=tuple(tip), time=tuple(time))
 
 

@@ -24,7 +24,7 @@ from sim.result import Result
 from sim.scene import Scene
 from sim.simulate import simulate
 
-# Parts of an effect's weak share at which its result is compared.
+# Parts of an effect's weak fraction at which its result is compared.
 PARTS = (1.0, 0.5, 0.1)
 
 
@@ -58,7 +58,7 @@ class Cost:
     """Size of the state of one press when off and when on, in numbers."""
     memories: tuple[tuple[Memory, int], ...]
     limits: tuple[float, ...]
-    """Relative change of the force at each of `PARTS` of the weak share."""
+    """Relative change of the force at each of `PARTS` of the weak fraction."""
 
     @property
     def proven(self) -> bool:
@@ -157,7 +157,8 @@ def _assembly(*names: str) -> Assembly:
 def _limits(name: str) -> tuple[float, ...]:
     plain = simulate(scene(), EXACT).force[-1]
     weak = (
-        simulate(scene(name, share=TRIALS[name].share * part), EXACT).force[-1] for part in PARTS
+        simulate(scene(name, fraction=TRIALS[name].fraction * part), EXACT).force[-1]
+        for part in PARTS
     )
     size = np.linalg.norm(plain)
     return tuple(float(np.linalg.norm(force - plain) / size) for force in weak)

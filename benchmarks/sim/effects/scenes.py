@@ -21,13 +21,13 @@ MOTION = Motion(
 
 @dataclass(frozen=True, slots=True)
 class EffectScene:
-    """Effect at full strength, and the share at which it counts as weak."""
+    """Effect at full strength, and the fraction at which it counts as weak."""
 
     effect: Friction | Viscosity | Inertia | Gravity
     parameter: str
     """Parameter that goes to 0, as shown on the page at full strength."""
-    share: float
-    """Share of the parameter at which the response is proportional."""
+    fraction: float
+    """Fraction of the parameter at which the response is proportional."""
 
 
 TRIALS: dict[str, EffectScene] = {
@@ -38,12 +38,12 @@ TRIALS: dict[str, EffectScene] = {
 }
 
 
-def scene(*names: str, share: float = 1.0) -> Scene:
-    """Return the press with the named effects at `share` of their strength, all others off."""
-    return Scene(sphere(3e-3), MOTION, BODY, effects(*names, share=share))
+def scene(*names: str, fraction: float = 1.0) -> Scene:
+    """Return the press with the named effects at `fraction` of their strength, all others off."""
+    return Scene(sphere(3e-3), MOTION, BODY, effects(*names, fraction=fraction))
 
 
-def effects(*names: str, share: float = 1.0) -> Effects:
-    """Return the named effects at `share` of their strength."""
-    made = {name: TRIALS[name].effect.weakened(share) for name in names}
+def effects(*names: str, fraction: float = 1.0) -> Effects:
+    """Return the named effects at `fraction` of their strength."""
+    made = {name: TRIALS[name].effect.weakened(fraction) for name in names}
     return Effects(**made)  # type: ignore[arg-type]  # each under the name of its kind

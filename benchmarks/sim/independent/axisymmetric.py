@@ -34,7 +34,7 @@ POINTS = 4
 CONVERGED, ITERATIONS = 1e-7, 20
 # Maximum number of multiplier updates, and the change of force at which they end.
 AUGMENTATIONS, STANDS_STILL = 4, 2e-5
-# Minimum share of a Newton step, which is taken even if the merit function rises.
+# Minimum fraction of a Newton step, which is taken even if the merit function rises.
 SHARE_MIN = 0.1
 # Determinant of the deformation gradient below which a Newton step is shortened.
 DET_MIN = 0.02
@@ -181,17 +181,17 @@ class AxisymmetricPress:
 
     def _settled(self, state: RingState) -> RingState:
         """Return the state with updated multipliers, as far as Newton's method converges."""
-        force, share = self._tractions(state, state.u, state.tip).force, 1.0
+        force, fraction = self._tractions(state, state.u, state.tip).force, 1.0
         for _ in range(AUGMENTATIONS):
             pressure = self._tractions(state, state.u, state.tip).pressure
-            multiplier = state.multiplier + share * (pressure - state.multiplier)
+            multiplier = state.multiplier + fraction * (pressure - state.multiplier)
             found = self._balanced(replace(state, multiplier=multiplier), state.tip)
             if found is None:
-                share /= 2
+                fraction /= 2
                 continue
             before, force = force, self._tractions(found, found.u, found.tip).force
             state = found
-            if abs(force - before) < STANDS_STILL * share * abs(force):
+            if abs(force - before) < STANDS_STILL * fraction * abs(force):
                 break
         return state
 
@@ -212,18 +212,18 @@ class AxisymmetricPress:
             factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
             change = np.zeros_like(u)
             change[self.free] = factors.solve(residual)
-            share = 1.0
+            fraction = 1.0
             while True:
-                if not self._inverted(u - share * change):
-                    contact, residual, now = self._residual(old, u - share * change, tip)
+                if not self._inverted(u - fraction * change):
+                    contact, residual, now = self._residual(old, u - fraction * change, tip)
                     # Near convergence, changes of the merit function are rounding errors.
-                    if now < merit + 1e-9 * abs(merit) or share < SHARE_MIN:
+                    if now < merit + 1e-9 * abs(merit) or fraction < SHARE_MIN:
                         break
-                share /= 2
-                if share < SHARE_MIN / 16:
+                fraction /= 2
+                if fraction < SHARE_MIN / 16:
                     return None
             merit = now
-            u -= share * change
+            u -= fraction * change
         return None
 
     def _residual(self, old: RingState, u: Array, tip: float) -> tuple[Contact, Array, float]:
@@ -264,15 +264,15 @@ class AxisymmetricPress:
             before = old.u[self.unknowns].reshape(-1, 3, 2)
             slip = self.shape @ (moved - before) - np.array([0.0, tip - old.tip])
             along = np.sum(slip * tangent, axis=-1)
-            share, rise = self._touched(old, before, gap)
-            trial = old.shear - self.stiffness * share * along
+            fraction, rise = self._touched(old, before, gap)
+            trial = old.shear - self.stiffness * fraction * along
             limit = self.friction * pressure
             slips = np.abs(trial) > limit
             shear = np.where(slips, np.sign(trial) * limit, trial) * touching
             # d(tangent) = -bend (tangent . dx) normal, d(pressure) = -stiffness normal . dx
             off = np.sum(slip * normal, axis=-1)
             mixed = tangent[..., :, None] * normal[..., None, :]
-            sticking = (share * (1 - off * bend))[..., None, None] * across
+            sticking = (fraction * (1 - off * bend))[..., None, None] * across
             sticking = -self.stiffness * (sticking + (along * rise)[..., None, None] * mixed)
             sliding = (-self.friction * self.stiffness * np.sign(trial))[..., None, None] * mixed
             change = np.where(slips[..., None, None], sliding, sticking)
@@ -288,7 +288,7 @@ class AxisymmetricPress:
         return Contact(pressure, shear, nodal, stiff, force, reach)
 
     def _touched(self, old: RingState, before: Array, gap: Array) -> tuple[Array, Array]:
-        """Return the share of the step in contact (S, P), and its derivative by the gap [1/m].
+        """Return the fraction of the step in contact (S, P), and its derivative by the gap [1/m].
 
         Without it, friction is exact only to first order in the step: a point that has just come
         into contact would be dragged by the whole step.

@@ -207,7 +207,7 @@ def compared(task: Task, settings: Settings) -> list[Row]:
 def own_error(record: dict[str, object]) -> float:
     """Return the error estimate of a result's force [%], or NaN without one.
 
-    `record["error"]` may be a share, or a mapping with `force` or `percent`.
+    `record["error"]` may be a fraction, or a mapping with `force` or `percent`.
     """
     reported = record.get("error")
     if isinstance(reported, dict):

@@ -40,8 +40,8 @@ STIFFNESS = 300.0
 # Friction coefficient at which hardly any point slips.
 STUCK = 50.0
 GROWTH, CONVERGED, ITERATIONS, AUGMENTATIONS = 0.5, 1e-6, 14, 3
-# Shares of a Newton step, tried in turn.
-SHARES = (1.0, 0.5, 0.25, 0.125)
+# Fractions of a Newton step, tried in turn.
+FRACTIONS = (1.0, 0.5, 0.25, 0.125)
 # First Piola-Kirchhoff stress of the material law in `sim`, at virtual displacements.
 LAW = "(G*pow(Det(F),-2/3)*(F-Norm_sqr(F)/3*Inv(F)')+K/2*(sqr(Det(F))-1)*Inv(F)'):Grad_Test_u"
 
@@ -149,8 +149,8 @@ def _triangle(measures: tuple[float, ...], edge: float) -> str:
         x, y = f"(q(1)-({float(start[0])!r}))", f"(q(2)-({float(start[1])!r}))"
         sides.append(f"({float(v)!r}*{x}-({float(u)!r})*{y})")
         far = f"({float(u)!r}*{x}+({float(v)!r})*{y})"
-        share = f"({far}*step({far})*step({length!r}-{far})+{length!r}*step({far}-{length!r}))"
-        near.append(f"(sqr({x}-({float(u)!r})*{share})+sqr({y}-({float(v)!r})*{share}))")
+        fraction = f"({far}*step({far})*step({length!r}-{far})+{length!r}*step({far}-{length!r}))"
+        near.append(f"(sqr({x}-({float(u)!r})*{fraction})+sqr({y}-({float(v)!r})*{fraction}))")
     outside = f"(1-step(-{sides[0]})*step(-{sides[1]})*step(-{sides[2]}))"
     out = f"{outside}*{_least(near[0], _least(near[1], near[2]))}"
     return f"sqrt({out}+2*half_sqr_pos_part(({edge!r}-q(3)))+1e-30)-{edge!r}"
@@ -199,14 +199,14 @@ class Solver:
         turn, raised = turned(case)
         rows = ";".join(",".join(repr(float(value)) for value in row) for row in turn.T)
         model.add_initialized_data("lift", np.array([0.0, 0.0, raised]))
-        model.add_im_data("carried", self.number)
-        model.set_variable("carried", np.zeros(self.number.nbpts()))
+        model.add_im_data("multiplier", self.number)
+        model.set_variable("multiplier", np.zeros(self.number.nbpts()))
         model.add_macro("q", f"([{rows}]*(X+u-tip-lift))" if raised else "(X+u-tip)")
-        model.add_macro("push", f"pos_part(carried-eps*({distance(case)}))")
+        model.add_macro("push", f"pos_part(multiplier-eps*({distance(case)}))")
         if case.friction:
             self._rub(model)
         else:
-            self.contact = f"half_sqr_pos_part(carried-eps*({distance(case)}))/eps"
+            self.contact = f"half_sqr_pos_part(multiplier-eps*({distance(case)}))/eps"
         model.add_nonlinear_term(self.surface, self.contact, TOP)
         return model
 
@@ -283,15 +283,15 @@ class Solver:
         start, change = self.model.variable("u"), np.zeros(self.field.nbdof())
         change[self.free] = self._solve(np.asarray(self.model.rhs())[self.free])
         left = {}
-        for share in SHARES:
-            left[share] = self._residual(start + share * change)
+        for fraction in FRACTIONS:
+            left[fraction] = self._residual(start + fraction * change)
             # NaN, from an inverted element, does not compare as less.
-            if left[share] < norm:
-                return left[share]
-        finite = [share for share in SHARES if math.isfinite(left[share])]
+            if left[fraction] < norm:
+                return left[fraction]
+        finite = [fraction for fraction in FRACTIONS if math.isfinite(left[fraction])]
         if not finite:
             return math.nan
-        return self._residual(start + min(finite, key=lambda share: left[share]) * change)
+        return self._residual(start + min(finite, key=lambda fraction: left[fraction]) * change)
 
     def _remember(self) -> None:
         if self.case.friction:
@@ -319,11 +319,13 @@ class Solver:
     def settle(self) -> None:
         """Update the multipliers, so that no penetration remains."""
         for _ in range(AUGMENTATIONS):
-            before = self.model.variable("carried")
+            before = self.model.variable("multiplier")
             force = self.force()
-            self.model.set_variable("carried", self.model.interpolation("push", self.number, TOP))
+            self.model.set_variable(
+                "multiplier", self.model.interpolation("push", self.number, TOP)
+            )
             if not self.move(self.model.variable("tip")):
-                self.model.set_variable("carried", before)
+                self.model.set_variable("multiplier", before)
                 return
             if np.linalg.norm(self.force() - force) < 2e-4 * np.linalg.norm(force):
                 return
@@ -344,13 +346,13 @@ def main(name: str, scale: float) -> int:
             rate = np.zeros(solver.field.nbdof())
         heading = (aim - start) / length
         parts = 6 if case.friction else 3
-        share, step = 0.0, 1.0 / parts
-        while share < 1 - 1e-9:
-            ahead = min(1.0, share + step)
-            before, way = solver.model.variable("u"), (ahead - share) * length
+        fraction, step = 0.0, 1.0 / parts
+        while fraction < 1 - 1e-9:
+            ahead = min(1.0, fraction + step)
+            before, way = solver.model.variable("u"), (ahead - fraction) * length
             if solver.move(start + ahead * length * heading, way * rate):
                 rate = (solver.model.variable("u") - before) / way
-                share, step = ahead, min(1.0 / parts, 1.5 * step)
+                fraction, step = ahead, min(1.0 / parts, 1.5 * step)
             else:
                 step /= 2
                 if step < 1e-3:

@@ -53,8 +53,8 @@ def graded(
 
 def _lines(low: float, high: float, size: Callable[[Array], Array]) -> Array:
     # Half of the samples are dense at either end, where elements may be 1e-4 of the whole.
-    share = np.linspace(0, 1, SAMPLES) ** 3
-    x = np.unique(np.concatenate([low + (high - low) * share, high - (high - low) * share]))
+    fraction = np.linspace(0, 1, SAMPLES) ** 3
+    x = np.unique(np.concatenate([low + (high - low) * fraction, high - (high - low) * fraction]))
     middle = (x[1:] + x[:-1]) / 2
     count = np.concatenate([[0.0], np.cumsum(np.diff(x) / size(middle))])
     whole = max(2, int(np.ceil(count[-1])))

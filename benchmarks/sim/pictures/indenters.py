@@ -74,10 +74,10 @@ def _shaded(indenter: Indenter, tile: int) -> NDArray[np.uint8]:
     points = np.stack([x[hit], y[hit], height[hit]], axis=1)
     _, normal = indenter.distance(points)
     bright = 0.4 + 0.8 * np.maximum(normal @ LIGHT, 0)
-    share = (height[hit] / REACH)[:, None]
+    fraction = (height[hit] / REACH)[:, None]
     image = np.empty((count, count, 3))
     image[:] = (236.0, 237.0, 238.0)
-    image[hit] = np.clip((NEAR * (1 - share) + FAR * share) * bright[:, None], 0, 255)
+    image[hit] = np.clip((NEAR * (1 - fraction) + FAR * fraction) * bright[:, None], 0, 255)
     blocks = image.reshape(tile, SAMPLES, tile, SAMPLES, 3)
     pixels: NDArray[np.uint8] = np.round(blocks.mean(axis=(1, 3))).astype(np.uint8)
     return pixels

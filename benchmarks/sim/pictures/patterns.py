@@ -62,8 +62,8 @@ def _gel(pattern: Pattern) -> float:
 def _drawn(pattern: Pattern, gel: float, tile: int) -> NDArray[np.uint8]:
     pixel = gel / tile
     along = (np.arange(tile, dtype=np.float64) + 0.5 - tile / 2) * pixel
-    share = np.clip(0.5 - pattern.distance(along, along, 2 * pixel) / pixel, 0, 1)[::-1, :, None]
-    colours = np.array(PANEL, float) * (1 - share) + MARKER * share
+    fraction = np.clip(0.5 - pattern.distance(along, along, 2 * pixel) / pixel, 0, 1)[::-1, :, None]
+    colours = np.array(PANEL, float) * (1 - fraction) + MARKER * fraction
     drawn: NDArray[np.uint8] = np.round(colours).astype(np.uint8)
     return drawn
 

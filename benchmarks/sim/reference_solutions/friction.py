@@ -59,9 +59,9 @@ def mindlin_displacement(
     Raises:
         ValueError: |T| above mu N.
     """
-    share = _share(tangential, normal, coefficient)
+    fraction = _share(tangential, normal, coefficient)
     shift = _full_shift(normal, coefficient, contact_radius, modulus, poisson)
-    return math.copysign(shift * (1 - float(np.cbrt(1 - abs(share)) ** 2)), share)
+    return math.copysign(shift * (1 - float(np.cbrt(1 - abs(fraction)) ** 2)), fraction)
 
 
 def mindlin_force(
@@ -121,10 +121,10 @@ def mindlin_loss(
     Raises:
         ValueError: |T*| above mu N.
     """
-    share = abs(_share(amplitude, normal, coefficient))
-    held = float(np.cbrt(1 - share))
+    fraction = abs(_share(amplitude, normal, coefficient))
+    held = float(np.cbrt(1 - fraction))
     shift = _full_shift(normal, coefficient, contact_radius, modulus, poisson)
-    bracket = 1 - held**5 - 5 / 6 * share * (1 + held**2)
+    bracket = 1 - held**5 - 5 / 6 * fraction * (1 + held**2)
     return 24 / 5 * coefficient * normal * shift * bracket
 
 

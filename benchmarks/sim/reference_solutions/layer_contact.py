@@ -125,5 +125,5 @@ def deficit_rule(thickness: float, poisson: float, base: Base, reach: float) -> 
     width = _ALPHA_MAX / panels
     place, weight = gauss_rule(width, 16)
     alpha = np.ravel(width * np.arange(panels)[:, None] + place)
-    share = np.tile(weight, panels) * layer_deficit(alpha, poisson, base)
-    return alpha / thickness, share / thickness
+    fraction = np.tile(weight, panels) * layer_deficit(alpha, poisson, base)
+    return alpha / thickness, fraction / thickness

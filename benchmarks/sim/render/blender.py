@@ -39,7 +39,7 @@ MM = 1e3
 
 
 def render(state: RenderState, texture: Path, out: Path) -> np.ndarray:
-    """Return the marker share (480, 640) of each pixel, rendered by Blender from a texture."""
+    """Return the marker fraction (480, 640) of each pixel, rendered by Blender from a texture."""
     import bpy
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -87,9 +87,9 @@ def _gel(state: RenderState, texture: Path):
     cells = np.stack([number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]], axis=-1)
     mesh = bpy.data.meshes.new("gel")
     mesh.from_pydata(place.reshape(-1, 3).tolist(), [], cells.reshape(-1, 4).tolist())
-    share = (material / (body.size_x, body.size_y) + 0.5).reshape(-1, 2)
+    fraction = (material / (body.size_x, body.size_y) + 0.5).reshape(-1, 2)
     layer = mesh.uv_layers.new(name="material")
-    layer.data.foreach_set("uv", share[cells.ravel()].astype(np.float32).ravel())
+    layer.data.foreach_set("uv", fraction[cells.ravel()].astype(np.float32).ravel())
     shader = bpy.data.materials.new("markers")
     if shader.node_tree is None:
         shader.use_nodes = True
@@ -110,10 +110,12 @@ def draw_texture(name: str, state: RenderState, path: Path) -> None:
     """Write a pattern over the whole gel as a PNG, with white markers and anti-aliased edges."""
     body, pattern = state.body, named(name)
     pixels = [(np.arange(TEXTURE) + 0.5) / TEXTURE - 0.5] * 2
-    x, y = (share * size for share, size in zip(pixels, (body.size_x, body.size_y), strict=True))
+    x, y = (
+        fraction * size for fraction, size in zip(pixels, (body.size_x, body.size_y), strict=True)
+    )
     pixel = body.size_x / TEXTURE
-    share = np.clip(0.5 - pattern.distance(x, y, 4 * pixel) / pixel, 0, 1)
-    Image.fromarray(np.round(share[::-1] * 255).astype(np.uint8)).save(path)
+    fraction = np.clip(0.5 - pattern.distance(x, y, 4 * pixel) / pixel, 0, 1)
+    Image.fromarray(np.round(fraction[::-1] * 255).astype(np.uint8)).save(path)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -143,8 +145,9 @@ def run(options: argparse.Namespace) -> int:
             draw_texture(name, state, texture)
             theirs = render(state, texture, options.out / f"{index}-{name}-blender.png") >= 0.5
             Image.fromarray(mask).save(options.out / f"{index}-{name}-ours.png")
-            share = 100 * mismatch(mask, theirs)
+            fraction = 100 * mismatch(mask, theirs)
             print(
-                f"| {state.name} | {name} | {iou(mask, theirs):.5f} | {share:.4f} % |", flush=True
+                f"| {state.name} | {name} | {iou(mask, theirs):.5f} | {fraction:.4f} % |",
+                flush=True,
             )
     return 0

@@ -41,13 +41,13 @@ class Line:
     overlap: float
     """Smallest intersection over union."""
     differ: float
-    """Mean share of pixels that differ."""
+    """Mean fraction of pixels that differ."""
     differ_most: float
 
     def __str__(self) -> str:
         """Return a row of a table."""
-        shares = f"{100 * self.differ:.4f} % | {100 * self.differ_most:.4f} %"
-        return f"| {self.state} | {self.what} | {self.overlap:.5f} | {shares} |"
+        fractions = f"{100 * self.differ:.4f} % | {100 * self.differ_most:.4f} %"
+        return f"| {self.state} | {self.what} | {self.overlap:.5f} | {fractions} |"
 
 
 def lines(states: Sequence[RenderState], *, ray_samples: int, device: str) -> Iterator[Line]:
@@ -73,9 +73,9 @@ def lines(states: Sequence[RenderState], *, ray_samples: int, device: str) -> It
 
         renderer, seen = view()
         direct = masks(renderer, seen)
-        untouched = masks(renderer, renderer.untouched())
+        undeformed = masks(renderer, renderer.undeformed())
         told = f"{ray_samples} x {ray_samples} rays a pixel"
-        yield _line(state, "untouched and deformed", untouched, direct)
+        yield _line(state, "undeformed and deformed", undeformed, direct)
         for samples in SAMPLES:
             drawn = masks(*view(samples=samples))
             yield _line(state, f"{samples} x {samples} samples, {told}", drawn, truth)

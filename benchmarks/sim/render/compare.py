@@ -15,5 +15,5 @@ def iou(one: Mask, other: Mask) -> float:
 
 
 def mismatch(one: Mask, other: Mask) -> float:
-    """Return the share of all pixels in which they differ."""
+    """Return the fraction of all pixels in which they differ."""
     return float((one != other).mean())

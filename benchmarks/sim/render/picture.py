@@ -39,7 +39,7 @@ def draw(path: str | PathLike[str], states: Sequence[RenderState]) -> None:
     for row, state in enumerate(states):
         renderer = Renderer(state.body, Camera.paper(), samples=5)
         textures = renderer.textures([named(name) for name in PATTERNS])
-        before = renderer.untouched().coverage(textures)[0]
+        before = renderer.undeformed().coverage(textures)[0]
         after = renderer.see(state.x, state.y, state.surface[None]).coverage(textures)[0]
         top = GAP + row * (TILE[1] + CAPTION + GAP)
         for column, name in enumerate(PATTERNS):
@@ -53,8 +53,8 @@ def draw(path: str | PathLike[str], states: Sequence[RenderState]) -> None:
 
 def _drawn(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> NDArray[np.uint8]:
     colours = np.broadcast_to(np.array(PANEL, float), (*before.shape, 3))
-    for share, colour in ((before, BEFORE), (after, MARKER)):
-        part = share[..., None] / 255.0
+    for fraction, colour in ((before, BEFORE), (after, MARKER)):
+        part = fraction[..., None] / 255.0
         colours = colours * (1 - part) + colour * part
     drawn: NDArray[np.uint8] = np.round(colours).astype(np.uint8)
     return drawn

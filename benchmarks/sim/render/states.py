@@ -98,7 +98,7 @@ def state_of(name: str, result: Result, frame: int) -> RenderState:
 
 def _graded(half: float, middle: float, points: int) -> Array:
     """Return points from -half to half, about three times as dense around `middle`."""
-    share = np.linspace(-1, 1, 20 * points)
-    density = 1 + 2 * np.exp(-((share * half - middle) ** 2) / (half / 3) ** 2)
+    fraction = np.linspace(-1, 1, 20 * points)
+    density = 1 + 2 * np.exp(-((fraction * half - middle) ** 2) / (half / 3) ** 2)
     amount = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2)])
-    return np.interp(np.linspace(0, 1, points), amount / amount[-1], share) * half
+    return np.interp(np.linspace(0, 1, points), amount / amount[-1], fraction) * half

@@ -1,7 +1,7 @@
 """Fit of the sensors' parameters: `python -m benchmarks sensor-fit [--finer] [--check]`.
 
 1. The prism is pressed, without viscosity, into GelSight, uSkin and TacPalm: force over depth.
-2. Ratios of the branches: the press at the row's speed loses the given share of its area.
+2. Ratios of the branches: the press at the row's speed loses the given fraction of its area.
 3. Moduli: force is proportional to modulus; at full depth uSkin : GelSight : TacPalm = 4 : 2 : 1.
 4. Gains of uSkin: the largest counts of a press and of its shear at the contact points.
 
@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 FORCES = {"uskin": 4.0, "gelsight": 2.0, "tacpalm": 1.0}
 # Sensor whose modulus is given.
 ANCHOR = "gelsight"
-# Share of the press's area that is lost; assumed, within 10 to 20 %.
+# Fraction of the press's area that is lost; assumed, within 10 to 20 %.
 LOSS = {"uskin": 0.12, "gelsight": 0.15, "tacpalm": 0.15}
 # Largest counts along z, and along x or y, of presses with the trajectory's full depth and shear:
 # discs grow 8 times, to 2,300 points^2, and move by 0.4 of their pitch, but do not touch.
@@ -105,7 +105,7 @@ def fit_forces(sensors: dict[str, SimulatedSensor], presses: dict[str, Result]) 
     for name, each in sensors.items():
         depth, force = _curve(presses[name])
         row = _branches(each)
-        branches = fitted(depth, force, row.times, speed=each.speed, share=LOSS[name])
+        branches = fitted(depth, force, row.times, speed=each.speed, fraction=LOSS[name])
         peaks[name] = float(relaxed(depth, force, branches, speed=each.speed)[1].max())
         lines += [
             Line(f"{name}: ratio of the branch of {time:g} s", ratio, found)

@@ -36,7 +36,7 @@ Colours = NDArray[np.uint8]
 ORDER = (*HETEROGENEOUS, *HOMOGENEOUS, *MATERIAL, "gel")
 # Tiles in a row, size of a tile, space around it and height of its caption [px].
 COLUMNS, TILE, GAP, CAPTION = 4, (400, 300), 18, 50
-MARKER, GROUND, UNTOUCHED = (240, 240, 236), (22, 26, 34), (240, 140, 40)
+MARKER, GROUND, UNDEFORMED = (240, 240, 236), (22, 26, 34), (240, 140, 40)
 # Number of patterns shown for a sensor with many.
 PATTERNS = 4
 # Maximum element height [m]; it is also at most a sixth of the thickness.
@@ -92,10 +92,10 @@ def sheet(tiles: Sequence[Tile]) -> Image.Image:
     return page
 
 
-def outlined(mask: NDArray[np.bool_], untouched: NDArray[np.bool_]) -> Colours:
+def outlined(mask: NDArray[np.bool_], undeformed: NDArray[np.bool_]) -> Colours:
     """Return markers (480, 640, 3) in white, with outlines of the undeformed ones in orange."""
     pixels = np.where(mask[..., None], MARKER, GROUND).astype(np.uint8)
-    pixels[untouched & ~binary_erosion(untouched, iterations=2)] = UNTOUCHED
+    pixels[undeformed & ~binary_erosion(undeformed, iterations=2)] = UNDEFORMED
     return pixels
 
 
@@ -109,14 +109,14 @@ def _pressed(each: SimulatedSensor, name: str) -> Result:
 
 def _tiles(each: SimulatedSensor, result: Result) -> list[Tile]:
     top = SurfaceField.of(result)
-    still = SurfaceField.untouched(each.body)
+    still = SurfaceField.undeformed(each.body)
     reader = readout(each, seed=SEED, session=("prism",))
-    masks, untouched = reader.masks(top)[-1], reader.masks(still)[0]
+    masks, undeformed = reader.masks(top)[-1], reader.masks(still)[0]
     depth = -result.scene.motion.tip[-1][2] * 1e3
     text = f"{each.body.modulus / 1e3:g} kPa, {depth:g} mm deep, {-result.force[-1, 2]:.2f} N"
     shown = np.unique(np.linspace(0, len(masks) - 1, PATTERNS).round().astype(int)).tolist()
     tiles = [
-        Tile(f"{each.name}: {reader.patterns[one]}", text, outlined(masks[one], untouched[one]))
+        Tile(f"{each.name}: {reader.patterns[one]}", text, outlined(masks[one], undeformed[one]))
         for one in shown
     ]
     if each.name == "gelsight" and isinstance(reader, CameraReadout):

@@ -66,9 +66,9 @@ def relaxed(
 
 
 def fitted(
-    depth: Array, force: Array, times: tuple[float, ...], *, speed: float, share: float
+    depth: Array, force: Array, times: tuple[float, ...], *, speed: float, fraction: float
 ) -> Viscosity:
-    """Return branches of these times [s] with equal ratios that lose `share` of a press's area.
+    """Return branches of these times [s] with equal ratios that lose `fraction` of a press's area.
 
     Raises:
         SceneError: No ratio up to 10 loses as much.
@@ -78,11 +78,12 @@ def fitted(
         return Viscosity(ratios=(ratio,) * len(times), times=times)
 
     def excess(ratio: float) -> float:
-        return hysteresis(*relaxed(depth, force, with_ratio(ratio), speed=speed)) - share
+        return hysteresis(*relaxed(depth, force, with_ratio(ratio), speed=speed)) - fraction
 
     if not excess(0.0) < 0 < excess(10.0):
         raise SceneError(
-            f"share: {share!r}; allowed with times {times!r} s at {speed:g} m/s: above 0, below "
-            f"{excess(10.0) + share:.3f}"
+            f"fraction: {fraction!r}; allowed with times {times!r} s at {speed:g} m/s: above 0, "
+            "below "
+            f"{excess(10.0) + fraction:.3f}"
         )
     return with_ratio(float(brentq(excess, 0.0, 10.0, xtol=1e-6)))

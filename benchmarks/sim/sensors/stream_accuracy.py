@@ -187,10 +187,10 @@ def image_lines(
         expected = reader.masks(one)[0, 0]
         seen = markers_in(image, expected)
         found.append((seen & expected).sum() / max((seen | expected).sum(), 1))
-    untouched = reader.masks(SurfaceField(top.x, top.y, 0 * top.displacement[:1]))[0, 0]
+    undeformed = reader.masks(SurfaceField(top.x, top.y, 0 * top.displacement[:1]))[0, 0]
     yield (
         f"{len(found)} images of contact: IoU of markers {min(found):.4f} minimum, "
-        f"{np.mean(found):.4f} mean; markers are {untouched.mean():.1%} of the pixels"
+        f"{np.mean(found):.4f} mean; markers are {undeformed.mean():.1%} of the pixels"
     )
 
 

@@ -105,7 +105,7 @@ def save_offer_chart(
         path: Path of the picture.
         records: Records of all devices.
         candidates: Offers of each device.
-        bound: Error of the reference, as a share; NaN if unknown.
+        bound: Error of the reference, as a fraction; NaN if unknown.
     """
     panels = []
     for title, measure in (("mean", "mean"), ("95 % below", "most"), ("worst", "worst")):

@@ -123,14 +123,14 @@ def errors(forces: Forces, reference: Forces, *, from_mm: float = 0.0) -> Errors
         return Errors(0, nothing, nothing, nothing, "", nothing)
     true = np.array([reference[key] for key in both])
     off = np.array([forces[key] for key in both]) - true
-    share = np.linalg.norm(off, axis=1) / np.linalg.norm(true, axis=1)
-    worst = int(share.argmax())
+    fraction = np.linalg.norm(off, axis=1) / np.linalg.norm(true, axis=1)
+    worst = int(fraction.argmax())
     name, x, y, depth = both[worst]
     return Errors(
         presses=len({key[:3] for key in both}),
-        mean=float(share.mean()),
-        most=float(np.percentile(share, 95)),
-        worst=float(share[worst]),
+        mean=float(fraction.mean()),
+        most=float(np.percentile(fraction, 95)),
+        worst=float(fraction[worst]),
         worst_at=f"{name} at ({x:g}, {y:g}) mm, {depth:g} mm deep",
         normal=float(np.mean(np.abs(off[:, 2]) / np.abs(true[:, 2]))),
     )

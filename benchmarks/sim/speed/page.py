@@ -216,7 +216,7 @@ def or_missing(value: float, text: str) -> str:
 
 
 def percent(value: float) -> str:
-    """Return a share in percent."""
+    """Return a fraction in percent."""
     return or_missing(value, f"{100 * value:.2f} %")
 
 

@@ -44,7 +44,7 @@ _TANGENT_FLOPS, _FORCES_FLOPS = 14_000, 3_500
 
 
 def renewed_share(*, cpu: bool) -> float:
-    """Return the share of Newton iterations that assemble the elastic part."""
+    """Return the fraction of Newton iterations that assemble the elastic part."""
     return 1 / ELASTIC_EVERY if cpu else 1.0
 
 

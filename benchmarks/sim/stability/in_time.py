@@ -37,7 +37,7 @@ THERE_AND_BACK = (0.25, 0.5, 0.75, 1.0, 0.75, 0.5, 0.25, 0.0)
 
 
 def _cycle(speed: float) -> Motion:
-    return press([DEPTH * share for share in THERE_AND_BACK], speed=speed)
+    return press([DEPTH * fraction for fraction in THERE_AND_BACK], speed=speed)
 
 
 def ramp_and_hold_relaxes(solver: Solver) -> list[Law]:
@@ -46,8 +46,8 @@ def ramp_and_hold_relaxes(solver: Solver) -> list[Law]:
     viscous = solver.one(Scene(SPHERE, hold, PAD, VISCOUS))
     elastic = solver.one(Scene(SPHERE, press([DEPTH]), PAD))
     force, rest = push(viscous)[20:], push(elastic)[-1]
-    # A share of exp(-10) of the branch remains after 10 relaxation times; 1e-4 of the force is the
-    # solver's tolerance, 1e-3 of its largest decrease between frames.
+    # A fraction of exp(-10) of the branch remains after 10 relaxation times; 1e-4 of the force is
+    # the solver's tolerance, 1e-3 of its largest decrease between frames.
     return [
         *validity_laws(viscous, det_f=0.5),
         rises("force decreases while held", -force, -1e-4),
@@ -216,14 +216,14 @@ def all_effects_at_once(solver: Solver) -> list[Law]:
         gravity=Gravity(),
     )
     motion = press_shear_return(0.8 * MM, 0.5 * MM, steps=3)
-    together = solver.one(Scene(SPHERE, motion, PAD, effects))
+    batched = solver.one(Scene(SPHERE, motion, PAD, effects))
     rubbed = solver.one(Scene(SPHERE, motion, PAD, Effects(friction=Friction(0.5))))
     return [
-        *validity_laws(together, det_f=0.3),
-        slides(together),
-        dissipates(together, 0.01),
-        at_least("force with all / with friction", push(together)[3] / push(rubbed)[3], 1.1),
-        lets_go(together),
+        *validity_laws(batched, det_f=0.3),
+        slides(batched),
+        dissipates(batched, 0.01),
+        at_least("force with all / with friction", push(batched)[3] / push(rubbed)[3], 1.1),
+        lets_go(batched),
     ]
 
 

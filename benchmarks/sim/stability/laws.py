@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 # Base reaction against contact force: the solver accepts a residual of the nodal forces of 1e-4 of
 # the contact force (l2); summed over the nodes it may be a few times that.
 BALANCE = 5e-4
-# Contact lighter than this share of the press's largest is balanced to that share: the solver
+# Contact lighter than this fraction of the press's largest is balanced to that fraction: the solver
 # requests no more digits of a light touch than float32 has.
 LIGHT = 0.01
 # Shear traction above the friction limit, over the largest pressure: the last digits of float32.
@@ -81,8 +81,8 @@ def validity_laws(*results: Result, det_f: float = 0.1, pull: float = 1e-6) -> l
         push = -result.traction[..., 2].astype(float)
         pulls.append(max(0.0, -push.min()) / max(float(np.abs(push).max()), 1e-30))
         force = np.linalg.norm(result.force, axis=1)
-        share = force / max(float(force.max()) * LIGHT, 1e-30)
-        unbalanced.append(result.quality.balance * np.minimum(1.0, share))
+        fraction = force / max(float(force.max()) * LIGHT, 1e-30)
+        unbalanced.append(result.quality.balance * np.minimum(1.0, fraction))
     return [
         at_least("smallest det F", _least(r.quality.det_f_min for r in results), det_f),
         at_most("balance", _most(unbalanced), BALANCE),

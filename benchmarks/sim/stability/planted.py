@@ -152,8 +152,8 @@ def _energy_line_search() -> list[Part]:
         def _energy(self) -> Any:
             """Return the energy of elements and contact springs by environment, without weight."""
             assembly: Any = self._assembly
-            shares = assembly.element_energy, assembly.face_energy
-            return sum(share.numpy().sum(axis=1, dtype=float) for share in shares)
+            fractions = assembly.element_energy, assembly.face_energy
+            return sum(fraction.numpy().sum(axis=1, dtype=float) for fraction in fractions)
 
     return [(solver, "Newton", ByEnergy)]
 

@@ -150,9 +150,9 @@ def batch_against_alone(solver: Solver) -> list[Law]:
         Scene(shapes.flat_punch(2 * MM, 0.5 * MM), press([0.3 * MM]), PAD),
         Scene(SPHERE, press([0.9 * MM], at=(MM, 0.0)), replace(PAD, modulus=1e6, poisson=0.3)),
     ]
-    together = solver.many(scenes)
+    batched = solver.many(scenes)
     return [
-        _alike(solver.one(scene), result) for scene, result in zip(scenes, together, strict=True)
+        _alike(solver.one(scene), result) for scene, result in zip(scenes, batched, strict=True)
     ]
 
 
@@ -163,9 +163,9 @@ def batch_with_friction(solver: Solver) -> list[Law]:
         Scene(SPHERE, motion, PAD, Effects(friction=Friction(coefficient)))
         for coefficient in (0.2, 0.9)
     ]
-    together = solver.many(scenes)
+    batched = solver.many(scenes)
     return [
-        _alike(solver.one(scene), result) for scene, result in zip(scenes, together, strict=True)
+        _alike(solver.one(scene), result) for scene, result in zip(scenes, batched, strict=True)
     ]
 
 

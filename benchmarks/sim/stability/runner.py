@@ -151,6 +151,6 @@ def _begin(device: str) -> None:
 
 
 def _line(report: Report, done: int, count: int, left: float) -> str:
-    verdict = "passed" if report.passed else "FAILED"
-    text = f"[{done:{len(str(count))}}/{count}] {verdict} {report.name:<38} {report.seconds:6.1f} s"
+    status = "passed" if report.passed else "FAILED"
+    text = f"[{done:{len(str(count))}}/{count}] {status} {report.name:<38} {report.seconds:6.1f} s"
     return text if done == count else f"{text}   {duration(left)} left"

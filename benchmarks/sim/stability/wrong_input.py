@@ -170,9 +170,9 @@ def unlike_bodies_in_a_batch(solver: Solver) -> list[Law]:
         replace(base, effects=replace(base.effects, friction=Friction(0.1))),
     ]
     numerics = Fem(spacing=1 * MM)
-    together = simulate_many(scenes, numerics, device=solver.device)
+    batched = simulate_many(scenes, numerics, device=solver.device)
     laws = []
-    for scene, result in zip(scenes, together, strict=True):
+    for scene, result in zip(scenes, batched, strict=True):
         if isinstance(result, SimulationDiverged):
             return [at_least("solved", 0, 1)]
         alone = simulate(scene, numerics, device=solver.device)

@@ -96,14 +96,14 @@ def run(options: argparse.Namespace) -> int:
             if key in known:
                 continue
 
-            def share(part: float, done: int = done) -> None:
+            def fraction(part: float, done: int = done) -> None:
                 progress((done + part) / len(names))
 
             try:
                 if name == ELEMENTS:
-                    row = measure_elements(device=options.device, progress=share)
+                    row = measure_elements(device=options.device, progress=fraction)
                 else:
-                    row = measure(name, *wanted[name], device=options.device, progress=share)
+                    row = measure(name, *wanted[name], device=options.device, progress=fraction)
             except SimulationDiverged as diverged:
                 print(f"{name}: {diverged}")
                 continue

@@ -14,7 +14,7 @@ from learning.data.genforce.format import (
     write_coefficients,
     write_mask,
 )
-from learning.data.genforce.importing import LAYOUTS, import_folder, layout_of
+from learning.data.genforce.importing import LAYOUTS, import_folder, layout_of, read_plan
 
 __all__ = [
     "LAYOUTS",
@@ -25,6 +25,7 @@ __all__ = [
     "read_coefficients",
     "read_compensation",
     "read_mask",
+    "read_plan",
     "write_coefficients",
     "write_mask",
 ]

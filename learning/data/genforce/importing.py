@@ -25,6 +25,8 @@ from learning.markers.frames import taxel_masks
 from learning.markers.segment import CameraPreset, Segmenter, TaxelPreset, preset, preset_of_sensor
 from recorder.archive import MarkerCount
 from recorder.markers import pack
+from recorder.settings import Reader
+from trajectories import PressShear, plan_to_json
 
 # Supported layouts and their descriptions.
 LAYOUTS: Mapping[str, str] = {
@@ -48,10 +50,25 @@ class Choices:
     """Size of a pixel by sensor [mm]."""
     surfaces_mm: Mapping[str, float] = field(default_factory=dict)
     """Sensors whose depth files hold heights, and the height of their surface [mm]."""
+    plans: Mapping[str, PressShear] = field(default_factory=dict)
+    """Plans of sensors in a training folder, whose presses are numbered in their order."""
     unseen: tuple[str, ...] = UNSEEN
     """Indenters that models may not be trained on."""
     compensation: Mapping[str, Compensation] = field(default_factory=dict)
     """Force over depth by sensor, stored with it."""
+
+
+def read_plan(path: Path) -> PressShear:
+    """Read the plan of presses in a bench file or a simulated sensor's file, its `trajectory`.
+
+    Raises:
+        LearningError: No such file, or it has no valid press-shear plan.
+    """
+    reader = Reader(LearningError)
+    content = reader.read(path)
+    if "trajectory" not in content:
+        raise LearningError(f"{path}: missing trajectory; allowed: a press_shear plan")
+    return reader.build(PressShear, content["trajectory"], f"{path}.trajectory")
 
 
 def layout_of(root: Path) -> str:
@@ -91,6 +108,11 @@ def import_folder(
     """
     chosen = choices or Choices()
     layout = layout_of(root)
+    if chosen.plans and layout != "training":
+        raise LearningError(
+            f"plan: found with a folder of layout {layout}, which tells places itself; allowed: "
+            "a training folder"
+        )
     read = {"training": _training, "states": _states, "raw": _raw}[layout]
     of = {"training": training, "states": states, "raw": raw}[layout]
     indenters = coded(of.indenters_of(root))
@@ -100,8 +122,10 @@ def import_folder(
 
 
 def _training(root: Path, indenters: tuple[str, ...], chosen: Choices) -> Iterator[PublishedSensor]:
-    for one in training.read_training(root, _codes(indenters), chosen.surfaces_mm):
-        about = {"depth": one.depths, "position": "unknown: 0"}
+    for one in training.read_training(root, _codes(indenters), chosen.surfaces_mm, chosen.plans):
+        about: dict[str, Any] = {"depth": one.depths, "position": one.positions}
+        if one.name in chosen.plans:
+            about["plan"] = plan_to_json(chosen.plans[one.name])
         if not one.torques:
             about["torque"] = "unknown: 0"
         yield _published(root, one.name, one.presses, one.reference[None], indenters, chosen, about)
@@ -132,7 +156,7 @@ def _raw(root: Path, indenters: tuple[str, ...], chosen: Choices) -> Iterator[Pu
             read = _segmented(found)
             still = np.stack([read(path) for path in one.references])
             count = MarkerCount(found.area_px[0], found.tolerance)
-        about = {
+        about: dict[str, Any] = {
             "depth": "pose.csv: below the first pose of the press",
             "position": "pose.csv: from the first pose of the run",
             "preset": name,

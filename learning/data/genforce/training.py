@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from learning.data.genforce.format import (
     SUFFIXES,
@@ -29,8 +30,11 @@ from learning.data.genforce.format import (
     read_mask,
 )
 from learning.errors import LearningError
+from trajectories import PressShear, Target
 
-DEPTH_UNKNOWN = "unknown: 0"
+DEPTH_UNKNOWN, PLACE_UNKNOWN = "unknown: 0", "unknown: 0"
+# Source of depths and positions that a plan tells: the folder has its ends of phases, no times.
+BY_PLAN = "the plan, by the number of the press; evenly spaced within a phase"
 # Surface heights of the authors' heterogeneous test, where depth is 0 [mm]: these files hold
 # heights, normalised by these values. Elsewhere the files hold depths.
 SURFACES_MM: Mapping[str, float] = {
@@ -49,6 +53,8 @@ class TrainingSensor:
     presses: tuple[GenForcePress, ...]
     depths: str
     """Description of the source of depths."""
+    positions: str
+    """Description of the source of positions."""
     torques: bool
     """True if forces include torques."""
 
@@ -59,7 +65,10 @@ def is_training(root: Path) -> bool:
 
 
 def read_training(
-    root: Path, codes: Mapping[str, int], surfaces_mm: Mapping[str, float]
+    root: Path,
+    codes: Mapping[str, int],
+    surfaces_mm: Mapping[str, float],
+    plans: Mapping[str, PressShear],
 ) -> Iterator[TrainingSensor]:
     """Yield the sensors of a folder; of the masks, only references are opened.
 
@@ -67,12 +76,16 @@ def read_training(
         root: The folder that contains `img`.
         codes: Codes of the indenters, by name; locations are numbered by them.
         surfaces_mm: Sensors whose depth files hold heights, and the height of their surface [mm].
+        plans: Plans of sensors: the number of a press tells its place, direction and depth.
 
     Raises:
         LearningError: A file or folder is missing or invalid; the message names it.
     """
     images = _images(root)
     sensors = _folders(images)
+    if unknown := sorted(set(plans) - {sensor.name for sensor in sensors}):
+        names = ", ".join(sensor.name for sensor in sensors)
+        raise LearningError(f"plan: found one of {', '.join(unknown)}; {root} has {names}")
     if not sensors:
         raise LearningError(f"{images}: found no folder of a sensor")
     for sensor in sensors:
@@ -82,7 +95,7 @@ def read_training(
         int(point.name) for sensor in sensors for one in _folders(sensor) for point in _points(one)
     )
     for sensor in sensors:
-        yield _sensor(root, images, sensor, codes, targets, surfaces_mm)
+        yield _sensor(root, images, sensor, codes, targets, surfaces_mm, plans.get(sensor.name))
 
 
 def indenters_of(root: Path) -> set[str]:
@@ -115,9 +128,11 @@ def _sensor(
     codes: Mapping[str, int],
     targets: int,
     surfaces_mm: Mapping[str, float],
+    plan: PressShear | None,
 ) -> TrainingSensor:
     name = folder.name
     reference = _reference(images, name)
+    planned = () if plan is None else tuple(plan.targets())
     presses, torques = [], True
     known: set[bool] = set()
     for indenter in _folders(folder):
@@ -130,26 +145,50 @@ def _sensor(
             torques &= whole
             target = int(point.name) - 1
             count = len(files)
+            phase = phases_of(read_last(_last(images, place), count))
+            tip = np.zeros((count, 3))
+            if plan is not None:
+                if target >= len(planned):
+                    raise LearningError(
+                        f"{point}: found press {target + 1}; its plan has {len(planned)}"
+                    )
+                tip = _along(plan, planned[target], phase)
+                depth = np.maximum(-tip[:, 2], 0.0) if depth is None else depth
             presses.append(
                 GenForcePress(
                     indenter=indenter.name,
                     target=target,
                     files=files,
-                    phase=phases_of(read_last(_last(images, place), count)),
+                    phase=phase,
                     wrench=wrench,
                     depth=np.zeros(count) if depth is None else depth,
-                    position=np.zeros((count, 2)),
+                    position=tip[:, :2],
                     location=np.full(count, codes[indenter.name] * targets + target),
                 )
             )
     if len(known) > 1:
         raise LearningError(f"{root / 'depth' / name}: has depths of some points; expected of all")
-    depths = DEPTH_UNKNOWN
+    depths = DEPTH_UNKNOWN if plan is None else BY_PLAN
     if known == {True}:
         depths = "inc_z.csv and dec_z.csv, mm"
         if name in surfaces_mm:
             depths += f" below {surfaces_mm[name]:g} mm"
-    return TrainingSensor(name, reference, tuple(presses), depths, torques)
+    positions = PLACE_UNKNOWN if plan is None else BY_PLAN
+    return TrainingSensor(name, reference, tuple(presses), depths, positions, torques)
+
+
+def _along(plan: PressShear, target: Target, phase: NDArray[np.int64]) -> Array:
+    """Return the planned tip at each frame of a press (n, 3) [m], z above the surface there.
+
+    The last frame of a phase is at its end; those before are evenly spaced.
+    """
+    tip = np.empty((len(phase), 3))
+    for move in plan.moves(target):
+        rows = np.flatnonzero(phase == move.phase)
+        way = np.linspace(0.0, 1.0, len(rows) + 1)[1:, None]
+        tip[rows] = (1 - way) * np.array(move.start) + way * np.array(move.end)
+    tip[:, 2] -= plan.height(*target.origin[:2])
+    return tip
 
 
 def _images(root: Path) -> Path:

@@ -158,7 +158,10 @@ def import_checkpoint(path: Path, base: str, out: Path) -> tuple[str, int]:
         network = MarkerVae(read_vae(base), settings)
     load_weights(network, found.tensors, str(path))
     kind = train.KIND if found.kind == "translator" else train_vae.KIND
-    facts = {BASE: fingerprint(base), "imported_from": f"{path.name} sha256 {weights_hash(path)}"}
-    with RunFolder.open(out, kind, settings, "the authors' checkpoint", facts=facts) as run:
+    metadata = {
+        BASE: fingerprint(base),
+        "imported_from": f"{path.name} sha256 {weights_hash(path)}",
+    }
+    with RunFolder.open(out, kind, settings, "the authors' checkpoint", metadata=metadata) as run:
         run.finish(0, {"model": network})
     return kind, sum(tensor.numel() for tensor in found.tensors.values())

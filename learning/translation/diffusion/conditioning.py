@@ -1,4 +1,4 @@
-"""Tokens for the UNet's cross-attention: the untouched target and, optionally, source.
+"""Tokens for the UNet's cross-attention: the target's reference and, optionally, source.
 
 The paper only states that the reference's latent is the condition of the cross-attention. Three
 encodings are available:
@@ -38,7 +38,7 @@ class ReferenceTokens(nn.Module):
             kind: Encoding of tokens.
             channels: Channels of the latent.
             width: Width of the UNet's cross-attention.
-            source_reference: True if the untouched source is also an input.
+            source_reference: True if the source's reference is also an input.
         """
         super().__init__()
         self.kind, self.width, self.source_reference = kind, width, source_reference

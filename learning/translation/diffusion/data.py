@@ -23,7 +23,7 @@ from recorder.archive import MarkerArchive, location_pairs
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImagePairs:
-    """N pairs of M images, with their K untouched images."""
+    """N pairs of M images, with their K images without contact."""
 
     images: torch.Tensor
     """(M, h, w) uint8, 255 where a pixel is fully marker."""

@@ -129,9 +129,9 @@ def multilevel_sigmoid(logits: Sequence[torch.Tensor], *, real: bool) -> torch.T
 # Differentiable augmentation (Zhao et al. 2020) with its own ranges, as the vision-aided
 # discriminator uses it: colour, translation, cutout. Pixels shifted in or cut out become 0.
 
-# Largest shift, as a share of the side.
+# Largest shift, as a fraction of the side.
 TRANSLATION = 1 / 8
-# Side of the square that is cut out, as a share of the image's.
+# Side of the square that is cut out, as a fraction of the image's.
 CUTOUT = 1 / 2
 
 

@@ -2,7 +2,7 @@
 
     source --encoder--> latent --UNet, at t = 999--> noise -> clean latent --decoder--> target
                                   ^ cross-attention
-    untouched target --frozen reference encoder--> tokens
+    target's reference --frozen reference encoder--> tokens
 
 The frozen weights are the published ones; `state_dict` returns only the others.
 """
@@ -149,7 +149,7 @@ BETA_FIRST, BETA_LAST = 0.00085, 0.012
 
 @cache
 def remaining_signal() -> float:
-    """Return the share of the clean latent's variance remaining at the last time (0.00466)."""
+    """Return the fraction of the clean latent's variance remaining at the last time (0.00466)."""
     low, high = math.sqrt(BETA_FIRST), math.sqrt(BETA_LAST)
     return math.prod(1 - (low + (high - low) * time / LAST_TIME) ** 2 for time in range(TIMES))
 
@@ -250,8 +250,8 @@ class MarkerToMarker(nn.Module):
 
         Args:
             source: Images (n, 1, h, w) in [0, 1].
-            target_reference: Latent of the untouched target (n, channels, h/8, w/8).
-            source_reference: Latent of the untouched source, if it is an input.
+            target_reference: Latent of the target's reference mask (n, channels, h/8, w/8).
+            source_reference: Latent of the source's reference, if it is an input.
             noise: Standard normal noise of a latent's shape; None: use the posterior's mean.
         """
         latent = self.posterior(source).at(noise)
@@ -268,7 +268,7 @@ class MarkerToMarker(nn.Module):
 
     @torch.no_grad()
     def reference_posterior(self, images: torch.Tensor) -> Posterior:
-        """Return the posterior of untouched images (n, 1, h, w) by the frozen encoder."""
+        """Return the posterior of images without contact (n, 1, h, w) by the frozen encoder."""
         return posterior(self.reference, self.native(images), self.scaling)
 
     def native(self, images: torch.Tensor) -> torch.Tensor:

@@ -101,7 +101,7 @@ class TranslatorSettings(TrainingSettings):
     conditioning: Conditioning = "patch_tokens"
     """Encoding of references for cross-attention."""
     source_reference: bool = True
-    """True if the untouched source is also an input."""
+    """True if the source's reference is also an input."""
     unet_rank: int = 8
     """Rank of the UNet's adapter."""
     train_vae: bool = True
@@ -168,9 +168,9 @@ class Batch:
     target: torch.Tensor
     """Target images, likewise."""
     target_reference: torch.Tensor
-    """Latents of the untouched target."""
+    """Latents of the target's reference."""
     source_reference: torch.Tensor | None
-    """Latents of the untouched source, if they are an input."""
+    """Latents of the source's reference, if they are an input."""
     noise: torch.Tensor | None
     """Standard normal noise of a latent's shape; None: use the posterior's mean."""
     generator: torch.Generator
@@ -207,7 +207,7 @@ def merged(
     batches: Sequence[Batch], generator: Side, judges: Judges, runs_on: Accelerator
 ) -> dict[str, torch.Tensor]:
     """Train one step on its batches; return the mean of each unweighted loss."""
-    share = 1 / len(batches)
+    fraction = 1 / len(batches)
     reported: list[dict[str, torch.Tensor]] = []
     shown = []
     for number, batch in enumerate(batches):
@@ -216,7 +216,7 @@ def merged(
             parts = _reconstruction(made, batch, generator, judges, runs_on)
             if judges.heads is not None:
                 parts["adversarial"] = _fooling(made, batch, judges, runs_on)
-            runs_on.backward(_weighted(parts, judges.losses) * share)
+            runs_on.backward(_weighted(parts, judges.losses) * fraction)
         reported.append({name: part.detach() for name, part in parts.items()})
         shown.append(made.detach())
     _advance(generator, runs_on)
@@ -228,7 +228,7 @@ def merged(
                 logits = judges.heads.network(_seen(both, batch, judges.features))
                 true, fake = zip(*(level.chunk(2) for level in logits), strict=True)
                 loss = multilevel_sigmoid(true, real=True) + multilevel_sigmoid(fake, real=False)
-                runs_on.backward(loss * judges.losses.adversarial * share)
+                runs_on.backward(loss * judges.losses.adversarial * fraction)
             reported[number]["discriminator"] = loss.detach()
         _advance(judges.heads, runs_on)
     return {name: torch.stack([each[name] for each in reported]).mean() for name in reported[0]}
@@ -447,7 +447,7 @@ def evaluate(
 def encoded_references(
     network: MarkerToMarker, references: torch.Tensor, runs_on: Accelerator
 ) -> Posterior:
-    """Return the posteriors of untouched images (K, h, w) uint8 by the frozen encoder."""
+    """Return the posteriors of images without contact (K, h, w) uint8 by the frozen encoder."""
     with runs_on.autocast():
         parts = [
             network.reference_posterior(unit(part)) for part in torch.split(references, _AT_ONCE)
@@ -504,7 +504,7 @@ def _batch(
 def _latents(
     pairs: ImagePairs, references: Posterior, source_reference: bool, noise: torch.Tensor | None
 ) -> tuple[torch.Tensor, torch.Tensor | None]:
-    """Return the latents of the untouched targets, and of the sources if they are an input."""
+    """Return the latents of the targets' references, and of the sources if they are an input."""
     drawn = (None, None) if noise is None else (noise[0], noise[1])
     target = references.rows(pairs.reference[pairs.target]).at(drawn[0])
     if not source_reference:
@@ -566,4 +566,4 @@ def run(options: argparse.Namespace) -> int:
 
     data = ["archive", archive_fingerprint(archive), split.fingerprint, *sensors]
     data += [options.pairing, base, begun]
-    return run_training(options, KIND, settings, data, train_it, facts={BASE: base})
+    return run_training(options, KIND, settings, data, train_it, metadata={BASE: base})

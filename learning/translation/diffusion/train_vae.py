@@ -372,7 +372,7 @@ def require_base(found: ModelFolder, base: str) -> None:
     Raises:
         LearningError: The fingerprints differ.
     """
-    expected = found.config.facts.get(BASE)
+    expected = found.config.metadata.get(BASE)
     if expected != base:
         raise LearningError(
             f"{found.path}: was trained from published weights {expected}, found {base}; "
@@ -407,4 +407,4 @@ def run(options: argparse.Namespace) -> int:
             train_vae(images, vae, settings, held, session)
 
     data = ["archive", archive_fingerprint(archive), split.fingerprint, *sensors, base]
-    return run_training(options, KIND, settings, data, train, facts={BASE: base})
+    return run_training(options, KIND, settings, data, train, metadata={BASE: base})

@@ -62,9 +62,9 @@ class DiffusionTranslator:
 
         Args:
             source: Masks of the source, bool (n, 480, 640).
-            target_reference: The untouched target, bool (480, 640).
-            source_reference: The untouched source, bool (480, 640).
-            ordered: True if the frames are one press in time order that begins untouched.
+            target_reference: The target's reference, bool (480, 640).
+            source_reference: The source's reference, bool (480, 640).
+            ordered: True if the frames are one press in time order that begins without contact.
 
         Raises:
             LearningError: Wrong shapes or types, or a required source reference is missing.
@@ -99,7 +99,7 @@ class DiffusionTranslator:
         return enlarge_images(self._network.grey(made))
 
     def _latent(self, reference: torch.Tensor) -> torch.Tensor:
-        """Return the latent (1, channels, h, w) of an untouched mask (480, 640)."""
+        """Return the latent (1, channels, h, w) of a mask without contact (480, 640)."""
         key = reference.cpu().numpy().tobytes()
         if key not in self._latents:
             if len(self._latents) >= _KEPT:
@@ -118,7 +118,7 @@ class DiffusionTranslator:
 # Run folders of the diffusion translator and of its autoencoder.
 #
 # A folder holds only adapters, tokens and the UNet's first layer. The published weights are read
-# from its `base/` (a folder or a link) or from the path used in training; `facts.base` is their
+# from its `base/` (a folder or a link) or from the path used in training; `metadata.base` is their
 # required fingerprint.
 
 

@@ -20,7 +20,7 @@ from torch.nn import functional
 from learning.data.images import read_fields, shrink
 from learning.data.presses import Progress, read_frames_of
 from learning.data.splits import Role, Split
-from learning.data.synthetic import before, sample_patterns, untouched
+from learning.data.synthetic import before, pixel_grid, sample_patterns
 from learning.errors import LearningError
 from learning.translation.direct.autoencoder import orient, scaled
 from recorder.archive import ArchivedSensor, MarkerArchive, location_pairs
@@ -58,11 +58,11 @@ def move_edges(images: Tensor, by: Tensor) -> Tensor:
 
 
 def blot(images: Tensor, largest_share: float, generator: np.random.Generator) -> Tensor:
-    """Return images with random discs erased, up to a share of their area."""
+    """Return images with random discs erased, up to a fraction of their area."""
     count, _, height, width = images.shape
     radius = generator.uniform(*BLOT_RADIUS, (count, BLOTS))
-    share = generator.uniform(0, largest_share, (count, 1))
-    due = share * height * width / (np.pi * (radius**2).mean(axis=1, keepdims=True))
+    fraction = generator.uniform(0, largest_share, (count, 1))
+    due = fraction * height * width / (np.pi * (radius**2).mean(axis=1, keepdims=True))
     radius = np.where(generator.random((count, BLOTS)) < due / BLOTS, radius, 0.0)
     centre = generator.random((count, BLOTS, 2)) * (height, width)
     rows = torch.arange(height, device=images.device)[:, None]
@@ -131,7 +131,7 @@ class AlignedImages:
     images: Tensor
     """(S, N, 256, 256) uint8."""
     references: Tensor
-    """Untouched images (K, 256, 256) uint8, concatenated over sensors."""
+    """Reference images (K, 256, 256) uint8, concatenated over sensors."""
     reference: Tensor
     """Row of `references` for each image (S, N) int64."""
     location: NDArray[np.int64]
@@ -407,4 +407,4 @@ def _replace_by_patterns(
     ]
     patterns = sample_patterns(len(rows), generator, device)
     frames[where] = patterns.draw(before(field, aligned.lattice, side))
-    references[where] = patterns.draw(untouched(side, device))
+    references[where] = patterns.draw(pixel_grid(side, device))

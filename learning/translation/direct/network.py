@@ -97,7 +97,7 @@ class TransformerBlock(nn.Module):
 # Initial value of the plane that replaces a missing source reference; no image has this value.
 ABSENT = -1.0
 
-# Largest displacement of the reference's features, as a share of the image's side: 96 columns.
+# Largest displacement of the reference's features, as a fraction of the image's side: 96 columns.
 FARTHEST = 0.15
 
 
@@ -212,7 +212,8 @@ def fetched(features: Tensor, way: Tensor) -> Tensor:
 
     Args:
         features: Features to sample (n or 1, c, h, w).
-        way: Offset to the sampled position, across and down, as shares of the sides (n, 2, h', w').
+        way: Offset to the sampled position, across and down, as fractions of the sides
+            (n, 2, h', w').
     """
     count, height, width = len(way), *features.shape[2:]
     way = functional.interpolate(way, (height, width), mode="bilinear", align_corners=False)
@@ -242,6 +243,7 @@ class PatchDiscriminator(nn.Module):
             spectral_norm(nn.Conv2d(before, after, 4, stride=stride, padding=1))
             for (before, after), stride in zip(pairwise(widths), strides, strict=True)
         )
+        # Stored checkpoints have weights under this name.
         self.verdict = spectral_norm(nn.Conv2d(widths[-1], 1, 4, padding=1))
 
     def forward(self, images: Tensor, references: Tensor) -> Tensor:
@@ -249,13 +251,13 @@ class PatchDiscriminator(nn.Module):
         features = torch.cat([images, references], dim=1)
         for layer in self.layers:
             features = functional.leaky_relu(layer(features), 0.2)
-        verdict: Tensor = self.verdict(features)
-        return verdict
+        score: Tensor = self.verdict(features)
+        return score
 
 
-def generator_loss(verdicts: Tensor) -> Tensor:
+def generator_loss(scores: Tensor) -> Tensor:
     """Return the generator's hinge loss for scores of its images."""
-    return -verdicts.float().mean()
+    return -scores.float().mean()
 
 
 def discriminator_loss(real: Tensor, made: Tensor) -> Tensor:

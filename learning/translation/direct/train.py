@@ -66,11 +66,11 @@ class Augmentation:
     """Amounts of augmentation; 0 or false: none. Lengths are in pixels of the networks' images."""
 
     procedural_source: float = 0.25
-    """Share of samples whose source is a random pattern on the target's surface."""
+    """Fraction of samples whose source is a random pattern on the target's surface."""
     procedural_target: float = 0.25
-    """Share of samples whose target is a random pattern on the source's surface."""
+    """Fraction of samples whose target is a random pattern on the source's surface."""
     no_source_reference: float = 0.1
-    """Share of samples without the source's own reference."""
+    """Fraction of samples without the source's own reference."""
     orientation: bool = True
     """Mirror all images of a sample and rotate them by quarter turns."""
     edge: float = 0.8
@@ -78,7 +78,7 @@ class Augmentation:
     edge_frame: float = 0.2
     """Largest additional edge shift in a frame that its reference does not have."""
     drop: float = 0.05
-    """Largest share of a source frame that is erased."""
+    """Largest fraction of a source frame that is erased."""
     mount_shift: float = 3.0
     """Largest shift of a source and its reference along rows and columns."""
     mount_angle: float = 0.03
@@ -277,8 +277,8 @@ def train(
         if weights.adversarial:
             adversary.requires_grad_(True)
             both = torch.cat([batch.target, made.detach()])
-            verdicts = judging(both, batch.reference.repeat(2, 1, 1, 1))
-            parts["adversary"] = discriminator_loss(*verdicts.chunk(2))
+            scores = judging(both, batch.reference.repeat(2, 1, 1, 1))
+            parts["adversary"] = discriminator_loss(*scores.chunk(2))
             set_rate(opponent, rate)
             counter.zero_grad(set_to_none=True)
             runs_on.backward(parts["adversary"])
@@ -302,8 +302,8 @@ def train(
             break
 
     if done == settings.steps:
-        facts = {"sensors": list(aligned.sensors)}
-        run.finish(done, {"model": average.weights}, facts=facts)
+        metadata = {"sensors": list(aligned.sensors)}
+        run.finish(done, {"model": average.weights}, metadata=metadata)
     result = DirectNetwork(**settings.structure).to(device)
     result.load_state_dict(dict(average.weights))
     return result.eval()
@@ -337,8 +337,8 @@ def validate(
         error = (logits.float().sigmoid() - batch.target).square().mean(dim=(1, 2, 3))
         sums += torch.stack([*found, error]).sum(dim=1)
     network.train()
-    dice, untouched, squared = (sums / count).tolist()
-    return {"dice": dice, "dice_of_reference": untouched, "l2": squared}
+    dice, no_contact, squared = (sums / count).tolist()
+    return {"dice": dice, "dice_of_reference": no_contact, "l2": squared}
 
 
 # Trained models, and the command

@@ -115,7 +115,7 @@ class AutoencoderSettings(TrainingSettings):
     divergence: float = 1e-6
     """Weight of the divergence from a standard normal, summed over an image (the paper)."""
     procedural: float = 0.5
-    """Share of random patterns under made-up deformations; 1 without an archive."""
+    """Fraction of random patterns under made-up deformations; 1 without an archive."""
     orientation: bool = True
     """Mirror images and rotate them by quarter turns."""
     most_images: int = 100_000

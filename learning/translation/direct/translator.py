@@ -43,10 +43,10 @@ class DirectTranslator:
 
         Args:
             source: Masks of the source, bool (n, 480, 640), on any device; the result is there too.
-            target_reference: The untouched target, bool (480, 640).
-            source_reference: The untouched source, bool (480, 640); None: the first frame of an
+            target_reference: The target's reference, bool (480, 640).
+            source_reference: The source's reference, bool (480, 640); None: the first frame of an
                 ordered press, otherwise no source reference is used.
-            ordered: True if the frames are one press in time order that begins untouched.
+            ordered: True if the frames are one press in time order that begins without contact.
 
         Raises:
             LearningError: Wrong shapes or types.

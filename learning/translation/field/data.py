@@ -20,7 +20,7 @@ from learning.data.images import SIDE as IMAGE_SIDE
 from learning.data.images import read_fields
 from learning.data.presses import FRAME_BYTES, free_bytes, read_frames_of
 from learning.data.splits import Role, Split
-from learning.data.synthetic import Patterns, sample_patterns, untouched
+from learning.data.synthetic import Patterns, pixel_grid, sample_patterns
 from learning.errors import LearningError
 from learning.translation.field.network import (
     SIDE,
@@ -52,7 +52,7 @@ class Frames:
     reference: Tensor
     """Row of `distances` for each frame (n,) int64."""
     distances: Tensor
-    """Signed distances of the untouched sensors (k, 1, 256, 256) float16 [px of 640 x 480]."""
+    """Signed distances of the reference masks (k, 1, 256, 256) float16 [px of 640 x 480]."""
     scales: Tensor
     """Millimetres per pixel (column, row) of each sensor (s, 2) float32."""
     pairs: Tensor
@@ -286,7 +286,7 @@ def draw_examples(
         _rows(generator.integers(len(bank.distances), size=made), frames.device) for _ in range(2)
     )
     fine = functional.interpolate(pushed, (IMAGE_SIDE, IMAGE_SIDE), mode="bicubic")
-    material = untouched(IMAGE_SIDE, frames.device) - fine
+    material = pixel_grid(IMAGE_SIDE, frames.device) - fine
     whole, missed = bank.patterns[one], _segmented(bank.patterns[one], settings, generator)
     return Examples(
         seen=torch.cat([seen, missed.draw(material)]),
@@ -311,7 +311,7 @@ def random_shifts(count: int, generator: np.random.Generator, device: torch.devi
     centre, width, outward, along = (
         _on(each, device)[..., None, None] for each in (place, wide, push, drag)
     )
-    offset = (untouched(SIDE, device).unsqueeze(1) - centre) / width
+    offset = (pixel_grid(SIDE, device).unsqueeze(1) - centre) / width
     square = offset.square().sum(dim=2, keepdim=True)
     # The outward push is largest, exp(-1/2), one width from the centre.
     bumps: Tensor = outward * offset * torch.exp(0.5 - square / 2) + along * torch.exp(-square / 8)

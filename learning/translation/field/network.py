@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from learning.data.images import sampled
-from learning.data.synthetic import untouched
+from learning.data.synthetic import pixel_grid
 from recorder.markers import HEIGHT, WIDTH, Lattice
 
 if TYPE_CHECKING:
@@ -146,7 +146,7 @@ class FieldUnet(nn.Module):
 # pixel centres of an image of h rows and w columns:
 #
 # - channels 0 and 1: shift (column, row) [px]. The point at p in the frame was at p - shift(p) in
-#   the untouched image. The archive's fields are the same displacement at untouched positions.
+#   the reference image. The archive's fields are the same displacement at undeformed positions.
 # - channel 2: growth of the markers there [px of their radius], in addition to stretching by the
 #   shift. Discs of a uSkin grow where they are pressed, although nothing there moves sideways.
 #   Growth applies to whole markers and is coarse: fine growth could draw markers that do not exist.
@@ -197,7 +197,7 @@ def render(distance: Tensor, deformation: Tensor) -> Tensor:
 
 
 def coverage(level: Tensor) -> Tensor:
-    """Return the image of signed distances [px]: the share 0..1 of each pixel covered by a marker.
+    """Return the image of signed distances [px]: the covered fraction 0..1 of each pixel.
 
     The edge is assumed straight within a pixel; pixel size follows from the image size.
     """
@@ -224,14 +224,14 @@ def from_displacement(field: Tensor, lattice: Lattice, side: int = SIDE) -> Tens
         lattice: Lattice of the points.
         side: Cells along either axis.
     """
-    columns, rows = untouched(side, field.device)[0]
+    columns, rows = pixel_grid(side, field.device)[0]
     shift = torch.zeros(len(field), 2, side, side, device=field.device, dtype=field.dtype)
     for _ in range(_INVERSIONS):
         shift = sampled(field, columns - shift[:, 0], rows - shift[:, 1], lattice)
     return shift
 
 
-def carried(deformation: Tensor, zoom: Tensor, placement: Tensor | None = None) -> Tensor:
+def transferred(deformation: Tensor, zoom: Tensor, placement: Tensor | None = None) -> Tensor:
     """Return a deformation (n, 3, h, w) converted to pixels of another sensor's image.
 
     The image centres coincide and lengths in millimetres are preserved.
@@ -261,7 +261,7 @@ def _per_px(images: Tensor) -> Tensor:
     return images.new_tensor([2 / WIDTH, 2 / HEIGHT])
 
 
-# Network from a frame and its untouched reference to the deformation between them.
+# Network from a frame and its reference to the deformation between them.
 
 # Unit of deformations in the networks [px], chosen for values around one.
 UNIT_PX = 16.0
@@ -397,8 +397,8 @@ class FieldMap(nn.Module):
         whole = self.placing(shown, condition)[-1].mean(dim=(2, 3))
         placement = self.place(whole).float().view(-1, 2, 3)
         zoom = target_scale / source_scale
-        identity = carried(deformation, zoom)
-        placed = carried(deformation, zoom, placement)
+        identity = transferred(deformation, zoom)
+        placed = transferred(deformation, zoom, placement)
         shown = torch.cat([placed / UNIT_PX, identity / UNIT_PX, places], dim=1)
         layouts = torch.cat([source_layout, target_layout], dim=1)
         change: Tensor = self.change(

@@ -31,7 +31,7 @@ from learning.train_command import open_data, run_training, trained_on
 from learning.training.optim import Cosine, set_rate
 from learning.training.run import LaunchSettings, Session, accelerator, generator
 from learning.translation.field.data import Bank, Examples, Frames, draw_examples, gather_role
-from learning.translation.field.network import FieldModel, carried, coverage, render
+from learning.translation.field.network import FieldModel, coverage, render, transferred
 
 # Kind of model in `config.yaml`.
 KIND = "field"
@@ -79,22 +79,22 @@ class ExampleSettings:
     """Training examples of the field net that are made in addition to the archive's frames."""
 
     procedural: float = 0.5
-    """Share of examples that are random patterns."""
+    """Fraction of examples that are random patterns."""
     random_shift: float = 0.3
-    """Share of those that are deformed by random bumps instead of the archive's fields."""
+    """Fraction of those that are deformed by random bumps instead of the archive's fields."""
     patterns: int = 512
     """Number of random patterns drawn for a run; 0: none."""
     amplitude: tuple[float, float] = (0.5, 1.5)
     """Range of the factor that scales the archive's fields for random patterns."""
     move: float = 0.1
-    """Largest joint translation of frame and reference, as a share of half the image."""
+    """Largest joint translation of frame and reference, as a fraction of half the image."""
     edge_px: float = 2.0
     """Largest error of segmented marker size in random patterns, too large or small [px]."""
     missing: float = 0.05
-    """Largest share of a random pattern's markers missing in a frame."""
+    """Largest fraction of a random pattern's markers missing in a frame."""
 
     def __post_init__(self) -> None:
-        """Reject invalid shares, ranges and negative numbers."""
+        """Reject invalid fractions, ranges and negative numbers."""
         require(self, "procedural", "random_shift", "missing", least=0, most=1)
         require(self, "patterns", "move", "edge_px", least=0)
         if not 0 < self.amplitude[0] <= self.amplitude[1]:
@@ -304,8 +304,8 @@ def net_loss(looks: list[Tensor], examples: Examples, weights: LossWeights) -> T
     made = len(examples.other)
     if made:
         level = render(examples.other_distance, looks[-1][-made:])
-        share = made / len(examples.seen)
-        total = total + share * image_loss(level, examples.other, weights)
+        fraction = made / len(examples.seen)
+        total = total + fraction * image_loss(level, examples.other, weights)
     return total
 
 
@@ -399,20 +399,20 @@ def map_scores(
         seed: Seed of the choice.
 
     Returns:
-        `dice` with the target's frame, `dice_carried` for the source's deformation unchanged in
+        `dice` with the target's frame, `dice_transferred` for the source's deformation unchanged in
         millimetres, `dice_still` for the target's unchanged reference.
     """
     chosen = _chosen(len(frames.pairs), most, seed, frames.device)
-    scores: dict[str, list[Tensor]] = {"dice": [], "dice_carried": [], "dice_still": []}
+    scores: dict[str, list[Tensor]] = {"dice": [], "dice_transferred": [], "dice_still": []}
     for part in _parts(chosen):
         source, target = frames.pairs[part].unbind(dim=1)
         distance, images = frames.distance(target), frames.seen(target)
         scales = frames.scale(source), frames.scale(target)
         deformation = found.of(part)
         mapped = model.map(deformation, frames.distance(source), distance, *scales)
-        still = carried(deformation, scales[1] / scales[0])
+        still = transferred(deformation, scales[1] / scales[0])
         scores["dice"].append(dice(render(distance, mapped), images))
-        scores["dice_carried"].append(dice(render(distance, still), images))
+        scores["dice_transferred"].append(dice(render(distance, still), images))
         scores["dice_still"].append(dice(distance, images))
     return _means(scores)
 

@@ -16,7 +16,7 @@ from learning.errors import LearningError
 from learning.training.checkpoint import read_model_folder
 from learning.translation.field.network import FieldModel, render, resampled, signed_distance
 from learning.translation.field.train import KIND, FieldSettings
-from learning.translation.translator import SensorView, require_masks, untouched_source
+from learning.translation.translator import SensorView, require_masks, source_reference_of
 from recorder.markers import pack, unpack
 
 _AT_ONCE = 64
@@ -57,10 +57,10 @@ class FieldTranslator:
 
         Args:
             source: Masks of the source, bool (n, 480, 640), on any device; the result is there too.
-            target_reference: The untouched target, bool (480, 640).
-            source_reference: The untouched source, bool (480, 640); None: the first frame of an
+            target_reference: The target's reference, bool (480, 640).
+            source_reference: The source's reference, bool (480, 640); None: the first frame of an
                 ordered press.
-            ordered: True if the frames are one press in time order that begins untouched.
+            ordered: True if the frames are one press in time order that begins without contact.
 
         Raises:
             LearningError: Wrong shapes or types, a required reference is missing, or a reference
@@ -69,7 +69,7 @@ class FieldTranslator:
         require_masks(source, target_reference, source_reference)
         if not len(source):
             return source.clone()
-        source_reference = untouched_source(source, source_reference, ordered=ordered)
+        source_reference = source_reference_of(source, source_reference, ordered=ordered)
         device = self.model.usual_scale.device
         full = _distance(_packed(target_reference, "target_reference"), device)
         small = resampled(full, IMAGE_SIDE)
@@ -103,7 +103,7 @@ class FieldTranslator:
 def _packed(reference: Tensor, what: str) -> bytes:
     masks = reference.cpu().numpy()
     if not masks.any():
-        raise LearningError(f"{what}: found no marker; allowed: an untouched sensor's markers")
+        raise LearningError(f"{what}: found no marker; allowed: a reference mask with markers")
     return pack(masks).tobytes()
 
 

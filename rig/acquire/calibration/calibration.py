@@ -16,7 +16,7 @@ from rig.core.geometry import compose
 
 @dataclass(frozen=True, slots=True)
 class HomeCalibration:
-    """Height of the untouched surface along z of the bench file's contact frame."""
+    """Height of the undeformed surface along z of the bench file's contact frame."""
 
     date_utc: str
     """Time of the measurement, ISO 8601."""

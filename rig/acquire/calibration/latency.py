@@ -81,7 +81,7 @@ def find_lag(
         force_t_ns: Times of the force (n,) [ns], ascending.
         force: Magnitude of the force (n,) [N]; about zero without contact.
         motion_t_ns: Times of the motion (m,) [ns], ascending.
-        motion: Distance from the untouched state (m,), any unit.
+        motion: Distance from the state without contact (m,), any unit.
         search: Smallest and largest lag to search [s].
         seed: Seed of the bootstrap.
 
@@ -343,7 +343,7 @@ def refusal(found: Latency) -> str | None:
 
 
 def motion_of(signal: Stream, start_ns: int) -> Floats:
-    """Return each sample's distance (n,) from the untouched ones before `start_ns`, in its unit.
+    """Return each sample's distance (n,) from those without contact before `start_ns`, in its unit.
 
     Raises:
         ValueError: There is no sample before `start_ns`.

@@ -121,8 +121,8 @@ def combine(onsets: Sequence[Onset]) -> Surface:
     if count == 1:
         return Surface(mean, onsets[0].interval, float("nan"))
     spread = float(places.std(ddof=1))
-    between = (_T_95[count - 1] if count <= len(_T_95) else 2.0) * spread / np.sqrt(count)
-    half = float(np.hypot(max(within, float(between)), _TIMING))
+    across = (_T_95[count - 1] if count <= len(_T_95) else 2.0) * spread / np.sqrt(count)
+    half = float(np.hypot(max(within, float(across)), _TIMING))
     return Surface(mean, (mean - half, mean + half), spread)
 
 

@@ -235,8 +235,8 @@ class Robot:
         """Run one cycle of speedl: towards TCP speed `goal` (6,) [m/s, rad/s] at `acceleration`."""
         change = goal - self.speed
         size = self._magnitude(change)
-        share = min(1.0, acceleration * CYCLE / size) if size > 0 else 1.0
-        self._drift((self.speed + change * share) * self.slider)
+        fraction = min(1.0, acceleration * CYCLE / size) if size > 0 else 1.0
+        self._drift((self.speed + change * fraction) * self.slider)
 
     def _drift(self, speed: Array) -> None:
         vector = self.pose[3:]

@@ -284,7 +284,7 @@ class RtdePoseDriver:
         return self._inbox.take(timeout)
 
     def describe(self) -> dict[str, Any]:
-        """Return facts that the controller gave on opening."""
+        """Return properties that the controller gave on opening."""
         return {
             "model": "UR e-Series, RTDE",
             "address": self._host,

@@ -35,7 +35,7 @@ class CameraDriver(ReceivingDriver):
     @property
     def rejected(self) -> dict[str, int]:
         """Rejected frames, by reason."""
-        return {"repeated": self.duplicates, "spoilt": self.corrupt}
+        return {"repeated": self.duplicates, "corrupt": self.corrupt}
 
     def describe(self) -> dict[str, Any]:
         """Return backend, format, size, the stated frame rate, and if JPEG bytes are kept."""

@@ -243,7 +243,7 @@ class MjpegEmulator(ThreadedEmulator):
         self._port = urlsplit(config.device.address).port or 80
         self._source = source
         self._world = world
-        self._untouched = SharedWorld(None).state()[1]
+        self._no_contact = SharedWorld(None).state()[1]
         self._clock = clock
         self._changed = threading.Condition()
         self._parts: tuple[bytes, ...] = ()
@@ -305,7 +305,7 @@ class MjpegEmulator(ThreadedEmulator):
         while not self._ending.is_set():
             t_ns = pacer.wait()
             self.missed = pacer.missed
-            state = self._untouched
+            state = self._no_contact
             if self._world is not None:
                 _, state = self._world.state()
                 t_ns = int(state["t_ns"])

@@ -66,7 +66,7 @@ class AtiSerialDriver(ReceivingDriver):
     @property
     def rejected(self) -> dict[str, int]:
         """Rejected records, by reason."""
-        return {"spoilt": self.corrupt}
+        return {"corrupt": self.corrupt}
 
     def open(self, timeout: float) -> None:
         """Stop any stream, set the record format, check it on one record, start the stream.

@@ -79,8 +79,8 @@ class AtiSerialEmulator(ThreadedEmulator):
     @property
     def rate_hz(self) -> float:
         """Records per second in the current format, limited by the line."""
-        carried = self._config.device.baud / 10 / RECORD_BYTES[self._form]
-        return min(self._config.device.rate_hz, carried)
+        line_rate = self._config.device.baud / 10 / RECORD_BYTES[self._form]
+        return min(self._config.device.rate_hz, line_rate)
 
     def start(self) -> None:
         """Create the pty and the link to it, and serve.

@@ -268,7 +268,7 @@ class NetFtDriver(ReceivingDriver):
     @property
     def rejected(self) -> dict[str, int]:
         """Rejected packets, by reason."""
-        return {"repeated": self.duplicates, "late": self.late, "spoilt": self.corrupt}
+        return {"repeated": self.duplicates, "late": self.late, "corrupt": self.corrupt}
 
     def open(self, timeout: float) -> None:
         """Read the settings, set the rate, start the stream and wait for its first record.

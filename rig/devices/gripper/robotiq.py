@@ -165,7 +165,7 @@ class RobotiqDriver:
         return self.move(0, speed=self._config.speed, force=self._config.force)
 
     def describe(self) -> dict[str, Any]:
-        """Return facts for the session.
+        """Return properties for the session.
 
         Raises:
             DeviceLost: No answer.
@@ -377,7 +377,7 @@ class GripWatch:
         """Number of answers so far."""
 
     def open(self, timeout: float) -> dict[str, Any]:
-        """Connect, check that the gripper holds something, start to poll, and return its facts.
+        """Connect, check that something is held, start polling, return its properties.
 
         Raises:
             DeviceLost: Nobody answers, or the gripper holds nothing.

@@ -162,8 +162,8 @@ class Fingers:
         if self._state != ACTIVE or not self._command.go:
             return
         goal = self._goal()
-        share = self._command.speed / 255
-        step = elapsed * (_SLOWEST + share * (_FASTEST - _SLOWEST))
+        fraction = self._command.speed / 255
+        step = elapsed * (_SLOWEST + fraction * (_FASTEST - _SLOWEST))
         if abs(goal - self._position) <= step:
             self._position = goal
         else:

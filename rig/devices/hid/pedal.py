@@ -63,7 +63,7 @@ class PedalDriver:
         return self._config.key in keys if self._config.key else bool(keys)
 
     def describe(self) -> dict[str, object]:
-        """Return facts for the session."""
+        """Return properties for the session."""
         return {"kind": self._config.KIND, "mode": self._config.mode, "path": self._device.path}
 
     def close(self) -> None:
@@ -133,7 +133,7 @@ class PedalWatch:
         """Current state; replaced as a whole, so that any thread may read it."""
 
     def open(self) -> dict[str, Any]:
-        """Open the pedal, watch it from now on, and return its facts.
+        """Open the pedal, watch it from now on, and return its properties.
 
         Raises:
             DeviceLost: The pedal is missing, or may not be read.

@@ -62,7 +62,7 @@ class XelaDriver(ReceivingDriver):
     @property
     def rejected(self) -> dict[str, int]:
         """Rejected scans, by reason."""
-        return {"repeated": self.duplicates, "late": self.late, "spoilt": self.corrupt}
+        return {"repeated": self.duplicates, "late": self.late, "corrupt": self.corrupt}
 
     def open(self, timeout: float) -> None:
         """Connect and wait for the first scan of the sensor.

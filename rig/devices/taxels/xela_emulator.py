@@ -30,7 +30,7 @@ from websockets.sync.server import serve as listen
 
 from rig.core.clock import SECOND_NS, Clock, ClockAnchor, Pacer
 from rig.core.emulation import EmulatorConfig, Served, SharedWorld, ThreadedEmulator, WorldReader
-from rig.core.fault_injection import FaultInjector, spoilt_text
+from rig.core.fault_injection import FaultInjector, corrupted_text
 from rig.devices.taxels.settings import XelaConfig
 
 Log = npt.NDArray[np.float64]
@@ -48,7 +48,7 @@ class XelaEmulatorConfig(EmulatorConfig):
     layout: Literal["1.7", "1.8"] = "1.8"
     """Message layout."""
     noise: float = 0.0
-    """Standard deviation of each value [counts]; a real untouched patch has about 2.1."""
+    """Standard deviation of each value [counts]; a real patch without contact has about 2.1."""
     source: Path | None = None
     """Log of raw counts (.npy) to play in place of the World."""
 
@@ -101,7 +101,7 @@ class XelaEmulator(ThreadedEmulator):
         self._number = 0
         self.faults = FaultInjector[str](
             clock,
-            spoil=spoilt_text,
+            spoil=corrupted_text,
             mistake=_shortened,
             on_change=self._on_plug,
             seed=config.seed,

@@ -15,6 +15,7 @@ from rig.bench.worlds import AnalyticSpec
 from rig.core.geometry import matrix_from_vector
 from rig.core.samples import WORLD_STATE
 from rig.mock.world.picture import Surface
+from trajectories import dome_height
 
 
 class World(Protocol):
@@ -49,14 +50,15 @@ class AnalyticWorld:
             pose: TCP in the base frame (6,) [m, rad].
         """
         tip = self._rotation.T @ (np.asarray(pose[:3]) - self._origin)
-        depth = -float(tip[2])
+        depth = dome_height(self._spec.dome_radius, *tip[:2].tolist()) - float(tip[2])
         elastic, shear = self._elastic_force(tip[:2], depth)
         force = elastic if self._spec.hysteresis is None else self._relaxed(t_ns, elastic)
         if depth <= 0:
             force = np.zeros(3)
         # Force on the sensor: pressing down is negative z, dragging is along the drag.
         wrench = np.concatenate([force, np.zeros(3)])
-        lever = np.array([tip[0], tip[1], self._spec.gauge_depth])
+        top = depth + float(tip[2])
+        lever = np.array([tip[0], tip[1], self._spec.gauge_depth + top])
         wrench[3:] = np.cross(lever, force)
         state: np.void = np.zeros(1, WORLD_STATE)[0]
         state["t_ns"] = t_ns

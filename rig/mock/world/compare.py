@@ -34,7 +34,7 @@ class TimeError:
     count: int
     """Number of samples (camera) or windows (others) evaluated."""
     covered: float
-    """Share of them within twice the uncertainty that the session states."""
+    """Fraction of them within twice the uncertainty that the session states."""
 
     def __str__(self) -> str:
         return (

@@ -37,7 +37,7 @@ class Surface:
         """Return the displacement of material points of the surface.
 
         Args:
-            points: Untouched positions (n, 2) in the contact frame [m].
+            points: Undeformed positions (n, 2) in the contact frame [m].
 
         Returns:
             Displacement (n, 3) [m]; z is negative under the indenter.
@@ -133,14 +133,14 @@ class MarkerPicture:
         """Return the image, RGB (480, 640, 3) uint8, of markers with these rims (n, m, 2) [px]."""
         import cv2
 
-        share = cv2.merge([coverage(rims)] * 3)
-        lit = cv2.multiply(self._backdrop.lit, 255 - share, scale=1 / 255)
-        image: np.ndarray = cv2.add(lit, cv2.multiply(self._ink, share, scale=1 / 255))
+        fraction = cv2.merge([coverage(rims)] * 3)
+        lit = cv2.multiply(self._backdrop.lit, 255 - fraction, scale=1 / 255)
+        image: np.ndarray = cv2.add(lit, cv2.multiply(self._ink, fraction, scale=1 / 255))
         return self._backdrop.noisy(image)
 
 
 def coverage(rims: np.ndarray) -> np.ndarray:
-    """Return the share of each pixel inside a rim (480, 640) uint8, 255 for a covered pixel.
+    """Return the fraction of each pixel inside a rim (480, 640) uint8, 255 for a covered pixel.
 
     Args:
         rims: Column and row of the rims' points (n, m, 2) [px]; whole numbers are pixel centres.
@@ -156,8 +156,8 @@ def coverage(rims: np.ndarray) -> np.ndarray:
     canvas = np.zeros((FINE * HEIGHT, FINE * WIDTH), np.uint8)
     for corners in np.rint(fine).astype(np.int32):
         cv2.fillPoly(canvas, [corners], 255, lineType=cv2.LINE_8, shift=_FIXED_BITS)
-    share: np.ndarray = cv2.resize(canvas, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
-    return share
+    fraction: np.ndarray = cv2.resize(canvas, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
+    return fraction
 
 
 # View of the mock camera: dark markers on a lit gel, moving with the surface.

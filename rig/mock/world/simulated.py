@@ -21,6 +21,7 @@ from rig.core.geometry import matrix_from_vector
 from rig.core.samples import PRESS_STATE, WORLD_STATE, surface_state
 from rig.core.shared_memory import AwaitedRecord, SharedLatest
 from rig.mock.world.picture import MarkerPicture
+from trajectories import dome_height
 
 if TYPE_CHECKING:
     from sim.stream import LiveMarkers as LiveMarkers
@@ -45,7 +46,7 @@ class SimulatedWorld:
 
     def __init__(self, spec: SimulatedSpec, contact_frame: tuple[float, ...], folder: Path) -> None:
         self._spec = spec
-        self._frame = ContactFrame(contact_frame)
+        self._frame = ContactFrame(contact_frame, spec.dome_radius)
         self._presses = SharedLatest.attach(folder / PRESS_FILE, PRESS_STATE)
         self._count = 0
         self._between = Between(round(SECOND_NS / spec.rate_hz))
@@ -71,7 +72,7 @@ class SimulatedWorld:
         state["contact"] = tip[:2]
         state["shear"] = self._between.press["shear"]
         state["wrench"] = values[:6]
-        lever = tip + np.array([0.0, 0.0, self._spec.gauge_depth])
+        lever = tip + np.array([0.0, 0.0, self._spec.gauge_depth + self._frame.top(tip)])
         state["wrench"][3:] += np.cross(lever, values[:3])
         state["taxels"] = np.clip(values[6:], 0, 65535).reshape(16, 3)
         return state
@@ -82,16 +83,23 @@ class ContactFrame:
 
     Args:
         pose: Pose of the contact frame in the base frame (6,) [m, rad].
+        dome_radius: Radius of the sensor's spherical top [m]; None: flat.
     """
 
-    def __init__(self, pose: tuple[float, ...]) -> None:
+    def __init__(self, pose: tuple[float, ...], dome_radius: float | None = None) -> None:
+        self._dome_radius = dome_radius
         self._origin = np.array(pose[:3])
         self._rotation = matrix_from_vector(np.array(pose[3:]))
 
     def tip(self, pose: np.ndarray) -> np.ndarray:
-        """Return the tip (3,) [m] of the TCP at `pose` (6,) [m, rad]."""
+        """Return the tip (3,) [m] of the TCP at `pose` (6,) [m, rad], z above the top there."""
         tip: np.ndarray = self._rotation.T @ (np.asarray(pose[:3]) - self._origin)
+        tip[2] -= self.top(tip)
         return tip
+
+    def top(self, tip: np.ndarray) -> float:
+        """Return the height of the sensor's untouched top at a tip's place [m]."""
+        return dome_height(self._dome_radius, float(tip[0]), float(tip[1]))
 
 
 class Between:
@@ -141,7 +149,7 @@ def gone_on(press: np.void, t_ns: int, tip: np.ndarray) -> np.ndarray:
     """Return wrench about the tip and taxels (54,) for a tip (3,) [m] at `t_ns`.
 
     They are extrapolated along the PRESS_STATE's slope from its tip; without contact, from the
-    untouched surface.
+    undeformed surface.
     """
     values: np.ndarray = press["values"].copy()
     if press["touching"]:
@@ -184,8 +192,8 @@ class SimulatedView:
         square = float(way @ way)
         if square < _MOVED**2:
             return surface
-        share = float(np.clip((tip - newest["tip"]) @ way / square, -_AHEAD, _AHEAD))
-        gone: np.ndarray = surface + np.float32(share) * (surface - newest["surface_before"])
+        fraction = float(np.clip((tip - newest["tip"]) @ way / square, -_AHEAD, _AHEAD))
+        gone: np.ndarray = surface + np.float32(fraction) * (surface - newest["surface_before"])
         return gone
 
 

@@ -123,7 +123,7 @@ class Solver:
         return self._pacer.missed
 
     def start(self) -> None:
-        """Publish the untouched sensor and follow the arm from now on."""
+        """Publish the sensor without contact and follow the arm from now on."""
         self._shared.publish(self._clock.now_ns())
         self._began_ns = self._clock.now_ns()
         self._thread.start()
@@ -194,7 +194,9 @@ def emulate(settings: WorldConfig, clock: Clock) -> Served:
     live = live_sensor(spec, settings.indenter)
     shared = Shared(settings.folder, live)
     arm = SharedLatest.attach(settings.folder / ARM_FILE, ARM_TRUTH)
-    solver = Solver(live, ContactFrame(settings.contact_frame), arm, shared, spec, clock)
+    solver = Solver(
+        live, ContactFrame(settings.contact_frame, spec.dome_radius), arm, shared, spec, clock
+    )
 
     def conclude() -> int:
         shared.close()

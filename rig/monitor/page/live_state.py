@@ -130,7 +130,7 @@ class LiveState:
             if kind == "camera"
         }
         """Newest image of each camera that is shown."""
-        self._untouched: dict[str, np.ndarray] = {}
+        self._no_contact: dict[str, np.ndarray] = {}
         self.traces = {name: Trace() for name in self._gauges}
         """Trace of each gauge that is shown."""
 
@@ -161,7 +161,7 @@ class LiveState:
         return found
 
     def forces(self) -> dict[str, dict[str, Any]]:
-        """Return the wrench [N, N mm] of each gauge, and each axis' share of its rating."""
+        """Return the wrench [N, N mm] of each gauge, and the fraction of each rating."""
         limits = self._bench.limits
         ratings = (*limits.force_rating, *limits.torque_rating)
         found = {}
@@ -195,8 +195,8 @@ class LiveState:
         for name in self.kinds:
             record = self._latest[name].read() if name not in self.pictures else None
             if record is not None:
-                untouched = self._untouched.setdefault(name, record["value"].copy())
-                found[name] = (record["value"] - untouched).tolist()
+                no_contact = self._no_contact.setdefault(name, record["value"].copy())
+                found[name] = (record["value"] - no_contact).tolist()
         return found
 
     def shown(self) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from sim.result import Result
 from sim.scene import Body, Motion, Scene
 from sim.tiers import simulate_many
 
-# Required share of the lower bound: a corner of the gel yields up to four times as easily as its
+# Required fraction of the lower bound: a corner of the gel yields up to four times as easily as its
 # middle, and large strain softens it further.
 LOWER = 0.2
 # Allowed multiple of the upper bound: large strain stiffens, friction adds a third.
@@ -41,8 +41,8 @@ def least_force(scene: Scene, tip: tuple[float, float, float]) -> float:
     area = body.size_x * body.size_y * (1.0 if body.footprint == "rectangle" else math.pi / 4)
     column = body.thickness / (body.modulus * area)
     best = 0.0
-    for share in (0.25, 0.5, 0.67, 0.85, 0.98):
-        depth = share * found.deepest
+    for fraction in (0.25, 0.5, 0.67, 0.85, 0.98):
+        depth = fraction * found.deepest
         radius = _inscribed(found, depth)
         if radius > 0:
             best = max(best, depth / (1 / (2 * stiffness * radius) + column))

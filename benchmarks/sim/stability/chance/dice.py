@@ -20,9 +20,9 @@ class Dice:
         """Create the stream of scene `scene` of `seed`."""
         self._draw = random.Random(f"hard cases {seed}/{scene}").random
 
-    def chance(self, share: float) -> bool:
-        """Return True with probability `share`."""
-        return self._draw() < share
+    def chance(self, fraction: float) -> bool:
+        """Return True with probability `fraction`."""
+        return self._draw() < fraction
 
     def even(self, low: float, high: float) -> float:
         """Return a uniform number between `low` and `high`."""

@@ -31,7 +31,7 @@ PASSED: frozenset[Class] = frozenset({"right", "refused", "diverged", "warned"})
 SECONDS = 60.0
 # Maximum number of elements, so that a scene takes seconds; coarsened meshes are reported.
 SOLVED_MAX = 12_000
-# Share of the scenes that are also solved as a twin.
+# Fraction of the scenes that are also solved as a twin.
 TWINNED = 0.35
 
 AMOUNTS = r"near-layer|rises|same-place|closed-loop|coulomb|symmetric|twin-.*|no-overlap"
@@ -78,7 +78,7 @@ class Settings:
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class SceneOutcome:
     """Outcome of a scene."""
 
     kind: Class
@@ -104,8 +104,8 @@ class Verdict:
         return "; ".join(f"{each.name}: {each.law}" for each in self.broken) or self.message
 
 
-def judge(drawn: Drawn, settings: Settings) -> Verdict:
-    """Solve a drawn scene, one in three also as a twin, and return its verdict."""
+def judge(drawn: Drawn, settings: Settings) -> SceneOutcome:
+    """Solve a drawn scene, one in three also as a twin, and return its outcome."""
     if drawn.scene is None:
         return _unsolved(drawn.refusal or RuntimeError("neither a scene nor a refusal"))
     dice = Dice(drawn.seed, -1 - drawn.index)
@@ -115,8 +115,8 @@ def judge(drawn: Drawn, settings: Settings) -> Verdict:
     return judge_scene(drawn.scene, settings, twin)
 
 
-def judge_scene(scene: Scene, settings: Settings, twin: str | None = None) -> Verdict:
-    """Solve a scene, and its twin of that name if it has one, and return the verdict."""
+def judge_scene(scene: Scene, settings: Settings, twin: str | None = None) -> SceneOutcome:
+    """Solve a scene, and its twin of that name if it has one, and return the outcome."""
     try:
         outcome = settings.solve(scene)
         if isinstance(outcome, SimulationDiverged):
@@ -140,15 +140,15 @@ def _compared(result: Result, twin: Twin, settings: Settings) -> list[Held]:
     return [agrees(result, twin, other)]
 
 
-def of_laws(result: Result, found: Sequence[Held], twin: str = "") -> Verdict:
-    """Return the verdict on a result from its laws and its own warnings."""
+def of_laws(result: Result, found: Sequence[Held], twin: str = "") -> SceneOutcome:
+    """Return the outcome on a result from its laws and its own warnings."""
     warnings = tuple(str(each) for each in result.record.get("warnings", []))
     broken = tuple(each for each in found if not each.law.holds)
     kind: Class = "right"
     if broken:
         kind = "warned" if all(covered(each.name, warnings) for each in broken) else "silent"
     names = tuple(dict.fromkeys(each.name for each in found))
-    return Verdict(kind, "", broken, warnings, twin, names, result.scene)
+    return SceneOutcome(kind, "", broken, warnings, twin, names, result.scene)
 
 
 def covered(law: str, warnings: Sequence[str]) -> bool:
@@ -160,8 +160,8 @@ def covered(law: str, warnings: Sequence[str]) -> bool:
     )
 
 
-def _unsolved(error: Exception, scene: Scene | None = None) -> Verdict:
-    """Return the verdict on an exception, which must state the error and the allowed range."""
+def _unsolved(error: Exception, scene: Scene | None = None) -> SceneOutcome:
+    """Return the outcome on an exception, which must state the error and the allowed range."""
     message = str(error)
     kind: Class = "crash"
     if isinstance(error, OutOfTime):
@@ -175,7 +175,7 @@ def _unsolved(error: Exception, scene: Scene | None = None) -> Verdict:
         frames = traceback.extract_tb(error.__traceback__)
         where = f" ({frames[-1].name}, line {frames[-1].lineno})" if frames else ""
         message = f"{type(error).__name__}: {message}{where}"
-    return Verdict(kind, message, scene=scene)
+    return SceneOutcome(kind, message, scene=scene)
 
 
 def _forget(diverged: SimulationDiverged) -> None:

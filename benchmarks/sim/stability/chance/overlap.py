@@ -25,7 +25,7 @@ PER_WALL = 4
 MOST, LEAST = 16, 4
 # Overlap that is always allowed [m], due to the mesh.
 SMALL = 10e-6
-# Allowed overlap as a share of the depth, limited by a share of half the narrowest wall.
+# Allowed overlap as a fraction of the depth, limited by a fraction of half the narrowest wall.
 OF_DEPTH, OF_WALL = 0.05, 0.5
 # Allowed height of gel above the indenter's lower side, over the depth, where gel is inside it:
 # above this, the indenter has passed through the gel.
@@ -96,8 +96,8 @@ def crossed(result: Result, frame: int) -> float:
     some = np.flatnonzero(beside & opposite & np.isfinite(gap_end))
     if not len(some) or not math.isfinite(wall):
         return 0.0
-    share = np.linspace(0.0, 1.0, 33)[:, None, None]
-    way = start[some] + share * (end[some] - start[some])
+    fraction = np.linspace(0.0, 1.0, 33)[:, None, None]
+    way = start[some] + fraction * (end[some] - start[some])
     gap, _ = scene.indenter.distance(way)
     return float(max(-gap.min(), 0.0))
 

@@ -15,9 +15,9 @@ from recorder.pages import render
 
 def page(told: Sequence[Told], plan: RandomRun) -> str:
     """Return the page as Markdown."""
-    measured = Counter(name for one in told for name in one.verdict.laws)
-    broken = Counter(name for one in told for name in {each.name for each in one.verdict.broken})
-    silent = Counter(name for one in told for name in failure(one.verdict))
+    measured = Counter(name for one in told for name in one.outcome.laws)
+    broken = Counter(name for one in told for name in {each.name for each in one.outcome.broken})
+    silent = Counter(name for one in told for name in failure(one.outcome))
     names = sorted(measured, key=lambda name: (-silent[name], -broken[name], name))
     families: dict[str, list[Told]] = {}
     for one in sorted(told, key=_family):
@@ -30,7 +30,7 @@ def page(told: Sequence[Told], plan: RandomRun) -> str:
         laws=[(name, measured[name], broken[name], silent[name]) for name in names],
         statement=_statement,
         families=families,
-        wrong=[one for one in told if one.verdict.kind in (*WRONG, "timeout")],
+        wrong=[one for one in told if one.outcome.kind in (*WRONG, "timeout")],
         escaped=escaped,
     )
 

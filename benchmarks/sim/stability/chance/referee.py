@@ -26,14 +26,14 @@ Array = NDArray[np.float64]
 FLOOR = 1e-7
 # Overlap with the undeformed gel above which a force is required [m], and in thicknesses.
 TOUCH = 1e-6, 2.5e-4
-# Negligible share of the largest force.
+# Negligible fraction of the largest force.
 NOTHING = 1e-3
 # Accuracy of a solid's surface, in spacings of its grid.
 OF_GRID = 0.02
 # Allowed difference of two frames of an elastic gel at one place, or the result's error estimate
 # if larger: on a coarse mesh an edge may rest on either side of a node.
 SAME = 0.01
-# Share of the largest force by which the force of a deeper press may be lower.
+# Fraction of the largest force by which the force of a deeper press may be lower.
 DROP = 0.005
 # Work that a closed loop may give back or, if elastic, absorb, over the maximum work: without and
 # with friction (trapezoid rule over a few frames).
@@ -137,9 +137,9 @@ def _above_base(result: Result) -> list[Law]:
 
 def _no_pull(result: Result) -> list[Law]:
     """Contact does not pull, except slightly on a bar whose upper side is closed over by gel."""
-    share = float(pushes(result).min()) / largest(result)
+    fraction = float(pushes(result).min()) / largest(result)
     limit = PULL if smooth(result.scene) else 2 * PULL
-    return [at_least("least push / largest force", share, -limit)]
+    return [at_least("least push / largest force", fraction, -limit)]
 
 
 def _lets_go(result: Result) -> list[Law]:
@@ -158,8 +158,8 @@ def _lets_go(result: Result) -> list[Law]:
     ]
     if not free:
         return []
-    share = float(max(free)) / largest(result)
-    return [at_most("force where nothing touches / largest", share, NOTHING)]
+    fraction = float(max(free)) / largest(result)
+    return [at_most("force where nothing touches / largest", fraction, NOTHING)]
 
 
 def _touches(result: Result) -> list[Law]:
@@ -208,10 +208,10 @@ def _near_layer(result: Result) -> list[Law]:
         tip = bounds.reached(result)[frame]
         layer = bounds.layer_force(scene, tip)
         if layer is not None and layer > no_force(scene):
-            share = float(pushes(result)[frame]) / layer
+            fraction = float(pushes(result)[frame]) / layer
             return [
-                at_least("push / layer's", share, bounds.LAYER_LEAST),
-                at_most("push / layer's, at most", share, bounds.LAYER_MOST),
+                at_least("push / layer's", fraction, bounds.LAYER_LEAST),
+                at_most("push / layer's, at most", fraction, bounds.LAYER_MOST),
             ]
     return []
 
@@ -273,11 +273,11 @@ def _closed_loop(result: Result) -> list[Law]:
     force = result.force[:end]
     parts = np.einsum("ij,ij->i", (force[1:] + force[:-1]) / 2, np.diff(way, axis=0))
     most = max(float(np.cumsum(parts).max()), no_force(scene) * scene.body.thickness)
-    share = float(parts.sum()) / most
+    fraction = float(parts.sum()) / most
     limit = RING[0] if smooth(scene) else RING[1]
-    laws = [at_least("work in a closed loop / most", share, -limit)]
+    laws = [at_least("work in a closed loop / most", fraction, -limit)]
     if elastic(scene) and smooth(scene):
-        laws.append(at_most("work in an elastic loop / most", share, limit))
+        laws.append(at_most("work in an elastic loop / most", fraction, limit))
     return laws
 
 
@@ -361,29 +361,29 @@ def _through_centre(result: Result) -> list[Law]:
     radius = parts[0].values[2]
     expected = np.cross([0.0, 0.0, radius], result.force)
     gap = float(np.linalg.norm(result.wrench[:, 3:] - expected, axis=1).max())
-    share = gap / (radius * largest(result))
-    return [at_most("torque about the centre / force radius", share, LEVER)]
+    fraction = gap / (radius * largest(result))
+    return [at_most("torque about the centre / force radius", fraction, LEVER)]
 
 
 def _no_overlap(result: Result) -> list[Law]:
     """The deformed top is not inside the indenter."""
-    shares = [
+    fractions = [
         overlap.overlap(result, frame).normal / overlap.allowed(result, frame)
         for frame in range(len(result.scene.motion))
     ]
-    return [at_most("overlap / what a mesh may leave", max(shares), 1.0)]
+    return [at_most("overlap / what a mesh may leave", max(fractions), 1.0)]
 
 
 def _not_through(result: Result) -> list[Law]:
     """The gel is not above the indenter's lower side, as after a wall has passed through it."""
-    shares = [
+    fractions = [
         overlap.overlap(result, frame).upright / -tip[2]
         for frame, tip in enumerate(bounds.reached(result))
         if tip[2] < -3 * overlap.SMALL
     ]
-    if not shares:
+    if not fractions:
         return []
-    return [at_most("gel above the lower side / depth", max(shares), overlap.THROUGH)]
+    return [at_most("gel above the lower side / depth", max(fractions), overlap.THROUGH)]
 
 
 def _no_crossing(result: Result) -> list[Law]:

@@ -9,14 +9,14 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
-from benchmarks.sim.stability.chance.judgement import CLASSES, Settings, Verdict, judge
+from benchmarks.sim.stability.chance.judgement import CLASSES, SceneOutcome, Settings, judge
 from benchmarks.sim.stability.chance.scenes import FOLDER, drawn
 from benchmarks.sim.stability.chance.shrink import failure, shrunk, snippet, store
 from benchmarks.sim.stability.planted import planted
 from benchmarks.sim.stability.runner import done_counts, side_by_side
 from recorder.progress import duration
 
-# Verdicts that fail a run.
+# Outcomes that fail a run.
 WRONG = frozenset({"silent", "crash"})
 
 
@@ -42,10 +42,10 @@ class Told:
 
     name: str
     what: str
-    verdict: Verdict
+    outcome: SceneOutcome
     seconds: float
-    plain: Verdict | None = None
-    """Verdict of the simplified counter-example."""
+    plain: SceneOutcome | None = None
+    """Outcome of the simplified counter-example."""
     stored: Path | None = None
     """Path of the counter-example."""
 
@@ -53,16 +53,16 @@ class Told:
 def judge_one(plan: RandomRun, index: int) -> Told:
     """Draw a scene, solve and judge it in this process, and shrink it if it fails."""
     began = time.perf_counter()
-    plain: Verdict | None = None
+    plain: SceneOutcome | None = None
     path: Path | None = None
     with planted(plan.mistake):
         one = drawn(plan.seed, index, plan.folder)
-        verdict = judge(one, plan.settings)
-        if verdict.kind in WRONG and one.scene is not None and plan.shrinks:
-            scene, plain = shrunk(one.scene, verdict, plan.settings)
+        outcome = judge(one, plan.settings)
+        if outcome.kind in WRONG and one.scene is not None and plan.shrinks:
+            scene, plain = shrunk(one.scene, outcome, plan.settings)
             path = plan.folder / f"{one.seed}-{one.index}-{'-'.join(sorted(failure(plain)))}.json"
             store(path, scene, plain, one.name)
-    return Told(one.name, one.what, verdict, time.perf_counter() - began, plain, path)
+    return Told(one.name, one.what, outcome, time.perf_counter() - began, plain, path)
 
 
 def judge_all(
@@ -86,10 +86,10 @@ def judge_all(
 
 
 def _line(one: Told, done: int, count: int, left: float) -> str:
-    verdict = one.verdict
-    text = f"[{done:{len(str(count))}}/{count}] {verdict.kind:8} {one.name:<8} {one.what}"
+    outcome = one.outcome
+    text = f"[{done:{len(str(count))}}/{count}] {outcome.kind:8} {one.name:<8} {one.what}"
     text += f"  {one.seconds:.1f} s" + ("" if done == count else f"   {duration(left)} left")
-    return f"{text}\n      {verdict.why}" if verdict.why and not verdict.passed else text
+    return f"{text}\n      {outcome.why}" if outcome.why and not outcome.passed else text
 
 
 def _indented(text: str) -> str:
@@ -98,13 +98,13 @@ def _indented(text: str) -> str:
 
 def by_class(told: Sequence[Told]) -> dict[str, int]:
     """Return the number of scenes of each class, including empty classes."""
-    counts = Counter(one.verdict.kind for one in told)
+    counts = Counter(one.outcome.kind for one in told)
     return {kind: counts[kind] for kind in CLASSES}
 
 
 def tell(told: Sequence[Told]) -> bool:
     """Print the count by class and the summary; return True if any scene failed."""
     print(", ".join(f"{count} {kind}" for kind, count in by_class(told).items()))
-    passed = sum(one.verdict.passed for one in told)
+    passed = sum(one.outcome.passed for one in told)
     print(f"{len(told)} cases, {passed} passed")
-    return any(one.verdict.kind in WRONG for one in told)
+    return any(one.outcome.kind in WRONG for one in told)

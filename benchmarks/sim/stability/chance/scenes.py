@@ -193,10 +193,10 @@ def _motion(
         depth = min(depth, rounded(TRAVEL_MAX / 3 * body.thickness))
     x, y = place
     away = rounded(0.1 * body.thickness)
-    deep = [rounded(depth * share) for share in (0.5, 1.0)]
+    deep = [rounded(depth * fraction) for fraction in (0.5, 1.0)]
     if kind == "press":
-        shares = [(step + 1) / count for count in (dice.whole(1, 4),) for step in range(count)]
-        levels = [-rounded(depth * share) for share in shares]
+        fractions = [(step + 1) / count for count in (dice.whole(1, 4),) for step in range(count)]
+        levels = [-rounded(depth * fraction) for fraction in fractions]
         points = [(x, y, 0.0), *((x, y, level) for level in levels)]
     elif kind == "cycle":
         down = [(x, y, away), (x, y, 0.0), *((x, y, -level) for level in deep)]
@@ -264,7 +264,7 @@ def _trap(dice: Dice, folder: Path, words: list[str]) -> Scene:
         depth, aside = MM * dice.even(0.5, 1.2), rounded(MM * dice.even(1.0, 3.0))
         friction = Friction(dice.one_of([0.5, 1.0, 2.0]))
         # Lifted during slip, before contact ends.
-        lifts = [(aside, 0.0, -rounded(share * depth)) for share in (1.0, 0.6, 0.3)]
+        lifts = [(aside, 0.0, -rounded(fraction * depth)) for fraction in (1.0, 0.6, 0.3)]
         points = [(0.0, 0.0, 0.0), (0.0, 0.0, -depth), *lifts, (aside, 0.0, MM)]
         return Scene(ball, through(points, speed=10e-3), body, Effects(friction=friction))
     if kind == "heavy":

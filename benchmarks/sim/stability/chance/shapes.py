@@ -22,8 +22,6 @@ KINDS: dict[str, float] = {
     "tube": 1.5, "torus": 1.5, "bar": 2, "needle": 1, "polygon": 1.5, "composed": 2, "stl": 1.5,
     "plane": 0.3,
 }  # fmt: skip
-# Kinds without a recess, round or blunt enough for the mesh to resolve.
-CONVEX = {"sphere", "box", "punch", "cone", "rounded_cone", "bar"}
 # Maximum tilt [rad], just below the allowed 30 degrees.
 TILT_MAX = 0.5
 
@@ -90,9 +88,9 @@ def blade(dice: Dice, unit: float) -> Indenter:
 
 
 def _edge(dice: Dice, most: float) -> float:
-    """Return an edge radius: usually a share of the maximum, sometimes zero or the maximum."""
-    share = dice.weighted({0.0: 1, 0.1: 2, 0.3: 4, 0.6: 3, 1.0: 1})
-    return float(share * min(most, 1.0))
+    """Return an edge radius: usually a fraction of the maximum, sometimes zero or the maximum."""
+    fraction = dice.weighted({0.0: 1, 0.1: 2, 0.3: 4, 0.6: 3, 1.0: 1})
+    return float(fraction * min(most, 1.0))
 
 
 def _polygon(dice: Dice, unit: float) -> Indenter:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.sim.stability.chance.dice import rounded
-from benchmarks.sim.stability.chance.judgement import Settings, Verdict, covered, judge_scene
+from benchmarks.sim.stability.chance.judgement import SceneOutcome, Settings, covered, judge_scene
 from sim.effects import Effects
 from sim.errors import SceneError
 from sim.result import scene_from_json, scene_to_json
@@ -21,31 +21,31 @@ TRIES, SECONDS = 30, 30.0
 # Fields whose numbers are not rounded, because they depend on others or are close to a limit.
 EXACT = frozenset({"cosine", "time", "poisson"})
 
-Judge = Callable[[Scene], Verdict]
+Judge = Callable[[Scene], SceneOutcome]
 
 
-def failure(verdict: Verdict) -> frozenset[str]:
+def failure(outcome: SceneOutcome) -> frozenset[str]:
     """Return the broken laws that no warning covers, or the kind of crash."""
-    if verdict.kind == "crash":
-        return frozenset({verdict.message.split(":")[0]})
-    if verdict.kind != "silent":
+    if outcome.kind == "crash":
+        return frozenset({outcome.message.split(":")[0]})
+    if outcome.kind != "silent":
         return frozenset()
     return frozenset(
-        each.name for each in verdict.broken if not covered(each.name, verdict.warnings)
+        each.name for each in outcome.broken if not covered(each.name, outcome.warnings)
     )
 
 
 def shrunk(
     scene: Scene,
-    verdict: Verdict,
+    outcome: SceneOutcome,
     settings: Settings,
     *,
     seconds: float = SECONDS,
     judge: Judge | None = None,
-) -> tuple[Scene, Verdict]:
-    """Return the simplest scene found that fails in one of the same ways, and its verdict."""
-    judging = judge or (lambda simpler: judge_scene(simpler, settings, verdict.twin or None))
-    wanted = failure(verdict)
+) -> tuple[Scene, SceneOutcome]:
+    """Return the simplest scene found that fails in one of the same ways, and its outcome."""
+    judging = judge or (lambda simpler: judge_scene(simpler, settings, outcome.twin or None))
+    wanted = failure(outcome)
     end = time.monotonic() + seconds
     seen, tries, going = {scene}, 0, True
     while going:
@@ -54,14 +54,14 @@ def shrunk(
             if simpler in seen:
                 continue
             if tries >= TRIES or time.monotonic() > end:
-                return scene, verdict
+                return scene, outcome
             seen.add(simpler)
             tries += 1
             found = judging(simpler)
             if failure(found) & wanted:
-                scene, verdict, going = simpler, found, True
+                scene, outcome, going = simpler, found, True
                 break
-    return scene, verdict
+    return scene, outcome
 
 
 def simpler_ones(scene: Scene) -> Iterator[Scene]:
@@ -160,13 +160,13 @@ def snippet(scene: Scene) -> str:
     )
 
 
-def store(path: Path, scene: Scene, verdict: Verdict, name: str) -> None:
+def store(path: Path, scene: Scene, outcome: SceneOutcome, name: str) -> None:
     """Write the scene as JSON, with the laws that it breaks and its origin."""
     kept = {
         "name": name,
-        "broken": sorted(failure(verdict)),
-        "said": verdict.why,
-        "twin": verdict.twin,
+        "broken": sorted(failure(outcome)),
+        "said": outcome.why,
+        "twin": outcome.twin,
         "scene": scene_to_json(scene),
     }
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -108,10 +108,10 @@ function begin(message) {
   $("log").textContent = "";
   map.build(hello);
   const { axes, ratings, soft, hard, box } = hello.limits;
-  text("limits-note", `share of the rating; marks: soft limit ${percent(soft)}, hard ${percent(hard)}`);
+  text("limits-note", `fraction of the rating; marks: soft limit ${percent(soft)}, hard ${percent(hard)}`);
   $("loads").replaceChildren(...axes.map((axis, k) => {
-    const made = gauge(axis, `${axis}: share of ${ratings[k]} ${k < 3 ? "N" : "N mm"}`, ["fill"]);
-    for (const [name, share] of [["soft", soft], ["hard", hard]]) mark(made, name, share / railEnd());
+    const made = gauge(axis, `${axis}: fraction of ${ratings[k]} ${k < 3 ? "N" : "N mm"}`, ["fill"]);
+    for (const [name, fraction] of [["soft", soft], ["hard", hard]]) mark(made, name, fraction / railEnd());
     return made;
   }));
   $("box").replaceChildren(
@@ -161,7 +161,7 @@ function figure(parent, name, width, height) {
   return canvas;
 }
 
-const percent = (share) => `${Math.round(100 * share)} %`;
+const percent = (fraction) => `${Math.round(100 * fraction)} %`;
 const railEnd = () => 1.05 * hello.limits.hard;
 
 function gauge(name, label, parts) {
@@ -183,18 +183,18 @@ function gauge(name, label, parts) {
   return row;
 }
 
-function mark(row, name, share) {
+function mark(row, name, fraction) {
   const made = document.createElement("div");
   made.className = `mark ${name}`;
-  made.style.left = `${(100 * Math.min(share, 1)).toFixed(1)}%`;
+  made.style.left = `${(100 * Math.min(fraction, 1)).toFixed(1)}%`;
   row.children[1].append(made);
 }
 
-function setGauge(row, share, value, level) {
+function setGauge(row, fraction, value, level) {
   const part = row.children[1].firstChild;
-  const place = `${(100 * Math.min(Math.max(share, 0), 1)).toFixed(1)}%`;
+  const place = `${(100 * Math.min(Math.max(fraction, 0), 1)).toFixed(1)}%`;
   part.style[part.className === "dot" ? "left" : "width"] = place;
-  row.children[1].setAttribute("aria-valuenow", Math.round(100 * share));
+  row.children[1].setAttribute("aria-valuenow", Math.round(100 * fraction));
   row.className = `gauge ${level}`;
   text(row.children[2], value);
 }
@@ -272,9 +272,9 @@ function places(tips) {
   text("depth", deep > 0 ? deep.toFixed(2) : "0.00");
   setGauge(depth, deep / most, `${deep.toFixed(2)} mm`, deep > most ? "over" : deep > 0.95 * most ? "near" : "");
   sides.forEach((row, k) => {
-    const [low, high] = box[k], share = (tip[k] - low) / (high - low);
-    const level = share < 0 || share > 1 ? "over" : share < 0.05 || share > 0.95 ? "near" : "";
-    setGauge(row, share, `${signed(tip[k], 1)} mm`, level);
+    const [low, high] = box[k], fraction = (tip[k] - low) / (high - low);
+    const level = fraction < 0 || fraction > 1 ? "over" : fraction < 0.05 || fraction > 0.95 ? "near" : "";
+    setGauge(row, fraction, `${signed(tip[k], 1)} mm`, level);
   });
 }
 

@@ -39,7 +39,7 @@ from learning.training.run import seed_torch
 _AT_ONCE = 256
 
 
-def train_together(
+def train_batched(
     presses: Sequence[Presses],
     settings: ForceSettings,
     *,
@@ -187,6 +187,6 @@ def _clip(weights: Any, most: float) -> None:
     """Clip the gradients of each model (k, ...) to the norm `most`."""
     grads = [each.grad for each in weights if each.grad is not None]
     norms = torch.stack([grad.flatten(1).square().sum(dim=1) for grad in grads]).sum(dim=0).sqrt()
-    share = (most / (norms + 1e-6)).clamp(max=1.0)
+    fraction = (most / (norms + 1e-6)).clamp(max=1.0)
     for grad in grads:
-        grad.mul_(share.view(-1, *[1] * (grad.ndim - 1)))
+        grad.mul_(fraction.view(-1, *[1] * (grad.ndim - 1)))

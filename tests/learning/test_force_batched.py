@@ -12,7 +12,7 @@ from support.force_models import TOY, noise_presses, toy
 
 from learning.data.presses import Presses
 from learning.errors import LearningError
-from learning.force.together import train_together
+from learning.force.batched import train_batched
 from learning.force.train import (
     ForceSettings,
     OptimiserSettings,
@@ -50,12 +50,12 @@ def test_each_learns_what_it_would_have_learned_alone(begun: bool, flips: bool) 
     settings = replace(SETTINGS, sequences=replace(SETTINGS.sequences, flips=flips))
     start = train_force(noise_presses(4, 3, seed=7), settings) if begun else None
     changes = [None, _softer, None]
-    together = train_together(presses, settings, start_from=start, compensation=changes)
-    assert together is not None
-    for each, change, found in zip(presses, changes, together, strict=True):
+    batched = train_batched(presses, settings, start_from=start, compensation=changes)
+    assert batched is not None
+    for each, change, found in zip(presses, changes, batched, strict=True):
         alone = train_force(each, settings, start_from=start, compensation=change)
         np.testing.assert_allclose(found.predict(each), alone.predict(each), atol=1e-3)
-    assert not np.allclose(together[0].predict(presses[0]), together[2].predict(presses[0]))
+    assert not np.allclose(batched[0].predict(presses[0]), batched[2].predict(presses[0]))
 
 
 def test_sgd_and_many_frames_are_shared_too() -> None:
@@ -64,9 +64,9 @@ def test_sgd_and_many_frames_are_shared_too() -> None:
         sequences=SequenceSettings(batch=2, presses=2, truncate_frames=3, padding="last_frame"),
     )
     presses = _shown()[:2]
-    together = train_together(presses, settings)
-    assert together is not None
-    for each, found in zip(presses, together, strict=True):
+    batched = train_batched(presses, settings)
+    assert batched is not None
+    for each, found in zip(presses, batched, strict=True):
         alone = train_force(each, settings)
         for name, weight in alone.state_dict().items():
             torch.testing.assert_close(found.state_dict()[name], weight, rtol=1e-4, atol=1e-6)
@@ -76,7 +76,7 @@ def test_sgd_and_many_frames_are_shared_too() -> None:
 def test_it_stops_when_it_is_asked_to() -> None:
     asked = iter([False, True])
     seen: list[tuple[int, int]] = []
-    found = train_together(
+    found = train_batched(
         _shown(),
         SETTINGS,
         stopped=lambda: next(asked),
@@ -95,14 +95,14 @@ def test_it_stops_when_it_is_asked_to() -> None:
 )
 def test_what_models_cannot_share_is_refused(settings: ForceSettings, key: str) -> None:
     with pytest.raises(LearningError, match=f"{key}: found a setting that needs one model"):
-        train_together(_shown(), settings)
+        train_batched(_shown(), settings)
 
 
 def test_other_presses_are_refused() -> None:
     with pytest.raises(LearningError, match="presses of noise: found others than those of a"):
-        train_together([_shown()[0], noise_presses(2, 4)], SETTINGS)
+        train_batched([_shown()[0], noise_presses(2, 4)], SETTINGS)
     with pytest.raises(LearningError, match="found none"):
-        train_together([], SETTINGS)
+        train_batched([], SETTINGS)
 
 
 def test_a_loss_that_is_no_number_names_the_sensor() -> None:
@@ -110,4 +110,4 @@ def test_a_loss_that_is_no_number_names_the_sensor() -> None:
     broken = replace(presses[1], references=presses[1].references, wrench=presses[1].wrench * 0)
     settings = replace(SETTINGS, stages=(StageSettings(epochs=2, learning_rate=1e30),))
     with pytest.raises(LearningError, match=r"loss of [abc]: found"):
-        train_together([presses[0], broken], settings)
+        train_batched([presses[0], broken], settings)

@@ -13,8 +13,8 @@ import traceback
 def run(package: str, arguments: list[str]) -> tuple[int, str, str]:
     """Run `python -m PACKAGE ARGUMENTS` in this process."""
     kept = os.dup(1), os.dup(2)
-    with tempfile.TemporaryFile() as said, tempfile.TemporaryFile() as erred:
-        os.dup2(said.fileno(), 1)
+    with tempfile.TemporaryFile() as printed, tempfile.TemporaryFile() as erred:
+        os.dup2(printed.fileno(), 1)
         os.dup2(erred.fileno(), 2)
         try:
             code = _code(package, arguments)
@@ -25,7 +25,7 @@ def run(package: str, arguments: list[str]) -> tuple[int, str, str]:
                 os.dup2(before, number)
                 os.close(before)
         texts = []
-        for file in (said, erred):
+        for file in (printed, erred):
             file.seek(0)
             texts.append(file.read().decode(errors="replace"))
     return code, texts[0], texts[1]

@@ -31,10 +31,10 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     make_split(archive, validation=0.2, new_press=0.2).write(folder / "split.json")
     torch.manual_seed(0)
-    for name, sensors in (("own", ["grid"]), ("carried", ["grid-to-dots"]), ("all", ["a", "b"])):
+    for name, sensors in (("own", ["grid"]), ("translated", ["grid-to-dots"]), ("all", ["a", "b"])):
         model = ForceModel(TOY.network, TOY.input)
         with RunFolder.open(
-            folder / name, KIND, TOY, "data", False, facts={"sensors": sensors}
+            folder / name, KIND, TOY, "data", False, metadata={"sensors": sensors}
         ) as run:
             run.finish(1, {"model": model})
     return folder
@@ -62,11 +62,11 @@ def test_predict_writes_what_a_model_says_of_whole_held_out_presses(
 def test_a_model_of_translated_frames_is_transferred(lab: Path, tmp_path: Path) -> None:
     out = str(tmp_path / "p.npz")
     with pytest.raises(LearningError, match="--translator: missing"):
-        run(lab, "carried", "--out", out)
-    assert run(lab, "carried", "--translator", "flow", "--out", out) == 0
+        run(lab, "translated", "--out", out)
+    assert run(lab, "translated", "--translator", "flow", "--out", out) == 0
     assert read_predictions(Path(out)).key == ("grid", "dots", "transferred", "flow")
     with pytest.raises(LearningError, match="allowed: 'dots'"):
-        run(lab, "carried", "--translator", "flow", "--out", out, sensor="grid")
+        run(lab, "translated", "--translator", "flow", "--out", out, sensor="grid")
 
 
 @pytest.mark.parametrize(
@@ -105,16 +105,16 @@ def test_a_model_of_fz_alone_says_so_and_is_scored_by_fz(
     model = ForceModel(TOY.network, TOY.input)
     nan = float("nan")
     model.set_range(ForceRange((nan, nan, -5.0), (nan, nan, 0.0)))
-    facts = {"sensors": ["grid"]}
-    with RunFolder.open(tmp_path / "fz", KIND, TOY, "data", False, facts=facts) as opened:
+    metadata = {"sensors": ["grid"]}
+    with RunFolder.open(tmp_path / "fz", KIND, TOY, "data", False, metadata=metadata) as opened:
         opened.finish(1, {"model": model})
     assert run(lab, str(tmp_path / "fz"), "--out", str(tmp_path / "p.npz")) == 0
     found = read_predictions(tmp_path / "p.npz")
     assert np.isnan(found.predicted[:, :2]).all()
-    said = capsys.readouterr().out
-    assert "MAE [N] x -  y -  z " in said
-    assert "R2 (Fz) " in said
-    assert "the model predicts Fz only" in said
+    printed = capsys.readouterr().out
+    assert "MAE [N] x -  y -  z " in printed
+    assert "R2 (Fz) " in printed
+    assert "the model predicts Fz only" in printed
     report = write_report([found], [], tmp_path / "report")
     assert "(Fz)" in report.lines[0]
 

@@ -1,0 +1,121 @@
+"""`tactile archive join`: join sensors of several marker archives by place."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from learning.errors import LearningError
+from recorder.command_line.options import names_or_none, positive
+from recorder.progress import ItemProgress
+
+if TYPE_CHECKING:
+    from learning.data.join import Chosen
+
+# ARCHIVE:SENSOR=NAME,SENSOR after the last colon; an address such as s3://x has a slash there.
+_WITH_SENSORS = re.compile(r"(?P<archive>.+):(?P<sensors>[^:/\\]+)")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Copies sensors of several archives into one. Presses meet if the same indenter touched "
+        "at the same place [mm], to the same share of the sensor's deepest press, in the same "
+        "shear direction [deg]; their numbers do not count. Prints what met and what did not. "
+        "Repeat the command to continue."
+    )
+    parser.add_argument(
+        "archives",
+        nargs="+",
+        metavar="ARCHIVE[:SENSOR[=NAME],...]",
+        help="X.markers.zarr: all of its sensors, or these, some under another name",
+    )
+    parser.add_argument("--out", type=Path, metavar="PATH", help="archive to write, X.markers.zarr")
+    parser.add_argument(
+        "--place-mm",
+        type=positive,
+        default=0.1,
+        metavar="MM",
+        help="largest distance of two places that are one [mm] (0.1)",
+    )
+    parser.add_argument(
+        "--depth-share",
+        type=positive,
+        default=0.04,
+        metavar="SHARE",
+        help="largest difference of two depths that are one, each over its sensor's deepest (0.04)",
+    )
+    parser.add_argument(
+        "--angle-deg",
+        type=positive,
+        default=3.0,
+        metavar="DEG",
+        help="largest angle between two shear directions that are one [deg] (3)",
+    )
+    parser.add_argument(
+        "--unseen",
+        type=names_or_none,
+        metavar="NAME,...",
+        help="indenters excluded from training (as in the archives; none: '')",
+    )
+    parser.add_argument(
+        "--dry-run", action="store_true", help="only print what meets; nothing is written"
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
+    from learning.data.join import Tolerances, join
+
+    if options.out is None and not options.dry_run:
+        raise LearningError("--out: missing; allowed: where the archive goes, or --dry-run")
+    tolerances = Tolerances(
+        1e-3 * options.place_mm, options.depth_share, math.radians(options.angle_deg)
+    )
+    sensors = [each for text in options.archives for each in _chosen(text)]
+    joined = join(sensors, tolerances, options.unseen)
+    for line in joined.lines():
+        print(line)
+    if options.dry_run:
+        return 0
+    with ItemProgress("frames", sys.stderr) as progress:
+        made = joined.write(options.out, progress)
+    print(f"{options.out}: {made:,} frames copied")
+    print(f"next: tactile split {options.out} --out {_split_of(options.out)}")
+    return 0
+
+
+def _chosen(text: str) -> Iterator[Chosen]:
+    """Yield the sensors that an argument names, in the order of their archive.
+
+    Raises:
+        LearningError: No such sensor, or the archive is incomplete.
+        SessionError: There is no archive.
+    """
+    from learning.data.join import Chosen
+    from recorder import MarkerArchive
+
+    named: dict[str, str] | None = None
+    where, found = text, _WITH_SENSORS.fullmatch(text)
+    if found is not None and not Path(text).exists():
+        where = found["archive"]
+        parts = (part.partition("=") for part in found["sensors"].split(","))
+        named = {name: new or name for name, _, new in parts}
+    archive = MarkerArchive(where)
+    if archive.warning:
+        raise LearningError(archive.warning)
+    for name in named or archive:
+        if name not in archive:
+            raise LearningError(
+                f"{archive.name}: has no sensor {name!r}; allowed: {', '.join(archive)}"
+            )
+        yield Chosen(archive, name, (named or {}).get(name, name))
+
+
+def _split_of(out: Path) -> Path:
+    return out.with_name(f"{out.name.partition('.')[0]}-split.json")

@@ -1,0 +1,405 @@
+"""Archives joined by place: what meets, what does not and why, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.made_up_archives import made_up_archive
+from support.planned_archives import (
+    planned_archive,
+    planned_session,
+    raw_folder,
+    training_folder,
+)
+from support.simulated_archives import LAYER, make
+
+from learning.__main__ import main
+from learning.data.genforce import import_folder
+from learning.data.genforce.importing import Choices
+from learning.data.join import Chosen, Presses, Tolerances, join, meet
+from learning.data.splits import make_split
+from learning.errors import LearningError
+from learning.markers import archive_sessions
+from recorder import MarkerArchive, check
+from recorder.archive import location_pairs
+from sim.dataset import DatasetPlan
+from sim.sensors import sensor
+from trajectories import PressShear
+
+MM = 1e-3
+# The plans of the benches: a GelSight of the homogeneous test, and a TacPalm.
+GELSIGHT = PressShear(3 * MM, 4 * MM, 0.3 * MM, 1.2 * MM, math.radians(30), 1 * MM)
+TACPALM = PressShear(
+    6.5 * MM, 6.5 * MM, 1.125 * MM, 4.5 * MM, math.radians(45), 1.5 * MM, dome_radius=29 * MM
+)
+# One depth and few directions, for archives made by slower ways.
+SMALL = PressShear(3 * MM, 4 * MM, 0.8 * MM, 0.8 * MM, math.radians(90), 1 * MM)
+
+
+def all_of(*archives: MarkerArchive) -> list[Chosen]:
+    return [Chosen(archive, name, name) for archive in archives for name in archive]
+
+
+def joined(tmp_path: Path, *archives: MarkerArchive, **options: Any) -> MarkerArchive:
+    out = tmp_path / "joined.markers.zarr"
+    join(all_of(*archives), **options).write(out)
+    assert check(out) == []
+    return MarkerArchive(out)
+
+
+def apart(archive: MarkerArchive, one: str, other: str) -> tuple[Any, Any]:
+    """Return how far the pairs of frames of two sensors are apart in place [m], angle [rad].
+
+    Places are those of the ends of the shear, where both have been reached.
+    """
+    pairs = location_pairs(archive[one].table, archive[other].table)
+    tables = archive[one].table, archive[other].table
+    angles, places = [], []
+    for table, rows in zip(tables, (pairs.source, pairs.target), strict=True):
+        position, phase = table["position"][rows], table["phase"][rows]
+        places.append(position[phase == 0])
+        x, y = (position[phase == 1] - position[phase == 0]).T
+        angles.append(np.arctan2(y, x))
+    turn = (angles[0] - angles[1] + np.pi) % (2 * np.pi) - np.pi
+    return np.linalg.norm(places[0] - places[1], axis=1), np.abs(turn)
+
+
+def test_recordings_in_three_orders_meet_by_place_where_numbers_would_be_off_by_6_to_13_mm(
+    tmp_path: Path,
+) -> None:
+    # A collection run of the paper's authors; a session recorded in the old order, with 8
+    # directions; a simulated archive.
+    authors = raw_folder(tmp_path / "uskin-raw", replace(SMALL, clearance=1e-9), indenter="sphere")
+    import_folder(authors, tmp_path / "raw.markers.zarr", choices=Choices(preset_name="uskin"))
+    old = replace(SMALL, order="quadrants", angle_step=math.radians(45))
+    session = planned_session(tmp_path / "s.zarr", old, sensor="pad", indenter="sphere")
+    archive_sessions([session], tmp_path / "ours.markers.zarr", preset_name="uskin")
+    simulated = replace(sensor("uskin"), trajectory=SMALL, force_depth=None)
+    plan = DatasetPlan("targets", (simulated,), indenters=("sphere",), solving=LAYER, steps=1)
+    make(tmp_path / "simulated.markers.zarr", plan)
+    archives = [MarkerArchive(tmp_path / f"{n}.markers.zarr") for n in ("raw", "ours", "simulated")]
+    archive = joined(tmp_path, *archives)
+    names = tuple(archive)
+    assert names == ("uskin-raw", "pad", "uskin")
+    for one, other in ((0, 1), (0, 2), (1, 2)):
+        pairs = location_pairs(archive[names[one]].table, archive[names[other]].table)
+        assert len(pairs) == 4 * len(SMALL)
+        place, angle = apart(archive, names[one], names[other])
+        assert len(place) == len(SMALL) == 20
+        assert place.max() < 0.1 * MM
+        assert math.degrees(angle.max()) < 1
+    # By number alone, as before: the same number lies elsewhere for the four outer points.
+    same = replace(old, angle_step=SMALL.angle_step)
+    off = [
+        math.dist(one.origin[:2], other.origin[:2])
+        for one, other in zip(SMALL.targets(), same.targets(), strict=True)
+        if one.point > 1
+    ]
+    assert min(off) >= 6 * MM
+    assert max(off) <= 13 * MM
+
+
+def test_of_30_and_45_degrees_only_equal_angles_meet_and_the_rest_is_named(tmp_path: Path) -> None:
+    a = planned_archive(tmp_path / "a.markers.zarr", {"gelsight": GELSIGHT})
+    b = planned_archive(tmp_path / "b.markers.zarr", {"tacpalm": TACPALM})
+    made = join(all_of(a, b))
+    (pair,) = made.pairs
+    # The centre, at four depths, in the directions 0, 90, 180 and 270 deg.
+    assert pair.presses == (240, 160)
+    assert pair.met == 16
+    assert pair.frames == 64
+    assert pair.place < 1e-6
+    assert math.degrees(pair.angle) < 1e-6
+    lines = "\n".join(made.lines())
+    assert "16 presses met, of 240 and 160" in lines
+    assert "192 did not: gelsight, none of tacpalm at that place, the nearest 4.30 mm away" in lines
+    assert (
+        "16 did not: tacpalm, none of gelsight there in that direction, the nearest 15.0 deg"
+        in (lines)
+    )
+    counted = sum(pair.unmet.values())
+    assert counted == 240 + 160 - 2 * pair.met
+
+
+def test_a_joined_archive_holds_all_frames_and_can_be_split(tmp_path: Path) -> None:
+    a = planned_archive(tmp_path / "a.markers.zarr", {"a": SMALL}, ("sphere", "own"))
+    b = made_up_archive(tmp_path / "b.markers.zarr", indenters=("cone", "sphere"), force_depth=1)
+    lone = planned_archive(tmp_path / "c.markers.zarr", {"c": replace(SMALL, order="quadrants")})
+    archive = joined(tmp_path, a, b, lone)
+    assert set(archive) == {"a", "c", *b}
+    assert archive.indenters[-1] == "own"
+    for source in (a, b, lone):
+        for name in source:
+            before, after = source[name], archive[name]
+            np.testing.assert_array_equal(after.packed(slice(None)), before.packed(slice(None)))
+            np.testing.assert_array_equal(after.references, before.references)
+            for column in ("wrench", "position", "depth", "phase", "frame", "valid", "seen"):
+                np.testing.assert_array_equal(after.table[column], before.table[column])
+            assert [archive.indenters[one] for one in after.table["indenter"]] == [
+                source.indenters[one] for one in before.table["indenter"]
+            ]
+            lines = [[one.sources[line] for line in one.table["source"]] for one in (before, after)]
+            assert lines[0] == lines[1]
+            unlocated = before.table["location"] < 0
+            np.testing.assert_array_equal(after.table["location"] < 0, unlocated)
+            if before.fields is not None:
+                np.testing.assert_array_equal(
+                    after.displacement(slice(None)), before.displacement(slice(None))
+                )
+    assert archive["grid"].attrs["displacement_of"] == "dots"
+    assert archive["c"].attrs["joined_from"]["archive"] == "c.markers.zarr"
+    split = make_split(archive, validation=0.2, new_press=0.2, held_out_sensors=(), seed=0)
+    split.check(archive)
+    assert len(location_pairs(archive["a"].table, archive["c"].table)) == 4 * len(SMALL)
+
+
+def test_states_of_one_press_stay_together(tmp_path: Path) -> None:
+    from support.planned_archives import MASK
+
+    from recorder.archive import ArchivePlan, ArchiveWriter, SensorPlan
+
+    archives = []
+    for name, places in (("a", [(0, 0), (4, 0)]), ("b", [(4, 0), (0, 0), (-4, 0)])):
+        path, rows = tmp_path / f"{name}.markers.zarr", 3 * len(places)
+        plan = SensorPlan(name, rows, 3, 3, MASK, 0.03)
+        writer = ArchiveWriter.begin(path, ArchivePlan((plan,), ("sphere",)))
+        for target, place in enumerate(places):
+            table = {
+                "indenter": np.zeros(3, int),
+                "seen": np.ones(3, bool),
+                "location": 3 * target + np.arange(3),
+                "target": np.full(3, target),
+                "phase": np.full(3, -1),
+                "depth": np.array([0.5, 1.0, 1.5]) * MM,
+                "position": np.tile(np.array(place) * MM, (3, 1)),
+                "wrench": np.full((3, 6), np.nan),
+                "frame": np.arange(3),
+                "t_ns": np.zeros(3, int),
+                "reference": np.zeros(3, int),
+                "valid": np.ones(3, bool),
+            }
+            writer.sensors[name].write(
+                target, packed=np.repeat(MASK, 3, axis=0), table=table, source=["made"] * 3
+            )
+        writer.finish()
+        archives.append(MarkerArchive(path))
+    archive = joined(tmp_path, *archives)
+    assert len(location_pairs(archive["a"].table, archive["b"].table)) == 6
+    np.testing.assert_array_equal(archive["a"].table["target"], [0, 0, 0, 1, 1, 1])
+    np.testing.assert_array_equal(archive["b"].table["target"], [1, 1, 1, 0, 0, 0, 2, 2, 2])
+    make_split(archive, validation=0, new_press=0, held_out_sensors=(), seed=0).check(archive)
+
+
+# What cannot be joined.
+
+
+def test_unknown_places_are_refused_and_a_plan_makes_them_known(tmp_path: Path) -> None:
+    folder = training_folder(tmp_path / "homo", SMALL, sensor="Array1", indenter="sphere")
+    import_folder(folder, tmp_path / "homo.markers.zarr")
+    ours = planned_archive(tmp_path / "a.markers.zarr", {"a": replace(SMALL, order="quadrants")})
+    with pytest.raises(LearningError, match=r"Array1: position is 'unknown: 0'.* model of its own"):
+        join(all_of(MarkerArchive(tmp_path / "homo.markers.zarr"), ours))
+    bench = tmp_path / "bench.yaml"
+    bench.write_text(
+        "sensor: mine\ntrajectory: {kind: press_shear, step_x_mm: 3.0, step_y_mm: 4.0, "
+        "depth_step_mm: 0.8, depth_max_mm: 0.8, angle_step_deg: 90.0, shear_mm: 1.0}\n"
+    )
+    out = tmp_path / "planned.markers.zarr"
+    command = ["import-genforce", str(folder), "--out", str(out), "--plan", f"Array1={bench}"]
+    assert main(command) == 0
+    archive = joined(tmp_path, MarkerArchive(out), ours)
+    assert archive["Array1"].attrs["plan"]["order"] == "authors"
+    place, angle = apart(archive, "Array1", "a")
+    assert len(place) == len(SMALL)
+    assert place.max() < 1e-9
+    assert angle.max() < 1e-9
+
+
+def test_a_plan_for_a_sensor_or_a_press_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    folder = training_folder(tmp_path / "homo", SMALL, sensor="Array1", indenter="sphere")
+    out = tmp_path / "a.markers.zarr"
+    with pytest.raises(LearningError, match=r"plan: found one of Array2; .* has Array1"):
+        import_folder(folder, out, choices=Choices(plans={"Array2": SMALL}))
+    fewer = replace(SMALL, points=(1,))
+    with pytest.raises(LearningError, match=r"sphere.5: found press 5; its plan has 4"):
+        import_folder(folder, out, choices=Choices(plans={"Array1": fewer}))
+    raw = raw_folder(tmp_path / "uskin-raw", fewer, indenter="sphere")
+    with pytest.raises(LearningError, match=r"layout raw, which tells places itself"):
+        import_folder(raw, out, choices=Choices(plans={"uskin-raw": SMALL}))
+    assert not out.exists()
+
+
+def test_a_place_pressed_twice_is_ambiguous_and_named(tmp_path: Path) -> None:
+    a = planned_archive(tmp_path / "a.markers.zarr", {"a": SMALL})
+    near = replace(SMALL, step_x=0.02 * MM, step_y=0.02 * MM)
+    b = planned_archive(tmp_path / "b.markers.zarr", {"b": near})
+    with pytest.raises(
+        LearningError,
+        match=r"b: which of its presses meet those of itself is ambiguous within 0\.1 mm.*"
+        r"target 0 of sphere \(\+0\.00, \+0\.00 mm, 0\.800 mm deep, 0\.0 deg\), and target \d+",
+    ):
+        join(all_of(a, b))
+    assert join(all_of(a, b), Tolerances(place=0.01 * MM)).pairs[0].met == 4
+
+
+def test_a_chain_of_neighbours_is_ambiguous_not_one_place(tmp_path: Path) -> None:
+    some = [
+        planned_archive(tmp_path / f"{name}.markers.zarr", {name: SMALL}, moved=moved)
+        for name, moved in (("a", 0.0), ("b", 0.06 * MM), ("c", 0.12 * MM))
+    ]
+    assert join(all_of(some[0], some[1])).pairs[0].met == len(SMALL)
+    with pytest.raises(LearningError, match=r"c: which of its presses meet those of a is ambig"):
+        join(all_of(*some))
+
+
+def test_equal_names_and_disagreeing_lists_of_unseen_indenters_are_refused(tmp_path: Path) -> None:
+    a = planned_archive(tmp_path / "a.markers.zarr", {"a": SMALL})
+    b = planned_archive(tmp_path / "b.markers.zarr", {"a": SMALL}, seen=False)
+    with pytest.raises(LearningError, match=r"a: found in .*a\.markers\.zarr and in .*b\.markers"):
+        join(all_of(a, b))
+    other = [Chosen(a, "a", "a"), Chosen(b, "a", "b")]
+    with pytest.raises(LearningError, match=r"sphere: models may be trained on it by a, not by b"):
+        join(other)
+    made = join(other, unseen=("sphere",))
+    made.write(tmp_path / "j.markers.zarr")
+    assert not MarkerArchive(tmp_path / "j.markers.zarr")["a"].table["seen"].any()
+
+
+def test_nothing_that_meets_is_refused_with_its_reasons(tmp_path: Path) -> None:
+    a = planned_archive(tmp_path / "a.markers.zarr", {"a": SMALL})
+    b = planned_archive(tmp_path / "b.markers.zarr", {"b": SMALL}, ("cone",))
+    with pytest.raises(LearningError, match=r"no press met(.|\n)*20 did not: a, b has no press of"):
+        join(all_of(a, b))
+
+
+@pytest.mark.parametrize(
+    "change", [{"place": 0.0}, {"angle": 4.0}, {"depth_share": math.nan}, {"depth_share": 1.0}]
+)
+def test_tolerances_that_exclude_all_or_nothing_are_refused(change: dict[str, float]) -> None:
+    with pytest.raises(LearningError, match=f"{next(iter(change))}: found"):
+        Tolerances(**change)
+
+
+# The order of presses, of archives, and small errors change nothing.
+
+
+def pairs_by_plan(archive: MarkerArchive, one: str, other: str) -> set[tuple[str, str, int]]:
+    """Return the pairs of frames as what their sources tell: the number in the plan, and phase."""
+    left, right = archive[one], archive[other]
+    pairs = location_pairs(left.table, right.table)
+    return {
+        (
+            left.sources[left.table["source"][a]],
+            right.sources[right.table["source"][b]],
+            int(left.table["phase"][a]),
+        )
+        for a, b in zip(pairs.source, pairs.target, strict=True)
+    }
+
+
+def test_a_shuffled_archive_joins_to_the_same_pairs(tmp_path: Path) -> None:
+    a = planned_archive(tmp_path / "a.markers.zarr", {"a": replace(SMALL, order="quadrants")})
+    plain = planned_archive(tmp_path / "b.markers.zarr", {"b": SMALL})
+    shuffled = planned_archive(
+        tmp_path / "c.markers.zarr", {"b": SMALL}, order=np.random.default_rng(3).permutation
+    )
+    found = [
+        pairs_by_plan(joined(tmp_path / str(number), *some), "a", "b")
+        for number, some in enumerate(((a, plain), (a, shuffled), (shuffled, a)))
+    ]
+    assert found[0] == found[1] == found[2]
+    assert len(found[0]) == 4 * len(SMALL)
+
+
+def presses_of(plan: PressShear, order: Sequence[int], moved: Sequence[float]) -> Presses:
+    """Return presses without an archive, each off by `moved` in x."""
+    targets = [list(plan.targets())[index] for index in order]
+    place = np.array([target.origin[:2] for target in targets])
+    place[:, 0] += moved
+    depth = np.array([target.depth for target in targets])
+    names = ["sphere" if index % 2 else "cone" for index in order]
+    return Presses(
+        of=Chosen(archive=None, sensor="s", name="s"),  # type: ignore[arg-type]
+        indenter=np.array(names),
+        target=np.arange(len(order)),
+        location=np.arange(len(order)),
+        place=place,
+        depth=depth,
+        share=depth / plan.depth_max,
+        angle=np.array([plan.direction_angle(target.direction) for target in targets]),
+        flaw=np.full(len(order), ""),
+    )
+
+
+@settings(max_examples=30)
+@given(st.data(), st.integers(2, 4))
+def test_presses_meet_as_planned_in_any_order_and_with_errors_below_the_tolerance(
+    data: st.DataObject, directions: int
+) -> None:
+    plan = replace(SMALL, angle_step=2 * math.pi / directions, depth_step=0.4 * MM)
+    every = range(len(plan))
+    orders = [data.draw(st.permutations(every)) for _ in range(2)]
+    kept = orders[1][: data.draw(st.integers(1, len(every)))]
+    error = st.lists(st.floats(-0.04 * MM, 0.04 * MM), min_size=len(every), max_size=len(every))
+    one, other = (
+        presses_of(plan, order, data.draw(error)[: len(order)]) for order in (orders[0], kept)
+    )
+    left, right = meet([one, other], Tolerances())
+    at = {number: planned for planned, number in zip(orders[0], left.tolist(), strict=True)}
+    assert [at[number] for number in right.tolist()] == list(kept)
+
+
+# The command.
+
+
+def test_the_command_prints_what_met_and_the_next_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    planned_archive(tmp_path / "a.markers.zarr", {"x": SMALL, "y": SMALL})
+    planned_archive(tmp_path / "b.markers.zarr", {"x": replace(SMALL, order="quadrants")})
+    out = tmp_path / "j.markers.zarr"
+    archives = [f"{tmp_path / 'a.markers.zarr'}:x", f"{tmp_path / 'b.markers.zarr'}:x=z"]
+    assert main(["archive-join", *archives, "--dry-run"]) == 0
+    assert not out.exists()
+    assert main(["archive-join", *archives, "--out", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert "within 0.1 mm, 0.04 of the depth, 3 deg:" in printed
+    assert "x and z: 20 presses met, of 20 and 20; 80 pairs of frames; at most 0.000 mm" in printed
+    assert (
+        printed.splitlines()[-1] == f"next: tactile split {out} --out {tmp_path / 'j-split.json'}"
+    )
+    archive = MarkerArchive(out)
+    assert tuple(archive) == ("x", "z")
+    assert archive.attrs["met"][0]["met"] == 20
+    assert json.dumps(archive.attrs["tolerances"])
+    # Repeated, it finds nothing left to do.
+    assert main(["archive-join", *archives, "--out", str(out)]) == 0
+    assert "0 frames copied" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["a.markers.zarr:q", "a.markers.zarr"], "has no sensor 'q'; allowed: x"),
+        (["a.markers.zarr"], "sensors: found 1; allowed: two or more"),
+        (["none.markers.zarr", "a.markers.zarr"], "none.markers.zarr"),
+        (["a.markers.zarr", "a.markers.zarr:x=y", "--place-mm", "2000"], "place: found 2.0"),
+    ],
+)
+def test_the_command_says_what_is_wrong_and_exits_with_2(
+    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    planned_archive(tmp_path / "a.markers.zarr", {"x": SMALL})
+    full = [str(tmp_path / a) if ".zarr" in a else a for a in arguments]
+    assert main(["archive-join", *full, "--out", str(tmp_path / "j.markers.zarr")]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "j.markers.zarr").exists()

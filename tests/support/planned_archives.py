@@ -1,0 +1,191 @@
+"""Archives, sessions and GenForce folders whose presses follow a plan, without any physics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recorder import MarkerArchive, SessionWriter, StreamWriter, force_spec, pose_spec, taxels_spec
+from recorder.archive import ArchivePlan, ArchiveWriter, SensorPlan
+from recorder.markers import pack
+from trajectories import PHASES, PressShear, Target, plan_to_json
+
+T0 = 5_000_000_000_000
+PHASE_NS = 100_000_000
+CONTACT_FRAME = np.array([0.4, -0.1, 0.2, 0.0, 0.0, 0.0])
+HEADER = "X(m),Y(m),Z(m),RX(rad),RY(rad),RZ(rad)"
+
+_YX = np.mgrid[:480, :640]
+MASK = pack(((_YX[0] % 60 < 20) & (_YX[1] % 60 < 20))[None])
+
+
+def tips(plan: PressShear, target: Target, steps: int = 2) -> list[tuple[int, np.ndarray]]:
+    """Return phase and place (3,) [m] of `steps` frames of each phase, the last at its end."""
+    found = []
+    for move in plan.moves(target):
+        start, end = np.array(move.start), np.array(move.end)
+        for step in range(1, steps + 1):
+            found.append((move.phase, start + (end - start) * step / steps))
+    return found
+
+
+def planned_archive(
+    path: Path,
+    plans: dict[str, PressShear],
+    indenters: Sequence[str] = ("sphere",),
+    *,
+    order: Callable[[int], Any] = np.arange,
+    moved: float = 0.0,
+    attrs: dict[str, Any] | None = None,
+    seen: bool = True,
+) -> MarkerArchive:
+    """Write an archive whose sensors were pressed as planned, two frames a phase.
+
+    Args:
+        path: Archive to write, `X.markers.zarr`.
+        plans: Plan of each sensor.
+        indenters: Names, by code; each pressed all targets.
+        order: Numbers of `n` targets in the archive, by their number in the plan.
+        moved: Distance by which every place is off, along x and y [m].
+        attrs: Attributes of the sensors.
+        seen: Whether models may be trained on the indenters.
+    """
+    rows = {name: 8 * len(plan) * len(indenters) for name, plan in plans.items()}
+    planned = tuple(
+        SensorPlan(name, rows[name], 8, 8 * len(plan), MASK, 0.03, attrs=attrs or {})
+        for name, plan in plans.items()
+    )
+    writer = ArchiveWriter.begin(path, ArchivePlan(planned, tuple(indenters)))
+    for name, plan in plans.items():
+        numbers = np.asarray(order(len(plan)))
+        back = np.argsort(numbers)
+        targets = list(plan.targets())
+        for code in range(len(indenters)):
+            frames = [
+                (number, phase, tip, plan.height(*targets[planned_as].origin[:2]))
+                for number, planned_as in enumerate(back.tolist())
+                for phase, tip in tips(plan, targets[planned_as])
+            ]
+            number, phase, tip, height = (np.array(column) for column in zip(*frames, strict=True))
+            count = len(frames)
+            table = {
+                "indenter": np.full(count, code),
+                "seen": np.full(count, seen),
+                "location": code * len(plan) + number,
+                "target": number,
+                "phase": phase,
+                "depth": np.maximum(height - tip[:, 2], 0.0),
+                "position": tip[:, :2] + moved,
+                "wrench": np.full((count, 6), np.nan),
+                "frame": np.tile(np.arange(8), len(plan)),
+                "t_ns": np.zeros(count, np.int64),
+                "reference": np.zeros(count, np.int64),
+                "valid": np.ones(count, np.bool_),
+            }
+            source = [f"planned {back[each]}" for each in number.tolist()]
+            writer.sensors[name].write(
+                code, packed=np.repeat(MASK, count, axis=0), table=table, source=source
+            )
+    writer.finish()
+    return MarkerArchive(path)
+
+
+def planned_session(path: Path, plan: PressShear, *, sensor: str, indenter: str) -> Path:
+    """Record a session of taxels whose arm follows a plan, 0.1 s a phase."""
+    targets = list(plan.targets())
+    table = {
+        "point": np.array([target.point for target in targets], np.int16),
+        "depth": np.array([target.depth for target in targets]),
+        "direction": np.array([target.direction for target in targets], np.int16),
+        "planned": np.array([target.sheared for target in targets]) + CONTACT_FRAME[:3],
+    }
+    attrs = {
+        "sensor": sensor,
+        "indenter": indenter,
+        "contact_frame": CONTACT_FRAME.tolist(),
+        "started_utc": "2026-01-01T00:00:00Z",
+        "plan": plan_to_json(plan),
+    }
+    specs = [taxels_spec(60), force_spec(100), pose_spec(200)]
+    session = SessionWriter.create(path, attrs=attrs, streams=specs, targets=table)
+    moves = [move for target in targets for move in plan.moves(target)]
+    starts, ends = (np.array([getattr(move, at) for move in moves]) for at in ("start", "end"))
+    with session:
+        session.begin_run({"t0_ns": T0, "utc": "2026-01-01T00:00:00Z", "boot_id": "b"})
+        for name, rate in (("taxels", 60), ("force", 100), ("pose", 200)):
+            times = np.arange(0, len(moves) * PHASE_NS, round(1e9 / rate))
+            # The arm rests for the last third of each phase.
+            phase, within = np.divmod(times, PHASE_NS)
+            way = np.minimum(within / PHASE_NS / 0.7, 1.0)[:, None]
+            tip = (1 - way) * starts[phase] + way * ends[phase]
+            with StreamWriter.open(session.stream_path(name), sync_interval=30) as stream:
+                for number, t_ns in enumerate(times.tolist()):
+                    row: dict[str, Any] = {"t_ns": T0 + t_ns}
+                    if name == "pose":
+                        value = np.add(CONTACT_FRAME, [*tip[number], 0, 0, 0])
+                        row |= {"value": value, "device_t": 1e-9 * t_ns, "speed_scaling": 1.0}
+                    elif name == "force":
+                        row |= {"value": np.zeros(6), "seq": number, "status": 0}
+                    else:
+                        value = np.full((16, 3), 30_000, np.int32)
+                        row |= {"value": value, "device_t": 1e-9 * t_ns, "seq": number}
+                    stream.append(**row)
+        for number, move in enumerate(moves):
+            start = T0 + number * PHASE_NS
+            session.segments.append(
+                target=move.target,
+                phase=move.phase,
+                outcome=0,
+                run=0,
+                start_ns=start,
+                end_ns=start + PHASE_NS,
+            )
+        session.reference.append(
+            point=1,
+            image=-1,
+            wrench=np.zeros(6),
+            wrench_std=np.full(6, 0.02),
+            taxels=np.full((16, 3), 30_000.0),
+            run=0,
+            t_ns=T0,
+        )
+        session.finish("complete", rate_hz=60)
+    return path
+
+
+def raw_folder(root: Path, plan: PressShear, *, indenter: str) -> Path:
+    """Write a collection run of taxels in the layout of the paper's authors."""
+    run, origin = f"{indenter}-20250517_101010", np.array([-0.12, -0.43, 0.16])
+    for target in plan.targets():
+        for phase, name in enumerate(PHASES):
+            some = [tip for code, tip in tips(plan, target) if code == phase]
+            if phase == 0:
+                some.insert(0, np.array(target.origin))
+            place = Path(run) / str(target.index + 1) / name
+            counts, poses = root / "uskin_raw" / place, root / "pose" / place
+            counts.mkdir(parents=True)
+            poses.mkdir(parents=True)
+            lines = [
+                ",".join(f"{value:.9f}" for value in (*(origin + tip), 0, 3.14, 0)) for tip in some
+            ]
+            (poses / "pose.csv").write_text("\n".join([HEADER, *lines]) + "\n")
+            for frame in range(len(some)):
+                np.save(counts / f"{frame:04d}.npy", np.zeros((16, 3), np.int64))
+    return root
+
+
+def training_folder(root: Path, plan: PressShear, *, sensor: str, indenter: str) -> Path:
+    """Write a training folder of the paper's authors: masks by number, without places."""
+    images = root / "img" / "npy"
+    for target in plan.targets():
+        folder = images / sensor / indenter / str(target.index + 1)
+        folder.mkdir(parents=True)
+        for frame in range(8):
+            np.save(folder / f"{frame:04d}.npy", MASK[0])
+        names = [f"{frame:04d}.npy" for frame in (1, 3, 5, 7)]
+        (folder / "last.csv").write_text("\n".join(names) + "\n")
+    np.save(images / f"{sensor}_ref.npy", MASK[0])
+    return root
