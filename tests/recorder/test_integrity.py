@@ -549,6 +549,7 @@ def test_a_flipped_bit_anywhere_is_refused_or_changes_nothing(
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(600)
 @pytest.mark.parametrize("kind", KINDS)
 def test_three_hundred_flipped_bits_are_refused_or_change_nothing(
     kind: str, sealed: Callable[[str], Path], tmp_path: Path
@@ -629,6 +630,7 @@ def test_a_file_removed_cut_or_replaced_is_named(
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(600)
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_file_removed_cut_or_replaced_is_named(
     kind: str, sealed: Callable[[str], Path], tmp_path: Path
