@@ -34,13 +34,6 @@ from recorder.store.layout import StreamLayout, create_stream
 BLOCK = 64
 
 
-@pytest.fixture(autouse=True)
-def nothing_is_flushed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Disable flushing: a kill is not a power failure, and flushing takes most of the time."""
-    monkeypatch.setattr(os, "fsync", lambda fd: None)
-    monkeypatch.setattr(os, "fdatasync", lambda fd: None)
-
-
 def image_rows(rows: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
     """Return columns in which every value encodes its row number, never all zero."""
     pixels = np.empty((len(rows), 4, 4, 3), np.uint8)
