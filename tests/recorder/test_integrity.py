@@ -452,7 +452,7 @@ def test_a_file_removed_cut_or_replaced_is_named(
 ) -> None:
     shutil.copytree(sealed(kind), tmp_path / "s.zarr")
     other = sealed("lossless" if kind == "jpeg" else "jpeg")
-    assert losses(tmp_path / "s.zarr", other, kind, every=13) > 20
+    assert losses(tmp_path / "s.zarr", other, kind, every=9) > 20
 
 
 @pytest.mark.slow
