@@ -53,7 +53,7 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     """With `-m serial`, skip files without such tests, since importing them is slow."""
     if config.option.markexpr != "serial" or collection_path.suffix != ".py":
         return None
-    return True if b"serial" not in collection_path.read_bytes() else None
+    return True if b"mark.serial" not in collection_path.read_bytes() else None
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
