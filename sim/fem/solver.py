@@ -25,7 +25,7 @@ from sim.device import check_device
 from sim.errors import SimulationDiverged
 from sim.fem.assembly import Assembly
 from sim.fem.mesh import Mesh, meshes_of
-from sim.fem.newton import Newton, Path, path_of
+from sim.fem.newton import ROUNDING, Newton, Path, path_of
 from sim.fem.numerics import Fem, Precision
 from sim.fem.self_overlap import self_overlap
 from sim.fem.sizing import (
@@ -421,9 +421,9 @@ Asked = dict[tuple[int, int], Sizes]
 FRAME_SAMPLES, PATH_SAMPLES, PATH_STATES = 8, 3, 3
 # Above this, `auto` does not try float32: there the pressure is 3,000 times the shear stress.
 POISSON_FLOAT32 = 0.4995
-# A step that fails with a residual below this many tolerances is limited by float32 rounding: a
+# A step that fails with a residual below `ROUNDING` tolerances is limited by float32 rounding: a
 # smaller step would fail too. After this many such steps `auto` restarts in float64.
-ROUNDING, ROUNDED_MOST = 10.0, 2
+ROUNDED_MOST = 2
 # Times that `auto` halves a step to a waypoint in float32 before it restarts in float64. Most such
 # steps are limited by rounding, where forces or elements are small, and each costs as much as ten
 # steps that converge.
