@@ -586,8 +586,8 @@ def _on_meshes(
 
 # Most times that a mesh is rebuilt because the solution shows that it was too coarse.
 REMESHED = 2
-# Least ratio by which the elements of a rebuilt mesh are smaller where that is required: a mesh that
-# is hardly finer is not worth its time.
+# Least ratio by which elements of a rebuilt mesh are smaller where that is required: a mesh that is
+# hardly finer is not worth its time.
 REFINED = 1.2
 # Element size over that required by the solution's own contact: above the first the mesh is
 # rebuilt, above the second a finer mesh is built for that contact from the start.
