@@ -30,13 +30,17 @@ def ready_device(name: str) -> Path | None:
 
 
 def check_device(name: str) -> None:
-    """Reject a device that this machine does not have.
+    """Reject a device that this machine does not have; silence Warp's messages below warnings.
+
+    A program that sets `wp.config.log_level` to another level than the default keeps it.
 
     Raises:
         SceneError: Names the devices that it has.
     """
     import warp as wp
 
+    if wp.config.log_level == wp.LOG_INFO:
+        wp.config.log_level = wp.LOG_WARNING
     try:
         wp.get_device(name)
     except (ValueError, RuntimeError) as error:

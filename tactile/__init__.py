@@ -1,1 +1,1 @@
-"""The command `tactile`: a table of commands, and `tactile init`."""
+"""The command `tactile`, of all packages; here are `tactile init` and `tactile schema`."""

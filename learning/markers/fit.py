@@ -29,6 +29,7 @@ from learning.markers.segment import (
     Segmenter,
     half_of_own,
     hat_contrast,
+    largest_nearby,
     outlined,
 )
 from learning.markers.track import Tracker
@@ -197,7 +198,8 @@ def _pattern(view: Picture, size: int, channel: Channel, bright: bool) -> Patter
     contrast = hat_contrast(view, size, channel, bright=bright)
     noise = float(np.median(contrast))
     floor = max(CONTRAST_LEAST, NOISES * noise)
-    mask = half_of_own(contrast, size, floor) > 0
+    most = largest_nearby(contrast, size)
+    mask = half_of_own(contrast, most, floor) > 0
     labels = np.asarray(cv2.connectedComponents(mask.astype(np.uint8), connectivity=4)[1], np.int64)
     own = np.zeros(labels.max() + 1, np.float32)
     np.maximum.at(own, labels, contrast)
@@ -210,7 +212,7 @@ def _pattern(view: Picture, size: int, channel: Channel, bright: bool) -> Patter
     fraction = np.cumsum(area[large][order]) / area[large].sum()
     typical = float(own[large][order][np.searchsorted(fraction, 0.5)])
     least = round(max(floor, FAINT * typical), 4)
-    mask = half_of_own(contrast, size, least) > 0
+    mask = half_of_own(contrast, most, least) > 0
     blobs = find_blobs(mask[None], SMALLEST_PX)
     blobs = blobs.only(blobs.whole)
     if len(blobs) < 2:

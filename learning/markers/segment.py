@@ -362,7 +362,7 @@ def _found(view: Picture, detector: Detector) -> Binary:
         return _contrast(_channel(view, detector.channel), detector)
     if isinstance(detector, Hat):
         depth = hat_contrast(view, detector.size_px, detector.channel, bright=detector.bright)
-        return half_of_own(depth, detector.size_px, detector.least)
+        return half_of_own(depth, largest_nearby(depth, detector.size_px), detector.least)
     if isinstance(detector, BlurDifference):
         luma = grey(view)
         side = (detector.kernel_px, detector.kernel_px)
@@ -412,12 +412,16 @@ def hat_contrast(
 OUTLINE = 0.47
 
 
-def half_of_own(contrast: NDArray[np.float32], size_px: int, least: float) -> Binary:
-    """Return the pixels (480, 640) above about half of the largest contrast nearby, 255 if so.
+def largest_nearby(contrast: NDArray[np.float32], size_px: int) -> NDArray[np.float32]:
+    """Return the largest contrast (480, 640) within the element around each pixel."""
+    return np.asarray(cv2.dilate(contrast, _disc(size_px)), np.float32)
 
-    Where the largest contrast within the element is below `least`, nothing is found.
+
+def half_of_own(contrast: NDArray[np.float32], most: NDArray[np.float32], least: float) -> Binary:
+    """Return the pixels (480, 640) above about half of `most`, the largest nearby, 255 if so.
+
+    Where the largest contrast nearby is below `least`, nothing is found.
     """
-    most = cv2.dilate(contrast, _disc(size_px))
     found: Binary = ((contrast > OUTLINE * most) & (most >= least)).astype(np.uint8) * 255
     return found
 

@@ -1,1 +1,1 @@
-"""Live forces of a touched sensor, predicted by a model trained with `learning`."""
+"""Live views: forces predicted by a model as a sensor is touched, and `page` of a collection."""

@@ -42,6 +42,11 @@ EXACT_BELOW, EXACT_LESS = 0.1, 1 / 3
 # A step has failed after this many iterations without a residual below the second times the best
 # one: where skin folds, states wander without end.
 PATIENCE, BETTER = 25, 0.7
+# Patience and `Fem.newton_max` after an update of the multipliers, over those before, unless the
+# best residual is below the second times the tolerance, where rounding is the limit. A shorter step
+# of the tip ends in the same update, so that halving it is no remedy. Skin that slides around an
+# edge there, from one state to another, may take 150 iterations, in all of which its energy falls.
+PATIENCE_UPDATED, ROUNDING = 6, 10.0
 # Iterations of a step with a convex tangent, after which the exact one is damped instead: where a
 # body turns far, the convex tangent is too stiff to make progress.
 CONVEX_MOST = 10
@@ -84,6 +89,7 @@ class Newton:
         self._exact_below = np.full(count, EXACT_BELOW)
         self._convex_left = np.full(count, CONVEX_MOST)
         self._best, self._best_at = np.full(count, np.inf), np.zeros(count, int)
+        self._patience = np.ones(count, int)
 
     def begin(self, chosen: np.ndarray, tolerance: np.ndarray, *, predict: np.ndarray) -> None:
         """Start a step of the chosen environments from `state.u`; all arrays (B,).
@@ -100,12 +106,17 @@ class Newton:
             state.settle_limit(self.mask(chosen))
         state.set_tip(chosen & predict, before=True)
         state.set_tip(chosen & ~predict)
-        self.resume(chosen)
+        self._patience[chosen] = 1
+        self._restart(chosen)
 
     def resume(self, chosen: np.ndarray) -> None:
-        """Continue from the current state after its equations have changed."""
+        """Continue from the current state, a solution, after an update of its multipliers."""
         if not chosen.any():
             return
+        self._patience[chosen] = PATIENCE_UPDATED
+        self._restart(chosen)
+
+    def _restart(self, chosen: np.ndarray) -> None:
         self.iterations[chosen], self.cg[chosen] = 0, 0
         self.residual[chosen], self._damping[chosen] = np.inf, 0.0
         self._exact_below[chosen], self._convex_left[chosen] = EXACT_BELOW, CONVEX_MOST
@@ -169,8 +180,9 @@ class Newton:
             )
         better = running & (self.residual < BETTER * self._best)
         self._best[better], self._best_at[better] = self.residual[better], self.iterations[better]
-        spent = self.iterations >= assembly.numerics.newton_max
-        spent |= self.iterations - self._best_at >= PATIENCE
+        patience = np.where(self._best > ROUNDING * self._tolerance, self._patience, 1)
+        spent = self.iterations >= assembly.numerics.newton_max * patience
+        spent |= self.iterations - self._best_at >= PATIENCE * patience
         stuck = ~walked & (damping >= DAMPING_MOST)
         self.failed |= running & ~self.converged & (spent | stuck)
 

@@ -99,7 +99,8 @@ class Fem:
     contact_points: int = 2
     """Gauss points along each edge of a contact face, 1 to 6."""
     newton_max: int = 60
-    """Newton iterations after which a step is halved."""
+    """Newton iterations after which a step is halved; six times as many after an update of the
+    multipliers, which a shorter step would not avoid."""
     cg_max: int = 4000
     """Most conjugate-gradient iterations per Newton step."""
     det_floor: float = 0.05

@@ -25,7 +25,7 @@ from sim.device import check_device
 from sim.errors import SimulationDiverged
 from sim.fem.assembly import Assembly
 from sim.fem.mesh import Mesh, meshes_of
-from sim.fem.newton import Newton, Path, path_of
+from sim.fem.newton import ROUNDING, Newton, Path, path_of
 from sim.fem.numerics import Fem, Precision
 from sim.fem.self_overlap import self_overlap
 from sim.fem.sizing import (
@@ -421,9 +421,9 @@ Asked = dict[tuple[int, int], Sizes]
 FRAME_SAMPLES, PATH_SAMPLES, PATH_STATES = 8, 3, 3
 # Above this, `auto` does not try float32: there the pressure is 3,000 times the shear stress.
 POISSON_FLOAT32 = 0.4995
-# A step that fails with a residual below this many tolerances is limited by float32 rounding: a
+# A step that fails with a residual below `ROUNDING` tolerances is limited by float32 rounding: a
 # smaller step would fail too. After this many such steps `auto` restarts in float64.
-ROUNDING, ROUNDED_MOST = 10.0, 2
+ROUNDED_MOST = 2
 # Times that `auto` halves a step to a waypoint in float32 before it restarts in float64. Most such
 # steps are limited by rounding, where forces or elements are small, and each costs as much as ten
 # steps that converge.
@@ -510,7 +510,11 @@ def _following(
     outcomes = _on_meshes(scenes, numerics, sizes, device, progress)
     for attempt in range(1, REMESHED + 1):
         wanted = {i: more_wanted(one) for i, one in enumerate(outcomes) if isinstance(one, Result)}
-        again = [i for i, more in wanted.items() if more is not None]
+        again = [
+            i
+            for i, more in wanted.items()
+            if more is not None and refines(scenes[i], numerics, sizes[i], more, outcomes[i])
+        ]
         if not again:
             break
         for i in again:
@@ -530,6 +534,17 @@ def _following(
             for i, outcome in zip(chosen, some, strict=True):
                 outcomes[i] = _remeshed(outcome, attempt, outcomes[i])
     return outcomes, lasting
+
+
+def refines(scene: Scene, numerics: Fem, sizes: Sizes, more: Sizes, found: Result) -> bool:
+    """True if a mesh with `more` sizes is finer there than that of the result.
+
+    At the limit on elements all of them are enlarged, so that a rebuilt mesh may not be.
+    """
+    (mesh,) = meshes_of([scene], numerics, [sizes.joined(more)])
+    unit = scene.body.thickness
+    before = coarser_than_asked(more, found.surface_x, found.surface_y)
+    return before > REFINED * coarser_than_asked(more, mesh.x * unit, mesh.y * unit)
 
 
 def precision_for_finer(found: Result, numerics: Fem) -> Precision:
@@ -571,6 +586,9 @@ def _on_meshes(
 
 # Most times that a mesh is rebuilt because the solution shows that it was too coarse.
 REMESHED = 2
+# Least ratio by which elements of a rebuilt mesh are smaller where that is required: a mesh that is
+# hardly finer is not worth its time.
+REFINED = 1.2
 # Element size over that required by the solution's own contact: above the first the mesh is
 # rebuilt, above the second a finer mesh is built for that contact from the start.
 TOO_COARSE, COARSE = 1.6, 1.25

@@ -26,7 +26,8 @@ def _judged(index: int, settings: Settings, folder: Path, mistake: str | None) -
 CAUGHT = {
     "full-integration": (94, "auto", "near-layer"),
     "lagged-friction": (62, "auto", "coulomb"),
-    # A state that float32 normally reaches is not found: no law is violated, but it is reported.
+    # A state that float32 normally reaches is not found, in 12 halvings of the step or in the time
+    # of a solve, whichever is over first: no law is violated, but it is reported.
     "energy-line-search": (2, "float32", None),
 }
 # Node-only contact stays within the stated error on meshes that follow the contact; the cases
@@ -45,7 +46,7 @@ def test_a_planted_mistake_is_caught_on_a_scene_that_is_right_without_it(
     assert _judged(index, settings, tmp_path, None).kind in {"right", "warned"}
     wrong = _judged(index, settings, tmp_path, mistake)
     if law is None:
-        assert wrong.kind == "diverged"
+        assert wrong.kind in {"diverged", "timeout"}
     else:
         assert law in failure(wrong)
 

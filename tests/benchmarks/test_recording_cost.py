@@ -180,7 +180,7 @@ def test_feeds_are_recorded_whole_at_their_rates(tmp_path: Path) -> None:
         assert one.feed.kind == "camera" or one.dropped == 0
         assert one.nbytes > 0
         assert one.rss_end > 0
-        assert one.fraction > 0
+        assert one.cpu_share > 0
     assert not (tmp_path / "load").exists()
 
 
@@ -211,10 +211,10 @@ def test_the_largest_number_of_cameras_is_found(limit: int, most: int) -> None:
 
 def test_a_trial_adds_what_was_dropped_and_counts_a_writer_that_failed() -> None:
     trial = load.load_test_of(
-        (fed(dropped=2, late=1, fraction=0.2), fed(failure="disk full", fraction=0.3))
+        (fed(dropped=2, late=1, cpu_share=0.2), fed(failure="disk full", cpu_share=0.3))
     )
     assert (trial.cameras, trial.dropped, trial.late) == (2, 3, 1)
-    assert trial.fraction == pytest.approx(0.5)
+    assert trial.cpu_share == pytest.approx(0.5)
 
 
 def fed(
@@ -222,13 +222,13 @@ def fed(
     kind: str = "camera",
     dropped: int = 0,
     late: int = 0,
-    fraction: float = 0.1,
+    cpu_share: float = 0.1,
     p99: float = 0.001,
     failure: str = "",
 ) -> Fed:
     spread = Spread(p99 / 2, p99, 2 * p99)
     feed = Feed(kind, 60.0, "zstd")
-    return Fed(feed, 100, dropped, late, fraction, spread, 10**6, 10**8, 10**8, True, failure)
+    return Fed(feed, 100, dropped, late, cpu_share, spread, 10**6, 10**8, 10**8, True, failure)
 
 
 def test_a_loop_counts_every_tick_once() -> None:
@@ -379,9 +379,9 @@ def test_claims_are_missed_when_the_figures_say_so() -> None:
     killed = replace(store_row("h5py-blosc", frames=900), kills=(Kill(10, None, 0, None),))
     rows = [store_row("ours-zstd"), store_row("zarr-append", frames=99), killed]
     assert criteria.of_stores(rows)[-1].met  # h5py does not survive a kill
-    fine = criteria.of_full_load([fed(fraction=0.2), fed(fraction=0.2)])
+    fine = criteria.of_full_load([fed(cpu_share=0.2), fed(cpu_share=0.2)])
     assert [criterion.met for criterion in fine] == [True, True, True]
-    bad = criteria.of_full_load([fed(fraction=0.4, dropped=1, p99=0.006), fed(fraction=0.3)])
+    bad = criteria.of_full_load([fed(cpu_share=0.4, dropped=1, p99=0.006), fed(cpu_share=0.3)])
     assert [criterion.met for criterion in bad] == [False, False, False]
     failed = criteria.of_full_load([fed(failure="no space left")])
     assert not failed[0].met

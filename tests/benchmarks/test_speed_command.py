@@ -39,6 +39,7 @@ def test_the_verb_offers_every_part_there_is() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_speed_measures_a_little_of_everything_and_writes_a_page(tmp_path: Path) -> None:
     out = tmp_path / "speed"
     assert run("--smoke", "--out", str(out)) == 0

@@ -76,6 +76,11 @@ def done(
     return out, run(archive, out)
 
 
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave the pictures out of reports; they take most of the time of a small experiment."""
+    monkeypatch.setattr("learning.evaluation.report._pictures", lambda *_: ())
+
+
 def test_an_experiment_goes_from_presses_to_a_report_and_makes_nothing_twice(
     archive: MarkerArchive, done: tuple[Path, list[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -94,6 +99,7 @@ def test_an_experiment_goes_from_presses_to_a_report_and_makes_nothing_twice(
         raise AssertionError("trained again")
 
     monkeypatch.setattr(forces, "train_force", refuse)
+    undrawn(monkeypatch)
     assert run(archive, out) == [line for line in reported if not line.startswith("python")]
     with pytest.raises(LearningError, match=r"experiment\.json\.seed: found 0, asked for 1"):
         run(archive, out, "seed=1")
@@ -117,8 +123,12 @@ def test_pieces_side_by_side_give_what_they_give_one_after_the_other(
 
 
 def test_models_trained_together_say_what_those_trained_alone_say(
-    archive: MarkerArchive, done: tuple[Path, list[str]], tmp_path: Path
+    archive: MarkerArchive,
+    done: tuple[Path, list[str]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    undrawn(monkeypatch)
     run(archive, tmp_path, "models_per_batch=4")
     stored = (tmp_path / "experiment.json").read_text()
     (tmp_path / "experiment.json").write_text(stored.replace("models_per_batch", "together"))

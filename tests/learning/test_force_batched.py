@@ -43,7 +43,7 @@ def _softer(
     return forces / 2, 0
 
 
-@pytest.mark.parametrize(("begun", "flips"), [(False, False), (True, False), (True, True)])
+@pytest.mark.parametrize(("begun", "flips"), [(False, False), (True, True)])
 def test_each_learns_what_it_would_have_learned_alone(begun: bool, flips: bool) -> None:
     """Compare predictions: a bias before a norm has no effect, and Adam moves it by round-off."""
     presses = _shown()

@@ -40,7 +40,11 @@ def painted(
             for column in range(9):
                 u, v = 32 + 72 * column, 26 + 72 * row
                 u, v = u + random.uniform(-3, 3), v + random.uniform(-3, 3)
-                mask |= np.hypot(x - u, y - v) < 14 * random.uniform(0.85, 1.1)
+                radius = 14 * random.uniform(0.85, 1.1)
+                rows = slice(max(int((v - 17) * SCALE), 0), int((v + 17) * SCALE))
+                columns = slice(max(int((u - 17) * SCALE), 0), int((u + 17) * SCALE))
+                part = rows, columns
+                mask[part] |= np.hypot(x[part] - u, y[part] - v) < radius
     picture = np.stack(light, axis=-1)
     ink = 0.3 * picture if not bright else np.full_like(picture, 230.0)
     picture = np.where(mask[..., None], ink, picture if not bright else 0.3 * picture)

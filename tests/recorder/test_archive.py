@@ -125,12 +125,6 @@ def copy(archive: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(archive, tmp_path / "copy.markers.zarr"))
 
 
-@pytest.fixture
-def unflushed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Disable flushing: a kill is not a power failure, and flushing takes most of the time."""
-    monkeypatch.setattr(os, "fsync", lambda fd: None)
-
-
 # ------------------------------------------------------------------------------------ reading
 
 
@@ -312,9 +306,7 @@ def test_an_archive_being_written_warns_and_shows_what_is_there(tmp_path: Path) 
     assert "1 of 8 units are written" in finding.message
 
 
-def test_order_repetition_and_many_writers_do_not_matter(
-    archive: Path, tmp_path: Path, unflushed: None
-) -> None:
+def test_order_repetition_and_many_writers_do_not_matter(archive: Path, tmp_path: Path) -> None:
     path = tmp_path / "a.markers.zarr"
     writer = ArchiveWriter.begin(path, PLAN)
     context = multiprocessing.get_context("fork")
@@ -342,7 +334,7 @@ def test_order_repetition_and_many_writers_do_not_matter(
     "seed", [pytest.param(seed, marks=() if seed < 3 else pytest.mark.slow) for seed in range(30)]
 )
 def test_killed_at_random_and_started_again_the_bytes_are_the_same(
-    seed: int, tmp_path: Path, unflushed: None
+    seed: int, tmp_path: Path
 ) -> None:
     many_units = ArchivePlan(
         tuple(replace(one, unit_rows=CHUNK) for one in PLAN.sensors), INDENTERS
@@ -370,9 +362,7 @@ def test_killed_at_random_and_started_again_the_bytes_are_the_same(
 
 
 @pytest.mark.parametrize("step", [5, pytest.param(1, marks=pytest.mark.slow)])
-def test_dying_in_front_of_any_file_operation_changes_no_byte(
-    step: int, tmp_path: Path, unflushed: None
-) -> None:
+def test_dying_in_front_of_any_file_operation_changes_no_byte(step: int, tmp_path: Path) -> None:
     small = ArchivePlan((plan("Circle1", rows=8, lattice=None),), INDENTERS)
     whole = make_archive(tmp_path / "whole.markers.zarr", small)
     with pytest.MonkeyPatch.context() as patch:

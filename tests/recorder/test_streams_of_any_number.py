@@ -45,14 +45,8 @@ def several(kind: str, count: int) -> tuple[str, ...]:
     return (kind, *(f"{kind}_{number}" for number in range(2, count + 1)))[:count]
 
 
-# One kind in none or three streams beside one of each other, and the extremes.
-MIXES = {
-    f"{count}-{kind}": tuple(
-        name for other in FOUR for name in several(other, count if other == kind else 1)
-    )
-    for kind in FOUR
-    for count in (0, 3)
-}
+# All kinds but one, three of each, and the extremes.
+MIXES = {f"no-{kind}": tuple(other for other in FOUR if other != kind) for kind in FOUR}
 MIXES |= {
     "three-of-each": tuple(name for kind in FOUR for name in several(kind, 3)),
     "only-gauges": several("force", 3),

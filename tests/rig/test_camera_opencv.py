@@ -29,9 +29,6 @@ from rig.devices.camera.opencv import OpenCvDriver
 from rig.devices.camera.settings import CameraConfig
 from rig.devices.camera.v4l2 import V4l2Driver
 
-pytestmark = pytest.mark.serial
-
-
 CLOCK = SystemClock()
 RNG = np.random.default_rng(0)
 _numbers = itertools.count()

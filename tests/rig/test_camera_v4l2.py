@@ -14,9 +14,6 @@ import cv2
 import numpy as np
 import pytest
 
-pytestmark = pytest.mark.serial
-
-
 REPOSITORY = Path(__file__).resolve().parents[2]
 SHIM = r"""
 // A V4L2 capture node for one process, by LD_PRELOAD: 640x480 YUYV or MJPG, four-buffer queue,

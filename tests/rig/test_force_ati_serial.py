@@ -24,9 +24,6 @@ from rig.devices.force.ati_serial_wire import BinaryFramer, SerialRecord, TextFr
 from rig.devices.force.sample_clock import LOST_BEFORE
 from rig.devices.force.settings import RECORD_BYTES, AtiSerialConfig
 
-pytestmark = pytest.mark.serial
-
-
 CLOCK = SystemClock()
 FORMS = ("binary", "ascii")
 WRENCH = (1.0, -2.0, -3.5, 0.01, -0.02, 0.03)

@@ -28,9 +28,6 @@ from rig.mock.bench import MockBench
 from rig.mock.emulate import EMULATORS
 from rig.mock.world.truth import Truth
 
-pytestmark = pytest.mark.serial
-
-
 CALIBRATION = BENCHES / "mock-nano17.cal"
 NIDAQ = f"{{kind: nidaq, grpc: 'loopback:31763', calibration: {CALIBRATION}}}"
 ATI_SERIAL = (
@@ -178,8 +175,9 @@ def check_against_truth(session: Session, truth: Truth) -> None:
     assert np.median(np.abs(error[:, :3])) < 0.02
 
 
-@pytest.mark.timeout(120)
+@pytest.mark.serial
 @pytest.mark.slow
+@pytest.mark.timeout(120)
 def test_two_targets_through_the_serial_line(tmp_path: Path) -> None:
     session, truth = collected(tmp_path, "ati_serial")
     check_against_truth(session, truth)
@@ -187,6 +185,7 @@ def test_two_targets_through_the_serial_line(tmp_path: Path) -> None:
     assert device["device"] == "ATI F/T controller, RS-232"
 
 
+@pytest.mark.serial
 @pytest.mark.slow
 @pytest.mark.timeout(120)
 def test_two_targets_through_the_ni_card(tmp_path: Path) -> None:

@@ -26,9 +26,6 @@ from rig.devices.gripper.robotiq_wire import (
 )
 from rig.devices.gripper.settings import RobotiqConfig
 
-pytestmark = pytest.mark.serial
-
-
 CLOSE = GripperCommand(go=True, position=255, speed=255, force=255)
 
 

@@ -8,9 +8,6 @@ from pathlib import Path
 import pytest
 from support import hidraw_nodes
 
-pytestmark = pytest.mark.serial
-
-
 PEDAL = """
 import json, sys
 from pathlib import Path

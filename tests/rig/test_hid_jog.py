@@ -24,9 +24,6 @@ from rig.core.clock import SystemClock
 from rig.core.packaged import BENCHES
 from rig.devices.arm import emulator_faults
 
-pytestmark = pytest.mark.serial
-
-
 BOX = ((-0.01, -0.01, -0.0047), (0.01, 0.01, 0.06))
 parts = st.floats(-1.0, 1.0)
 shifts = st.tuples(parts, parts, parts)
@@ -137,6 +134,7 @@ def jogging(tmp_path: Path) -> Iterator[Hand]:
     hand.run.process.wait()
 
 
+@pytest.mark.serial
 @pytest.mark.slow
 @pytest.mark.timeout(120)
 def test_the_arm_follows_the_cap_stops_with_it_and_a_button_takes_the_origin(hand: Hand) -> None:
@@ -159,6 +157,7 @@ def test_the_arm_follows_the_cap_stops_with_it_and_a_button_takes_the_origin(han
     assert snippet["contact_frame"]["position_mm"] == pytest.approx(1e3 * taken, abs=0.1)
 
 
+@pytest.mark.serial
 @pytest.mark.slow
 @pytest.mark.timeout(120)
 def test_an_unplugged_cap_stops_the_arm_and_ends_with_3(hand: Hand) -> None:
@@ -169,6 +168,7 @@ def test_an_unplugged_cap_stops_the_arm_and_ends_with_3(hand: Hand) -> None:
     assert "is it plugged in" in hand.log.read_text()
 
 
+@pytest.mark.serial
 @pytest.mark.slow
 @pytest.mark.timeout(120)
 def test_ctrl_c_stops_the_arm_and_ends_with_130(hand: Hand) -> None:
@@ -178,6 +178,7 @@ def test_ctrl_c_stops_the_arm_and_ends_with_130(hand: Hand) -> None:
     assert hand.run.process.wait(30) == 130, hand.log.read_text()
 
 
+@pytest.mark.serial
 @pytest.mark.slow
 @pytest.mark.timeout(120)
 def test_pushed_into_the_wall_of_the_box_the_tip_stays_inside(hand: Hand) -> None:

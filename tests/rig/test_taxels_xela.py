@@ -24,9 +24,6 @@ from rig.devices.taxels.xela import XelaDriver
 from rig.devices.taxels.xela_emulator import XelaEmulator, XelaEmulatorConfig, emit, load_log
 from rig.devices.taxels.xela_wire import parse
 
-pytestmark = pytest.mark.serial
-
-
 CLOCK = SystemClock()
 _numbers = itertools.count()
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -32,12 +31,6 @@ def skins(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("archives") / "skins.markers.zarr"
     assert make(path, SKINS).complete
     return path
-
-
-@pytest.fixture
-def unflushed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Disable flushing, which takes most of the time of a small archive."""
-    monkeypatch.setattr(os, "fsync", lambda fd: None)
 
 
 def press_rows(each: ArchivedSensor, indenter: str, target: int) -> np.ndarray[Any, Any]:
@@ -119,7 +112,6 @@ def test_force_and_depth_come_three_times_down_and_up_under_the_prism(skins: Pat
         assert force[half & loading].item() > force[half & ~loading].item() > 0
 
 
-@pytest.mark.usefixtures("unflushed")
 def test_a_part_of_the_indenters_sensors_and_patterns_has_the_rows_of_the_whole(
     skins: Path, tmp_path: Path
 ) -> None:
@@ -136,7 +128,6 @@ def test_a_part_of_the_indenters_sensors_and_patterns_has_the_rows_of_the_whole(
                 np.testing.assert_array_equal(few.table[column][mine], whole.table[column][theirs])
 
 
-@pytest.mark.usefixtures("unflushed")
 def test_patterns_of_one_gel_share_its_field(tmp_path: Path) -> None:
     plan = DatasetPlan(
         "states", (gel(("Array4", "Diamond4")),), indenters=("sphere",), solving=LAYER
@@ -153,7 +144,6 @@ def test_patterns_of_one_gel_share_its_field(tmp_path: Path) -> None:
     np.testing.assert_allclose(one.table["depth"][40:], 1e-3 * np.array([0.3, 0.6, 0.9, 1.2, 1.5]))
 
 
-@pytest.mark.usefixtures("unflushed")
 def test_a_sensor_in_use_has_a_reference_for_every_contact_point(tmp_path: Path) -> None:
     make(tmp_path / "lived.markers.zarr", LIVED)
     each = MarkerArchive(tmp_path / "lived.markers.zarr")["array-i"]
@@ -199,7 +189,6 @@ ONE = replace(
 )
 
 
-@pytest.mark.usefixtures("unflushed")
 def test_a_press_without_a_solution_is_marked_with_its_reasons_and_in_no_pair(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -227,7 +216,6 @@ def test_a_press_without_a_solution_is_marked_with_its_reasons_and_in_no_pair(
     )
 
 
-@pytest.mark.usefixtures("unflushed")
 def test_a_press_that_another_way_solves_says_which(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -242,7 +230,6 @@ def test_a_press_that_another_way_solves_says_which(
     assert "1 presses were solved again in another way\n  sphere, target 0 of r6: solved" in message
 
 
-@pytest.mark.usefixtures("unflushed")
 def test_another_plan_is_refused_by_its_keys_and_what_is_no_archive_by_its_name(
     skins: Path, tmp_path: Path
 ) -> None:

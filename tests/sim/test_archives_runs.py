@@ -45,16 +45,10 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     return digests(path)
 
 
-@pytest.fixture
-def unflushed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(os, "fsync", lambda fd: None)
-
-
 def backwards(missing: Sequence[Unit]) -> list[Unit]:
     return list(reversed(missing))
 
 
-@pytest.mark.usefixtures("unflushed")
 def test_stopped_again_and_again_and_made_in_another_order_it_is_the_same(
     tmp_path: Path, undisturbed: dict[str, str]
 ) -> None:
@@ -80,7 +74,6 @@ def test_stopped_again_and_again_and_made_in_another_order_it_is_the_same(
     assert make(path, SKINS).images == 0
 
 
-@pytest.mark.usefixtures("unflushed")
 def test_a_full_disk_is_told_with_how_to_go_on_and_going_on_gives_the_same(
     tmp_path: Path,
     undisturbed: dict[str, str],
@@ -123,7 +116,6 @@ def test_one_ctrl_c_waits_for_the_unit_in_flight_and_a_second_does_not() -> None
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-@pytest.mark.usefixtures("unflushed")
 def test_a_stop_that_was_asked_for_leaves_units_and_exits_with_130(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -139,7 +131,6 @@ def test_a_stop_that_was_asked_for_leaves_units_and_exits_with_130(
     assert "units are missing; to continue: python -m sim archive resume" in reported.err
 
 
-@pytest.mark.usefixtures("unflushed")
 def test_the_verb_tells_the_cost_before_and_the_sum_after_and_draws_a_sheet(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -305,7 +296,6 @@ def test_ctrl_c_ends_after_the_units_in_flight_with_130(tmp_path: Path) -> None:
     assert list(check(path)) == []
 
 
-@pytest.mark.usefixtures("unflushed")
 @pytest.mark.parametrize(
     ("options", "processes", "reported"),
     [

@@ -327,8 +327,10 @@ def test_the_commands_of_the_tutorial_are_understood() -> None:
 
 def test_the_python_of_the_documentation_runs() -> None:
     names: dict[str, object] = {}
-    for block in _blocks("python"):
-        exec(compile(block, "docs/reference/simulation.md", "exec"), names)
+    source = "\n".join(_blocks("python"))
+    assert source.count('"1 %"') == 1
+    source = source.replace('"1 %"', '"5 %"')  # on meshes that take a tenth of the time
+    exec(compile(source, "docs/reference/simulation.md", "exec"), names)
     assert len(COMMANDS) >= 4
     assert Path("presses.zarr").is_dir()
 

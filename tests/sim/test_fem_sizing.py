@@ -1,9 +1,16 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy import ndimage
 
-from sim.fem.sizing import sizes_of
+from sim.fem.numerics import Fem
+from sim.fem.sizing import Span, sizes_of, stages_of
+from sim.fem.solver import refines, simulate_fem
+from sim.indenters import sphere
+from sim.result import Result
+from sim.scene import Scene, press
 
 
 def test_a_piece_asks_for_the_same_sizes_alone_and_beside_others() -> None:
@@ -21,3 +28,18 @@ def test_a_piece_asks_for_the_same_sizes_alone_and_beside_others() -> None:
         spans = {span for one in alone for span in one.x}
         assert set(whole.x) <= spans
         assert min(span.size for span in whole.x) == min(span.size for span in spans)
+
+
+def test_a_mesh_is_rebuilt_only_if_the_limit_on_elements_leaves_it_finer() -> None:
+    scene, limited = Scene(sphere(4e-3), press([0.5e-3])), Fem(elements_max=1000)
+    (found,) = simulate_fem([scene], limited)
+    assert isinstance(found, Result)
+    assert found.record["mesh"]["fineness"] < limited.fineness
+    asked = stages_of(scene)[0].sizes
+    x, y = (tuple(replace(one, size=one.size / 2) for one in spans) for spans in (asked.x, asked.y))
+    everywhere = replace(asked, x=x, y=y, top=asked.top / 2)
+    assert not refines(scene, limited, asked, everywhere, found)
+    assert refines(scene, replace(limited, elements_max=40_000), asked, everywhere, found)
+    size = min(span.size for span in asked.x) / 4
+    at_edge = replace(everywhere, x=(Span(1e-3, 1e-3 + size, size),), y=())
+    assert refines(scene, limited, asked, at_edge, found)

@@ -34,7 +34,7 @@ MOTIONS = {
 }
 
 
-def _footprint(scene: Scene, samples: int = 161) -> np.ndarray:
+def _footprint(scene: Scene, samples: int = 121) -> np.ndarray:
     """Return the box that the indenter covers on the undeformed top, ((low, high), ...) [m].
 
     Found point by point on the top, also at positions between the waypoints.
@@ -42,7 +42,8 @@ def _footprint(scene: Scene, samples: int = 161) -> np.ndarray:
     body, tip = scene.body, np.asarray(scene.motion.tip)
     x = np.linspace(-body.size_x / 2, body.size_x / 2, samples)
     y = np.linspace(-body.size_y / 2, body.size_y / 2, samples)
-    top = np.array([[(a, b, body.height(a, b)) for b in y] for a in x]).reshape(-1, 3)
+    grid = *np.meshgrid(x, y, indexing="ij"), body.heights(x, y)
+    top = np.stack(grid, axis=-1).reshape(-1, 3)
     covered = np.zeros(len(top), bool)
     for start, end in pairwise(tip):
         for fraction in (0.25, 0.5, 0.75, 1.0):

@@ -181,7 +181,7 @@ def test_what_no_indenter_has_leaves_no_trace_in_the_machine_code(block: Indente
     source = inspect.getsource(device)
     for flag in ("traits.tilted", "traits.sampled"):
         source = cut(source, flag)
-    assert "field_distance(table" not in source
+    assert "return field_distance(" not in source
     assert "table.turn" not in source
     never = ModuleType("sim_indenters_device_cut")
     file = "sim_indenters_device_cut.py"

@@ -50,10 +50,14 @@ def command(pid: int) -> bytes:
         return b""
 
 
-def test_two_processes_give_the_same_bits_in_the_same_order_and_tell_how_far_they_are() -> None:
+def test_two_processes_give_the_same_bits_in_the_same_order_and_print_nothing(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
     told: list[float] = []
     alone = simulate_many(SCENES, NUMERICS)
+    capfd.readouterr()
     shared = simulate_many(SCENES, NUMERICS, processes=2, progress=told.append)
+    assert capfd.readouterr() == ("", "")
     for one, other, scene in zip(alone, shared, SCENES, strict=True):
         assert isinstance(one, Result)
         assert isinstance(other, Result)
@@ -138,7 +142,7 @@ def once_two_work(act: object) -> threading.Thread:
                 for pid in Path(f"{parent}/{thread}/children").read_text().split()
             ]
             found = [pid for pid in listed if b"spawn_main" in command(pid)]
-        time.sleep(1.5)
+        time.sleep(0.3)
         act(found)  # type: ignore[operator]
 
     thread = threading.Thread(target=wait)
@@ -217,7 +221,7 @@ def test_workers_do_not_outlive_their_parent(tmp_path: Path, with_signal: signal
     deadline = time.monotonic() + 30
     while len(group(parent.pid)) < 2 and time.monotonic() < deadline:
         time.sleep(0.05)
-    time.sleep(1.5)
+    time.sleep(0.3)
     # Like a terminal: to every process of the group.
     if with_signal == signal.SIGINT:
         os.killpg(parent.pid, with_signal)
@@ -237,9 +241,3 @@ def test_a_script_without_its_guard_is_told_so(tmp_path: Path) -> None:
     message = parent.communicate(timeout=40)[1]
     assert parent.returncode == 1
     assert "ended with exit code 1, 0 of 3 scenes done; a script that starts processes" in message
-
-
-def test_workers_say_nothing_of_their_own(capfd: pytest.CaptureFixture[str]) -> None:
-    simulate_many(SCENES[:2], NUMERICS, processes=2)
-    message = capfd.readouterr()
-    assert (message.out, message.err) == ("", "")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -40,6 +41,7 @@ NAMES = ("Array1", "Circle1", "Diamond1", "Array4")
 PATTERNS = [named(name) for name in NAMES]
 ASIDE = dent(at=(2e-3, -1e-3), aside=(0.6e-3, 0.3e-3))
 DOME = dent(Body(dome_radius=60e-3), at=(-1e-3, 2e-3))
+DENTS = {"flat": ASIDE, "dome": DOME}
 DEVICES = [
     "cpu",
     pytest.param(
@@ -60,6 +62,16 @@ def renderer() -> Renderer:
 @pytest.fixture(scope="module")
 def textures(renderer: Renderer) -> Textures:
     return renderer.textures(PATTERNS)
+
+
+def rays_of(state: RenderState) -> np.ndarray:
+    """Return what rays through the pixels of the default camera hit."""
+    return cast_rays(state.body, Camera(), state.x, state.y, state.surface)
+
+
+@functools.cache
+def rays_into(body: str) -> np.ndarray:
+    return rays_of(DENTS[body])
 
 
 def masks(renderer: Renderer, textures: Textures, state: RenderState) -> np.ndarray:
@@ -115,11 +127,12 @@ def test_an_axis_that_is_none_is_refused(axis: np.ndarray, message: str) -> None
 # The material map
 
 
-@pytest.mark.parametrize("state", [ASIDE, DOME], ids=["flat", "dome"])
-def test_every_pixel_sees_what_a_ray_through_it_hits(state: RenderState) -> None:
+@pytest.mark.parametrize("body", DENTS)
+def test_every_pixel_sees_what_a_ray_through_it_hits(body: str) -> None:
+    state = DENTS[body]
     renderer = Renderer(state.body)
     seen = renderer.see(state.x, state.y, state.surface[None]).material()[0]
-    rays = cast_rays(state.body, renderer.camera, state.x, state.y, state.surface)
+    rays = rays_into(body)
     assert np.array_equal(np.isnan(seen), np.isnan(rays))
     off = np.linalg.norm(seen - rays, axis=-1) / PIXEL
     assert np.nanmax(off) < 0.03
@@ -129,7 +142,7 @@ def test_every_pixel_sees_what_a_ray_through_it_hits(state: RenderState) -> None
 def test_a_fold_shows_the_part_that_is_nearer_to_the_camera(renderer: Renderer) -> None:
     state = fold()
     seen = renderer.see(state.x, state.y, state.surface[None]).material()[0]
-    rays = cast_rays(state.body, renderer.camera, state.x, state.y, state.surface)
+    rays = rays_of(state)
     off = np.linalg.norm(seen - rays, axis=-1) / PIXEL
     assert np.nanmax(off) < 0.1
     # Along a row the material jumps from one sheet to the other: the part in between is hidden.
@@ -176,11 +189,12 @@ def test_two_frames_at_once_are_the_two_frames(renderer: Renderer) -> None:
 # Masks
 
 
-@pytest.mark.parametrize("state", [ASIDE, DOME], ids=["flat", "dome"])
-def test_masks_are_those_of_rays_and_formulas(state: RenderState) -> None:
+@pytest.mark.parametrize("body", DENTS)
+def test_masks_are_those_of_rays_and_formulas(body: str) -> None:
+    state = DENTS[body]
     renderer = Renderer(state.body)
     drawn = masks(renderer, renderer.textures(PATTERNS), state)
-    rays = cast_rays(state.body, renderer.camera, state.x, state.y, state.surface)
+    rays = rays_into(body)
     for pattern, mask in zip(PATTERNS, drawn, strict=True):
         truth = marked(pattern, rays, 1)
         assert iou(mask, truth) > 0.996
@@ -436,7 +450,7 @@ def test_a_solved_press_renders_as_rays_see_it_and_symmetrically(
     result = simulate(Scene(sphere(4e-3), press([1.2e-3])), Fem(spacing=1e-3))
     state = state_of("pressed", result, -1)
     drawn = masks(renderer, textures, state)
-    rays = cast_rays(state.body, renderer.camera, state.x, state.y, state.surface)
+    rays = rays_of(state)
     field = renderer.displacement(state.x, state.y, state.surface[None])
     back = renderer.see_displacement(field).masks(textures)[0]
     for pattern, mask, again in zip(PATTERNS, drawn, back, strict=True):
@@ -451,13 +465,13 @@ def test_a_solved_press_renders_as_rays_see_it_and_symmetrically(
 def test_devices_agree_and_repeat_themselves_bit_for_bit(device: str) -> None:
     patterns = [named(name) for name in SIMULATED]
     found = []
-    for where in ("cpu", device, device):
+    for where in (device, device) if device == "cpu" else ("cpu", device, device):
         renderer = Renderer(Body(), device=where)
         packed = [
             renderer.see(state.x, state.y, state.surface[None]).packed(renderer.textures(patterns))
             for state in (ASIDE, fold())
         ]
         found.append(np.concatenate(packed))
-    host, first, second = (np.unpackbits(each, axis=-1).astype(bool) for each in found)
-    assert np.array_equal(first, second)
+    host, first = (np.unpackbits(each, axis=-1).astype(bool) for each in (found[0], found[-2]))
+    assert np.array_equal(found[-2], found[-1])
     assert mismatch(host, first) < 2e-5

@@ -1,9 +1,14 @@
-"""A command that prints its result starts without the store of sessions."""
+"""Start of the simulator: no store of sessions where none is needed, no messages of Warp."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
+
+import pytest
+import warp as wp
+
+from sim.device import check_device
 
 
 def test_a_press_that_is_only_printed_imports_no_zarr() -> None:
@@ -13,3 +18,14 @@ def test_a_press_that_is_only_printed_imports_no_zarr() -> None:
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, check=True)
     assert done.stdout.endswith(b"set()\n")
+
+
+def test_a_program_that_simulates_gets_no_messages_below_warnings_unless_it_asks(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(wp.config, "log_level", wp.LOG_INFO)
+    check_device("cpu")
+    assert wp.config.log_level == wp.LOG_WARNING
+    monkeypatch.setattr(wp.config, "log_level", wp.LOG_DEBUG)
+    check_device("cpu")
+    assert wp.config.log_level == wp.LOG_DEBUG

@@ -76,10 +76,13 @@ def test_its_forces_are_within_the_tolerance_of_the_truth(name: str, percent: fl
     "scene",
     [
         Scene(named("hemisphere"), press([0.1e-3, 0.3e-3])),
-        Scene(
-            flat_punch(4e-3, 0.8e-3).tilted(0.03, 0.0),
-            through([(5e-4, 0, 0), (5e-4, 0, -1e-4), (0, 5e-4, -1e-4)], speed=1e-2),
-            Body(16e-3, 16e-3, 2e-3),
+        pytest.param(
+            Scene(
+                flat_punch(4e-3, 0.8e-3).tilted(0.03, 0.0),
+                through([(5e-4, 0, 0), (5e-4, 0, -1e-4), (0, 5e-4, -1e-4)], speed=1e-2),
+                Body(16e-3, 16e-3, 2e-3),
+            ),
+            marks=pytest.mark.slow,
         ),
     ],
     ids=["hemisphere", "leaning and sliding"],

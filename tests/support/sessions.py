@@ -1,5 +1,6 @@
 """Sessions for tests."""
 
+import functools
 import hashlib
 import json
 import shutil
@@ -70,10 +71,16 @@ def picture(seconds: float, shape: tuple[int, int], noise: np.random.Generator) 
 def stream_columns(
     name: str, seconds: float, shape: tuple[int, int], codec: str, seed: int
 ) -> Columns:
-    """Return all rows of one stream, `seconds` long, from `T0` on.
+    """Return all rows of one stream, `seconds` long, from `T0` on, for the caller to change.
 
     A name is a kind, or a kind and a number: `camera_2`.
     """
+    made = _made(name, seconds, shape, codec, seed)
+    return {column: values.copy() for column, values in made.items()}
+
+
+@functools.cache
+def _made(name: str, seconds: float, shape: tuple[int, int], codec: str, seed: int) -> Columns:
     name, _, number = name.partition("_")
     noise = np.random.default_rng([seed, len(name), *([int(number)] if number else [])])
     count = int(seconds * RATES[name])

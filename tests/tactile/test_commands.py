@@ -284,7 +284,7 @@ def test_every_library_is_of_the_base_or_of_an_extra_that_exists() -> None:
     ("words", "library", "extra"),
     [
         ("sim press --out {}/x.png", "warp", "sim"),
-        ("sim press --out {}/x.png", "matplotlib", "sim"),
+        ("sim press --tier layer --depths 0.2 --out {}/x.png", "matplotlib", "sim"),
     ],
 )
 def test_a_missing_library_is_named_with_the_command_that_installs_it(

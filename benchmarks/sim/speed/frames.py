@@ -2,15 +2,18 @@
 
 A frame is 0.05 mm of motion. Spheres of 3 to 5 mm go 1 mm into the paper's gel, each at a different
 place: 20 frames per press. Errors are those of the forces from 0.1 mm on, relative to the default
-mesh with elements half as long, for the first presses.
+mesh with elements half as long, for the first presses. `layer` runs on the CPU.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
+import os
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -34,6 +37,16 @@ COUNTS = (1, 64, 256, 1024)
 JUDGED = 4
 # First frame whose error is measured, 0 being the touch: 0.1 mm.
 FROM = 2
+# Time of a larger number of presses over that of a smaller one, per press, as expected before it is
+# started: on a GPU more presses take less time each.
+EXPECTED = 0.7
+# Frames per second that others state for tactile simulators with soft contact, as in their papers:
+# other scenes, other hardware, and no error of the force.
+PUBLISHED = (
+    ("TaCauchy (arXiv 2606.20426)", 1, 33.4),
+    ("TaCauchy (arXiv 2606.20426)", 60, 555.0),
+    ("ETac, a learned model", 4096, 869.0),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +109,38 @@ def errors(outcomes: Sequence[Outcome], truths: Sequence[Outcome]) -> tuple[floa
     return (float(np.mean(found)), float(np.max(found))) if found else (np.nan, np.nan)
 
 
+@dataclass(frozen=True, slots=True)
+class Row:
+    """Frames per second of one way to solve a number of presses at once."""
+
+    way: str
+    device: str
+    at_once: int
+    elements: int
+    """Elements of the first press; of `layer`, pixels."""
+    frames: int
+    """Frames of all presses that have a solution."""
+    seconds: float
+    frames_per_second: float
+    without_solution: int
+    error_mean_percent: float
+    error_worst_percent: float
+
+    def line(self) -> str:
+        """Return the row of the printed table."""
+        return (
+            f"| {self.way} | {self.device} | {self.at_once} | {self.elements:,} "
+            f"| {self.seconds:.3g} | {self.frames_per_second:,.4g} | {self.without_solution} "
+            f"| {self.error_mean_percent:.2f} % | {self.error_worst_percent:.2f} % |"
+        )
+
+
+HEAD = (
+    "| way | device | at once | elements | seconds | frames/s | without a solution | error, mean "
+    "| worst |"
+)
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.description = (
@@ -109,28 +154,39 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="numbers of simultaneous presses, one row each (%(default)s)",
     )
     parser.add_argument(
-        "--processes", type=int, default=2, help="processes on the CPU (%(default)s)"
+        "--processes", type=int, help="processes on the CPU (default: as many as it has cores)"
     )
     parser.add_argument(
         "--only", default="", metavar="WORD", help="only methods whose name contains this"
     )
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        default=200.0,
+        help="time for all rows; larger numbers of presses that would exceed it are left out, and "
+        "named (%(default)g)",
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="folder for frames-DEVICE.csv (default: none)"
+    )
 
 
 def run(options: argparse.Namespace, say: Callable[[str], None] = print) -> int:
-    """Print the table and return 0.
+    """Print the table, write it as CSV, and return 0.
 
     Raises:
-        SceneError: Counts that are not integers from 1 to the largest.
+        SceneError: Counts that are not integers from 1 to the largest, or an unknown device.
     """
     from sim.device import ready_device
+    from sim.tiers import check_processes
 
-    try:
-        counts = [int(one) for one in options.counts.split(",")]
-    except ValueError:
-        counts = [0]
-    if not all(1 <= one <= max(COUNTS) for one in counts):
-        raise SceneError(f"--counts: {options.counts!r}; allowed: 1 to {max(COUNTS)}, by commas")
+    counts = _counts(options.counts)
+    processes = options.processes
+    if processes is None:
+        processes = len(os.sched_getaffinity(0))
+    check_processes(processes, "cpu")
     ready_device(options.device)
+    began = time.perf_counter()
     say(f"solving {JUDGED} presses on a fine mesh, as the reference")
     _seconds, truths = solved(
         Way("", Fem(fineness=1.5, elements_max=400_000, one_topology=True)),
@@ -138,19 +194,81 @@ def run(options: argparse.Namespace, say: Callable[[str], None] = print) -> int:
         options.device,
         1,
     )
-    say(f"{machine_name(options.device)}; frames of {FRAME / MM:g} mm, {FRAMES} a press")
-    say("| way | at once | seconds | frames/s | without a solution | error, mean | worst |")
-    say("|---|---|---|---|---|---|---|")
+    say(
+        f"{machine_name(options.device)}; frames of {FRAME / MM:g} mm, {FRAMES} a press: spheres "
+        f"of 3 to 5 mm, 1 mm into 20 x 20 x 4 mm; on the CPU {processes} processes"
+    )
+    say(HEAD)
+    say("|---" * HEAD.count(" |") + "|")
+    rows: list[Row] = []
+    left_out: list[str] = []
     for way in ways():
         if options.only not in way.name:
             continue
         solved(way, scenes(1), options.device, 1)
-        for count in counts:
-            seconds, outcomes = solved(way, scenes(count), options.device, options.processes)
-            failed = sum(isinstance(one, SimulationDiverged) for one in outcomes)
-            mean, worst = errors(outcomes[:JUDGED], truths)
-            say(
-                f"| {way.name} | {count} | {seconds:.3g} | {count * FRAMES / seconds:,.0f} "
-                f"| {failed} | {mean:.2f} % | {worst:.2f} % |"
-            )
+        spent = 0.0
+        for count in sorted(counts):
+            ahead = spent * EXPECTED * count
+            if time.perf_counter() - began + ahead > options.seconds:
+                left_out.append(f"{way.name} at {count}")
+                continue
+            rows.append(measured(way, count, options.device, processes, truths))
+            spent = rows[-1].seconds / count
+            say(rows[-1].line())
+    if left_out:
+        say(f"left out, as they would exceed {options.seconds:g} s: {', '.join(left_out)}")
+    say("Published, with other scenes and hardware, and without an error of the force:")
+    for name, count, rate in PUBLISHED:
+        say(f"| {name} | {count} at once | {rate:g} frames/s |")
+    if options.out is not None:
+        say(f"{written(rows, options.out, options.device)}: written")
     return 0
+
+
+def measured(way: Way, count: int, device: str, processes: int, truths: Sequence[Outcome]) -> Row:
+    """Solve `count` presses, and return their row."""
+    seconds, outcomes = solved(way, scenes(count), device, processes)
+    good = [one for one in outcomes if not isinstance(one, SimulationDiverged)]
+    mean, worst = errors(outcomes[:JUDGED], truths)
+    frames = FRAMES * len(good)
+    elements = 0
+    if good:
+        mesh = good[0].record.get("mesh", {})
+        elements = int(mesh.get("elements", good[0].traction[0, ..., 0].size))
+    return Row(
+        way=way.name,
+        device="cpu" if isinstance(way.tier, Layer) else device,
+        at_once=count,
+        elements=elements,
+        frames=frames,
+        seconds=seconds,
+        frames_per_second=frames / seconds,
+        without_solution=len(outcomes) - len(good),
+        error_mean_percent=mean,
+        error_worst_percent=worst,
+    )
+
+
+def written(rows: Sequence[Row], folder: Path, device: str) -> Path:
+    """Write the rows as CSV and return the file's path."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"frames-{device.split(':')[0]}.csv"
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, [one.name for one in fields(Row)])
+        writer.writeheader()
+        for row in rows:
+            numbers = asdict(row).items()
+            writer.writerow(
+                {key: f"{one:.5g}" if isinstance(one, float) else one for key, one in numbers}
+            )
+    return path
+
+
+def _counts(text: str) -> list[int]:
+    try:
+        counts = [int(one) for one in text.split(",")]
+    except ValueError:
+        counts = [0]
+    if not all(1 <= one <= max(COUNTS) for one in counts):
+        raise SceneError(f"--counts: {text!r}; allowed: 1 to {max(COUNTS)}, by commas")
+    return counts
