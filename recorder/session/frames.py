@@ -218,7 +218,7 @@ def _run_table(
     if frame is not None:
         table["depth"] = depth_in(np.asarray(frame, np.float64), table["pose"])
         if len(heights := surface_heights(session)):
-            table["depth"] += np.where(target >= 0, heights[target], 0.0)
+            table["depth"] += _of_target(heights, target, 0.0)
     return table
 
 
@@ -246,6 +246,15 @@ def _of_segment(session: Session, name: str, segment: NDArray[np.int64]) -> Arra
     return np.where(segment >= 0, values[segment], -1).astype(values.dtype)
 
 
+def _of_target(values: Array, target: NDArray[np.int32], otherwise: float) -> Array:
+    """Return the value of each target; `otherwise` for one that the session does not have.
+
+    Such a target is named by `check`.
+    """
+    is_known = (target >= 0) & (target < len(values))
+    return np.where(is_known, values[np.where(is_known, target, 0)], otherwise)
+
+
 def _repeats(row: NDArray[np.int64]) -> NDArray[np.bool_]:
     same = np.zeros(len(row), np.bool_)
     same[1:] = (row[1:] == row[:-1]) & (row[1:] >= 0)
@@ -265,9 +274,7 @@ def _reference_offset(
     if not known or not len(reference["point"]):
         return np.zeros((len(ticks), 6))
     offset = np.zeros((len(ticks), *reference[column].shape[1:]))
-    points = targets["point"]
-    is_known = (target >= 0) & (target < len(points))  # `check` names any other
-    point = np.where(is_known, points[np.where(is_known, target, 0)], -1)
+    point = _of_target(targets["point"], target, -1)
     for row in np.argsort(reference["t_ns"], kind="stable"):
         if reference["run"][row] == run:
             later = (point == reference["point"][row]) & (ticks >= reference["t_ns"][row])

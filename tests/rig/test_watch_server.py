@@ -80,7 +80,7 @@ def test_a_watcher_learns_the_plan_and_the_limits_once(running: Running) -> None
     assert hello["targets"][9] == [1, 2.25, 1]
     assert {point["point"] for point in hello["points"]} == {1, 2}
     assert hello["limits"]["ratings"][:3] == [12.0, 12.0, 17.0]
-    assert hello["limits"]["box"][2][0] == pytest.approx(-4.7)
+    assert hello["limits"]["box"][2][0] == pytest.approx(-5.1)
 
 
 def test_force_share_tip_and_rates_are_those_of_the_shared_records(running: Running) -> None:
