@@ -202,7 +202,7 @@ SCENARIOS = {
 
 @pytest.mark.parametrize(
     ("kind", "scenario"),
-    [("images", scenario) for scenario in SCENARIOS if scenario != "resume a short block"]
+    [("images", scenario) for scenario in SCENARIOS]
     + [
         ("images ahead of which the file grows", "resume a short block"),
         pytest.param(

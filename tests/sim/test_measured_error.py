@@ -22,9 +22,7 @@ def truth() -> np.ndarray:
     return fine + (fine - coarse) / 3
 
 
-@pytest.mark.parametrize(
-    "tier", [pytest.param(Fem(spacing=0.8e-3), marks=pytest.mark.slow), Fem(), Layer()]
-)
+@pytest.mark.parametrize("tier", [Fem(spacing=0.8e-3), Fem(), Layer()])
 def test_an_error_bar_covers_the_error(truth: np.ndarray, tier: Fem | Layer) -> None:
     result = simulate(BALL, Measured(tier))
     error = result.record["error"]
