@@ -1,8 +1,8 @@
 """Joining of archives by place: `tactile archive join`.
 
-Presses of two sensors meet if the same indenter touched at the same place, to the same share of the
-sensor's deepest press, in the same shear direction. Their numbers do not count: another plan, or
-another order of points, numbers them otherwise. Place, depth and direction are read from the
+Presses of two sensors meet if the same indenter touched at the same place, to the same fraction of
+the sensor's deepest press, in the same shear direction. Their numbers do not count: another plan,
+or another order of points, numbers them otherwise. Place, depth and direction are read from the
 frames, at the ends of the phases; frames of presses that met are then paired phase by phase.
 
 A joined archive is a copy. Presses that met share a location; those that met none keep one of
@@ -99,7 +99,7 @@ class Presses:
     """Place before the shear (p, 2) [m]; NaN if no frame tells it."""
     depth: Floats
     """Largest depth (p,) [m]."""
-    share: Floats
+    fraction: Floats
     """The same over the deepest of the sensor (p,)."""
     angle: Floats
     """Shear direction, counter-clockwise from +x (p,) [rad]; NaN for a press without shear."""
@@ -112,7 +112,7 @@ class Presses:
 
     def subset(self, rows: NDArray[Any]) -> Presses:
         """Return some of the presses."""
-        names = ("indenter", "target", "location", "place", "depth", "share", "angle", "flaw")
+        names = ("indenter", "target", "location", "place", "depth", "fraction", "angle", "flaw")
         return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
     def describe(self, row: int) -> str:
@@ -133,14 +133,14 @@ class Differences:
     indenter: NDArray[np.bool_]
     """True where the indenter is another."""
     place: Floats
-    share: Floats
+    fraction: Floats
     angle: Floats
     """Infinite where only one of both has a direction."""
 
     def meet(self, tolerances: Tolerances) -> NDArray[np.bool_]:
         """Return True where presses meet (p, q)."""
         near = ~self.indenter & (self.place <= tolerances.place + _ROUNDING)
-        near &= self.share <= tolerances.depth_share + _ROUNDING
+        near &= self.fraction <= tolerances.depth_share + _ROUNDING
         return np.asarray(near & (self.angle <= tolerances.angle + _ROUNDING))
 
 
@@ -154,7 +154,7 @@ def differences(one: Presses, other: Presses) -> Differences:
     return Differences(
         one.indenter[:, None] != other.indenter[None],
         np.where(np.isnan(place), np.inf, place),
-        np.abs(one.share[:, None] - other.share[None]),
+        np.abs(one.fraction[:, None] - other.fraction[None]),
         angle,
     )
 
@@ -221,7 +221,7 @@ def read_presses(chosen: Chosen) -> Presses:
         location=locations,
         place=place,
         depth=depth,
-        share=depth / deepest,
+        fraction=depth / deepest,
         angle=angle,
         flaw=flaw,
     )
@@ -325,9 +325,9 @@ def _require_all_near(
 def _ambiguous(
     one: Presses, row: int, other: Presses, column: int, tolerances: Tolerances
 ) -> LearningError:
-    between = "itself" if one is other else other.of.name
+    partner = "itself" if one is other else other.of.name
     return LearningError(
-        f"{one.of.name}: which of its presses meet those of {between} is ambiguous within "
+        f"{one.of.name}: which of its presses meet those of {partner} is ambiguous within "
         f"{tolerances}: {one.describe(row)}, and {other.describe(column)} of {other.of.name}; "
         "allowed: tighter tolerances, or an archive without one of them"
     )
@@ -351,7 +351,7 @@ class Pair:
     place: float
     """Largest distance of the places of a pair [m]."""
     depth_share: float
-    """Largest difference of the shares of depth."""
+    """Largest difference of the fractions of depth."""
     angle: float
     """Largest angle between the directions [rad]."""
     unmet: Mapping[str, int]
@@ -395,7 +395,7 @@ def compare(
         met=len(rows),
         frames=len(location_pairs(source, target)),
         place=float(np.linalg.norm(mine.place - its.place, axis=1).max(initial=0.0)),
-        depth_share=float(np.abs(mine.share - its.share).max(initial=0.0)),
+        depth_share=float(np.abs(mine.fraction - its.fraction).max(initial=0.0)),
         angle=float(np.nan_to_num(angle).max(initial=0.0)),
         unmet=dict(sorted(unmet.items())),
     )
@@ -426,7 +426,7 @@ def _reasons(presses: Presses, others: Presses, tolerances: Tolerances) -> Itera
         apart = differences(some, others)
         same = ~apart.indenter
         here = same & (apart.place <= tolerances.place + _ROUNDING)
-        deep = here & (apart.share <= tolerances.depth_share + _ROUNDING)
+        deep = here & (apart.fraction <= tolerances.depth_share + _ROUNDING)
         for row in range(len(some)):
             if some.flaw[row]:
                 why = str(some.flaw[row])
@@ -436,8 +436,8 @@ def _reasons(presses: Presses, others: Presses, tolerances: Tolerances) -> Itera
                 nearest = 1e3 * apart.place[row][same[row]].min()
                 why = f"none of {others.of.name} at that place, the nearest {nearest:.2f} mm away"
             elif not deep[row].any():
-                why = f"none of {others.of.name} there at that share of the depth, "
-                why += f"{some.share[row]:.2f}"
+                why = f"none of {others.of.name} there at that fraction of the depth, "
+                why += f"{some.fraction[row]:.2f}"
             else:
                 nearest = math.degrees(apart.angle[row][deep[row]].min())
                 why = f"none of {others.of.name} there in that direction, the nearest "

@@ -15,11 +15,11 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from sim.fem.cg import Lines
 from sim.fem.contact import contact_kernels, face_rule
 from sim.fem.element import GAUSS_POINTS, Branches, element_kernels
 from sim.fem.matrix import HALF_POISSON, BlockMatrix
 from sim.fem.mesh import Mesh
+from sim.fem.multigrid import Multigrid
 from sim.fem.numerics import Fem
 from sim.fem.overlap import COLUMNS, overlap_kernel
 from sim.fem.vectors import (
@@ -428,7 +428,9 @@ class Assembly:
             half=False if "inertia" in self.effects or poisson > HALF_POISSON else None,
         )
         """Tangent of the last linearised state."""
-        self.lines = Lines(mesh, real, environments, device)
+        self.preconditioner = Multigrid(
+            variants, [places[id(each)] for each in meshes], real, device
+        )
         """Preconditioner of the tangent."""
         self.coefficients = [getattr(s.effects.friction, "coefficient", 0.0) for s in scenes]
         self.state = SolverState(self, scenes)
@@ -619,7 +621,7 @@ class Assembly:
         self._convex.assign(convex.astype(np.int32))
 
     def linearise(self, active, u, damping: np.ndarray, renew=None) -> None:
-        """Fill `block_matrix` and `lines` with the tangent of the last evaluated state, `u`.
+        """Fill `block_matrix` and `preconditioner` with the tangent of the evaluated state, `u`.
 
         `damping` (B,) [E / T^2] stiffens the tangent against any motion, but not the residual. The
         elastic part is updated to `u` where `renew` (B,) is set, or everywhere; else it is kept.
@@ -635,7 +637,7 @@ class Assembly:
             self._convex,
             renew,
         )
-        self.lines.factor(active, self.block_matrix.matrix)
+        self.preconditioner.factor(active, self.block_matrix.matrix)
 
     def accept(self, chosen: np.ndarray, duration: np.ndarray) -> None:
         """Make the current state of the chosen environments (B,) the start of their next step."""

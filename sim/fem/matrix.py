@@ -96,6 +96,42 @@ def wide_row(real):
     return line
 
 
+@functools.cache
+def row_function(real, stored, wide: bool):
+    """Return `line(offsets, matrix, v, env, n)`: a row of a matrix (B, N, 27) times v (B, N).
+
+    `stored` is the scalar type of the matrix; `wide` is for rows of contiguous blocks on a CPU.
+    """
+    if wide:
+        return wide_row(real)
+    vec3 = vector_of(real)
+    mat33 = matrix_of(real)
+    kept33 = matrix_of(stored)
+
+    @wp.func
+    def by_blocks(
+        offsets: wp.array(dtype=wp.int32),
+        matrix: wp.array3d(dtype=kept33),
+        v: wp.array2d(dtype=vec3),
+        env: int,
+        n: int,
+    ):
+        """Return a row of the matrix times v; blocks outside the grid are zero for any node."""
+        last = v.shape[1] - 1
+        total = vec3()
+        for near in range(9):
+            for k in range(3):
+                slot = 3 * near + k
+                other = wp.clamp(n + offsets[slot], 0, last)
+                if wp.static(stored == real):
+                    total += matrix[env, n, slot] * v[env, other]
+                else:
+                    total += mat33(matrix[env, n, slot]) * v[env, other]
+        return total
+
+    return by_blocks
+
+
 # Most nodes of a mesh whose products read the tangent in float16, and largest Poisson's ratio of
 # its body. Random scenes on up to 64,000 elements took as many iterations with it, one on 110,000
 # three times as many; with 0.499 float32 did not converge where it otherwise does.
@@ -182,28 +218,7 @@ def _kernels(real, stored, wide: bool):
         if active[env] == 1:
             kept_out[env, n, slot] = kept33(matrix[env, n, slot])
 
-    @wp.func
-    def by_blocks(
-        offsets: wp.array(dtype=wp.int32),
-        matrix: wp.array3d(dtype=kept33),
-        v: wp.array2d(dtype=vec3),
-        env: int,
-        n: int,
-    ):
-        """Return a row of the matrix times v; blocks outside the grid are zero for any node."""
-        last = v.shape[1] - 1
-        total = vec3()
-        for near in range(9):
-            for k in range(3):
-                slot = 3 * near + k
-                other = wp.clamp(n + offsets[slot], 0, last)
-                if wp.static(stored == real):
-                    total += matrix[env, n, slot] * v[env, other]
-                else:
-                    total += mat33(matrix[env, n, slot]) * v[env, other]
-        return total
-
-    line = wide_row(real) if wide else by_blocks
+    line = row_function(real, stored, wide)
 
     @wp.kernel(enable_backward=False, module="unique")
     def product(

@@ -68,7 +68,12 @@ class Newton:
         self._assembly = assembly
         count, nodes = assembly.environments, len(assembly.mesh.nodes)
         self._cg = ConjugateGradient(
-            assembly.real, count, nodes, str(assembly.device), assembly.block_matrix, assembly.lines
+            assembly.real,
+            count,
+            nodes,
+            str(assembly.device),
+            assembly.block_matrix,
+            assembly.preconditioner,
         )
         self._start = wp.zeros_like(assembly.state.u)
         self._friction = "friction" in assembly.effects
@@ -155,7 +160,7 @@ class Newton:
             assembly.numerics.cg_max,
         )
         self.cg[running] += used[running]
-        assembly.lines.learn(np.where(running, used, 0))
+        assembly.preconditioner.learn(np.where(running, used, 0), accuracy)
         self.iterations[running] += 1
         slope, concave = self._cg.status()
         state.set_tip(predicting)

@@ -334,7 +334,7 @@ def presses_of(plan: PressShear, order: Sequence[int], moved: Sequence[float]) -
         location=np.arange(len(order)),
         place=place,
         depth=depth,
-        share=depth / plan.depth_max,
+        fraction=depth / plan.depth_max,
         angle=np.array([plan.direction_angle(target.direction) for target in targets]),
         flaw=np.full(len(order), ""),
     )

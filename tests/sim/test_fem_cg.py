@@ -39,6 +39,10 @@ class Blocks:
     """The inverted diagonal blocks of dense matrices, in place of the column preconditioner."""
 
     parts = 4
+    grids = 1
+
+    def choose(self, _running: Any) -> int:
+        return self.grids
 
     def __init__(self, matrices: Array) -> None:
         blocks = np.einsum("bninj->bnij", matrices.reshape(-1, NODES, 3, NODES, 3))
@@ -55,6 +59,18 @@ class Blocks:
             exact = r[env].astype(float)
             _share(sums.numpy()[env, :, 0], (exact * z[env]).ravel())
             _share(sums.numpy()[env, :, 1], (exact**2).ravel())
+
+
+class Negative(Blocks):
+    """A preconditioner that is not positive definite from its second application on."""
+
+    _applied = 0
+
+    def advance(self, which: Any, scalars: Any, along: Any, vectors: Any, sums: Any) -> None:
+        super().advance(which, scalars, along, vectors, sums)
+        self._applied += 1
+        if self._applied > 1:
+            sums.numpy()[..., 0] *= -1.0
 
 
 def _share(sums: Array, terms: Array) -> None:
@@ -105,6 +121,20 @@ def test_the_solution_is_that_of_a_dense_solve(real: Any, accuracy: float, error
         assert np.linalg.norm(rest) < 2 * accuracy * np.linalg.norm(right[env])
     assert not solved.concave.any()
     assert solved.count[0] < solved.count[1], "the better conditioned system stops first"
+
+
+def test_a_preconditioner_that_is_not_positive_ends_as_not_convex() -> None:
+    """It is made from a tangent that is not convex; the solution before it is kept."""
+    matrices = _symmetric(np.linspace(1, 50, SIZE), 1)[None]
+    both = Dense(matrices), Negative(matrices)
+    solver = ConjugateGradient(wp.float64, 1, NODES, "cpu", *both, record=False)
+    active, right = oracle.integers([1]), oracle.vectors(_right(1), wp.float64)
+    assert solver.solve(active, right, np.full(1, 1e-9), 400)[0] == 1
+    slope, concave = solver.status()
+    assert concave[0]
+    found = solver.solution.numpy().ravel()
+    assert np.isclose(slope[0], -(_right(1).ravel() @ found))
+    assert slope[0] < 0
 
 
 @pytest.mark.parametrize(("real", "error"), [(wp.float64, 1e-6), (wp.float32, 1e-4)])

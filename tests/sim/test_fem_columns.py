@@ -10,12 +10,7 @@ from support import fem_oracles as oracle
 from support.fem_oracles import Array
 from support.fem_tangents import COUNT, FILLED, GRID, Tangents, columns_of, flat_tangent, spread_out
 
-from sim import simulate
-from sim.fem import cg
-from sim.fem.cg import ColumnPreconditioner, Lines
-from sim.fem.numerics import Fem
-from sim.indenters import shapes
-from sim.scene import Body, Scene, press
+from sim.fem.columns import ColumnPreconditioner
 
 FREE = np.repeat(GRID.free, 3)
 REALS = [
@@ -24,7 +19,7 @@ REALS = [
 ]
 
 
-def _apply(columns: ColumnPreconditioner | Lines, active: Any, r: Array, real: Any) -> Array:
+def _apply(columns: ColumnPreconditioner, active: Any, r: Array, real: Any) -> Array:
     """Return the preconditioner times r (B, N, 3), from a step of zero length."""
     count = len(r)
     nothing, z = (oracle.vectors(np.full(r.shape, value), real) for value in (0.0, FILLED))
@@ -141,57 +136,6 @@ def test_a_step_moves_solution_and_residual_and_adds_up_the_products() -> None:
     totals = np.stack([(left * z).sum((1, 2)), (left**2).sum((1, 2))], axis=1)
     np.testing.assert_allclose(sums.numpy().sum(1)[on], totals[on], rtol=1e-12)
     assert not sums.numpy()[~on].any()
-
-
-@pytest.mark.parametrize("parallel", [False, True])
-@pytest.mark.parametrize(("real", "error"), REALS)
-def test_lines_along_all_axes_are_added_up_where_it_is_hard(
-    real: Any, error: float, parallel: bool
-) -> None:
-    tangents = Tangents(strain=0.005, contact=0.0)
-    block_matrix, active = tangents.block_matrix(real), oracle.integers(tangents.active)
-    lines, columns = (
-        Lines(GRID, real, 3, "cpu", parallel=parallel),
-        ColumnPreconditioner(GRID, real, 3, "cpu"),
-    )
-    lines.learn(np.array([cg.HARD_FROM["cpu"], cg.HARD_FROM["cpu"] - 1, 0]))
-    for one in (lines, columns):
-        one.factor(active, block_matrix.matrix)
-    r = np.random.default_rng(4).normal(0, 1, (3, COUNT, 3))
-    z = _apply(lines, active, r, real)
-    held = np.where(FREE, r[0].ravel(), 0.0)
-    dense = tangents.dense(0)
-    expected = sum(np.linalg.solve(columns_of(dense, axis), held) for axis in range(3))
-    assert oracle.relative(z[0].ravel(), expected) < error
-    np.testing.assert_array_equal(z[1:], _apply(columns, active, r, real)[1:])
-
-
-def test_products_of_lines_are_those_of_what_they_make() -> None:
-    tangents = Tangents(strain=0.005, contact=0.0)
-    lines, active = Lines(GRID, wp.float64, 3, "cpu"), oracle.integers(tangents.active)
-    lines.learn(np.array([cg.HARD_FROM["cpu"], 0, cg.HARD_FROM["cpu"]]))
-    lines.factor(active, tangents.block_matrix(wp.float64).matrix)
-    p, product, solution, r = np.random.default_rng(7).normal(0, 1, (4, 3, COUNT, 3))
-    scalars = wp.array(np.outer([0.5, -2.0, 3.0], [0, 0, 1.0]), dtype=wp.float64, device="cpu")
-    sums = wp.zeros((3, lines.parts, 2), dtype=wp.float64, device="cpu")
-    along = oracle.vectors(p, wp.float64), oracle.vectors(product, wp.float64)
-    vectors = [oracle.vectors(each, wp.float64) for each in (solution, r, np.zeros_like(r))]
-    lines.advance(oracle.rows(tangents.active), scalars, along, vectors, sums)
-    on = tangents.active.astype(bool)
-    _found, left, z = (each.numpy() for each in vectors)
-    totals = np.stack([(left * z).sum((1, 2)), (left**2).sum((1, 2))], axis=1)
-    np.testing.assert_allclose(sums.numpy().sum(1)[on], totals[on], rtol=1e-12)
-
-
-def test_a_blade_takes_half_the_iterations_along_all_axes(monkeypatch: pytest.MonkeyPatch) -> None:
-    blade = Scene(shapes.box(0.3e-3, 4e-3, 0.1e-3), press([0.05e-3]), Body(6e-3, 6e-3, 2e-3))
-    found = []
-    for hard_from in (10**9, 20):
-        monkeypatch.setattr(cg, "HARD_FROM", {"cpu": hard_from})
-        found.append(simulate(blade, Fem(fineness=0.5, elements_max=2500)))
-    by_columns, by_lines = found
-    assert by_lines.quality.cg.sum() < 0.6 * by_columns.quality.cg.sum()
-    np.testing.assert_allclose(by_lines.force[-1, 2], by_columns.force[-1, 2], rtol=1e-3)
 
 
 def _iterations(dense: Array, precondition: Callable[[Array], Array]) -> int:

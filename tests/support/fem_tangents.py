@@ -186,14 +186,9 @@ def spread_out(matrix: Array) -> Array:
     return dense
 
 
-def columns_of(dense: Array, axis: int = 2) -> Array:
-    """Return the part of a dense tangent within node columns (3N, 3N), with 1 for fixed nodes.
-
-    For `axis` 0 or 1, lines along x or y take the place of columns.
-    """
-    shape = tuple(cells + 1 for cells in GRID.cells)
-    place = np.stack(np.unravel_index(np.arange(COUNT), shape))
-    others = place[[one for one in range(3) if one != axis]]
-    kept = dense * (others[:, :, None] == others[:, None]).all(axis=0)[:, None, :, None]
+def columns_of(dense: Array) -> Array:
+    """Return the part of a dense tangent within node columns (3N, 3N), with 1 for fixed nodes."""
+    column = np.arange(COUNT) // (GRID.cells[2] + 1)
+    kept = dense * (column[:, None] == column)[:, None, :, None]
     kept = kept.reshape(3 * COUNT, 3 * COUNT)
     return kept + np.diag(np.repeat(~GRID.free, 3).astype(float))

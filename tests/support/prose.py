@@ -53,7 +53,6 @@ NAMES = {
     "spoilt": "corrupt",
     "ballast": "reserved",
     "newtons": "force, errors",
-    "Order": "Request",
     "Look": "LiveState",
     "Walk": "PlanRunner",
     "Sentinels": "Interlocks",

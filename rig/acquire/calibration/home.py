@@ -174,7 +174,7 @@ def lines_of(found: Approaches, bench: Bench) -> list[str]:
     if bench.mock:
         truth = transform(invert(bench.contact_frame), _origin(bench))[2]
         lines.append(
-            f"home: the World's surface is at {1e3 * truth:+.3f} mm: "
+            f"home: the mock bench's true surface is at {1e3 * truth:+.3f} mm: "
             f"difference {1e3 * (surface.z - truth):+.3f} mm"
         )
     return lines

@@ -1,0 +1,559 @@
+# mypy: ignore-errors
+# Warp gives kernels their types itself; mypy cannot follow annotations made at run time.
+"""Multigrid preconditioner: columns on the mesh, corrected on ever coarser grids in plan.
+
+Columns (`fem.columns`) leave the couplings between them to the conjugate gradients. These couplings
+are strong where elements are narrower than high, as under a small contact on a thick body, and in
+nearly incompressible bodies, where pressure on a column is passed to its neighbours. There columns
+alone take hundreds of iterations. With coarser grids they take 5 to 30, for a Poisson's ratio of
+0.4999 up to 100, each about six times as long.
+
+One application is a symmetric V-cycle (Briggs, Henson & McCormick, A Multigrid Tutorial, 2nd ed.,
+2000). On each grid the columns are solved once before and once after the correction by the next
+coarser one. Coarser grids keep all nodes of a column, and leave out lines of nodes along x and y
+where these are closest together: so each grid is more even than the one before, and the strong
+couplings of a graded mesh are those that it coarsens. The tangent on a coarser grid is that of the
+finer one for displacements interpolated from it (Galerkin's). It is made again when solves slow
+down. From a spacing of a thickness on, columns alone do well.
+
+A fraction of the columns' solutions is added up. An element joins four columns, so if no element
+has negative stiffness, the tangent is at most four times its part within columns; with a fraction
+below one half the cycle is therefore positive definite.
+"""
+
+import functools
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from sim.fem.columns import ColumnPreconditioner, Factors, column_functions
+from sim.fem.matrix import row_function
+from sim.fem.mesh import SLOTS, Mesh, slot_offsets
+from sim.scalars import matrix_of, numpy_of, vector_of
+
+# Iterations of one solve with columns alone from which an environment gets coarser grids. On a GPU,
+# where a cycle is many small kernels, it takes longer beside an iteration of columns alone.
+HARD_FROM = {"cpu": 60, "cuda": 150}
+# Fraction of the columns' solutions that is added up, at most one half.
+SMOOTHING = 0.4
+# Largest fraction of the nodes that a coarser grid keeps, and growth of the spacing that is tried.
+KEPT, SPACING_GROWTH = 0.5, 1.2
+# Spacing in plan, in thicknesses, at which coarsening ends.
+COARSEST_SPACING = 1.0
+# Coarser grids are kept until a solve takes this many times the iterations per digit of the first
+# with them, and `SLOWER_BY` more: making them costs as much as several iterations.
+SLOWER, SLOWER_BY = 1.4, 2.0
+
+Array = NDArray[np.float64]
+
+
+def coarsened(x: Array, spacing: float) -> int:
+    """Return the number of points of `x` (X,) to keep, from its start, `spacing` apart or more."""
+    kept, last = 2, x[0]
+    for here, after in pairwise(x[1:]):
+        if after - last > spacing * (1 + 1e-4):
+            kept, last = kept + 1, here
+    return kept
+
+
+def thinned(x: Array, count: int) -> NDArray[np.int64]:
+    """Return the indices of `count` points of `x` (X,) with its ends, others left out.
+
+    Each point that is left out is the one between the two closest neighbours.
+    """
+    kept = np.arange(len(x))
+    while len(kept) > count:
+        kept = np.delete(kept, 1 + np.argmin(x[kept[2:]] - x[kept[:-2]]))
+    return kept
+
+
+def grid_counts(x: Array, y: Array) -> list[tuple[int, int]]:
+    """Return the numbers of nodes along x and y of each coarser grid.
+
+    The finest has nodes at x (X,) and y (Y,), in thicknesses.
+    """
+    found: list[tuple[int, int]] = []
+    spacing = min(np.diff(x).min(), np.diff(y).min())
+    while spacing < COARSEST_SPACING:
+        spacing *= SPACING_GROWTH
+        counts = coarsened(x, spacing), coarsened(y, spacing)
+        kept = counts[0] * counts[1] / (len(x) * len(y))
+        if kept > KEPT and (spacing < COARSEST_SPACING or kept > 0.9):
+            continue
+        found.append(counts)
+        x, y = x[thinned(x, counts[0])], y[thinned(y, counts[1])]
+    return found
+
+
+@functools.cache
+def _kernels(real, parallel: bool):
+    vec3 = vector_of(real)
+    mat33 = matrix_of(real)
+    eliminated, substituted = column_functions(real)
+    line = row_function(real, real, not parallel)
+    omega = real(SMOOTHING)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def scale(
+        # In:
+        which: wp.array(dtype=wp.int32),
+        hard: wp.array(dtype=wp.int32),
+        parts: int,
+        # In and out: solution of the columns, and its partial sums of r.z, which are cleared
+        z_out: wp.array2d(dtype=vec3),
+        sums_out: wp.array3d(dtype=wp.float64),
+    ):
+        row, n = wp.tid()
+        env = which[row]
+        if env < 0:
+            return
+        if hard[env] == 0:
+            return
+        z_out[env, n] = z_out[env, n] * omega
+        if n < parts:
+            sums_out[env, n, 0] = wp.float64(0.0)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def smooth(
+        # In: environments; factors; right-hand side; 1 to add to z
+        which: wp.array(dtype=wp.int32),
+        hard: wp.array(dtype=wp.int32),
+        pivot: wp.array3d(dtype=mat33),
+        upper: wp.array3d(dtype=mat33),
+        rhs: wp.array2d(dtype=vec3),
+        add: int,
+        # In: residual whose partial sums of r.z are written, and the first of them; below 0: none
+        r: wp.array2d(dtype=vec3),
+        first: int,
+        # Out: half-way solution, which may be `rhs`
+        y_out: wp.array2d(dtype=vec3),
+        # In and out:
+        z_out: wp.array2d(dtype=vec3),
+        # Out:
+        sums_out: wp.array3d(dtype=wp.float64),
+    ):
+        """Set z to a fraction of the columns' solution, or add it to z."""
+        row, column = wp.tid()
+        env = which[row]
+        if env < 0:
+            return
+        if hard[env] == 0:
+            return
+        levels = pivot.shape[2]
+        coupled = vec3()
+        for k in range(levels):
+            n = column * levels + k
+            coupled = eliminated(upper, env, column, k, n, rhs[env, n] - coupled, y_out)
+        rz = wp.float64(0.0)
+        z = vec3()
+        for j in range(levels):
+            k = levels - 1 - j
+            n = column * levels + k
+            z = substituted(pivot, upper, y_out, env, column, k, n, z)
+            total = z * omega
+            if add == 1:
+                total += z_out[env, n]
+            # Nodes outside a round body, which coarser grids may reach, do not move.
+            if pivot[env, column, k][0, 0] == real(0.0):
+                total = vec3()
+            z_out[env, n] = total
+            if first >= 0:
+                rz += wp.float64(wp.dot(r[env, n], total))
+        if first >= 0:
+            sums_out[env, first + column, 0] = rz
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def residual(
+        # In:
+        which: wp.array(dtype=wp.int32),
+        hard: wp.array(dtype=wp.int32),
+        offsets: wp.array(dtype=wp.int32),
+        matrix: wp.array3d(dtype=mat33),
+        rhs: wp.array2d(dtype=vec3),
+        z: wp.array2d(dtype=vec3),
+        # Out:
+        rest_out: wp.array2d(dtype=vec3),
+    ):
+        row, n = wp.tid()
+        env = which[row]
+        if env < 0:
+            return
+        if hard[env] == 0:
+            return
+        rest_out[env, n] = rhs[env, n] - line(offsets, matrix, z, env, n)
+
+    @wp.func
+    def weight(
+        below: wp.array2d(dtype=wp.int32),
+        part: wp.array2d(dtype=real),
+        mesh: int,
+        fine: int,
+        coarse: int,
+    ):
+        """Return the weight of a coarse line of nodes at a fine one (linear interpolation)."""
+        found = real(0.0)
+        if below[mesh, fine] == coarse:
+            found = real(1.0) - part[mesh, fine]
+        elif below[mesh, fine] + 1 == coarse:
+            found = part[mesh, fine]
+        return found
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def restrict(
+        # Environments:
+        which: wp.array(dtype=wp.int32),
+        hard: wp.array(dtype=wp.int32),
+        # Interpolation between the two grids
+        variant: wp.array(dtype=wp.int32),
+        below_x: wp.array2d(dtype=wp.int32),
+        part_x: wp.array2d(dtype=real),
+        reach_x: wp.array3d(dtype=wp.int32),
+        below_y: wp.array2d(dtype=wp.int32),
+        part_y: wp.array2d(dtype=real),
+        reach_y: wp.array3d(dtype=wp.int32),
+        levels: int,
+        # In:
+        fine: wp.array2d(dtype=vec3),
+        # Out:
+        coarse_out: wp.array2d(dtype=vec3),
+    ):
+        """Add up the residuals of the finer grid that each coarser node moves."""
+        row, n = wp.tid()
+        env = which[row]
+        if env < 0:
+            return
+        if hard[env] == 0:
+            return
+        mesh = variant[env]
+        wide = reach_y.shape[1]
+        i = n // (wide * levels)
+        j = (n // levels) % wide
+        k = n % levels
+        total = vec3()
+        for a in range(reach_x[mesh, i, 0], reach_x[mesh, i, 1]):
+            along_x = weight(below_x, part_x, mesh, a, i)
+            for b in range(reach_y[mesh, j, 0], reach_y[mesh, j, 1]):
+                along = along_x * weight(below_y, part_y, mesh, b, j)
+                total += fine[env, (a * below_y.shape[1] + b) * levels + k] * along
+        coarse_out[env, n] = total
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def prolong(
+        # Environments:
+        which: wp.array(dtype=wp.int32),
+        hard: wp.array(dtype=wp.int32),
+        # Interpolation between the two grids
+        variant: wp.array(dtype=wp.int32),
+        below_x: wp.array2d(dtype=wp.int32),
+        part_x: wp.array2d(dtype=real),
+        below_y: wp.array2d(dtype=wp.int32),
+        part_y: wp.array2d(dtype=real),
+        coarse_y: int,
+        levels: int,
+        # In:
+        coarse: wp.array2d(dtype=vec3),
+        # In and out:
+        fine_out: wp.array2d(dtype=vec3),
+    ):
+        """Add the displacements of the coarser grid to those of the finer one."""
+        row, n = wp.tid()
+        env = which[row]
+        if env < 0:
+            return
+        if hard[env] == 0:
+            return
+        mesh = variant[env]
+        wide = below_y.shape[1]
+        a = n // (wide * levels)
+        b = (n // levels) % wide
+        k = n % levels
+        x = part_x[mesh, a]
+        y = part_y[mesh, b]
+        first = (below_x[mesh, a] * coarse_y + below_y[mesh, b]) * levels + k
+        near = coarse[env, first] * (real(1.0) - y) + coarse[env, first + levels] * y
+        first += coarse_y * levels
+        far = coarse[env, first] * (real(1.0) - y) + coarse[env, first + levels] * y
+        fine_out[env, n] = fine_out[env, n] + near * (real(1.0) - x) + far * x
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def coarsen(
+        # Interpolation between the two grids
+        variant: wp.array(dtype=wp.int32),
+        below_x: wp.array2d(dtype=wp.int32),
+        part_x: wp.array2d(dtype=real),
+        reach_x: wp.array3d(dtype=wp.int32),
+        below_y: wp.array2d(dtype=wp.int32),
+        part_y: wp.array2d(dtype=real),
+        reach_y: wp.array3d(dtype=wp.int32),
+        levels: int,
+        # In:
+        active: wp.array(dtype=wp.int32),
+        fine: wp.array3d(dtype=mat33),
+        # Out:
+        coarse_out: wp.array3d(dtype=mat33),
+    ):
+        """Make the tangent of the coarser grid: interpolation^T tangent interpolation."""
+        env = int(0)
+        n = int(0)
+        slot = int(0)
+        if wp.static(parallel):
+            env, slot, n = wp.tid()
+        else:
+            env, n, slot = wp.tid()
+        if active[env] == 0:
+            return
+        mesh = variant[env]
+        wide = reach_y.shape[1]
+        fine_x = below_x.shape[1]
+        fine_y = below_y.shape[1]
+        i = n // (wide * levels)
+        j = (n // levels) % wide
+        k = n % levels
+        i2 = i + slot // 9 - 1
+        j2 = j + (slot // 3) % 3 - 1
+        total = mat33()
+        if i2 >= 0 and i2 < reach_x.shape[1] and j2 >= 0 and j2 < wide:
+            for a in range(reach_x[mesh, i, 0], reach_x[mesh, i, 1]):
+                x = weight(below_x, part_x, mesh, a, i)
+                for da in range(3):
+                    a2 = a + da - 1
+                    along_x = real(0.0)
+                    if a2 >= 0 and a2 < fine_x:
+                        along_x = x * weight(below_x, part_x, mesh, a2, i2)
+                    if along_x != real(0.0):
+                        for b in range(reach_y[mesh, j, 0], reach_y[mesh, j, 1]):
+                            y = along_x * weight(below_y, part_y, mesh, b, j)
+                            for db in range(3):
+                                b2 = b + db - 1
+                                along = real(0.0)
+                                if b2 >= 0 and b2 < fine_y:
+                                    along = y * weight(below_y, part_y, mesh, b2, j2)
+                                if along != real(0.0):
+                                    m = (a * fine_y + b) * levels + k
+                                    total += fine[env, m, 9 * da + 3 * db + slot % 3] * along
+        coarse_out[env, n, slot] = total
+
+    return scale, smooth, residual, restrict, prolong, coarsen
+
+
+@dataclass(slots=True)
+class _Grid:
+    """A grid with its tangent, and its vectors (B, N) in a cycle."""
+
+    counts: tuple[int, int, int]
+    """Nodes along x, y, z."""
+    offsets: wp.array
+    factors: Factors
+    matrix: wp.array | None
+    """Blocks (B, N, 27); the finest grid's are given with each factorisation."""
+    rhs: wp.array | None
+    z: wp.array | None
+    """Right-hand side and solution; the finest grid's are those of the conjugate gradients."""
+    rest: wp.array
+    """Residual of `z`."""
+    weights: tuple | None
+    """Interpolation to the next finer grid, along x and then y: see `_weights`."""
+
+    @property
+    def levels(self) -> int:
+        """Number of nodes of a column."""
+        return self.counts[2]
+
+
+def _weights(fine: list[Array], kept: list[NDArray[np.int64]]) -> tuple[Array, Array, Array]:
+    """Return the linear interpolation along one axis to the points of M meshes, (M, X) each.
+
+    It is the index of the coarse point below (or at) each, the weight of the next one, (M, X); and
+    the range of fine points which each coarse point reaches, (M, coarse X, 2).
+    """
+    below, part, reach = [], [], []
+    for x, chosen in zip(fine, kept, strict=True):
+        coarse = x[chosen]
+        first = np.clip(np.searchsorted(coarse, x, side="right") - 1, 0, len(coarse) - 2)
+        below.append(first)
+        part.append((x - coarse[first]) / (coarse[first + 1] - coarse[first]))
+        ends = [chosen[0] - 1, *chosen, chosen[-1] + 1]
+        reach.append(np.stack([np.add(ends[:-2], 1), ends[2:]], axis=1))
+    return np.array(below), np.array(part), np.array(reach)
+
+
+class Multigrid:
+    """Columns, with coarser grids for hard environments; interface of `ColumnPreconditioner`.
+
+    Args:
+        meshes: Meshes with the same numbers of nodes, M.
+        variant: Index of the mesh of each environment (B,).
+        real: Warp's scalar type.
+        device: Device of the factors.
+        parallel: Store matrices and factors with node and column numbers running fastest, as the
+            matrix that is factored; by default only on a GPU.
+    """
+
+    def __init__(
+        self,
+        meshes: list[Mesh],
+        variant: NDArray[np.int64],
+        real,
+        device: str,
+        *,
+        parallel: bool | None = None,
+    ) -> None:
+        on_gpu = wp.get_device(device).is_cuda
+        self._parallel = on_gpu if parallel is None else parallel
+        self._meshes, self._real, self._device = meshes, real, device
+        environments = self._environments = len(variant)
+        self._columns = ColumnPreconditioner(
+            meshes[0], real, environments, device, parallel=self._parallel
+        )
+        self._hard_from = HARD_FROM["cuda" if on_gpu else "cpu"]
+        self.parts = self._columns.parts + self._columns.factors.columns
+        """Number of partial sums that `advance` writes for each sum."""
+        self.hard = np.zeros(environments, bool)
+        """True for environments that use coarser grids (B,)."""
+        self._hard = wp.zeros(environments, dtype=wp.int32, device=device)
+        # Coarser grids to be made again; iterations per digit with those that there are.
+        self._due, self._rate = np.zeros(environments, bool), np.full(environments, np.nan)
+        self._variant = wp.array(np.asarray(variant, np.int32), dtype=wp.int32, device=device)
+        self._grids: list[_Grid] = []
+        self.grids = 1
+        """Number of grids that `advance` uses."""
+        self._kernels = _kernels(real, self._parallel)
+
+    def choose(self, running: NDArray[np.int64]) -> int:
+        """Set and return `grids`: 1 if none of the running environments (R,) is hard."""
+        self.grids = len(self._grids) if self.hard[running].any() else 1
+        return self.grids
+
+    def learn(self, used: NDArray[np.int64], accuracy: Array) -> None:
+        """Decide from the last solves which environments need coarser grids, or new ones.
+
+        Args:
+            used: Iterations (B,); 0: not solved.
+            accuracy: Residual that was asked for over that at the start (B,).
+        """
+        solved = used > 0
+        rate = used / np.log10(1 / np.minimum(accuracy, 0.5))
+        first = solved & np.isnan(self._rate)
+        self._rate[first] = rate[first]
+        self._due |= solved & self.hard & (rate > SLOWER * self._rate + SLOWER_BY)
+        hard = self.hard | (used >= self._hard_from)
+        if (hard == self.hard).all():
+            return
+        self._due |= hard & ~self.hard
+        self.hard = hard
+        self._hard.assign(hard.astype(np.int32))
+        if not self._grids:
+            self._make_grids()
+
+    def _make_grids(self) -> None:
+        x, y = [one.x for one in self._meshes], [one.y for one in self._meshes]
+        levels = self._meshes[0].cells[2] + 1
+        self._grids = [self._grid((len(x[0]), len(y[0]), levels))]
+        for many, wide in grid_counts(x[0], y[0]):
+            kept_x, kept_y = [thinned(one, many) for one in x], [thinned(one, wide) for one in y]
+            weights = *_weights(x, kept_x), *_weights(y, kept_y)
+            self._grids.append(self._grid((many, wide, levels), weights))
+            x = [one[kept] for one, kept in zip(x, kept_x, strict=True)]
+            y = [one[kept] for one, kept in zip(y, kept_y, strict=True)]
+
+    def _grid(self, counts: tuple[int, int, int], weights=None) -> _Grid:
+        """Return a coarser grid with its interpolation, or the finest one."""
+        real, device, environments = self._real, self._device, self._environments
+        nodes = counts[0] * counts[1] * counts[2]
+
+        def vector() -> wp.array:
+            return wp.zeros((environments, nodes), vector_of(real), device=device)
+
+        cells = counts[0] - 1, counts[1] - 1, counts[2] - 1
+        offsets = self._array(slot_offsets(cells))
+        if weights is None:
+            return _Grid(counts, offsets, self._columns.factors, None, None, None, vector(), None)
+        free = np.ones(nodes, bool)
+        factors = Factors(free, counts[2], real, environments, device, parallel=self._parallel)
+        room = (SLOTS, nodes) if self._parallel else (nodes, SLOTS)
+        matrix = wp.zeros((environments, *room), matrix_of(real), device=device)
+        matrix = matrix.transpose((0, 2, 1)) if self._parallel else matrix
+        stored = tuple(self._array(one) for one in weights)
+        return _Grid(counts, offsets, factors, matrix, vector(), vector(), vector(), stored)
+
+    def factor(self, active, matrix) -> None:
+        """Factor the columns, and make and factor the coarser grids of hard environments.
+
+        Args:
+            active: Mask of environments, int32 (B,).
+            matrix: Blocks (B, N, 27) of the tangent; `advance` reads them as well.
+        """
+        self._columns.factor(active, matrix)
+        if not self._grids:
+            return
+        self._grids[0].matrix = matrix
+        due = active.numpy().astype(bool) & self._due
+        if not due.any():
+            return
+        self._due[due], self._rate[due] = False, np.nan
+        chosen = wp.array(due.astype(np.int32), dtype=wp.int32, device=self._device)
+        *_others, coarsen = self._kernels
+        for fine, coarse in pairwise(self._grids):
+            nodes = coarse.rest.shape[1]
+            room = (SLOTS, nodes) if self._parallel else (nodes, SLOTS)
+            wp.launch(
+                coarsen,
+                dim=(self._environments, *room),
+                inputs=[self._variant, *coarse.weights, coarse.levels, chosen, fine.matrix],
+                outputs=[coarse.matrix],
+                device=self._device,
+            )
+            coarse.factors.make(chosen, coarse.matrix)
+
+    def advance(self, which, scalars, along, vectors, sums) -> None:
+        """Step along p, and precondition with coarser grids for hard environments."""
+        self._columns.advance(which, scalars, along, vectors, sums)
+        if self.grids == 1:
+            return
+        scale, _smooth, residual, restrict, prolong, _coarsen = self._kernels
+        finest, grids = self._grids[0], self._grids
+        _solution, finest.rhs, finest.z = vectors
+        nodes = finest.rest.shape[1]
+        self._launch(scale, nodes, which, [self._columns.parts], [finest.z, sums])
+        for fine, coarse in pairwise(grids):
+            rest = [fine.offsets, fine.matrix, fine.rhs, fine.z]
+            self._launch(residual, fine.rest.shape[1], which, rest, [fine.rest])
+            weights = [self._variant, *coarse.weights, coarse.levels, fine.rest]
+            self._launch(restrict, coarse.rest.shape[1], which, weights, [coarse.rhs])
+            self._smooth(which, coarse, coarse.rhs, sums)
+        for coarse, fine in pairwise(reversed(grids)):
+            below_x, part_x, _reach, below_y, part_y, reach_y = coarse.weights
+            weights = [self._variant, below_x, part_x, below_y, part_y, reach_y.shape[1]]
+            weights += [coarse.levels, coarse.z]
+            self._launch(prolong, fine.rest.shape[1], which, weights, [fine.z])
+            rest = [fine.offsets, fine.matrix, fine.rhs, fine.z]
+            self._launch(residual, fine.rest.shape[1], which, rest, [fine.rest])
+            self._smooth(which, fine, fine.rest, sums)
+
+    def _smooth(self, which, grid: _Grid, rhs, sums) -> None:
+        """Solve a grid's columns for `rhs`: its right-hand side at first, its residual later."""
+        first = self._columns.parts if grid is self._grids[0] else -1
+        self._launch(
+            self._kernels[1],
+            grid.factors.columns,
+            which,
+            [grid.factors.pivot, grid.factors.upper, rhs, int(rhs is grid.rest), grid.rhs, first],
+            [grid.rest, grid.z, sums],
+        )
+
+    def _launch(self, kernel, count: int, which, inputs, outputs) -> None:
+        wp.launch(
+            kernel,
+            dim=(len(which), count),
+            inputs=[which, self._hard, *inputs],
+            outputs=outputs,
+            device=self._device,
+        )
+
+    def _array(self, values) -> wp.array:
+        if np.issubdtype(np.asarray(values).dtype, np.integer):
+            return wp.array(np.asarray(values, np.int32), dtype=wp.int32, device=self._device)
+        return wp.array(values.astype(numpy_of(self._real)), dtype=self._real, device=self._device)
