@@ -17,10 +17,10 @@ from typing import ClassVar, Literal, get_args
 from trajectories.moves import Move, Point, Target, check_positive, dome_height
 
 Layout = Literal["corners", "cross"]
-Order = Literal["authors", "quadrants"]
+PointOrder = Literal["authors", "quadrants"]
 
-# Order of the points in sessions and plans that do not state one: they are older than `order`.
-OLD_ORDER: Order = "quadrants"
+# PointOrder of the points in sessions and plans that do not state one: they are older than `order`.
+OLD_ORDER: PointOrder = "quadrants"
 
 # Signs of x and y of points 2 to 5 in the order `quadrants`, counter-clockwise.
 _SIGNS: dict[str, tuple[tuple[int, int], ...]] = {
@@ -62,7 +62,7 @@ class PressShear:
     """Points to press: 1 is the centre, 2 to 5 are the outer ones, counter-clockwise."""
     layout: Layout = "corners"
     """Outer points at (+-step_x, +-step_y), or on the axes. The paper shows it only in a figure."""
-    order: Order = field(default="authors", metadata={"unsaid": OLD_ORDER})
+    order: PointOrder = field(default="authors", metadata={"unsaid": OLD_ORDER})
     """Where point 2 is: `authors`, as in the collector of the paper's authors, at (-x, +y);
     `quadrants` at (+x, +y). Points 3 to 5 follow counter-clockwise."""
     dome_radius: float | None = field(
@@ -83,7 +83,7 @@ class PressShear:
         turns = 2 * math.pi / self.angle_step
         if abs(turns - round(turns)) > 1e-6 or round(turns) < 1:
             raise ValueError(f"angle_step: {self.angle_step!r} rad; allowed: a part of 2 pi")
-        for name, known in (("layout", get_args(Layout)), ("order", get_args(Order))):
+        for name, known in (("layout", get_args(Layout)), ("order", get_args(PointOrder))):
             if getattr(self, name) not in known:
                 raise ValueError(f"{name}: {getattr(self, name)!r}; allowed: {', '.join(known)}")
         allowed = range(1, 6)

@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.description = (
         "Copies sensors of several archives into one. Presses meet if the same indenter touched "
-        "at the same place [mm], to the same share of the sensor's deepest press, in the same "
+        "at the same place [mm], to the same fraction of the sensor's deepest press, in the same "
         "shear direction [deg]; their numbers do not count. Prints what met and what did not. "
         "Repeat the command to continue."
     )
@@ -44,10 +44,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="largest distance of two places that are one [mm] (0.1)",
     )
     parser.add_argument(
-        "--depth-share",
+        "--depth-fraction",
         type=positive,
         default=0.04,
-        metavar="SHARE",
+        metavar="FRACTION",
         help="largest difference of two depths that are one, each over its sensor's deepest (0.04)",
     )
     parser.add_argument(
@@ -75,7 +75,7 @@ def run(options: argparse.Namespace) -> int:
     if options.out is None and not options.dry_run:
         raise LearningError("--out: missing; allowed: where the archive goes, or --dry-run")
     tolerances = Tolerances(
-        1e-3 * options.place_mm, options.depth_share, math.radians(options.angle_deg)
+        1e-3 * options.place_mm, options.depth_fraction, math.radians(options.angle_deg)
     )
     sensors = [each for text in options.archives for each in _chosen(text)]
     joined = join(sensors, tolerances, options.unseen)

@@ -32,6 +32,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rate", action="store_true", help="only print the frames per second of one core"
     )
+    parser.add_argument(
+        "--irregular",
+        action="store_true",
+        help="the markers have no regular pattern; without it such references are rejected as "
+        "shading",
+    )
     parser.add_argument("--sam-encoder", type=Path, metavar="ONNX", help="EfficientSAM encoder")
     parser.add_argument("--sam-decoder", type=Path, metavar="ONNX", help="and its decoder")
     add_unseen(parser)
@@ -61,6 +67,7 @@ def run(options: argparse.Namespace) -> int:
             mm_per_px=options.mm_per_px,
             unseen=options.unseen,
             sam=sam,
+            irregular=options.irregular,
             progress=progress,
         )
     for line in built.lines:

@@ -45,7 +45,7 @@ def run(options: argparse.Namespace) -> int:
         files_of,
         fit_preset,
         read_picture,
-        recall,
+        recalls,
     )
     from recorder.progress import ItemProgress
 
@@ -56,9 +56,10 @@ def run(options: argparse.Namespace) -> int:
     preset, pattern = fit_preset(no_contact, pitch_mm=options.pitch_mm)
     print(pattern)
     with ItemProgress("pictures", sys.stderr) as progress:
-        for number, (path, picture) in enumerate(pressed):
+        found = recalls(preset, no_contact[0], (picture for _path, picture in pressed))
+        for number, ((path, _picture), recalled) in enumerate(zip(pressed, found, strict=True)):
             progress(number, len(pressed))
-            print(f"{path.name}: {recall(preset, no_contact[0], picture)}")
+            print(f"{path.name}: {recalled}")
     if options.sheet is not None:
         draw_outlines(
             preset, [*no_contact, *(picture for _path, picture in pressed)], options.sheet

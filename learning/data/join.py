@@ -57,20 +57,20 @@ class Tolerances:
 
     place: float = 1e-4
     """Distance of their places [m]."""
-    depth_share: float = 0.04
+    depth_fraction: float = 0.04
     """Difference of their depths, each divided by the deepest press of its sensor."""
     angle: float = math.radians(3.0)
     """Angle between their shear directions [rad]."""
 
     def __post_init__(self) -> None:
-        for name, most in (("place", 1.0), ("depth_share", 1.0), ("angle", math.pi)):
+        for name, most in (("place", 1.0), ("depth_fraction", 1.0), ("angle", math.pi)):
             value = getattr(self, name)
             if not 0 < value < most:
                 raise LearningError(f"{name}: found {value!r}; allowed: above 0, below {most:g}")
 
     def __str__(self) -> str:
         return (
-            f"{1e3 * self.place:g} mm, {self.depth_share:g} of the depth, "
+            f"{1e3 * self.place:g} mm, {self.depth_fraction:g} of the depth, "
             f"{math.degrees(self.angle):g} deg"
         )
 
@@ -140,7 +140,7 @@ class Differences:
     def meet(self, tolerances: Tolerances) -> NDArray[np.bool_]:
         """Return True where presses meet (p, q)."""
         near = ~self.indenter & (self.place <= tolerances.place + _ROUNDING)
-        near &= self.fraction <= tolerances.depth_share + _ROUNDING
+        near &= self.fraction <= tolerances.depth_fraction + _ROUNDING
         return np.asarray(near & (self.angle <= tolerances.angle + _ROUNDING))
 
 
@@ -325,9 +325,9 @@ def _require_all_near(
 def _ambiguous(
     one: Presses, row: int, other: Presses, column: int, tolerances: Tolerances
 ) -> LearningError:
-    partner = "itself" if one is other else other.of.name
+    counterpart = "itself" if one is other else other.of.name
     return LearningError(
-        f"{one.of.name}: which of its presses meet those of {partner} is ambiguous within "
+        f"{one.of.name}: which of its presses meet those of {counterpart} is ambiguous within "
         f"{tolerances}: {one.describe(row)}, and {other.describe(column)} of {other.of.name}; "
         "allowed: tighter tolerances, or an archive without one of them"
     )
@@ -350,7 +350,7 @@ class Pair:
     """Pairs of frames: of the last ones of the phases that both have."""
     place: float
     """Largest distance of the places of a pair [m]."""
-    depth_share: float
+    depth_fraction: float
     """Largest difference of the fractions of depth."""
     angle: float
     """Largest angle between the directions [rad]."""
@@ -365,7 +365,7 @@ class Pair:
         )
         if self.met:
             text += (
-                f"; at most {1e3 * self.place:.3f} mm, {self.depth_share:.3f} of the depth and "
+                f"; at most {1e3 * self.place:.3f} mm, {self.depth_fraction:.3f} of the depth and "
                 f"{math.degrees(self.angle):.2f} deg apart"
             )
         yield text
@@ -395,7 +395,7 @@ def compare(
         met=len(rows),
         frames=len(location_pairs(source, target)),
         place=float(np.linalg.norm(mine.place - its.place, axis=1).max(initial=0.0)),
-        depth_share=float(np.abs(mine.fraction - its.fraction).max(initial=0.0)),
+        depth_fraction=float(np.abs(mine.fraction - its.fraction).max(initial=0.0)),
         angle=float(np.nan_to_num(angle).max(initial=0.0)),
         unmet=dict(sorted(unmet.items())),
     )
@@ -426,7 +426,7 @@ def _reasons(presses: Presses, others: Presses, tolerances: Tolerances) -> Itera
         apart = differences(some, others)
         same = ~apart.indenter
         here = same & (apart.place <= tolerances.place + _ROUNDING)
-        deep = here & (apart.fraction <= tolerances.depth_share + _ROUNDING)
+        deep = here & (apart.fraction <= tolerances.depth_fraction + _ROUNDING)
         for row in range(len(some)):
             if some.flaw[row]:
                 why = str(some.flaw[row])

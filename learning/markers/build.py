@@ -62,6 +62,7 @@ def archive_sessions(
     mm_per_px: float | None = None,
     unseen: tuple[str, ...] = UNSEEN,
     sam: EfficientSam | None = None,
+    irregular: bool = False,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Built:
     """Make or resume the marker archive of sessions.
@@ -74,6 +75,7 @@ def archive_sessions(
         mm_per_px: Size of a pixel [mm], instead of the preset's.
         unseen: Indenters that models may not be trained on.
         sam: Model that refines masks of pictures; None: no refinement.
+        irregular: True for markers without a regular pattern, which are rejected otherwise.
         progress: Called with the number of frames that exist and the total.
 
     Raises:
@@ -85,7 +87,13 @@ def archive_sessions(
     group = read_group(sessions, sensor)
     sensors = [
         recorded_sensor(
-            one, group, preset_name=preset_name, mm_per_px=mm_per_px, unseen=unseen, sam=sam
+            one,
+            group,
+            preset_name=preset_name,
+            mm_per_px=mm_per_px,
+            unseen=unseen,
+            sam=sam,
+            irregular=irregular,
         )
         for one in group.sensors
     ]
@@ -102,6 +110,7 @@ def recorded_sensor(
     mm_per_px: float | None = None,
     unseen: tuple[str, ...] = UNSEEN,
     sam: EfficientSam | None = None,
+    irregular: bool = False,
 ) -> RecordedSensor:
     """Return a sensor of a group with the given preset, or the one for its name.
 
@@ -123,6 +132,7 @@ def recorded_sensor(
         mm_per_px=mm_per_px,
         unseen=unseen,
         sam=sam if found.KIND == "camera" else None,
+        irregular=irregular,
     )
 
 

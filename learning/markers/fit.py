@@ -7,7 +7,7 @@ is chosen: markers are alike and evenly spaced, shading and dust are not.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -16,9 +16,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
-from scipy.spatial import cKDTree
 
 from learning.errors import LearningError
+from learning.markers.regular import MARKERS_LEAST, SPREAD_MOST, Spread, pitch_of, spread_of
 from learning.markers.segment import (
     CHANNELS,
     CameraPreset,
@@ -41,10 +41,6 @@ SIZES_PX = (9, 13, 19, 27, 39, 55, 79)
 CONTRAST_LEAST, NOISES = 0.05, 5.0
 # Least contrast of a marker over the median contrast of those found: half of the faintest ones.
 FAINT = 0.5
-# Fewest markers, and largest relative spread of their areas and of the distances to the nearest
-# one (half of the range from 16 to 84 %, over the median), that count as a pattern. Patterns of the
-# paper have up to 0.2 and 0.25; shading and dust have 0.5 and more in one of both.
-MARKERS_LEAST, SPREAD_MOST = 9, 0.45
 # Score over the highest one, from which a smaller element is preferred to a larger one, and the
 # channel whose light changes least under a contact to the others.
 NEARLY, NEARLY_CHANNEL = 0.9, 0.5
@@ -64,15 +60,11 @@ class Pattern:
     """Markers found in a picture without contact by one detector."""
 
     detector: Hat
-    count: int
+    spread: Spread
     area_px: tuple[float, float, float]
     """5th percentile, median and 95th percentile of the markers' areas [px]."""
     pitch_px: float
     """Median distance to the nearest marker."""
-    area_spread: float
-    """Spread of the areas, over the median."""
-    pitch_spread: float
-    """Spread of the distances to the nearest marker, over the median."""
     contrast: float
     """Median contrast of the markers, 0 to 1."""
     noise: float
@@ -81,25 +73,21 @@ class Pattern:
     @property
     def score(self) -> float:
         """Contrast over noise, less where markers are unlike or unevenly spaced."""
-        uneven = 1.0 + 4.0 * (self.area_spread + self.pitch_spread)
+        uneven = 1.0 + 4.0 * (self.spread.area + self.spread.pitch)
         return self.contrast / (self.noise + 0.02) / uneven
 
     @property
     def is_regular(self) -> bool:
         """True if there are enough markers, alike and evenly spaced."""
-        return (
-            self.count >= MARKERS_LEAST
-            and self.area_spread <= SPREAD_MOST
-            and self.pitch_spread <= SPREAD_MOST
-        )
+        return self.spread.is_regular
 
     def __str__(self) -> str:
         kind = "bright" if self.detector.bright else "dark"
         width = 2 * (self.area_px[1] / np.pi) ** 0.5
         return (
-            f"{self.count} {kind} markers in the channel '{self.detector.channel}': "
-            f"{width:.1f} px wide (areas spread {100 * self.area_spread:.0f} %), "
-            f"{self.pitch_px:.1f} px apart (spread {100 * self.pitch_spread:.0f} %), contrast "
+            f"{self.spread.count} {kind} markers in the channel '{self.detector.channel}': "
+            f"{width:.1f} px wide (areas spread {100 * self.spread.area:.0f} %), "
+            f"{self.pitch_px:.1f} px apart (spread {100 * self.spread.pitch:.0f} %), contrast "
             f"{self.contrast:.2f}, noise {self.noise:.3f}"
         )
 
@@ -217,24 +205,15 @@ def _pattern(view: Picture, size: int, channel: Channel, bright: bool) -> Patter
     blobs = blobs.only(blobs.whole)
     if len(blobs) < 2:
         return None
-    pitch = cKDTree(blobs.centre).query(blobs.centre, 2)[0][:, 1]
     low, middle, high = np.percentile(blobs.area, [5, 50, 95])
     return Pattern(
         Hat(size, least, bright, channel),
-        len(blobs),
+        spread_of(blobs),
         (float(low), float(middle), float(high)),
-        float(np.median(pitch)),
-        _spread(blobs.area),
-        _spread(pitch),
+        float(np.median(pitch_of(blobs))),
         typical,
         noise,
     )
-
-
-def _spread(values: NDArray[Any]) -> float:
-    """Return half of the range from 16 to 84 % over the median."""
-    low, middle, high = np.percentile(values, [16, 50, 84])
-    return float((high - low) / 2 / middle)
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,26 +233,31 @@ class Recall:
         )
 
 
-def recall(preset: CameraPreset, reference: Picture, pressed: Picture) -> Recall:
-    """Return how many markers of a picture without contact are found again in a pressed one.
+def recalls(
+    preset: CameraPreset, reference: Picture, pressed: Iterable[Picture]
+) -> Iterator[Recall]:
+    """Yield how many markers of a picture without contact are found again in each pressed one.
 
     A marker counts as under the contact where the light has changed.
     """
     segmenter = Segmenter(preset)
-    before, after = segmenter.view(reference), segmenter.view(pressed)
+    before = segmenter.view(reference)
     first = find_blobs(segmenter.mask_of_view(before)[None], SMALLEST_PX).centre
-    then = find_blobs(segmenter.mask_of_view(after)[None], SMALLEST_PX).centre
-    found = ~Tracker(first).step(then).lost
-    soft = [
-        cv2.GaussianBlur(one, (BLUR_PX, BLUR_PX), 0).astype(np.int16) for one in (before, after)
-    ]
-    changed = (np.abs(soft[1] - soft[0]).max(axis=2) > TOUCHED).astype(np.uint8)
-    changed = cv2.dilate(changed, np.ones((9, 9), np.uint8)) > 0
     column, row = np.round(first).astype(int).T
-    under = changed[row, column]
-    return Recall(
-        int(under.sum()), int(found[under].sum()), int((~under).sum()), int(found[~under].sum())
-    )
+    soft = _soft(before)
+    for picture in pressed:
+        after = segmenter.view(picture)
+        then = find_blobs(segmenter.mask_of_view(after)[None], SMALLEST_PX).centre
+        found = ~Tracker(first).step(then).lost
+        changed = (np.abs(_soft(after) - soft).max(axis=2) > TOUCHED).astype(np.uint8)
+        under = (cv2.dilate(changed, np.ones((9, 9), np.uint8)) > 0)[row, column]
+        yield Recall(
+            int(under.sum()), int(found[under].sum()), int((~under).sum()), int(found[~under].sum())
+        )
+
+
+def _soft(view: Picture) -> NDArray[np.int16]:
+    return cv2.GaussianBlur(view, (BLUR_PX, BLUR_PX), 0).astype(np.int16)
 
 
 def draw_outlines(preset: CameraPreset, pictures: Sequence[Picture], path: Path) -> None:

@@ -15,6 +15,7 @@ from learning.errors import LearningError
 from learning.indenters import UNSEEN
 from learning.markers.efficient_sam import EfficientSam
 from learning.markers.recording import Placed, Recording, SensorGroup
+from learning.markers.regular import spread_of
 from learning.markers.segment import CameraPreset, Preset, Segmenter, TaxelPreset
 from recorder.archive import MarkerCount, SensorPlan
 from recorder.markers import HEIGHT, WIDTH, draw_discs, find_blobs, pack
@@ -62,6 +63,7 @@ class RecordedSensor:
         mm_per_px: float | None = None,
         unseen: tuple[str, ...] = UNSEEN,
         sam: EfficientSam | None = None,
+        irregular: bool = False,
     ) -> None:
         """Prepare the segmentation of its frames.
 
@@ -73,6 +75,7 @@ class RecordedSensor:
             mm_per_px: Size of a pixel [mm]; None: the preset's.
             unseen: Indenters that models may not be trained on.
             sam: Model that refines the masks; None: no refinement.
+            irregular: True for markers without a regular pattern; False rejects their references.
 
         Raises:
             LearningError: The preset is for another kind of sensor, or the pixel size is unknown.
@@ -89,6 +92,7 @@ class RecordedSensor:
         self._group, self._indenters, self._unseen = group, indenters, unseen
         self.preset, self._preset_name, self._mm_per_px = preset, preset_name, scale
         self._sam = sam
+        self._irregular = irregular
         self._segmenter = Segmenter(preset) if isinstance(preset, CameraPreset) else None
         lengths = [len(placed.recording) for placed in group.placed]
         self._ends = np.cumsum([0, *lengths])
@@ -157,10 +161,19 @@ class RecordedSensor:
             recording = placed.recording
             images = recording.session.reference["image"][recording.references]
             for row, mask in zip(images, self._seen(recording, images), strict=True):
-                if not len(find_blobs(mask[None], self.preset.area_px[0])):
+                blobs = find_blobs(mask[None], self.preset.area_px[0])
+                if not len(blobs):
                     raise LearningError(
                         f"{recording.name}: preset {self._preset_name} finds no markers in its "
                         f"reference, image {row}; allowed: another preset"
+                    )
+                spread = spread_of(blobs.only(blobs.whole))
+                if not (self._irregular or spread.is_regular):
+                    raise LearningError(
+                        f"{recording.name}: preset {self._preset_name} finds no pattern of "
+                        f"markers in its reference, image {row}: {spread}; allowed: another "
+                        "preset (tactile markers-fit fits one), or --irregular if the markers "
+                        "have no pattern"
                     )
                 masks.append(mask)
         return pack(np.stack(masks))

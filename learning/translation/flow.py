@@ -70,20 +70,12 @@ class FlowTranslator:
         *,
         ordered: bool = False,
     ) -> torch.Tensor:
-        """Return the frames as the target would have shown them, bool (n, 480, 640).
+        """Return the frames as the target would have shown them, as `Translator.translate`.
 
         Markers are tracked on the CPU in one thread; the warp runs on the device of the frames.
 
-        Args:
-            source: Masks of the source, bool (n, 480, 640), on any device; the result is there too.
-            target_reference: The target's reference, bool (480, 640).
-            source_reference: The source's reference, bool (480, 640); None: the first frame of an
-                ordered press.
-            ordered: True if the frames are one press in time order that begins without contact.
-
         Raises:
-            LearningError: Wrong shapes or types, a required reference is missing, or a reference
-                has no markers.
+            LearningError: As there, or a reference has no markers.
         """
         require_masks(source, target_reference, source_reference)
         if not len(source):

@@ -5,7 +5,14 @@ rows downwards; a sensor's y axis points up, opposite to the rows. A mask is boo
 on a marker.
 """
 
-from recorder.markers.blobs import SMALLEST_PX, Blobs, count_markers, find_blobs, marker_centres
+from recorder.markers.blobs import (
+    SMALLEST_PX,
+    Blobs,
+    count_markers,
+    find_blobs,
+    marker_centres,
+    smallest_marker,
+)
 from recorder.markers.discs import TAXELS, DiscMap, draw_discs, place_discs
 from recorder.markers.displacement import Lattice, moved
 from recorder.markers.marker_check import MarkerCheck, MarkerFlag
@@ -29,5 +36,6 @@ __all__ = [
     "moved",
     "pack",
     "place_discs",
+    "smallest_marker",
     "unpack",
 ]

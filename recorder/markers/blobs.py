@@ -52,6 +52,18 @@ def count_markers(mask: Masks, smallest_px: int = SMALLEST_PX) -> int:
     return len(find_blobs(_one(mask), smallest_px))
 
 
+def smallest_marker(mask: Masks) -> int:
+    """Return the area that a marker of one mask (h, w) has at least [px]: fragments are smaller.
+
+    It is a fifth of the patches' median area, and `SMALLEST_PX` at least.
+
+    Raises:
+        ValueError: Not one bool image.
+    """
+    area = find_blobs(_one(mask), SMALLEST_PX).area
+    return max(SMALLEST_PX, round(float(np.median(area)) / 5) if len(area) else 0)
+
+
 def marker_centres(mask: Masks, smallest_px: int = SMALLEST_PX) -> NDArray[np.float64]:
     """Return the mean column and row (m, 2) [px] of the patches in one mask (h, w).
 

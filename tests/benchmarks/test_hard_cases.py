@@ -198,12 +198,12 @@ def test_a_pattern_that_matches_nothing_is_refused() -> None:
         chosen(["rym"])
 
 
-def test_the_verb_tells_how_many_passed(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_tells_how_many_passed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["hard-cases", "--only", "phases-without-*", "--processes", "1"]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == "2 cases, 2 passed"
 
 
-def test_the_verb_fails_with_a_case(
+def test_the_command_fails_with_a_case(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(BY_NAME, "never-touches", Case(_measures_nothing, seconds=1))
@@ -214,7 +214,7 @@ def test_the_verb_fails_with_a_case(
 @pytest.mark.parametrize(
     "wrong", [["--only", "rym"], ["--planted", "rym"], ["--processes", "-1"], ["--device", "rym"]]
 )
-def test_the_verb_refuses_wrong_options(
+def test_the_command_refuses_wrong_options(
     wrong: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["hard-cases", *wrong]) == 2

@@ -334,14 +334,14 @@ def test_the_last_line_counts_what_passed(good: Result, capsys: pytest.CaptureFi
     "wrong",
     [["--random", "0"], ["--random", "1", "--scene", "-1"], ["--random", "1", "--only", "rim-*"]],
 )
-def test_the_verb_refuses_wrong_options(
+def test_the_command_refuses_wrong_options(
     wrong: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["hard-cases", *wrong]) == 2
     assert "allowed" in capsys.readouterr().err
 
 
-def test_the_verb_judges_one_scene_alone(
+def test_the_command_judges_one_scene_alone(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     given = [

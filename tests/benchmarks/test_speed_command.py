@@ -34,7 +34,7 @@ def test_speed_refuses_what_means_nothing(tmp_path: Path, words: list[str], mess
         run("--out", str(tmp_path), *words)
 
 
-def test_the_verb_offers_every_part_there_is() -> None:
+def test_the_command_offers_every_part_there_is() -> None:
     assert command.PARTS == RECORDED
 
 

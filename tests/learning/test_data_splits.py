@@ -206,7 +206,7 @@ def test_a_press_with_two_roles_is_refused(archive: MarkerArchive, tmp_path: Pat
         read_split(path)
 
 
-def test_the_verb_writes_the_split_and_says_what_is_in_it(
+def test_the_command_writes_the_split_and_says_what_is_in_it(
     archive: MarkerArchive, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "split.json"

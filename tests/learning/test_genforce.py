@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from support.learning_sessions import record
+from support.planned_archives import planned_archive
 
 from learning.__main__ import main
 from learning.data.genforce import (
@@ -32,7 +33,8 @@ from learning.markers import archive_sessions
 from recorder import MarkerArchive, SessionError, check
 from recorder.archive import location_pairs
 from recorder.convert import export
-from recorder.markers import pack, unpack
+from recorder.markers import count_markers, pack, unpack
+from trajectories import PressShear
 
 Change = Callable[[Path], None]
 
@@ -126,6 +128,34 @@ def test_masks_and_labels_of_a_training_folder_are_in_the_archive(archive: Marke
     assert archive["uskin_a"].attrs["marker_check"] is None
     assert archive["Array1"].attrs["depth"] == "inc_z.csv and dec_z.csv, mm"
     assert "t_ns is 0" in archive["Array1"].attrs["times"]
+
+
+def test_fragments_of_a_reference_are_not_counted_as_markers(folder: Path, tmp_path: Path) -> None:
+    root = tmp_path / "homo"
+    shutil.copytree(folder, root)
+    mask = mask_of(0).copy()
+    markers = count_markers(mask)
+    # The authors' mask of a TacTip has two fragments, of 41 and 68 px, beside its 127 pins.
+    mask[40:47, 40:46] = mask[40:48, 92:100] = True
+    assert count_markers(mask) == markers + 2
+    write(root / "img" / "npy" / "Array1_ref.npy", mask)
+    import_folder(root, tmp_path / "a.markers.zarr")
+    sensor = MarkerArchive(tmp_path / "a.markers.zarr")["Array1"]
+    smallest = sensor.attrs["marker_check"]["smallest_px"]
+    assert smallest == 80
+    assert count_markers(sensor.reference(0), smallest) == markers
+
+
+def test_labels_of_some_axes_are_named_when_they_are_left_out(tmp_path: Path) -> None:
+    plan = PressShear(3e-3, 4e-3, 1e-3, 1e-3, 2 * np.pi, 1e-3, points=(1, 2))
+    fz_only = (np.nan, np.nan, -2.0, np.nan, np.nan, np.nan)
+    planned_archive(tmp_path / "a.markers.zarr", {"dots": plan}, wrench=fz_only)
+    omitted = export_training(tmp_path / "a.markers.zarr", tmp_path / "out")
+    assert omitted == (
+        "dots: labels of 2 presses, which lack Fx Fy Tx Ty Tz; ft.csv holds all axes or none",
+    )
+    assert not list((tmp_path / "out").rglob("ft.csv"))
+    assert len(list((tmp_path / "out").rglob("0000.npy"))) == 2
 
 
 def test_a_frame_that_lost_a_marker_is_flagged_and_kept(folder: Path, tmp_path: Path) -> None:

@@ -282,7 +282,8 @@ def test_nothing_that_meets_is_refused_with_its_reasons(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "change", [{"place": 0.0}, {"angle": 4.0}, {"depth_share": math.nan}, {"depth_share": 1.0}]
+    "change",
+    [{"place": 0.0}, {"angle": 4.0}, {"depth_fraction": math.nan}, {"depth_fraction": 1.0}],
 )
 def test_tolerances_that_exclude_all_or_nothing_are_refused(change: dict[str, float]) -> None:
     with pytest.raises(LearningError, match=f"{next(iter(change))}: found"):

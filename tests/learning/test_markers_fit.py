@@ -14,7 +14,7 @@ import yaml
 from learning.__main__ import main
 from learning.errors import LearningError
 from learning.markers import Segmenter, read_preset
-from learning.markers.fit import fit_preset, recall
+from learning.markers.fit import fit_preset, recalls
 
 SCALE = 2
 
@@ -65,12 +65,12 @@ def test_a_fitted_preset_finds_painted_markers_and_finds_them_again_under_a_cont
 ) -> None:
     no_contact, mask = painted(0, bright=bright)
     preset, pattern = fit_preset([no_contact], pitch_mm=1.8)
-    assert (pattern.count, pattern.detector.bright) == (63, bright)
+    assert (pattern.spread.count, pattern.detector.bright) == (63, bright)
     assert preset.mm_per_px == pytest.approx(1.8 / 70, rel=0.05)
     pressed, pressed_mask = painted(0, pressed=True, bright=bright)
     assert iou(Segmenter(preset).mask(no_contact), mask) >= 0.98
     assert iou(Segmenter(preset).mask(pressed), pressed_mask) >= 0.98
-    found = recall(preset, no_contact, pressed)
+    (found,) = recalls(preset, no_contact, [pressed])
     assert found.under >= (0 if bright else 5)  # on a dark skin the light hardly changes
     assert (found.under_found, found.elsewhere_found) == (found.under, found.elsewhere)
 

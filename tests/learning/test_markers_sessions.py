@@ -311,6 +311,38 @@ def test_two_kinds_of_device_are_not_one_sensor(camera: Path, taxels: Path, tmp_
         archive_sessions([camera, other], tmp_path / "a.markers.zarr", sensor="both")
 
 
+class Shading:
+    """A camera that sees lamps and shadows on a gel without markers."""
+
+    def __init__(self, *_: Any, **__: Any) -> None:
+        rng = np.random.default_rng(4)
+        y, x = np.mgrid[:480, :640]
+        grey = np.full((480, 640), 150.0)
+        for _ in range(14):
+            column, row, size = rng.uniform(40, 600), rng.uniform(40, 440), rng.uniform(6, 60)
+            grey -= rng.uniform(40, 80) * np.exp(-((x - column) ** 2 + (y - row) ** 2) / size**2)
+        self._picture = np.repeat(grey.clip(0, 255).astype(np.uint8)[..., None], 3, axis=2)
+
+    def image(self, _: Any) -> Any:
+        return self._picture.copy()
+
+
+def test_shading_taken_for_markers_is_refused_unless_they_are_said_to_be_irregular(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("support.learning_sessions.MarkerCamera", Shading)
+    session, out = record(tmp_path / "wedge.zarr"), tmp_path / "a.markers.zarr"
+    command = ["markers", str(session), "--out", str(out), "--preset", "dark-markers"]
+    command += ["--mm-per-px", "0.03"]
+    assert main(command) == 2
+    printed = capsys.readouterr().err
+    assert "wedge.zarr: preset dark-markers finds no pattern of markers in its reference" in printed
+    assert "patches whose areas spread" in printed
+    assert not out.exists()
+    assert main([*command, "--irregular"]) == 0
+    assert len(MarkerArchive(out)["gelsight"]) == 32
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

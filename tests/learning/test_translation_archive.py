@@ -206,7 +206,7 @@ def run(*given: object) -> int:
     return run_module(command, *given)
 
 
-def test_the_verb_translates_and_draws(tmp_path, capsys):
+def test_the_command_translates_and_draws(tmp_path, capsys):
     small = made_up_archive(tmp_path / "a.markers.zarr", ("dots", "grid"), ("sphere",), (), 1, 1)
     out, sheet = tmp_path / "x.markers.zarr", tmp_path / "x.png"
     assert run(small.path, "--all", "--out", out, "--sheet", sheet) == 0

@@ -152,7 +152,7 @@ def test_only_presses_to_train_on_are_read_and_no_sensor_that_is_held_out(
     assert len(fewer) == 4
 
 
-def test_the_verb_trains_and_resumes_and_what_it_made_can_be_loaded(
+def test_the_command_trains_and_resumes_and_what_it_made_can_be_loaded(
     archive: MarkerArchive, split: Split, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     split.write(tmp_path / "split.json")

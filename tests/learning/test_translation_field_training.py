@@ -136,7 +136,7 @@ def test_weights_of_another_network_are_refused(frames: Frames, tmp_path: Path) 
         load_translator(tmp_path / "a")
 
 
-def test_the_verb_trains_a_model_that_translates(archive: MarkerArchive, tmp_path: Path) -> None:
+def test_the_command_trains_a_model_that_translates(archive: MarkerArchive, tmp_path: Path) -> None:
     make_split(archive).write(tmp_path / "split.json")
     sets = [f"--set={key}={value}" for key, value in (TINY | steps(1, 1)).items()]
     command = [str(archive.path), "--split", str(tmp_path / "split.json")]

@@ -131,7 +131,7 @@ def test_a_stop_that_was_asked_for_leaves_units_and_exits_with_130(
     assert "units are missing; to continue: python -m sim archive resume" in reported.err
 
 
-def test_the_verb_tells_the_cost_before_and_the_sum_after_and_draws_a_sheet(
+def test_the_command_tells_the_cost_before_and_the_sum_after_and_draws_a_sheet(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("sim.dataset.run.make_in_processes", _here)

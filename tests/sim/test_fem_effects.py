@@ -237,7 +237,7 @@ def test_launches_name_the_kernels_of_a_run_and_end_with_their_block() -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-def test_the_verb_proves_every_effect_and_writes_the_page(tmp_path: Path) -> None:
+def test_the_command_proves_every_effect_and_writes_the_page(tmp_path: Path) -> None:
     page = tmp_path / "effects.md"
     command = [sys.executable, "-m", "benchmarks", "effects", "--repeats", "1", "--out", str(page)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -41,6 +42,7 @@ def planned_archive(
     moved: float = 0.0,
     attrs: dict[str, Any] | None = None,
     seen: bool = True,
+    wrench: Sequence[float] = (float("nan"),) * 6,
 ) -> MarkerArchive:
     """Write an archive whose sensors were pressed as planned, two frames a phase.
 
@@ -52,6 +54,7 @@ def planned_archive(
         moved: Distance by which every place is off, along x and y [m].
         attrs: Attributes of the sensors.
         seen: Whether models may be trained on the indenters.
+        wrench: Label of every frame (6,) [N, N m].
     """
     rows = {name: 8 * len(plan) * len(indenters) for name, plan in plans.items()}
     planned = tuple(
@@ -79,13 +82,13 @@ def planned_archive(
                 "phase": phase,
                 "depth": np.maximum(height - tip[:, 2], 0.0),
                 "position": tip[:, :2] + moved,
-                "wrench": np.full((count, 6), np.nan),
+                "wrench": np.tile(np.array(wrench), (count, 1)),
                 "frame": np.tile(np.arange(8), len(plan)),
                 "t_ns": np.zeros(count, np.int64),
                 "reference": np.zeros(count, np.int64),
                 "valid": np.ones(count, np.bool_),
             }
-            source = [f"planned {back[each]}" for each in number.tolist()]
+            source = [json.dumps({"planned": int(back[each])}) for each in number.tolist()]
             writer.sensors[name].write(
                 code, packed=np.repeat(MASK, count, axis=0), table=table, source=source
             )

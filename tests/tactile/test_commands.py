@@ -76,7 +76,7 @@ def test_a_command_shows_its_own_name_in_its_usage(
     assert capsys.readouterr().out.startswith(f"usage: tactile {command.words} ")
 
 
-def test_verbs_of_verbs_are_named_too(capsys: pytest.CaptureFixture[str]) -> None:
+def test_verbs_of_commands_are_named_too(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["sim", "archive", "states", "--help"])
     assert capsys.readouterr().out.startswith("usage: tactile sim archive states ")
@@ -162,7 +162,7 @@ def test_an_unknown_command_is_refused_and_the_nearest_are_named(
         ("split nosuch.markers.zarr --out x.json", 2, "nosuch.markers.zarr"),
     ],
 )
-def test_messages_and_exit_codes_are_those_of_the_verb(
+def test_messages_and_exit_codes_are_those_of_the_command(
     words: str, code: int, message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(words.split()) == code

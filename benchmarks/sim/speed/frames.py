@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import math
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -37,9 +38,8 @@ COUNTS = (1, 64, 256, 1024)
 JUDGED = 4
 # First frame whose error is measured, 0 being the touch: 0.1 mm.
 FROM = 2
-# Time of a larger number of presses over that of a smaller one, per press, as expected before it is
-# started: on a GPU more presses take less time each.
-EXPECTED = 0.7
+# Presses that fill a GPU: from there on their time grows with their number.
+FILLS = 64
 # Frames per second that others state for tactile simulators with soft contact, as in their papers:
 # other scenes, other hardware, and no error of the force.
 PUBLISHED = (
@@ -206,15 +206,15 @@ def run(options: argparse.Namespace, say: Callable[[str], None] = print) -> int:
         if options.only not in way.name:
             continue
         solved(way, scenes(1), options.device, 1)
-        spent = 0.0
+        last: Row | None = None
         for count in sorted(counts):
-            ahead = spent * EXPECTED * count
+            ahead = forecast(last, count, processes)
             if time.perf_counter() - began + ahead > options.seconds:
                 left_out.append(f"{way.name} at {count}")
                 continue
-            rows.append(measured(way, count, options.device, processes, truths))
-            spent = rows[-1].seconds / count
-            say(rows[-1].line())
+            last = measured(way, count, options.device, processes, truths)
+            rows.append(last)
+            say(last.line())
     if left_out:
         say(f"left out, as they would exceed {options.seconds:g} s: {', '.join(left_out)}")
     say("Published, with other scenes and hardware, and without an error of the force:")
@@ -223,6 +223,15 @@ def run(options: argparse.Namespace, say: Callable[[str], None] = print) -> int:
     if options.out is not None:
         say(f"{written(rows, options.out, options.device)}: written")
     return 0
+
+
+def forecast(last: Row | None, count: int, processes: int) -> float:
+    """Return the expected time of `count` presses [s], by a row with fewer; 0 if it is unknown."""
+    if last is None:
+        return 0.0
+    if last.device == "cpu":
+        return last.seconds * math.ceil(count / processes) / math.ceil(last.at_once / processes)
+    return last.seconds * count / last.at_once if last.at_once >= FILLS else 0.0
 
 
 def measured(way: Way, count: int, device: str, processes: int, truths: Sequence[Outcome]) -> Row:

@@ -22,7 +22,7 @@ from learning.errors import LearningError
 from recorder import MarkerArchive
 from recorder.archive import ArchivedSensor
 from recorder.convert import building, file_name
-from recorder.spec import PHASES
+from recorder.spec import AXES, PHASES
 
 Rows = NDArray[np.int64]
 NAMED = 5
@@ -55,6 +55,7 @@ def export_training(
     if not total:
         raise LearningError(f"{archive.name}: no press has all of {', '.join(PHASES)}")
     done = 0
+    axes: dict[tuple[str, str], int] = {}
     with building(out) as root:
         for name, presses in found.items():
             if not presses:
@@ -62,9 +63,16 @@ def export_training(
             sensor, plain = archive[name], file_name(name)
             _sensor(root, plain, sensor, omitted)
             for rows in presses:
-                _press(root, plain, archive, sensor, rows)
+                lacking = _press(root, plain, archive, sensor, rows)
+                if lacking:
+                    axes[name, lacking] = axes.get((name, lacking), 0) + 1
                 done += len(rows)
                 progress(done, total)
+    unlabelled = [
+        f"{name}: labels of {count} presses, which lack {lacking}; ft.csv holds all axes or none"
+        for (name, lacking), count in axes.items()
+    ]
+    omitted[:0] = unlabelled
     if len(omitted) > NAMED:
         omitted[NAMED:] = [f"and {len(omitted) - NAMED} more"]
     return tuple(omitted)
@@ -105,7 +113,8 @@ def _sensor(root: Path, name: str, sensor: ArchivedSensor, omitted: list[str]) -
 
 def _press(
     root: Path, name: str, archive: MarkerArchive, sensor: ArchivedSensor, rows: Rows
-) -> None:
+) -> str:
+    """Write a press; return the axes without which its labels had to be left out, if any."""
     table = sensor.table
     shape = file_name(archive.indenters[int(table["indenter"][rows[0]])])
     place = Path(name) / shape / str(int(table["target"][rows[0]]) + 1)
@@ -128,6 +137,10 @@ def _press(
         depth_mm, loading = table["depth"][rows] * 1e3, np.isin(phase, LOADING)
         write_depths(folder / "inc_z.csv", depth_mm[loading])
         write_depths(folder / "dec_z.csv", depth_mm[~loading])
+    known = np.isfinite(wrench)
+    if known.all() or not known.any():
+        return ""
+    return " ".join(np.array(AXES)[~known.all(axis=0)])
 
 
 def _indenter(sensor: ArchivedSensor, rows: Rows) -> str:

@@ -24,7 +24,7 @@ from learning.indenters import UNSEEN, coded
 from learning.markers.frames import taxel_masks
 from learning.markers.segment import CameraPreset, Segmenter, TaxelPreset, preset, preset_of_sensor
 from recorder.archive import MarkerCount
-from recorder.markers import pack
+from recorder.markers import pack, smallest_marker, unpack
 from recorder.settings import Reader
 from trajectories import PressShear, plan_to_json
 
@@ -192,9 +192,14 @@ def _published(
         read_mask=read,
         root=root,
         unseen=chosen.unseen,
-        marker_count=count if count is not None or taxels else MarkerCount(),
+        marker_count=count if count is not None or taxels else _count_of(references),
         attrs=attrs,
     )
+
+
+def _count_of(references: Packed) -> MarkerCount:
+    """Return the marker count of masks from a folder: fragments of markers are not counted."""
+    return MarkerCount(min(smallest_marker(mask) for mask in unpack(references)))
 
 
 def _segmented(found: CameraPreset) -> ReadMask:

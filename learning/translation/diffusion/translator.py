@@ -58,17 +58,7 @@ class DiffusionTranslator:
         *,
         ordered: bool = False,
     ) -> torch.Tensor:
-        """Return the frames as the target would have shown them, bool (n, 480, 640).
-
-        Args:
-            source: Masks of the source, bool (n, 480, 640).
-            target_reference: The target's reference, bool (480, 640).
-            source_reference: The source's reference, bool (480, 640).
-            ordered: True if the frames are one press in time order that begins without contact.
-
-        Raises:
-            LearningError: Wrong shapes or types, or a required source reference is missing.
-        """
+        """Return the frames as the target would have shown them, as `Translator.translate`."""
         require_masks(source, target_reference, source_reference)
         if not len(source):
             return source.clone()

@@ -39,17 +39,9 @@ class DirectTranslator:
         *,
         ordered: bool = False,
     ) -> Tensor:
-        """Return the frames as the target would have shown them, bool (n, 480, 640).
+        """Return the frames as the target would have shown them, as `Translator.translate`.
 
-        Args:
-            source: Masks of the source, bool (n, 480, 640), on any device; the result is there too.
-            target_reference: The target's reference, bool (480, 640).
-            source_reference: The source's reference, bool (480, 640); None: the first frame of an
-                ordered press, otherwise no source reference is used.
-            ordered: True if the frames are one press in time order that begins without contact.
-
-        Raises:
-            LearningError: Wrong shapes or types.
+        A missing source reference is the first frame of an ordered press; otherwise none is used.
         """
         require_masks(source, target_reference, source_reference)
         if source_reference is None and ordered and len(source):
