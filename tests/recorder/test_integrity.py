@@ -429,9 +429,11 @@ def resumed(folder: Path) -> Path:
 
 
 def replayed(folder: Path) -> Path:
+    from support.replayable import as_devices_send
+
     from rig.replay.replay import Replay, ReplayRequest
 
-    source = make_session(folder / "source.zarr", seconds=1.2)
+    source = make_session(folder / "source.zarr", seconds=1.2, change=as_devices_send)
     assert Replay(ReplayRequest(source, folder / "s.zarr", speed=0.0)).run() == 0
     return folder / "s.zarr"
 

@@ -330,7 +330,9 @@ def test_the_pause_before_a_resume_is_neither_a_loss_nor_part_of_the_rate(tmp_pa
     assert " 200.00 " in describe(path)
 
 
-@pytest.mark.parametrize("number", range(12))
+@pytest.mark.parametrize(
+    "number", [*range(12), *(pytest.param(n, marks=pytest.mark.slow) for n in range(12, 20))]
+)
 def test_nothing_is_found_in_healthy_sessions(number: int, tmp_path: Path) -> None:
     """Mixed kinds, codecs and lengths, delays and stalls, resumed ones and quick replays."""
     path = tmp_path / "s.zarr"

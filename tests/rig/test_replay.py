@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from support.collecting import ROOT, Collection
+from support.replayable import as_devices_send
 from support.sessions import Columns, make_session, set_attrs
 
 from recorder import Session, SessionError, check, faults
@@ -29,19 +30,8 @@ from rig.replay.replay import EXIT_DIFFERENT, Replay, ReplayRequest
 from rig.replay.result import Retiming, compared
 from rig.replay.run import MISSING_TIMEOUT, STALL_TIMEOUT, EndOfTape
 
-SCALE = np.repeat(Page().scale(), 3)
 ALL = ("camera", "force", "pose", "taxels")
 TIMES = {"t_ns"}
-
-
-def as_devices_send(name: str, columns: Columns) -> Columns:
-    """Convert forces to whole counts of a Net F/T box; other streams need no conversion."""
-    if name == "force":
-        counts = np.rint(columns["value"] / SCALE)
-        return {**columns, "value": counts * SCALE - np.zeros(6)}
-    if name == "taxels":
-        return {**columns, "seq": columns["seq"] * 2 + 1}
-    return columns
 
 
 def small_session(path: Path, **options: Any) -> Path:
