@@ -129,10 +129,21 @@ def _resume(path: Path, accepted: mmap.mmap) -> None:
         session.finish("complete", rate_hz=60)
 
 
-def _killed(act: Callable[..., Any], *args: Any, within: float) -> bool:
-    """Run a program in a process of its own and kill it; return False if it had ended before."""
+def _killed(
+    act: Callable[..., Any], *args: Any, within: float, begun: Callable[[], bool] | None = None
+) -> bool:
+    """Run a program in a process of its own and kill it; return False if it had ended before.
+
+    Args:
+        act: The program.
+        args: Its arguments.
+        within: Time until it is killed [s].
+        begun: Condition from which this time counts; None counts it from the start.
+    """
     child = _CONTEXT.Process(target=act, args=args)
     child.start()
+    while begun is not None and not begun() and child.is_alive():
+        time.sleep(0.001)
     time.sleep(within)
     os.kill(child.pid or 0, signal.SIGKILL)
     child.join()
@@ -143,7 +154,11 @@ def _chain(folder: Path, dice: random.Random, killed: Counter[str]) -> int:
     """Kill each program once on one session; return the number of accepted rows."""
     path, accepted = folder / "s.zarr", mmap.mmap(-1, 8 * len(_STREAMS))
     _create(path)
-    killed["writer"] += _killed(_write, path, accepted, within=dice.uniform(0.02, _LONGEST))
+    killed["writer"] += _killed(
+        *(_write, path, accepted),
+        within=dice.uniform(0.0, _LONGEST),
+        begun=lambda: min(_counted(accepted)) > 0,
+    )
     _look(path, accepted, "writer")
     killed["recover"] += _killed(recover, path, within=dice.uniform(0.005, _LONGEST / 4))
     _look(path, accepted, "recover")
