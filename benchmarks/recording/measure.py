@@ -16,7 +16,9 @@ class Scale:
     """Durations and sizes of the measurements."""
 
     write: float
-    """Maximum duration of writing one store [s]."""
+    """Maximum duration of writing one store once [s]."""
+    writes: int
+    """Number of times that each store is written; the one with the least CPU a frame counts."""
     write_bytes: int
     """Maximum number of pixel or JPEG bytes written to one store."""
     read: float
@@ -41,6 +43,7 @@ class Scale:
 
 FULL = Scale(
     write=3.0,
+    writes=3,
     write_bytes=400_000_000,
     read=1.5,
     kills=2,
@@ -55,6 +58,7 @@ FULL = Scale(
 # Shows that everything works; its numbers mean little.
 QUICK = Scale(
     write=0.3,
+    writes=1,
     write_bytes=20_000_000,
     read=0.2,
     kills=1,

@@ -13,8 +13,9 @@ from benchmarks.recording.alignment import Alignment
 from benchmarks.recording.feed import Fed
 from benchmarks.recording.lateness import Lateness
 from benchmarks.recording.load import Cameras
-from benchmarks.recording.measure import Spread
+from benchmarks.recording.measure import FULL, QUICK, Spread
 from benchmarks.recording.store_benchmark import StoreRow
+from benchmarks.recording.stores import STORES
 from recorder import pages
 from recorder.store.layout import CHUNKS_PER_SHARD, JPEGS_PER_SHARD
 
@@ -66,6 +67,9 @@ def render(results: Results) -> str:
         criteria=criteria_of(results),
         base_of=lambda row: stores.get("ours-jpeg" if "jpeg" in row.key else "ours-zstd", _NONE),
         elsewhere=QUOTED,
+        checksums={entry.key: entry.checksum for entry in STORES},
+        writes=(QUICK if results.quick else FULL).writes,
+        kept=kept,
         granted=sorted({name for one in asked for name in one.granted}),
         jpegs=JPEGS_PER_SHARD,
         pixels=CHUNKS_PER_SHARD,
@@ -75,6 +79,16 @@ def render(results: Results) -> str:
         stores_chart=STORES_CHART,
         alignment_chart=ALIGNMENT_CHART,
     )
+
+
+def kept(row: StoreRow) -> str:
+    """Return the frames that a killed writer of a store leaves, in words."""
+    if not row.kills:
+        return "not measured"
+    if not row.survives:
+        return "none"
+    lost = max(kill.lost for kill in row.kills)
+    return "all" if lost <= 1 else f"all but up to {lost}"
 
 
 def ms(spread: Spread, digits: int = 2) -> str:

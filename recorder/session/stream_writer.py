@@ -26,7 +26,6 @@ from recorder.store.journal import (
     read_journals,
     remove_journals,
     row_time,
-    take_over,
     write_journal,
 )
 from recorder.store.layout import PARTIAL, Layout, StreamLayout, decoded_rows
@@ -258,7 +257,7 @@ class StreamWriter:
         # Handed over to the background thread: shards with the journal of their last image.
         self._full_shards: deque[tuple[OpenShard, Journal]] = deque()
         self._full_journals: deque[Journal] = deque()
-        self._spares: deque[Path] = deque()
+        self._spares: deque[Journal] = deque()
         self._background = Background(
             self._flush, interval=sync_interval, name=f"recorder-{layout.name}"
         )
@@ -351,12 +350,13 @@ class StreamWriter:
             self._background.drain()
             self._settle()
             for spare in self._spares:
-                spare.unlink(missing_ok=True)
+                spare.remove()
             self._seal()
         finally:
             for log in (*self._small, *([self._image] if self._image else [])):
                 log.close()
-            self._journal.close()
+            for journal in (self._journal, *self._spares):
+                journal.close()
             os.close(self._lock)
 
     def __enter__(self) -> Self:
@@ -377,7 +377,8 @@ class StreamWriter:
         full = self._journal.full
         if full:
             if self._spares:
-                following = take_over(self._spares.popleft(), self._layout, self.rows)
+                self._spares[0].restart(self.rows)
+                following = self._spares.popleft()
             else:
                 following = Journal(self._layout, self.rows, [])
             self._full_journals.append(self._journal)
@@ -407,8 +408,9 @@ class StreamWriter:
             for _ in shards:
                 self._full_shards.popleft()
         for journal in journals:
-            if len(self._spares) < _PENDING_MAX and (spare := journal.retire()):
-                self._spares.append(spare)
+            if len(self._spares) < _PENDING_MAX:
+                journal.retire()
+                self._spares.append(journal)
             else:
                 journal.remove()
             self._full_journals.popleft()

@@ -149,7 +149,7 @@ class RecordLog:
     """
 
     def __init__(
-        self, path: Path, *, end: int = 0, below: Path | None = None, step: int = 0, room: int = 0
+        self, path: Path, *, end: int = 0, below: Path | None = None, step: int = 0
     ) -> None:
         """Open a log, creating it if missing, and drop everything after byte `end`.
 
@@ -158,17 +158,15 @@ class RecordLog:
             end: End of its last record [bytes].
             below: Directories below it may be as new as the file, and are made durable with it.
             step: Growth of the file ahead of its records [bytes], at most `STEP`; 0 for none.
-            room: Length of the file if all bytes after `end` are zero and may stay; else 0.
         """
         self.path = path
         self.end = end
         self._step = step
-        self._room = max(room, end)
+        self._room = end  # length of the file
         depth = len(path.relative_to(below).parts) if below is not None else 1
         self._directories = [*path.parents][:depth]
         self._fd = os.open(path, os.O_CREAT | os.O_RDWR, 0o644)
-        if not room:
-            os.ftruncate(self._fd, end)
+        os.ftruncate(self._fd, end)
         self._synced = -1  # bytes; a fresh file's name is not durable either
 
     def append(self, *parts: bytes) -> int:
@@ -226,6 +224,13 @@ class RecordLog:
         self.end = self._room = end
         self._synced = min(self._synced, end - 1)
 
+    def clear(self) -> None:
+        """Replace all records by zeros; the file keeps its length and may get another name."""
+        if os.pwrite(self._fd, bytes(self._room), 0) != self._room:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
+        self.end = 0
+        self._synced = -1
+
     def sync(self) -> None:
         """Make all appended records survive a power failure."""
         end = self.end
@@ -253,23 +258,14 @@ class RecordLog:
 class Journal:
     """The open journal of a stream: the rows from `first_row` on, at most one block."""
 
-    def __init__(
-        self, layout: StreamLayout, first_row: int, rows: list[bytes], *, room: int = 0
-    ) -> None:
-        """Open the journal that starts at a row and contains `rows`; drop everything after them.
-
-        Args:
-            layout: The stream.
-            first_row: Row at which the journal starts.
-            rows: Its packed rows.
-            room: Length of its file if only zeros follow its rows [bytes], as after `take_over`.
-        """
+    def __init__(self, layout: StreamLayout, first_row: int, rows: list[bytes]) -> None:
+        """Open the journal that starts at a row and contains `rows`; drop everything after them."""
         self.first_row = first_row
         self.rows = rows
         self.path = layout.journal(first_row)
         self._block = layout.block
         width = HEADER.size + layout.row_dtype.itemsize
-        self._log = RecordLog(self.path, end=width * len(rows), room=room)
+        self._log = RecordLog(self.path, end=width * len(rows))
 
     @property
     def full(self) -> bool:
@@ -298,33 +294,30 @@ class Journal:
         self._log.close()
         self.path.unlink(missing_ok=True)
 
-    def retire(self) -> Path | None:
-        """Rename the file instead of deleting it, and return its new name, for `take_over`.
+    def retire(self) -> None:
+        """Rename the file instead of deleting it, for `restart`. May be called twice.
 
         Creating a file costs a file system far more than renaming one. To readers and to recovery,
         a file of this name is rubbish.
         """
-        spare = self.path.with_name(self.path.name + TEMPORARY)
-        self._log.close()
-        if not self.path.exists():  # already retired, before an error
-            return None
-        return self.path.replace(spare)
+        if not self.path.name.endswith(TEMPORARY):
+            self._rename(self.path.with_name(self.path.name + TEMPORARY))
 
+    def restart(self, first_row: int) -> None:
+        """Turn a retired journal into the empty one that starts at a row.
 
-def take_over(spare: Path, layout: StreamLayout, first_row: int) -> Journal:
-    """Turn a retired journal into the empty one that starts at a row.
+        Its blocks on the disk are kept: zeros take the place of its rows.
 
-    Its blocks on the disk are kept: zeros take the place of its rows.
-    """
-    fd = os.open(spare, os.O_WRONLY)
-    try:
-        room = os.fstat(fd).st_size
-        if os.pwrite(fd, bytes(room), 0) != room:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(spare))
-    finally:
-        os.close(fd)
-    spare.replace(layout.journal(first_row))
-    return Journal(layout, first_row, [], room=room)
+        Raises:
+            OSError: It is still a retired one.
+        """
+        self._log.clear()
+        self._rename(self.path.with_name(f"journal-{first_row}"))
+        self.first_row, self.rows = first_row, []
+
+    def _rename(self, path: Path) -> None:
+        self.path.replace(path)
+        self.path = self._log.path = path
 
 
 def torn_bytes(tail: bytes) -> int:

@@ -23,7 +23,7 @@ from recorder.store.files import LOCAL, Files, read_document
 # Inner chunks per shard of new columns. Sealing costs the same for every shard; the shards of JPEG
 # images would be small and many otherwise.
 CHUNKS_PER_SHARD = 64
-JPEGS_PER_SHARD = 256
+JPEGS_PER_SHARD = 512
 # Largest number of inner chunks per shard that is read.
 CHUNKS_MAX = 1 << 16
 # Largest metadata accepted, so that a corrupt or hostile file cannot make a reader allocate memory.

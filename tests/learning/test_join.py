@@ -29,8 +29,9 @@ from learning.data.join import Chosen, Presses, Tolerances, join, meet
 from learning.data.splits import make_split
 from learning.errors import LearningError
 from learning.markers import archive_sessions
-from recorder import MarkerArchive, check
+from recorder import MarkerArchive, Session, check
 from recorder.archive import location_pairs
+from recorder.session import press_curves, surface_heights
 from sim.dataset import DatasetPlan
 from sim.sensors import sensor
 from trajectories import PressShear
@@ -128,6 +129,30 @@ def test_of_30_and_45_degrees_only_equal_angles_meet_and_the_rest_is_named(tmp_p
     )
     counted = sum(pair.unmet.values())
     assert counted == 240 + 160 - 2 * pair.met
+
+
+def test_depths_of_a_domed_sensor_are_below_its_surface_in_frames_curves_and_archives(
+    tmp_path: Path,
+) -> None:
+    plan = replace(TACPALM, depth_step=4.5 * MM, angle_step=math.pi)
+    path = planned_session(tmp_path / "s.zarr", plan, sensor="palm", indenter="sphere")
+    session = Session(path)
+    assert surface_heights(session).round(5).tolist() == [0, 0, *[-1.5 * MM] * 8]
+    frames = session.frames
+    for target in range(len(plan)):
+        of_target = frames["depth"][frames["target"] == target]
+        assert of_target.max() == pytest.approx(4.5 * MM, abs=1e-6)
+        assert of_target[-1] == pytest.approx(-plan.clearance, abs=1e-6)
+    assert press_curves(session).depth.max() == pytest.approx(4.5 * MM, abs=1e-6)
+    archive_sessions([path], tmp_path / "a.markers.zarr", preset_name="uskin")
+    table = MarkerArchive(tmp_path / "a.markers.zarr")["palm"].table
+    deepest = [table["depth"][table["target"] == target].max() for target in range(len(plan))]
+    assert deepest == pytest.approx([4.5 * MM] * len(plan), abs=1e-6)
+    # A session from before the dome says nothing of one, and its depths are as they were.
+    flat = planned_session(
+        tmp_path / "flat.zarr", replace(plan, dome_radius=None), sensor="palm", indenter="sphere"
+    )
+    assert not surface_heights(Session(flat)).any()
 
 
 def test_a_joined_archive_holds_all_frames_and_can_be_split(tmp_path: Path) -> None:

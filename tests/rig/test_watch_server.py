@@ -89,7 +89,8 @@ def test_force_share_tip_and_rates_are_those_of_the_shared_records(running: Runn
         state = next_state(client)
     assert state["forces"]["force"]["wrench"] == pytest.approx([0.3, 0, -1.7, 0, 60.0, 0])
     assert state["forces"]["force"]["load"] == pytest.approx([0.025, 0, 0.1, 0, 0.5, 0])
-    assert state["tips"]["pose"] == pytest.approx([1.0, -2.0, -3.0])
+    # The sensor has a dome of 29 mm, whose top is 0.086 mm lower there.
+    assert state["tips"]["pose"] == pytest.approx([1.0, -2.0, -2.914], abs=1e-3)
     assert state["streams"]["force"]["rate"] == 998.0
     assert state["streams"]["force"]["expected"] == 1000.0
     assert state["streams"]["force"]["dropped"] == 3

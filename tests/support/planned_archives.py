@@ -120,9 +120,9 @@ def planned_session(path: Path, plan: PressShear, *, sensor: str, indenter: str)
         session.begin_run({"t0_ns": T0, "utc": "2026-01-01T00:00:00Z", "boot_id": "b"})
         for name, rate in (("taxels", 60), ("force", 100), ("pose", 200)):
             times = np.arange(0, len(moves) * PHASE_NS, round(1e9 / rate))
-            # The arm rests for the last third of each phase.
+            # The arm rests for the second half of each phase.
             phase, within = np.divmod(times, PHASE_NS)
-            way = np.minimum(within / PHASE_NS / 0.7, 1.0)[:, None]
+            way = np.minimum(within / PHASE_NS / 0.5, 1.0)[:, None]
             tip = (1 - way) * starts[phase] + way * ends[phase]
             with StreamWriter.open(session.stream_path(name), sync_interval=30) as stream:
                 for number, t_ns in enumerate(times.tolist()):

@@ -63,6 +63,8 @@ class Entry:
     """Name of the class; called with `options`."""
     takes: Literal["pixels", "decoded", "jpeg"]
     """Raw pixels, pixels of a decoded JPEG, or the JPEG itself."""
+    checksum: str
+    """Checksum over the frame that the store writes, and whether its reader verifies it."""
     needs: tuple[str, ...] = ()
     """Required libraries of the extra `bench`."""
     options: tuple[str, ...] = ()
@@ -83,15 +85,20 @@ class Entry:
         return store
 
 
+_OURS = "CRC-32C, verified"
+_MCAP = "CRC-32 of a chunk, verified on request"
 STORES = (
-    Entry("ours-jpeg", "**ours**, camera's JPEG", "ours", "Ours", "jpeg", options=("jpeg",)),
-    Entry("ours-zstd", "**ours**, lossless (zstd)", "ours", "Ours", "pixels", options=("zstd",)),
+    Entry("ours-jpeg", "**ours**, camera's JPEG", "ours", "Ours", "jpeg", _OURS, options=("jpeg",)),
+    Entry(
+        "ours-zstd", "**ours**, lossless (zstd)", "ours", "Ours", "pixels", _OURS, options=("zstd",)
+    ),
     Entry(
         "ours-decoded",
         "**ours**, lossless, of a decoded JPEG",
         "ours",
         "Ours",
         "decoded",
+        _OURS,
         options=("zstd",),
     ),
     Entry(
@@ -100,6 +107,7 @@ STORES = (
         "hdf5",
         "Hdf5",
         "pixels",
+        "none",
         ("h5py", "hdf5plugin"),
         ("blosc",),
     ),
@@ -109,6 +117,7 @@ STORES = (
         "hdf5",
         "Hdf5",
         "pixels",
+        "Adler-32 of gzip, verified",
         ("h5py", "hdf5plugin"),
         ("gzip",),
     ),
@@ -118,28 +127,55 @@ STORES = (
         "hdf5",
         "Hdf5",
         "jpeg",
+        "none",
         ("h5py", "hdf5plugin"),
         ("jpeg",),
     ),
-    Entry("png", "PNG files (OpenCV, level 1)", "png", "PngFiles", "pixels", ("cv2",)),
-    Entry("mcap-zstd", "MCAP, raw images, zstd", "mcap", "Mcap", "pixels", ("mcap",), ("pixels",)),
-    Entry("mcap-jpeg", "MCAP, camera's JPEG", "mcap", "Mcap", "jpeg", ("mcap",), ("jpeg",)),
+    Entry(
+        "png",
+        "PNG files (OpenCV, level 1)",
+        "png",
+        "PngFiles",
+        "pixels",
+        "CRC-32, verified",
+        ("cv2",),
+    ),
+    Entry(
+        "mcap-zstd",
+        "MCAP, raw images, zstd",
+        "mcap",
+        "Mcap",
+        "pixels",
+        _MCAP,
+        ("mcap",),
+        ("pixels",),
+    ),
+    Entry("mcap-jpeg", "MCAP, camera's JPEG", "mcap", "Mcap", "jpeg", _MCAP, ("mcap",), ("jpeg",)),
     Entry(
         "mcap-each-jpeg",
         "MCAP, camera's JPEG, each written at once",
         "mcap",
         "Mcap",
         "jpeg",
+        _MCAP,
         ("mcap",),
         ("jpeg", "at-once"),
     ),
-    Entry("zarr-append", "zarr, `append` a frame, zstd 1", "zarr_append", "ZarrAppend", "pixels"),
+    Entry(
+        "zarr-append",
+        "zarr, `append` a frame, zstd 1",
+        "zarr_append",
+        "ZarrAppend",
+        "pixels",
+        "none",
+    ),
     Entry(
         "lerobot-image",
         "LeRobot, PNG in parquet",
         "lerobot",
         "LeRobot",
         "pixels",
+        "CRC-32 of PNG, verified",
         ("lerobot",),
         ("image",),
         foreign=True,
@@ -150,6 +186,7 @@ STORES = (
         "lerobot",
         "LeRobot",
         "pixels",
+        "none",
         ("lerobot",),
         ("video",),
         foreign=True,

@@ -23,6 +23,7 @@ from rig.core.config import from_si
 from rig.core.geometry import invert, transform
 from rig.core.guard import AXES
 from rig.core.shared_memory import AwaitedRecord
+from trajectories import dome_height
 
 TRACE_RATE_HZ = 40.0
 TRACE_SECONDS = 20.0
@@ -114,6 +115,7 @@ class LiveState:
             name: AwaitedRecord(folder / f"{name}.counters", COUNTERS) for name in names
         }
         self._to_contact = invert(bench.contact_frame)
+        self._dome_radius = bench.dome_radius
         of_kind = {
             kind: [row.name for row in bench.of_kind(kind)]
             for kind in ("camera", "taxels", "force", "pose")
@@ -180,12 +182,16 @@ class LiveState:
         return found
 
     def tips(self) -> dict[str, list[float | None]]:
-        """Return the position of each arm's tip in the contact frame (3,) [mm]."""
+        """Return the position of each arm's tip (3,) [mm].
+
+        x and y are in the contact frame, z is the height above the untouched surface there.
+        """
         found = {}
         for name in self._arms:
             record = self._latest[name].read()
             if record is not None:
                 place = transform(self._to_contact, record["value"][:3])
+                place[2] -= dome_height(self._dome_radius, *place[:2].tolist())
                 found[name] = [_number(from_si(float(value), "mm")) for value in place]
         return found
 
