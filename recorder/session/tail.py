@@ -63,6 +63,8 @@ class LiveStream:
         layout, block = self.layout, self.layout.block
         if not journals:  # closed, or never opened: the declared lengths hold
             rows = min(column.rows() for column in layout.columns)
+            for column in self.columns.values():
+                column.update()  # the shards that grew are sealed
             return LiveRows(rows, rows, np.empty(0, layout.row_dtype))
         first_row, journalled = min(journals), self._journalled(journals)
         counts = {name: column.update() for name, column in self.columns.items()}
