@@ -51,13 +51,18 @@ class LiveStream:
             try:
                 rows = self._rows(before)
             except (FileNotFoundError, SessionError):
-                if self.layout.journals() == before:
+                if self._still_has(before):
                     raise
                 continue
             # A journal that was renamed meanwhile may have been read as another one.
-            if self.layout.journals() == before:
+            if self._still_has(before):
                 return rows
         raise SessionError(f"{self.layout.path}: its files change faster than they can be read")
+
+    def _still_has(self, journals: dict[int, Path]) -> bool:
+        """Return True if these journals exist, or there are still none; more may have come."""
+        found = self.layout.journals()
+        return journals.keys() <= found.keys() and bool(journals) == bool(found)
 
     def _rows(self, journals: dict[int, Path]) -> LiveRows:
         layout, block = self.layout, self.layout.block
