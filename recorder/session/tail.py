@@ -51,18 +51,25 @@ class LiveStream:
             try:
                 rows = self._rows(before)
             except (FileNotFoundError, SessionError):
-                if self.layout.journals() == before:
+                if self._still_has(before):
                     raise
                 continue
             # A journal that was renamed meanwhile may have been read as another one.
-            if self.layout.journals() == before:
+            if self._still_has(before):
                 return rows
         raise SessionError(f"{self.layout.path}: its files change faster than they can be read")
+
+    def _still_has(self, journals: dict[int, Path]) -> bool:
+        """Return True if these journals exist, or there are still none; more may have come."""
+        found = self.layout.journals()
+        return journals.keys() <= found.keys() and bool(journals) == bool(found)
 
     def _rows(self, journals: dict[int, Path]) -> LiveRows:
         layout, block = self.layout, self.layout.block
         if not journals:  # closed, or never opened: the declared lengths hold
             rows = min(column.rows() for column in layout.columns)
+            for column in self.columns.values():
+                column.update()  # the shards that grew are sealed
             return LiveRows(rows, rows, np.empty(0, layout.row_dtype))
         first_row, journalled = min(journals), self._journalled(journals)
         counts = {name: column.update() for name, column in self.columns.items()}

@@ -163,6 +163,19 @@ def test_following_reads_each_byte_once(tmp_path: Path) -> None:
         assert bytes_read() - start < 500
 
 
+def test_rows_that_were_added_last_are_read_after_the_stream_was_closed(tmp_path: Path) -> None:
+    create_stream(tmp_path / "camera", camera_spec(20, height=4, width=4, codec="zstd"))
+    with StreamWriter.open(tmp_path / "camera") as camera:
+        camera.append(**picture(0))
+        stream = Stream(tmp_path / "camera", live=True)
+        assert stream.images([0])[0, 0, 0, 0] == 1
+        for row in range(1, 70):
+            camera.append(**picture(row))
+    stream.refresh()
+    np.testing.assert_array_equal(stream.images(range(70))[:, 0, 0, 0], np.arange(1, 71))
+    np.testing.assert_array_equal(stream.t_ns, 10**9 + np.arange(70))
+
+
 def test_following_sees_that_an_image_was_removed_on_a_full_disk(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
