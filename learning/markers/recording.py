@@ -66,7 +66,7 @@ class Recording:
         return len(self.session.targets["point"])
 
     def surface(self) -> NDArray[np.float64]:
-        """Return the height of the untouched surface at each row's target (n,) [m]; 0 if flat."""
+        """Return the height of the undeformed surface at each row's target (n,) [m]; 0 if flat."""
         return np.asarray(surface_heights(self.session)[self.column("target")])
 
     @property

@@ -132,7 +132,7 @@ def depth_in(contact_frame: Floats, poses: Floats) -> Floats:
 
 
 def surface_heights(session: Session) -> Floats:
-    """Return the height of the untouched surface at each target's point (t,) [m].
+    """Return the height of the undeformed surface at each target's point (t,) [m].
 
     It is 0 on a flat sensor. On one with a dome, which the plan states, it is below 0 beside the
     apex; depths are measured from it.

@@ -30,6 +30,7 @@ WORDS = {
     r"one and the same\b": "the same",
     r"no such thing\b": "none",
     r"spoil(?:s|t|ed)?\b": "corrupt",
+    r"untouched\b": "without contact, undeformed",
     r"dear(?:er|est)\b": "costlier",
     r"(?:is|are|was|were) told\b": "is reported",
     r"held against\b": "compared with",

@@ -98,7 +98,7 @@ class ContactFrame:
         return tip
 
     def top(self, tip: np.ndarray) -> float:
-        """Return the height of the sensor's untouched top at a tip's place [m]."""
+        """Return the height of the sensor's undeformed top at a tip's place [m]."""
         return dome_height(self._dome_radius, float(tip[0]), float(tip[1]))
 
 

@@ -184,7 +184,7 @@ class LiveState:
     def tips(self) -> dict[str, list[float | None]]:
         """Return the position of each arm's tip (3,) [mm].
 
-        x and y are in the contact frame, z is the height above the untouched surface there.
+        x and y are in the contact frame, z is the height above the undeformed surface there.
         """
         found = {}
         for name in self._arms:
