@@ -145,7 +145,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.description = (
         "Times presses of 20 frames of 0.05 mm with `layer` and with meshes of `fem`, "
-        "and reports the errors of their forces. Kernels are compiled before."
+        "and reports the errors of their forces. Kernels are compiled before; several presses on "
+        "the CPU include the start of its processes, some seconds."
     )
     add_device(parser)
     parser.add_argument(
