@@ -460,7 +460,7 @@ class Joined:
     tolerances: Tolerances
 
     def lines(self) -> Iterator[str]:
-        """Yield the table of what met and what did not."""
+        """Yield the table of presses that met, and of those that did not by reason."""
         yield f"within {self.tolerances}:"
         for pair in self.pairs:
             yield from pair.lines()

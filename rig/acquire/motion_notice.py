@@ -28,7 +28,7 @@ def motion_lines(bench: Bench, depth: float) -> list[str]:
 
 
 def grip_lines(gripper: RobotiqConfig, *, only_open: bool) -> list[str]:
-    """Return the speed and force of a gripper's fingers, and what they will do, as lines."""
+    """Return the next motion of a gripper's fingers, with its speed and force, as lines."""
     then = "then stay open" if only_open else "then close on the indenter"
     return [
         f"fingers   close and open once (activation), {then}; an indenter that is held now falls",

@@ -222,12 +222,13 @@ class ConjugateGradient:
             most: Most iterations; the graph in which this is reached is completed.
         """
         start, begin, _step_length, _change, turn = _cg_kernels(self._real, self._lanes)
-        self._gather(np.flatnonzero(active.numpy()), renew=True)
+        running = np.flatnonzero(active.numpy())
+        self._gather(running, renew=True)
         self._accuracy.assign(accuracy)
         self._count.zero_()
         self._scalars.zero_()
         self._launch(start, [residual], [self.solution, self._r, self._p, self._product])
-        self._preconditioner.choose(np.flatnonzero(active.numpy()))
+        self._preconditioner.choose(running)
         self._advance()
         self._total(begin, [self._sums, self._accuracy], [self._which, self._scalars])
         self._launch(turn, [self._scalars, self._z], [self._p])

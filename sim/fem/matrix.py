@@ -271,6 +271,14 @@ def _kernels(real, stored, wide: bool):
     return clear, finish, store_blocks, product, block_product
 
 
+def zero_blocks(environments: int, nodes: int, block, device: str, *, parallel: bool) -> wp.array:
+    """Return zeros for the blocks of all nodes (B, N, 27); `parallel`: node numbers run fastest."""
+    if not parallel:
+        return wp.zeros((environments, nodes, SLOTS), dtype=block, device=device)
+    stored = wp.zeros((environments, SLOTS, nodes), dtype=block, device=device)
+    return stored.transpose((0, 2, 1))
+
+
 class BlockMatrix:
     """Tangents of B environments on one grid; it owns the matrix."""
 
@@ -320,12 +328,15 @@ class BlockMatrix:
             order, self._begins = colour_order(mesh.cells)
         else:
             order, self._begins = np.arange(len(mesh.elements)), [0, len(mesh.elements)]
-        self.matrix = self._room(mat33)
+        blocks = functools.partial(
+            zero_blocks, environments, count, device=device, parallel=self._parallel
+        )
+        self.matrix = blocks(mat33)
         """Blocks (B, N, 27) of the last assembled state."""
         self.keeps = not self._on_gpu if keep is None else keep
         """True if an elastic part can be kept."""
-        self._elastic = self._room(mat33) if self.keeps else self.matrix
-        self._read = self._room(matrix_of(kept)) if half else self.matrix
+        self._elastic = blocks(mat33) if self.keeps else self.matrix
+        self._read = blocks(matrix_of(kept)) if half else self.matrix
         self._order = self._integers(order)
         self._elements = self._integers(mesh.elements)
         self._faces = self._integers(mesh.faces)
@@ -421,14 +432,6 @@ class BlockMatrix:
             device=self._device,
             block_dim=BLOCK,
         )
-
-    def _room(self, block) -> wp.array:
-        """Return zeros for the blocks of all nodes (B, N, 27), in their memory layout."""
-        if not self._parallel:
-            shape = self._environments, self._nodes, SLOTS
-            return wp.zeros(shape, dtype=block, device=self._device)
-        shape = self._environments, SLOTS, self._nodes
-        return wp.zeros(shape, dtype=block, device=self._device).transpose((0, 2, 1))
 
     def _integers(self, values) -> wp.array:
         return wp.array(

@@ -30,7 +30,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from sim.fem.columns import ColumnPreconditioner, Factors, column_functions
-from sim.fem.matrix import row_function
+from sim.fem.matrix import row_function, zero_blocks
 from sim.fem.mesh import SLOTS, Mesh, slot_offsets
 from sim.scalars import matrix_of, numpy_of, vector_of
 
@@ -96,6 +96,15 @@ def _kernels(real, parallel: bool):
     line = row_function(real, real, not parallel)
     omega = real(SMOOTHING)
 
+    @wp.func
+    def hard_environment(which: wp.array(dtype=wp.int32), hard: wp.array(dtype=wp.int32), row: int):
+        """Return the environment of a row; -1 if there is none, or it is not hard."""
+        env = which[row]
+        if env >= 0:
+            if hard[env] == 0:
+                env = -1
+        return env
+
     @wp.kernel(enable_backward=False, module="unique")
     def scale(
         # In:
@@ -107,10 +116,8 @@ def _kernels(real, parallel: bool):
         sums_out: wp.array3d(dtype=wp.float64),
     ):
         row, n = wp.tid()
-        env = which[row]
+        env = hard_environment(which, hard, row)
         if env < 0:
-            return
-        if hard[env] == 0:
             return
         z_out[env, n] = z_out[env, n] * omega
         if n < parts:
@@ -137,10 +144,8 @@ def _kernels(real, parallel: bool):
     ):
         """Set z to a fraction of the columns' solution, or add it to z."""
         row, column = wp.tid()
-        env = which[row]
+        env = hard_environment(which, hard, row)
         if env < 0:
-            return
-        if hard[env] == 0:
             return
         levels = pivot.shape[2]
         coupled = vec3()
@@ -178,10 +183,8 @@ def _kernels(real, parallel: bool):
         rest_out: wp.array2d(dtype=vec3),
     ):
         row, n = wp.tid()
-        env = which[row]
+        env = hard_environment(which, hard, row)
         if env < 0:
-            return
-        if hard[env] == 0:
             return
         rest_out[env, n] = rhs[env, n] - line(offsets, matrix, z, env, n)
 
@@ -222,10 +225,8 @@ def _kernels(real, parallel: bool):
     ):
         """Add up the residuals of the finer grid that each coarser node moves."""
         row, n = wp.tid()
-        env = which[row]
+        env = hard_environment(which, hard, row)
         if env < 0:
-            return
-        if hard[env] == 0:
             return
         mesh = variant[env]
         wide = reach_y.shape[1]
@@ -260,10 +261,8 @@ def _kernels(real, parallel: bool):
     ):
         """Add the displacements of the coarser grid to those of the finer one."""
         row, n = wp.tid()
-        env = which[row]
+        env = hard_environment(which, hard, row)
         if env < 0:
-            return
-        if hard[env] == 0:
             return
         mesh = variant[env]
         wide = below_y.shape[1]
@@ -473,9 +472,7 @@ class Multigrid:
             return _Grid(counts, offsets, self._columns.factors, None, None, None, vector(), None)
         free = np.ones(nodes, bool)
         factors = Factors(free, counts[2], real, environments, device, parallel=self._parallel)
-        room = (SLOTS, nodes) if self._parallel else (nodes, SLOTS)
-        matrix = wp.zeros((environments, *room), matrix_of(real), device=device)
-        matrix = matrix.transpose((0, 2, 1)) if self._parallel else matrix
+        matrix = zero_blocks(environments, nodes, matrix_of(real), device, parallel=self._parallel)
         stored = tuple(self._array(one) for one in weights)
         return _Grid(counts, offsets, factors, matrix, vector(), vector(), vector(), stored)
 
@@ -490,6 +487,8 @@ class Multigrid:
         if not self._grids:
             return
         self._grids[0].matrix = matrix
+        if not self._due.any():
+            return
         due = active.numpy().astype(bool) & self._due
         if not due.any():
             return

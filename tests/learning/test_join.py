@@ -1,4 +1,4 @@
-"""Archives joined by place: what meets, what does not and why, and what is refused."""
+"""Archives joined by place: presses that meet, reasons why others do not, and refusals."""
 
 from __future__ import annotations
 
