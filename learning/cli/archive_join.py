@@ -15,7 +15,7 @@ from recorder.command_line.options import names_or_none, positive
 from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
-    from learning.data.join import Chosen
+    from learning.data.matching import Chosen
 
 # ARCHIVE:SENSOR=NAME,SENSOR after the last colon; an address such as s3://x has a slash there.
 _WITH_SENSORS = re.compile(r"(?P<archive>.+):(?P<sensors>[^:/\\]+)")
@@ -24,10 +24,11 @@ _WITH_SENSORS = re.compile(r"(?P<archive>.+):(?P<sensors>[^:/\\]+)")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.description = (
-        "Copies sensors of several archives into one. Presses meet if the same indenter touched "
-        "at the same place [mm], to the same fraction of the sensor's deepest press, in the same "
-        "shear direction [deg]; their numbers do not count. Prints what met and what did not. "
-        "Repeat the command to continue."
+        "Copies sensors of several archives into one and matches their presses, so that frames of "
+        "two sensors can be paired. Two presses match if the same indenter touched the same place, "
+        "to the same fraction of the sensor's deepest press, in the same shear direction; the "
+        "numbers of the presses are ignored. Prints the number of matches of each two sensors, and "
+        "why the other presses have none. Repeat a stopped command to continue it."
     )
     parser.add_argument(
         "archives",
@@ -41,36 +42,35 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=positive,
         default=0.1,
         metavar="MM",
-        help="largest distance of two places that are one [mm] (0.1)",
+        help="largest distance between the places of matching presses [mm] (0.1)",
     )
     parser.add_argument(
         "--depth-fraction",
         type=positive,
         default=0.04,
         metavar="FRACTION",
-        help="largest difference of two depths that are one, each over its sensor's deepest (0.04)",
+        help="largest difference of their depths, as fractions of the sensors' deepest (0.04)",
     )
     parser.add_argument(
         "--angle-deg",
         type=positive,
         default=3.0,
         metavar="DEG",
-        help="largest angle between two shear directions that are one [deg] (3)",
+        help="largest angle between their shear directions [deg] (3)",
     )
     parser.add_argument(
         "--unseen",
         type=names_or_none,
         metavar="NAME,...",
-        help="indenters excluded from training (as in the archives; none: '')",
+        help="indenters excluded from training, '' for none (default: as in the archives)",
     )
-    parser.add_argument(
-        "--dry-run", action="store_true", help="only print what meets; nothing is written"
-    )
+    parser.add_argument("--dry-run", action="store_true", help="print the matches, write nothing")
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
-    from learning.data.join import Tolerances, join
+    from learning.data.join import join
+    from learning.data.matching import Tolerances
 
     if options.out is None and not options.dry_run:
         raise LearningError("--out: missing; allowed: where the archive goes, or --dry-run")
@@ -97,7 +97,7 @@ def _chosen(text: str) -> Iterator[Chosen]:
         LearningError: No such sensor, or the archive is incomplete.
         SessionError: There is no archive.
     """
-    from learning.data.join import Chosen
+    from learning.data.matching import Chosen
     from recorder import MarkerArchive
 
     named: dict[str, str] | None = None

@@ -190,7 +190,7 @@ LEARN = (
     Command(
         "archive join",
         "learning.cli.archive_join",
-        "join sensors of several archives: presses meet by place, depth and direction",
+        "join sensors of several archives: presses match by place, depth and direction",
     ),
     Command(
         "import-genforce",

@@ -1,4 +1,4 @@
-"""Archives joined by place: presses that meet, reasons why others do not, and refusals."""
+"""Archives joined by place: presses that match, reasons why others do not, and refusals."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ from support.simulated_archives import LAYER, make
 from learning.__main__ import main
 from learning.data.genforce import import_folder
 from learning.data.genforce.importing import Choices
-from learning.data.join import Chosen, Presses, Tolerances, join, meet
+from learning.data.join import join
+from learning.data.matching import Chosen, Presses, Tolerances, match
 from learning.data.splits import make_split
 from learning.errors import LearningError
 from learning.markers import archive_sessions
@@ -116,19 +117,21 @@ def test_of_30_and_45_degrees_only_equal_angles_meet_and_the_rest_is_named(tmp_p
     (pair,) = made.pairs
     # The centre, at four depths, in the directions 0, 90, 180 and 270 deg.
     assert pair.presses == (240, 160)
-    assert pair.met == 16
+    assert pair.matched == 16
     assert pair.frames == 64
     assert pair.place < 1e-6
     assert math.degrees(pair.angle) < 1e-6
     lines = "\n".join(made.lines())
-    assert "16 presses met, of 240 and 160" in lines
-    assert "192 did not: gelsight, none of tacpalm at that place, the nearest 4.30 mm away" in lines
+    assert "16 presses matched, of 240 and 160" in lines
     assert (
-        "16 did not: tacpalm, none of gelsight there in that direction, the nearest 15.0 deg"
+        "192 unmatched: gelsight, none of tacpalm at that place, the nearest 4.30 mm away" in lines
+    )
+    assert (
+        "16 unmatched: tacpalm, none of gelsight there in that direction, the nearest 15.0 deg"
         in (lines)
     )
-    counted = sum(pair.unmet.values())
-    assert counted == 240 + 160 - 2 * pair.met
+    counted = sum(pair.unmatched.values())
+    assert counted == 240 + 160 - 2 * pair.matched
 
 
 def test_depths_of_a_domed_sensor_are_below_its_surface_in_frames_curves_and_archives(
@@ -269,11 +272,11 @@ def test_a_place_pressed_twice_is_ambiguous_and_named(tmp_path: Path) -> None:
     b = planned_archive(tmp_path / "b.markers.zarr", {"b": near})
     with pytest.raises(
         LearningError,
-        match=r"b: which of its presses meet those of itself is ambiguous within 0\.1 mm.*"
+        match=r"b: which of its presses match those of itself is ambiguous within 0\.1 mm.*"
         r"target 0 of sphere \(\+0\.00, \+0\.00 mm, 0\.800 mm deep, 0\.0 deg\), and target \d+",
     ):
         join(all_of(a, b))
-    assert join(all_of(a, b), Tolerances(place=0.01 * MM)).pairs[0].met == 4
+    assert join(all_of(a, b), Tolerances(place=0.01 * MM)).pairs[0].matched == 4
 
 
 def test_a_chain_of_neighbours_is_ambiguous_not_one_place(tmp_path: Path) -> None:
@@ -281,8 +284,8 @@ def test_a_chain_of_neighbours_is_ambiguous_not_one_place(tmp_path: Path) -> Non
         planned_archive(tmp_path / f"{name}.markers.zarr", {name: SMALL}, moved=moved)
         for name, moved in (("a", 0.0), ("b", 0.06 * MM), ("c", 0.12 * MM))
     ]
-    assert join(all_of(some[0], some[1])).pairs[0].met == len(SMALL)
-    with pytest.raises(LearningError, match=r"c: which of its presses meet those of a is ambig"):
+    assert join(all_of(some[0], some[1])).pairs[0].matched == len(SMALL)
+    with pytest.raises(LearningError, match=r"c: which of its presses match those of a is ambig"):
         join(all_of(*some))
 
 
@@ -302,7 +305,9 @@ def test_equal_names_and_disagreeing_lists_of_unseen_indenters_are_refused(tmp_p
 def test_nothing_that_meets_is_refused_with_its_reasons(tmp_path: Path) -> None:
     a = planned_archive(tmp_path / "a.markers.zarr", {"a": SMALL})
     b = planned_archive(tmp_path / "b.markers.zarr", {"b": SMALL}, ("cone",))
-    with pytest.raises(LearningError, match=r"no press met(.|\n)*20 did not: a, b has no press of"):
+    with pytest.raises(
+        LearningError, match=r"no press matched(.|\n)*20 unmatched: a, b has no press of"
+    ):
         join(all_of(a, b))
 
 
@@ -379,7 +384,7 @@ def test_presses_meet_as_planned_in_any_order_and_with_errors_below_the_toleranc
     one, other = (
         presses_of(plan, order, data.draw(error)[: len(order)]) for order in (orders[0], kept)
     )
-    left, right = meet([one, other], Tolerances())
+    left, right = match([one, other], Tolerances())
     at = {number: planned for planned, number in zip(orders[0], left.tolist(), strict=True)}
     assert [at[number] for number in right.tolist()] == list(kept)
 
@@ -399,13 +404,15 @@ def test_the_command_prints_what_met_and_the_next_command(
     assert main(["archive-join", *archives, "--out", str(out)]) == 0
     printed = capsys.readouterr().out
     assert "within 0.1 mm, 0.04 of the depth, 3 deg:" in printed
-    assert "x and z: 20 presses met, of 20 and 20; 80 pairs of frames; at most 0.000 mm" in printed
+    assert (
+        "x and z: 20 presses matched, of 20 and 20; 80 pairs of frames; at most 0.000 mm" in printed
+    )
     assert (
         printed.splitlines()[-1] == f"next: tactile split {out} --out {tmp_path / 'j-split.json'}"
     )
     archive = MarkerArchive(out)
     assert tuple(archive) == ("x", "z")
-    assert archive.attrs["met"][0]["met"] == 20
+    assert archive.attrs["matched"][0]["matched"] == 20
     assert json.dumps(archive.attrs["tolerances"])
     # Repeated, it finds nothing left to do.
     assert main(["archive-join", *archives, "--out", str(out)]) == 0
