@@ -14,13 +14,13 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from sim.contact_size import half_width, pixel_edges, touched_by
+from sim.contact_size import half_width, pixel_edges
 from sim.indenters import Indenter
 from sim.scene import Body, Scene
 
@@ -50,12 +50,14 @@ LONG = 3.0
 # Pixels around a piece of a contact that are looked at with it: its outline's normals and the rim
 # of the body depend on the next one.
 ASIDE = 2
+# Weights of a normal distribution of 1.5 pixels, which smooths masks before their normals are taken.
+SMOOTH = np.exp(-0.5 / 1.5**2 * np.arange(-6, 7) ** 2)
+SMOOTH /= SMOOTH.sum()
 # Points along an axis at which sizes are evaluated; the contacts add about as many.
 SITES = 2001
 
 
-@dataclass(frozen=True, slots=True)
-class Span:
+class Span(NamedTuple):
     """Elements no longer than `size` from `low` to `high` along one axis."""
 
     low: float
@@ -161,10 +163,23 @@ def _normals(mask: Mask) -> Array:
 
     The ends of the grid count as outline: they are the ends of the body, if a contact reaches them.
     """
-    soft = ndimage.gaussian_filter(mask.astype(float), 1.5, mode="constant")
-    slope = np.stack(np.gradient(soft)) if min(mask.shape) > 1 else np.ones((2, *mask.shape))
-    length = np.maximum(np.linalg.norm(slope, axis=0), 1e-12)
+    if min(mask.shape) == 1:
+        slope = np.ones((2, *mask.shape))
+    else:
+        soft = mask.astype(float)
+        for axis in (0, 1):
+            soft = ndimage.correlate1d(soft, SMOOTH, axis, mode="constant")
+        slope = np.stack([_slopes(soft), _slopes(soft.T).T])
+    length = np.maximum(np.sqrt(slope[0] ** 2 + slope[1] ** 2), 1e-12)
     return np.asarray(slope / length)
+
+
+def _slopes(values: Array) -> Array:
+    """Return differences along the first axis, as `np.gradient` does, in a tenth of its time."""
+    slope = np.empty_like(values)
+    slope[1:-1] = (values[2:] - values[:-2]) / 2
+    slope[0], slope[-1] = values[1] - values[0], values[-1] - values[-2]
+    return slope
 
 
 def _runs(
@@ -185,30 +200,33 @@ def _runs(
             the piece is wide is refined to that only at its ends.
     """
     width, size, edge = asked
-    framed = np.zeros((2, len(mask) + 2, mask.shape[1]), np.int8)
-    framed[:, 1:-1] = mask, on_body
-    change = np.diff(framed[0], axis=0).T
+    framed = np.zeros((len(mask) + 2, mask.shape[1]), np.int8)
+    framed[1:-1] = mask
+    change = np.diff(framed, axis=0).T
     column, first = np.nonzero(change == 1)
     past = np.nonzero(change == -1)[1]
     low, high = edges[first], edges[past]
     begin, end = across[first, column], across[past - 1, column]
     within = size / np.maximum(begin, end)
+    tables = []
     long = high - low > LONG * width
-    spans = [
-        (low[~long], high[~long], within[~long]),
-        (low[long], low[long] + width, within[long]),
-        (high[long] - width, high[long], within[long]),
-    ]
-    beside = framed[1] == 0
+    if long.any():
+        tables.append((low[long], low[long] + width, within[long]))
+        tables.append((high[long] - width, high[long], within[long]))
+        tables.append((low[~long], high[~long], within[~long]))
+    else:
+        tables.append((low, high, within))
+    framed[1:-1] = on_body
+    beside = framed == 0
     for at, way, rim in (
         (low, begin, beside[first, column]),
         (high, end, beside[past + 1, column]),
     ):
         here = np.where(rim, EDGE_LEAST * size, edge)
         fine = here < size
-        spans.append(((at - here)[fine], (at + here)[fine], (here / way)[fine]))
-    table = np.concatenate([np.stack(span, axis=1) for span in spans])
-    return (Span(*row) for row in set(map(tuple, table.tolist())))
+        if fine.any():
+            tables.append(((at - here)[fine], (at + here)[fine], (here / way)[fine]))
+    return {Span(*row) for each in tables for row in zip(*(one.tolist() for one in each))}
 
 
 def _least(spans: Sequence[Span]) -> tuple[Span, ...]:
@@ -261,21 +279,18 @@ def places_of(
     return counted, place
 
 
-def resolved(
-    traction: NDArray[np.floating[Any]], x: Array, y: Array, *, body: Body, top: float
-) -> float:
+def resolved(touched: Mask, x: Array, y: Array, *, body: Body, top: float) -> float:
     """Return how finely a mesh resolves the contact solved on it; inf if nothing touches.
 
     1 corresponds to 12 elements from one side of the contact to the other.
 
     Args:
-        traction: Traction at the nodes of the top (X, Y, 3).
+        touched: Nodes of the top that touch (X, Y).
         x: Positions of the nodes (X,) [m].
         y: The same along y (Y,) [m].
         body: Meshed body.
         top: Height of the topmost elements [m].
     """
-    touched = touched_by(traction)
     if not touched.any():
         return math.inf
     asked = sizes_of(touched, x, y, body.thickness)

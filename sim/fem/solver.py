@@ -157,24 +157,6 @@ def contact_points(held: Snapshot, env: int, u: np.ndarray) -> ContactPoints:
     )
 
 
-def surface_traction(held: Snapshot, env: int) -> np.ndarray:
-    """Return the nodal force over nodal area on the top of one environment (X, Y, 3) [E]."""
-    assembly = held.assembly
-    mesh = assembly.meshes[env]
-    nx, ny, nz = mesh.cells
-    top = nx * ny
-    rows = np.flatnonzero(held.of(env, "touched")[:top])
-    fraction = held.of(env, "face_force")[rows].astype(float).reshape(-1, 3)
-    columns = mesh.faces[:top] // (nz + 1)  # columns of nodes, which are numbered upwards
-    count = (nx + 1) * (ny + 1)
-    touched = columns[rows].ravel()
-    force = [np.bincount(touched, fraction[:, axis], count) for axis in range(3)]
-    area = np.bincount(columns.ravel(), np.repeat(mesh.face_area[:top], 4), count)
-    area[area == 0] = np.inf  # outside a round body
-    nodal = np.stack(force, axis=-1) / area[:, None]
-    return nodal.reshape(nx + 1, ny + 1, 3)
-
-
 def stored_energy(held: Snapshot, env: int, points: ContactPoints, u: np.ndarray) -> float:
     """Return the energy of the material at rest modulus, sticking springs and height [E T^3].
 
@@ -201,6 +183,16 @@ def body_force(held: Snapshot, env: int, u: np.ndarray) -> np.ndarray:
         free = assembly.meshes[env].node_volume[:, None] * ahead
         total -= rate * free.sum(axis=0)
     return total
+
+
+def _moments(lever: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """Return the cross products (..., 3), as `np.cross` does in several times the time."""
+    (x, y, z), (fx, fy, fz) = np.moveaxis(lever, -1, 0), np.moveaxis(force, -1, 0)
+    moment = np.empty_like(lever)
+    moment[..., 0] = y * fz - z * fy
+    moment[..., 1] = z * fx - x * fz
+    moment[..., 2] = x * fy - y * fx
+    return moment
 
 
 # A round body on a grid: values at nodes outside it, and contact at its side wall.
@@ -292,7 +284,15 @@ class Collector:
         """Largest depth of the skin below the base plane [m]."""
         self.worst = np.full(3, np.nan)
         """Material point of the skin that was deepest inside the indenter [m]."""
+        top = nx * ny
+        self._columns = mesh.faces[:top] // (mesh.cells[2] + 1)
+        """Columns of nodes at the corners of the faces of the top (X Y, 4)."""
+        count = (nx + 1) * (ny + 1)
+        area = np.bincount(self._columns.ravel(), np.repeat(mesh.face_area[:top], 4), count)
+        self._area = np.where(area > 0, area, np.inf).reshape(nx + 1, ny + 1, 1)
+        """Area of the nodes of the top (X, Y, 1) [T^2]; inf outside a round body."""
         self._resolved = np.full(frames, np.inf)
+        self._touched: np.ndarray | None = None
         self._self_overlap, self._self_place = np.zeros(frames), np.zeros(3)
         self._counts = {name: np.zeros(frames, np.int64) for name in ("newton", "cg", "steps")}
         self._work, self._work_most = 0.0, 0.0
@@ -331,13 +331,13 @@ class Collector:
         tip = self._tip
         points = contact_points(held, env, u)
         force = points.force.sum(axis=(0, 1))
-        lever = points.place - tip
-        torque = np.cross(lever, points.force).sum(axis=(0, 1))
+        torque = _moments(points.place - tip, points.force).sum(axis=(0, 1))
         unit, push = self._unit, self._stress * self._unit**2
         self._wrench[frame, :3] = force * push
         self._wrench[frame, 3:] = torque * push * unit
         if self._round is None:
-            self._surface[frame] = u[mesh.top] * unit
+            nx, ny, nz = mesh.cells
+            self._surface[frame] = u.reshape(nx + 1, ny + 1, nz + 1, 3)[:, :, -1] * unit
         else:
             columns = self._round.continued(u)
             self._surface[frame] = columns[:, :, -1] * unit
@@ -347,7 +347,7 @@ class Collector:
             if self._round.overlapped(wall, tip):
                 self.at_side["wall"].append(frame)
             self.below_base = max(self.below_base, -(1.0 + float(wall[..., 2].min())) * unit)
-        self._traction[frame] = surface_traction(held, env) * self._stress
+        self._traction[frame] = self._surface_traction(held, env) * self._stress
         depth = max(-float(tip[2]), 1e-6)
         size = float(np.linalg.norm(force))
         external = force + body_force(held, env, u)
@@ -375,14 +375,29 @@ class Collector:
             if deep * unit > self._self_overlap.max():
                 self._self_place = mesh.nodes[node] * unit
             self._self_overlap[frame] = deep * unit
-        touched = (np.abs(self._traction[frame]) > 0).any(axis=-1)
+        traction = self._traction[frame]
         x, y = mesh.x * unit, mesh.y * unit
-        quality["contact_width"][frame] = width_of(touched, x, y)
-        self._resolved[frame] = resolved(
-            self._traction[frame], x, y, body=self._scene.body, top=mesh.topmost * unit
-        )
+        quality["contact_width"][frame] = width_of((traction != 0).any(axis=-1), x, y)
+        touched = touched_by(traction)
+        if frame and np.array_equal(touched, self._touched):
+            self._resolved[frame] = self._resolved[frame - 1]
+        else:
+            body, top = self._scene.body, mesh.topmost * unit
+            self._resolved[frame] = resolved(touched, x, y, body=body, top=top)
+        self._touched = touched
         for name in self._counts:
             self._counts[name][frame] = getattr(spent, name)
+
+    def _surface_traction(self, held: Snapshot, env: int) -> np.ndarray:
+        """Return the nodal force over nodal area on the top (X, Y, 3) [E]."""
+        rows = np.flatnonzero(held.of(env, "touched")[: len(self._columns)])
+        force = held.of(env, "face_force")[rows].astype(float).reshape(-1, 3)
+        touched, count = self._columns[rows].ravel(), self._area.size
+        nodal = np.empty((*self._area.shape[:2], 3))
+        for axis in range(3):
+            of_axis = np.bincount(touched, force[:, axis], count)
+            nodal[:, :, axis] = of_axis.reshape(self._area.shape[:2])
+        return nodal / self._area
 
     def resolved(self) -> list[float | None]:
         """Return the contact resolution of each frame, 1 for 12 elements; None without contact."""
