@@ -349,10 +349,15 @@ class Reader:
         options = tuple(option for option in options if option is not _NONE)
         if len(options) == 1:
             return self._value(options[0], value, where, unit)
-        if all(hasattr(option, "KIND") for option in options):
-            return self.build_one_of(options, value, where)
-        allowed = []
+        kinds = tuple(option for option in options if hasattr(option, "KIND"))
+        if kinds and (len(kinds) == len(options) or isinstance(value, dict)):
+            return self.build_one_of(kinds, value, where)
+        allowed = (
+            [f"a mapping with kind {' or '.join(each.KIND for each in kinds)}"] if kinds else []
+        )
         for option in options:
+            if option in kinds:
+                continue
             try:
                 return self._value(option, value, where, unit)
             except self.error as error:

@@ -76,6 +76,7 @@ KINDS: Mapping[str, Kind] = {
         "mean", ("label", "guard"), "wrench", 0.02, changes=True, reference="mean", tared=True
     ),
     "pose": Kind("interpolated", ("label", "guard"), "pose", 0.02),
+    "arm_wrench": Kind("mean", ("guard",), "", 0.02, changes=True, reference="mean", tared=True),
     "joints": Kind("interpolated", ("label",)),
     "events": Kind("latest", (), max_age=math.inf),
     "values": Kind("interpolated", ("label",)),
@@ -443,6 +444,22 @@ def force_spec(rate_hz: float, *, name: str = "force", **attrs: Any) -> StreamSp
     status = Column("status", "int64", units="1", description="the device's status word")
     attrs.setdefault("bias", [0.0] * 6)
     return _stream("force", name, (value, _seq(), status, _t_ns()), rate_hz, attrs)
+
+
+def arm_wrench_spec(rate_hz: float, *, name: str, **attrs: Any) -> StreamSpec:
+    """Return a stream of an arm's own estimate of the force at its tool, as it reports it.
+
+    It is accurate to a few newtons: it stops the arm and is no label.
+    """
+    value = Column(
+        "value",
+        "float64",
+        (6,),
+        units=_WRENCH_UNITS,
+        dims=("axis",),
+        description="Fx Fy Fz [N], Tx Ty Tz [N m] as the arm estimates them, without any zero",
+    )
+    return _stream("arm_wrench", name, (value, _device_t(), _t_ns()), rate_hz, attrs)
 
 
 def pose_spec(rate_hz: float, *, name: str = "pose", **attrs: Any) -> StreamSpec:

@@ -3,6 +3,7 @@
 A spec is stored as JSON in the session recorded with it; its moves are derived again when needed.
 """
 
+from trajectories.first_press import FirstPress
 from trajectories.force_depth import ForceDepth
 from trajectories.limits import DryRun, Limits, dry_run
 from trajectories.moves import PHASES, Move, Plan, Point, Target, dome_height
@@ -15,6 +16,7 @@ from trajectories.touch import Touch
 __all__ = [
     "PHASES",
     "DryRun",
+    "FirstPress",
     "ForceDepth",
     "Limits",
     "Move",

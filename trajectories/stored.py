@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+from trajectories.first_press import FirstPress
 from trajectories.force_depth import ForceDepth
 from trajectories.moves import Plan
 from trajectories.press_shear import OLD_ORDER, PressShear
@@ -12,7 +13,9 @@ from trajectories.taps import Taps
 from trajectories.touch import Touch
 
 # All specs, by kind.
-KINDS: dict[str, type[Any]] = {spec.KIND: spec for spec in (PressShear, ForceDepth, Touch, Taps)}
+KINDS: dict[str, type[Any]] = {
+    spec.KIND: spec for spec in (PressShear, ForceDepth, Touch, Taps, FirstPress)
+}
 
 
 def plan_to_json(plan: Plan) -> dict[str, Any]:

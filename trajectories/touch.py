@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from trajectories.moves import PHASES, Move, Target, check_positive
+from trajectories.moves import PHASES, Move, Target, check_positive, dome_height
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +31,10 @@ class Touch:
     """Distance of the corners from the centre along x [m]."""
     step_y: float = field(default=2e-3, metadata={"unit": "mm"})
     """Distance of the corners from the centre along y [m]."""
+    dome_radius: float | None = field(
+        default=None, metadata={"unit": "mm", "stored": "unless default"}
+    )
+    """Radius of the sensor's spherical top, its apex at the origin [m]; None: flat."""
 
     def __post_init__(self) -> None:
         """Reject invalid values."""
@@ -59,13 +63,14 @@ class Touch:
         for index in range(len(self)):
             point = self.points[index // self.repeats]
             x, y = self.position(point)
-            bottom = (x, y, -self.travel)
+            surface = dome_height(self.dome_radius, x, y)
+            bottom = (x, y, surface - self.travel)
             yield Target(
                 index=index,
                 point=point,
                 depth=self.travel,
                 direction=-1,
-                origin=(x, y, self.clearance),
+                origin=(x, y, surface + self.clearance),
                 bottom=bottom,
                 sheared=bottom,
             )

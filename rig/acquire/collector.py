@@ -26,7 +26,7 @@ from recorder.session import clock_lines, contact_sheet
 from rig.acquire import summary
 from rig.acquire.control import Control, Interrupted, InterruptFlag, Onlooker
 from rig.acquire.interlocks import Interlocks
-from rig.acquire.plan_runner import PlanRunner, require_arrival
+from rig.acquire.plan_runner import PlanRunner, require_arrival, zero_stand_ins
 from rig.acquire.preflight import (
     Found,
     Tare,
@@ -41,6 +41,7 @@ from rig.acquire.request import CollectRequest, first_open_target
 from rig.acquire.streams import Streams
 from rig.bench.bench import Bench
 from rig.bench.indenter import find_indenter
+from rig.bench.no_gauge import guards_of, statement
 from rig.bench.stream_kinds import expected_rate, stream_names, stream_spec
 from rig.core.clock import ClockAnchor, SystemClock
 from rig.core.errors import DeviceLost, SafetyStop
@@ -118,9 +119,11 @@ class Collector:
                 logger.info("preflight  note: %s", note)
             interrupt.check()
             check_clear(self._bench, streams)
-            arm = self._start_arm()
+            self._zero_stand_ins(streams)
+            arm = self._start_arm(request.contact_change)
             stack.callback(arm.close)
             self._rise(arm, streams, interlocks)
+            self._zero_stand_ins(streams)
             tares = take_tares(self._bench, streams)
             interrupt.check()
             writer, first, run = self._open_session(request, plan, total, found, tares, notes)
@@ -138,6 +141,7 @@ class Collector:
                 self._control,
                 interlocks,
                 self._clock,
+                between=request.between,
                 run=run,
                 zeros={name: tare.mean - self._bias[name] for name, tare in tares.items()},
             )
@@ -186,13 +190,21 @@ class Collector:
             self._page.say(status, last_line)
         return self._exit_code(stop)
 
-    def _start_arm(self) -> Arm:
+    def _zero_stand_ins(self, streams: Streams) -> None:
+        if self._bench.no_gauge:
+            names = [row.name for row in self._bench.of_kind("arm_wrench")]
+            window = self._bench.preflight.tare_window
+            zero_stand_ins(self._bench, streams, streams.measure(window, *(names or ["pose"])))
+
+    def _start_arm(self, contact_change: float) -> Arm:
+        stand_ins = guards_of(self._bench, contact=contact_change)
         arm = Arm(
             self._bench.arm,
             self._bench.contact_frame,
             self._bench.guard_limits,
             gauges=guarded(self._bench, self._folder),
             pose_path=self._folder / "pose.latest",
+            stand_ins={self._folder / name: limits for name, limits in stand_ins.items()},
         )
         arm.start(self._bench.preflight.timeout)
         return arm
@@ -289,6 +301,7 @@ class Collector:
             "t0_ns": anchor["t0_ns"],
             "software": software(),
             "calibration": request.calibration.attrs(),
+            **({"without_gauge": statement(bench)} if bench.no_gauge else {}),
         }
 
     def _stream_attrs(self, name: str, request: CollectRequest) -> dict[str, Any]:

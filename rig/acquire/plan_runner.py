@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -28,6 +28,8 @@ from trajectories import Move, Plan, Point, Target
 
 logger = logging.getLogger(__name__)
 
+# Fraction of the largest signal above which a sensor without a gauge counts as touched.
+CONTACT_FREE = 0.1
 # Interval between checks of a pause.
 _LOOK_NS = SECOND_NS // 20
 
@@ -58,6 +60,7 @@ class PlanRunner:
         control: Likewise, and for pauses before every target.
         interlocks: Interlocks, checked while the arm moves.
         clock: Clock.
+        between: Called after each target, with the tip clear of the surface.
         run: Number of this run.
         zeros: Reading of each F/T sensor without contact after the tare (6,) [N, N m], by stream.
     """
@@ -74,6 +77,7 @@ class PlanRunner:
         interlocks: Interlocks,
         clock: Clock,
         *,
+        between: Callable[[Target, Streams], None] | None = None,
         run: int,
         zeros: Mapping[str, np.ndarray],
     ) -> None:
@@ -86,6 +90,7 @@ class PlanRunner:
         self._control = control
         self._interlocks = interlocks
         self._clock = clock
+        self._between = between
         self._run = run
         self._zeros = zeros
         # Contact point at whose p0 the tip is; None: at none.
@@ -111,6 +116,9 @@ class PlanRunner:
                 pass
             self.done += 1
             self._live.ended(target, "limited" if self.limited > limited else "done")
+            if self._between is not None:
+                self._live.end()
+                self._between(target, self._streams)
 
     def _attempt(self, plan: Plan, target: Target) -> bool:
         """Press a target from its start; return False if the dead-man pedal was released."""
@@ -185,9 +193,7 @@ class PlanRunner:
             SafetyStop: An F/T sensor that guards shows contact.
         """
         bench = self._bench
-        averaged = [row.name for row in bench.rows if KINDS[row.kind].averaged]
-        window = bench.preflight.point_window
-        found = self._streams.measure(window, *averaged) if averaged else {}
+        found = self._zero(point)
         for gauge in bench.of_kind("force"):
             if "mean" not in found[gauge.name]:
                 raise DeviceLost(f"{gauge.name}: no sample over point {point}")
@@ -209,6 +215,39 @@ class PlanRunner:
                 " ".join(f"{value:+.3f}" for value in found[gauge.name]["mean"][:3]),
             )
 
+    def _zero(self, point: int) -> dict[str, dict[str, Any]]:
+        """Return the streams' means above a point, and set the zero of guards that stand in.
+
+        Raises:
+            SafetyStop: The signal of a sensor without a gauge shows contact.
+        """
+        self._check_signal(point)
+        averaged = [row.name for row in self._bench.rows if KINDS[row.kind].averaged]
+        if self._bench.no_gauge and not averaged:
+            # The pose paces the wait for images without contact.
+            averaged = ["pose"]
+        window = self._bench.preflight.point_window
+        found = self._streams.measure(window, *averaged) if averaged else {}
+        zero_stand_ins(self._bench, self._streams, found)
+        return found
+
+    def _check_signal(self, point: int) -> None:
+        """Reject a sensor that shows contact above a point: the next zero would hide it.
+
+        Raises:
+            SafetyStop: It shows contact.
+        """
+        signal, given = self._bench.signal, self._bench.stand_ins
+        latest = None if signal is None else self._streams[signal.name].signal()
+        if latest is None or given is None:
+            return
+        motion, allowed = float(latest["motion"]), CONTACT_FREE * given.signal_max
+        if motion > allowed:
+            raise SafetyStop(
+                f"point {point}: the signal of {self._bench.sensor} shows {motion:.3g} before the "
+                f"press; allowed: {allowed:.3g}; is the surface where it was found?"
+            )
+
     def _press_target(self, plan: Plan, target: Target) -> None:
         for move in plan.moves(target):
             self._live.at(target, move)
@@ -225,6 +264,9 @@ class PlanRunner:
         """Move straight up from a press at the soft limit, then to p0 for the next one."""
         x, y, z = tip_position(self._bench, self._streams)
         self._move((x, y, max(z, target.origin[2])), mode="retreat")
+        if self._bench.no_gauge:
+            # What a soft sensor keeps of this press would end the next approach.
+            self._zero(target.point)
         self._move(target.origin, mode="guarded")
         self._asked()
 
@@ -273,6 +315,27 @@ class PlanRunner:
             start_ns=start_ns,
             end_ns=end_ns,
         )
+
+
+def zero_stand_ins(bench: Bench, streams: Streams, found: Mapping[str, Mapping[str, Any]]) -> None:
+    """Tell the guards that stand in for an F/T sensor that nothing touches the sensor now.
+
+    Args:
+        bench: The bench; one with an F/T sensor has no such guards.
+        streams: Recording.
+        found: Mean of the streams that have one, by name.
+
+    Raises:
+        DeviceLost: The arm reports no wrench.
+    """
+    if not bench.no_gauge:
+        return
+    for row in bench.of_kind("arm_wrench"):
+        if "mean" not in found.get(row.name, {}):
+            raise DeviceLost(f"{row.name}: no sample without contact")
+        streams[row.name].zero(found[row.name]["mean"])
+    if bench.signal is not None:
+        streams[bench.signal.name].zero(None)
 
 
 def _reference(

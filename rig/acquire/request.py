@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,7 +14,10 @@ from recorder import OUTCOMES, Session, SessionError
 from rig.acquire.calibration.calibration import Calibration
 from rig.bench.bench import Bench
 from rig.core.errors import ConfigError
-from trajectories import Plan, dry_run, plan_from_json
+from trajectories import Plan, Target, dry_run, plan_from_json
+
+if TYPE_CHECKING:
+    from rig.acquire.streams import Streams
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +36,11 @@ class CollectRequest:
     """Recordings that a mock bench's emulators play, for the session's attributes."""
     calibration: Calibration = field(default_factory=Calibration)
     """Earlier calibration that applies to this session."""
+    contact_change: float = math.inf
+    """Change of the signal that ends an approach on a bench without a gauge, in standard
+    deviations of its noise; inf: none does."""
+    between: Callable[[Target, Streams], None] | None = None
+    """Called after each target, with the tip clear of the surface."""
     go_on: str = ""
     """Command that continues the session if it stops, or repeats it; empty: none is shown."""
 

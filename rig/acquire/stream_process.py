@@ -18,12 +18,14 @@ from typing import Any
 import numpy as np
 
 from recorder import SessionError, StreamWriter
+from rig.acquire.signal_level import SignalLevel
 from rig.bench.bench import Bench
 from rig.bench.stream_kinds import StreamKind, kind_of, make_driver
 from rig.core.clock import SECOND_NS, Clock, SystemClock
 from rig.core.driver import Driver, rejected
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.realtime import Sweeper, enable_realtime
+from rig.core.samples import SIGNAL_LATEST
 from rig.core.shared_memory import SharedLatest
 
 logger = logging.getLogger(__name__)
@@ -105,6 +107,15 @@ class _StreamLoop:
         self._counters = SharedLatest.attach(
             job.folder / f"{job.name}.counters", COUNTERS, writable=True
         )
+        self._level: SignalLevel | None = None
+        signal = job.bench.signal
+        if job.bench.no_gauge and signal is not None and signal.name == job.name:
+            self._level = SignalLevel(is_image=signal.kind == "camera")
+            self._signal = SharedLatest.attach(
+                job.folder / f"{job.name}.signal", SIGNAL_LATEST, writable=True
+            )
+        self._fresh_ns = 0
+        self._zero: np.ndarray | None = None
         self._sweeper = Sweeper()
         self._writer: StreamWriter | None = None
         self._columns: tuple[str, ...] = ()
@@ -142,6 +153,14 @@ class _StreamLoop:
         self._bias = np.array(bias)
         self._pipe.send(("biased", None))
 
+    def _on_zero(self, value: list[float] | None) -> None:
+        """Take the present samples, or `value`, as those without contact, for the guards."""
+        if self._level is not None:
+            self._level.zero()
+        if value is not None:
+            self._zero = np.array(value)
+        self._pipe.send(("zeroed", None))
+
     def _on_record(self, path: Path) -> None:
         self._writer = StreamWriter.open(path)
         self._columns = self._writer.columns
@@ -160,7 +179,13 @@ class _StreamLoop:
             if self._last_ns:
                 gap = (sample["t_ns"] - self._last_ns) / SECOND_NS
                 self._longest_gap = max(self._longest_gap, gap)
+        if self._zero is not None:
+            sample = {**sample, "value": sample["value"] - self._zero}
         self._latest.write(self._kind.record(sample, row))
+        if self._level is not None:
+            level = self._level.add(sample)
+            self._fresh_ns = sample["t_ns"] if level.fresh else self._fresh_ns
+            self._signal.write((sample["t_ns"], self._fresh_ns, level.change, level.motion))
         self._last_ns = sample["t_ns"]
         self._samples += 1
         self._recent.append(sample["t_ns"])

@@ -15,6 +15,7 @@ from rig.bench.bench import Bench
 from rig.bench.stream_kinds import expected_rate, kind_of, stream_names
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import ConfigError, DeviceLost, raise_all
+from rig.core.samples import SIGNAL_LATEST
 from rig.core.shared_memory import SharedLatest
 
 # Side of the collecting process.
@@ -42,6 +43,10 @@ class StreamHandle:
         self._patience = max(_START_TIMEOUT, _START_TIMEOUT_EACH * len(bench.rows))
         self._latest = SharedLatest.create(folder / f"{name}.latest", kind_of(bench, name).latest)
         self._counters = SharedLatest.create(folder / f"{name}.counters", COUNTERS)
+        signal = bench.signal
+        self._signal: SharedLatest | None = None
+        if bench.no_gauge and signal is not None and signal.name == name:
+            self._signal = SharedLatest.create(folder / f"{name}.signal", SIGNAL_LATEST)
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         job = StreamJob(name, bench, folder)
@@ -80,6 +85,19 @@ class StreamHandle:
         """Subtract `bias` from every value from now on."""
         self._send("bias", [float(value) for value in bias])
         self._answer("biased", 1.0)
+
+    def zero(self, value: np.ndarray | None) -> None:
+        """Take the present samples as those without contact, for the guards; none is stored so.
+
+        Args:
+            value: Mean without contact of an arm's wrench; None for a signal.
+        """
+        self._send("zero", None if value is None else [float(each) for each in value])
+        self._answer("zeroed", 1.0)
+
+    def signal(self) -> np.void | None:
+        """Return the newest SIGNAL_LATEST; None if the stream guards nothing."""
+        return None if self._signal is None else self._signal.read()
 
     def record(self, path: Path) -> int:
         """Append to the stream group at `path` from now on; return its number of rows."""
@@ -128,6 +146,8 @@ class StreamHandle:
         self._pipe.close()
         self._latest.close()
         self._counters.close()
+        if self._signal is not None:
+            self._signal.close()
         return summary
 
     def _send(self, command: str, argument: Any) -> None:

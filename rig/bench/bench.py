@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from recorder import (
     SessionError,
     StreamSpec,
     Traits,
+    arm_wrench_spec,
     camera_spec,
     force_spec,
     pose_spec,
     taxels_spec,
 )
 from recorder.spec import check_streams, signal_of
+from rig.bench import no_gauge
 from rig.bench.worlds import AnalyticSpec, SimulatedSpec
 from rig.core.config import build, from_si, read_yaml
 from rig.core.errors import ConfigError
@@ -24,7 +26,7 @@ from rig.core.geometry import matrix_from_vector
 from rig.core.guard import GuardLimits
 from rig.core.names import unknown_name
 from rig.core.packaged import BENCHES
-from rig.devices.arm.settings import ArmConfig, PoseConfig
+from rig.devices.arm.settings import ArmConfig, PoseConfig, WrenchConfig
 from rig.devices.camera.settings import CameraConfig
 from rig.devices.force.settings import AtiSerialConfig, ForceConfig, NetFtConfig, NidaqConfig
 from rig.devices.gripper.settings import RobotiqConfig
@@ -68,6 +70,10 @@ class BenchLimits:
     """Expected normal stiffness [N/m]; used only to predict the force of a plan."""
     duration_max: float = field(metadata={"unit": "min", "plausible": (0.1, 3000)})
     """Longest session [s]."""
+    sensor_rating: float | None = field(
+        default=None, metadata={"unit": "n", "plausible": (0.05, 2000)}
+    )
+    """Largest force that the sensor itself withstands [N]; required on a bench without a gauge."""
     soft_fraction: float = 0.85
     """Fraction of the rating that ends a target as force_limited."""
     hard_fraction: float = 1.0
@@ -118,7 +124,15 @@ class Preflight:
 
 
 # Devices that `streams` may name by their `kind`.
-StreamConfig = CameraConfig | NetFtConfig | NidaqConfig | AtiSerialConfig | XelaConfig | PoseConfig
+StreamConfig = (
+    CameraConfig
+    | NetFtConfig
+    | NidaqConfig
+    | AtiSerialConfig
+    | XelaConfig
+    | PoseConfig
+    | WrenchConfig
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +153,7 @@ class BenchStream:
 
     @property
     def kind(self) -> str:
-        """Kind of the stream: camera, force, pose or taxels."""
+        """Kind of the stream: camera, force, pose, taxels or arm_wrench."""
         return str(self.config.STREAM)
 
     @property
@@ -161,7 +175,13 @@ class BenchStream:
 
 def empty_spec(row: BenchStream) -> StreamSpec:
     """Return the storage of a stream as far as it is known before its device is open."""
-    make = {"camera": camera_spec, "force": force_spec, "pose": pose_spec, "taxels": taxels_spec}
+    make: dict[str, Callable[..., StreamSpec]] = {
+        "camera": camera_spec,
+        "force": force_spec,
+        "pose": pose_spec,
+        "arm_wrench": arm_wrench_spec,
+        "taxels": taxels_spec,
+    }
     return make[row.kind](row.rate_hz, name=row.name, **row.uses)
 
 
@@ -181,8 +201,9 @@ class Bench:
     tool_rotation: tuple[float, float, float] = field(metadata={"unit": "deg"})
     """Orientation of the TCP in the contact frame, rotation vector [rad]."""
     arm: ArmConfig
-    force: ForceConfig | None = field(default=None, kw_only=True)
-    """The F/T sensor; only a mock bench may have none that guards."""
+    force: ForceConfig | Literal["none"] | None = field(default=None, kw_only=True)
+    """The F/T sensor; `none`: there is no gauge, and other guards stand in (`stand_ins`). Only a
+    mock bench may leave it out."""
     limits: BenchLimits
     trajectory: PressShear | ForceDepth
     preflight: Preflight = Preflight()
@@ -195,6 +216,8 @@ class Bench:
     streams: dict[str, StreamConfig] | None = None
     """Further streams by name, each a device with its `kind`; `force`, `camera` and `taxels` are
     streams with the names of their keys, and the arm's poses are the stream `pose`."""
+    stand_ins: no_gauge.StandIns | None = None
+    """What stands in for an F/T sensor with `force: none`; otherwise unused."""
     gripper: RobotiqConfig | None = None
     """Holds the indenter; watched while the arm moves."""
     pedal: PedalConfig | None = None
@@ -214,10 +237,13 @@ class Bench:
     def __post_init__(self) -> None:
         """Reject contradictions, such as two streams of one name, or an unguarded lab bench."""
         _check_streams(self.rows)
-        if not self.mock and not self.gauges:
+        if self.no_gauge:
+            no_gauge.check_settings(self.limits, self.stand_ins, self.gauges, self.signal)
+        elif not self.mock and not self.gauges:
             raise ValueError(
                 "force: missing; allowed on a lab bench: an F/T sensor with the role guard, which "
-                "stops the arm at limits.force_rating"
+                "stops the arm at limits.force_rating; or none, with limits.sensor_rating_n and "
+                "stand_ins"
             )
         if self.mock != (self.world is not None):
             raise ValueError(
@@ -248,10 +274,15 @@ class Bench:
                 )
 
     @property
+    def no_gauge(self) -> bool:
+        """True if the bench file says that there is no F/T sensor."""
+        return self.force == no_gauge.NO_GAUGE
+
+    @property
     def rows(self) -> tuple[BenchStream, ...]:
         """All streams, in the order in which they are shown and stored."""
         named = (
-            ("force", self.force),
+            ("force", None if self.no_gauge else self.force),
             ("pose", self.arm),
             ("camera", self.camera),
             ("taxels", self.taxels),
@@ -335,8 +366,14 @@ def _check_streams(rows: Sequence[BenchStream]) -> None:
     for row in rows:
         if row.listed and row.name in single:
             raise ValueError(f"{row.key}: found twice: the bench has a stream {row.name} already")
-        if row.kind != "force" and "guard" in row.uses.get("roles", ()):
+        roles = row.uses.get("roles", ())
+        if row.kind not in ("force", "arm_wrench") and "guard" in roles:
             raise ValueError(f"{row.key}.roles: found guard; allowed for F/T sensors only")
+        if row.kind == "arm_wrench" and set(roles) - {"guard"}:
+            raise ValueError(
+                f"{row.key}.roles: found {', '.join(roles)}; allowed: guard; the arm's own wrench "
+                "is too inaccurate for a label"
+            )
     try:
         check_streams([empty_spec(row) for row in rows])
     except SessionError as error:

@@ -8,7 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from recorder import StreamSpec, camera_spec, force_spec, pose_spec, taxels_spec
+from recorder import (
+    StreamSpec,
+    arm_wrench_spec,
+    camera_spec,
+    force_spec,
+    pose_spec,
+    taxels_spec,
+)
 from rig.bench.bench import Bench
 from rig.core.clock import Clock
 from rig.core.driver import Driver
@@ -59,6 +66,13 @@ KINDS = {
             False,
         ),
         StreamKind(
+            "arm_wrench",
+            FORCE_LATEST,
+            lambda sample, row: (sample["t_ns"], 0, sample["value"]),
+            ("value", "device_t", "t_ns"),
+            True,
+        ),
+        StreamKind(
             "camera",
             CAMERA_LATEST,
             lambda sample, row: (sample["t_ns"], row),
@@ -105,6 +119,10 @@ def make_driver(bench: Bench, name: str, clock: Clock) -> Driver:
             from rig.devices.arm.reader import RtdePoseDriver
 
             return RtdePoseDriver(row.config.host, row.config.rate_hz, clock)
+        if row.kind == "arm_wrench":
+            from rig.devices.arm.wrench import RtdeWrenchDriver
+
+            return RtdeWrenchDriver(row.config.host, row.config.rate_hz, clock)
         if row.kind == "camera":
             if not row.config.is_network:
                 from rig.devices.camera.v4l2 import V4l2Driver
@@ -157,6 +175,8 @@ def stream_spec(
         return force_spec(rate_hz, name=name, device=description, **attrs)
     if row.kind == "pose":
         return pose_spec(rate_hz, name=name, device=description, **attrs)
+    if row.kind == "arm_wrench":
+        return arm_wrench_spec(rate_hz, name=name, device=description, **attrs)
     if row.kind == "taxels":
         return taxels_spec(rate_hz, name=name, device=description, **attrs)
     camera: CameraConfig = row.config

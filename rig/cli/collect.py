@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import dataclasses
 from pathlib import Path
 
 from recorder.command_line.errors import EXIT_DONE
+from rig.bench.bench import Bench
+from rig.bench.no_gauge import slowed
 from rig.cli.options import (
     banner,
     bench_options,
@@ -15,7 +19,9 @@ from rig.cli.options import (
     chosen_bench,
     confirm_options,
     free_path,
+    log_to,
     opened_page,
+    require_terminal,
     resume_command,
     resumed_indenter,
     sources_of,
@@ -67,8 +73,10 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         ConfigError, DeviceLost, SafetyStop, SessionError: Before anything was recorded.
     """
+    from rig.acquire.motion_notice import deepest
     from rig.acquire.request import CollectRequest, is_complete, plan_of
-    from rig.cli.recording import record
+    from rig.cli import without_gauge
+    from rig.cli.recording import record, started_bench
 
     path, bench, content = chosen_bench(options)
     print(banner(bench.mock, path), flush=True)
@@ -86,6 +94,7 @@ def run(options: argparse.Namespace) -> int:
         name = f"{bench.sensor}-{indenter}-{file_stamp()}.zarr"
         session = free_path(Path("sessions") / name)
     calibration = calibration_of(options, bench, indenter)
+    bench = dataclasses.replace(bench, indenter=indenter)
     request = CollectRequest(
         path=session,
         resume=options.resume is not None,
@@ -99,15 +108,41 @@ def run(options: argparse.Namespace) -> int:
     if request.resume and is_complete(session, plan, total):
         print(f"complete: all {total} targets are done; {session} is left as it is")
         return EXIT_DONE
-    return record(
-        path,
-        content,
-        request,
-        plan,
-        total=total,
-        prepared=calibration.applied,
-        asked_by=options.asked_by,
-        sources=sources,
-        truth=options.truth,
-        page=lambda ready, folder: opened_page(options, ready, folder, request, plan, total),
-    )
+    depth = deepest(plan, total)
+    if bench.no_gauge:
+        require_terminal(bench)
+        without_gauge.check_before(options, bench, calibration, depth)
+    with contextlib.ExitStack() as stack:
+        on = None
+        if bench.no_gauge:
+            session.parent.mkdir(parents=True, exist_ok=True)
+            log_to(session.with_suffix(".log"))
+            on = stack.enter_context(
+                started_bench(path, content, sources=sources, truth=options.truth)
+            )
+            try:
+                calibration = without_gauge.prepare(
+                    options, path, bench, content, calibration, depth, session.parent, on=on
+                )
+            except without_gauge.StageFailed as failed:
+                print("collect: a stage before the plan was stopped; nothing was collected")
+                return failed.code
+            request = dataclasses.replace(request, calibration=calibration)
+
+        def prepared(ready: Bench) -> Bench:
+            placed = calibration.applied(ready)
+            return slowed(placed, depth) if ready.no_gauge else placed
+
+        return record(
+            path,
+            content,
+            request,
+            plan,
+            total=total,
+            prepared=prepared,
+            asked_by=options.asked_by,
+            sources=sources,
+            truth=options.truth,
+            page=lambda ready, folder: opened_page(options, ready, folder, request, plan, total),
+            on=on,
+        )

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 from pathlib import Path
+from typing import Any
 
 from recorder import Session
 from recorder.command_line.errors import EXIT_DONE, EXIT_SAFETY_STOP
 from rig.acquire.calibration import store
+from rig.bench.bench import Bench
 from rig.cli.options import (
     banner,
     bench_options,
     calibration_options,
     chosen_bench,
     free_path,
+    require_terminal,
     with_indenter,
 )
 from rig.core.clock import file_stamp
@@ -60,6 +64,8 @@ def run(options: argparse.Namespace) -> int:
     path, bench, content = chosen_bench(options)
     print(banner(bench.mock, path), flush=True)
     content, indenter = with_indenter(content, bench, options.indenter)
+    if bench.no_gauge:
+        return _by_signal(options, path, dataclasses.replace(bench, indenter=indenter), content)
     require_gauge(bench, "home")
     points = (1, 2, 3, 4, 5) if options.corners else (1,)
     travel = None if options.travel_mm is None else to_si(options.travel_mm, "mm")
@@ -87,5 +93,28 @@ def run(options: argparse.Namespace) -> int:
     print("\n".join(home.lines_of(found, bench)))
     measured = home.calibration_from(found, touching, content)
     file = store.store(options.calibrations, bench.sensor, home={indenter: measured})
+    print(f"home: stored in {file}")
+    return EXIT_DONE
+
+
+def _by_signal(
+    options: argparse.Namespace, path: Path, bench: Bench, content: dict[str, Any]
+) -> int:
+    """Find the surface without a gauge, and store it; return the exit code."""
+    from rig.cli import without_gauge
+    from rig.cli.recording import started_bench
+
+    require_terminal(bench)
+    folder = Path("sessions") if options.out is None else options.out
+    folder.mkdir(parents=True, exist_ok=True)
+    with started_bench(path, content) as on:
+        try:
+            home = without_gauge.find_surface(
+                path, bench, content, folder, on=on, operator=options.operator
+            )
+        except without_gauge.StageFailed as failed:
+            print("home: not finished, nothing is stored; repeat the command")
+            return failed.code
+    file = store.store(options.calibrations, bench.sensor, home={bench.indenter: home})
     print(f"home: stored in {file}")
     return EXIT_DONE

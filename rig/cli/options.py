@@ -22,6 +22,7 @@ from rig.acquire.control import Interrupted
 from rig.acquire.motion_notice import motion_lines
 from rig.bench.bench import Bench, bench_from, find_bench, load_bench, with_simulated_world
 from rig.bench.indenter import find_indenter, indenter_names, paper_indenters
+from rig.bench.no_gauge import NO_GAUGE, without_gauge
 from rig.bench.worlds import SimulatedSpec
 from rig.core.errors import ConfigError
 from rig.core.sources import Sources
@@ -63,6 +64,11 @@ def bench_options(
         choices=("sim",),
         help="simulate the contact by `sim` in place of the bench file's formulae",
     )
+    group.add_argument(
+        "--force",
+        choices=(NO_GAUGE,),
+        help="use the bench without its gauge; a lab bench states `force: none` in its file",
+    )
     if sources:
         group.add_argument(
             "--camera",
@@ -100,9 +106,9 @@ def bench_path(options: argparse.Namespace) -> Path:
 
 
 def chosen_bench(options: argparse.Namespace) -> tuple[Path, Bench, dict[str, Any]]:
-    """Return file, bench and content of the selected bench, with the world of --world applied.
+    """Return file, bench and content of the selected bench, with --world and --force applied.
 
-    A resumed session continues in the world in which it began.
+    A resumed session continues in the world in which it began, and without a gauge if it began so.
 
     Raises:
         ConfigError: See `rig.core.config`; or the bench has no simulated world.
@@ -111,9 +117,11 @@ def chosen_bench(options: argparse.Namespace) -> tuple[Path, Bench, dict[str, An
     path = bench_path(options)
     bench, content = load_bench(path)
     resumed = getattr(options, "resume", None)
-    if options.world is None and (resumed is None or not _began_simulated(resumed)):
-        return path, bench, content
-    content = with_simulated_world(content, str(path))
+    began = {} if resumed is None else Session(resumed).attrs["bench"]
+    if options.world is not None or (began.get("world") or {}).get("kind") == SimulatedSpec.KIND:
+        content = with_simulated_world(content, str(path))
+    if options.force is not None or (began.get("force") == NO_GAUGE and bench.mock):
+        content = without_gauge(content, str(path))
     return path, bench_from(content, str(path)), content
 
 
@@ -126,11 +134,6 @@ def resumed_indenter(options: argparse.Namespace) -> str | None:
         return None
     name = Session(options.resume).attrs.get("indenter")
     return name if name in indenter_names() else None
-
-
-def _began_simulated(session: Path) -> bool:
-    world = Session(session).attrs["bench"].get("world") or {}
-    return bool(world.get("kind") == SimulatedSpec.KIND)
 
 
 def sources_of(options: argparse.Namespace, path: Path, bench: Bench) -> Sources:
@@ -208,6 +211,20 @@ def confirm_motion(bench: Bench, depth: float, by: int | None = None) -> None:
     confirm(motion_lines(bench, depth))
 
 
+def _no_terminal() -> ConfigError:
+    return ConfigError("lab bench: no terminal to ask on; allowed: a terminal at the bench")
+
+
+def require_terminal(bench: Bench) -> None:
+    """Reject a lab bench that will ask before it moves, if there is no terminal to ask on.
+
+    Raises:
+        ConfigError: There is none.
+    """
+    if not bench.mock and not sys.stdin.isatty():
+        raise _no_terminal()
+
+
 def confirm(lines: list[str]) -> None:
     """Print how a lab bench will move, and wait for Enter on this terminal.
 
@@ -217,7 +234,7 @@ def confirm(lines: list[str]) -> None:
     """
     print("\n".join(lines), flush=True)
     if not sys.stdin.isatty():
-        raise ConfigError("lab bench: no terminal to ask on; allowed: a terminal at the bench")
+        raise _no_terminal()
     print("Enter to start, anything else to stop: ", end="", flush=True)
     try:
         # `input` misses a Ctrl-C that comes just before it begins to read.

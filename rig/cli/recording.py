@@ -1,11 +1,12 @@
-"""Records one session along any plan: starts the mock bench, if it is one, and the collector."""
+"""Records sessions along any plan: starts the mock bench, if it is one, and the collector."""
 
 from __future__ import annotations
 
 import contextlib
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,47 @@ if TYPE_CHECKING:
     from rig.monitor.page.page import Page
 
 
+@dataclass(frozen=True, slots=True)
+class StartedBench:
+    """A bench that is ready to record one session after the other."""
+
+    content: dict[str, Any]
+    """Content of its file, with the addresses of a mock bench's emulators."""
+    watch: Callable[[], None] | None
+    """Raises if an emulator of a mock bench is gone."""
+
+
+@contextlib.contextmanager
+def started_bench(
+    path: Path,
+    content: dict[str, Any],
+    *,
+    sources: Sources | None = None,
+    truth: Path | None = None,
+) -> Iterator[StartedBench]:
+    """Start the emulators of a mock bench for the context; a lab bench needs nothing.
+
+    Args:
+        path: The bench file.
+        content: Content of the bench file.
+        sources: Real recordings for a mock bench to play.
+        truth: File for a mock bench to log the World's truth to.
+
+    Raises:
+        ConfigError, DeviceLost: An emulator did not start.
+    """
+    if not bench_from(content, str(path)).mock:
+        yield StartedBench(content, None)
+        return
+    # Imported here, so that a collection on lab devices loads no emulator.
+    from rig.mock.bench import MockBench
+
+    with tempfile.TemporaryDirectory(prefix="tactile-rig-") as name:
+        mock = MockBench(content, str(path), Path(name), sources=sources, truth=truth)
+        with mock:
+            yield StartedBench(mock.content, mock.check)
+
+
 def record(
     path: Path,
     content: dict[str, Any],
@@ -33,6 +75,7 @@ def record(
     sources: Sources | None = None,
     truth: Path | None = None,
     page: Callable[[Bench, Path], AbstractContextManager[Page | None]] | None = None,
+    on: StartedBench | None = None,
 ) -> int:
     """Record `plan` from its first open target on and return the exit code.
 
@@ -48,6 +91,7 @@ def record(
         sources: Real recordings for a mock bench to play.
         truth: File for a mock bench to log the World's truth to.
         page: Opens the monitoring page, given the bench and the run folder.
+        on: The bench, if it has been started; `sources` and `truth` are then unused.
 
     Raises:
         ConfigError, DeviceLost, SafetyStop, SessionError, Interrupted: Before anything was
@@ -57,17 +101,10 @@ def record(
     request.path.parent.mkdir(parents=True, exist_ok=True)
     log_to(request.path.with_suffix(".log"))
     with contextlib.ExitStack() as stack:
+        if on is None:
+            on = stack.enter_context(started_bench(path, content, sources=sources, truth=truth))
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-")))
-        watch = None
-        if bench_from(content, str(path)).mock:
-            # Imported here, so that a collection on lab devices loads no emulator.
-            from rig.mock.bench import MockBench
-
-            mock = stack.enter_context(
-                MockBench(content, str(path), folder, sources=sources, truth=truth)
-            )
-            content, watch = mock.content, mock.check
-        bench = prepared(bench_from(content, str(path)))
+        bench = prepared(bench_from(on.content, str(path)))
         shown = None if page is None else stack.enter_context(page(bench, folder))
-        collector = Collector(bench, content, folder, watch, shown)
+        collector = Collector(bench, on.content, folder, on.watch, shown)
         return collector.run(request, plan, len(plan) if total is None else total)

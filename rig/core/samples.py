@@ -23,6 +23,13 @@ POSE_LATEST = np.dtype(
     ]
 )
 
+# State of the sensor's signal on a bench without a force gauge: arrival of the newest sample and of
+# the newest one that differed from its predecessor [ns], change since the last zero in standard
+# deviations of its noise, largest motion of a marker [px] or deviation of a taxel [counts].
+SIGNAL_LATEST = np.dtype(
+    [("t_ns", "<i8"), ("fresh_ns", "<i8"), ("change", "<f8"), ("motion", "<f8")]
+)
+
 # Raw counts per taxel: x, y, z.
 TAXELS_LATEST = np.dtype([("t_ns", "<i8"), ("value", "<i4", (16, 3))])
 

@@ -29,7 +29,7 @@ from rig.core.geometry import compose
 from rig.core.samples import ARM_TRUTH, PRESS_STATE, WORLD_STATE
 from rig.core.shared_memory import SharedLatest
 from rig.core.sources import Sources
-from rig.devices.arm.settings import PoseConfig
+from rig.devices.arm.settings import PoseConfig, WrenchConfig
 from rig.devices.force.settings import NidaqConfig
 from rig.mock.processes import ProcessGroup, StartedOrClosed
 from rig.mock.world import ARM_FILE, WORLD_FILE
@@ -133,6 +133,8 @@ class MockBench(StartedOrClosed):
         found = []
         for kind in _KINDS:
             key = "jog" if kind == "spacemouse" else kind
+            if key == "force" and bench.no_gauge:
+                continue
             if getattr(bench, key) is not None:
                 device = _Device(kind, kind, getattr(bench, key), content[key], PORTS[kind])
                 found.append(device)
@@ -140,7 +142,7 @@ class MockBench(StartedOrClosed):
             first = config.STREAM not in [device.kind for device in found]
             section = content["streams"][name]
             port = _NAMED_PORTS + place
-            if isinstance(config, PoseConfig):
+            if isinstance(config, PoseConfig | WrenchConfig):
                 # The arm's own controller serves further readers.
                 if config.host != bench.arm.host:
                     raise ConfigError(
@@ -159,7 +161,8 @@ class MockBench(StartedOrClosed):
         if name == "arm":
             rotation = bench.tool_rotation
             start = compose(bench.contact_frame, (0.0, 0.0, _START_HEIGHT, *rotation))
-            return {"state": str(self._folder / ARM_FILE), "pose": start.tolist()}
+            wrist = {"wrist": bool(bench.of_kind("arm_wrench"))}
+            return {"state": str(self._folder / ARM_FILE), "pose": start.tolist(), **wrist}
         if name == "force":
             if isinstance(config, NidaqConfig) and config.grpc is None:
                 where = device.process.removesuffix(".device")

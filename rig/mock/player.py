@@ -74,7 +74,7 @@ def make_playback_device(recorded: RecordedStream, host: str) -> PlaybackDevice:
         from rig.devices.playback.netft_player import NetFtPlayback
 
         return NetFtPlayback(recorded, host)
-    if kind == "pose":
+    if kind in ("pose", "arm_wrench"):
         from rig.devices.playback.rtde_player import RtdePlayback
 
         return RtdePlayback(recorded, host)

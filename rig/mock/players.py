@@ -13,7 +13,7 @@ from rig.bench.bench import Bench, BenchLimits, Preflight
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import DeviceLost
 from rig.core.shared_memory import SharedLatest
-from rig.devices.arm.settings import ArmConfig, PoseConfig
+from rig.devices.arm.settings import ArmConfig, PoseConfig, WrenchConfig
 from rig.devices.camera.settings import CameraConfig
 from rig.devices.force.settings import NetFtConfig
 from rig.devices.playback.wire import force_page, stated_rate
@@ -171,6 +171,8 @@ def _device(session: Session, name: str, host: str, speed: float) -> Any:
         return NetFtConfig(host=host, http_port=8080, rate_hz=rate_hz, silence=silence)
     if kind == "pose":
         return PoseConfig(host=host, rate_hz=stated_rate(stream))
+    if kind == "arm_wrench":
+        return WrenchConfig(host=host, rate_hz=stated_rate(stream))
     if kind == "taxels":
         return XelaConfig(address=f"ws://{host}:5000", rate_hz=stated_rate(stream), silence=silence)
     height, width, _ = stream.layout.columns[0].column.shape

@@ -91,7 +91,7 @@ class EndOfTape:
 
 
 # Samples that a driver delivers before playback starts, because it needs them to open, by kind.
-_LEAD_IN = {"force": 1, "taxels": 1, "pose": 0, "camera": 0}
+_LEAD_IN = {"force": 1, "taxels": 1, "pose": 0, "arm_wrench": 0, "camera": 0}
 _SETTLE_NS = SECOND_NS // 5
 _SETTLE_TIMEOUT = 10.0
 # Time from the cue to the start of playback; emulators poll the cue 200 times per second.

@@ -39,6 +39,22 @@ class HomeCalibration:
 
 
 @dataclass(frozen=True, slots=True)
+class FirstPressRecord:
+    """First press of a sensor with an indenter, on a bench without a gauge."""
+
+    date_utc: str
+    """Time of the press, ISO 8601."""
+    mock: bool
+    """True if made on a mock bench."""
+    tcp: tuple[float, ...] = field(metadata={"pose": True})
+    """Tool centre point (6,) of the press [m, rad]."""
+    depth: float = field(metadata={"unit": "mm"})
+    """Depth of the last press [m]."""
+    signals: tuple[float, ...]
+    """Largest signal in each press, from the air to the full depth [px or counts]."""
+
+
+@dataclass(frozen=True, slots=True)
 class LatencyCalibration:
     """Latency of a signal."""
 

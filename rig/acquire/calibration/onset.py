@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 _POWERS = np.arange(1.0, 2.01, 0.1)
+# Least number of samples of an approach.
+_LEAST = 20
 # Samples are averaged to about this many points: the fit is the same, but fast.
 _POINTS = 400
 # Number of heights tried along the whole approach, then around the best one.
@@ -73,8 +75,10 @@ def find_onset(z: Floats, force: Floats) -> Onset | None:
         ValueError: There are too few samples, or values are not finite.
     """
     z, force = np.asarray(z, np.float64), np.asarray(force, np.float64)
-    if z.shape != force.shape or len(z) < 50:
-        raise ValueError(f"approach: found {z.shape} heights and {force.shape} forces; at least 50")
+    if z.shape != force.shape or len(z) < _LEAST:
+        raise ValueError(
+            f"approach: found {z.shape} heights and {force.shape} forces; at least {_LEAST}"
+        )
     if not (np.isfinite(z).all() and np.isfinite(force).all()):
         raise ValueError("approach: values that are not finite; is a sensor disconnected?")
     z, force = _averaged(z, force)

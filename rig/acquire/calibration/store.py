@@ -17,7 +17,12 @@ import numpy as np
 
 from recorder.store import replace_file
 from recorder.strict_yaml import describe, yaml_text
-from rig.acquire.calibration.calibration import Calibration, HomeCalibration, LatencyCalibration
+from rig.acquire.calibration.calibration import (
+    Calibration,
+    FirstPressRecord,
+    HomeCalibration,
+    LatencyCalibration,
+)
 from rig.bench.bench import Bench
 from rig.core.clock import ClockAnchor
 from rig.core.config import READER, build, from_si, read_yaml
@@ -63,8 +68,9 @@ def load(folder: Path, bench: Bench, indenter: str) -> tuple[Calibration, list[s
         raise ConfigError(
             f"{path}.sensor: found {content.get('sensor')!r}; allowed: {bench.sensor!r}; {again}"
         )
-    if unknown := sorted(set(content) - {"sensor", "home", "latency"}):
-        raise ConfigError(f"{path}: unknown {', '.join(unknown)}; known: home, latency, sensor")
+    parts = ("first_press", "home", "latency", "sensor")
+    if unknown := sorted(set(content) - set(parts)):
+        raise ConfigError(f"{path}: unknown {', '.join(unknown)}; known: {', '.join(parts)}")
     homes = content.get("home") or {}
     if not isinstance(homes, dict):
         raise ConfigError(f"{path}.home: found {describe(homes)}; allowed: a mapping by indenter")
@@ -101,12 +107,32 @@ def load(folder: Path, bench: Bench, indenter: str) -> tuple[Calibration, list[s
     return Calibration(home, latency, str(path)), warnings
 
 
+def pressed_before(folder: Path, bench: Bench, indenter: str, depth: float) -> bool:
+    """Return True if a sensor was pressed in steps with this indenter and TCP, as deep as now.
+
+    Args:
+        folder: Folder of the calibration files.
+        bench: The bench.
+        indenter: Name of the indenter on the arm.
+        depth: Deepest indentation that is planned [m].
+    """
+    path = folder / f"{bench.sensor}.yaml"
+    content = read_yaml(path) if path.exists() else {}
+    found = (content.get("first_press") or {}).get(indenter)
+    if found is None:
+        return False
+    press = build(FirstPressRecord, found, f"{path}.first_press.{indenter}")
+    deep_enough = press.depth > depth - _SAME_PLACE
+    return deep_enough and press.mock == bench.mock and _same(press.tcp, bench.arm.tcp)
+
+
 def store(
     folder: Path,
     sensor: str,
     *,
     home: dict[str, HomeCalibration] | None = None,
     latency: LatencyCalibration | None = None,
+    first_press: dict[str, FirstPressRecord] | None = None,
 ) -> Path:
     """Add to a sensor's calibration file, atomically; other entries stay.
 
@@ -121,6 +147,8 @@ def store(
         )
     for indenter, found in (home or {}).items():
         content.setdefault("home", {})[indenter] = _plain(found)
+    for indenter, press in (first_press or {}).items():
+        content.setdefault("first_press", {})[indenter] = _plain(press)
     if latency is not None:
         content["latency"] = _plain(latency)
     try:
@@ -167,12 +195,21 @@ def _refuse_foreign(mock: bool, bench: Bench, where: str) -> None:
         )
 
 
-def _warn_stale(warnings: list[str], date_utc: str, where: str) -> None:
+def age_hours(date_utc: str, where: str = "home") -> float:
+    """Return the age of a calibration [h].
+
+    Raises:
+        ConfigError: Its date is none.
+    """
     try:
         then = np.datetime64(date_utc.removesuffix("Z"), "s")
     except ValueError:
         raise ConfigError(f"{where}.date_utc: found {date_utc!r}; allowed: ISO 8601") from None
     now = np.datetime64(now_utc().removesuffix("Z"), "s")
-    days = float((now - then) / np.timedelta64(1, "D"))
+    return float((now - then) / np.timedelta64(1, "h"))
+
+
+def _warn_stale(warnings: list[str], date_utc: str, where: str) -> None:
+    days = age_hours(date_utc, where) / 24
     if days > STALE_DAYS:
         warnings.append(f"{where}: {days:.0f} days old; after {STALE_DAYS:.0f} measure again")

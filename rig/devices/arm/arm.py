@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from rig.core.clock import Clock, SystemClock
 from rig.core.errors import DeviceLost, SafetyStop
 from rig.core.guard import GuardLimits, Mode
+from rig.core.stand_in_guards import StandIn
 from rig.devices.arm.messages import Close, Halt, Move, Reply, Retract, Setup
 from rig.devices.arm.settings import ArmConfig
 from rig.devices.arm.supervisor import Child, HasFileno
@@ -55,6 +56,7 @@ class Arm:
         gauges: FORCE_LATEST record published by each F/T sensor's stream, and its limits; empty:
             no F/T sensor.
         pose_path: POSE_LATEST record published by the pose stream; None: the child's own link.
+        stand_ins: Record and limits of each guard that stands in for an F/T sensor.
         clock: Clock for time limits.
     """
 
@@ -66,11 +68,13 @@ class Arm:
         *,
         gauges: Mapping[Path, GuardLimits],
         pose_path: Path | None,
+        stand_ins: Mapping[Path, StandIn] | None = None,
         clock: Clock | None = None,
     ) -> None:
         self._config = config
         watched = tuple(gauges.items())
-        setup = Setup(config, _floats(contact_frame), limits, watched, pose_path)
+        others = tuple((stand_ins or {}).items())
+        setup = Setup(config, _floats(contact_frame), limits, watched, pose_path, others)
         self._child = Child(setup, clock or SystemClock())
 
     def start(self, timeout: float) -> None:

@@ -116,6 +116,36 @@ _ARM_LENGTH = 0.2
 Movement = Iterator[None]
 
 
+class Wrist:
+    """Estimate of the force at the tool by an arm of this seed: wrong gain, bias, drift, noise.
+
+    The errors are those that Universal Robots states for the e-Series (accuracy 4 N, precision
+    3.5 N), and a gain that is up to 30 % wrong, as with a wrong payload or a moment on the flange.
+
+    Args:
+        seed: Determines the errors.
+        payload_error: Difference between the true payload and the one that the arm was told [kg].
+    """
+
+    GAIN, BIAS, DRIFT, NOISE = 0.3, 4.0, 0.02, 0.15
+    """Largest error of the gain, bias [N] and drift [N/s]; standard deviation of the noise [N]."""
+
+    def __init__(self, seed: int, payload_error: float = 0.0) -> None:
+        self._rng = np.random.default_rng(seed)
+        self.gain = 1.0 + float(self._rng.uniform(-self.GAIN, self.GAIN))
+        self._bias = np.zeros(6)
+        self._bias[:3] = self._rng.uniform(-self.BIAS, self.BIAS, 3)
+        self._bias[2] -= 9.81 * payload_error
+        self._drift = np.zeros(6)
+        self._drift[:3] = self._rng.uniform(-self.DRIFT, self.DRIFT, 3)
+
+    def reported(self, wrench: Array, t: float) -> Array:
+        """Return what the arm reports for a true wrench (6,) [N, N m] at time `t` [s]."""
+        noise = self._rng.normal(0.0, self.NOISE, 6) * (1.0, 1.0, 1.0, 0.1, 0.1, 0.1)
+        found: Array = self.gain * wrench + self._bias + self._drift * t + noise
+        return found
+
+
 class Robot:
     """Ideal arm that follows its commands exactly.
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from rig.core.geometry import Array
 from rig.devices.arm import rtde
-from rig.devices.arm.emulated_arm import CYCLE, Movement, Robot
+from rig.devices.arm.emulated_arm import CYCLE, Movement, Robot, Wrist
 
 logger = logging.getLogger(__name__)
 
@@ -269,6 +269,8 @@ class Controller:
         self.force_limit = force_limit
         self.wrench = np.zeros(6)
         """On the sensor, from the World [N, N m]; reported as actual_TCP_force unrotated."""
+        self.wrist: Wrist | None = None
+        """Errors of that report; None: none."""
         self.tick = 0
         self.runtime_state = STOPPED
         self.safety_status = _NORMAL
@@ -414,7 +416,7 @@ class Controller:
             sources[f"{what}_TCP_speed"] = lambda: tuple(robot.speed.tolist())
             sources[f"{what}_q"] = lambda: tuple(robot.joints.tolist())
         sources["timestamp"] = lambda: self.tick * CYCLE
-        sources["actual_TCP_force"] = lambda: tuple(self.wrench.tolist())
+        sources["actual_TCP_force"] = self._tcp_force
         sources["tcp_offset"] = lambda: tuple(robot.tcp.tolist())
         sources["robot_mode"] = lambda: self.robot_mode
         sources["joint_mode"] = lambda: (253,) * 6
@@ -429,6 +431,11 @@ class Controller:
         sources["payload"] = lambda: self.payload
         sources["payload_cog"] = lambda: self.payload_cog
         return sources
+
+    def _tcp_force(self) -> rtde.Value:
+        if self.wrist is None:
+            return tuple(self.wrench.tolist())
+        return tuple(self.wrist.reported(self.wrench, self.tick * CYCLE).tolist())
 
 
 _SAFETY = {1: "NORMAL", 3: "PROTECTIVE_STOP", 7: "ROBOT_EMERGENCY_STOP"}

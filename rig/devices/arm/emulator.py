@@ -29,7 +29,7 @@ from rig.core.geometry import compose
 from rig.core.samples import ARM_TRUTH
 from rig.core.shared_memory import SharedLatest
 from rig.devices.arm import dashboard, emulator_faults, rtde
-from rig.devices.arm.emulated_arm import CYCLE, POSTURE, flange_pose
+from rig.devices.arm.emulated_arm import CYCLE, POSTURE, Wrist, flange_pose
 from rig.devices.arm.emulated_controller import VERSION, Controller, dashboard_answer
 from rig.devices.arm.settings import ArmConfig
 
@@ -451,6 +451,8 @@ class ArmEmulatorConfig(EmulatorConfig):
     """TCP at start, in the base frame: x y z [m] rx ry rz [rad]; None: tool down."""
     force_limit: float = field(default=150.0, metadata={"unit": "n"})
     """Contact force that triggers a protective stop [N]."""
+    wrist: bool = False
+    """Report the force as a real arm estimates it, with the errors of a `Wrist` of this `seed`."""
 
 
 def emulate(settings: ArmEmulatorConfig, clock: Clock) -> Served:
@@ -467,6 +469,8 @@ def emulate(settings: ArmEmulatorConfig, clock: Clock) -> Served:
     tcp = np.array(settings.device.tcp)
     pose = settings.pose or compose(flange_pose(np.array(POSTURE)), tcp)
     controller = Controller(np.array(pose), tcp, force_limit=settings.force_limit)
+    if settings.wrist:
+        controller.wrist = Wrist(settings.seed)
     state = SharedLatest.publish(settings.state, ARM_TRUTH) if settings.state else None
     world = SharedWorld(settings.world)
     return Served("arm", ArmEmulator(settings.host, controller, clock, state=state, world=world))

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Literal
 
 from rig.core.guard import GuardLimits, Kind, Mode
+from rig.core.stand_in_guards import StandIn
 from rig.devices.arm.settings import ArmConfig
 
 # Number of the unprompted reply that reports that the child is ready, or why it is not.
@@ -31,6 +32,8 @@ class Setup:
     """FORCE_LATEST record of each F/T sensor that guards, and its limits."""
     pose_path: Path | None
     """POSE_LATEST record; None: the child's own pose link is used."""
+    stand_ins: tuple[tuple[Path, StandIn], ...] = ()
+    """Record of each guard that stands in for an F/T sensor, and its limits."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -57,6 +57,9 @@ class Watch:
             (AwaitedRecord(path, FORCE_LATEST), guard, path.stem if path and several else "")
             for path, guard in gauges
         ]
+        self._stand_ins = [
+            (AwaitedRecord(path, limits.RECORD), limits) for path, limits in setup.stand_ins
+        ]
         self._shared_pose = setup.pose_path is not None
         self._pose = AwaitedRecord(setup.pose_path, POSE_LATEST)
         self._sample: dict[str, Any] | None = None
@@ -92,6 +95,10 @@ class Watch:
             if violation is not None:
                 reason = f"{name}: {violation.reason}" if name else violation.reason
                 found.append(replace(violation, reason=reason))
+        for record, limits in self._stand_ins:
+            violation = limits.check(now_ns, record.read(), mode)
+            if violation is not None:
+                found.append(violation)
         return most_serious(found)
 
     def look_again(self, timeout: float) -> Violation | None:

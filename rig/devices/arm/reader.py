@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 import select
 import socket
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar
 
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.driver import Inbox, Receiver
@@ -64,10 +64,15 @@ class RtdeLink:
         host: Controller address.
         rate_hz: Packages per second; the controller rounds to 500 Hz divided by an integer.
         clock: Timestamps the arrivals.
+        more: Further variables to stream, and the names of their columns.
     """
 
-    def __init__(self, host: str, rate_hz: float, clock: Clock) -> None:
+    def __init__(
+        self, host: str, rate_hz: float, clock: Clock, more: Mapping[str, str] | None = None
+    ) -> None:
         self._host = host
+        self._variables = (*VARIABLES, *(more or {}))
+        self._columns = (*COLUMNS, *(more or {}).values())
         self._clock = clock
         self._period = 1 / rate_hz
         self._rate_hz = rate_hz
@@ -108,13 +113,13 @@ class RtdeLink:
             self.version = tuple(
                 int.from_bytes(version[k : k + 4], "big") for k in range(0, len(version), 4)
             )
-            request = rtde.pack_output_request(self._rate_hz, VARIABLES)
+            request = rtde.pack_output_request(self._rate_hz, self._variables)
             reply = self._ask(rtde.Kind.OUTPUTS, request, deadline_ns)
             self._recipe, types = rtde.unpack_recipe(reply)
             self._types = tuple(types)
             rtde.layout(self._types)
-            if len(self._types) != len(VARIABLES):
-                raise ValueError(f"{len(types)} types for {len(VARIABLES)} variables")
+            if len(self._types) != len(self._variables):
+                raise ValueError(f"{len(types)} types for {len(self._variables)} variables")
             if self._ask(rtde.Kind.START, b"", deadline_ns) != b"\x01":
                 raise ValueError("the controller refused to start the stream")
         except OSError as error:
@@ -191,7 +196,7 @@ class RtdeLink:
         """Return the sample of a package; None if it is a duplicate or late."""
         if not payload or payload[0] != self._recipe:
             raise ValueError(f"RTDE package of a recipe that is not ours ({payload[:1].hex()})")
-        sample = dict(zip(COLUMNS, rtde.unpack_values(self._types, payload[1:]), strict=True))
+        sample = dict(zip(self._columns, rtde.unpack_values(self._types, payload[1:]), strict=True))
         device_t = float(sample["device_t"])  # type: ignore[arg-type]
         _require_plausible(sample["value"])  # type: ignore[arg-type]
         if self._device_t is not None:
@@ -238,10 +243,13 @@ class RtdePoseDriver:
         capacity: Number of samples kept for a late consumer.
     """
 
+    MORE: ClassVar[Mapping[str, str]] = {}
+    """Further variables to stream, and the names of their columns."""
+
     def __init__(self, host: str, rate_hz: float, clock: Clock, *, capacity: int = 10_000) -> None:
         self._host = host
         self._rate_hz = rate_hz
-        self._link = RtdeLink(host, rate_hz, clock)
+        self._link = RtdeLink(host, rate_hz, clock, self.MORE)
         self._new_inbox: Callable[[], Inbox] = lambda: Inbox(clock, capacity)
         self._inbox: Inbox | None = None
         self._receiver: Receiver | None = None

@@ -78,16 +78,13 @@ class ArmConfig:
 
 
 @dataclass(frozen=True, slots=True)
-class PoseConfig(StreamSettings):
-    """Settings of a further stream of poses, from a UR controller that is only listened to."""
-
-    KIND: ClassVar[str] = "ur_pose"
-    STREAM: ClassVar[str] = "pose"
+class _ListenedTo(StreamSettings):
+    """Settings of a stream from a UR controller that is only listened to."""
 
     host: str
     """IP address of the controller; on a mock bench that of the arm."""
     rate_hz: float = 500.0
-    """RTDE pose rate; the controller divides 500 Hz by an integer."""
+    """RTDE rate; the controller divides 500 Hz by an integer."""
 
     def __post_init__(self) -> None:
         """Reject a rate that no controller has.
@@ -102,3 +99,19 @@ class PoseConfig(StreamSettings):
     def address(self) -> str:
         """Address of the device, for display."""
         return self.host
+
+
+@dataclass(frozen=True, slots=True)
+class PoseConfig(_ListenedTo):
+    """Settings of a further stream of poses."""
+
+    KIND: ClassVar[str] = "ur_pose"
+    STREAM: ClassVar[str] = "pose"
+
+
+@dataclass(frozen=True, slots=True)
+class WrenchConfig(_ListenedTo):
+    """Settings of the arm's own estimate of the force at its tool: it stops the arm, no more."""
+
+    KIND: ClassVar[str] = "ur_wrench"
+    STREAM: ClassVar[str] = "arm_wrench"

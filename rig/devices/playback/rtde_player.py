@@ -30,7 +30,7 @@ class RtdePlayback:
     """Emulated controller that sends RTDE data packages.
 
     Args:
-        recorded: A pose stream.
+        recorded: A stream of poses, or of the arm's wrench.
         host: Address to listen on.
     """
 
@@ -39,9 +39,15 @@ class RtdePlayback:
 
     def __init__(self, recorded: RecordedStream, host: str) -> None:
         rows = slice(recorded.rows.start, recorded.rows.stop)
-        self._pose = recorded.stream.array("value")[rows].tolist()
+        is_pose = recorded.stream.traits.kind == "pose"
+        self._variable = "actual_TCP_pose" if is_pose else "actual_TCP_force"
+        self._value = recorded.stream.array("value")[rows].tolist()
         self._device_t = recorded.stream.array("device_t")[rows].tolist()
-        self._scaling = recorded.stream.array("speed_scaling")[rows].tolist()
+        self._scaling = (
+            recorded.stream.array("speed_scaling")[rows].tolist()
+            if is_pose
+            else [1.0] * len(self._value)
+        )
         self._names: list[str] = []
         self._types: tuple[str, ...] = ()
         self._listener = Listener(host, rtde.PORT, self._greet)
@@ -67,7 +73,7 @@ class RtdePlayback:
         """
         known: dict[str, rtde.Value] = {
             "timestamp": self._device_t[place],
-            "actual_TCP_pose": tuple(self._pose[place]),
+            self._variable: tuple(self._value[place]),
             "speed_scaling": self._scaling[place],
             "target_speed_fraction": 1.0,
             "runtime_state": _PLAYING,

@@ -30,7 +30,7 @@ Floats = npt.NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
 # Kinds of streams that can be replayed, in the order their drivers are opened.
-ORDER = ("force", "pose", "taxels", "camera")
+ORDER = ("force", "pose", "arm_wrench", "taxels", "camera")
 _UINT32 = 1 << 32
 _UINT16 = 1 << 16
 
@@ -120,7 +120,7 @@ def check_force(stream: Stream, rows: slice) -> None:
 
 
 def check_pose(stream: Stream, rows: slice) -> None:
-    """Reject poses that no controller could send again.
+    """Reject poses, or wrenches of an arm, that no controller could send again.
 
     Raises:
         SessionError: Names the row.
@@ -171,7 +171,9 @@ def check_camera(stream: Stream, rows: slice, progress: Progress | None = None) 
 
 
 # The camera's check is not listed: it takes long, and reports progress.
-_CHECKS = {"force": check_force, "pose": check_pose, "taxels": check_taxels}
+_CHECKS = {
+    **{"force": check_force, "pose": check_pose, "arm_wrench": check_pose, "taxels": check_taxels}
+}
 
 
 def replayable(

@@ -1,0 +1,206 @@
+"""Finds the surface by the onset of a sensor's own signal, in and out, so that its delay cancels.
+
+A camera or taxels show a contact late. On the way in, the onset then appears too deep, on the way
+out too high by as much, at the same speed: their mean is the surface.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder import Session, Stream
+from recorder.session import linear
+from rig.acquire.calibration.onset import Onset, Surface, combine, find_onset, tilt
+from rig.acquire.signal_level import Level, SignalLevel, reading
+from rig.core.errors import SafetyStop
+from rig.core.geometry import invert, transform
+from trajectories import PHASES, Plan
+
+Floats = NDArray[np.float64]
+
+METHOD = "onset of the signal, in and out at one speed"
+# The deepest part of each way is left out: there the arm turns, and the signal lags behind [m].
+_TURNING = 20e-6
+# Samples at the start of an approach that are without contact.
+_REST = 12
+# Student's t for 95 %, by degrees of freedom from 1; beyond, 2.1.
+_T_95 = (12.71, 4.30, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.26, 2.23)
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """Signal on one way down or up."""
+
+    z: Floats
+    """Height of the tip (n,) in the contact frame when the samples arrived [m]."""
+    change: Floats
+    """Change of the signal from no contact (n,)."""
+
+
+@dataclass(frozen=True, slots=True)
+class FoundSurface:
+    """Surface under the points of a session of touches."""
+
+    surface: Surface
+    """Height at the first point, with its interval."""
+    onsets: tuple[Onset, ...]
+    """Onsets at the first point, one for each approach."""
+    delay: float
+    """Mean delay of the signal behind the pose at the speed of the approaches [m]."""
+    heights: Mapping[int, float]
+    """Height above what the plan expects at each point [m]."""
+    slopes: tuple[float, float] | None
+    """Tilt along x and y [rad]; None unless three points were touched."""
+
+
+def onset_of(down: Way, up: Way) -> tuple[Onset, float] | None:
+    """Return the onset of contact of one approach and the delay [m], or None without contact.
+
+    Args:
+        down: Samples on the way in.
+        up: Samples on the way out.
+    """
+    found = []
+    for way in (down, up):
+        order = np.argsort(-way.z, kind="stable")
+        z, change = way.z[order], way.change[order]
+        kept = z > z.min() + _TURNING if len(z) else np.zeros(0, np.bool_)
+        onset = find_onset(z[kept], change[kept]) if kept.sum() >= 20 else None
+        if onset is None:
+            return None
+        found.append(onset)
+    one, other = found
+    half = float(np.hypot(*(np.diff(onset.interval)[0] / 4 for onset in found)))
+    middle = (one.z + other.z) / 2
+    interval = (middle - half, middle + half)
+    both = Onset(middle, interval, one.power, one.force, one.noise)
+    return both, (other.z - one.z) / 2
+
+
+def surface_of(
+    approaches: Mapping[int, Sequence[tuple[Onset, float]]], places: Mapping[int, Sequence[float]]
+) -> FoundSurface:
+    """Combine the approaches of all points.
+
+    The spread between approaches is pooled over the points, so that two at each are enough.
+
+    Args:
+        approaches: Onset above what the plan expects, and delay, of each approach, by point; the
+            first point is the reference.
+        places: Place (2,) of each point in the contact frame [m].
+    """
+    groups = {point: [onset for onset, _ in found] for point, found in approaches.items()}
+    first = next(iter(groups))
+    heights = {point: float(np.mean([each.z for each in found])) for point, found in groups.items()}
+    freedom = sum(len(found) - 1 for found in groups.values())
+    squares = sum(
+        float(np.sum([(each.z - heights[point]) ** 2 for each in found]))
+        for point, found in groups.items()
+    )
+    surface = combine(groups[first])
+    if freedom:
+        spread = float(np.sqrt(squares / freedom))
+        t = _T_95[freedom - 1] if freedom <= len(_T_95) else 2.1
+        half = t * spread / np.sqrt(len(groups[first]))
+        within = np.sqrt(
+            np.mean([(np.diff(each.interval)[0] / 2) ** 2 for each in groups[first]])
+            / len(groups[first])
+        )
+        half = float(np.hypot(half, within))
+        surface = Surface(surface.z, (surface.z - half, surface.z + half), spread)
+    slopes = None
+    if len(groups) >= 3:
+        where = np.array([places[point] for point in groups], np.float64)
+        slopes = tilt(where, np.array([heights[point] for point in groups]))[:2]
+    delays = [delay for found in approaches.values() for _, delay in found]
+    return FoundSurface(surface, tuple(groups[first]), float(np.mean(delays)), heights, slopes)
+
+
+def evaluate(session: Session, plan: Plan) -> FoundSurface:
+    """Find the surface in a recorded session of touches.
+
+    Args:
+        session: Session recorded along `plan`, of a bench without a gauge.
+        plan: The touches.
+
+    Raises:
+        SafetyStop: An approach shows no contact.
+    """
+    found: dict[int, list[tuple[Onset, float]]] = {}
+    places: dict[int, Sequence[float]] = {}
+    targets = list(plan.targets())
+    ends = [*(span_of(session, target.index)[0] for target in targets[1:]), None]
+    for target, end in zip(targets, ends, strict=True):
+        ways = _ways(session, target.index, end)
+        onset = None if ways is None else onset_of(*ways)
+        if onset is None:
+            raise SafetyStop(
+                f"home: no contact in the signal at point {target.point}; is the sensor alive, "
+                "and its light on?"
+            )
+        expected = target.bottom[2] + target.depth
+        both, delay = onset
+        low, high = both.interval
+        above = Onset(
+            both.z - expected,
+            (low - expected, high - expected),
+            both.power,
+            both.force,
+            both.noise,
+        )
+        found.setdefault(target.point, []).append((above, delay))
+        places[target.point] = target.origin[:2]
+    return surface_of(found, places)
+
+
+def span_of(session: Session, index: int) -> tuple[int, int]:
+    """Return start and end of the way down of target `index` [ns].
+
+    Raises:
+        SafetyStop: The target was not pressed.
+    """
+    segments = session.segments
+    rows = np.flatnonzero(
+        (np.asarray(segments["target"]) == index)
+        & (np.asarray(segments["phase"]) == PHASES.index("normal_inc"))
+    )
+    if not rows.size:
+        raise SafetyStop(f"home: approach {index + 1} was not made")
+    row = rows[-1]
+    return int(segments["start_ns"][row]), int(segments["end_ns"][row])
+
+
+def _ways(session: Session, index: int, end: int | None) -> tuple[Way, Way] | None:
+    start, turned = span_of(session, index)
+    name, pose_name = session.signal, session.first("pose")
+    if name is None or pose_name is None:
+        raise SafetyStop("home: the session has no signal or no pose")
+    stream, pose = session.streams[name], session.streams[pose_name]
+    frame = invert(session.attrs["contact_frame"])
+    height = transform(frame, np.asarray(pose.array("value"))[:, :3])[:, 2]
+    until = stream.t_ns[-1] + 1 if end is None else end
+    rows = np.flatnonzero((stream.t_ns >= start) & (stream.t_ns < until))
+    times = stream.t_ns[rows]
+    z = linear(pose.t_ns, height, times).value
+    change = np.array([level.change for level in levels_of(stream, rows)])
+    top = float(np.nanmax(z[times < turned], initial=-np.inf))
+    going_down, going_up = times < turned, (times >= turned) & (z < top)
+    return Way(z[going_down], change[going_down]), Way(z[going_up], change[going_up])
+
+
+def levels_of(stream: Stream, rows: NDArray[np.int64]) -> list[Level]:
+    """Return the levels of a stream's samples, of which the first ones set the zero."""
+    is_image = stream.traits.kind == "camera"
+    level = SignalLevel(is_image=is_image)
+    readings = [
+        reading((is_image and stream.jpeg(row)) or stream.values(slice(row, row + 1))[0])
+        for row in rows.tolist()
+    ]
+    for each in readings[:_REST]:
+        level.of(each)
+    level.zero()
+    return [level.of(each) for each in readings]

@@ -1,0 +1,318 @@
+"""Procedure before collecting on a bench without a force gauge.
+
+The surface is first searched at 2 mm/s, up to 8 mm above the place that the bench file states, then
+touched at every point of the plan at 0.5 mm/s, in and out. The first press of a sensor with an
+indenter goes through the air, touches, and presses 10, 25, 50 and 100 % of the planned depth. Each
+stage is a session of its own, and the surface it found moves the contact frame of the next.
+
+`rig.bench.no_gauge` has the rules.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+
+from recorder import OUTCOMES, Session
+from rig.acquire.calibration import signal_onset
+from rig.acquire.calibration.calibration import Calibration, HomeCalibration
+from rig.acquire.calibration.signal_onset import FoundSurface
+from rig.acquire.calibration.store import age_hours, bench_hash, now_utc
+from rig.bench.bench import Bench
+from rig.bench.no_gauge import FRACTION, SURFACE_HOURS, SURFACE_WIDTH, slowed
+from rig.core.errors import ConfigError, SafetyStop
+from rig.core.geometry import compose, invert, transform
+from trajectories import FirstPress, PressShear, Target, Touch
+
+if TYPE_CHECKING:
+    from rig.acquire.streams import Streams
+
+# Speed of the touches [m/s], and heights of the search above and below the stated surface [m].
+TOUCH_SPEED = 0.5e-3
+SEARCH_ABOVE, SEARCH_BELOW = 8e-3, 2.5e-3
+# Change of the signal that ends an approach, in standard deviations of its noise.
+CONTACT = 40.0
+# A touch begins this far above the lowest place of the search, which was below the surface because
+# the signal is late, and ends this far below it [m].
+TOUCH_ABOVE, TOUCH_BELOW = 0.7e-3, 0.1e-3
+# Largest distance of the surface from the place that the bench file states [m].
+SHIFT_MAX = 3e-3
+# Largest deviation of a point from the height that the plan expects, relative to the first [m].
+UNEVEN_MAX = 0.15e-3
+
+
+def search_depth(bench: Bench) -> float:
+    """Return how far below the stated surface to search [m]: never beyond half the rating."""
+    given, rating = bench.stand_ins, bench.limits.sensor_rating
+    if given is None or rating is None:
+        return 0.0
+    planned = bench.plan_limits
+    return min(
+        SEARCH_BELOW,
+        FRACTION * rating / given.stiffness[1],
+        # What the plan check allows, with the stiffness that the bench file expects.
+        0.999 * planned.force_rating / planned.stiffness,
+    )
+
+
+def search_plan(bench: Bench) -> Touch:
+    """Return the search for the surface at the first point."""
+    return Touch(
+        travel=search_depth(bench),
+        clearance=SEARCH_ABOVE,
+        repeats=1,
+        dome_radius=bench.dome_radius,
+    )
+
+
+def touch_plan(bench: Bench) -> Touch:
+    """Return the touches around the surface that the search found, at all points of the plan."""
+    plan = bench.trajectory
+    if not isinstance(plan, PressShear) or plan.points == (1,):
+        return Touch(TOUCH_BELOW, TOUCH_ABOVE, repeats=4, dome_radius=bench.dome_radius)
+    # Corners of a cross lie beyond its points; those of half its width lie within.
+    scale = 1.0 if plan.layout == "corners" else 0.5
+    return Touch(
+        TOUCH_BELOW,
+        TOUCH_ABOVE,
+        repeats=2,
+        points=(1, 2, 3, 4, 5),
+        step_x=scale * plan.step_x,
+        step_y=scale * plan.step_y,
+        dome_radius=bench.dome_radius,
+    )
+
+
+def at_surface(bench: Bench, shift: float) -> Bench:
+    """Return the bench with its contact frame `shift` [m] higher along z."""
+    frame = compose(bench.contact_frame, (0.0, 0.0, shift, 0.0, 0.0, 0.0))
+    return dataclasses.replace(bench, contact_frame=tuple(np.asarray(frame).tolist()))
+
+
+def searching(bench: Bench) -> Bench:
+    """Return the bench as it is used to search."""
+    return slowed(bench, search_depth(bench))
+
+
+def touching(bench: Bench) -> Bench:
+    """Return the bench as it is used to touch."""
+    return slowed(bench, TOUCH_BELOW, speed=TOUCH_SPEED)
+
+
+def rough_height(session: Session) -> float:
+    """Return the height of the tip at the first contact of a recorded search [m].
+
+    Raises:
+        SafetyStop: There was no contact.
+    """
+    outcomes = list(session.segments["outcome"])
+    if not outcomes or outcomes[0] != OUTCOMES.index("force_limited"):
+        raise SafetyStop(
+            f"home: no contact in the signal down to {-1e3 * lowest(session):+.2f} mm of the "
+            "stated surface; is the contact frame of the bench file right, the right indenter on "
+            "the arm, and the sensor alive?"
+        )
+    return lowest(session)
+
+
+def lowest(session: Session) -> float:
+    """Return the lowest height of the tip in a session's contact frame [m]."""
+    name = session.first("pose")
+    if name is None:
+        raise SafetyStop("home: the session has no pose")
+    value = np.asarray(session.streams[name].array("value"))[:, :3]
+    return float(transform(invert(session.attrs["contact_frame"]), value)[:, 2].min())
+
+
+def shifted(shift: float) -> SafetyStop:
+    """Return the error of a surface that is too far from the stated one, `shift` [m] above it."""
+    return SafetyStop(
+        f"home: the surface is {1e3 * shift:+.2f} mm from where the bench file states it; "
+        f"allowed: {1e3 * SHIFT_MAX:g} mm; is another indenter on the arm, or arm.tcp wrong?"
+    )
+
+
+def check_surface(found: FoundSurface, shift: float) -> None:
+    """Reject a surface that is not known well enough, is not where it was stated, or is uneven.
+
+    Args:
+        found: The touches, in a frame that the search moved.
+        shift: Height of the surface above the place that the bench file states [m].
+
+    Raises:
+        SafetyStop: States what was found and what is allowed.
+    """
+    if found.surface.width > SURFACE_WIDTH:
+        raise SafetyStop(
+            f"home: the interval of the surface is {1e3 * found.surface.width:.3f} mm wide; "
+            f"allowed: {1e3 * SURFACE_WIDTH:.3f} mm; is the light of the sensor steady?"
+        )
+    if abs(shift) > SHIFT_MAX:
+        raise shifted(shift)
+    first = next(iter(found.heights))
+    uneven = {point: z - found.heights[first] for point, z in found.heights.items()}
+    point, worst = max(uneven.items(), key=lambda each: abs(each[1]))
+    if abs(worst) > UNEVEN_MAX:
+        tilt = ""
+        if found.slopes is not None:
+            across, along = np.degrees(found.slopes)
+            tilt = f"; it tilts by {across:+.2f} deg along x and {along:+.2f} deg along y"
+        raise SafetyStop(
+            f"home: the surface at point {point} is {1e3 * worst:+.2f} mm from that at point "
+            f"{first}; allowed: {1e3 * UNEVEN_MAX:g} mm{tilt}: correct the rotation of "
+            "contact_frame, or dome_radius_mm"
+        )
+
+
+def home_of(
+    found: FoundSurface, rough: float, bench: Bench, content: dict[str, Any]
+) -> HomeCalibration:
+    """Return the calibration to store.
+
+    Args:
+        found: The touches, in the frame that the search moved by `rough`.
+        rough: Height of the search's contact in the bench file's contact frame [m].
+        bench: The bench as its file describes it.
+        content: Content of the file.
+    """
+    surface = found.surface
+    return HomeCalibration(
+        date_utc=now_utc(),
+        method=signal_onset.METHOD,
+        mock=bench.mock,
+        bench_sha256=bench_hash(content),
+        contact_frame=tuple(bench.contact_frame),
+        tcp=tuple(bench.arm.tcp),
+        shift=rough + surface.z,
+        interval=(rough + surface.interval[0], rough + surface.interval[1]),
+        contacts=tuple(rough + onset.z for onset in found.onsets),
+    )
+
+
+def check_home(bench: Bench, calibration: Calibration, hint: str) -> None:
+    """Reject a surface that is missing, old or not known well enough, before anything moves.
+
+    Args:
+        bench: A bench without a gauge.
+        calibration: What is known of its sensor with the indenter on the arm.
+        hint: Command that measures the surface.
+
+    Raises:
+        ConfigError: States what is wrong and the command.
+    """
+    home = calibration.home
+    if home is None:
+        raise ConfigError(
+            f"{bench.sensor}: without a gauge, the surface must be known for the indenter "
+            f"{bench.indenter}; measure it: {hint}"
+        )
+    width = home.interval[1] - home.interval[0]
+    if width > SURFACE_WIDTH:
+        raise ConfigError(
+            f"{calibration.file}: the surface is known to {1e3 * width:.3f} mm; allowed without a "
+            f"gauge: {1e3 * SURFACE_WIDTH:.3f} mm; measure again: {hint}"
+        )
+    hours = age_hours(home.date_utc)
+    if not 0 <= hours <= SURFACE_HOURS:
+        raise ConfigError(
+            f"{calibration.file}: the surface was found {hours:.1f} h ago; allowed without a "
+            f"gauge: {SURFACE_HOURS:g} h; measure again: {hint}"
+        )
+
+
+def lines_of(found: FoundSurface, home: HomeCalibration, truth: float | None) -> list[str]:
+    """Return the result as lines, with the true height of a mock bench's surface [m]."""
+    low, high = (1e3 * value for value in home.interval)
+    lines = [
+        f"home: surface {1e3 * home.shift:+.3f} mm along z of the bench file's contact frame "
+        f"(95 % {low:+.3f} to {high:+.3f} mm); the signal is {1e3 * found.delay:.3f} mm late at "
+        f"{1e3 * TOUCH_SPEED:g} mm/s"
+    ]
+    if found.slopes is not None:
+        across, along = np.degrees(found.slopes)
+        lines.append(
+            f"home: it tilts by {across:+.2f} deg along x, {along:+.2f} deg along y; heights "
+            + ", ".join(f"{point}: {1e3 * z:+.3f}" for point, z in found.heights.items())
+            + " mm"
+        )
+    if truth is not None:
+        lines.append(
+            f"home: the mock bench's true surface is at {1e3 * truth:+.3f} mm: difference "
+            f"{1e3 * (home.shift - truth):+.3f} mm"
+        )
+    return lines
+
+
+def true_height(bench: Bench) -> float | None:
+    """Return the height of a mock bench's true surface in its contact frame [m]."""
+    if not bench.mock:
+        return None
+    origin = np.array((bench.world_frame or bench.contact_frame)[:3])
+    return float(transform(invert(bench.contact_frame), origin)[2])
+
+
+class Steps:
+    """Shows each press of a `FirstPress` and asks before the next one, on a lab bench.
+
+    Args:
+        plan: The presses.
+        path: Session that records them.
+        ask: Prints lines and waits for Enter; None: nobody is asked.
+    """
+
+    def __init__(
+        self, plan: FirstPress, path: Path, ask: Callable[[list[str]], None] | None
+    ) -> None:
+        self._plan = plan
+        self._path = path
+        self._ask = ask
+        self.largest: dict[str, float] = {}
+        """Largest signal seen in each press [px or counts]."""
+
+    def between(self, target: Target, streams: Streams) -> None:
+        """Report a press that has ended; see `CollectRequest.between`.
+
+        Raises:
+            ConfigError, Interrupted: Nobody can be asked, or the answer was not Enter.
+        """
+        name = self._plan.names[target.index]
+        motion, image = largest_of(Session(self._path), target.index)
+        self.largest[name] = motion
+        lines = [f"first press, {name}: the signal reached {motion:.3g}"]
+        if image is not None:
+            picture = self._path.with_name(f"{self._path.stem}-{target.index + 1}.png")
+            cv2.imwrite(str(picture), image[..., ::-1])
+            lines.append(f"picture at its end: {picture}")
+        if target.index + 1 < len(self._plan):
+            depth = max(self._plan.depths[target.index + 1], 0.0)
+            lines.append(f"next: {self._plan.names[target.index + 1]}, {1e3 * depth:.3g} mm deep")
+        if self._ask is None:
+            print("\n".join(lines), flush=True)
+        else:
+            self._ask(lines)
+
+
+def largest_of(session: Session, index: int) -> tuple[float, np.ndarray | None]:
+    """Return the largest signal while target `index` went down, and the last image of that way.
+
+    Args:
+        session: A session, also one that is still recorded.
+        index: Number of the target.
+    """
+    name = session.signal
+    if name is None:
+        return float("nan"), None
+    stream = session.streams[name]
+    start, end = signal_onset.span_of(session, index)
+    rows = np.flatnonzero((stream.t_ns >= start) & (stream.t_ns < end))
+    levels = signal_onset.levels_of(stream, rows)
+    motion = max((level.motion for level in levels), default=float("nan"))
+    image = None
+    if stream.traits.kind == "camera" and rows.size:
+        image = np.asarray(stream.images(rows[-1:]))[0]
+    return motion, image

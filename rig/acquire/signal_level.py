@@ -1,0 +1,129 @@
+"""Level of a sensor's signal for the guard and for finding the surface, sample by sample.
+
+The level has two parts. The change since the last zero, in standard deviations of its noise, shows
+the first touch. The largest motion of a marker or deviation of a taxel grows with the press.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float32]
+
+# Samples that are kept: a zero averages the older half and measures the noise of the newer half.
+_KEPT = 16
+# Least noise, as a fraction of the mean change without contact: a perfect sensor has none.
+_LEAST_NOISE = 0.01
+# Images are compared at a quarter of their size; motions are stated in pixels of the image.
+_REDUCED = 4
+# Fraction of the pixels that may show a larger motion: single pixels of a flow are often wrong.
+_BEYOND = 0.005
+
+
+class Level(NamedTuple):
+    """Level of one sample."""
+
+    change: float
+    """Change since the zero, in standard deviations of its noise."""
+    motion: float
+    """Largest motion of a marker [px] or deviation of a taxel [counts]."""
+    fresh: bool
+    """True if the sample differs from the one before."""
+
+
+def picture(jpeg: bytes) -> Floats:
+    """Return the grey values of a JPEG at a quarter of its size.
+
+    Raises:
+        ValueError: It cannot be decoded.
+    """
+    import cv2
+
+    found = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_REDUCED_GRAYSCALE_4)
+    if found is None:
+        raise ValueError("an image that cannot be decoded")
+    return found.astype(np.float32)
+
+
+def grey(image: npt.NDArray[Any]) -> Floats:
+    """Return the grey values of an RGB image (h, w, 3) at a quarter of its size."""
+    import cv2
+
+    size = (image.shape[1] // _REDUCED, image.shape[0] // _REDUCED)
+    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    return cv2.cvtColor(small, cv2.COLOR_RGB2GRAY).astype(np.float32)
+
+
+def reading(value: Any) -> Floats:
+    """Return a stored sample as an array: JPEG bytes, an image (h, w, 3), or counts (n, 3)."""
+    if isinstance(value, bytes):
+        return picture(value)
+    value = np.asarray(value)
+    return grey(value) if value.ndim == 3 else value.astype(np.float32)
+
+
+class SignalLevel:
+    """Computes the level of each sample of one stream.
+
+    Args:
+        is_image: True for a camera, False for taxels.
+    """
+
+    def __init__(self, *, is_image: bool) -> None:
+        self._is_image = is_image
+        self._recent: deque[Floats] = deque(maxlen=_KEPT)
+        self._rest: Floats | None = None
+        self._floor, self._noise = 0.0, 1.0
+        self._flow: Any = None
+        self._moved: Any = None
+
+    def add(self, sample: Mapping[str, Any]) -> Level:
+        """Return the level of a sample; before the first zero, without change and motion."""
+        return self.of(reading(sample["value"]))
+
+    def of(self, found: Floats) -> Level:
+        """Return the level of a reading."""
+        fresh = not self._recent or not np.array_equal(found, self._recent[-1])
+        if fresh:
+            self._recent.append(found)
+        if self._rest is None:
+            return Level(0.0, 0.0, fresh)
+        change = (_difference(found, self._rest) - self._floor) / self._noise
+        return Level(change, self._motion(found, self._rest), fresh)
+
+    def zero(self) -> None:
+        """Take the last samples as those without contact."""
+        kept = list(self._recent)
+        if not kept:
+            return
+        half = max(len(kept) // 2, 1)
+        self._rest = np.mean(kept[:half], axis=0, dtype=np.float32)
+        changes = [_difference(each, self._rest) for each in kept[half:] or kept]
+        self._floor = float(np.mean(changes))
+        spread = float(np.std(changes, ddof=1)) if len(changes) > 2 else 0.0
+        self._noise = max(spread, _LEAST_NOISE * self._floor, 1e-6)
+        self._moved = None
+
+    def _motion(self, found: Floats, rest: Floats) -> float:
+        if not self._is_image:
+            return float(np.abs(found - rest).max())
+        import cv2
+
+        if self._flow is None:
+            self._flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
+        before = np.clip(rest, 0, 255).astype(np.uint8)
+        after = np.clip(found, 0, 255).astype(np.uint8)
+        # The flow of the last image is the first guess for this one: a marker that has moved by
+        # more than half a pitch is still matched to its own place.
+        self._moved = self._flow.calc(before, after, self._moved)
+        length = np.hypot(self._moved[..., 0], self._moved[..., 1])
+        return _REDUCED * float(np.quantile(length, 1 - _BEYOND))
+
+
+def _difference(found: Floats, rest: Floats) -> float:
+    return float(np.abs(found - rest).mean())

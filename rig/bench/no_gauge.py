@@ -1,0 +1,223 @@
+"""Rules for collecting on a bench without a force gauge: `force: none`.
+
+A force gauge stops the arm before the sensor is damaged. Without one, five things stand in for it:
+
+1. the surface, found by the onset of the sensor's own signal for this indenter and TCP, at most a
+   day ago and to 0.05 mm; the arm stops 0.2 mm beyond the planned depth;
+2. the signal itself: the largest motion of a marker or deviation of a taxel, and its freshness;
+3. the arm's own wrench, where it has one: a crash detector at half the rating of the sensor;
+4. the stiffness that is expected of the sensor, with its source: a plan that could exceed half the
+   rating is refused before anything moves;
+5. low speeds: 2 mm/s in contact, 10 mm/s elsewhere.
+
+This file has the settings and the rules; `rig.core.stand_in_guards` has the guards, and
+`rig.acquire.no_gauge` finds the surface and presses for the first time.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from rig.core.errors import ConfigError
+from rig.core.stand_in_guards import CrashLimits, SignalLimits, StandIn
+
+if TYPE_CHECKING:
+    from rig.bench.bench import Bench, BenchLimits, BenchStream
+
+# Value of `force` in the bench file.
+NO_GAUGE = "none"
+# Highest speeds in contact and elsewhere [m/s]. All moves of a session lie below 20 mm.
+CONTACT_SPEED, TRAVEL_SPEED = 2e-3, 10e-3
+# The arm stops this far beyond the planned depth [m].
+BEYOND = 0.2e-3
+# Fraction of the sensor's rating that a plan may reach, and that a crash is detected at.
+FRACTION = 0.5
+# Widest accepted interval of the surface [m], and its longest validity [h].
+SURFACE_WIDTH, SURFACE_HOURS = 50e-6, 24.0
+# Stream of the arm's own wrench on a mock bench that is used without its gauge.
+WRENCH_STREAM = "arm_wrench"
+
+
+@dataclass(frozen=True, slots=True)
+class StandIns:
+    """What stands in for a force gauge, as far as the sensor decides it."""
+
+    stiffness: tuple[float, float] = field(
+        metadata={"unit": "n_per_mm", "plausible": (0.005, 1000)}
+    )
+    """Lowest and highest normal stiffness expected under any indenter that is used [N/m]."""
+    stiffness_source: str
+    """Source of these numbers: a paper, a data sheet, a measurement on another sensor."""
+    signal_max: float = field(metadata={"plausible": (0.05, 70000)})
+    """Largest motion of a marker [px], or deviation of a taxel [counts], from no contact."""
+    stale_signal: float = field(default=0.2, metadata={"unit": "ms", "plausible": (5, 5000)})
+    """Longest time without a sample of the signal that differs from the one before [s]."""
+
+    def __post_init__(self) -> None:
+        """Reject a stiffness that bounds nothing, or one without a source."""
+        low, high = self.stiffness
+        if not 0 < low <= high:
+            raise ValueError(
+                f"stiffness: {list(self.stiffness)!r}; allowed: the lowest, then the highest, both "
+                "above 0"
+            )
+        if not self.stiffness_source.strip():
+            raise ValueError("stiffness_source: empty; allowed: where these numbers are from")
+        if not self.signal_max > 0:
+            raise ValueError(f"signal_max: {self.signal_max!r}; allowed: above 0")
+
+
+def check_settings(
+    limits: BenchLimits, given: StandIns | None, gauges: tuple[BenchStream, ...], signal: Any
+) -> None:
+    """Reject a bench without a gauge that lacks what stands in for one, or that has a gauge.
+
+    Raises:
+        ValueError: Names the key.
+    """
+    if gauges:
+        names = ", ".join(gauge.name for gauge in gauges)
+        raise ValueError(
+            f"force: none, but {names} has the role guard; allowed: force: none without an F/T "
+            "sensor that guards"
+        )
+    if limits.sensor_rating is None:
+        raise ValueError(
+            "limits.sensor_rating_n: missing; allowed with force: none: the largest force that the "
+            "sensor withstands"
+        )
+    if given is None:
+        raise ValueError(
+            "stand_ins: missing; allowed with force: none: stiffness_n_per_mm, stiffness_source "
+            "and signal_max of the sensor"
+        )
+    if signal is None or signal.kind not in ("camera", "taxels"):
+        raise ValueError(
+            "force: none, but the bench has no camera or taxels with the role signal; allowed: "
+            "force: none with a signal, which stops the arm"
+        )
+
+
+def without_gauge(content: dict[str, Any], where: str) -> dict[str, Any]:
+    """Return the content of a mock bench with `force: none` and the wrench of its arm.
+
+    Raises:
+        ConfigError: This is a lab bench, whose file alone may say that it has no gauge.
+    """
+    if not content.get("mock"):
+        raise ConfigError(
+            f"FORCE, --force: none; {where} is a lab bench; allowed: a mock bench; a lab bench "
+            "states `force: none` in its file"
+        )
+    streams = dict(content.get("streams") or {})
+    host = (content.get("arm") or {}).get("host", "loopback")
+    streams.setdefault(WRENCH_STREAM, {"kind": "ur_wrench", "host": host, "rate_hz": 125.0})
+    return {**content, "force": NO_GAUGE, "streams": streams}
+
+
+def guards_of(bench: Bench, *, contact: float = math.inf) -> dict[str, StandIn]:
+    """Return the guards that stand in for a gauge, by the name of the shared record.
+
+    Args:
+        bench: A bench; one with a gauge has none.
+        contact: Change of the signal that ends a press, in standard deviations of its noise.
+    """
+    given, signal, rating = bench.stand_ins, bench.signal, bench.limits.sensor_rating
+    if not bench.no_gauge or given is None or signal is None or rating is None:
+        return {}
+    unit = "px" if signal.kind == "camera" else "counts"
+    found: dict[str, StandIn] = {
+        f"{signal.name}.signal": SignalLimits(given.signal_max, given.stale_signal, unit, contact)
+    }
+    crash = CrashLimits(FRACTION * rating, bench.limits.stale_pose)
+    return found | {f"{row.name}.latest": crash for row in bench.of_kind("arm_wrench")}
+
+
+def check_plan(bench: Bench, depth: float) -> None:
+    """Reject a plan that could load the sensor beyond half of its rating.
+
+    Args:
+        bench: A bench without a gauge.
+        depth: Deepest indentation that is planned [m].
+
+    Raises:
+        ConfigError: States the stiffness, its source and the depth that is allowed.
+    """
+    given, rating = bench.stand_ins, bench.limits.sensor_rating
+    if given is None or rating is None:
+        return
+    force = given.stiffness[1] * depth
+    if force > FRACTION * rating:
+        raise ConfigError(
+            f"{bench.sensor}: the plan presses {1e3 * depth:.3g} mm deep, which could take "
+            f"{force:.3g} N at {1e-3 * given.stiffness[1]:.3g} N/mm ({given.stiffness_source}); "
+            f"allowed without a gauge: {FRACTION * rating:.3g} N, half of limits.sensor_rating_n, "
+            f"so {1e3 * FRACTION * rating / given.stiffness[1]:.3g} mm"
+        )
+
+
+def slowed(bench: Bench, depth: float, *, speed: float = CONTACT_SPEED) -> Bench:
+    """Return the bench with the speeds and the box that hold without a gauge.
+
+    Args:
+        bench: A bench without a gauge.
+        depth: Deepest indentation that is planned [m].
+        speed: Highest speed near contact [m/s].
+    """
+    arm = dataclasses.replace(
+        bench.arm,
+        speed=min(bench.arm.speed, speed),
+        travel_speed=min(bench.arm.travel_speed, TRAVEL_SPEED),
+    )
+    deepest = min(bench.limits.depth_max, depth) + BEYOND
+    limits = dataclasses.replace(bench.limits, depth_max=deepest)
+    return dataclasses.replace(bench, arm=arm, limits=limits)
+
+
+def statement(bench: Bench) -> dict[str, Any]:
+    """Return what stood in for a gauge, for the session's attribute `without_gauge` (SI units).
+
+    Args:
+        bench: The bench as it is used, with the speeds and the box of `slowed`.
+    """
+    given, rating, signal = bench.stand_ins, bench.limits.sensor_rating, bench.signal
+    if given is None or rating is None or signal is None:
+        return {}
+    wrenches = [row.name for row in bench.of_kind("arm_wrench")]
+    return {
+        "sensor_rating": rating,
+        "depth_stop": bench.limits.depth_max,
+        "signal": {
+            "stream": signal.name,
+            "largest": given.signal_max,
+            "unit": "px" if signal.kind == "camera" else "counts",
+            "stale": given.stale_signal,
+        },
+        "arm_wrench": {"streams": wrenches, "force": FRACTION * rating} if wrenches else None,
+        "stiffness": {"range": list(given.stiffness), "source": given.stiffness_source},
+        "speed": bench.arm.speed,
+        "travel_speed": bench.arm.travel_speed,
+    }
+
+
+def lines(bench: Bench, depth: float) -> list[str]:
+    """Return what stands in for the gauge as lines, to print before anything moves."""
+    given, rating, signal = bench.stand_ins, bench.limits.sensor_rating, bench.signal
+    if given is None or rating is None or signal is None:
+        return []
+    unit = "px" if signal.kind == "camera" else "counts"
+    wrenches = [row.name for row in bench.of_kind("arm_wrench")]
+    crash = f"stops at {FRACTION * rating:.3g} N" if wrenches else "none: only the signal guards"
+    low, high = (1e-3 * each for each in given.stiffness)
+    return [
+        f"no gauge  nothing measures the force on the sensor, rated {rating:.3g} N; forces are "
+        "not recorded",
+        f"signal    {signal.name} stops the arm at {given.signal_max:g} {unit}, or after "
+        f"{1e3 * given.stale_signal:.0f} ms without a change",
+        f"wrench    of the arm: {crash}",
+        f"force     {low * 1e3 * depth:.3g} to {high * 1e3 * depth:.3g} N expected at "
+        f"{1e3 * depth:.3g} mm ({low:.3g} to {high:.3g} N/mm, {given.stiffness_source})",
+    ]
