@@ -7,7 +7,7 @@ PY       := $(VENV)/bin/python
 PYTHON   ?= $(shell for p in python3.12 python3.11 python3; do \
               $$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 12))' \
               2>/dev/null && echo $$p && break; done)
-WORLDARG := $(if $(WORLD),--world $(WORLD))
+WORLDARG := $(if $(WORLD),--world $(WORLD)) $(if $(FORCE),--force $(FORCE))
 WORLDDEP := $(if $(WORLD),$(VENV)/.sim)
 GIVEN    := $(sort $(foreach name,$(.VARIABLES),$(if $(filter command line,$(origin $(name))),$(name))))
 BENCHARG := $(if $(BENCH),--bench $(BENCH)) $(if $(BENCH),$(if $(filter SENSOR,$(GIVEN)),--sensor $(SENSOR)),--sensor $(SENSOR)) $(WORLDARG)
@@ -72,7 +72,7 @@ help-%:
 
 ##@ Record
 
-#: SENSOR=tacpalm [TARGETS=8] [INDENTER=cylinder] [OPERATOR=] [OUT=] [BENCH=file] [WORLD=sim] [CAMERA=path [STILL=1]] [TAXELS=path] [TRUTH=file] [WATCH=1 [WATCHHOST=0.0.0.0]]
+#: SENSOR=tacpalm [TARGETS=8] [INDENTER=cylinder] [OPERATOR=] [OUT=] [BENCH=file] [WORLD=sim] [FORCE=none] [CAMERA=path [STILL=1]] [TAXELS=path] [TRUTH=file] [WATCH=1 [WATCHHOST=0.0.0.0]]
 collect: $(VENV)/.rig $(WORLDDEP)  ## Record one session
 	@$(PY) -m rig collect $(BENCHARG) $(SOURCES) $(if $(TARGETS),--targets $(TARGETS)) \
 	  $(if $(INDENTER),--indenter $(INDENTER)) $(if $(OUT),--out $(OUT)) $(if $(TRUTH),--truth $(TRUTH)) $(if $(OPERATOR),--operator '$(OPERATOR)') $(WATCHARG)
@@ -81,7 +81,7 @@ collect: $(VENV)/.rig $(WORLDDEP)  ## Record one session
 resume: $(VENV)/.rig $(WORLDDEP)  ## Continue a stopped session
 	@$(PY) -m rig collect $(if $(BENCH),--bench $(BENCH)) $(WORLDARG) $(SOURCES) --resume $(SESSION) $(WATCHARG)
 
-#: SENSOR=tacpalm [INDENTER=] [CORNERS=1] [BENCH=file] [WORLD=sim]
+#: SENSOR=tacpalm [INDENTER=] [CORNERS=1] [BENCH=file] [WORLD=sim] [FORCE=none]
 home: $(VENV)/.rig $(WORLDDEP)  ## Find the surface by touch and store it in calibrations/
 	@$(PY) -m rig home $(BENCHARG) $(if $(INDENTER),--indenter $(INDENTER)) $(if $(CORNERS),--corners)
 
@@ -105,11 +105,11 @@ jog: $(VENV)/.rig $(WORLDDEP)  ## Move the arm with a SpaceMouse and set the con
 grip: $(VENV)/.rig  ## Close the gripper on the indenter
 	@$(PY) -m rig grip $(BENCHARG) $(if $(OPEN),--open)
 
-#: SENSOR=tacpalm [OUT=plan.png] [BENCH=file] [WORLD=sim]
+#: SENSOR=tacpalm [OUT=plan.png] [BENCH=file] [WORLD=sim] [FORCE=none]
 preview: $(VENV)/.rig  ## Draw the plan and check its limits
 	@$(PY) -m rig preview $(BENCHARG) $(if $(OUT),--out $(OUT))
 
-#: SENSOR=tacpalm [BENCH=file] [WORLD=sim] [CAMERA=path [STILL=1]] [TAXELS=path]
+#: SENSOR=tacpalm [BENCH=file] [WORLD=sim] [FORCE=none] [CAMERA=path [STILL=1]] [TAXELS=path]
 mock: $(VENV)/.rig $(WORLDDEP)  ## Run the emulators of a bench until Ctrl-C
 	@$(PY) -m rig mock $(BENCHARG) $(SOURCES)
 
@@ -125,7 +125,7 @@ compare: $(VENV)/.rig  ## Compare a mock session with the World's ground truth
 check-session: $(VENV)/.rig  ## Check a session for problems
 	@$(PY) -m recorder check $(SESSION)
 
-#: MODEL=runs/x SENSOR=tacpalm [BENCH=file] [WORLD=sim] [SESSION=replayed.zarr] [ARGS="--seconds 10"]
+#: MODEL=runs/x SENSOR=tacpalm [BENCH=file] [WORLD=sim] [FORCE=none] [SESSION=replayed.zarr] [ARGS="--seconds 10"]
 live: $(VENV)/.live  ## Show forces as the sensor is pressed
 	@$(PY) -m rig live --model $(MODEL) $(if $(SESSION),--session $(SESSION),$(BENCHARG)) $(ARGS)
 

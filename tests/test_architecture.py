@@ -32,6 +32,7 @@ VENDORS = {
     "serial": {"rig/devices/force", "rig/devices/gripper"},
     "hidraw": {"rig/devices/hid"},
     "cv2": {
+        "rig/acquire/signal_level",
         "rig/devices/camera",
         "rig/mock/world",
         "recorder/convert",

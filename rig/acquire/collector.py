@@ -141,7 +141,7 @@ class Collector:
                 self._control,
                 interlocks,
                 self._clock,
-                between=request.between,
+                after_target=request.after_target,
                 run=run,
                 zeros={name: tare.mean - self._bias[name] for name, tare in tares.items()},
             )

@@ -15,8 +15,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
+from PIL import Image
 
 from recorder import OUTCOMES, Session
 from rig.acquire.calibration import signal_onset
@@ -274,8 +274,8 @@ class Steps:
         self.largest: dict[str, float] = {}
         """Largest signal seen in each press [px or counts]."""
 
-    def between(self, target: Target, streams: Streams) -> None:
-        """Report a press that has ended; see `CollectRequest.between`.
+    def after_target(self, target: Target, streams: Streams) -> None:
+        """Report a press that has ended; see `CollectRequest.after_target`.
 
         Raises:
             ConfigError, Interrupted: Nobody can be asked, or the answer was not Enter.
@@ -286,7 +286,7 @@ class Steps:
         lines = [f"first press, {name}: the signal reached {motion:.3g}"]
         if image is not None:
             picture = self._path.with_name(f"{self._path.stem}-{target.index + 1}.png")
-            cv2.imwrite(str(picture), image[..., ::-1])
+            Image.fromarray(image).save(picture)
             lines.append(f"picture at its end: {picture}")
         if target.index + 1 < len(self._plan):
             depth = max(self._plan.depths[target.index + 1], 0.0)

@@ -60,7 +60,7 @@ class PlanRunner:
         control: Likewise, and for pauses before every target.
         interlocks: Interlocks, checked while the arm moves.
         clock: Clock.
-        between: Called after each target, with the tip clear of the surface.
+        after_target: Called after each target, with the tip clear of the surface.
         run: Number of this run.
         zeros: Reading of each F/T sensor without contact after the tare (6,) [N, N m], by stream.
     """
@@ -77,7 +77,7 @@ class PlanRunner:
         interlocks: Interlocks,
         clock: Clock,
         *,
-        between: Callable[[Target, Streams], None] | None = None,
+        after_target: Callable[[Target, Streams], None] | None = None,
         run: int,
         zeros: Mapping[str, np.ndarray],
     ) -> None:
@@ -90,7 +90,7 @@ class PlanRunner:
         self._control = control
         self._interlocks = interlocks
         self._clock = clock
-        self._between = between
+        self._after_target = after_target
         self._run = run
         self._zeros = zeros
         # Contact point at whose p0 the tip is; None: at none.
@@ -116,9 +116,9 @@ class PlanRunner:
                 pass
             self.done += 1
             self._live.ended(target, "limited" if self.limited > limited else "done")
-            if self._between is not None:
+            if self._after_target is not None:
                 self._live.end()
-                self._between(target, self._streams)
+                self._after_target(target, self._streams)
 
     def _attempt(self, plan: Plan, target: Target) -> bool:
         """Press a target from its start; return False if the dead-man pedal was released."""

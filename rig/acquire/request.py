@@ -39,7 +39,7 @@ class CollectRequest:
     contact_change: float = math.inf
     """Change of the signal that ends an approach on a bench without a gauge, in standard
     deviations of its noise; inf: none does."""
-    between: Callable[[Target, Streams], None] | None = None
+    after_target: Callable[[Target, Streams], None] | None = None
     """Called after each target, with the tip clear of the surface."""
     go_on: str = ""
     """Command that continues the session if it stops, or repeats it; empty: none is shown."""

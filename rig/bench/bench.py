@@ -217,7 +217,7 @@ class Bench:
     """Further streams by name, each a device with its `kind`; `force`, `camera` and `taxels` are
     streams with the names of their keys, and the arm's poses are the stream `pose`."""
     stand_ins: no_gauge.StandIns | None = None
-    """What stands in for an F/T sensor with `force: none`; otherwise unused."""
+    """Limits of the guards that stand in for an F/T sensor with `force: none`; otherwise unused."""
     gripper: RobotiqConfig | None = None
     """Holds the indenter; watched while the arm moves."""
     pedal: PedalConfig | None = None

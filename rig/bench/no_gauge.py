@@ -43,7 +43,7 @@ WRENCH_STREAM = "arm_wrench"
 
 @dataclass(frozen=True, slots=True)
 class StandIns:
-    """What stands in for a force gauge, as far as the sensor decides it."""
+    """Limits of the guards that stand in for a force gauge, as far as they depend on the sensor."""
 
     stiffness: tuple[float, float] = field(
         metadata={"unit": "n_per_mm", "plausible": (0.005, 1000)}

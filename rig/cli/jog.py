@@ -64,6 +64,10 @@ def _jogged(
 
     if bench.jog is None:
         raise ConfigError("jog: missing")
+    if bench.no_gauge:
+        raise ConfigError(
+            f"jog: {bench.sensor} has no F/T sensor that would stop the arm; allowed: the pendant"
+        )
     clock = SystemClock()
     interrupt = stack.enter_context(InterruptFlag())
     mouse = SpaceMouseDriver(bench.jog, clock)

@@ -116,7 +116,7 @@ def press_in_steps(
     session = _session(folder, bench, "first-press", file_stamp())
     steps = no_gauge.Steps(plan, session, None if bench.mock else confirm)
     request = CollectRequest(
-        session, operator=operator, calibration=calibration, between=steps.between
+        session, operator=operator, calibration=calibration, after_target=steps.after_target
     )
 
     def prepared(ready: Bench) -> Bench:

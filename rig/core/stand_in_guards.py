@@ -1,8 +1,8 @@
 """Guards that stand in for a force gauge: the sensor's own signal, and the arm's own wrench.
 
-Neither measures the force on the sensor. The signal is late and has no unit of force, the arm's
-wrench is wrong by up to a third and by a few newtons, so each has its own limit, and both stop the
-arm long before the rating of the sensor.
+Neither measures the force on the sensor. The signal is late and has no unit of force; the arm's
+wrench is wrong by up to a third and by a few newtons. Each has its own limit, far below the
+rating of the sensor.
 """
 
 from __future__ import annotations

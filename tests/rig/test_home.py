@@ -91,7 +91,7 @@ def test_values_that_are_no_numbers_are_refused() -> None:
     z = np.linspace(1e-3, -1e-3, 2000)
     with pytest.raises(ValueError, match="finite"):
         find_onset(z, np.full(2000, np.nan))
-    with pytest.raises(ValueError, match="at least 50"):
+    with pytest.raises(ValueError, match="at least 20"):
         find_onset(z[:10], z[:10])
 
 

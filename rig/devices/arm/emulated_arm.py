@@ -124,7 +124,7 @@ class Wrist:
 
     Args:
         seed: Determines the errors.
-        payload_error: Difference between the true payload and the one that the arm was told [kg].
+        payload_error: True payload minus the one that is set in the controller [kg].
     """
 
     GAIN, BIAS, DRIFT, NOISE = 0.3, 4.0, 0.02, 0.15

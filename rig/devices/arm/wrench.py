@@ -17,8 +17,8 @@ from rig.devices.arm.reader import RtdePoseDriver
 class RtdeWrenchDriver(RtdePoseDriver):
     """Stream of the arm's wrench, over a connection of its own.
 
-    Columns: value (6,) float64 [N, N m] in the base frame, less the payload that the controller
-    was told, without any zero; device_t [s]; t_ns.
+    Columns: value (6,) float64 [N, N m] in the base frame, less the payload that is set in the
+    controller, without any zero; device_t [s]; t_ns.
     """
 
     MORE: ClassVar[Mapping[str, str]] = {"actual_TCP_force": "wrench"}
