@@ -7,7 +7,8 @@ PY       := $(VENV)/bin/python
 PYTHON   ?= $(shell for p in python3.12 python3.11 python3; do \
               $$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 12))' \
               2>/dev/null && echo $$p && break; done)
-WORLDARG := $(if $(WORLD),--world $(WORLD)) $(if $(FORCE),--force $(FORCE))
+WORLDARG := $(if $(WORLD),--world $(WORLD))
+FORCEARG := $(if $(FORCE),--force $(FORCE))
 WORLDDEP := $(if $(WORLD),$(VENV)/.sim)
 GIVEN    := $(sort $(foreach name,$(.VARIABLES),$(if $(filter command line,$(origin $(name))),$(name))))
 BENCHARG := $(if $(BENCH),--bench $(BENCH)) $(if $(BENCH),$(if $(filter SENSOR,$(GIVEN)),--sensor $(SENSOR)),--sensor $(SENSOR)) $(WORLDARG)
@@ -74,7 +75,7 @@ help-%:
 
 #: SENSOR=tacpalm [TARGETS=8] [INDENTER=cylinder] [OPERATOR=] [OUT=] [BENCH=file] [WORLD=sim] [FORCE=none] [CAMERA=path [STILL=1]] [TAXELS=path] [TRUTH=file] [WATCH=1 [WATCHHOST=0.0.0.0]]
 collect: $(VENV)/.rig $(WORLDDEP)  ## Record one session
-	@$(PY) -m rig collect $(BENCHARG) $(SOURCES) $(if $(TARGETS),--targets $(TARGETS)) \
+	@$(PY) -m rig collect $(BENCHARG) $(FORCEARG) $(SOURCES) $(if $(TARGETS),--targets $(TARGETS)) \
 	  $(if $(INDENTER),--indenter $(INDENTER)) $(if $(OUT),--out $(OUT)) $(if $(TRUTH),--truth $(TRUTH)) $(if $(OPERATOR),--operator '$(OPERATOR)') $(WATCHARG)
 
 #: SESSION=sessions/x.zarr [BENCH=file] [WORLD=sim] [CAMERA=path [STILL=1]] [TAXELS=path] [WATCH=1 [WATCHHOST=0.0.0.0]]
@@ -83,7 +84,7 @@ resume: $(VENV)/.rig $(WORLDDEP)  ## Continue a stopped session
 
 #: SENSOR=tacpalm [INDENTER=] [CORNERS=1] [BENCH=file] [WORLD=sim] [FORCE=none]
 home: $(VENV)/.rig $(WORLDDEP)  ## Find the surface by touch and store it in calibrations/
-	@$(PY) -m rig home $(BENCHARG) $(if $(INDENTER),--indenter $(INDENTER)) $(if $(CORNERS),--corners)
+	@$(PY) -m rig home $(BENCHARG) $(FORCEARG) $(if $(INDENTER),--indenter $(INDENTER)) $(if $(CORNERS),--corners)
 
 #: SENSOR=tacpalm [INDENTER=] [BENCH=file] [WORLD=sim]
 calibrate-latency: $(VENV)/.rig $(WORLDDEP)  ## Measure and store the camera's latency by light taps
@@ -107,11 +108,11 @@ grip: $(VENV)/.rig  ## Close the gripper on the indenter
 
 #: SENSOR=tacpalm [OUT=plan.png] [BENCH=file] [WORLD=sim] [FORCE=none]
 preview: $(VENV)/.rig  ## Draw the plan and check its limits
-	@$(PY) -m rig preview $(BENCHARG) $(if $(OUT),--out $(OUT))
+	@$(PY) -m rig preview $(BENCHARG) $(FORCEARG) $(if $(OUT),--out $(OUT))
 
 #: SENSOR=tacpalm [BENCH=file] [WORLD=sim] [FORCE=none] [CAMERA=path [STILL=1]] [TAXELS=path]
 mock: $(VENV)/.rig $(WORLDDEP)  ## Run the emulators of a bench until Ctrl-C
-	@$(PY) -m rig mock $(BENCHARG) $(SOURCES)
+	@$(PY) -m rig mock $(BENCHARG) $(FORCEARG) $(SOURCES)
 
 #: SESSION=sessions/x.zarr [SPEED=1|4|max] [OUT=] [WITHOUT=camera]
 replay: $(VENV)/.rig  ## Play a session through mock hardware and record it again
@@ -127,7 +128,7 @@ check-session: $(VENV)/.rig  ## Check a session for problems
 
 #: MODEL=runs/x SENSOR=tacpalm [BENCH=file] [WORLD=sim] [FORCE=none] [SESSION=replayed.zarr] [ARGS="--seconds 10"]
 live: $(VENV)/.live  ## Show forces as the sensor is pressed
-	@$(PY) -m rig live --model $(MODEL) $(if $(SESSION),--session $(SESSION),$(BENCHARG)) $(ARGS)
+	@$(PY) -m rig live --model $(MODEL) $(if $(SESSION),--session $(SESSION),$(BENCHARG) $(FORCEARG)) $(ARGS)
 
 ##@ Simulate
 

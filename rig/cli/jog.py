@@ -34,6 +34,10 @@ def run(options: argparse.Namespace) -> int:
         DeviceLost, SafetyStop, Interrupted: Jogging was ended; the arm has stopped.
     """
     path, bench, content = chosen_bench(options)
+    if bench.no_gauge:
+        raise ConfigError(
+            f"jog: {bench.sensor} has no F/T sensor that would stop the arm; allowed: the pendant"
+        )
     if bench.jog is None:
         raise ConfigError(f"{path}.jog: missing; allowed: {{kind: spacemouse, device: 256f:c635}}")
     logging.basicConfig(level=logging.INFO, format="%(message)s")
@@ -64,10 +68,6 @@ def _jogged(
 
     if bench.jog is None:
         raise ConfigError("jog: missing")
-    if bench.no_gauge:
-        raise ConfigError(
-            f"jog: {bench.sensor} has no F/T sensor that would stop the arm; allowed: the pendant"
-        )
     clock = SystemClock()
     interrupt = stack.enter_context(InterruptFlag())
     mouse = SpaceMouseDriver(bench.jog, clock)
