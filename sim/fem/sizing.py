@@ -50,7 +50,7 @@ LONG = 3.0
 # Pixels around a piece of a contact that are looked at with it: its outline's normals and the rim
 # of the body depend on the next one.
 ASIDE = 2
-# Weights of a normal distribution of 1.5 pixels, which smooths masks before their normals are taken.
+# Weights of a normal distribution of 1.5 pixels, which smooths masks before normals are taken.
 SMOOTH = np.exp(-0.5 / 1.5**2 * np.arange(-6, 7) ** 2)
 SMOOTH /= SMOOTH.sum()
 # Points along an axis at which sizes are evaluated; the contacts add about as many.
@@ -226,7 +226,7 @@ def _runs(
         fine = here < size
         if fine.any():
             tables.append(((at - here)[fine], (at + here)[fine], (here / way)[fine]))
-    return {Span(*row) for each in tables for row in zip(*(one.tolist() for one in each))}
+    return {Span(*row) for each in tables for row in np.stack(each, axis=1).tolist()}
 
 
 def _least(spans: Sequence[Span]) -> tuple[Span, ...]:

@@ -36,7 +36,7 @@ def test_a_mesh_is_rebuilt_only_if_the_limit_on_elements_leaves_it_finer() -> No
     assert isinstance(found, Result)
     assert found.record["mesh"]["fineness"] < limited.fineness
     asked = stages_of(scene)[0].sizes
-    x, y = (tuple(replace(one, size=one.size / 2) for one in spans) for spans in (asked.x, asked.y))
+    x, y = (tuple(one._replace(size=one.size / 2) for one in spans) for spans in (asked.x, asked.y))
     everywhere = replace(asked, x=x, y=y, top=asked.top / 2)
     assert not refines(scene, limited, asked, everywhere, found)
     assert refines(scene, replace(limited, elements_max=40_000), asked, everywhere, found)
