@@ -135,21 +135,24 @@ class Body:
 
     def height(self, x: float, y: float) -> float:
         """Return the height of the undeformed top at (x, y) [m]: 0 if flat, below 0 off an apex."""
-        return float(self.heights(np.array([x]), np.array([y]))[0, 0])
+        return float(self.heights_at(np.asarray(x), np.asarray(y)))
 
     def heights(self, x: Places, y: Places) -> Array:
-        """Return heights of the undeformed top on a grid of x (X,) and y (Y,): (X, Y) [m].
+        """Return heights of the undeformed top on a grid of x (X,) and y (Y,): (X, Y) [m]."""
+        return self.heights_at(np.asarray(x)[:, None], y)
+
+    def heights_at(self, x: Places, y: Places) -> Array:
+        """Return the height of the undeformed top at x and y, broadcast together [m].
 
         Beyond an ellipse it is the height of the rim in the direction of the centre.
         """
         if self.dome_radius is None:
-            return np.zeros((len(x), len(y)))
-        away = np.square(x)[:, None] + np.square(y)
+            return np.zeros(np.broadcast_shapes(np.shape(x), np.shape(y)))
         if self.footprint == "ellipse":
-            beyond = np.square(x / (self.size_x / 2))[:, None] + np.square(y / (self.size_y / 2))
-            away = away / np.maximum(beyond, 1.0)
+            beyond = np.square(x / (self.size_x / 2)) + np.square(y / (self.size_y / 2))
+            away = (np.square(x) + np.square(y)) / np.maximum(beyond, 1.0)
             return np.asarray(np.sqrt(self.dome_radius**2 - away) - self.dome_radius)
-        square = self.dome_radius**2 - np.square(x)[:, None] - np.square(y)
+        square = self.dome_radius**2 - np.square(x) - np.square(y)
         return np.asarray(np.sqrt(square) - self.dome_radius)
 
 

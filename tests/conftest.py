@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import shutil
 import signal
 import sys
 import threading
@@ -24,6 +25,11 @@ sys.dont_write_bytecode = False
 
 # `make test` would otherwise have the rig print `make resume` in place of its own command.
 os.environ.pop("TACTILE_DOOR", None)
+
+# The tests write and remove some 100,000 files, which takes a disk as long as all computing.
+_RAM = Path("/dev/shm")
+if os.access(_RAM, os.W_OK) and shutil.disk_usage(_RAM).free > 4e9:
+    os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(_RAM))
 
 # A shell starts background jobs with SIGINT ignored, and Python keeps it so; the tests of Ctrl-C
 # must not depend on how they were started.

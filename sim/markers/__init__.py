@@ -26,7 +26,7 @@ from sim.markers.textures import (
     distance_texture,
     textures_of,
 )
-from sim.markers.top import cubic_taps, heights, top_of
+from sim.markers.top import cubic_taps, top_of
 
 __all__ = [
     "BAND",
@@ -51,7 +51,6 @@ __all__ = [
     "View",
     "cubic_taps",
     "distance_texture",
-    "heights",
     "hexagon",
     "named",
     "rings",

@@ -14,7 +14,7 @@ from recorder.markers import Lattice
 from sim.errors import SceneError
 from sim.markers.camera import HEIGHT, MIDDLE, WIDTH, Camera
 from sim.markers.textures import Textures
-from sim.markers.top import TAPS, Taps, Top, heights
+from sim.markers.top import TAPS, Taps, Top
 from sim.scene import Body
 
 
@@ -642,7 +642,7 @@ def seen_places(lattice: Lattice, camera: Camera, body: Body) -> tuple[np.ndarra
     with np.errstate(invalid="ignore"):
         on_gel = body.covers(places[..., 0], places[..., 1])
     x, y = places[on_gel].T
-    return np.stack([x, y, heights(body, x, y)], axis=1), on_gel
+    return np.stack([x, y, body.heights_at(x, y)], axis=1), on_gel
 
 
 @functools.cache

@@ -47,15 +47,7 @@ def top_of(body: Body, spacing: float) -> Top:
         np.linspace(-size / 2, size / 2, max(2, round(size / spacing) + 1))
         for size in (body.size_x, body.size_y)
     )
-    return Top(x, y, heights(body, x[:, None], y[None, :]))
-
-
-def heights(body: Body, x: Array, y: Array) -> Array:
-    """Return the height of the undeformed top at x and y, broadcast together [m]."""
-    if body.dome_radius is None:
-        return np.zeros(np.broadcast_shapes(x.shape, y.shape))
-    each: Array = np.vectorize(body.height, otypes=[float])(x, y)
-    return each
+    return Top(x, y, body.heights(x, y))
 
 
 # Smooth interpolation between unevenly spaced values, with four weights for each place.

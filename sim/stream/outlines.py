@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sim.errors import SceneError
 from sim.layer.spectral import Grid
 from sim.markers import Pattern
-from sim.markers.top import cubic_taps, heights
+from sim.markers.top import cubic_taps
 from sim.sensors import CameraSignal, SimulatedSensor
 from sim.stream.stream import LiveTips
 
@@ -49,7 +49,7 @@ class LiveMarkers:
             self._tips = LiveTips(signal.pins, x, y, self._centres)
         points = self._centres if self._tips else self._centres[:, None] + self._rings
         flat = points.reshape(-1, 2)
-        self._places = np.column_stack([flat, heights(sensor.body, flat[:, 0], flat[:, 1])])
+        self._places = np.column_stack([flat, sensor.body.heights_at(flat[:, 0], flat[:, 1])])
         self._index, self._weight = _taps(x, y, flat)
 
     def outlines(self, displacement: NDArray[np.float32]) -> Array:

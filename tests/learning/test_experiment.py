@@ -78,7 +78,8 @@ def done(
 
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave the pictures out of reports; they take most of the time of a small experiment."""
-    monkeypatch.setattr("learning.evaluation.report._pictures", lambda *_: ())
+    for drawn in ("_pictures", "_sequences"):
+        monkeypatch.setattr(f"learning.evaluation.report.{drawn}", lambda *_: ())
 
 
 def test_an_experiment_goes_from_presses_to_a_report_and_makes_nothing_twice(

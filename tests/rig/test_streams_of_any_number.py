@@ -263,7 +263,9 @@ def test_collected_killed_recovered_resumed_replayed_checked_and_exported(
     assert {name for name, column in session.columns.items() if column in frames} == wanted
     window = session.window(int(frames["t_ns"][-5]), 3)
     assert set(window.streams) == wanted
-    again = rig("replay", "--session", str(path), "--out", str(tmp_path / "r.zarr"))
+    again = rig(
+        *("replay", "--session", str(path), "--out", str(tmp_path / "r.zarr"), "--speed", "max")
+    )
     assert again.returncode == 0, again.stdout + again.stderr
     assert "equal:" in again.stdout
     for to in FORMATS:

@@ -45,13 +45,13 @@ def test_a_sphere_loads_a_relaxing_layer_as_lee_and_radok_say() -> None:
     motion = ramp_hold(depth, ramp=ramp, hold=0.4, steps=3)
     found = _simulated(sphere(4e-3), motion, grid=128)
     body = Body()
-    depths = np.linspace(0, depth, 61)[1:]
+    depths = np.linspace(0, depth, 22)[1:]
     exact = [
         layer_sphere(d, 4e-3, body.thickness, body.modulus, body.poisson).force for d in depths
     ]
-    times = np.concatenate([np.linspace(0, ramp, 61), motion.time[4:]])
+    times = np.concatenate([np.linspace(0, ramp, 22), motion.time[4:]])
     elastic = np.concatenate([[0.0], exact, np.repeat(exact[-1], 3)])
-    expected = hereditary(times, elastic, RATIOS, TIMES)[[0, 20, 40, 60, 61, 62, 63]]
+    expected = hereditary(times, elastic, RATIOS, TIMES)[[0, 7, 14, 21, 22, 23, 24]]
     np.testing.assert_allclose(-found.force[:, 2], expected, rtol=2e-3)
 
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from recorder import MarkerArchive
 from recorder.archive import ArchivePlan, ArchiveWriter, SensorPlan
-from recorder.markers import HEIGHT, PACKED, WIDTH, Lattice, pack
+from recorder.markers import HEIGHT, WIDTH, Lattice, pack
 from recorder.spec import PHASES
 
 MM_PER_PX = 0.03
@@ -109,15 +109,15 @@ def made_up_archive(
         table["valid"] = np.array([row not in invalid for row, _, _ in within])
         field = np.array([lattice_field(state) for state in states])
         field[~table["valid"]] = np.nan
-        masks = _masks(sensors, states)
-        for name in sensors:
+        masks = np.array([[_packed(name, state) for name in sensors] for state in states])
+        masks[~table["valid"]] = 0
+        for column, name in enumerate(sensors):
             factor = np.nan if name in unlabelled else stiffness[name]
             wrench = np.array([wrench_of(state, factor, unloading) for state in states])
             wrench[~table["valid"]] = np.nan
-            masks[name][~table["valid"]] = 0
             writer.sensors[name].write(
                 unit,
-                packed=masks[name],
+                packed=masks[:, column],
                 table={**table, "wrench": wrench},
                 source=["made up" if there else "missing" for there in table["valid"]],
                 displacement=field if displacement and name == sensors[0] else None,
@@ -157,16 +157,15 @@ def mask_of(name: str, state: State) -> NDArray[np.bool_]:
     return _pattern(name, *_no_contact(state))
 
 
-def _masks(sensors: Sequence[str], states: Sequence[State]) -> dict[str, NDArray[np.uint8]]:
-    """Return the packed masks (n, 38400) of sensors, which share the inverse field."""
-    packed = {name: np.empty((len(states), PACKED), np.uint8) for name in sensors}
-    for row, state in enumerate(states):
-        places = _no_contact(state)
-        for name in sensors:
-            packed[name][row] = pack(_pattern(name, *places))
-    return packed
+# Archives of different tests have most states in common; 2,000 masks take 80 MB.
+@functools.lru_cache(2000)
+def _packed(name: str, state: State) -> NDArray[np.uint8]:
+    """Return the packed mask (38400,) of a sensor."""
+    return pack(mask_of(name, state))
 
 
+# The sensors of an archive share the inverse field.
+@functools.lru_cache(4)
 def _no_contact(state: State) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the contact-free column and row (480, 640) [px] of the material at each pixel."""
     if state.depth_mm == 0 and state.shear_mm == (0.0, 0.0):

@@ -25,7 +25,6 @@ from sim.device import ready_device
 from sim.markers import HEIGHT, WIDTH, Camera, named
 from sim.markers.camera import FILM, LENS
 from sim.markers.renderer import Renderer
-from sim.markers.top import heights
 
 PATTERNS = ("Array1", "Circle1", "Diamond1")
 # Side of the texture [px]: 4.9 um per pixel on the paper's gel.
@@ -81,7 +80,7 @@ def _gel(state: RenderState, texture: Path):
     )
     moved = smooth(state.x, state.y, state.surface.astype(float), x, y)
     material = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
-    rest = heights(body, material[..., 0], material[..., 1])
+    rest = body.heights_at(material[..., 0], material[..., 1])
     place = (np.concatenate([material, rest[..., None]], axis=-1) + moved) * MM
     number = np.arange(len(x) * len(y)).reshape(len(x), len(y))
     cells = np.stack([number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]], axis=-1)

@@ -15,7 +15,6 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial import cKDTree
 
 from sim.markers import HEIGHT, WIDTH, Camera, Pattern
-from sim.markers.top import heights
 from sim.scene import Body
 
 Array = NDArray[np.float64]
@@ -79,7 +78,7 @@ def cast_rays(
     )
     moved = smooth(x, y, surface.astype(float), fine_x, fine_y)
     material = np.stack(np.meshgrid(fine_x, fine_y, indexing="ij"), axis=-1)
-    rest = heights(body, material[..., 0], material[..., 1])
+    rest = body.heights_at(material[..., 0], material[..., 1])
     place = np.concatenate([material, rest[..., None]], axis=-1) + moved
     triangles = _triangles(len(fine_x), len(fine_y))
     mesh = wp.Mesh(
