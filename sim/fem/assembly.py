@@ -206,6 +206,43 @@ class SolverState:
         self.tip_old.assign(self._array(tip, self.tip.dtype))
         self.set_tip(np.ones(len(tip), bool))
 
+    def history(self, chosen: Sequence[int]) -> dict[str, np.ndarray]:
+        """Return copies of all that the next step of the chosen environments (C,) depends on."""
+        rows = list(chosen)
+        found = {
+            name: np.take(array.numpy(), rows, axis=axis)
+            for name, (array, axis) in self._history().items()
+        }
+        found["tip"], found["duration"] = self.tip_before[rows], self._duration_old[rows]
+        return found
+
+    def go_on(self, history: dict[str, np.ndarray]) -> None:
+        """Begin from what `history` of another state, of any precision, has returned."""
+        for name, (array, axis) in self._history().items():
+            found = history[name][: len(array)] if axis else history[name]  # of fewer branches
+            array.assign(found.astype(numpy_of(self._real)))
+        copy_active(self.everyone, self.u_old, self.u)
+        copy_active(self.everyone, self._multiplier_old, self.multiplier)
+        self._duration_old[:] = history["duration"]
+        self.start(history["tip"])
+
+    def _history(self) -> dict:
+        """Return the arrays of the last accepted state, and their axis of environments."""
+        named = {
+            "u": self.u_old,
+            "u_before": self._u_before,
+            "multiplier": self._multiplier_old,
+            "push": self.push,
+            "traction": self.traction_old,
+        }
+        if self._branches is not None:
+            named |= self._branches.state
+        return {
+            name: (array, int(name.endswith("branch")))
+            for name, array in named.items()
+            if array.size
+        }
+
     def begin_step(
         self, chosen: np.ndarray, tip: np.ndarray, duration: np.ndarray, guess: np.ndarray
     ) -> None:

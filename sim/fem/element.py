@@ -944,6 +944,16 @@ class Branches:
         """Pressure that does not change within the step (B, E) [E]."""
         self._decay = self._gain = self._bulk_gain = None
 
+    @property
+    def state(self) -> dict[str, wp.array]:
+        """Stress at the end of the last step; the names of those by branch (N, B, ...) say so."""
+        return {
+            "branch": self._branch,
+            "rest": self._rest,
+            "bulk_branch": self._bulk_branch,
+            "bulk_rest": self._bulk_rest,
+        }
+
     def begin(self, active, duration: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Fill `history` of `active` environments for a step of `duration` (B,) [s].
 

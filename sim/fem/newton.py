@@ -42,11 +42,11 @@ EXACT_BELOW, EXACT_LESS = 0.1, 1 / 3
 # A step has failed after this many iterations without a residual below the second times the best
 # one: where skin folds, states wander without end.
 PATIENCE, BETTER = 25, 0.7
-# Patience and `Fem.newton_max` after an update of the multipliers, over those before, unless the
-# best residual is below the second times the tolerance, where rounding is the limit. A shorter step
-# of the tip ends in the same update, so that halving it is no remedy. Skin that slides around an
-# edge there, from one state to another, may take 150 iterations, in all of which its energy falls.
-PATIENCE_UPDATED, ROUNDING = 6, 10.0
+# Patience and `Fem.newton_max` of a patient step over those of others, while the residual is above
+# the second times the tolerance; below, rounding is the limit. Skin that folds, or slides around an
+# edge, goes from one state to a distant one; it may take 150 iterations, in all of which its energy
+# falls. No shorter step of the tip avoids them, nor those after an update of the multipliers.
+PATIENT, ROUNDING = 6, 10.0
 # Iterations of a step with a convex tangent, after which the exact one is damped instead: where a
 # body turns far, the convex tangent is too stiff to make progress.
 CONVEX_MOST = 10
@@ -93,11 +93,21 @@ class Newton:
         self._convex, self._switched = np.zeros((2, count), bool)
         self._exact_below = np.full(count, EXACT_BELOW)
         self._convex_left = np.full(count, CONVEX_MOST)
-        self._best, self._best_at = np.full(count, np.inf), np.zeros(count, int)
+        self._best = np.full(count, np.inf)
+        self._best_at, self._far_at = np.zeros((2, count), int)
         self._patience = np.ones(count, int)
 
-    def begin(self, chosen: np.ndarray, tolerance: np.ndarray, *, predict: np.ndarray) -> None:
+    def begin(
+        self,
+        chosen: np.ndarray,
+        tolerance: np.ndarray,
+        *,
+        predict: np.ndarray,
+        patient: np.ndarray,
+    ) -> None:
         """Start a step of the chosen environments from `state.u`; all arrays (B,).
+
+        Where `patient` is set, it may take `PATIENT` times as many iterations.
 
         Where `predict` is set, `state.u` is the state before the tip moved. The first iteration
         then follows the tip along the tangent and contact of that state.
@@ -111,21 +121,21 @@ class Newton:
             state.settle_limit(self.mask(chosen))
         state.set_tip(chosen & predict, before=True)
         state.set_tip(chosen & ~predict)
-        self._patience[chosen] = 1
+        self._patience[chosen] = np.where(patient, PATIENT, 1)[chosen]
         self._restart(chosen)
 
     def resume(self, chosen: np.ndarray) -> None:
         """Continue from the current state, a solution, after an update of its multipliers."""
         if not chosen.any():
             return
-        self._patience[chosen] = PATIENCE_UPDATED
+        self._patience[chosen] = PATIENT
         self._restart(chosen)
 
     def _restart(self, chosen: np.ndarray) -> None:
         self.iterations[chosen], self.cg[chosen] = 0, 0
         self.residual[chosen], self._damping[chosen] = np.inf, 0.0
         self._exact_below[chosen], self._convex_left[chosen] = EXACT_BELOW, CONVEX_MOST
-        self._best[chosen], self._best_at[chosen] = np.inf, 0
+        self._best[chosen], self._best_at[chosen], self._far_at[chosen] = np.inf, 0, 0
         self._switch(chosen & self._convex)
         self.converged[chosen], self.failed[chosen] = False, False
         state = self._assembly.state
@@ -185,9 +195,11 @@ class Newton:
             )
         better = running & (self.residual < BETTER * self._best)
         self._best[better], self._best_at[better] = self.residual[better], self.iterations[better]
-        patience = np.where(self._best > ROUNDING * self._tolerance, self._patience, 1)
-        spent = self.iterations >= assembly.numerics.newton_max * patience
-        spent |= self.iterations - self._best_at >= PATIENCE * patience
+        far = running & (self.residual > ROUNDING * self._tolerance)
+        self._far_at[far] = self.iterations[far]
+        spent = self.iterations >= assembly.numerics.newton_max * self._patience
+        spent |= self.iterations - self._best_at >= PATIENCE * self._patience
+        spent |= self.iterations - np.maximum(self._best_at, self._far_at) >= PATIENCE
         stuck = ~walked & (damping >= DAMPING_MOST)
         self.failed |= running & ~self.converged & (spent | stuck)
 
@@ -303,6 +315,8 @@ Array = NDArray[np.float64]
 
 # Time [s] after which any material has relaxed: how long a body stood before a motion begins.
 FULL_RELAXATION_TIME = 1e9
+# Failed attempts, of ever shorter steps from one place, after which the next may take long.
+PATIENT_AFTER = (2, 5)
 # Largest ratio of a step to the last one that was accepted.
 GROWTH = 1.5
 # Steps per shortest relaxation time, but at most `STEPS_MAX` in a segment.
@@ -342,7 +356,16 @@ class Path:
     step: float = 1.0
     """Fraction of the segment that the next step may take."""
     halvings: int = 0
+    failed: int = 0
+    """Failed attempts since the last accepted step."""
+    hard: bool = False
+    """True if another batch, in float32, has failed on this path."""
     tried: list[str] = field(default_factory=list)
+
+    @property
+    def patient(self) -> bool:
+        """True if the next step may take long, as shorter ones would not help."""
+        return self.failed in PATIENT_AFTER or (self.hard and self.failed == 0)
 
     @property
     def finished(self) -> bool:
@@ -394,6 +417,7 @@ class Path:
     def accept(self, fraction: float) -> bool:
         """Accept the step; return True if a waypoint was reached."""
         step = fraction - self.fraction
+        self.failed = 0
         if fraction < 1.0:
             self.fraction = fraction
             self.step = step * GROWTH
@@ -407,6 +431,16 @@ class Path:
             self.step = max(travel, 0.25 * self.longest) * GROWTH / self.length
         return True
 
+    def go_on(self, halvings_max: int) -> None:
+        """Try the failed step again, now with up to `halvings_max` halvings.
+
+        First attempts are patient from now on.
+        """
+        self.step *= 2.0**self.failed
+        self.halvings, self.halvings_max, self.failed = 0, halvings_max, 0
+        self.hard = True
+        self.tried.clear()
+
     def refuse(self, fraction: float, message: str) -> bool:
         """Reject the step and halve it; return True if there is a smaller one to try."""
         step = fraction - self.fraction
@@ -414,6 +448,7 @@ class Path:
         self.ramped |= self.heavy and self.segment == 0 and self.fraction == 0
         self.step = step / 2
         self.halvings += 1
+        self.failed += 1
         return self.halvings <= self.halvings_max and (
             self.length > 0 or (self.ramped and self.segment == 0)
         )

@@ -28,11 +28,11 @@ SIGNS = 2.0 * np.array(CORNERS) - 1.0
 
 
 def folded_faces(mesh: Mesh, places: Array) -> NDArray[np.bool_]:
-    """True for faces (S,) turned by more than 80 degrees, with the nodes at `places` (N, 3)."""
+    """True for faces (S,) of the body turned by more than 80 degrees; nodes at `places` (N, 3)."""
     rest, now = _normals(mesh.nodes, mesh.faces), _normals(places, mesh.faces)
     along = _dot(rest, now)
     least = FOLDED**2 * _dot(rest, rest) * _dot(now, now)
-    return np.asarray((along < 0) | (along * along < least))
+    return np.asarray(((along < 0) | (along * along < least)) & (mesh.face_area > 0))
 
 
 def self_overlap(mesh: Mesh, u: Array) -> tuple[float, int]:
@@ -81,7 +81,7 @@ def _near(
     longest = float(np.ptp(corner, axis=1).max())
     low, high = corner.min(axis=(0, 1)) - longest, corner.max(axis=(0, 1)) + longest
     at_skin = np.zeros(len(places), bool)
-    at_skin[mesh.faces] = True
+    at_skin[mesh.faces[mesh.face_area > 0]] = True
     here = at_skin & ((places >= low) & (places <= high)).all(axis=1)
     cells = np.array(mesh.cells)
     least = most = places.reshape(*(cells + 1), 3)
@@ -93,6 +93,8 @@ def _near(
         least = np.minimum(least[first], least[second])
         most = np.maximum(most[first], most[second])
     reaches = ((most >= low) & (least <= high)).all(axis=-1)
+    if mesh.fraction is not None:  # elements outside a round body are no material
+        reaches &= mesh.fraction[:, :, None] > 0
     return here, np.flatnonzero(reaches), least[reaches], most[reaches]
 
 

@@ -523,13 +523,17 @@ def _following(
     """
     sizes, lasting = list(sizes), list(sizes)
     outcomes = _on_meshes(scenes, numerics, sizes, device, progress)
+    before = np.full(len(scenes), np.inf)
     for attempt in range(1, REMESHED + 1):
         wanted = {i: more_wanted(one) for i, one in enumerate(outcomes) if isinstance(one, Result)}
-        again = [
-            i
-            for i, more in wanted.items()
-            if more is not None and refines(scenes[i], numerics, sizes[i], more, outcomes[i])
-        ]
+        again = []
+        for i, more in wanted.items():
+            if more is None or not refines(scenes[i], numerics, sizes[i], more, outcomes[i]):
+                continue
+            lacking = lacks(outcomes[i])
+            if lacking < LACKS_LESS * before[i]:
+                again.append(i)
+            before[i] = lacking
         if not again:
             break
         for i in again:
@@ -604,6 +608,8 @@ REMESHED = 2
 # Least ratio by which elements of a rebuilt mesh are smaller where that is required: a mesh that is
 # hardly finer is not worth its time.
 REFINED = 1.2
+# A mesh is not rebuilt again unless the last time divided by this, or more, how much was lacking.
+LACKS_LESS = 0.9
 # Element size over that required by the solution's own contact: above the first the mesh is
 # rebuilt, above the second a finer mesh is built for that contact from the start.
 TOO_COARSE, COARSE = 1.6, 1.25
@@ -639,6 +645,14 @@ def overlap_shares(result: Result, overlap: np.ndarray) -> np.ndarray:
     scale = np.where(width > 0, np.minimum(width, np.maximum(depth, 0.1 * width)), depth)
     thickness = result.scene.body.thickness
     return overlap / np.where(scale > 1e-9 * thickness, scale, thickness)
+
+
+def lacks(result: Result) -> float:
+    """Return how much too coarse the solution finds its mesh; 1 or less is fine enough."""
+    fineness = result.record["mesh"]["fineness"]
+    ratio = coarser_than_asked(_asked_by(result), result.surface_x, result.surface_y, fineness)
+    overlap = overlap_shares(result, result.quality.overlap).max(initial=0.0)
+    return max(ratio / TOO_COARSE, float(overlap) / OVERLAP_GOOD)
 
 
 def more_wanted(result: Result) -> Sizes | None:
@@ -807,13 +821,16 @@ def _solve(scenes, meshes, numerics, device, meshed, progress) -> list[Outcome]:
     trial = numerics
     if numerics.precision == "auto" and first == "float32":
         trial = replace(numerics, halvings=min(numerics.halvings, HALVINGS_FLOAT32))
-    outcomes = _Batch(scenes, meshes, trial, first, device, meshed, progress).run()
+    batch = _Batch(scenes, meshes, trial, first, device, meshed, progress)
+    outcomes = batch.run()
     if numerics.precision != "auto":
         return outcomes
     if first == "float64":
         return [_with_reason(outcome, reason) for outcome in outcomes]
     again = [i for i, outcome in enumerate(outcomes) if isinstance(outcome, SimulationDiverged)]
     if again:
+        reached = batch.reached(again)
+        del batch  # frees its memory on the device
         retried = _Batch(
             [scenes[i] for i in again],
             [meshes[i] for i in again],
@@ -822,6 +839,7 @@ def _solve(scenes, meshes, numerics, device, meshed, progress) -> list[Outcome]:
             device,
             meshed,
             progress,
+            reached,
         ).run()
         for i, outcome in zip(again, retried, strict=True):
             _forget_dump(outcomes[i].dump)
@@ -921,10 +939,29 @@ class _Taken:
     """Cost of the frames."""
 
 
-class _Batch:
-    """Presses on meshes of one topology, each with a separate path and step."""
+@dataclass(frozen=True, slots=True)
+class _Reached:
+    """State of some environments when their batch ends, from which another one goes on."""
 
-    def __init__(self, scenes, meshes, numerics, precision, device, meshed, progress) -> None:
+    history: dict[str, np.ndarray]
+    """Result of `SolverState.history`."""
+    collectors: list[Collector]
+    """Frames kept so far."""
+    paths: list[Path]
+    spent: list[Spent]
+    seconds: float
+    """Time of the batch."""
+
+
+class _Batch:
+    """Presses on meshes of one topology, each with a separate path and step.
+
+    They begin at the first step, or where those of another batch have ended (`reached`).
+    """
+
+    def __init__(
+        self, scenes, meshes, numerics, precision, device, meshed, progress, reached=None
+    ) -> None:
         self._scenes, self._meshes, self._numerics = scenes, meshes, numerics
         self._progress = progress
         began = time.perf_counter()
@@ -948,7 +985,25 @@ class _Batch:
         self._last = np.zeros((count, 2))
         self._tip, self._share = np.zeros((count, 3)), np.zeros(count)
         self._duration, self._load = np.ones(count), np.ones(count)
-        self._assembly.state.start(np.array([path.corners[0] for path in self._paths]))
+        state = self._assembly.state
+        state.start(np.array([path.corners[0] for path in self._paths]))
+        self._before = 0.0
+        if reached is not None:
+            self._collectors, self._paths = reached.collectors, reached.paths
+            self._spent, self._before = reached.spent, reached.seconds
+            for path in self._paths:
+                path.go_on(numerics.halvings)
+            state.go_on(reached.history)
+
+    def reached(self, chosen: list[int]) -> _Reached:
+        """Return what the chosen environments have reached: their last accepted states."""
+        return _Reached(
+            history=self._assembly.state.history(chosen),
+            collectors=[self._collectors[i] for i in chosen],
+            paths=[self._paths[i] for i in chosen],
+            spent=[self._spent[i] for i in chosen],
+            seconds=self._seconds["solve"],
+        )
 
     def run(self) -> list[Outcome]:
         began = time.perf_counter()
@@ -964,7 +1019,7 @@ class _Batch:
                 if running.any():
                     newton.sweep(running)
                 self._finish(self._busy & (newton.converged | newton.failed))
-        self._seconds["solve"] = time.perf_counter() - began
+        self._seconds["solve"] = self._before + time.perf_counter() - began
         record = self._record()
         return [
             self._failed.get(i) or collector.result({**record, **self._of_one(i)})
@@ -975,12 +1030,12 @@ class _Batch:
         """Begin the next step of the idle environments (B,)."""
         if not idle.any():
             return
-        guess, tolerance = np.zeros(len(idle)), np.zeros(len(idle))
+        guess, tolerance, patient = np.zeros((3, len(idle)))
         for i in np.flatnonzero(idle).tolist():
             path = self._paths[i]
             self._share[i], self._tip[i], self._duration[i] = path.goal()
             self._load[i] = path.load(self._share[i])
-            tolerance[i] = self._tolerance(self._share[i])
+            tolerance[i], patient[i] = self._tolerance(self._share[i]), path.patient
             segment, step = self._last[i]
             going_on = segment == path.segment and step > 0 and path.halvings == 0
             if going_on and "friction" in self._assembly.effects:
@@ -990,7 +1045,7 @@ class _Batch:
         if "gravity" in self._assembly.effects:
             self._assembly.state.put_weight(self._load)
         self._assembly.state.begin_step(idle, self._tip, self._duration, guess)
-        self._newton.begin(idle, tolerance, predict=guess == 0)
+        self._newton.begin(idle, tolerance, predict=guess == 0, patient=patient > 0)
 
     def _tolerance(self, fraction: float) -> float:
         numerics = self._numerics

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,15 +14,18 @@ from sim import (
     Body,
     Effects,
     Friction,
+    Inertia,
     Result,
     Scene,
     SceneError,
     SimulationDiverged,
+    Viscosity,
     press,
     press_shear_return,
     simulate,
     simulate_many,
 )
+from sim.fem.newton import Newton, path_of
 from sim.fem.numerics import Fem
 from sim.fem.solver import precision_for_finer
 from sim.indenters import sphere
@@ -109,6 +113,56 @@ def test_float32_is_given_up_when_a_halved_step_fails_too() -> None:
     assert ": 2 steps failed" in result.record["precision_reason"]
     with pytest.raises(SimulationDiverged, match=": 13 steps failed"):
         simulate(SCENE, replace(numerics, precision="float32"))
+
+
+def test_float64_goes_on_from_the_last_state_that_float32_has_accepted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """With all history that a state can have; float32 is made to fail on the way to waypoint 2.
+
+    Forces are those of float64 alone, within 2e-4, and float64 does not begin again.
+    """
+    effects = Effects(
+        friction=Friction(0.5),
+        viscosity=Viscosity(ratios=(0.4, 0.3), times=(0.01, 1.0)),
+        inertia=Inertia(scale=1e3),
+    )
+    motion = press_shear_return(0.3e-3, 0.2e-3, steps=2)
+    scene = Scene(sphere(3e-3), motion, BODY, effects)
+    numerics = Fem(spacing=SPACING, tolerance=1e-4)
+    wanted = simulate(scene, replace(numerics, precision="float64"))
+    began: list[float] = []
+    begin = Newton.begin
+
+    def failing(newton: Newton, chosen: np.ndarray, *given: Any, **named: Any) -> None:
+        begin(newton, chosen, *given, **named)
+        assembly = newton._assembly
+        deep = assembly.state.tip_before[:, 2] < -0.12e-3 / BODY.thickness
+        if assembly.precision == "float32":
+            newton.failed |= chosen & deep
+        else:
+            began.append(assembly.state.tip_before[0, 2])
+
+    monkeypatch.setattr(Newton, "begin", failing)
+    found = simulate(scene, numerics)
+    assert found.record["precision"] == "float64"
+    assert began[0] < -0.12e-3 / BODY.thickness
+    largest = np.abs(wanted.wrench).max()
+    assert found.wrench == pytest.approx(wanted.wrench, abs=2e-4 * largest)
+
+
+def test_a_step_is_patient_after_shorter_ones_have_failed_at_the_same_place() -> None:
+    path = path_of(SCENE, Fem(spacing=SPACING))
+    path.accept(1.0)  # the way to the body, which has no length
+    patient = []
+    for _attempt in range(7):
+        patient.append(path.patient)
+        assert path.refuse(path.goal()[0], "")
+    assert patient == [False, False, True, False, False, True, False]
+    path.accept(path.goal()[0])
+    assert not path.patient
+    path.go_on(3)
+    assert path.patient
 
 
 def test_finer_meshes_are_solved_in_float64_where_a_coarser_one_was() -> None:

@@ -99,6 +99,19 @@ def test_a_lip_folded_over_onto_flat_skin_overlaps_it() -> None:
 SMALL = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
 
 
+def test_what_lies_beside_a_round_body_is_no_skin_to_overlap() -> None:
+    """Nodes outside stay where they were; the body's are pushed down and away from its middle."""
+    disc = Body(size_x=8e-3, size_y=8e-3, thickness=2e-3, footprint="ellipse")
+    mesh = build_mesh(disc, 0.4e-3)
+    moves = mesh.node_volume > 0
+    height = 1.0 + mesh.nodes[:, 2]
+    u = (
+        mesh.nodes * [0.2, 0.2, 0.0] * height[:, None]
+        + np.array([0.0, 0.0, -0.4]) * height[:, None]
+    )
+    assert self_overlap(mesh, np.where(moves[:, None], u, 0.0)) == (0.0, -1)
+
+
 def test_a_deep_press_and_shear_turns_the_skin_but_does_not_fold_it() -> None:
     motion = Motion(((0.0, 0.0, -1.5e-3), (0.8e-3, 0.0, -1.5e-3)), (0.0, 0.1))
     scene = Scene(sphere(2e-3), motion, SMALL, Effects(friction=Friction(0.8)))

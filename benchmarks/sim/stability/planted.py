@@ -123,10 +123,10 @@ def _lagged_friction() -> list[Part]:
             self._friction = False
             self._rubs = "friction" in assembly.effects
 
-        def begin(self, chosen: Any, tolerance: Any, *, predict: Any) -> None:
+        def begin(self, chosen: Any, tolerance: Any, **how: Any) -> None:
             if self._rubs and chosen.any():
                 self._assembly.state.settle_limit(self.mask(chosen))
-            super().begin(chosen, tolerance, predict=predict)
+            super().begin(chosen, tolerance, **how)
 
     return [(solver, "Newton", Lagged)]
 
