@@ -3,10 +3,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from scipy import ndimage
 
+from sim.fem import solver
 from sim.fem.numerics import Fem
-from sim.fem.sizing import Span, sizes_of, stages_of
+from sim.fem.sizing import NOTHING, Span, sizes_of, stages_of
 from sim.fem.solver import refines, simulate_fem
 from sim.indenters import sphere
 from sim.result import Result
@@ -43,3 +45,16 @@ def test_a_mesh_is_rebuilt_only_if_the_limit_on_elements_leaves_it_finer() -> No
     size = min(span.size for span in asked.x) / 4
     at_edge = replace(everywhere, x=(Span(1e-3, 1e-3 + size, size),), y=())
     assert refines(scene, limited, asked, at_edge, found)
+
+
+@pytest.mark.parametrize(("lacking", "meshes"), [([4.0, 4.0], 1), ([4.0, 2.0], 2)])
+def test_a_mesh_is_rebuilt_again_only_if_the_last_time_was_of_use(
+    monkeypatch: pytest.MonkeyPatch, lacking: list[float], meshes: int
+) -> None:
+    left = iter(lacking)
+    monkeypatch.setattr(solver, "more_wanted", lambda _result: NOTHING)
+    monkeypatch.setattr(solver, "refines", lambda *_given: True)
+    monkeypatch.setattr(solver, "lacks", lambda _result: next(left))
+    (found,) = simulate_fem([Scene(sphere(4e-3), press([0.5e-3]))], Fem(elements_max=1000))
+    assert isinstance(found, Result)
+    assert found.record["mesh"]["made_anew"] == meshes
