@@ -44,17 +44,23 @@ NOTE = "the scene is its own image in the plane"
 
 def planes_of(scene: Scene) -> tuple[str, ...]:
     """Return the mirror planes of a scene, as names of `PLANES`."""
-    return tuple(name for name, normal in PLANES.items() if _mirrors(scene, normal))
+    whole = len(scene.motion)
+    return tuple(name for name, normal in PLANES.items() if _mirrored(scene, normal) == whole)
 
 
 def vanishing_share(result: Result) -> Array:
     """Return the largest force across a mirror plane of the scene (F,), over the force.
 
-    Over a tenth of the largest force if a frame's own is smaller; 0 without such a plane.
+    Over a tenth of the largest force if a frame's own is smaller; 0 without such a plane. A motion
+    that leaves the plane has such forces only up to there. Later frames, on the same mesh, get the
+    largest of them, as the error of a force along the skin.
     """
     across = np.zeros(len(result.wrench))
-    for name in planes_of(result.scene):
-        across = np.maximum(across, np.abs(result.force[:, :2] @ PLANES[name]))
+    for normal in PLANES.values():
+        count = _mirrored(result.scene, normal)
+        forbidden = np.abs(result.force[:count, :2] @ normal)
+        across[:count] = np.maximum(across[:count], forbidden)
+        across[count:] = np.maximum(across[count:], forbidden.max(initial=0.0))
     return across / force_scale(result.force)
 
 
@@ -91,21 +97,24 @@ def with_symmetry(result: Result) -> Result:
     return replace(result, record={**result.record, "symmetry": symmetry, "warnings": warnings})
 
 
-def _mirrors(scene: Scene, normal: Normal) -> bool:
+def _mirrored(scene: Scene, normal: Normal) -> int:
+    """Return the number of waypoints up to which the scene is its own image in a plane."""
     body, gravity = scene.body, scene.effects.gravity
     if 0.0 not in normal and body.size_x != body.size_y:
-        return False
-    if np.abs(np.asarray(scene.motion.tip)[:, :2] @ normal).max() > OFF_PLANE * body.thickness:
-        return False
+        return 0
+    off = np.abs(np.asarray(scene.motion.tip)[:, :2] @ normal) > OFF_PLANE * body.thickness
+    count = int(np.argmax(off)) if off.any() else len(off)
+    if not count:
+        return 0
     if gravity is not None:
         pull = np.asarray(gravity.acceleration, float)
         if abs(pull[:2] @ normal) > OFF_PLANE * np.linalg.norm(pull):
-            return False
+            return 0
     depth = scene.motion.depth_max
     if depth <= 0:
-        return False
+        return 0
     across = math.hypot(body.size_x, body.size_y)
-    return asymmetry(scene.indenter, normal, depth, across) <= ALIKE * depth
+    return count if asymmetry(scene.indenter, normal, depth, across) <= ALIKE * depth else 0
 
 
 @functools.lru_cache(maxsize=4096)

@@ -111,7 +111,7 @@ def simulate_within(
         SceneError: The tolerance is invalid, or the finest mesh allowed does not reach it; with
             tier `layer`, it is below the estimate; the device does not exist; the indenter
             overlaps the side wall of a round body.
-        SimulationDiverged: A mesh found no solution.
+        SimulationDiverged: Two meshes of different fineness found no solution.
     """
     began = time.perf_counter()
     wanted = tolerance_of(tolerance)
@@ -128,9 +128,16 @@ def simulate_within(
         if linear is not None:
             return _with_plan(linear, wanted, tried, began, why_trusted(linear))
     best: tuple[float, Result] | None = None
-    for _round in range(ROUNDS):
-        coarse = meshes.solved(fineness / COMPANION, 0)
-        fine = meshes.solved(fineness, 1)
+    for round_ in range(ROUNDS):
+        try:
+            coarse = meshes.solved(fineness / COMPANION, 0)
+            fine = meshes.solved(fineness, 1)
+        except SimulationDiverged as diverged:
+            if round_ or meshes.limited:
+                raise
+            tried.append(f"fineness {fineness:.3g}: {meshes.given_up(diverged)}")
+            fineness *= COMPANION
+            continue
         limited = _fineness(fine) < WHOLLY * fineness
         if limited:
             coarse = meshes.solved(_fineness(fine) / COMPANION, 0)
@@ -186,6 +193,18 @@ class _Meshes:
         self._solved: list[Result] = []
         self._finest = np.inf
         self._asked: Asked = {}
+
+    @property
+    def limited(self) -> bool:
+        """True if a mesh reached the limit on elements."""
+        return self._finest < np.inf
+
+    def given_up(self, diverged: SimulationDiverged) -> str:
+        """Remove the dump of a failure that a finer mesh follows, and return its reason."""
+        from sim.fem.solver import forget_dump
+
+        forget_dump(diverged.dump)
+        return str(diverged).split("; state:")[0]
 
     def solved(self, fineness: float, part: int) -> Result:
         """Return the solution on a mesh of about that fineness, from the cache or solved now.

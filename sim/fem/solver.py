@@ -531,7 +531,8 @@ def _following(
             if more is None or not refines(scenes[i], numerics, sizes[i], more, outcomes[i]):
                 continue
             lacking = lacks(outcomes[i])
-            if lacking < LACKS_LESS * before[i]:
+            useless = isinstance(_judged(outcomes[i]), SimulationDiverged)
+            if useless or lacking < LACKS_LESS * before[i]:
                 again.append(i)
             before[i] = lacking
         if not again:
@@ -608,7 +609,8 @@ REMESHED = 2
 # Least ratio by which elements of a rebuilt mesh are smaller where that is required: a mesh that is
 # hardly finer is not worth its time.
 REFINED = 1.2
-# A mesh is not rebuilt again unless the last time divided by this, or more, how much was lacking.
+# A mesh is rebuilt again if the last time multiplied what was lacking by less than this, or if the
+# solution is of no use as it is.
 LACKS_LESS = 0.9
 # Element size over that required by the solution's own contact: above the first the mesh is
 # rebuilt, above the second a finer mesh is built for that contact from the start.
@@ -842,7 +844,7 @@ def _solve(scenes, meshes, numerics, device, meshed, progress) -> list[Outcome]:
             reached,
         ).run()
         for i, outcome in zip(again, retried, strict=True):
-            _forget_dump(outcomes[i].dump)
+            forget_dump(outcomes[i].dump)
             outcomes[i] = _with_reason(outcome, f"float32 did not converge: {outcomes[i]}")
     return outcomes
 
@@ -866,7 +868,7 @@ def _with_reason(outcome: Outcome, reason: str) -> Outcome:
     return replace(outcome, record={**outcome.record, "precision_reason": reason})
 
 
-def _forget_dump(dump: File | None) -> None:
+def forget_dump(dump: File | None) -> None:
     """Remove the dump of a failed attempt that was followed by another."""
     if dump is not None:
         dump.unlink(missing_ok=True)

@@ -116,6 +116,16 @@ def test_a_force_that_symmetry_forbids_is_part_of_the_error_and_worth_a_warning(
     assert not [one for one in right.record["warnings"] if "across" in one]
 
 
+def test_a_motion_that_leaves_a_plane_states_the_forces_across_it_before() -> None:
+    motion = Motion(((0.0, 0.0, -0.4e-3), (0.0, 0.1e-3, -0.4e-3)), (0.0, 0.1))
+    result = simulate(Scene(sphere(3e-3), motion, SMALL), Fem(spacing=4e-3 / 3))
+    wrench = result.wrench.copy()
+    wrench[:, :3] = [[0.0, 0.1, -1.0], [0.0, 0.3, -0.4]]
+    assert vanishing_share(replace(result, wrench=wrench)) == pytest.approx(
+        [0.1 / math.hypot(0.1, 1.0), 0.1 / 0.5], rel=1e-3
+    )
+
+
 def test_forces_of_two_meshes_say_what_symmetry_forbids_of_them() -> None:
     numerics = Fem(spacing=4e-3 / 4), Fem(spacing=4e-3 / 3)
     fine, coarse = (simulate(Scene(sphere(3e-3), PRESS, SMALL), one) for one in numerics)

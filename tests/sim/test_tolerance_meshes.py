@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from sim import Body, Effects, Scene, press
 from sim.effects import Viscosity
+from sim.errors import SimulationDiverged
+from sim.fem import solver
 from sim.fem.numerics import Fem
 from sim.fem.sizing import Sizes, Span
 from sim.fem.solver import Asked, simulate_fem
 from sim.indenters import sphere
-from sim.result import Result
+from sim.result import Outcome, Result
 from sim.simulate import simulate
-from sim.tolerance import STATES_MOST, _states
+from sim.tolerance import STATES_MOST, _states, simulate_within
 
 BALL = Scene(sphere(4e-3), press([0.3e-3]))
 WET = replace(BALL, effects=Effects(viscosity=Viscosity((0.5,), (0.1,))))
@@ -74,3 +78,34 @@ def test_a_light_touch_is_balanced_well_enough_for_a_tolerance() -> None:
         assert isinstance(found, Result)
         forces.append(found.force[-1, 2])
     np.testing.assert_allclose(forces[:2], forces[2], rtol=2e-3)
+
+
+def test_where_a_coarse_mesh_finds_no_solution_finer_ones_are_tried_once(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Meshes are half as fine as they say, to save time; those below a fineness fail."""
+    dump = tmp_path / "diverged" / "state.npz"
+    solved: list[float] = []
+    fails_below = 0.5
+
+    def simulate(scenes: list[Scene], numerics: Fem, **how: Any) -> list[Outcome]:
+        solved.append(round(numerics.fineness, 3))
+        if numerics.fineness < fails_below:
+            dump.parent.mkdir()
+            dump.touch()
+            return [SimulationDiverged(f"lost; state: {dump}", tried=(), dump=dump)]
+        coarser = replace(numerics, fineness=numerics.fineness / 2)
+        (found,) = simulate_fem(scenes, coarser, **{**how, "asked": None})
+        assert isinstance(found, Result)
+        mesh = {**found.record["mesh"], "fineness": numerics.fineness}
+        return [replace(found, record={**found.record, "mesh": mesh})]
+
+    monkeypatch.setattr(solver, "simulate_fem", simulate)
+    found = simulate_within(BALL, "30 %", tier="fem")
+    assert solved == [0.375, 0.6, 0.96]
+    assert found.record["plan"]["tried"][0] == "fineness 0.6: lost"
+    assert not dump.parent.exists()
+    fails_below = 2.0
+    with pytest.raises(SimulationDiverged, match="lost"):
+        simulate_within(BALL, "30 %", tier="fem")
+    assert solved[3:] == [0.375, 0.6]
