@@ -15,7 +15,7 @@ from recorder.command_line.options import names_or_none, positive
 from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
-    from learning.data.matching import Chosen
+    from learning.data.matching import Chosen, Tolerances
 
 # ARCHIVE:SENSOR=NAME,SENSOR after the last colon; an address such as s3://x has a slash there.
 _WITH_SENSORS = re.compile(r"(?P<archive>.+):(?P<sensors>[^:/\\]+)")
@@ -37,6 +37,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="X.markers.zarr: all of its sensors, or these, some under another name",
     )
     parser.add_argument("--out", type=Path, metavar="PATH", help="archive to write, X.markers.zarr")
+    add_tolerances(parser)
+    parser.add_argument(
+        "--unseen",
+        type=names_or_none,
+        metavar="NAME,...",
+        help="indenters excluded from training, '' for none (default: as in the archives)",
+    )
+    parser.add_argument("--dry-run", action="store_true", help="print the matches, write nothing")
+
+
+def add_tolerances(parser: argparse.ArgumentParser) -> None:
+    """Add the options for how far apart presses that match may be."""
     parser.add_argument(
         "--place-mm",
         type=positive,
@@ -58,27 +70,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DEG",
         help="largest angle between their shear directions [deg] (3)",
     )
-    parser.add_argument(
-        "--unseen",
-        type=names_or_none,
-        metavar="NAME,...",
-        help="indenters excluded from training, '' for none (default: as in the archives)",
+
+
+def tolerances_of(options: argparse.Namespace) -> Tolerances:
+    """Return the tolerances of these options."""
+    from learning.data.matching import Tolerances
+
+    return Tolerances(
+        1e-3 * options.place_mm, options.depth_fraction, math.radians(options.angle_deg)
     )
-    parser.add_argument("--dry-run", action="store_true", help="print the matches, write nothing")
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
     from learning.data.join import join
-    from learning.data.matching import Tolerances
 
     if options.out is None and not options.dry_run:
         raise LearningError("--out: missing; allowed: where the archive goes, or --dry-run")
-    tolerances = Tolerances(
-        1e-3 * options.place_mm, options.depth_fraction, math.radians(options.angle_deg)
-    )
-    sensors = [each for text in options.archives for each in _chosen(text)]
-    joined = join(sensors, tolerances, options.unseen)
+    sensors = [each for text in options.archives for each in chosen_sensors(text)]
+    joined = join(sensors, tolerances_of(options), options.unseen)
     for line in joined.lines():
         print(line)
     if options.dry_run:
@@ -90,7 +100,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _chosen(text: str) -> Iterator[Chosen]:
+def chosen_sensors(text: str) -> Iterator[Chosen]:
     """Yield the sensors that an argument names, in the order of their archive.
 
     Raises:

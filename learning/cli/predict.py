@@ -11,7 +11,7 @@ import numpy as np
 
 from learning.errors import LearningError
 from learning.evaluation.predictions import METHODS, TRANSLATED, Predictions
-from learning.metrics import force_errors
+from learning.metrics import axis_means, force_errors
 from recorder.command_line.options import add_device, names
 from recorder.progress import ItemProgress
 
@@ -23,7 +23,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.description = (
         "Runs a force model over whole presses of a sensor and writes its forces [N] "
-        "with the labels [N], if it has any, for `evaluate`."
+        "with the labels [N], if it has any, for `evaluate`. A model of `transfer` has intervals, "
+        "which are written too."
     )
     parser.add_argument("model", type=Path, metavar="MODEL", help="folder of a trained force model")
     parser.add_argument(
@@ -60,10 +61,14 @@ def run(options: argparse.Namespace) -> int:
     from learning.data.splits import read_split
     from learning.evaluation.predictions import predictions_of
     from learning.force import load_force_model
+    from learning.force.intervals import read_intervals
     from learning.training.checkpoint import read_model_folder
     from recorder import MarkerArchive
 
     folder = read_model_folder(options.model, "force")
+    card = folder.config.metadata.get("transfer", {})
+    options.method = options.method or card.get("method")
+    options.translator = options.translator or card.get("translator", "")
     source, method = _trained_on(options, folder.config.metadata.get("sensors", []))
     archive = MarkerArchive(options.archive)
     if options.sensor not in archive:
@@ -83,6 +88,7 @@ def run(options: argparse.Namespace) -> int:
     with ItemProgress("forces", sys.stderr) as progress:
         predicted = model.predict(presses, progress=progress)
     rows = presses.rows.numpy()
+    intervals = read_intervals(options.model)
     made = predictions_of(
         sensor,
         archive.indenters,
@@ -93,9 +99,12 @@ def run(options: argparse.Namespace) -> int:
         method=method,
         translator=options.translator,
         model=folder.hash(),
+        interval=None if intervals is None else intervals.of(predicted),
     )
     made.write(options.out)
     print(f"{options.out}: {len(made):,} frames, {_told(made)}")
+    if intervals is not None:
+        print(_covered(made))
     if len(model.axes) < len(AXES):
         print(f"the model predicts {', '.join(model.axes)} only; forces on other axes are NaN")
     return 0
@@ -117,6 +126,21 @@ def _told(made: Predictions) -> str:
     )
     labelled = f", {errors.frames:,} of them with a label" if errors.frames < len(made) else ""
     return f"MAE [N] {mae}, R2{errors.of_axes} {errors.r2_mean:.3f}{labelled}"
+
+
+def _covered(made: Predictions) -> str:
+    """Return the mean half-widths of the intervals, and the share of labels within them."""
+    width = axis_means(0.5 * (made.high - made.low))
+    shares = []
+    for place, axis in enumerate(AXES):
+        known = np.isfinite(made.true[:, place]) & np.isfinite(made.low[:, place])
+        if np.isfinite(width[place]):
+            text = f"{axis} +-{width[place]:.3f} N"
+            if known.any():
+                inside = (made.low <= made.true) & (made.true <= made.high)
+                text += f" covers {100 * inside[known, place].mean():.1f} %"
+            shares.append(text)
+    return f"90 % intervals, in the mean: {', '.join(shares)}"
 
 
 def _trained_on(options: argparse.Namespace, sensors: Sequence[str]) -> tuple[str, str]:

@@ -38,7 +38,9 @@ LABEL_FREE = TRANSLATED[:3]
 CHOICES = {"compensated": "default", "priors": "priors", "oracle": "oracle"}
 
 _TEXTS = ("source", "target", "method", "translator", "model")
-_WIDTHS = {"true": 3, "predicted": 3, "label_std": 4, "label_range": 4}
+_WIDTHS = {"true": 3, "predicted": 3, "label_std": 4, "label_range": 4, "low": 3, "high": 3}
+# Missing in old files.
+_ADDED = ("low", "high")
 _SCALES = ("label_std", "label_range")
 
 
@@ -76,6 +78,10 @@ class Predictions:
     """Standard deviation of Fx, Fy, Fz, Ft over all labels of the target (4,) [N]; or NaN."""
     label_range: NDArray[np.float64]
     """Range of the same (4,) [N]."""
+    low: NDArray[np.float64]
+    """Lower ends of 90 % intervals of the predicted forces (n, 3) [N]; NaN without."""
+    high: NDArray[np.float64]
+    """Upper ends, likewise."""
 
     def __post_init__(self) -> None:
         """Validate method, shapes and forces.
@@ -130,6 +136,8 @@ class Predictions:
         """
         reported = {name: getattr(self, name) for name in _TEXTS}
         arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in _TEXTS}
+        if np.isnan(self.low).all():
+            arrays = {name: array for name, array in arrays.items() if name not in _ADDED}
         write_results(path, Results(KIND, reported, arrays))
 
 
@@ -152,6 +160,7 @@ def predictions_of(
     method: str,
     translator: str,
     model: str,
+    interval: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
 ) -> Predictions:
     """Combine predicted forces of rows of an archive with the archive's labels, if it has any.
 
@@ -165,6 +174,7 @@ def predictions_of(
         method: One of `METHODS`.
         translator: Translator of its training images; empty if none.
         model: Hash of its weights.
+        interval: Lower and upper ends (n, 3) [N] of its intervals; None: it has none.
 
     Raises:
         LearningError: Shapes differ, or the method is unknown.
@@ -173,6 +183,7 @@ def predictions_of(
     table = sensor.table
     labels = table["wrench"][:, :3]
     spread, range_ = spread_and_range(labels[table["valid"] & (table["location"] >= 0)])
+    low, high = interval or (np.full((len(rows), 3), np.nan),) * 2
     return Predictions(
         source=source,
         target=sensor.name,
@@ -189,6 +200,8 @@ def predictions_of(
         predicted=np.asarray(predicted, np.float64),
         label_std=spread,
         label_range=range_,
+        low=low,
+        high=high,
     )
 
 
@@ -211,6 +224,9 @@ def predictions_in(results: Results, path: Path) -> Predictions:
         raise LearningError(f"{path}: found {results.kind}; allowed: {KIND}")
     wanted = {f.name for f in fields(Predictions)}
     found = {**results.reported, **results.arrays}
+    if "predicted" in found:
+        without = np.full_like(found["predicted"], np.nan)
+        found = {**dict.fromkeys(_ADDED, without), **found}
     if set(found) != wanted:
         different = ", ".join(sorted(set(found) ^ wanted))
         raise LearningError(f"{path}: missing or unexpected: {different}")

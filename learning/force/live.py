@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 
 from learning.data.images import shrink
 from learning.errors import LearningError
+from learning.force.intervals import Intervals, read_intervals
 from learning.force.stream import ForceStream, open_exported
 from learning.markers.displacement import MAP_SIDE, FieldReader
 from learning.markers.frames import one_thread, taxel_masks
@@ -172,6 +174,21 @@ class Contact:
         return self._still < self._rule.frames
 
 
+def motion_of(masks: NDArray[np.bool_], reference: Mask) -> NDArray[np.float64]:
+    """Return the mean motion of markers' edges in masks (n, 480, 640), as `Contact` measures it.
+
+    Args:
+        masks: Frames (n, 480, 640).
+        reference: The mask without contact (480, 640).
+
+    Returns:
+        Motions (n,) [px]; NaN for a reference without markers.
+    """
+    edge = _edge_length(reference)
+    changed = np.count_nonzero(masks != reference, axis=(1, 2))
+    return changed / edge if edge else np.full(len(masks), np.nan)
+
+
 def _edge_length(mask: Mask) -> int:
     """Return the number of sides between marker pixels and background pixels."""
     across = np.count_nonzero(mask[:, 1:] != mask[:, :-1])
@@ -188,17 +205,26 @@ START_FRAMES = 10
 _TAXELS = (16, 3)
 
 
+Triple = tuple[float, float, float]
+
+
 @dataclass(frozen=True, slots=True)
 class LiveForce:
     """Prediction for one frame."""
 
-    force: tuple[float, float, float]
+    force: Triple
     """Fx, Fy, Fz on the sensor [N]; pressing is negative Fz; NaN on axes unknown to the model."""
     contact: bool
     """True if the sensor is touched; if not, the force is the network's output without
     contact."""
     motion_px: float
     """Mean motion of the markers' edges [px of 640 x 480]."""
+    interval: tuple[Triple, Triple] | None = None
+    """Lower and upper ends of the 90 % intervals of Fx, Fy, Fz [N]; None: the model has none."""
+    outside: bool = False
+    """True if the frame is outside of what the model learned from."""
+    before: Triple | None = None
+    """Fx, Fy, Fz that the other model predicts [N]; None: there is no other."""
 
 
 class Masks(Protocol):
@@ -221,6 +247,8 @@ class LivePredictor:
         *,
         rule: ContactRule | None = None,
         start_frames: int = START_FRAMES,
+        intervals: Intervals | None = None,
+        before: ForceStream | None = None,
     ) -> None:
         """Create a predictor without a reference.
 
@@ -229,20 +257,29 @@ class LivePredictor:
             chosen: Preset for finding markers in pictures or drawing them from taxels.
             rule: Thresholds for contact.
             start_frames: Number of frames without contact for the reference.
+            intervals: Intervals of the model.
+            before: Stream of another model, whose forces are shown beside.
 
         Raises:
             LearningError: `start_frames` is below 1.
         """
         if start_frames < 1:
             raise LearningError(f"start_frames: found {start_frames}; allowed: 1 or more")
-        self._network = network
+        self._networks = [network] if before is None else [network, before]
+        self.intervals = intervals
+        """Intervals of the model; None if it has none."""
         self._masks: Masks = (
             _PictureMasks(chosen) if isinstance(chosen, CameraPreset) else _TaxelMasks(chosen)
         )
         self._rule, self._start_frames = rule, start_frames
         self._first: list[Frame] = []
         self._contact: Contact | None = None
-        self._shown: Shown | None = None
+        self._shown: list[Shown] = []
+
+    @property
+    def has_before(self) -> bool:
+        """True if forces of another model are shown beside."""
+        return len(self._networks) > 1
 
     @property
     def reference(self) -> NDArray[np.bool_] | None:
@@ -261,8 +298,9 @@ class LivePredictor:
         if not len(frames):
             raise LearningError("frames without contact: found none; allowed: one or more")
         self._contact = Contact(self._masks.reference_masks(frames), self._rule)
-        self._shown = shown_to(self._network, self._contact.reference)
-        self._network.reset(self._shown.reference)
+        self._shown = [shown_to(each, self._contact.reference) for each in self._networks]
+        for network, shown in zip(self._networks, self._shown, strict=True):
+            network.reset(shown.reference)
         self._first.clear()
 
     def step(self, frame: Frame) -> LiveForce | None:
@@ -274,23 +312,40 @@ class LivePredictor:
         Raises:
             LearningError: Another shape, no markers, or the sensor was touched at the beginning.
         """
-        if self._contact is None or self._shown is None:
+        if self._contact is None:
             self._first.append(np.array(frame))
             if len(self._first) >= self._start_frames:
                 self.begin(np.stack(self._first))
             return None
         mask = self._masks.mask(frame)
         contact = self._contact.step(mask)
-        if not contact:
-            self._network.reset()
-            self._shown.restart()
-        x, y, z = self._network.step(self._shown.of(mask)).tolist()
-        return LiveForce((x, y, z), contact, self._contact.motion_px)
+        forces: list[Triple] = []
+        for network, shown in zip(self._networks, self._shown, strict=True):
+            if not contact:
+                network.reset()
+                shown.restart()
+            x, y, z = network.step(shown.of(mask)).tolist()
+            forces.append((x, y, z))
+        motion = self._contact.motion_px
+        interval, outside = None, False
+        if self.intervals is not None:
+            predicted = np.array(forces[:1])
+            low, high = self.intervals.of(predicted)
+            interval = _triple(low[0]), _triple(high[0])
+            outside = bool(self.intervals.is_outside(predicted, np.array([motion]))[0])
+        before = forces[1] if self.has_before else None
+        return LiveForce(forces[0], contact, motion, interval, outside, before)
+
+
+def _triple(values: NDArray[np.float64]) -> Triple:
+    x, y, z = values.tolist()
+    return x, y, z
 
 
 def open_live(
     model: str | os.PathLike[str],
     *,
+    before: str | os.PathLike[str] | None = None,
     runtime: str = RUNTIMES[0],
     sensor: str | None = None,
     preset_name: str | None = None,
@@ -299,7 +354,8 @@ def open_live(
     """Return the predictor of a finished force model.
 
     Args:
-        model: Folder of the model.
+        model: Folder of the model; its intervals are read, if it has any.
+        before: Folder of another model, whose forces are shown beside.
         runtime: One of `RUNTIMES`; `python -m learning export-onnx` exports a model.
         sensor: Name of the sensor, which determines the preset.
         preset_name: Name or YAML file of the preset, instead of `sensor`.
@@ -315,7 +371,12 @@ def open_live(
             "(docs/how-to/make-marker-archives.md)"
         )
     one_thread()
-    return LivePredictor(_stream(model, runtime, threads), preset(chosen))
+    return LivePredictor(
+        _stream(model, runtime, threads),
+        preset(chosen),
+        intervals=read_intervals(Path(model)),
+        before=None if before is None else _stream(before, runtime, threads),
+    )
 
 
 def _stream(model: str | os.PathLike[str], runtime: str, threads: int) -> ForceStream:

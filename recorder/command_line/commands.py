@@ -188,6 +188,21 @@ LEARN = (
         "translate, train, compensate and evaluate all pairs of an archive",
     ),
     Command(
+        "transfer",
+        "learning.cli.transfer",
+        "train a force model of a sensor without a gauge, with error bars",
+    ),
+    Command(
+        "calibrate-force",
+        "learning.cli.calibrate_force",
+        "set the scale of such a model by weights laid on the sensor",
+    ),
+    Command(
+        "score-transfer",
+        "learning.cli.score_transfer",
+        "compare such a model and its intervals with true forces",
+    ),
+    Command(
         "archive join",
         "learning.cli.archive_join",
         "join sensors of several archives: presses match by place, depth and direction",

@@ -34,6 +34,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--model", type=Path, required=True, metavar="DIR", help="folder of a trained force model"
     )
+    parser.add_argument(
+        "--before",
+        type=Path,
+        metavar="DIR",
+        help="show forces of this model beside, such as the source's before a transfer",
+    )
     parser.add_argument("--session", type=Path, help="replay this session instead of a bench")
     parser.add_argument("--seconds", type=positive, help="duration [s] (default: until Ctrl-C)")
     parser.add_argument(
@@ -53,7 +59,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--preset", metavar="NAME", help="marker detection preset (default: that of the sensor)"
     )
     parser.add_argument(
-        "--out", type=Path, metavar="CSV", help="write every force to this new file"
+        "--out",
+        type=Path,
+        metavar="CSV",
+        help="write every force to this new file, with intervals, those of --before and the "
+        "gauge's or true forces where there are any",
+    )
+    parser.add_argument(
+        "--page",
+        type=Path,
+        metavar="HTML",
+        help="write a page of the last 20 s to this file once per second; open it in a browser",
     )
 
 
@@ -63,6 +79,7 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         ConfigError, DeviceLost, SessionError: Before the first force.
     """
+    from rig.monitor.comparison import ComparisonPage, add_gauge
     from rig.monitor.forces import ForceLine, Seen, watch
     from rig.monitor.predictor import open_predictor
 
@@ -76,6 +93,7 @@ def run(options: argparse.Namespace) -> int:
         sensor = _sensor(options)
         predictor = open_predictor(
             options.model,
+            before=options.before,
             runtime=options.runtime,
             sensor=sensor,
             preset=options.preset,
@@ -84,6 +102,9 @@ def run(options: argparse.Namespace) -> int:
         watched = stack.enter_context(_opened(options, folder, clock))
         line = ForceLine(clock, sys.stdout)
         seen = Seen()
+        page = None
+        if options.page is not None:
+            page = ComparisonPage(options.page, clock, watched.sensor)
         try:
             watch(
                 watched,
@@ -94,6 +115,7 @@ def run(options: argparse.Namespace) -> int:
                 seconds=options.seconds,
                 told=line,
                 out=options.out,
+                page=page,
             )
         except DeviceLost as error:
             lost = error
@@ -103,7 +125,12 @@ def run(options: argparse.Namespace) -> int:
         if watched.wrench is not None and seen.frames:
             wrench = watched.wrench(np.array(seen.shown_ns, np.int64))
         print("\n".join(seen.lines(wrench)), flush=True)
+        if page is not None and seen.frames:
+            page.finish(watched.wrench)
+            print(f"{options.page}: the last seconds")
         if options.out is not None:
+            if wrench is not None and np.isfinite(wrench[:, :3]).any():
+                add_gauge(options.out, wrench)
             print(f"{options.out}: {seen.frames:,} forces")
     if lost is not None:
         print(f"device lost: {lost}", file=sys.stderr)
@@ -118,6 +145,13 @@ def _check(options: argparse.Namespace) -> None:
             f"MODEL, --model: found {options.model}; no such folder; allowed: the folder of a "
             "trained force model"
         )
+    if options.before is not None and not options.before.is_dir():
+        raise ConfigError(
+            f"--before: found {options.before}; no such folder; allowed: the folder of a trained "
+            "force model"
+        )
+    if options.page is not None and not options.page.parent.is_dir():
+        raise ConfigError(f"--page: found {options.page}, in no folder; allowed: an existing one")
     if options.session is not None and (options.sensor or options.bench or options.world):
         raise ConfigError("--session: goes without --sensor, --bench and --world")
     if options.out is not None and options.out.exists():
@@ -152,5 +186,5 @@ def _opened(options: argparse.Namespace, folder: Path, clock: Clock) -> Iterator
     if options.rate_hz is not None:
         raise ConfigError(f"--rate-hz: {path} is a lab bench; allowed: a mock bench")
     print(f"LAB BENCH ({path}): nothing moves", flush=True)
-    with lab_bench(bench, clock) as watched:
+    with lab_bench(bench, clock, say=lambda line: print(line, flush=True)) as watched:
         yield watched

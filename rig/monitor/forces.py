@@ -19,7 +19,8 @@ from recorder import SessionError
 from recorder.store import decode_jpeg
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import ConfigError
-from rig.monitor.predictor import Predictor, Reading
+from rig.monitor.comparison import ComparisonPage, cells_of, columns_of
+from rig.monitor.predictor import Predictor, Reading, Triple
 from rig.monitor.watched import Watched
 
 # Longest wait for the next frame before the time is checked again [s].
@@ -113,6 +114,7 @@ def watch(
     seconds: float | None = None,
     told: Callable[[Reading, float], None] = lambda reading, latency: None,
     out: Path | None = None,
+    page: ComparisonPage | None = None,
 ) -> None:
     """Watch until the frames end, the time is up, or a stop is requested.
 
@@ -125,12 +127,13 @@ def watch(
         seconds: Duration from the first force on [s]; None: until the frames end.
         told: Called with each force and its latency [s].
         out: CSV file to write; must not exist.
+        page: Page to show the forces on.
 
     Raises:
         ConfigError: The file exists, or the predictor cannot use the frames.
         DeviceLost: The sensor fell silent.
     """
-    with _recording(out) as record:
+    with _recording(out, (*_COLUMNS, *columns_of(predictor))) as record:
         if watched.no_contact is not None:
             predictor.begin(watched.no_contact)
         while not stop.requested and not _enough(seen, seconds):
@@ -154,7 +157,11 @@ def watch(
                 seen.skipped += len(samples) - 1
             t_ns = int(newest["t_ns"])
             latency = seen.add(reading, t_ns, clock.now_ns(), watched.shown_ns(newest))
-            record((t_ns, *reading.force, int(reading.contact), round(1e3 * latency, 3)))
+            plain = (t_ns, *reading.force, int(reading.contact), round(1e3 * latency, 3))
+            record((*plain, *cells_of(reading)))
+            gauge = watched.gauge()
+            if page is not None:
+                page.add(reading, watched.shown_ns(newest), gauge)
             told(reading, latency)
         seen.lost += watched.driver.dropped
 
@@ -174,7 +181,9 @@ def _frame(watched: Watched, sample: dict[str, Any]) -> Any:
 
 
 @contextlib.contextmanager
-def _recording(out: Path | None) -> Iterator[Callable[[tuple[Any, ...]], None]]:
+def _recording(
+    out: Path | None, columns: tuple[str, ...]
+) -> Iterator[Callable[[tuple[Any, ...]], None]]:
     """Yield a function that appends a row to a CSV file and flushes it.
 
     A file without any row is removed.
@@ -198,7 +207,7 @@ def _recording(out: Path | None) -> Iterator[Callable[[tuple[Any, ...]], None]]:
     try:
         with file:
             writer = csv.writer(file)
-            writer.writerow(_COLUMNS)
+            writer.writerow(columns)
             yield append
     finally:
         if not rows:
@@ -231,12 +240,11 @@ class ForceLine:
         if now_ns < self._due_ns:
             return
         self._due_ns = now_ns + (_ON_TERMINAL_NS if self._terminal else _ELSEWHERE_NS)
-        named = zip(("Fx", "Fy", "Fz"), reading.force, (6, 6, 7), strict=True)
-        shown = (f"{axis} {force:+{width}.2f}" for axis, force, width in named if force == force)
-        text = (
-            f"{'  '.join(shown)} N  "
-            f"{'contact' if reading.contact else '       '}  {1e3 * latency:5.1f} ms"
-        )
+        text = f"{_told(reading.force, reading.interval)} N  "
+        if reading.before is not None:
+            text = f"before {_told(reading.before)}  after {text}"
+        text += "contact" if reading.contact else "       "
+        text += f"  {1e3 * latency:5.1f} ms{'  OUTSIDE' if reading.outside else ''}"
         self._open = self._terminal
         self._out.write(f"\r{text}{_CLEAR}" if self._terminal else f"{text}\n")
         self._out.flush()
@@ -247,3 +255,16 @@ class ForceLine:
             self._out.write("\n")
             self._out.flush()
             self._open = False
+
+
+def _told(force: Triple, interval: tuple[Triple, Triple] | None = None) -> str:
+    """Return the known forces [N] as text, with half-widths of their intervals."""
+    shown = []
+    for place, (axis, width) in enumerate(zip(("Fx", "Fy", "Fz"), (6, 6, 7), strict=True)):
+        if force[place] != force[place]:
+            continue
+        text = f"{axis} {force[place]:+{width}.2f}"
+        if interval is not None and interval[0][place] == interval[0][place]:
+            text += f" +-{0.5 * (interval[1][place] - interval[0][place]):.2f}"
+        shown.append(text)
+    return "  ".join(shown)

@@ -7,21 +7,43 @@ from typing import Any, Protocol
 
 from rig.core.errors import ConfigError
 
+Triple = tuple[float, float, float]
+
 
 class Reading(Protocol):
     """Prediction for one frame."""
 
     @property
-    def force(self) -> tuple[float, float, float]:
+    def force(self) -> Triple:
         """Fx, Fy, Fz [N]."""
 
     @property
     def contact(self) -> bool:
         """True if the sensor is touched."""
 
+    @property
+    def interval(self) -> tuple[Triple, Triple] | None:
+        """Lower and upper ends of the 90 % intervals of Fx, Fy, Fz [N]; None without."""
+
+    @property
+    def outside(self) -> bool:
+        """True if the frame is outside of what the model learned from."""
+
+    @property
+    def before(self) -> Triple | None:
+        """Fx, Fy, Fz that the model before the transfer predicts [N]; None without."""
+
 
 class Predictor(Protocol):
     """Predicts a force for each frame."""
+
+    @property
+    def has_intervals(self) -> bool:
+        """True if readings have intervals."""
+
+    @property
+    def has_before(self) -> bool:
+        """True if readings have forces of the model before the transfer."""
 
     def begin(self, frames: Any) -> None:
         """Set the reference from frames without contact (n, ...)."""
@@ -31,12 +53,19 @@ class Predictor(Protocol):
 
 
 def open_predictor(
-    model: Path, *, runtime: str, sensor: str, preset: str | None, threads: int
+    model: Path,
+    *,
+    before: Path | None = None,
+    runtime: str,
+    sensor: str,
+    preset: str | None,
+    threads: int,
 ) -> Predictor:
     """Open a trained force model.
 
     Args:
         model: Folder of the model.
+        before: Folder of the source's model, whose forces are shown beside.
         runtime: onnx, openvino, openvino-bf16 or torch.
         sensor: Name of the sensor, which selects the marker detection preset.
         preset: Name or file of a preset to use instead.
@@ -55,18 +84,26 @@ def open_predictor(
         ) from None
     try:
         predictor = open_live(
-            model, runtime=runtime, sensor=sensor, preset_name=preset, threads=threads
+            model,
+            before=before,
+            runtime=runtime,
+            sensor=sensor,
+            preset_name=preset,
+            threads=threads,
         )
     except LearningError as error:
         raise ConfigError(str(error)) from error
-    return _Careful(predictor, LearningError)
+    return _Careful(predictor, LearningError, predictor.intervals is not None, predictor.has_before)
 
 
 class _Careful:
     """Predictor whose errors are raised as the rig's."""
 
-    def __init__(self, predictor: Predictor, error: type[Exception]) -> None:
+    def __init__(
+        self, predictor: Any, error: type[Exception], has_intervals: bool, has_before: bool
+    ) -> None:
         self._predictor, self._error = predictor, error
+        self.has_intervals, self.has_before = has_intervals, has_before
 
     def begin(self, frames: Any) -> None:
         """Call the predictor's `begin`.
@@ -86,6 +123,7 @@ class _Careful:
             ConfigError: The frame is invalid: another size, or contact at the beginning.
         """
         try:
-            return self._predictor.step(frame)
+            reading: Reading | None = self._predictor.step(frame)
         except self._error as error:
             raise ConfigError(str(error)) from error
+        return reading

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,14 +13,17 @@ import numpy as np
 
 from rig.bench.bench import Bench
 from rig.bench.stream_kinds import make_driver
-from rig.core.clock import Clock
+from rig.core.clock import SECOND_NS, Clock
 from rig.core.driver import Driver
-from rig.core.errors import ConfigError
+from rig.core.errors import ConfigError, DeviceLost
 from rig.devices.camera.jpeg import frame_stamp
 from rig.mock.presser import TouchedMock
 from rig.mock.recorded_stream import ReplayedSensor
+from rig.monitor.predictor import Triple
 
 Times = np.ndarray
+# Most samples of a gauge that are kept: 16 minutes at 1 kHz.
+_MOST = 1_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,12 +47,63 @@ class Watched:
     shown_ns: Callable[[dict[str, Any]], int] = lambda sample: int(sample["t_ns"])
     """Returns the time of a sample for `wrench` [ns]."""
     wrench: Callable[[Times], np.ndarray] | None = None
-    """Returns the true wrench (n, 6) [N, N m] at times (n,) [ns]; None if unknown."""
+    """Returns the true or measured wrench (n, 6) [N, N m] at times (n,) [ns]; None if unknown."""
+    gauge: Callable[[], Triple | None] = lambda: None
+    """Returns the newest force of the bench's gauge [N]; None if it has none."""
+
+
+class GaugeBeside:
+    """The gauge of a lab bench, read while forces are predicted; zero is its first second.
+
+    Args:
+        driver: Its open driver.
+    """
+
+    def __init__(self, driver: Driver) -> None:
+        self._driver = driver
+        self._bias: np.ndarray | None = None
+        self._first: list[np.ndarray] = []
+        self._times: deque[int] = deque(maxlen=_MOST)
+        self._values: deque[np.ndarray] = deque(maxlen=_MOST)
+
+    def newest(self) -> Triple | None:
+        """Return the newest force [N]; None before the first second is over."""
+        for sample in self._driver.read(0.0):
+            value = np.asarray(sample["value"], np.float64)
+            self._times.append(int(sample["t_ns"]))
+            self._values.append(value)
+            if self._bias is None:
+                self._first.append(value)
+                if self._times[-1] - self._times[0] >= SECOND_NS:
+                    self._bias = np.mean(self._first, axis=0)
+        if self._bias is None or not self._values:
+            return None
+        x, y, z = (self._values[-1] - self._bias)[:3].tolist()
+        return x, y, z
+
+    def wrench(self, t_ns: Times) -> np.ndarray:
+        """Return the wrench (n, 6) at times (n,) [ns]; NaN where it was not measured."""
+        found = np.full((len(t_ns), 6), np.nan)
+        if self._bias is None:
+            return found
+        times, values = np.array(self._times), np.stack(self._values) - self._bias
+        inside = (t_ns >= times[0]) & (t_ns <= times[-1])
+        for axis in range(6):
+            found[inside, axis] = np.interp(t_ns[inside], times, values[:, axis])
+        return found
 
 
 @contextlib.contextmanager
-def lab_bench(bench: Bench, clock: Clock) -> Iterator[Watched]:
+def lab_bench(
+    bench: Bench, clock: Clock, *, say: Callable[[str], None] | None = None
+) -> Iterator[Watched]:
     """Open the sensor of a lab bench. Nothing moves: no connection is made to the arm.
+
+    Args:
+        bench: The bench.
+        clock: Clock.
+        say: Called with a line about the gauge, which is opened too if there is one; None: it is
+            not opened.
 
     Raises:
         ConfigError, DeviceLost: The sensor rejects its settings or does not answer.
@@ -58,10 +113,32 @@ def lab_bench(bench: Bench, clock: Clock) -> Iterator[Watched]:
     stream = bench.signal.name
     driver = make_driver(bench, stream, clock)
     driver.open(bench.preflight.timeout)
+    with contextlib.ExitStack() as stack:
+        stack.callback(driver.close)
+        beside = None if say is None else _gauge(bench, clock, stack, say)
+        if beside is None:
+            yield Watched(bench.sensor, stream, driver)
+        else:
+            yield Watched(bench.sensor, stream, driver, wrench=beside.wrench, gauge=beside.newest)
+
+
+def _gauge(
+    bench: Bench, clock: Clock, stack: contextlib.ExitStack, say: Callable[[str], None]
+) -> GaugeBeside | None:
+    """Open the bench's first gauge; None if there is none, or it does not answer."""
+    name = next((row.name for row in bench.of_kind("force")), None)
+    if name is None:
+        return None
+    driver = make_driver(bench, name, clock)
     try:
-        yield Watched(bench.sensor, stream, driver)
-    finally:
+        driver.open(bench.preflight.timeout)
+    except DeviceLost as error:
         driver.close()
+        say(f"{name}: does not answer ({error}); forces are shown without it")
+        return None
+    stack.callback(driver.close)
+    say(f"{name}: its forces are shown beside, relative to those of the first second")
+    return GaugeBeside(driver)
 
 
 @contextlib.contextmanager

@@ -24,8 +24,9 @@ from rig.bench.bench import find_bench, load_bench
 from rig.core.clock import SECOND_NS, FakeClock, SystemClock
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.packaged import BENCHES
+from rig.monitor.comparison import ComparisonPage, add_gauge
 from rig.monitor.forces import ForceLine, Seen, watch
-from rig.monitor.watched import Watched, mock_bench, replayed
+from rig.monitor.watched import GaugeBeside, Watched, mock_bench, replayed
 
 # Time that the stub needs for a frame.
 WORK_NS = 5_000_000
@@ -35,6 +36,9 @@ WORK_NS = 5_000_000
 class Said:
     force: tuple[float, float, float]
     contact: bool = True
+    interval: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    outside: bool = False
+    before: tuple[float, float, float] | None = None
 
 
 @dataclass
@@ -45,6 +49,8 @@ class Stub:
     first: int = 2
     seen: list[Any] = field(default_factory=list)
     no_contact: list[Any] = field(default_factory=list)
+    has_intervals: bool = False
+    has_before: bool = False
 
     def begin(self, frames: Any) -> None:
         self.no_contact += list(frames)
@@ -55,7 +61,13 @@ class Stub:
             self.clock.advance(WORK_NS / SECOND_NS)
         if len(self.seen) <= self.first:
             return None
-        return Said((0.0, 0.5, -float(np.mean(frame))))
+        x, y, z = 0.0, 0.5, -float(np.mean(frame))
+        return Said(
+            (x, y, z),
+            interval=((x - 1, y - 1, z - 1), (x + 1, y + 1, z + 1)) if self.has_intervals else None,
+            outside=self.has_intervals and z < -3.5,
+            before=(x, y, 2 * z) if self.has_before else None,
+        )
 
 
 @dataclass
@@ -111,6 +123,49 @@ def test_the_newest_frame_is_taken_and_skipped_ones_are_counted(tmp_path: Path) 
     assert int(rows[0]["t_ns"]) == 7 * SECOND_NS + 2 * WORK_NS
     with pytest.raises(ConfigError, match="exists"):
         watch(watched, predictor, clock, Never(), seen=Seen(), out=out)
+
+
+def test_forces_before_and_after_stand_beside_the_gauge_in_a_table_and_on_a_page(
+    tmp_path: Path,
+) -> None:
+    clock = FakeClock(7 * SECOND_NS)
+    gauge = GaugeBeside(Drops(clock, [[np.full(6, 5.0)]]))  # type: ignore[arg-type]
+    assert gauge.newest() is None  # its zero is not known before a second is over
+    clock.advance(1.0)
+    gauge._driver = Drops(clock, [[np.full(6, 5.0)], *([[np.full(6, 3.0)]] * 3)])  # type: ignore[assignment]
+    assert gauge.newest() == (0.0, 0.0, 0.0)
+    driver = Drops(clock, [[scan(1)], [scan(3)], [scan(4)], []])
+    watched = Watched(
+        "uskin", "taxels", driver, over=lambda: True, wrench=gauge.wrench, gauge=gauge.newest
+    )
+    predictor = Stub(clock, first=0, has_intervals=True, has_before=True)
+    out, file = tmp_path / "forces.csv", tmp_path / "live.html"
+    page, seen, line = ComparisonPage(file, clock, "uskin"), Seen(), io.StringIO()
+    watch(
+        *(watched, predictor, clock, Never()),
+        seen=seen,
+        out=out,
+        page=page,
+        told=ForceLine(clock, line),
+    )
+    assert "before Fx  +0.00  Fy  +0.50  Fz   -2.00  after Fx  +0.00 +-1.00" in line.getvalue()
+    assert 'http-equiv="refresh"' in file.read_text()
+    page.finish(watched.wrench)
+    text = file.read_text()
+    assert "refresh" not in text
+    assert text.count("<polygon") == 3
+    assert text.count("<polyline") == 9
+    assert "outside of what was learned" in text
+    assert ">before -8.00<" in text
+    assert ">after -4.00<" in text
+    assert ">gauge -2.00<" in text
+    add_gauge(out, gauge.wrench(np.array(seen.shown_ns)))
+    with out.open() as opened:
+        rows = list(csv.DictReader(opened))
+    assert [float(row["before_Fz_N"]) for row in rows] == [-2.0, -6.0, -8.0]
+    assert [float(row["Fz_low_N"]) for row in rows] == [-2.0, -4.0, -5.0]
+    assert [int(row["outside"]) for row in rows] == [0, 0, 1]
+    assert rows[0]["gauge_Fz_N"] == "0.0"
 
 
 def test_it_ends_when_time_is_up_when_it_is_over_and_when_it_is_asked_to(

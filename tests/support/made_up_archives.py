@@ -238,13 +238,14 @@ def _table(
     phase[nowhere] = np.where(frame[nowhere] <= 2 * steps, 0, PHASES.index("normal_dec"))
     centres = np.array([state.centre for state in states])
     offset = (centres - (WIDTH / 2, HEIGHT / 2)) * (1, -1)
+    shear = np.array([state.shear_mm for state in states]) * (1, -1)
     return {
         "indenter": code,
         "location": np.where(nowhere, -1, code * targets + target),
         "target": target,
         "phase": phase,
         "depth": np.array([state.depth_mm * 1e-3 for state in states]),
-        "position": offset * MM_PER_PX * 1e-3,
+        "position": (offset * MM_PER_PX + shear) * 1e-3,
         "frame": frame,
         "t_ns": frame * 25_000_000,
         "reference": np.zeros(len(frame), np.int64),

@@ -38,4 +38,6 @@ def predictions(
         predicted=true + off,
         label_std=std,
         label_range=range_,
+        low=np.full((count, 3), np.nan),
+        high=np.full((count, 3), np.nan),
     )

@@ -1,0 +1,90 @@
+"""`tactile calibrate-force`: the scale of a transferred model, by weights laid on the sensor."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from pathlib import Path
+
+from learning.errors import LearningError
+from recorder.command_line.options import positive
+
+_WEIGHT = re.compile(r"(?P<value>[0-9.]+)\s*(?P<unit>g|kg)")
+GRAVITY = 9.80665
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Sets the scale of a model that `tactile transfer` made. Lay weights on the sensor one "
+        "after another, in the order of --weights, and lift each off again, while `tactile live "
+        "--model MODEL --out holds.csv` runs; each hold of contact is one weight. Or name frames "
+        "of an archive, in which a weight rests: --archive with --rows."
+    )
+    parser.add_argument("model", type=Path, metavar="MODEL", help="RUN/model of `tactile transfer`")
+    parser.add_argument(
+        "--weights",
+        type=weights,
+        required=True,
+        metavar="50g,100g,...",
+        help="masses, in the order in which they were laid on",
+    )
+    parser.add_argument(
+        "--carrier",
+        type=weights,
+        default=[0.0],
+        metavar="20g",
+        help="mass of what each of them stands on (0g)",
+    )
+    parser.add_argument(
+        "--gravity", type=positive, default=GRAVITY, metavar="M/S2", help="(%(default)s)"
+    )
+    found = parser.add_mutually_exclusive_group(required=True)
+    found.add_argument("--holds", type=Path, metavar="CSV", help="written by live --out")
+    found.add_argument("--archive", metavar="ARCHIVE:SENSOR", help="X.markers.zarr")
+    parser.add_argument(
+        "--rows", metavar="N,...", help="rows of the archive's table, one for each weight"
+    )
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="MODEL", help="folder of the scaled model"
+    )
+
+
+def weights(text: str) -> list[float]:
+    """Return masses [kg]."""
+    found = []
+    for each in text.split(","):
+        match = _WEIGHT.fullmatch(each.strip())
+        value = float(match["value"]) if match and match["value"].count(".") < 2 else 0.0
+        if match is None or value <= 0:
+            raise argparse.ArgumentTypeError(f"found {each!r}; allowed: masses as 50g or 0.2kg")
+        found.append(value * (1e-3 if match["unit"] == "g" else 1.0))
+    return found
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
+    from learning.transfer.weigh import forces_of_holds, forces_of_rows, weigh
+
+    if options.out.exists():
+        raise LearningError(f"--out: found {options.out}; allowed: a new folder")
+    if (options.archive is None) != (options.rows is None):
+        raise LearningError("--rows: goes with --archive, and --archive with it; allowed: both")
+    if len(options.carrier) != 1:
+        raise LearningError(f"--carrier: found {len(options.carrier)} masses; allowed: one")
+    masses = [mass + options.carrier[0] for mass in options.weights]
+    if options.holds is not None:
+        predicted = forces_of_holds(options.holds, len(masses))
+    else:
+        predicted = forces_of_rows(options.model, options.archive, _rows(options.rows))
+    known = [options.gravity * mass for mass in masses]
+    for line in weigh(options.model, options.out, known, predicted):
+        print(line)
+    return 0
+
+
+def _rows(text: str) -> list[int]:
+    try:
+        return [int(each) for each in text.split(",")]
+    except ValueError:
+        raise LearningError(f"--rows: found {text!r}; allowed: whole numbers, N,N,...") from None

@@ -1,0 +1,111 @@
+"""`tactile transfer`: forces on a sensor without a gauge, from one command."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+
+from learning.cli.archive_join import add_tolerances, chosen_sensors, tolerances_of
+from learning.command import add_settings
+from learning.errors import LearningError
+from recorder.command_line.options import add_device, names, positive
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Trains a force model of a sensor that was recorded without a gauge (the target), from a "
+        "sensor that was recorded with one (the source) or simulated: presses meet by place, "
+        "frames of the source are translated, its labels scaled between the skins, and intervals "
+        "that contain 90 %% of the true forces are measured on indenters that no model saw. Labels "
+        "of the target are not read, unless --labels names some. Writes RUN/model (weights, ONNX, "
+        "intervals, card), RUN/before (the source's model) and RUN/report.html. Repeat the command "
+        "to continue."
+    )
+    for name, text in (("source", "sensor with labels"), ("target", "sensor without a gauge")):
+        parser.add_argument(
+            f"--{name}",
+            required=True,
+            metavar="ARCHIVE:SENSOR[=NAME]",
+            help=f"{text}, X.markers.zarr",
+        )
+    parser.add_argument(
+        "--priors",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="PATH",
+        help="force-depth curves: sessions of `tactile force-depth`, a folder of published "
+        "coefficients, or the target's archive if it has such presses (none: scale assumed)",
+    )
+    parser.add_argument(
+        "--labels",
+        type=Path,
+        metavar="CSV",
+        help="a few labels of the target: columns indenter, target, frame, fx_n, fy_n, fz_n [N]",
+    )
+    parser.add_argument(
+        "--force-ratio",
+        type=positive,
+        metavar="R",
+        help="assumed force of the target over the source's at the same fraction of depth (1)",
+    )
+    parser.add_argument(
+        "--scale-within",
+        type=positive,
+        metavar="K",
+        help="true forces are assumed to be within 1/K and K times the predicted ones, at 90 %% "
+        "(2; with force-depth curves of both skins 1.25)",
+    )
+    parser.add_argument(
+        "--calibrate-on",
+        type=names,
+        metavar="NAME,...",
+        help="indenters that calibrate the intervals and are not trained on (a quarter)",
+    )
+    parser.add_argument(
+        "--unseen",
+        type=names,
+        metavar="NAME,...",
+        help="indenters that no stage uses (as in the archives)",
+    )
+    add_tolerances(parser)
+    add_settings(parser, "transfer")
+    add_device(parser)
+    parser.add_argument("--out", type=Path, required=True, metavar="RUN", help="folder of the run")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
+    from learning.config import read_settings
+    from learning.experiment.settings import PRESETS, ExperimentSettings
+    from learning.transfer.run import Request, run_transfer
+
+    if options.scale_within is not None and not 1 < options.scale_within < math.inf:
+        raise LearningError(f"--scale-within: found {options.scale_within}; allowed: above 1")
+    sensors = []
+    for name in ("source", "target"):
+        found = list(chosen_sensors(getattr(options, name)))
+        if len(found) != 1:
+            listed = ", ".join(each.sensor for each in found)
+            raise LearningError(f"--{name}: found sensors {listed}; allowed: one, ARCHIVE:SENSOR")
+        sensors.append(found[0])
+    asked = Request(
+        source=sensors[0],
+        target=sensors[1],
+        out=options.out,
+        settings=read_settings(ExperimentSettings, PRESETS, options.preset, options.set),
+        priors=tuple(options.priors),
+        labels=options.labels,
+        ratio=options.force_ratio,
+        within=options.scale_within,
+        calibrate_on=options.calibrate_on and tuple(options.calibrate_on),
+        unseen=options.unseen and tuple(options.unseen),
+        tolerances=tolerances_of(options),
+        device=options.device,
+    )
+    run_transfer(asked, lambda line: print(line, flush=True))
+    print(f"{asked.out / 'report.html'}: report; {asked.model / 'card.md'}: card")
+    print(f"next: tactile live --model {asked.model} --before {asked.before}")
+    return 0

@@ -1,0 +1,277 @@
+"""Intervals of predicted forces: how far off a model may be, by axis and frame.
+
+A half-width has two parts, which are added as squares:
+
+- the **error of the model**: the quantile of its errors on indenters that it never saw, measured
+  on frames of the target (split-conformal prediction). It grows with the predicted force.
+- the **scale**: the modulus of a skin that was never pressed against a known force is not known.
+  Its factor is a log-normal prior, stated in words; a weight or labels make it narrow.
+
+The numbers are a file beside the model, `intervals.json`; reading it needs numpy alone.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from learning.errors import LearningError
+from recorder.store import replace_file
+
+Floats = NDArray[np.float64]
+
+FILE = "intervals.json"
+FORMAT, FORMAT_VERSION = "tactile-rig intervals", 1
+# Fraction of the true forces that intervals shall contain.
+COVERAGE = 0.9
+# Quantile of the normal distribution at either end of such an interval.
+_NORMAL = 1.6449
+# Largest motion of a frame that counts as learned, over that of the frames learned from.
+_MOTION = 1.05
+# Fewest errors to calibrate from: below, no quantile of 90 % exists.
+FEWEST = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """Log-normal factor between predicted and true forces."""
+
+    factor: float
+    """The true force is within 1 / factor and factor times the predicted one, at 90 %."""
+    source: str
+    """Source of this knowledge, as a clause."""
+    assumed: bool
+    """True if no force on the sensor was ever known."""
+
+    def __post_init__(self) -> None:
+        """Reject a factor below 1."""
+        if not 1.0 <= self.factor < math.inf:
+            raise LearningError(f"scale.factor: found {self.factor}; allowed: 1 or more")
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation of the logarithm."""
+        return math.log(self.factor) / _NORMAL
+
+
+@dataclass(frozen=True, slots=True)
+class AxisError:
+    """Error of a model along an axis on unseen indenters, 90 % of frames: base + slope x force."""
+
+    base: float
+    """At no force [N]."""
+    slope: float
+    """By newton of the magnitude of the predicted force."""
+
+
+@dataclass(frozen=True, slots=True)
+class Intervals:
+    """Intervals of a force model, for one target sensor."""
+
+    axes: tuple[AxisError | None, AxisError | None, AxisError | None]
+    """Fx, Fy, Fz; None: not measured."""
+    scale: Scale
+    largest: tuple[float | None, float | None, float | None]
+    """Largest absolute force learned from, of Fx, Fy, Fz [N]."""
+    motion_px: float
+    """Largest mean motion of the markers' edges in the target's frames learned from [px]."""
+    frames: int
+    """Number of frames calibrated from."""
+    indenters: tuple[str, ...]
+    """Indenters calibrated from, which the model never saw."""
+    errors_from: str
+    """Name of the forces that predicted ones were compared with."""
+
+    def of(self, forces: Floats) -> tuple[Floats, Floats]:
+        """Return lower and upper ends (n, 3) [N] of the intervals of predicted forces (n, 3).
+
+        NaN on axes without a prediction or a calibration.
+        """
+        forces = np.asarray(forces, np.float64).reshape(-1, 3)
+        magnitude = np.sqrt(np.nansum(forces**2, axis=1))
+        base, slope = (
+            np.array([np.nan if one is None else getattr(one, name) for one in self.axes])
+            for name in ("base", "slope")
+        )
+        error = base + slope * magnitude[:, None]
+        size = np.abs(forces)
+        outward = np.hypot(error, size * (self.scale.factor - 1.0))
+        inward = np.hypot(error, size * (1.0 - 1.0 / self.scale.factor))
+        negative = forces < 0
+        low = forces - np.where(negative, outward, inward)
+        high = forces + np.where(negative, inward, outward)
+        return low, high
+
+    def is_outside(self, forces: Floats, motion_px: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
+        """Return True for frames (n,) outside of what the model learned from.
+
+        Args:
+            forces: Predicted forces (n, 3) [N].
+            motion_px: Mean motion of the markers' edges (n,) [px of 640 x 480].
+        """
+        largest = np.array([np.inf if one is None else one for one in self.largest])
+        beyond = (np.abs(np.asarray(forces).reshape(-1, 3)) > largest).any(axis=1)
+        return np.asarray(beyond | (np.asarray(motion_px) > _MOTION * self.motion_px), np.bool_)
+
+    def rescaled(self, value: float, scale: Scale) -> Intervals:
+        """Return the intervals of a model whose forces are multiplied by a value."""
+        axes = [None if one is None else replace(one, base=value * one.base) for one in self.axes]
+        largest = [None if one is None else value * one for one in self.largest]
+        return replace(
+            self,
+            axes=(axes[0], axes[1], axes[2]),
+            largest=(largest[0], largest[1], largest[2]),
+            scale=scale,
+        )
+
+    def write(self, folder: Path) -> None:
+        """Write the file into a model's folder, atomically."""
+        content = {
+            "format": FORMAT,
+            "format_version": FORMAT_VERSION,
+            "coverage": COVERAGE,
+            "units": "base and largest N; slope 1; motion_px px of the 640 x 480 image",
+            **asdict(self),
+        }
+        replace_file(folder / FILE, (json.dumps(content, indent=1) + "\n").encode())
+
+
+def read_intervals(folder: Path) -> Intervals | None:
+    """Read the intervals of the model in a folder; None if it has none.
+
+    Raises:
+        LearningError: The file is corrupt, or of another version.
+    """
+    path = folder / FILE
+    if not path.is_file():
+        return None
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        found = content["format"], content["format_version"], content["coverage"]
+        if found != (FORMAT, FORMAT_VERSION, COVERAGE):
+            raise LearningError(
+                f"{path}: found format {found}; allowed: {(FORMAT, FORMAT_VERSION, COVERAGE)}"
+            )
+        axes = [None if one is None else AxisError(**one) for one in content["axes"]]
+        x, y, z = content["largest"]
+        return Intervals(
+            axes=(axes[0], axes[1], axes[2]),
+            scale=Scale(**content["scale"]),
+            largest=(x, y, z),
+            motion_px=float(content["motion_px"]),
+            frames=int(content["frames"]),
+            indenters=tuple(content["indenters"]),
+            errors_from=str(content["errors_from"]),
+        )
+    except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError, ValueError) as error:
+        raise LearningError(f"{path}: damaged: {error!r}") from None
+
+
+# Calibration: from errors on unseen indenters to half-widths.
+
+
+def fit_errors(predicted: Floats, wanted: Floats) -> tuple[AxisError | None, ...]:
+    """Return the error of each axis that 90 % of new frames stay below (split-conformal).
+
+    The half-width's shape, a base and a slope, is a least-squares fit of the absolute errors over
+    the magnitude of the predicted force; its size is the conformal quantile, the
+    ceil(0.9 (n + 1))-th smallest of n errors over that fit.
+
+    Args:
+        predicted: Forces (n, 3) [N] on frames of indenters that the model never saw.
+        wanted: Labels (n, 3) [N]; NaN is no label.
+
+    Returns:
+        An error for each axis; None for an axis with fewer than `FEWEST` errors.
+    """
+    magnitude = np.sqrt(np.nansum(np.asarray(predicted, np.float64) ** 2, axis=1))
+    found: list[AxisError | None] = []
+    for axis in range(3):
+        error = np.abs(predicted[:, axis] - wanted[:, axis])
+        known = np.isfinite(error)
+        if known.sum() < FEWEST:
+            found.append(None)
+            continue
+        error, size = error[known], magnitude[known]
+        base, slope = _line(size, error)
+        ratio = np.sort(error / (base + slope * size))
+        rank = min(len(ratio), math.ceil(COVERAGE * (len(ratio) + 1)))
+        quantile = float(ratio[rank - 1])
+        found.append(AxisError(quantile * base, quantile * slope))
+    return tuple(found)
+
+
+def _line(size: Floats, error: Floats) -> tuple[float, float]:
+    """Return base and slope, neither below 0, of the least-squares line of errors over sizes."""
+    mean = float(error.mean())
+    varied = float(np.square(size - size.mean()).sum())
+    slope = float(((size - size.mean()) * error).sum()) / varied if varied > 0 else 0.0
+    slope = max(0.0, slope)
+    base = mean - slope * float(size.mean())
+    if base <= 0:
+        slope = float((size * error).sum()) / float((size**2).sum())
+        base = 0.0
+    # An error of 0 N at no force would promise more than any number of frames can show.
+    return max(base, 0.1 * mean, 1e-6), slope
+
+
+# Scale: what a known force tells about the factor between predicted and true forces.
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """A known force, and the one that the model predicts."""
+
+    known: float
+    """Known force along an axis [N]."""
+    predicted: float
+    """Predicted one [N]."""
+    error: float
+    """Error that the model may make there, at 90 % [N]."""
+
+
+def measured_scale(
+    held: Sequence[Held], prior: Scale, source: str, *, independent: int = 1
+) -> tuple[float, Scale]:
+    """Return the factor on predicted forces, and what remains unknown of it.
+
+    The factor is the least-squares ratio of known over predicted forces. Prior and measurement are
+    combined by their precision (both are log-normal): weights that are too light for the model to
+    see change little.
+
+    Args:
+        held: Known forces.
+        prior: What is known of the factor so far.
+        source: What the factor is then known from.
+        independent: Number of presses with an error of their own. Weights on one indenter have the
+            same error, which does not average out: 1.
+
+    Raises:
+        LearningError: There is none, a force is 0, or the predicted ones have another sign.
+    """
+    if not held:
+        raise LearningError("weights: found none; allowed: one or more")
+    known, predicted, error = np.array([(h.known, h.predicted, h.error) for h in held]).T
+    if not (known * predicted > 0).all():
+        wrong = int(np.flatnonzero(~(known * predicted > 0))[0])
+        raise LearningError(
+            f"weight {wrong + 1}: its force is {known[wrong]:.3f} N and the model predicts "
+            f"{predicted[wrong]:.3f} N; allowed: forces of the same sign (pressing is negative "
+            "Fz); was the weight at rest on the sensor?"
+        )
+    square = float((predicted**2).sum())
+    ratio = float((known * predicted).sum()) / square
+    relative = float((np.abs(predicted) * error).sum()) / square / math.sqrt(independent)
+    own = math.log1p(relative) / _NORMAL
+    both = prior.spread**2 + own**2
+    weight = prior.spread**2 / both if both > 0 else 1.0
+    value = math.exp(weight * math.log(ratio))
+    spread = math.sqrt(weight) * own
+    return value, Scale(math.exp(_NORMAL * spread), source, assumed=False)

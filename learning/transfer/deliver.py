@@ -1,0 +1,234 @@
+"""Last stage: the folder of the model, with ONNX, intervals and card; and the report."""
+
+from __future__ import annotations
+
+import base64
+import io
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from learning.force.export import export_onnx
+from learning.force.intervals import COVERAGE, AxisError, Intervals
+from learning.force.model import AXES, ForceModel, load_force_model
+from learning.training.checkpoint import MODEL, read_model_folder, save_weights
+from learning.transfer.calibrate import Calibration
+from recorder.charts import chart
+from recorder.pages import render
+from recorder.store import replace_file
+
+Floats = NDArray[np.float64]
+CARD = "card.md"
+# Presses in a picture of the report.
+PRESSES = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Card:
+    """Origin of a model, and the limits of what is known of it."""
+
+    source: str
+    target: str
+    method: str
+    """Kind of the labels of the target that were made of the source's."""
+    translator: str
+    seen: tuple[str, ...]
+    """Indenters that the model was trained on."""
+    pairs: int
+    """Presses of both sensors that met."""
+    intervals: Intervals
+    history: tuple[str, ...] = ()
+    """Changes of the scale since, such as weights."""
+
+
+def deliver(model_folder: Path, out: Path, card: Card, factor: float = 1.0) -> ForceModel:
+    """Write a folder with a model, its ONNX, intervals and card; return the model.
+
+    An existing folder is replaced once the new one is complete.
+
+    Args:
+        model_folder: Folder of the trained model.
+        out: Folder to write.
+        card: Content of the card, whose intervals are those of the model times the factor.
+        factor: Factor on the model's forces.
+    """
+    folder = read_model_folder(model_folder)
+    model = load_force_model(model_folder)
+    model.low.mul_(factor)
+    model.high.mul_(factor)
+    new = out.with_name(f"{out.name}.new")
+    shutil.rmtree(new, ignore_errors=True)
+    new.mkdir(parents=True)
+    sensors = [f"{card.source}-to-{card.target}"]
+    metadata = {
+        **folder.config.metadata,
+        "sensors": sensors,
+        "transfer": card_content(card),
+    }
+    replace(folder.config, metadata=metadata).write(new)
+    card.intervals.write(new)
+    replace_file(new / CARD, render(Path(__file__).with_name(CARD), **card_values(card)).encode())
+    export_onnx(model, new / "model.onnx")
+    save_weights(model, new / f"{MODEL}.safetensors")
+    shutil.rmtree(out, ignore_errors=True)
+    new.rename(out)
+    return model
+
+
+def card_content(card: Card) -> dict[str, Any]:
+    """Return the card, without the intervals, as plain values."""
+    return {
+        "source": card.source,
+        "target": card.target,
+        "method": card.method,
+        "translator": card.translator,
+        "seen": list(card.seen),
+        "pairs": card.pairs,
+        "history": list(card.history),
+    }
+
+
+def read_card(model_folder: Path, intervals: Intervals) -> Card:
+    """Return the card of a delivered model.
+
+    Raises:
+        LearningError: The folder holds no model that `tactile transfer` made.
+    """
+    from learning.errors import LearningError
+
+    content = read_model_folder(model_folder).config.metadata.get("transfer")
+    if not isinstance(content, Mapping):
+        raise LearningError(
+            f"{model_folder}: found a model without a card; allowed: RUN/model of "
+            "`tactile transfer`"
+        )
+    return Card(
+        **{
+            **content,
+            "seen": tuple(content["seen"]),
+            "history": tuple(content["history"]),
+            "intervals": intervals,
+        }
+    )
+
+
+def card_values(card: Card) -> dict[str, Any]:
+    """Return what the template of the card is filled with."""
+    lines = [
+        (name, one.base, one.slope)
+        for name, one in zip(AXES, card.intervals.axes, strict=True)
+        if isinstance(one, AxisError)
+    ]
+    return {
+        "card": card,
+        "intervals": card.intervals,
+        "scale": card.intervals.scale,
+        "percent": round(100 * COVERAGE),
+        "lines": lines,
+        "unmeasured": [
+            name for name, one in zip(AXES, card.intervals.axes, strict=True) if one is None
+        ],
+    }
+
+
+# Report: one HTML page with pictures.
+
+
+def write_report(
+    out: Path,
+    card: Card,
+    met: Sequence[str],
+    pictures: Sequence[tuple[str, bytes]],
+    curve: Sequence[Mapping[str, Any]],
+) -> None:
+    """Write the report of a transfer.
+
+    Args:
+        out: File to write.
+        card: The model's card.
+        met: Table of the presses that met.
+        pictures: Captions and PNGs.
+        curve: Errors over the number of labelled presses, a line each; empty without labels.
+    """
+    shown = [(text, base64.b64encode(png).decode()) for text, png in pictures]
+    page = render(
+        Path(__file__).with_name("report.html"),
+        met=met,
+        pictures=shown,
+        curve=curve,
+        **card_values(card),
+    )
+    out.parent.mkdir(parents=True, exist_ok=True)
+    replace_file(out, page.encode())
+
+
+def calibration_picture(calibration: Calibration) -> bytes:
+    """Draw predicted over expected forces of held-out indenters, with intervals."""
+    low, high = calibration.intervals.of(calibration.predicted)
+    png = io.BytesIO()
+    with chart(png, 9, 3.2) as figure:
+        for axis, panel in enumerate(figure.subplots(1, 3)):
+            wanted, found = calibration.wanted[:, axis], calibration.predicted[:, axis]
+            if calibration.intervals.axes[axis] is None:
+                panel.set_title(f"{AXES[axis]}: not measured")
+                continue
+            for name in np.unique(calibration.indenter):
+                own = calibration.indenter == name
+                panel.plot(wanted[own], found[own], ".", ms=4, label=name)
+            order = np.argsort(found)
+            panel.fill_betweenx(found[order], low[order, axis], high[order, axis], alpha=0.15)
+            ends = np.nanmin(wanted), np.nanmax(wanted)
+            panel.plot(ends, ends, "k-", lw=0.8)
+            panel.set_title(AXES[axis])
+            panel.set_xlabel("expected [N]")
+        figure.axes[0].set_ylabel("predicted [N]")
+        figure.axes[0].legend(fontsize=6)
+    return png.getvalue()
+
+
+def forces_picture(
+    predicted: Floats, before: Floats | None, intervals: Intervals, starts: Sequence[int]
+) -> bytes:
+    """Draw the forces of some presses with intervals, and those of the source's model.
+
+    Args:
+        predicted: Forces (n, 3) [N], press by press.
+        before: Forces that the source's model predicts, likewise; None: not drawn.
+        intervals: The model's intervals.
+        starts: First frames of the presses.
+    """
+    low, high = intervals.of(predicted)
+    png = io.BytesIO()
+    with chart(png, 9, 6.0) as figure:
+        for axis, panel in enumerate(figure.subplots(3, 1, sharex=True)):
+            panel.fill_between(np.arange(len(predicted)), low[:, axis], high[:, axis], alpha=0.25)
+            panel.plot(predicted[:, axis], label="after transfer")
+            if before is not None:
+                panel.plot(before[:, axis], "--", lw=1, label="source's model")
+            for start in starts:
+                panel.axvline(start, color="0.85", lw=0.6, zorder=0)
+            panel.set_ylabel(f"{AXES[axis]} [N]")
+        panel.set_xlabel("frame")
+        figure.axes[0].legend()
+    return png.getvalue()
+
+
+def lines_of(card: Card) -> Iterator[str]:
+    """Yield what the command prints of a model: the half-widths, and what is not known."""
+    intervals = card.intervals
+    for name, one in zip(AXES, intervals.axes, strict=True):
+        if one is None:
+            yield f"{name}: not measured, so not predicted with an interval"
+        else:
+            yield f"{name}: +- {one.base:.3f} N +- {100 * one.slope:.1f} % of the force"
+    scale = intervals.scale
+    known = "scale assumed" if scale.assumed else "scale known"
+    yield (
+        f"{known}: {scale.source}; true forces are within 1/{scale.factor:.2f} and "
+        f"{scale.factor:.2f} times the predicted ones"
+    )

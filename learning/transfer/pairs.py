@@ -1,0 +1,187 @@
+"""First stage: presses of source and target in one archive, without the target's labels, split."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from learning.data.join import join
+from learning.data.matching import Chosen, Tolerances
+from learning.data.splits import Split, make_split, presses_of, read_split
+from learning.errors import LearningError
+from recorder import MarkerArchive
+from recorder.archive import ArchivedSensor
+from recorder.progress import ItemProgress
+from recorder.spec import PHASES
+
+Floats = NDArray[np.float64]
+
+_NORMAL = (PHASES.index("normal_inc"), PHASES.index("normal_dec"))
+# Share of the indenters seen that calibrate: a quarter.
+_CALIBRATE = 4
+# Largest difference of progress by which a frame is beyond those of the other sensor.
+_BEYOND = 0.02
+
+
+def join_pair(
+    source: Chosen,
+    target: Chosen,
+    out: Path,
+    tolerances: Tolerances,
+    unseen: tuple[str, ...] | None,
+    *,
+    keep_curve: bool,
+) -> tuple[MarkerArchive, list[str]]:
+    """Write the presses of both sensors to one archive; return it, and the table of what met.
+
+    The target's labels are not copied, so that no later stage can read them. Its rows stay in
+    order: row k is row k of its own archive.
+
+    Args:
+        source: Sensor with labels.
+        target: Sensor without; its labels, if it has any, are left out.
+        out: Archive to write, or to continue.
+        tolerances: Largest differences of presses that meet.
+        unseen: Indenters that models may not be trained on; None: as in the archives.
+        keep_curve: True to keep the forces of the target's force-depth presses.
+
+    Raises:
+        LearningError: Nothing meets, or anything is ambiguous.
+        SessionError: An archive is corrupt, or another one is at `out`.
+    """
+    joined = join([source, target], tolerances, unseen, unlabelled={target.name: keep_curve})
+    with ItemProgress("frames of both sensors", sys.stderr) as progress:
+        joined.write(out, progress)
+    return MarkerArchive(out), list(joined.lines())
+
+
+def split_pair(
+    archive: MarkerArchive, source: str, path: Path, calibrate_on: tuple[str, ...] | None, seed: int
+) -> tuple[Split, tuple[str, ...]]:
+    """Write the roles of presses, or read them; return them with the indenters that calibrate.
+
+    Neither these nor the archive's unseen indenters are trained on.
+
+    Args:
+        archive: Presses of both sensors.
+        source: Sensor with labels.
+        path: File of the split.
+        calibrate_on: Indenters that calibrate; None: a quarter, from soft to hard contacts.
+        seed: Seed of the split.
+
+    Raises:
+        LearningError: An indenter is unknown or unseen, or none remains to train on.
+    """
+    sensor = archive[source]
+    seen = _peaks(archive, sensor)
+    if calibrate_on is None:
+        if len(seen) < 2:
+            raise LearningError(
+                f"{archive.name}: found {len(seen)} labelled indenters of {source} that may be "
+                "learned from; allowed: 2 or more, as one calibrates the intervals"
+            )
+        ranked = sorted(seen, key=lambda name: (seen[name], name))
+        count = max(1, round(len(ranked) / _CALIBRATE))
+        places = ((2 * np.arange(count) + 1) * len(ranked)) // (2 * count)
+        calibrate_on = tuple(ranked[place] for place in places)
+    for name in calibrate_on:
+        if name not in seen:
+            raise LearningError(
+                f"--calibrate-on: found {name!r}; allowed: {', '.join(sorted(seen))}"
+            )
+    if not set(seen) - set(calibrate_on):
+        raise LearningError(
+            f"--calibrate-on: found all of {', '.join(sorted(seen))}; allowed: some, as the model "
+            "is trained on the others"
+        )
+    if path.exists():
+        split = read_split(path)
+        split.check(archive)
+        return split, calibrate_on
+    held_out = {name for name, _ in presses_of(archive).values()} - set(seen) | set(calibrate_on)
+    split = make_split(
+        archive, validation=0.0, new_press=0.0, unseen=tuple(sorted(held_out)), seed=seed
+    )
+    split.write(path)
+    return split, calibrate_on
+
+
+def _peaks(archive: MarkerArchive, sensor: ArchivedSensor) -> dict[str, float]:
+    """Return the largest force of each indenter that may be learned from [N]."""
+    table = sensor.table
+    rows = table["valid"] & (table["location"] >= 0) & table["seen"]
+    force = np.abs(table["wrench"][:, :3])
+    found: dict[str, float] = {}
+    for code in np.unique(table["indenter"][rows]):
+        some = force[rows & (table["indenter"] == code)]
+        if np.isfinite(some).any():
+            found[archive.indenters[int(code)]] = float(np.nanmax(some))
+    return found
+
+
+def labels_by_place(
+    source: Mapping[str, NDArray[Any]], labels: Floats, target: Mapping[str, NDArray[Any]]
+) -> Floats:
+    """Return the source's labels at the frames of the target (n, 3) [N]; NaN without one.
+
+    Frames of one location and phase meet by progress: depth over the deepest while pressing,
+    distance over the longest while shearing; labels between two frames are interpolated. A phase
+    of the source begins with the last frame of the one before.
+
+    Args:
+        source: Table of the source.
+        labels: Forces of its rows (m, 3) [N].
+        target: Table of the target.
+    """
+    found = np.full((len(target["location"]), 3), np.nan)
+    mine, its = _phases(source, begun=True), _phases(target, begun=False)
+    for key in its.keys() & mine.keys():
+        rows, at = its[key]
+        own, own_at = mine[key]
+        order = np.argsort(own_at, kind="stable")
+        own, own_at = own[order], own_at[order]
+        inside = (at >= own_at[0] - _BEYOND) & (at <= own_at[-1] + _BEYOND)
+        for axis in range(3):
+            values = labels[own, axis]
+            known = np.isfinite(values)
+            if known.any():
+                column = np.interp(at, own_at[known], values[known])
+                found[rows, axis] = np.where(inside, column, np.nan)
+    return found
+
+
+def _phases(
+    table: Mapping[str, NDArray[Any]], *, begun: bool
+) -> dict[tuple[int, int], tuple[NDArray[np.int64], Floats]]:
+    """Return rows and progress, 0 to 1, of each location and phase.
+
+    Args:
+        table: Table of a sensor.
+        begun: True to begin each phase with the last frame of the one before.
+    """
+    rows = np.flatnonzero(table["valid"] & (table["location"] >= 0))
+    rows = rows[np.lexsort((table["frame"][rows], table["location"][rows]))]
+    found: dict[tuple[int, int], tuple[NDArray[np.int64], Floats]] = {}
+    for location_rows in np.split(rows, np.flatnonzero(np.diff(table["location"][rows])) + 1):
+        if not len(location_rows):
+            continue
+        location, phase = int(table["location"][location_rows[0]]), table["phase"][location_rows]
+        depth = np.asarray(table["depth"][location_rows], np.float64)
+        place = np.asarray(table["position"][location_rows], np.float64)
+        pressed = location_rows[np.isin(phase, _NORMAL)]
+        start = table["position"][pressed[0] if len(pressed) else location_rows[0]]
+        away = np.linalg.norm(place - np.asarray(start, np.float64), axis=1)
+        for code in np.unique(phase).tolist():
+            chosen = phase == code
+            if begun:
+                chosen[np.maximum(np.flatnonzero(chosen)[0] - 1, 0)] = True
+            measure = depth if code in _NORMAL or code < 0 else away
+            most = measure.max()
+            progress = measure[chosen] / most if most > 0 else np.zeros(chosen.sum())
+            found[location, code] = location_rows[chosen], progress
+    return found

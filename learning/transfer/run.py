@@ -1,0 +1,324 @@
+"""`tactile transfer`, stage by stage: from two recordings to a model with error bars."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from learning.compensation.fit import Curves, gather_priors, read_stored
+from learning.data.matching import Chosen, Tolerances
+from learning.errors import LearningError
+from learning.evaluation.predictions import CHOICES, after, read_predictions
+from learning.experiment.models import Places, run_command
+from learning.experiment.running import run_experiment
+from learning.experiment.settings import ExperimentSettings
+from learning.force.export import export_onnx
+from learning.force.intervals import Scale
+from learning.force.model import load_force_model
+from learning.force.train import Compensation
+from learning.training.checkpoint import CONFIG, MODEL, read_model_folder
+from learning.transfer.calibrate import Calibration, calibrate, presses_of_rows
+from learning.transfer.deliver import (
+    PRESSES,
+    Card,
+    calibration_picture,
+    deliver,
+    forces_picture,
+    lines_of,
+    write_report,
+)
+from learning.transfer.few_labels import Labels, error_curve, read_labels, scale_of_labels
+from learning.transfer.pairs import join_pair, split_pair
+from recorder import MarkerArchive
+
+Say = Callable[[str], None]
+
+# Factors of the scale that are assumed: without any force on the target; with force-depth curves.
+NOTHING, CURVES = 2.0, 1.25
+# Relative difference of two depth ranges below which forces at the same fraction compare.
+_AS_DEEP = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A transfer from a sensor with a gauge to one without."""
+
+    source: Chosen
+    target: Chosen
+    out: Path
+    """Folder of the run."""
+    settings: ExperimentSettings
+    priors: tuple[Path, ...] = ()
+    """Force references of the target: sessions of `force-depth`, a folder of published
+    coefficients, or the target's own archive."""
+    labels: Path | None = None
+    """CSV of a few labels of the target."""
+    ratio: float | None = None
+    """Assumed force of the target over the source's at the same fraction of depth; None: 1."""
+    within: float | None = None
+    """Factor within which the scale is assumed to be; None: by what is known."""
+    calibrate_on: tuple[str, ...] | None = None
+    """Indenters that calibrate the intervals; None: a quarter of those seen."""
+    unseen: tuple[str, ...] | None = None
+    """Indenters that no stage uses; None: as in the archives."""
+    tolerances: Tolerances = field(default_factory=Tolerances)
+    """Largest differences of presses that meet."""
+    device: str = "cpu"
+
+    @property
+    def model(self) -> Path:
+        """Folder of the model of the target."""
+        return self.out / "model"
+
+    @property
+    def before(self) -> Path:
+        """Folder of the source's model."""
+        return self.out / "before"
+
+
+def run_transfer(asked: Request, say: Say = print) -> Card:
+    """Run or continue a transfer, and return the card of its model.
+
+    Raises:
+        LearningError: Nothing meets, data are unusable, or the folder is of another transfer.
+        SessionError: An archive is corrupt.
+        KeyboardInterrupt: It was stopped; repeating the call continues it.
+    """
+    source, target = asked.source.name, asked.target.name
+    places = Places(asked.out, asked.out / "pairs.markers.zarr")
+    asked.out.mkdir(parents=True, exist_ok=True)
+
+    # Presses of both sensors meet by place; the target's labels stay behind.
+    own_curve = any(_is_same(path, asked.target.archive) for path in asked.priors)
+    archive, met = join_pair(
+        asked.source,
+        asked.target,
+        places.archive,
+        asked.tolerances,
+        asked.unseen,
+        keep_curve=own_curve,
+    )
+    for line in met:
+        say(line)
+    split, calibrates = split_pair(
+        archive, source, places.split, asked.calibrate_on, asked.settings.seed
+    )
+    say(f"never trained on, calibrate the intervals: {', '.join(calibrates)}")
+
+    # Labels are scaled between the skins, if both have a force-depth curve.
+    curved = _compensated(asked, archive, places, say)
+    kinds = asked.settings.compensation if curved else ()
+    settings = replace(asked.settings, compensation=kinds)
+    if not curved:
+        _require_as_deep(asked, archive)
+    run_experiment(
+        places.archive,
+        asked.out,
+        settings,
+        pairs=[f"{source}:{target}"],
+        device=asked.device,
+        processes=os.cpu_count() or 1,
+        say=say,
+    )
+
+    # Errors on indenters never seen become intervals; the scale is what is known of it.
+    method = after(kinds) if kinds else "transferred"
+    translator = settings.translators[0]
+    trained = places.model(f"force-{source}-to-{target}.{method}.{translator}")
+    labels_as = _applied(places, source, target, method)
+    calibration = calibrate(
+        archive,
+        source,
+        target,
+        load_force_model(trained, asked.device),
+        labels_as,
+        calibrates,
+        _scale(asked, curved),
+    )
+    factor = 1.0 if curved or asked.ratio is None else asked.ratio
+    calibration = replace(
+        calibration, intervals=calibration.intervals.rescaled(factor, _scale(asked, curved))
+    )
+    history: tuple[str, ...] = ()
+    curve: list[dict[str, str]] = []
+    if asked.labels is not None:
+        few = read_labels(asked.labels, asked.target.archive, asked.target.sensor)
+        given = _forces_of_labels(few, archive, target, trained, factor)
+        curve = error_curve(few, given, calibration.intervals)
+        value, scale, text = scale_of_labels(few, given, calibration.intervals)
+        factor *= value
+        history = (text,)
+        calibration = replace(calibration, intervals=calibration.intervals.rescaled(value, scale))
+
+    card = Card(
+        source=source,
+        target=target,
+        method=method,
+        translator=translator,
+        seen=tuple(sorted({each.indenter for each in split.presses if each.role == "train"})),
+        pairs=_met(archive, source, target),
+        intervals=calibration.intervals,
+        history=history,
+    )
+    deliver(trained, asked.model, card, factor)
+    _deliver_before(places.model(f"force-{source}"), asked.before)
+    scaled = replace(
+        calibration,
+        predicted=factor * calibration.predicted,
+        wanted=factor * calibration.wanted,
+    )
+    pictures = [*_pictures(asked, places, method, translator, scaled, factor)]
+    write_report(asked.out / "report.html", card, met, pictures, curve)
+    for line in (*lines_of(card), *history):
+        say(line)
+    return card
+
+
+def _is_same(path: Path, archive: MarkerArchive) -> bool:
+    return path.exists() and path.resolve() == Path(archive.path).resolve()
+
+
+def _compensated(asked: Request, archive: MarkerArchive, places: Places, say: Say) -> bool:
+    """Fit the skins' force-depth curves; return False if one of both has none."""
+    folders = [p for p in asked.priors if not _is_same(p, asked.target.archive)]
+    sessions = [p for p in folders if not any(p.glob("*_down.csv"))]
+    published = [p for p in folders if p not in sessions]
+    if len(published) > 1:
+        raise LearningError(f"--priors: found {len(published)} folders of CSV; allowed: one")
+    curves = Curves(tuple(sessions), published[0] if published else None)
+    source, target = asked.source.name, asked.target.name
+    without = sorted({source, target} & set(gather_priors(archive, curves).without))
+    if without:
+        if asked.priors:
+            raise LearningError(
+                f"--priors: no force-depth curve of {', '.join(without)} in any of them; allowed: "
+                "a session of `tactile force-depth`, a folder of SENSOR_down.csv and "
+                "SENSOR_up.csv, the target's own archive if it has force-depth presses"
+            )
+        say(f"no force-depth curve of {', '.join(without)}: labels are not scaled between skins")
+        return False
+    if not places.compensation.exists():
+        command = ["compensate", str(places.archive), "--out", str(places.compensation)]
+        command += ["--pairs", f"{source}:{target}", "--split", str(places.split)]
+        for path in sessions:
+            command += ["--session", str(path)]
+        if published:
+            command += ["--coefficients", str(published[0])]
+        run_command(command, say)
+    return True
+
+
+def _applied(places: Places, source: str, target: str, method: str) -> Compensation | None:
+    """Return the scaling of labels that a model was trained with."""
+    if method not in CHOICES:
+        return None
+    return read_stored(places.compensation).pair(source, target, CHOICES[method]).applied
+
+
+def _scale(asked: Request, curved: bool) -> Scale:
+    """Return what is known of the scale before any weight or label."""
+    if curved:
+        text = "force-depth curves of both skins; their ratio is assumed to hold for all indenters"
+        return Scale(asked.within or CURVES, text, assumed=False)
+    ratio = 1.0 if asked.ratio is None else asked.ratio
+    text = (
+        f"assumed that {asked.target.name} takes {ratio:g} times the force of "
+        f"{asked.source.name} at the same place and fraction of depth; no force on it was ever "
+        "known"
+    )
+    return Scale(asked.within or NOTHING, text, assumed=True)
+
+
+def _require_as_deep(asked: Request, archive: MarkerArchive) -> None:
+    """Reject an assumed scale between sensors that are not pressed as deep.
+
+    Raises:
+        LearningError: Names both depths.
+    """
+    if asked.ratio is not None:
+        return
+    deepest = []
+    for name in (asked.source.name, asked.target.name):
+        table = archive[name].table
+        rows = table["valid"] & (table["location"] >= 0)
+        deepest.append(float(table["depth"][rows].max()))
+    if abs(deepest[0] - deepest[1]) > _AS_DEEP * max(deepest):
+        raise LearningError(
+            f"{asked.source.name} was pressed {1e3 * deepest[0]:.2f} mm deep, {asked.target.name} "
+            f"{1e3 * deepest[1]:.2f} mm: at the same fraction of depth their forces differ by more "
+            "than the skins' moduli; allowed: --priors with force-depth curves, --force-ratio, or "
+            "a (simulated) source pressed as deep"
+        )
+
+
+def _met(archive: MarkerArchive, source: str, target: str) -> int:
+    """Return the number of presses that met."""
+    one, other = (archive[name].table["location"] for name in (source, target))
+    return len(np.intersect1d(one[one >= 0], other[other >= 0]))
+
+
+def _forces_of_labels(
+    few: Labels, archive: MarkerArchive, target: str, trained: Path, factor: float
+) -> np.ndarray:
+    """Return the forces predicted in labelled frames (n, 3) [N]."""
+    sensor, model = archive[target], load_force_model(trained)
+    table = sensor.table
+    keys = np.stack([table["indenter"], table["target"]], axis=1)
+    wanted = np.unique(keys[few.rows], axis=0)
+    whole = (keys[:, None] == wanted[None]).all(axis=-1).any(axis=1) & table["valid"]
+    presses = presses_of_rows(sensor, np.flatnonzero(whole), model)
+    order = {row: place for place, row in enumerate(presses.rows.tolist())}
+    return factor * model.predict(presses)[[order[row] for row in few.rows.tolist()]]
+
+
+def _deliver_before(trained: Path, out: Path) -> None:
+    """Copy the source's model with its ONNX, for live comparison."""
+    if (out / "model.onnx").exists() and (
+        read_model_folder(out).hash() == read_model_folder(trained).hash()
+    ):
+        return
+    shutil.rmtree(out, ignore_errors=True)
+    out.mkdir(parents=True)
+    for name in (CONFIG, f"{MODEL}.safetensors"):
+        shutil.copyfile(trained / name, out / name)
+    export_onnx(load_force_model(out), out / "model.onnx")
+
+
+def _pictures(
+    asked: Request,
+    places: Places,
+    method: str,
+    translator: str,
+    calibration: Calibration,
+    factor: float,
+) -> Iterator[tuple[str, bytes]]:
+    """Yield captions and pictures of the report."""
+    yield (
+        "Predicted and expected forces on the indenters that calibrate",
+        calibration_picture(calibration),
+    )
+    pair = f"{asked.source.name}-to-{asked.target.name}"
+    found = read_predictions(places.predictions / f"{pair}.{method}.{translator}.npz")
+    before = read_predictions(places.predictions / f"{pair}.source-only.npz")
+    unseen = np.flatnonzero(~np.isin(found.indenter, calibration.intervals.indenters))
+    rows = unseen if len(unseen) else np.arange(len(found))
+    locations = np.unique(found.location[rows])
+    chosen = locations[np.linspace(0, len(locations) - 1, PRESSES).round().astype(int)]
+    rows = rows[np.isin(found.location[rows], chosen)]
+    rows = rows[np.lexsort((found.frame[rows], found.location[rows]))]
+    starts = np.flatnonzero(np.diff(found.location[rows], prepend=-1))
+    names = ", ".join(dict.fromkeys(found.indenter[rows].tolist()))
+    yield (
+        f"Forces of some presses of {asked.target.name}, of {names}",
+        forces_picture(
+            factor * found.predicted[rows],
+            before.predicted[rows],
+            calibration.intervals,
+            starts.tolist(),
+        ),
+    )

@@ -1,0 +1,137 @@
+"""Errors and coverage of a delivered model, on indenters that no stage learned from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from learning.data.matching import Chosen
+from learning.errors import LearningError
+from learning.force.intervals import Intervals, read_intervals
+from learning.force.model import load_force_model
+from learning.metrics import (
+    AXES,
+    ForceErrors,
+    axis_means,
+    can_be_scored,
+    force_errors,
+    spread_and_range,
+)
+from learning.transfer.calibrate import motions, presses_of_rows
+from learning.transfer.deliver import read_card
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Score:
+    """Errors of predicted forces, and the share of true ones that their intervals contain."""
+
+    errors: ForceErrors
+    covered: NDArray[np.float64]
+    """Share of frames of Fx, Fy, Fz within their interval (3,); NaN without a label."""
+    covered_inside: NDArray[np.float64]
+    """The same without the frames flagged as outside of what was learned."""
+    outside: float
+    """Share of frames flagged."""
+    width: NDArray[np.float64]
+    """Mean half-width of the intervals of Fx, Fy, Fz (3,) [N]."""
+    indenters: tuple[str, ...]
+
+    @property
+    def coverage(self) -> float:
+        """Mean over the measured axes."""
+        return float(np.nanmean(self.covered))
+
+    def lines(self) -> Iterator[str]:
+        """Yield the lines to print; the last is the summary."""
+        yield f"{self.errors.frames:,} frames of {', '.join(self.indenters)}"
+        for axis, name in enumerate(AXES):
+            if np.isfinite(self.errors.mae[axis]):
+                interval = "no interval"
+                if np.isfinite(self.covered[axis]):
+                    interval = f"interval +- {self.width[axis]:.3f} N, covers "
+                    interval += f"{100 * self.covered[axis]:.1f} %"
+                yield (
+                    f"{name.capitalize()}: R2 {self.errors.r2[axis]:.3f}  MAE "
+                    f"{self.errors.mae[axis]:.3f} N  {interval}"
+                )
+        yield (
+            f"{100 * self.outside:.1f} % of the frames flagged as outside of what was learned; "
+            f"coverage of the others {100 * float(np.nanmean(self.covered_inside)):.1f} %"
+        )
+        yield (
+            f"unlabelled sensor: R2 {self.errors.r2_mean:.3f}  MAE Fz {self.errors.mae[2]:.3f} N  "
+            f"coverage of 90 % intervals {100 * self.coverage:.1f} %"
+        )
+
+
+def score(model_folder: Path, truth: Chosen) -> Score:
+    """Return errors and coverage on indenters that the model neither saw nor was calibrated on.
+
+    Raises:
+        LearningError: The model has no card, or the archive has no such labelled frame.
+        SessionError: The archive is corrupt.
+    """
+    intervals = read_intervals(model_folder)
+    if intervals is None:
+        raise LearningError(
+            f"{model_folder}: found no intervals; allowed: RUN/model of `tactile transfer`"
+        )
+    card = read_card(model_folder, intervals)
+    sensor, model = truth.archive[truth.sensor], load_force_model(model_folder)
+    names = np.array(truth.archive.indenters)[sensor.table["indenter"]]
+    new = ~np.isin(names, (*card.seen, *intervals.indenters))
+    rows = np.flatnonzero(new & sensor.table["valid"] & (sensor.table["location"] >= 0))
+    if not len(rows):
+        raise LearningError(
+            f"{truth.archive.name}: found no frame of an indenter beside "
+            f"{', '.join((*card.seen, *intervals.indenters))}; allowed: some, to compare with"
+        )
+    presses = presses_of_rows(sensor, rows, model)
+    rows = presses.rows.numpy()
+    true = np.asarray(sensor.table["wrench"][rows, :3], np.float64)
+    return score_of(
+        model.predict(presses),
+        true,
+        intervals,
+        motions(sensor, rows),
+        tuple(np.unique(names[rows])),
+    )
+
+
+def score_of(
+    predicted: Floats,
+    true: Floats,
+    intervals: Intervals,
+    motion_px: Floats,
+    indenters: tuple[str, ...],
+) -> Score:
+    """Return errors and coverage of predicted forces (n, 3) [N].
+
+    Raises:
+        LearningError: No label can be compared with a prediction.
+    """
+    if not can_be_scored(true, predicted):
+        raise LearningError("found no label to compare with; allowed: true forces of the target")
+    low, high = intervals.of(predicted)
+    known = np.isfinite(true) & np.isfinite(low)
+    inside = (low <= true) & (true <= high)
+    outside = intervals.is_outside(predicted, motion_px)
+    return Score(
+        errors=force_errors(true, predicted, spread_and_range(true)[0]),
+        covered=_shares(inside, known),
+        covered_inside=_shares(inside, known & ~outside[:, None]),
+        outside=float(outside.mean()),
+        width=axis_means(0.5 * (high - low)),
+        indenters=indenters,
+    )
+
+
+def _shares(inside: NDArray[np.bool_], known: NDArray[np.bool_]) -> Floats:
+    count = known.sum(axis=0)
+    return np.where(count > 0, (inside & known).sum(axis=0) / np.maximum(count, 1), np.nan)

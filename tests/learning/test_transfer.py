@@ -1,0 +1,305 @@
+"""Forces on a sensor without a gauge: its labels are never read, and intervals keep their word."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.commands import run_module
+from support.made_up_archives import made_up_archive
+
+from learning.cli import calibrate_force, predict, score_transfer, transfer
+from learning.data.matching import Chosen, Tolerances
+from learning.errors import LearningError
+from learning.evaluation.predictions import read_predictions
+from learning.force.intervals import (
+    AxisError,
+    Held,
+    Intervals,
+    Scale,
+    fit_errors,
+    measured_scale,
+    read_intervals,
+)
+from learning.transfer.few_labels import error_curve, read_labels, scale_of_labels
+from learning.transfer.pairs import join_pair, labels_by_place, split_pair
+from learning.transfer.score import score_of
+from learning.transfer.weigh import forces_of_holds
+from recorder import MarkerArchive
+
+ASSUMED = Scale(2.0, "assumed", assumed=True)
+KNOWN = Scale(1.0, "known", assumed=False)
+INTERVALS = Intervals(
+    axes=(AxisError(0.1, 0.0), None, AxisError(0.2, 0.1)),
+    scale=KNOWN,
+    largest=(1.0, None, 10.0),
+    motion_px=4.0,
+    frames=100,
+    indenters=("cone",),
+    errors_from="made up",
+)
+SMALL = (
+    'force={preset: tiny, set: ["input.side_px=32", "network.encoder=[4, 4, 4]", '
+    '"network.memory=4", "network.tail=[4, 4]", "stages=[{epochs: 1, learning_rate: 0.001}]"]}',
+    "fine_tuning=[]",
+)
+
+
+def chosen(archive: MarkerArchive, name: str) -> Chosen:
+    return Chosen(archive, name, name)
+
+
+def test_ninety_percent_of_new_errors_are_within_intervals_fitted_to_old_ones() -> None:
+    random = np.random.default_rng(3)
+
+    def frames(count: int) -> tuple[np.ndarray, np.ndarray]:
+        true = np.stack([random.normal(size=count), random.normal(size=count)] * 2, 1)[:, :3]
+        true[:, 2] = -random.uniform(0, 10, count)
+        size = 0.05 + 0.08 * np.linalg.norm(true, axis=1, keepdims=True)
+        return true, true + random.standard_t(4, size=(count, 3)) * size
+
+    true, predicted = frames(600)
+    true[:, 1] = np.nan
+    true[5:, 0] = np.nan
+    axes = fit_errors(predicted, true)
+    assert axes[0] is None
+    assert axes[1] is None
+    found = replace(INTERVALS, axes=(None, None, axes[2]))
+    true, predicted = frames(20_000)
+    low, high = found.of(predicted)
+    assert np.isnan(low[:, :2]).all()
+    assert np.isnan(high[:, :2]).all()
+    inside = (low[:, 2] <= true[:, 2]) & (true[:, 2] <= high[:, 2])
+    assert 0.87 < inside.mean() < 0.94
+    # At strong and weak forces alike.
+    for part in (true[:, 2] < -7, true[:, 2] > -3):
+        assert 0.82 < inside[part].mean() < 0.97
+
+
+def test_an_interval_contains_the_model_s_error_and_all_assumed_scales(tmp_path: Path) -> None:
+    forces = np.array([[0.5, 0.0, -4.0], [-0.5, 0.0, 0.0]])
+    low, high = replace(INTERVALS, scale=ASSUMED).of(forces)
+    error = 0.2 + 0.1 * math.hypot(0.5, 4.0)
+    assert low[0, 2] == pytest.approx(-4 - math.hypot(error, 4.0))
+    assert high[0, 2] == pytest.approx(-4 + math.hypot(error, 2.0))
+    assert low[0, 0] <= 0.25
+    assert high[0, 0] >= 1.0
+    assert low[1, 0] <= -1.0
+    assert high[1, 0] >= -0.25
+    assert high[1, 2] - low[1, 2] == pytest.approx(2 * (0.2 + 0.1 * 0.5))
+    assert np.isnan([low[0, 1], high[0, 1]]).all()
+    outside = INTERVALS.is_outside(
+        np.array([[0, 9, -9], [0, 0, -11], [1.5, 0, 0], [0, 0, 0]]), np.array([1, 1, 1, 4.3])
+    )
+    assert outside.tolist() == [False, True, True, True]
+    twice = INTERVALS.rescaled(2.0, ASSUMED)
+    assert twice.axes[2] == AxisError(0.4, 0.1)
+    assert twice.largest == (2.0, None, 20.0)
+    twice.write(tmp_path)
+    assert read_intervals(tmp_path) == twice
+    assert read_intervals(tmp_path / "none") is None
+    (tmp_path / "intervals.json").write_text('{"format": "tactile-rig intervals"}')
+    with pytest.raises(LearningError, match="damaged"):
+        read_intervals(tmp_path)
+
+
+def test_weights_fix_the_scale_as_far_as_the_model_sees_them() -> None:
+    exact = [Held(-known, -2.0 * known, 0.0) for known in (0.5, 1.0, 2.0)]
+    value, scale = measured_scale(exact, ASSUMED, "weights")
+    assert value == pytest.approx(0.5)
+    assert (scale.factor, scale.assumed) == (pytest.approx(1.0), False)
+    # An error of 10 % of the force leaves 10 %; weights far below the error change little.
+    value, scale = measured_scale([Held(-1.0, -2.0, 0.2)], ASSUMED, "a weight")
+    assert 0.5 < value < 0.53
+    assert 1.08 < scale.factor < 1.1
+    value, scale = measured_scale([Held(-0.01, -0.02, 0.5)], ASSUMED, "a feather")
+    assert 0.9 < value < 1.0
+    assert 1.9 < scale.factor < 2.0
+    with pytest.raises(LearningError, match="weight 2: its force is -1"):
+        measured_scale([Held(-1.0, -1.0, 0.1), Held(-1.0, 0.1, 0.1)], ASSUMED, "a weight")
+
+
+def test_holds_of_a_live_recording_are_its_settled_contacts(tmp_path: Path) -> None:
+    path = tmp_path / "holds.csv"
+    force, contact = [], []
+    for level in (-0.5, -1.0):
+        force += [0.0] * 20 + [level * 3] * 3 + [level] * 40
+        contact += [0] * 20 + [1] * 43
+    force += [0.0] * 20 + [-0.2] * 4 + [0.0] * 20  # a touch of a hand
+    contact += [0] * 20 + [1] * 4 + [0] * 20
+    contact[50] = 0  # a flicker
+
+    def write(values: list[float]) -> None:
+        lines = [f"{v},{c}" for v, c in zip(values, contact, strict=True)]
+        path.write_text("\n".join(["Fz_N,contact", *lines]))
+
+    write(force)
+    assert forces_of_holds(path, 2) == [-0.5, -1.0]
+    with pytest.raises(LearningError, match=r"found 2 holds \(43 frames, 43 frames\); allowed: 3"):
+        forces_of_holds(path, 3)
+    write([*force[:100], *np.linspace(-1, -2, 26), *force[126:]])
+    with pytest.raises(LearningError, match="hold 2 varies"):
+        forces_of_holds(path, 2)
+    path.write_text("Fz_N\n1\n")
+    with pytest.raises(LearningError, match="Fz_N and contact"):
+        forces_of_holds(path, 1)
+    assert calibrate_force.weights("50g, 0.2kg") == [0.05, 0.2]
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> tuple[MarkerArchive, MarkerArchive]:
+    """A sensor with a gauge; another, pressed at the same places, with more frames a phase."""
+    folder = tmp_path_factory.mktemp("recordings")
+    made = {"targets": 2, "displacement": False, "force_depth": 1}
+    one = made_up_archive(folder / "a.markers.zarr", ["dots"], **made)
+    return one, made_up_archive(folder / "b.markers.zarr", ["grid"], **made, frames_per_phase=3)
+
+
+def test_labels_of_the_target_stay_behind_and_the_source_s_meet_its_frames(
+    recordings: tuple[MarkerArchive, MarkerArchive], tmp_path: Path
+) -> None:
+    one, other = recordings
+    sensors = chosen(one, "dots"), chosen(other, "grid")
+    for keep in (False, True):
+        out = tmp_path / f"{keep}.markers.zarr"
+        archive, _ = join_pair(*sensors, out, Tolerances(), None, keep_curve=keep)
+        table, own = archive["grid"].table, other["grid"].table
+        located = own["location"] >= 0
+        assert np.isnan(table["wrench"][located]).all()
+        assert np.isfinite(own["wrench"]).all()
+        kept = own["wrench"][~located] if keep else np.full((int((~located).sum()), 6), np.nan)
+        assert np.array_equal(table["wrench"][~located], kept, equal_nan=True)
+        assert np.array_equal(table["frame"], own["frame"])  # row k is row k
+        assert np.array_equal(archive["dots"].table["wrench"], one["dots"].table["wrench"])
+    source = archive["dots"].table
+    found = labels_by_place(source, source["wrench"][:, :3].astype(float), table)
+    true = own["wrench"][:, :3] / 1.6  # the skins differ by this factor alone
+    assert np.isfinite(found[located]).all()
+    assert np.isnan(found[~located]).all()
+    ends = located & (table["frame"] % 3 == 0)
+    assert np.allclose(found[ends], true[ends], atol=1e-5)
+    # Between frames of the source, labels are interpolated.
+    assert np.abs(found[located] - true[located]).max() < 0.2
+    split, calibrates = split_pair(archive, "dots", tmp_path / "split.json", None, 0)
+    roles = {press.indenter: press.role for press in split.presses}
+    assert roles == {"cone": "new_indenter", calibrates[0]: "new_indenter", "sphere": "train"} or (
+        calibrates == ("sphere",) and roles["prism"] == "train"
+    )
+    with pytest.raises(LearningError, match="--calibrate-on: found 'cone'"):
+        split_pair(archive, "dots", tmp_path / "other.json", ("cone",), 0)
+
+
+def test_a_few_labels_set_the_scale_and_measure_the_error(
+    recordings: tuple[MarkerArchive, MarkerArchive], tmp_path: Path
+) -> None:
+    _, other = recordings
+    table = other["grid"].table
+    path = tmp_path / "few.csv"
+    rows = np.flatnonzero(table["location"] >= 0)
+    lines = ["indenter,target,frame,fx_n,fy_n,fz_n"]
+    for row in rows[::4].tolist():
+        name, force = other.indenters[table["indenter"][row]], table["wrench"][row]
+        lines.append(f"{name},{table['target'][row]},{table['frame'][row]},,,{force[2]}")
+    path.write_text("\n".join(lines))
+    few = read_labels(path, other, "grid")
+    assert few.rows.tolist() == rows[::4].tolist()
+    assert np.isnan(few.forces[:, :2]).all()
+    predicted = table["wrench"][few.rows, :3] / 1.6
+    intervals = replace(INTERVALS, axes=(None, None, AxisError(0.05, 0.0)), scale=ASSUMED)
+    value, scale, _ = scale_of_labels(few, predicted, intervals)
+    assert value == pytest.approx(1.6, rel=0.01)
+    assert scale.factor < 1.05
+    curve = error_curve(few, predicted, intervals)
+    assert [line["labelled presses"] for line in curve] == ["0", "1"]
+    assert float(curve[1]["MAE Fz [N]"]) < 0.2 * float(curve[0]["MAE Fz [N]"])
+    assert curve[0]["MAE Fx [N]"] == "-"
+    for text, message in (
+        ("indenter,target\ncone,0", "missing frame, fx_n"),
+        (f"{lines[0]}\ncone,0,77,,,1", "has no frame 77 of target 0 of cone"),
+        (f"{lines[0]}\ncone,0,1,,,x", "line 2: could not convert"),
+        (f"{lines[1]}\n", "missing"),
+        (f"{lines[0]}\ncone,0,1,,,", "found no force"),
+        (f"{lines[0]}\ncone,0,1,,,1\ncone,0,1,,,1", "twice"),
+    ):
+        path.write_text(text)
+        with pytest.raises(LearningError, match=message):
+            read_labels(path, other, "grid")
+
+
+def test_unmeasured_axes_are_neither_scored_nor_covered() -> None:
+    predicted = np.array([[0.5, 0.3, -4.0], [0.1, 0.2, -1.0], [0.0, 0.0, -2.0]])
+    true = np.array([[np.nan, np.nan, -4.1], [np.nan, 0.0, -9.0], [np.nan, 0.1, np.nan]])
+    found = score_of(predicted, true, INTERVALS, np.array([1.0, 1.0, 9.0]), ("cone",))
+    assert found.covered[2] == 0.5
+    assert np.isnan(found.covered[:2]).all()
+    assert found.coverage == 0.5
+    assert found.errors.axes == ("Fy", "Fz")
+    assert found.outside == pytest.approx(1 / 3)
+    *_, fz, _, _ = found.lines()
+    assert fz.endswith("covers 50.0 %")
+    assert any(line.startswith("Fy: ") and line.endswith("no interval") for line in found.lines())
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_a_transfer_makes_a_model_that_no_label_of_the_target_has_touched(
+    recordings: tuple[MarkerArchive, MarkerArchive],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # Quantisation and export draw progress bars, whose monitor thread stays.
+    monkeypatch.setattr("tqdm.tqdm.monitor_interval", 0)
+    one, other = recordings
+    # The same frames with other forces, and without any.
+    made = {"targets": 2, "displacement": False, "force_depth": 1, "frames_per_phase": 3}
+    wrong = made_up_archive(
+        tmp_path / "wrong.markers.zarr", ["grid"], **made, stiffness={"grid": 40.0}
+    )
+    bare = made_up_archive(tmp_path / "bare.markers.zarr", ["grid"], **made, unlabelled=["grid"])
+    settings = [word for each in SMALL for word in ("--set", each)]
+    hashes = []
+    for archive in (other, wrong, bare):
+        out = tmp_path / f"run-{archive.path.name}"
+        named = ["--source", f"{one.path}:dots", "--target", f"{archive.path}:grid"]
+        assert run_module(transfer, *named, "--out", out, *settings) == 0
+        found = read_predictions(out / "results" / "dots-to-grid.transferred.flow.npz")
+        hashes.append((found.model, (out / "model" / "intervals.json").read_text()))
+        for name in ("model/model.onnx", "before/model.onnx", "report.html"):
+            assert (out / name).stat().st_size > 1000
+        assert "**Scale assumed**" in (out / "model" / "card.md").read_text()
+    assert len(set(hashes)) == 1
+    # Again: nothing is trained twice.
+    assert run_module(transfer, *named, "--out", out, *settings) == 0
+
+    model, weighed = out / "model", out / "weighed"
+    row = int(np.flatnonzero(other["grid"].table["location"] < 0)[2])
+    rows = ["--archive", f"{other.path}:grid", "--rows", row]
+    run_module(calibrate_force, model, "--weights", "500g", *rows, "--out", weighed)
+    before, after = read_intervals(model), read_intervals(weighed)
+    assert before is not None
+    assert after is not None
+    assert before.scale.assumed
+    assert not after.scale.assumed
+    card = (weighed / "card.md").read_text()
+    assert "**Scale known**: weights laid on the sensor: 4.903 N" in card
+    capsys.readouterr()
+    run_module(score_transfer, weighed, f"{other.path}:grid")
+    assert capsys.readouterr().out.splitlines()[-1].startswith("unlabelled sensor: R2 ")
+    split = ["--sensor", "grid", "--split", out / "split.json"]
+    run_module(predict, weighed, out / "pairs.markers.zarr", *split, "--out", tmp_path / "p.npz")
+    told = capsys.readouterr().out
+    assert "no label to compare with" in told
+    assert "90 % intervals" in told
+    found = read_predictions(tmp_path / "p.npz")
+    assert (found.low < found.predicted).all()
+    assert (found.predicted < found.high).all()
+    # A force-depth curve of the target is a force reference: labels are scaled by it.
+    out = tmp_path / "curved"
+    words = [*named[:2], "--target", f"{other.path}:grid", "--priors", other.path]
+    assert run_module(transfer, *words, "--out", out, *settings) == 0
+    assert "**Scale known**: force-depth curves" in (out / "model" / "card.md").read_text()
+    assert (out / "results" / "dots-to-grid.priors.flow.npz").exists()
