@@ -16,7 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.description = (
         "Trains a force model of a sensor that was recorded without a gauge (the target), from a "
-        "sensor that was recorded with one (the source) or simulated: presses meet by place, "
+        "sensor that was recorded with one (the source) or simulated: presses match by place, "
         "frames of the source are translated, its labels scaled between the skins, and intervals "
         "that contain 90 %% of the true forces are measured on indenters that no model saw. Labels "
         "of the target are not read, unless --labels names some. Writes RUN/model (weights, ONNX, "

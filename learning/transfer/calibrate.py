@@ -67,7 +67,7 @@ def calibrate(
         scale: What is known of the scale of its forces.
 
     Raises:
-        LearningError: Too few frames of the target met labels of the source.
+        LearningError: Too few frames of the target match labels of the source.
         SessionError: The archive is corrupt.
     """
     table, its = archive[source].table, archive[target].table
@@ -85,7 +85,7 @@ def calibrate(
     if all(axis is None for axis in axes):
         raise LearningError(
             f"{', '.join(indenters)}: {len(used)} frames of {target}, fewer than {FEWEST} of which "
-            f"met a label of {source} on any axis; allowed: more places that both were pressed at"
+            f"match a label of {source} on any axis; allowed: more places that both were pressed at"
         )
     learned = (its["location"] >= 0) & its["valid"] & its["seen"]
     known = np.isfinite(wanted[used]).any(axis=1)

@@ -40,7 +40,7 @@ class Card:
     seen: tuple[str, ...]
     """Indenters that the model was trained on."""
     pairs: int
-    """Presses of both sensors that met."""
+    """Presses of both sensors that match."""
     intervals: Intervals
     history: tuple[str, ...] = ()
     """Changes of the scale since, such as weights."""
@@ -142,7 +142,7 @@ def card_values(card: Card) -> dict[str, Any]:
 def write_report(
     out: Path,
     card: Card,
-    met: Sequence[str],
+    matches: Sequence[str],
     pictures: Sequence[tuple[str, bytes]],
     curve: Sequence[Mapping[str, Any]],
 ) -> None:
@@ -151,14 +151,14 @@ def write_report(
     Args:
         out: File to write.
         card: The model's card.
-        met: Table of the presses that met.
+        matches: Table of the presses that match.
         pictures: Captions and PNGs.
         curve: Errors over the number of labelled presses, a line each; empty without labels.
     """
     shown = [(text, base64.b64encode(png).decode()) for text, png in pictures]
     page = render(
         Path(__file__).with_name("report.html"),
-        met=met,
+        matches=matches,
         pictures=shown,
         curve=curve,
         **card_values(card),

@@ -37,7 +37,7 @@ def join_pair(
     *,
     keep_curve: bool,
 ) -> tuple[MarkerArchive, list[str]]:
-    """Write the presses of both sensors to one archive; return it, and the table of what met.
+    """Write the presses of both sensors to one archive; return it, and the table of matches.
 
     The target's labels are not copied, so that no later stage can read them. Its rows stay in
     order: row k is row k of its own archive.
@@ -46,7 +46,7 @@ def join_pair(
         source: Sensor with labels.
         target: Sensor without; its labels, if it has any, are left out.
         out: Archive to write, or to continue.
-        tolerances: Largest differences of presses that meet.
+        tolerances: Largest differences of presses that match.
         unseen: Indenters that models may not be trained on; None: as in the archives.
         keep_curve: True to keep the forces of the target's force-depth presses.
 
@@ -129,7 +129,7 @@ def labels_by_place(
 ) -> Floats:
     """Return the source's labels at the frames of the target (n, 3) [N]; NaN without one.
 
-    Frames of one location and phase meet by progress: depth over the deepest while pressing,
+    Frames of one location and phase match by progress: depth over the deepest while pressing,
     distance over the longest while shearing; labels between two frames are interpolated. A phase
     of the source begins with the last frame of the one before.
 

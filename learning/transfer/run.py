@@ -67,7 +67,7 @@ class Request:
     unseen: tuple[str, ...] | None = None
     """Indenters that no stage uses; None: as in the archives."""
     tolerances: Tolerances = field(default_factory=Tolerances)
-    """Largest differences of presses that meet."""
+    """Largest differences of presses that match."""
     device: str = "cpu"
 
     @property
@@ -93,9 +93,9 @@ def run_transfer(asked: Request, say: Say = print) -> Card:
     places = Places(asked.out, asked.out / "pairs.markers.zarr")
     asked.out.mkdir(parents=True, exist_ok=True)
 
-    # Presses of both sensors meet by place; the target's labels stay behind.
+    # Presses of both sensors match by place; the target's labels stay behind.
     own_curve = any(_is_same(path, asked.target.archive) for path in asked.priors)
-    archive, met = join_pair(
+    archive, matches = join_pair(
         asked.source,
         asked.target,
         places.archive,
@@ -103,7 +103,7 @@ def run_transfer(asked: Request, say: Say = print) -> Card:
         asked.unseen,
         keep_curve=own_curve,
     )
-    for line in met:
+    for line in matches:
         say(line)
     split, calibrates = split_pair(
         archive, source, places.split, asked.calibrate_on, asked.settings.seed
@@ -173,7 +173,7 @@ def run_transfer(asked: Request, say: Say = print) -> Card:
         wanted=factor * calibration.wanted,
     )
     pictures = [*_pictures(asked, places, method, translator, scaled, factor)]
-    write_report(asked.out / "report.html", card, met, pictures, curve)
+    write_report(asked.out / "report.html", card, matches, pictures, curve)
     for line in (*lines_of(card), *history):
         say(line)
     return card
@@ -257,7 +257,7 @@ def _require_as_deep(asked: Request, archive: MarkerArchive) -> None:
 
 
 def _met(archive: MarkerArchive, source: str, target: str) -> int:
-    """Return the number of presses that met."""
+    """Return the number of presses that match."""
     one, other = (archive[name].table["location"] for name in (source, target))
     return len(np.intersect1d(one[one >= 0], other[other >= 0]))
 
