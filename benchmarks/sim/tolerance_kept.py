@@ -80,6 +80,18 @@ def scenes(count: int, seed: int) -> list[Drawn]:
     return found
 
 
+def _numbers(text: str) -> list[int]:
+    """Return the numbers of scenes in a text such as "18,24".
+
+    Raises:
+        SceneError: It is not a list of whole numbers.
+    """
+    try:
+        return [int(one) for one in text.split(",")]
+    except ValueError:
+        raise SceneError(f"--only: {text!r}; allowed: numbers such as '18,24'") from None
+
+
 def judged(one: Drawn, tolerance: str, device: str, seconds: float) -> Row:
     """Solve a scene within a tolerance and again on finer meshes, and compare."""
     assert one.scene is not None
@@ -164,6 +176,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--scenes", type=int, default=200, help="number of scenes (%(default)s)")
     add_seed(parser)
+    parser.add_argument(
+        "--only", metavar="N,N", help="numbers of the seed's scenes to solve, instead of the first"
+    )
     parser.add_argument("--tolerance", default="3 %", help="force tolerance (3 %%)")
     add_device(parser)
     parser.add_argument(
@@ -195,6 +210,8 @@ def run(options: argparse.Namespace, say: Callable[[str], None] = print) -> int:
     began = time.perf_counter()
     rows: list[Row] = []
     chosen = scenes(options.scenes, options.seed)
+    if options.only:
+        chosen = [drawn(options.seed, number) for number in _numbers(options.only)]
     with done_counts(say):
         for row in side_by_side(judge, chosen, options.device, min(options.processes, len(chosen))):
             rows.append(row)
