@@ -22,6 +22,8 @@ Indices = NDArray[np.int64]
 
 # Newton iterations to locate a point in an element; near its middle 3 or 4 are enough.
 NEWTON = 12
+# Last Newton step of a point that is located, in reference coordinates.
+LOCATED = 1e-10
 # Overlaps below this are rounding.
 ON_SKIN = 1e-6
 SIGNS = 2.0 * np.array(CORNERS) - 1.0
@@ -122,17 +124,20 @@ def _within(corners: Array, points: Array) -> Array:
     """Return reference coordinates (P, 3) of points (P, 3) in elements (P, 8, 3); NaN if none."""
     local = np.zeros(points.shape)
     size = np.ptp(corners, axis=1).max(axis=1)
+    going = np.arange(len(points))
     for _ in range(NEWTON):
-        factors = 1.0 + SIGNS * local[:, None]
-        away = np.einsum("pc,pci->pi", factors.prod(axis=2) / 8, corners) - points
-        slopes = [
-            SIGNS[:, axis] * np.delete(factors, axis, axis=2).prod(axis=2) / 8 for axis in range(3)
-        ]
-        jacobian = np.einsum("apc,pci->pia", np.stack(slopes), corners)
-        good = np.abs(np.linalg.det(jacobian)) > 1e-9 * size**3
+        corner, at = corners[going], local[going]
+        x, y, z = np.moveaxis(1.0 + SIGNS * at[:, None], -1, 0)
+        away = np.einsum("pc,pci->pi", x * y * z / 8, corner) - points[going]
+        slopes = np.stack([SIGNS[:, 0] * y * z, SIGNS[:, 1] * x * z, SIGNS[:, 2] * x * y]) / 8
+        jacobian = np.einsum("apc,pci->pia", slopes, corner)
+        good = np.abs(np.linalg.det(jacobian)) > 1e-9 * size[going] ** 3
         jacobian[~good] = np.eye(3)
         step = np.linalg.solve(jacobian, away[:, :, None])[:, :, 0]
-        local = np.where(good[:, None], np.clip(local - step, -2.0, 2.0), np.nan)
+        local[going] = np.where(good[:, None], np.clip(at - step, -2.0, 2.0), np.nan)
+        going = going[good & (np.abs(step) > LOCATED).any(axis=1)]
+        if not len(going):
+            break
     shape = (1.0 + SIGNS * local[:, None]).prod(axis=2) / 8
     left = np.linalg.norm(np.einsum("pc,pci->pi", shape, corners) - points, axis=1)
     return np.where((left < 1e-6 * size)[:, None], local, np.nan)

@@ -344,6 +344,9 @@ def finer_at(place: Sequence[float], x: Array, y: Array, fineness: float) -> Siz
 WINDOW = 64
 # Sides of a window that differ more than this have twice as many pixels.
 NARROW = 4
+# Least pixels along the shorter side, and most along the longer one: a needle's contact may be
+# hundreds of times as long as it is wide.
+NARROW_PIXELS, WINDOW_MOST = 4, 512
 # Rim around the area of the undeformed top that the indenter covers, over its width.
 WIDER = 0.15
 # Largest thickness of the linear layer, in narrower sides of the window: a thicker one responds to
@@ -473,7 +476,10 @@ def _look(indenter: Indenter, body: Body, tip: Array) -> Sizes:
     low, high = box
     width = np.maximum(high - low, 1e-4)
     middle, width = (low + high) / 2, width * (1 + 2 * WIDER)
-    count = WINDOW * (2 if width.max() > NARROW * width.min() else 1)
+    longest = float(width.max())
+    width = np.maximum(width, longest * NARROW_PIXELS / WINDOW_MOST)
+    count = WINDOW * (2 if longest > NARROW * width.min() else 1)
+    count = max(count, min(math.ceil(NARROW_PIXELS * longest / width.min()), WINDOW_MOST))
     here = _thickness_under(body, tip)
     thickness = float(np.clip(here, 1e-4, LAYERS * width.min()))
     window = Body(

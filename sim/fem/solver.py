@@ -589,7 +589,9 @@ def _on_meshes(
         fraction = None
         if progress is not None:
             fraction = _part(progress, len(outcomes), len(chosen), len(scenes))
-        stiffer = replace(numerics, penalty=_penalty(meshes[chosen[0]], numerics))
+        stiffer = replace(
+            numerics, penalty=_penalty(scenes[chosen[0]], meshes[chosen[0]], numerics)
+        )
         some = _solve(
             [scenes[i] for i in chosen],
             [meshes[i] for i in chosen],
@@ -624,6 +626,11 @@ OVERLAP_LASTS = 0.1
 # Overlap over the side of the smallest elements below which nothing has passed through: such an
 # overlap is a light touch on elements that are far too large for it.
 PASSED = 0.1
+# Width of the undeformed body inside the indenter, over the side of the smallest elements, above
+# which a contact has a force.
+FELT = 2.0
+# Columns along x and y in which the indenter is looked for below the undeformed top.
+COLUMNS_MOST = 65
 PASSES = (
     "the indenter passes through the skin: {}; the mesh does not resolve the contact (allowed: "
     "finer elements, a rounder edge)"
@@ -714,8 +721,8 @@ def _judged(outcome: Outcome) -> Outcome:
     if lost is not None:
         deepest = 1e6 * float(outcome.quality.overlap_path.max())
         where = (
-            f"no force at waypoint {lost}, inside the body, after an overlap of {deepest:.3g} um "
-            "with the skin"
+            f"no force at waypoint {lost}, inside the body; largest overlap with the skin before: "
+            f"{deepest:.3g} um"
         )
         return SimulationDiverged(PASSES.format(where), tried=(), dump=None)
     warnings = list(outcome.record["warnings"])
@@ -753,15 +760,42 @@ def _judged(outcome: Outcome) -> Outcome:
 
 
 def _lost_contact(result: Result) -> int | None:
-    """Return the first waypoint inside the body that has no force after an overlap, if any."""
+    """Return the first waypoint inside the body that has no force but should, if any.
+
+    Either the indenter overlapped the skin before, or there it overlaps the undeformed body by more
+    than points of contact are apart: something small may have passed between two states. A body
+    that sags, swings or recovers slowly may be elsewhere.
+    """
     scene, deepest = result.scene, 0.0
+    effects = scene.effects
+    at_rest = effects.viscosity is None and effects.inertia is None and effects.gravity is None
+    finest = result.record["mesh"]["finest"]
     for waypoint, tip in enumerate(scene.motion.tip):
         deepest = max(deepest, float(result.quality.overlap_path[waypoint]))
-        silent = not result.force[waypoint].any() and tip[2] < 0
-        if silent and deepest > PASSED * result.record["mesh"]["finest"]:
+        if result.force[waypoint].any() or tip[2] >= 0:
+            continue
+        if deepest > PASSED * finest:
             if covered(scene.indenter, scene.body, np.asarray(tip)) is not None:
                 return waypoint
+        elif at_rest and _overlapped_width(scene, np.asarray(tip)) > FELT * finest:
+            return waypoint
     return None
+
+
+def _overlapped_width(scene: Scene, tip: np.ndarray) -> float:
+    """Return the lesser width of the undeformed top that has the indenter below it [m]."""
+    body, reach = scene.body, scene.body.thickness - float(tip[2])
+    bounds = np.array(scene.indenter.bounds_below(reach)[:2]) + tip[:2, None]
+    half = np.array([body.size_x, body.size_y]) / 2
+    low, high = np.maximum(bounds[:, 0], -half), np.minimum(bounds[:, 1], half)
+    if (low >= high).any():
+        return 0.0
+    x, y = (np.linspace(low[axis], high[axis], COLUMNS_MOST) for axis in (0, 1))
+    lower = scene.indenter.heights(x[:, None] - tip[0], y - tip[1], reach=reach) + tip[2]
+    below = (lower < body.heights(x, y)) & body.covers(x[:, None], y)
+    if not below.any():
+        return 0.0
+    return float(min(np.ptp(x[below.any(axis=1)]), np.ptp(y[below.any(axis=0)])))
 
 
 def _straight_push(result: Result) -> float:
@@ -785,14 +819,18 @@ def _buckling_load(body: Body) -> float:
 # contact is stiffer by the same factor, in powers of 2, because small contacts reach the same
 # pressure over smaller depths.
 SOFT_SHARE = 24
+# Instantaneous over relaxed stiffness of a viscous body above which contact is made stiffer: with a
+# ratio of 100 the indenter stood 10 % of its depth inside the skin.
+STIFF_AT_ONCE = 4.0
 
 
-def _penalty(mesh: Mesh, numerics: Fem) -> float:
+def _penalty(scene: Scene, mesh: Mesh, numerics: Fem) -> float:
     """Return the contact stiffness on a mesh [E / T]."""
-    if not numerics.follows:
-        return numerics.penalty
-    finer = max(1.0, 1.0 / (SOFT_SHARE * mesh.finest))
-    return float(numerics.penalty * 2.0 ** np.round(np.log2(finer)))
+    finer = max(1.0, 1.0 / (SOFT_SHARE * mesh.finest)) if numerics.follows else 1.0
+    viscosity = scene.effects.viscosity
+    at_once = 1.0 if viscosity is None else 1.0 + sum(viscosity.ratios)
+    stiffer = max(1.0, at_once / STIFF_AT_ONCE)
+    return float(numerics.penalty * 2.0 ** (np.round(np.log2(finer)) + np.round(np.log2(stiffer))))
 
 
 def _batches(
@@ -802,7 +840,7 @@ def _batches(
     alike: dict[tuple, list[int]] = {}
     for index, (scene, mesh) in enumerate(zip(scenes, meshes, strict=True)):
         kernels = scene.effects.key, traits_of([scene.indenter])
-        key = scene.body.thickness, mesh.cells, kernels, _penalty(mesh, numerics)
+        key = scene.body.thickness, mesh.cells, kernels, _penalty(scene, mesh, numerics)
         alike.setdefault(key, []).append(index)
     most = ELEMENTS_SIDE_BY_SIDE["cuda" if wp.get_device(device).is_cuda else "cpu"]
     batches = []

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -11,8 +12,9 @@ from sim.fem.numerics import Fem
 from sim.fem.sizing import NOTHING, Span, sizes_of, stages_of
 from sim.fem.solver import refines, simulate_fem
 from sim.indenters import sphere
+from sim.indenters.shapes import bar
 from sim.result import Result
-from sim.scene import Scene, press
+from sim.scene import Body, Scene, press
 
 
 def test_a_piece_asks_for_the_same_sizes_alone_and_beside_others() -> None:
@@ -58,3 +60,10 @@ def test_a_mesh_is_rebuilt_again_only_if_the_last_time_was_of_use(
     (found,) = simulate_fem([Scene(sphere(4e-3), press([0.5e-3]))], Fem(elements_max=1000))
     assert isinstance(found, Result)
     assert found.record["mesh"]["made_anew"] == meshes
+
+
+def test_a_needle_hundreds_of_times_as_long_as_its_contact_is_wide_has_sizes() -> None:
+    needle = bar(0.481e-3, 10e-3)
+    (stage,) = stages_of(Scene(needle, press([1.8e-6]), Body(size_x=16e-3, size_y=16e-3)))
+    half_width = math.sqrt(2 * 0.481e-3 * 1.8e-6)
+    assert 0.3 * half_width < stage.sizes.width < 3 * half_width
