@@ -17,6 +17,7 @@ BENCHMARKS = {
         "benchmarks.faults.survival",
         "kill writing, recovering and resuming programs; fill disks",
     ),
+    "no-gauge": ("benchmarks.no_gauge.command", "wrong benches without a force gauge"),
     "endurance": ("benchmarks.endurance.command", "half an hour on the mock bench"),
     # The simulator
     "hard-cases": ("benchmarks.sim.stability.command", "cases that break simulators"),

@@ -11,26 +11,27 @@ stage is a session of its own, and the surface it found moves the contact frame 
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 from PIL import Image
 
 from recorder import OUTCOMES, Session
 from rig.acquire.calibration import signal_onset
-from rig.acquire.calibration.calibration import Calibration, HomeCalibration
+from rig.acquire.calibration.calibration import (
+    Calibration,
+    FirstPressRecord,
+    HomeCalibration,
+)
 from rig.acquire.calibration.signal_onset import FoundSurface
 from rig.acquire.calibration.store import age_hours, bench_hash, now_utc
 from rig.bench.bench import Bench
 from rig.bench.no_gauge import FRACTION, SURFACE_HOURS, SURFACE_WIDTH, slowed
 from rig.core.errors import ConfigError, SafetyStop
 from rig.core.geometry import compose, invert, transform
-from trajectories import FirstPress, PressShear, Target, Touch
-
-if TYPE_CHECKING:
-    from rig.acquire.streams import Streams
+from trajectories import FirstPress, Plan, PressShear, Target, Touch
 
 # Speed of the touches [m/s], and heights of the search above and below the stated surface [m].
 TOUCH_SPEED = 0.5e-3
@@ -113,7 +114,7 @@ def rough_height(session: Session) -> float:
     outcomes = list(session.segments["outcome"])
     if not outcomes or outcomes[0] != OUTCOMES.index("force_limited"):
         raise SafetyStop(
-            f"home: no contact in the signal down to {-1e3 * lowest(session):+.2f} mm of the "
+            f"home: no contact in the signal down to {1e3 * lowest(session):+.2f} mm of the "
             "stated surface; is the contact frame of the bench file right, the right indenter on "
             "the arm, and the sensor alive?"
         )
@@ -256,45 +257,113 @@ def true_height(bench: Bench) -> float | None:
     return float(transform(invert(bench.contact_frame), origin)[2])
 
 
-class Steps:
-    """Shows each press of a `FirstPress` and asks before the next one, on a lab bench.
+class Record(Protocol):
+    """Records one stage as a session of its own."""
 
-    Args:
-        plan: The presses.
-        path: Session that records them.
-        ask: Prints lines and waits for Enter; None: nobody is asked.
-    """
+    def __call__(
+        self,
+        what: str,
+        plan: Plan,
+        prepared: Callable[[Bench], Bench],
+        *,
+        contact_change: float = math.inf,
+        after_target: Callable[[Target, Session], None] | None = None,
+    ) -> Session:
+        """Press `plan` and return the session.
 
-    def __init__(
-        self, plan: FirstPress, path: Path, ask: Callable[[list[str]], None] | None
-    ) -> None:
-        self._plan = plan
-        self._path = path
-        self._ask = ask
-        self.largest: dict[str, float] = {}
-        """Largest signal seen in each press [px or counts]."""
-
-    def after_target(self, target: Target, streams: Streams) -> None:
-        """Report a press that has ended; see `CollectRequest.after_target`.
+        Args:
+            what: Part of the session's name: search, home, first-press.
+            plan: Targets to press.
+            prepared: Returns the bench as it is used.
+            contact_change: Change of the signal that ends a press, in standard deviations.
+            after_target: Called after each target, with the session that is still recorded.
 
         Raises:
-            ConfigError, Interrupted: Nobody can be asked, or the answer was not Enter.
+            StageStopped: The session was stopped.
         """
-        name = self._plan.names[target.index]
-        motion, image = largest_of(Session(self._path), target.index)
-        self.largest[name] = motion
-        lines = [f"first press, {name}: the signal reached {motion:.3g}"]
+
+
+class StageStopped(Exception):
+    """A stage was stopped; `code` is the exit code."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(f"exit code {code}")
+        self.code = code
+
+
+def find_surface(bench: Bench, content: dict[str, Any], record: Record) -> HomeCalibration:
+    """Search and touch the surface, and return the calibration.
+
+    Args:
+        bench: The bench as its file describes it.
+        content: Content of the file.
+        record: Records a stage.
+
+    Raises:
+        StageStopped: A session was stopped.
+        SafetyStop: The surface is not where it may be.
+    """
+    found = record("search", search_plan(bench), searching, contact_change=CONTACT)
+    rough = rough_height(found)
+    if abs(rough) > SHIFT_MAX + TOUCH_ABOVE:
+        raise shifted(rough)
+    touches = touch_plan(bench)
+    session = record("home", touches, lambda ready: touching(at_surface(ready, rough)))
+    surface = signal_onset.evaluate(session, touches)
+    home = home_of(surface, rough, bench, content)
+    print("\n".join(lines_of(surface, home, true_height(bench))), flush=True)
+    check_surface(surface, home.shift)
+    return home
+
+
+def press_in_steps(
+    bench: Bench,
+    calibration: Calibration,
+    depth: float,
+    record: Record,
+    ask: Callable[[list[str]], None],
+) -> FirstPressRecord:
+    """Press the sensor for the first time, in steps, and return the record of it.
+
+    Args:
+        bench: The bench as its file describes it.
+        calibration: The surface.
+        depth: Depth of the last press [m].
+        record: Records the stage.
+        ask: Called with the lines to show after each step; raises to stop.
+
+    Raises:
+        StageStopped: The session was stopped.
+    """
+    plan = FirstPress(depth)
+    largest: list[float] = []
+
+    def after(target: Target, session: Session) -> None:
+        motion, image = largest_of(session, target.index)
+        largest.append(motion)
+        lines = [f"first press, {plan.names[target.index]}: the signal reached {motion:.3g}"]
         if image is not None:
-            picture = self._path.with_name(f"{self._path.stem}-{target.index + 1}.png")
+            picture = session.path.with_name(f"{session.path.stem}-{target.index + 1}.png")
             Image.fromarray(image).save(picture)
             lines.append(f"picture at its end: {picture}")
-        if target.index + 1 < len(self._plan):
-            depth = max(self._plan.depths[target.index + 1], 0.0)
-            lines.append(f"next: {self._plan.names[target.index + 1]}, {1e3 * depth:.3g} mm deep")
-        if self._ask is None:
-            print("\n".join(lines), flush=True)
-        else:
-            self._ask(lines)
+        if target.index + 1 < len(plan):
+            following = max(plan.depths[target.index + 1], 0.0)
+            lines.append(f"next: {plan.names[target.index + 1]}, {1e3 * following:.3g} mm deep")
+        ask(lines)
+
+    record(
+        "first-press",
+        plan,
+        lambda ready: slowed(calibration.applied(ready), depth),
+        after_target=after,
+    )
+    return FirstPressRecord(
+        date_utc=now_utc(),
+        mock=bench.mock,
+        tcp=tuple(bench.arm.tcp),
+        depth=depth,
+        signals=tuple(largest),
+    )
 
 
 def largest_of(session: Session, index: int) -> tuple[float, np.ndarray | None]:

@@ -73,6 +73,7 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         ConfigError, DeviceLost, SafetyStop, SessionError: Before anything was recorded.
     """
+    from rig.acquire import no_gauge
     from rig.acquire.motion_notice import deepest
     from rig.acquire.request import CollectRequest, is_complete, plan_of
     from rig.cli import without_gauge
@@ -121,12 +122,14 @@ def run(options: argparse.Namespace) -> int:
                 started_bench(path, content, sources=sources, truth=options.truth)
             )
             try:
-                calibration = without_gauge.prepare(
-                    options, path, bench, content, calibration, depth, session.parent, on=on
-                )
-            except without_gauge.StageFailed as failed:
+                if not request.resume:
+                    stages = without_gauge.StageRecorder(
+                        path, bench, content, session.parent, on, options.operator
+                    )
+                    calibration = without_gauge.prepare(options, stages, calibration, depth)
+            except no_gauge.StageStopped as stopped:
                 print("collect: a stage before the plan was stopped; nothing was collected")
-                return failed.code
+                return stopped.code
             request = dataclasses.replace(request, calibration=calibration)
 
         def prepared(ready: Bench) -> Bench:

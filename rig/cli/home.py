@@ -101,6 +101,7 @@ def _by_signal(
     options: argparse.Namespace, path: Path, bench: Bench, content: dict[str, Any]
 ) -> int:
     """Find the surface without a gauge, and store it; return the exit code."""
+    from rig.acquire import no_gauge
     from rig.cli import without_gauge
     from rig.cli.recording import started_bench
 
@@ -108,13 +109,12 @@ def _by_signal(
     folder = Path("sessions") if options.out is None else options.out
     folder.mkdir(parents=True, exist_ok=True)
     with started_bench(path, content) as on:
+        stages = without_gauge.StageRecorder(path, bench, content, folder, on, options.operator)
         try:
-            home = without_gauge.find_surface(
-                path, bench, content, folder, on=on, operator=options.operator
-            )
-        except without_gauge.StageFailed as failed:
+            home = no_gauge.find_surface(bench, content, stages)
+        except no_gauge.StageStopped as stopped:
             print("home: not finished, nothing is stored; repeat the command")
-            return failed.code
+            return stopped.code
     file = store.store(options.calibrations, bench.sensor, home={bench.indenter: home})
     print(f"home: stored in {file}")
     return EXIT_DONE
