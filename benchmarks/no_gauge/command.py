@@ -28,6 +28,7 @@ from rig.core.config import read_yaml
 from rig.core.errors import ConfigError, DeviceLost, SafetyStop
 from rig.core.packaged import BENCHES
 from rig.devices.arm.emulated_arm import Wrist
+from trajectories import Move, Plan, Target
 
 MM = 1e-3
 SENSORS = ("uskin", "gelsight", "uskin", "tacpalm", "uskin")
@@ -128,25 +129,30 @@ def _collect(bench: Bench, content: dict[str, object], stages: Stages) -> None:
     stages("plan", plan, lambda ready: slowed(calibration.applied(ready), depth))
 
 
-class _Thinned:
+class _Thinned(Plan):
     """Some targets of a plan, evenly spread, with the last and deepest."""
 
-    def __init__(self, plan: object) -> None:
+    def __init__(self, plan: Plan) -> None:
         self._plan = plan
-        targets = list(plan.targets())  # type: ignore[attr-defined]
+        targets = list(plan.targets())
         kept = targets[:: -max(len(targets) // _TARGETS, 1)][::-1]
         self._targets = [replace(target, index=k) for k, target in enumerate(kept)]
 
-    kind = "thinned"
+    @property
+    def kind(self) -> str:
+        """Name of the kind."""
+        return "thinned"
 
     def __len__(self) -> int:
         return len(self._targets)
 
-    def targets(self) -> Iterator[object]:
+    def targets(self) -> Iterator[Target]:
+        """Yield the targets."""
         return iter(self._targets)
 
-    def moves(self, target: object) -> object:
-        return self._plan.moves(target)  # type: ignore[attr-defined]
+    def moves(self, target: Target) -> tuple[Move, ...]:
+        """Return the moves of a target."""
+        return self._plan.moves(target)
 
 
 def wrong(bench: Bench, fault: str, rng: np.random.Generator, seed: int, *, wrist: bool) -> Truth:

@@ -389,7 +389,8 @@ def seconds_per_target(bench: Bench, plan: Plan) -> float:
     arm = bench.arm
     moving = dry_run(plan, bench.plan_limits, speed=arm.speed, acceleration=arm.acceleration)
     points = len({target.point for target in plan.targets()})
-    return (moving.duration + points * bench.preflight.point_window) / len(plan)
+    held = 3 * bench.hold * len(plan)
+    return (moving.duration + held + points * bench.preflight.point_window) / len(plan)
 
 
 def guarded(bench: Bench, folder: Path) -> dict[Path, GuardLimits]:

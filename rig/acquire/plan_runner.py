@@ -14,7 +14,7 @@ from recorder import OUTCOMES, SessionError, SessionWriter
 from recorder.spec import frame_columns, reference_spec
 from rig.acquire.control import Control, InterruptFlag
 from rig.acquire.interlocks import DeadManReleased, Interlocks
-from rig.acquire.preflight import check_no_contact, tip_position
+from rig.acquire.preflight import check_no_contact, settling, tip_position
 from rig.acquire.progress_line import LiveLine
 from rig.acquire.streams import Streams
 from rig.bench.bench import Bench, empty_spec
@@ -24,7 +24,7 @@ from rig.core.errors import DeviceLost, SafetyStop
 from rig.core.geometry import compose
 from rig.core.guard import Mode
 from rig.devices.arm.arm import Arm, MoveResult
-from trajectories import Move, Plan, Point, Target
+from trajectories import Move, Plan, Point, Target, dome_height
 
 logger = logging.getLogger(__name__)
 
@@ -226,7 +226,8 @@ class PlanRunner:
         if self._bench.no_gauge and not averaged:
             # The pose paces the wait for images without contact.
             averaged = ["pose"]
-        window = self._bench.preflight.point_window
+        waits = [settling(row) for row in self._bench.rows]
+        window = max(self._bench.preflight.point_window, *waits)
         found = self._streams.measure(window, *averaged) if averaged else {}
         zero_stand_ins(self._bench, self._streams, found)
         return found
@@ -296,9 +297,26 @@ class PlanRunner:
             raise
         if record is not None:
             outcome = "complete" if result.outcome == "done" else result.outcome
-            self._note(record, outcome, result.start_ns, result.end_ns)
+            ended_ns = self._held(place) if outcome == "complete" else result.end_ns
+            self._note(record, outcome, result.start_ns, max(ended_ns, result.end_ns))
         require_arrival(result, pressing=record is not None)
         return result
+
+    def _held(self, place: Point) -> int:
+        """Stay at a place in contact for the bench's `hold`; return the end [ns].
+
+        Raises:
+            SafetyStop, DeviceLost, DeadManReleased: The hold was stopped.
+        """
+        now_ns = self._clock.now_ns()
+        surface = dome_height(self._bench.dome_radius, place[0], place[1])
+        end_ns = now_ns + round(self._bench.hold * SECOND_NS) if place[2] < surface else now_ns
+        while now_ns < end_ns:
+            self._wait(pressing=True)
+            self._arm.check()
+            self._clock.sleep_until(min(now_ns + _LOOK_NS, end_ns))
+            now_ns = self._clock.now_ns()
+        return now_ns
 
     def _wait(self, *, pressing: bool = False) -> None:
         # The interlocks first: they have to stop the arm soonest.

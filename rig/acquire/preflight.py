@@ -144,8 +144,14 @@ def take_tares(bench: Bench, streams: Streams) -> dict[str, Tare]:
     """
     gauges = bench.of_kind("force")
     names = [gauge.name for gauge in gauges]
-    found = streams.measure(bench.preflight.tare_window, *names) if names else {}
+    window = max([bench.preflight.tare_window, *(settling(gauge) for gauge in gauges)])
+    found = streams.measure(window, *names) if names else {}
     return {gauge.name: _tare(bench, gauge, found[gauge.name]) for gauge in gauges}
+
+
+def settling(row: BenchStream) -> float:
+    """Return the time in which a stream's readings settle [s]; 0 for one without this."""
+    return float(getattr(row.config, "hold", 0.0))
 
 
 def _tare(bench: Bench, gauge: BenchStream, found: dict[str, Any]) -> Tare:

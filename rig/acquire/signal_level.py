@@ -21,8 +21,10 @@ _KEPT = 16
 _LEAST_NOISE = 0.01
 # Images are compared at a quarter of their size; motions are stated in pixels of the image.
 _REDUCED = 4
-# Fraction of the pixels that may show a larger motion: single pixels of a flow are often wrong.
-_BEYOND = 0.005
+# The flow counts at the steepest fraction of the pixels, the edges of markers, for a plain area has
+# none of its own.
+# A small fraction of these may show more, since single pixels of a flow are often wrong.
+_EDGES, _BEYOND = 0.15, 0.02
 
 
 class Level(NamedTuple):
@@ -80,7 +82,7 @@ class SignalLevel:
         self._rest: Floats | None = None
         self._floor, self._noise = 0.0, 1.0
         self._flow: Any = None
-        self._moved: Any = None
+        self._edges: Any = None
 
     def add(self, sample: Mapping[str, Any]) -> Level:
         """Return the level of a sample; before the first zero, without change and motion."""
@@ -107,7 +109,10 @@ class SignalLevel:
         self._floor = float(np.mean(changes))
         spread = float(np.std(changes, ddof=1)) if len(changes) > 2 else 0.0
         self._noise = max(spread, _LEAST_NOISE * self._floor, 1e-6)
-        self._moved = None
+        if self._is_image:
+            down, across = np.gradient(self._rest)
+            steep = np.hypot(down, across)
+            self._edges = steep >= np.quantile(steep, 1 - _EDGES)
 
     def _motion(self, found: Floats, rest: Floats) -> float:
         if not self._is_image:
@@ -118,11 +123,8 @@ class SignalLevel:
             self._flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
         before = np.clip(rest, 0, 255).astype(np.uint8)
         after = np.clip(found, 0, 255).astype(np.uint8)
-        # The flow of the last image is the first guess for this one: a marker that has moved by
-        # more than half a pitch is still matched to its own place.
-        self._moved = self._flow.calc(before, after, self._moved)
-        length = np.hypot(self._moved[..., 0], self._moved[..., 1])
-        return _REDUCED * float(np.quantile(length, 1 - _BEYOND))
+        moved = self._flow.calc(before, after, None)[self._edges]
+        return _REDUCED * float(np.quantile(np.hypot(moved[:, 0], moved[:, 1]), 1 - _BEYOND))
 
 
 def _difference(found: Floats, rest: Floats) -> float:

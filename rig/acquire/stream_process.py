@@ -73,7 +73,7 @@ class _Measurement:
     def add(self, sample: dict[str, Any]) -> None:
         if self._start_ns <= sample["t_ns"] <= self.end_ns:
             self._times.append(sample["t_ns"])
-            if self._averaged:
+            if self._averaged and sample.get("settled", True):
                 self._values.append(sample["value"])
 
     def result(self) -> dict[str, Any]:

@@ -28,7 +28,13 @@ from rig.core.names import unknown_name
 from rig.core.packaged import BENCHES
 from rig.devices.arm.settings import ArmConfig, PoseConfig, WrenchConfig
 from rig.devices.camera.settings import CameraConfig
-from rig.devices.force.settings import AtiSerialConfig, ForceConfig, NetFtConfig, NidaqConfig
+from rig.devices.force.settings import (
+    AtiSerialConfig,
+    ForceConfig,
+    NetFtConfig,
+    NidaqConfig,
+    ScaleConfig,
+)
 from rig.devices.gripper.settings import RobotiqConfig
 from rig.devices.hid.settings import PedalConfig, SpaceMouseConfig
 from rig.devices.taxels.settings import XelaConfig
@@ -129,6 +135,7 @@ StreamConfig = (
     | NetFtConfig
     | NidaqConfig
     | AtiSerialConfig
+    | ScaleConfig
     | XelaConfig
     | PoseConfig
     | WrenchConfig
@@ -216,6 +223,8 @@ class Bench:
     streams: dict[str, StreamConfig] | None = None
     """Further streams by name, each a device with its `kind`; `force`, `camera` and `taxels` are
     streams with the names of their keys, and the arm's poses are the stream `pose`."""
+    hold: float = field(default=0.0, metadata={"unit": "ms", "plausible": (10, 600_000)})
+    """Time at rest after each recorded move that ends in contact [s]: for gauges that settle."""
     stand_ins: no_gauge.StandIns | None = None
     """Limits of the guards that stand in for an F/T sensor with `force: none`; otherwise unused."""
     gripper: RobotiqConfig | None = None
@@ -239,7 +248,13 @@ class Bench:
         _check_streams(self.rows)
         if self.no_gauge:
             no_gauge.check_settings(self.limits, self.stand_ins, self.gauges, self.signal)
-        elif not self.mock and not self.gauges:
+        for row in self.of_kind("force"):
+            if isinstance(row.config, ScaleConfig) and self.hold < row.config.hold:
+                raise ValueError(
+                    f"hold_ms: {1e3 * self.hold:g}; allowed with {row.key}: at least "
+                    f"{1e3 * row.config.hold:.0f}, in which its readings settle"
+                )
+        if not self.no_gauge and not self.mock and not self.gauges:
             raise ValueError(
                 "force: missing; allowed on a lab bench: an F/T sensor with the role guard, which "
                 "stops the arm at limits.force_rating; or none, with limits.sensor_rating_n and "

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from recorder import (
+    Column,
     StreamSpec,
     arm_wrench_spec,
     camera_spec,
@@ -22,7 +23,7 @@ from rig.core.driver import Driver
 from rig.core.errors import ConfigError
 from rig.core.samples import CAMERA_LATEST, FORCE_LATEST, POSE_LATEST, TAXELS_LATEST
 from rig.devices.camera.settings import CameraConfig
-from rig.devices.force.settings import AtiSerialConfig, ForceConfig, NidaqConfig
+from rig.devices.force.settings import AtiSerialConfig, ForceConfig, NidaqConfig, ScaleConfig
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,9 +151,18 @@ def _force_driver(config: ForceConfig, clock: Clock) -> Driver:
         from rig.devices.force.ati_serial import AtiSerialDriver
 
         return AtiSerialDriver(config, clock)
+    if isinstance(config, ScaleConfig):
+        from rig.devices.force.scale import ScaleDriver
+
+        return ScaleDriver(config, clock)
     from rig.devices.force.netft import NetFtDriver
 
     return NetFtDriver(config, clock)
+
+
+_READING = Column(
+    "reading", "float64", units="N", description="Fz as read, also while it has not settled"
+)
 
 
 def stream_spec(
@@ -172,7 +182,11 @@ def stream_spec(
     if row.kind == "force":
         counted = "none" if description.get("device_clock") == "none" else "counter"
         attrs = {"clock": counted, **attrs}
-        return force_spec(rate_hz, name=name, device=description, **attrs)
+        spec = force_spec(rate_hz, name=name, device=description, **attrs)
+        if description.get("settles"):
+            # Readings that have not settled are no values of the force, but are kept beside them.
+            spec = replace(spec, columns=(*spec.columns[:-1], _READING, spec.columns[-1]))
+        return spec
     if row.kind == "pose":
         return pose_spec(rate_hz, name=name, device=description, **attrs)
     if row.kind == "arm_wrench":

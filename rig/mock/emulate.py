@@ -37,6 +37,7 @@ EMULATORS = {
     "netft": "rig.devices.force.netft_emulator",
     "nidaq": "rig.devices.force.nidaq_emulator",
     "ati_serial": "rig.devices.force.ati_serial_emulator",
+    "scale": "rig.devices.force.scale_emulator",
     "opencv": "rig.devices.camera.mjpeg_emulator",
     "xela": "rig.devices.taxels.xela_emulator",
     "robotiq_2f": "rig.devices.gripper.robotiq_emulator",

@@ -37,7 +37,9 @@ from rig.devices.force.netft import NetFtDriver
 from rig.devices.force.netft_emulator import NetFtEmulator, NetFtEmulatorConfig
 from rig.devices.force.nidaq import NidaqDriver
 from rig.devices.force.nidaq_emulator import NidaqEmulator, NidaqEmulatorConfig
-from rig.devices.force.settings import AtiSerialConfig, NetFtConfig, NidaqConfig
+from rig.devices.force.scale import ScaleDriver
+from rig.devices.force.scale_emulator import ScaleEmulator, ScaleEmulatorConfig
+from rig.devices.force.settings import AtiSerialConfig, NetFtConfig, NidaqConfig, ScaleConfig
 from rig.devices.taxels.settings import XelaConfig
 from rig.devices.taxels.xela import XelaDriver
 from rig.devices.taxels.xela_emulator import XelaEmulator, XelaEmulatorConfig
@@ -93,6 +95,13 @@ class ValvedAtiSerial(AtiSerialEmulator):
         return self.valve.passing(super().records(content))
 
 
+class ValvedScale(ScaleEmulator):
+    valve: Valve
+
+    def lines(self, content: bytes) -> Iterable[bytes]:
+        return self.valve.passing(super().lines(content))
+
+
 class ValvedXela(XelaEmulator):
     valve: Valve
 
@@ -128,6 +137,13 @@ def link_of(host: str) -> Path:
 def ati_serial_emulator(host: str, valve: Valve, images: Path) -> Emulator:
     config = AtiSerialEmulatorConfig(AtiSerialConfig(1280.0, 256.0, str(link_of(host))))
     emulator = ValvedAtiSerial(config, SharedWorld(None), CLOCK)
+    emulator.valve = valve
+    return emulator
+
+
+def scale_emulator(host: str, valve: Valve, images: Path) -> Emulator:
+    device = ScaleConfig("kern", str(link_of(host)), rate_hz=50.0)
+    emulator = ValvedScale(ScaleEmulatorConfig(device=device), SharedWorld(None), CLOCK)
     emulator.valve = valve
     return emulator
 
@@ -212,6 +228,22 @@ KINDS = [
         0,
         {"value": (np.float64, (6,)), "seq": (int, None), "status": (int, None)},
         '{"device": {"address": "LINK", "counts_per_n": 1280, "counts_per_n_mm": 256}}',
+        mute_pty,
+        counted=False,
+    ),
+    Kind(
+        "force-scale",
+        lambda host, silence: ScaleDriver(
+            ScaleConfig("kern", str(link_of(host)), rate_hz=50.0, silence=silence), CLOCK
+        ),
+        scale_emulator,
+        "scale",
+        0,
+        {
+            **{"value": (np.float64, (6,)), "seq": (int, None), "status": (int, None)},
+            **{"reading": (float, None), "settled": (bool, None)},
+        },
+        '{"device": {"protocol": "kern", "address": "LINK"}}',
         mute_pty,
         counted=False,
     ),

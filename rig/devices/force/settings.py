@@ -172,5 +172,76 @@ class AtiSerialConfig(_Gauge):
         return self.baud / 10 / RECORD_BYTES[self.records]
 
 
+@dataclass(frozen=True, slots=True)
+class ScaleConfig(_Gauge):
+    """Settings of a load cell or scale on a serial port: Fz alone, slow, a label and no guard."""
+
+    KIND: ClassVar[str] = "scale"
+    UNTRUSTED_MASK: ClassVar[int] = 0
+
+    protocol: Literal["hx711", "kern", "sartorius"]
+    """Language on the wire: `hx711`, a board that prints one number a line; `kern`, the command w;
+    `sartorius`, SBI with the command ESC P."""
+    address: str = "/dev/ttyUSB0"
+    """Serial port."""
+    baud: int = 9600
+    """Bits per second."""
+    parity: Literal["none", "odd", "even"] = "none"
+    """Parity; Sartorius scales are delivered with odd and 7 bits."""
+    bits: Literal[7, 8] = 8
+    """Data bits."""
+    rate_hz: float = 10.0
+    """Readings per second."""
+    counts_per_n: float | None = None
+    """Counts per newton of a board that prints counts; None: it prints grams, as scales do."""
+    direction: Literal["down", "up"] = "down"
+    """Direction of the force that a positive reading means: `down` presses on the sensor, which is
+    negative Fz."""
+    settle: float = field(default=0.5, metadata={"unit": "ms", "plausible": (50, 10000)})
+    """Time for which readings must agree before they count as settled [s]."""
+    settle_within: float = field(default=0.02, metadata={"unit": "n", "plausible": (0.0001, 10)})
+    """Largest difference between readings that agree [N]."""
+    silence: float = field(default=2.0, metadata={"unit": "ms", "plausible": (100, 60000)})
+    """Silence after which the scale counts as lost [s]."""
+    axes_measured: tuple[Axis, ...] = field(default=("Fz",), kw_only=True)
+    """Fz; the other axes are stored as NaN."""
+    align: Literal["latest", "nearest", "interpolated", "mean", "none"] | None = field(
+        default="interpolated", kw_only=True
+    )
+    """Readings that have not settled are NaN, so only rows between two settled ones get a label."""
+    roles: tuple[Literal["signal", "label", "guard"], ...] | None = field(
+        default=("label",), kw_only=True
+    )
+    """Label only: a scale is too slow to stop an arm."""
+
+    def __post_init__(self) -> None:
+        """Reject invalid values, and a scale that is to guard.
+
+        Raises:
+            ValueError: Names the field, the value found and the values allowed.
+        """
+        if self.axes_measured != ("Fz",):
+            raise ValueError(f"axes_measured: {list(self.axes_measured)}; allowed: Fz")
+        if "guard" in (self.roles or ()):
+            raise ValueError(
+                "roles: found guard; allowed: label; a scale is too slow to stop an arm"
+            )
+        for name in ("baud", "rate_hz", "settle", "settle_within", "silence"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name}: {getattr(self, name)!r}; allowed: above 0")
+        if self.counts_per_n is not None and not self.counts_per_n > 0:
+            raise ValueError(f"counts_per_n: {self.counts_per_n!r}; allowed: above 0")
+        if self.counts_per_n is not None and self.protocol != "hx711":
+            raise ValueError(
+                f"counts_per_n: found with protocol {self.protocol}; allowed with hx711: a scale "
+                "prints its unit"
+            )
+
+    @property
+    def hold(self) -> float:
+        """Time at rest in which readings settle and give at least three labels [s]."""
+        return 2 * self.settle + 3 / self.rate_hz
+
+
 # Settings of any F/T sensor; `kind` in the bench file selects one.
-ForceConfig = NetFtConfig | NidaqConfig | AtiSerialConfig
+ForceConfig = NetFtConfig | NidaqConfig | AtiSerialConfig | ScaleConfig

@@ -1,0 +1,149 @@
+"""Emulated load cell board or scale on a pty, which weighs the World's force on the sensor.
+
+    python -m rig.mock.emulate scale '{"device": {"protocol": "kern", "address": "/tmp/scale"}}'
+
+Its reading follows the force through a filter of `lag`, as that of a scale does, and the unit is
+missing while it moves. Faults are injected through rig.core.fault_injection.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import select
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from rig.core.clock import Clock, Pacer
+from rig.core.emulation import (
+    EmulatorConfig,
+    Pty,
+    Served,
+    SharedWorld,
+    ThreadedEmulator,
+    WorldReader,
+)
+from rig.core.fault_injection import FaultInjector, corrupted_bytes
+from rig.devices.force.settings import ScaleConfig
+
+logger = logging.getLogger(__name__)
+
+_GRAMS_PER_N = 1e3 / 9.80665
+# A scale shows its unit while the reading moves by less than this between two readings [N].
+_STABLE = 0.003
+# The filter is computed this often [Hz].
+_FILTER_HZ = 50.0
+
+
+@dataclass(frozen=True, slots=True)
+class ScaleEmulatorConfig(EmulatorConfig):
+    """Port, protocol and filter of the emulated scale."""
+
+    device: ScaleConfig
+    """Its rate is that of a board that sends by itself."""
+    noise: float = field(default=0.0, metadata={"unit": "n"})
+    """Standard deviation of a reading [N]."""
+    lag: float = field(default=0.1, metadata={"unit": "ms"})
+    """Time constant of the scale's filter [s]."""
+
+
+class ScaleEmulator(ThreadedEmulator):
+    """Emulated scale: one thread filters the force, takes commands and sends lines."""
+
+    def __init__(self, config: ScaleEmulatorConfig, world: WorldReader, clock: Clock) -> None:
+        super().__init__()
+        self._config = config
+        self.faults = FaultInjector[bytes](clock, spoil=corrupted_bytes, seed=config.seed)
+        self._world = world
+        self._clock = clock
+        self._rng = np.random.default_rng(config.seed)
+        self._shown = self._before = 0.0
+        self._pty: Pty | None = None
+
+    @property
+    def address(self) -> str:
+        """Link for a driver to open."""
+        return self._config.device.address
+
+    def start(self) -> None:
+        """Create the pty and the link to it, and serve.
+
+        Raises:
+            OSError: No pty is available, or the link cannot be created.
+        """
+        self._pty = Pty(Path(self._config.device.address))
+        self._fd = self._pty.fd
+        os.set_blocking(self._fd, False)
+        self._run_threads(self._serve)
+
+    def _release(self) -> None:
+        if self._pty is not None:
+            self._pty.close()
+            self._pty = None
+
+    def lines(self, content: bytes) -> Iterable[bytes]:
+        """Return the content sent for one reading; faults and tests lose or corrupt bytes here."""
+        return self.faults.passed(content)
+
+    def _serve(self) -> None:
+        pacer = Pacer(self._clock, _FILTER_HZ)
+        device = self._config.device
+        every = max(round(_FILTER_HZ / device.rate_hz), 1)
+        kept = math.exp(-1 / (_FILTER_HZ * max(self._config.lag, 1e-6)))
+        tick = 0
+        while not self._ending.is_set():
+            pacer.wait()
+            self.missed = pacer.missed
+            tick += 1
+            force = -float(self._world.state()[1]["wrench"][2])
+            self._shown = kept * self._shown + (1 - kept) * force
+            asked = self._asked()
+            if device.protocol == "hx711":
+                asked = int(tick % every == 0)
+            for _ in range(asked):
+                for content in self.lines(self._line()):
+                    self._send(content)
+
+    def _asked(self) -> int:
+        """Return the number of readings that were requested."""
+        if not select.select([self._fd], [], [], 0.0)[0]:
+            return 0
+        typed = os.read(self._fd, 256)
+        if self.faults.unplugged:
+            return 0
+        wanted = {"kern": b"w", "sartorius": b"\x1bP"}.get(self._config.device.protocol)
+        return 0 if wanted is None else typed.count(wanted)
+
+    def _line(self) -> bytes:
+        device = self._config.device
+        shown = self._shown + self._rng.normal(0.0, self._config.noise)
+        stable = abs(shown - self._before) < max(_STABLE, 4 * self._config.noise)
+        self._before = shown
+        if device.direction == "up":
+            shown = -shown
+        if device.protocol == "hx711":
+            number = shown * (device.counts_per_n or _GRAMS_PER_N)
+            text = f"{number:.0f}" if device.counts_per_n else f"{number:.2f}"
+            return f"{text}\r\n".encode()
+        grams = shown * _GRAMS_PER_N
+        sign, unit = "-" if grams < 0 else "+", "g" if stable else ""
+        if device.protocol == "kern":
+            return f"{'-' if grams < 0 else ' '}{abs(grams):10.2f} {unit:<3}\r\n".encode()
+        return f"{'N':<6}{sign}{abs(grams):10.2f} {unit:<3}\r\n".encode()
+
+    def _send(self, content: bytes) -> None:
+        try:
+            os.write(self._fd, content)
+        except BlockingIOError:
+            # Nobody reads it: the line has no handshake, the bytes are lost.
+            logger.debug("%d bytes lost: nobody reads", len(content))
+
+
+def emulate(settings: ScaleEmulatorConfig, clock: Clock) -> Served:
+    """Return the emulated scale."""
+    emulator = ScaleEmulator(settings, SharedWorld(settings.world), clock)
+    return Served("scale", emulator, emulator.faults.inject)
