@@ -19,10 +19,9 @@ import numpy as np
 
 from benchmarks.no_gauge.simulated_bench import SimulatedBench, Stages, Truth
 from rig.acquire.calibration.calibration import Calibration
-from rig.acquire.motion_notice import deepest
 from rig.acquire.no_gauge import find_surface, press_in_steps
 from rig.bench.bench import Bench, bench_from
-from rig.bench.no_gauge import check_plan, slowed, without_gauge
+from rig.bench.no_gauge import check_plan, planned_depth, slowed, without_gauge
 from rig.bench.worlds import AnalyticSpec, Punch, Sphere
 from rig.core.config import read_yaml
 from rig.core.errors import ConfigError, DeviceLost, SafetyStop
@@ -120,7 +119,7 @@ def collected(seed: int) -> Outcome:
 
 
 def _collect(bench: Bench, content: dict[str, object], stages: Stages) -> None:
-    depth = deepest(bench.trajectory)
+    depth = planned_depth(bench, bench.trajectory)
     check_plan(bench, depth)
     home = find_surface(bench, content, stages)
     calibration = Calibration(home, file="found in the same run")

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 from rig.core.errors import ConfigError
 from rig.core.stand_in_guards import CrashLimits, SignalLimits, StandIn
+from trajectories import Plan, dome_height
 
 if TYPE_CHECKING:
     from rig.bench.bench import Bench, BenchLimits, BenchStream
@@ -134,6 +135,27 @@ def guards_of(bench: Bench, *, contact: float = math.inf) -> dict[str, StandIn]:
     }
     crash = CrashLimits(FRACTION * rating, bench.limits.stale_pose)
     return found | {f"{row.name}.latest": crash for row in bench.of_kind("arm_wrench")}
+
+
+def planned_depth(bench: Bench, plan: Plan, total: int | None = None) -> float:
+    """Return the deepest place below the surface that a plan reaches [m].
+
+    On a dome, a shear towards the apex goes deeper than the press.
+
+    Args:
+        bench: The bench.
+        plan: The plan.
+        total: Number of its targets; None: all.
+    """
+    most = len(plan) if total is None else total
+    places = [
+        place
+        for target in plan.targets()
+        if target.index < most
+        for move in plan.moves(target)
+        for place in (move.start, move.end)
+    ]
+    return max((dome_height(bench.dome_radius, x, y) - z for x, y, z in places), default=0.0)
 
 
 def check_plan(bench: Bench, depth: float) -> None:

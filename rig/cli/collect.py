@@ -9,7 +9,7 @@ from pathlib import Path
 
 from recorder.command_line.errors import EXIT_DONE
 from rig.bench.bench import Bench
-from rig.bench.no_gauge import slowed
+from rig.bench.no_gauge import planned_depth, slowed
 from rig.cli.options import (
     banner,
     bench_options,
@@ -74,7 +74,6 @@ def run(options: argparse.Namespace) -> int:
         ConfigError, DeviceLost, SafetyStop, SessionError: Before anything was recorded.
     """
     from rig.acquire import no_gauge
-    from rig.acquire.motion_notice import deepest
     from rig.acquire.request import CollectRequest, is_complete, plan_of
     from rig.cli import without_gauge
     from rig.cli.recording import record, started_bench
@@ -109,7 +108,7 @@ def run(options: argparse.Namespace) -> int:
     if request.resume and is_complete(session, plan, total):
         print(f"complete: all {total} targets are done; {session} is left as it is")
         return EXIT_DONE
-    depth = deepest(plan, total)
+    depth = planned_depth(bench, plan, total)
     if bench.no_gauge:
         require_terminal(bench)
         without_gauge.check_before(options, bench, calibration, depth)

@@ -134,11 +134,9 @@ def evaluate(session: Session, plan: Plan) -> FoundSurface:
     """
     found: dict[int, list[tuple[Onset, float]]] = {}
     places: dict[int, Sequence[float]] = {}
-    targets = list(plan.targets())
-    ends = [*(span_of(session, target.index)[0] for target in targets[1:]), None]
-    for target, end in zip(targets, ends, strict=True):
-        ways = _ways(session, target.index, end)
-        onset = None if ways is None else onset_of(*ways)
+    for target in plan.targets():
+        ways = _ways(session, target.index)
+        onset = onset_of(*ways)
         if onset is None:
             raise SafetyStop(
                 f"home: no contact in the signal at point {target.point}; is the sensor alive, "
@@ -159,8 +157,8 @@ def evaluate(session: Session, plan: Plan) -> FoundSurface:
     return surface_of(found, places)
 
 
-def span_of(session: Session, index: int) -> tuple[int, int]:
-    """Return start and end of the way down of target `index` [ns].
+def span_of(session: Session, index: int, phase: str = "normal_inc") -> tuple[int, int]:
+    """Return start and end of the last recorded move of target `index` in a phase [ns].
 
     Raises:
         SafetyStop: The target was not pressed.
@@ -168,7 +166,7 @@ def span_of(session: Session, index: int) -> tuple[int, int]:
     segments = session.segments
     rows = np.flatnonzero(
         (np.asarray(segments["target"]) == index)
-        & (np.asarray(segments["phase"]) == PHASES.index("normal_inc"))
+        & (np.asarray(segments["phase"]) == PHASES.index(phase))
     )
     if not rows.size:
         raise SafetyStop(f"home: approach {index + 1} was not made")
@@ -176,22 +174,21 @@ def span_of(session: Session, index: int) -> tuple[int, int]:
     return int(segments["start_ns"][row]), int(segments["end_ns"][row])
 
 
-def _ways(session: Session, index: int, end: int | None) -> tuple[Way, Way] | None:
+def _ways(session: Session, index: int) -> tuple[Way, Way]:
     start, turned = span_of(session, index)
+    _, end = span_of(session, index, "normal_dec")
     name, pose_name = session.signal, session.first("pose")
     if name is None or pose_name is None:
         raise SafetyStop("home: the session has no signal or no pose")
     stream, pose = session.streams[name], session.streams[pose_name]
     frame = invert(session.attrs["contact_frame"])
     height = transform(frame, np.asarray(pose.array("value"))[:, :3])[:, 2]
-    until = stream.t_ns[-1] + 1 if end is None else end
-    rows = np.flatnonzero((stream.t_ns >= start) & (stream.t_ns < until))
+    rows = np.flatnonzero((stream.t_ns >= start) & (stream.t_ns < end))
     times = stream.t_ns[rows]
     z = linear(pose.t_ns, height, times).value
     change = _along_contact(np.array(readings_of(stream, rows)), z)
-    top = float(np.nanmax(z[times < turned], initial=-np.inf))
-    going_down, going_up = times < turned, (times >= turned) & (z < top)
-    return Way(z[going_down], change[going_down]), Way(z[going_up], change[going_up])
+    down = times < turned
+    return Way(z[down], change[down]), Way(z[~down], change[~down])
 
 
 def _along_contact(readings: NDArray[np.float32], z: Floats) -> Floats:

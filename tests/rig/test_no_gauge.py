@@ -1,0 +1,296 @@
+"""Collecting without a force gauge: settings, guards that stand in, surface, wrong benches."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.no_gauge import command
+from benchmarks.no_gauge.simulated_bench import SimulatedBench, Stages, Truth
+from rig.acquire import no_gauge
+from rig.acquire.calibration.calibration import Calibration, HomeCalibration
+from rig.acquire.calibration.onset import Onset
+from rig.acquire.calibration.signal_onset import Way, onset_of, surface_of
+from rig.acquire.calibration.store import now_utc
+from rig.acquire.signal_level import SignalLevel
+from rig.bench.bench import Bench, bench_from
+from rig.bench.no_gauge import check_plan, guards_of, planned_depth, slowed, without_gauge
+from rig.core.clock import SECOND_NS
+from rig.core.config import read_yaml
+from rig.core.errors import ConfigError, SafetyStop
+from rig.core.packaged import BENCHES
+from rig.core.samples import FORCE_LATEST, SIGNAL_LATEST
+from rig.core.stand_in_guards import CrashLimits, SignalLimits
+from rig.devices.arm.emulated_arm import Wrist
+
+ROOT = Path(__file__).parents[2]
+
+
+def content_of(sensor: str, **more: Any) -> dict[str, Any]:
+    return {**without_gauge(read_yaml(BENCHES / f"{sensor}.yaml", BENCHES), sensor), **more}
+
+
+def bench_of(sensor: str, **more: Any) -> Bench:
+    return bench_from(content_of(sensor, **more), "bench.yaml")
+
+
+@pytest.mark.parametrize(
+    "sensor", sorted(path.stem for path in BENCHES.glob("*.yaml") if path.stem != "mock")
+)
+def test_every_packaged_mock_bench_may_be_used_without_its_gauge(sensor: str) -> None:
+    bench = bench_of(sensor)
+    assert [row.name for row in bench.of_kind("force")] == []
+    assert len(guards_of(bench)) == 2
+    check_plan(bench, planned_depth(bench, bench.trajectory))
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"limits": {"sensor_rating_n": None}}, "limits.sensor_rating_n: missing; allowed with"),
+        ({"stand_ins": None}, "stand_ins: missing; allowed with force: none"),
+        ({"camera": None}, "force: none, but the bench has no camera or taxels"),
+        ({"streams": {"g": {"kind": "netft"}}}, "force: none, but g has the role guard"),
+        (
+            {"streams": {"w": {"kind": "ur_wrench", "host": "h", "roles": ["label"]}}},
+            "streams.w.roles: found label; allowed: guard",
+        ),
+        ({"force": "non"}, "force: found text 'non'; allowed: a mapping with kind netft or"),
+        ({"stand_ins": {"stiffness_n_per_mm": [7.0, 2.0]}}, "the lowest, then the highest"),
+        ({"stand_ins": {"stiffness_source": " "}}, "stiffness_source: empty"),
+    ],
+)
+def test_a_bench_without_gauge_that_lacks_a_guard_is_refused(
+    change: dict[str, Any], text: str
+) -> None:
+    content = content_of("gelsight")
+    for key, value in change.items():
+        merged = isinstance(value, dict) and isinstance(content.get(key), dict)
+        content[key] = {**content[key], **value} if merged else value
+    with pytest.raises(ConfigError, match=text):
+        bench_from(content, "bench.yaml")
+
+
+def test_a_plan_beyond_half_the_rating_is_refused_before_anything_moves() -> None:
+    bench = bench_of("gelsight")
+    check_plan(bench, 1.2e-3)
+    with pytest.raises(ConfigError, match=r"9\.25 N at 7\.4 N/mm .* 9 N, half .*so 1\.22 mm"):
+        check_plan(bench, 1.25e-3)
+
+
+def test_speeds_and_box_follow_the_rules() -> None:
+    bench = slowed(bench_of("tacpalm"), 4.5e-3)
+    assert bench.arm.speed == 2e-3
+    assert bench.arm.travel_speed == 10e-3
+    assert bench.guard_limits.box[0][2] == pytest.approx(-4.7e-3)
+    plan = bench_of("tacpalm").trajectory
+    assert planned_depth(bench, plan) == pytest.approx(4.957e-3, abs=1e-6)
+
+
+def signal_record(t_ns: int, fresh_ns: int, change: float, motion: float) -> Any:
+    return np.array((t_ns, fresh_ns, change, motion), SIGNAL_LATEST)
+
+
+def wrench_record(t_ns: int, *force: float) -> Any:
+    return np.array((t_ns, 0, (*force, 0.0, 0.0, 0.0)), FORCE_LATEST)
+
+
+SIGNAL = SignalLimits(largest=100.0, stale=0.2, unit="px", contact=40.0)
+CRASH = CrashLimits(force=9.0, stale=0.1)
+S = SECOND_NS
+
+
+@pytest.mark.parametrize(
+    ("limits", "record", "mode", "kind", "text"),
+    [
+        (SIGNAL, signal_record(S, S, 0.0, 3.0), "guarded", None, ""),
+        (SIGNAL, None, "guarded", "stale_force", "no signal"),
+        (SIGNAL, signal_record(S - S // 4, S, 0, 0), "travel", "stale_force", "250 ms old"),
+        (SIGNAL, signal_record(S, S - S // 4, 0, 0), "guarded", "stale_force", "is it frozen"),
+        (SIGNAL, signal_record(S, S, 50.0, 3.0), "guarded", "force_soft", "contact with"),
+        (SIGNAL, signal_record(S, S, 50.0, 101.0), "guarded", "force_hard", "allowed: 100 px"),
+        (SIGNAL, signal_record(S, S, 0.0, math.nan), "guarded", "force_hard", "moved by nan"),
+        (SIGNAL, signal_record(S, 0, 99.0, 999.0), "retreat", None, ""),
+        (CRASH, wrench_record(S, 5.0, 5.0, 5.0), "guarded", None, ""),
+        (CRASH, wrench_record(S, 6.0, 6.0, 6.0), "travel", "force_hard", "10.4 N since the last"),
+        (CRASH, wrench_record(S, math.nan, 0.0, 0.0), "guarded", "force_hard", "nan N"),
+        (CRASH, wrench_record(S - S // 4, 0.0, 0.0, 0.0), "guarded", "stale_force", "250 ms"),
+        (CRASH, None, "guarded", "stale_force", "no wrench"),
+        (CRASH, wrench_record(S, 99.0, 0.0, 0.0), "retreat", None, ""),
+    ],
+)
+def test_guards_that_stand_in_stop_for_their_own_reason(
+    limits: Any, record: Any, mode: Any, kind: str | None, text: str
+) -> None:
+    found = limits.check(S, record, mode)
+    assert (None if found is None else found.kind) == kind
+    assert text in ("" if found is None else found.reason)
+
+
+def test_the_level_shows_contact_and_repeated_readings() -> None:
+    rng = np.random.default_rng(0)
+    level = SignalLevel(is_image=False)
+
+    def counts(pressed: float) -> np.ndarray:
+        found = rng.normal(1000.0, 2.0, (16, 3))
+        found[5, 2] -= pressed
+        return found.round()
+
+    for _ in range(16):
+        assert level.of(counts(0.0).astype(np.float32)).change == 0.0
+    level.zero()
+    rest = [level.of(counts(0.0).astype(np.float32)) for _ in range(50)]
+    assert max(each.change for each in rest) < no_gauge.CONTACT / 2
+    assert all(each.fresh for each in rest)
+    pressed = counts(500.0).astype(np.float32)
+    touched, again = level.of(pressed), level.of(pressed)
+    assert touched.change > no_gauge.CONTACT
+    assert touched.motion == pytest.approx(500.0, abs=10.0)
+    assert not again.fresh
+
+
+def ways(surface: float, delay: float) -> tuple[Way, Way]:
+    """Return a touch of a surface at a height [m] by a signal that is late by a length [m]."""
+    rng = np.random.default_rng(1)
+    z = np.linspace(0.6e-3, -0.2e-3, 50)
+
+    def signal(true: np.ndarray) -> np.ndarray:
+        return np.asarray(1e6 * np.maximum(surface - true, 0.0) + rng.normal(0.0, 1.0, 50))
+
+    return Way(z, signal(z + delay)), Way(z[::-1], signal(z[::-1] - delay))
+
+
+def test_the_delay_of_the_signal_cancels_between_in_and_out() -> None:
+    found = onset_of(*ways(0.1e-3, 0.05e-3))
+    assert found is not None
+    onset, delay = found
+    assert onset.z == pytest.approx(0.1e-3, abs=2e-6)
+    assert delay == pytest.approx(0.05e-3, abs=2e-6)
+    assert onset_of(*ways(-1.0e-3, 0.0)) is None
+
+
+def touches(*heights: float) -> Any:
+    """Return a surface touched twice at each point, at these heights [m]."""
+    places = [(0.0, 0.0), (-3e-3, 4e-3), (-3e-3, -4e-3), (3e-3, -4e-3), (3e-3, 4e-3)]
+    onset = Onset(0.0, (-1e-6, 1e-6), 1.0, 1.0, 0.0)
+    approaches = {
+        point: [(dataclasses.replace(onset, z=z + off), 0.0) for off in (-1e-6, 1e-6)]
+        for point, z in enumerate(heights, 1)
+    }
+    return surface_of(approaches, dict(enumerate(places, 1)))
+
+
+@pytest.mark.parametrize(
+    ("heights", "shift", "text"),
+    [
+        ((0.0, 0.0, 0.0, 0.0, 0.0), 1e-3, None),
+        ((0.0, 2e-4, 2e-4, -2e-4, -2e-4), 0.0, r"tilts by -3\.82 deg along x and \+0\.00 deg"),
+        ((0.0, 0.0, 0.0, 0.0, 0.0), 4.9e-3, r"\+4\.90 mm from where .*is another indenter"),
+    ],
+)
+def test_a_surface_that_is_uneven_or_elsewhere_is_refused(
+    heights: tuple[float, ...], shift: float, text: str | None
+) -> None:
+    found = touches(*heights)
+    assert found.surface.width < 20e-6
+    if text is None:
+        no_gauge.check_surface(found, shift)
+        return
+    with pytest.raises(SafetyStop, match=text):
+        no_gauge.check_surface(found, shift)
+
+
+@pytest.mark.parametrize(
+    ("date", "width", "text"),
+    [
+        (None, 0.0, "must be known for the indenter cylinder; measure it: tactile home"),
+        ("2020-01-01T00:00:00Z", 1e-5, "h ago; allowed without a gauge: 24 h"),
+        ("", 6e-5, r"known to 0\.060 mm; allowed without a gauge: 0\.050 mm"),
+        ("", 4e-5, None),
+    ],
+)
+def test_a_lab_bench_needs_a_fresh_and_narrow_surface(
+    date: str | None, width: float, text: str | None
+) -> None:
+    bench = bench_of("gelsight")
+    home = HomeCalibration(
+        date or now_utc(), "m", False, "", (0.0,) * 6, (0.0,) * 6, 0.0, (0.0, width), ()
+    )
+    calibration = Calibration(None if date is None else home, file="c.yaml")
+    if text is None:
+        no_gauge.check_home(bench, calibration, "tactile home")
+        return
+    with pytest.raises(ConfigError, match=text):
+        no_gauge.check_home(bench, calibration, "tactile home")
+
+
+def collect(*options: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "rig", "collect", *options],
+        cwd=ROOT,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def lab_bench(folder: Path, force: str) -> Path:
+    path = folder / "lab.yaml"
+    path.write_text(
+        f"extends: {BENCHES / 'gelsight.yaml'}\nmock: false\nworld: null\nsimulated: null\n"
+        f"force: {force}\ncamera: {{kind: opencv, address: /dev/video9, rate_hz: 30.0}}\n"
+        "arm: {host: 192.0.2.1}\n"
+    )
+    return path
+
+
+def test_no_single_word_takes_the_gauge_from_a_lab_bench(tmp_path: Path) -> None:
+    path = lab_bench(tmp_path, "{kind: netft, host: 192.0.2.2}")
+    found = collect("--bench", str(path), "--force", "none", "--out", str(tmp_path / "s.zarr"))
+    assert found.returncode == 2
+    assert "is a lab bench; allowed: a mock bench; a lab bench states `force: none`" in found.stderr
+
+
+def test_a_lab_bench_without_gauge_needs_a_terminal(tmp_path: Path) -> None:
+    path = lab_bench(tmp_path, "none")
+    found = collect("--bench", str(path), "--out", str(tmp_path / "s.zarr"))
+    assert found.returncode == 2
+    assert "no terminal to ask on" in found.stderr
+
+
+def test_the_emulated_wrist_has_bias_drift_and_a_wrong_gain() -> None:
+    wrists = [Wrist(seed, payload_error=0.5) for seed in range(40)]
+    gains = [wrist.gain for wrist in wrists]
+    assert 0.7 <= min(gains) < 0.75
+    assert 1.25 < max(gains) <= 1.3
+    force = np.array([0.0, 0.0, -10.0, 0.0, 0.0, 0.0])
+    early = np.mean([wrists[0].reported(force, 0.0) for _ in range(200)], axis=0)
+    rest = np.mean([wrists[0].reported(0 * force, 0.0) for _ in range(200)], axis=0)
+    late = np.mean([wrists[0].reported(0 * force, 100.0) for _ in range(200)], axis=0)
+    assert (early - rest)[2] == pytest.approx(-10 * gains[0], abs=0.05)
+    assert abs(rest[2] + 0.5 * 9.81) <= Wrist.BIAS + 0.1
+    assert np.abs(late - rest)[:3].max() > 0.1
+
+
+def test_a_wrong_bench_is_stopped_below_the_rating_and_named(tmp_path: Path) -> None:
+    """A longer indenter and a sensor that freezes in the search, on the simulated clock."""
+    bench = bench_of("uskin")
+    truth = Truth(bench.world, longer=5e-3, wrist=Wrist(3))  # type: ignore[arg-type]
+    clock = SimulatedBench(bench, truth, tmp_path)
+    with pytest.raises(SafetyStop, match=r"the surface is \+4\.9\d mm from where"):
+        no_gauge.find_surface(bench, {}, Stages(clock))
+    assert 0 < clock.largest < 0.1 * 24.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 16, 21, 27, 30])
+def test_wrong_benches_stay_below_the_rating(seed: int) -> None:
+    assert command.collected(seed).share < 1.0
