@@ -92,7 +92,7 @@ def check_before(
 
 
 def prepare(
-    options: argparse.Namespace, recorder: StageRecorder, calibration: Calibration, depth: float
+    options: argparse.Namespace, stages: StageRecorder, calibration: Calibration, depth: float
 ) -> Calibration:
     """Run the stages that must precede a collection, and return its calibration.
 
@@ -101,7 +101,7 @@ def prepare(
 
     Args:
         options: Options of the command.
-        recorder: Records a stage.
+        stages: Records a stage.
         calibration: Earlier calibration of the sensor.
         depth: Deepest indentation of the plan [m].
 
@@ -109,13 +109,13 @@ def prepare(
         StageStopped: A stage was stopped.
         SafetyStop, ConfigError, DeviceLost, SessionError, Interrupted: Nothing may be pressed.
     """
-    bench = recorder.bench
+    bench = stages.bench
     if bench.mock:
-        home = no_gauge.find_surface(bench, recorder.content, recorder)
+        home = no_gauge.find_surface(bench, stages.content, stages)
         calibration = dataclasses.replace(calibration, home=home, file="found in the same run")
-        no_gauge.press_in_steps(bench, calibration, depth, recorder, _show)
+        no_gauge.press_in_steps(bench, calibration, depth, stages, _show)
     elif not store.pressed_before(options.calibrations, bench, bench.indenter, depth):
-        made = no_gauge.press_in_steps(bench, calibration, depth, recorder, confirm)
+        made = no_gauge.press_in_steps(bench, calibration, depth, stages, confirm)
         store.store(options.calibrations, bench.sensor, first_press={bench.indenter: made})
     return calibration
 
