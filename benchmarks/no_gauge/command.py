@@ -55,7 +55,7 @@ class Outcome:
     """Message of the stop; empty if the plan was completed."""
 
     @property
-    def share(self) -> float:
+    def fraction(self) -> float:
         """Largest true force as a fraction of the rating."""
         return self.largest / self.rating
 
@@ -80,7 +80,7 @@ def run(options: argparse.Namespace) -> int:
         found.append(outcome)
         print(
             f"{seed:4d} {outcome.sensor:8} {outcome.fault:8} "
-            f"{'wrist' if outcome.wrist else '-':5} {100 * outcome.share:5.1f} %  "
+            f"{'wrist' if outcome.wrist else '-':5} {100 * outcome.fraction:5.1f} %  "
             f"{outcome.stage:11} {outcome.reason or 'completed'}",
             flush=True,
         )
@@ -88,7 +88,7 @@ def run(options: argparse.Namespace) -> int:
     print(text)
     if options.out is not None:
         options.out.write_text(text)
-    return int(any(outcome.share > 1 for outcome in found))
+    return int(any(outcome.fraction > 1 for outcome in found))
 
 
 def collected(seed: int) -> Outcome:
@@ -218,14 +218,14 @@ def name_of(reason: str) -> str:
 
 def page(found: list[Outcome]) -> str:
     """Return the summary as Markdown."""
-    worst = max(found, key=lambda each: each.share)
-    over = [each.seed for each in found if each.share > 1]
+    worst = max(found, key=lambda each: each.fraction)
+    over = [each.seed for each in found if each.fraction > 1]
     lines = [
         "# Wrong benches without a gauge",
         "",
         f"{len(found)} mock benches by `python -m benchmarks no-gauge --benches {len(found)} "
         f"--seed {found[0].seed}`, on a simulated clock. The true force exceeded the rating of the "
-        f"sensor on {len(over)} of them; the largest was {100 * worst.share:.0f} % of it (seed "
+        f"sensor on {len(over)} of them; the largest was {100 * worst.fraction:.0f} % of it (seed "
         f"{worst.seed}: {worst.sensor}, {worst.fault}).",
         "",
         "| fault | benches | largest force, % of rating | ended by |",
@@ -237,9 +237,9 @@ def page(found: list[Outcome]) -> str:
             continue
         ends = Counter(name_of(each.reason) for each in rows)
         text = ", ".join(f"{name} {count}" for name, count in ends.most_common())
-        largest = 100 * max(each.share for each in rows)
+        largest = 100 * max(each.fraction for each in rows)
         lines.append(f"| {fault} | {len(rows)} | {largest:.0f} | {text} |")
-    without = [each.share for each in found if not each.wrist]
+    without = [each.fraction for each in found if not each.wrist]
     if without:
         lines += [
             "",

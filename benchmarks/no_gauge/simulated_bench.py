@@ -50,7 +50,7 @@ _REDUCED_NOISE = 0.25
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """How the bench really is; the bench file does not know it."""
+    """True state of the bench, which its file does not know."""
 
     world: AnalyticSpec
     """Sensor and indenter."""
@@ -397,11 +397,8 @@ class Recorded:
         self, clock: SimulatedBench, bench: Bench, segments: _Table, since: tuple[int, int]
     ) -> None:
         rows = segments.rows
-        self.segments = (
-            {name: np.array([row[name] for row in rows]) for name in rows[0]}
-            if rows
-            else {"outcome": []}
-        )
+        names = rows[0] if rows else ("target", "phase", "outcome")
+        self.segments = {name: np.array([row[name] for row in rows]) for name in names}
         self.attrs = {"contact_frame": list(bench.contact_frame)}
         signal = bench.signal
         self.signal = None if signal is None else signal.name

@@ -48,11 +48,11 @@ class Weight:
     """World whose force on the sensor is set by the test."""
 
     def __init__(self) -> None:
-        self.newtons = 0.0
+        self.force = 0.0
 
     def state(self) -> tuple[int, np.void]:
         state = np.zeros(1, WORLD_STATE)[0]
-        state["wrench"][2] = -self.newtons
+        state["wrench"][2] = -self.force
         return 1, state
 
 
@@ -67,7 +67,7 @@ def test_every_protocol_weighs_a_press_as_negative_fz(
         protocol, str(tmp_path / "scale"), rate_hz=50.0, counts_per_n=counts, settle=0.1
     )
     world = Weight()
-    world.newtons = 2.0
+    world.force = 2.0
     emulator = ScaleEmulator(ScaleEmulatorConfig(device=config, lag=0.02), world, clock)
     emulator.start()
     driver = ScaleDriver(config, clock)
