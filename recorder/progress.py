@@ -216,7 +216,9 @@ class ItemProgress(Progress):
     def _head(self) -> str:
         text = f"{self._done:,} of {self._total:,} {self.name}"
         rate = self._rate()
-        return f"{text}, {rate:.0f} a second" if rate else text
+        if not rate:
+            return text
+        return f"{text}, {rate:.0f} a second" if rate >= 1 else f"{text}, {1 / rate:.0f} s each"
 
     def _left(self) -> str:
         rate = self._rate()

@@ -413,8 +413,8 @@ def _wanted(
     archive: MarkerArchive, gathered: Gathered, pairs: Sequence[tuple[str, str]] | None
 ) -> list[tuple[str, str]]:
     how = (
-        "; allowed: force-depth rows in the archive (location -1, phases normal_inc and "
-        "normal_dec), --session or --coefficients"
+        "; allowed: an archive with a force-depth session of each sensor (tactile force-depth), "
+        "--session or --coefficients"
     )
     if pairs is None:
         if len(gathered.priors) < 2:

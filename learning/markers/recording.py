@@ -230,7 +230,11 @@ def _once(session: Session) -> tuple[Integers, Integers, list[str]]:
             )
         best[of] = press.astype(np.int64)
     presses = [best[of] for of in sorted(best)]
-    missing = [of for of, press in best.items() if len(np.unique(phase[press])) < len(PHASES)]
+    # A force-depth press has no shear.
+    plan = session.attrs.get("plan")
+    straight = isinstance(plan, dict) and plan.get("kind") == "force_depth"
+    expected = 2 if straight else len(PHASES)
+    missing = [of for of, press in best.items() if len(np.unique(phase[press])) < expected]
     if missing:
         omitted.append(f"{len(missing)} targets lack a phase, first {min(missing)}; they are kept")
     unpressed = len(session.targets["point"]) - len(best)

@@ -301,5 +301,5 @@ def extra_of(library: str, wanted: str) -> str:
 INTERRUPTED = {
     "rig": "nothing was recorded",
     "sim": "nothing was written",
-    "learning": "repeat the command to continue an archive",
+    "learning": "repeat the command; an archive or an experiment is continued",
 }

@@ -318,7 +318,7 @@ def test_an_archive_without_force_depth_presses_is_refused(
         path, indenters=("prism",), unseen=(), targets=1, frames_per_phase=1, displacement=False
     )
     assert main(["compensate", str(path), "--out", str(tmp_path / "c.json")]) == 2
-    assert "location -1" in capsys.readouterr().err
+    assert "a force-depth session of each sensor" in capsys.readouterr().err
 
 
 def test_another_file_is_never_overwritten_and_a_damaged_one_is_named(

@@ -140,7 +140,7 @@ def test_items_can_be_counted_again(clock: Clock) -> None:
     assert stream.getvalue() == ""
     clock.now += 10
     progress(5, 10)
-    assert stream.getvalue() == "5 of 10 frames, 0 a second, 10 s left\n"
+    assert stream.getvalue() == "5 of 10 frames, 2 s each, 10 s left\n"
 
 
 def test_ctrl_c_leaves_a_clean_terminal_and_standard_output() -> None:
