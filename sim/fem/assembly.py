@@ -35,6 +35,7 @@ from sim.fem.vectors import (
     residual_kernel,
     work_kernel,
 )
+from sim.fem.volume import VolumePressure, split_factor
 from sim.indenters.device import PartTable
 from sim.scalars import PRECISIONS, matrix_of, numpy_of, vector_of
 from sim.scene import Scene
@@ -150,11 +151,17 @@ class SolverState:
         self._coefficient = self._array(assembly.coefficients, real)
 
         self._branches = Branches(real, scenes, elements, device) if "viscosity" in on else None
+        self.volume = None
+        """Split pressure of nearly incompressible bodies, if any."""
+        if assembly.split:
+            poisson = np.array([scene.body.poisson for scene in scenes])
+            self.volume = VolumePressure(real, poisson, elements, device)
+        bulk = self._branches.bulk_history if self._branches else zeros(none2, real)
         self.viscous = (
             wp.ones(count, dtype=real, device=device),
-            wp.ones(count, dtype=real, device=device),
+            self.volume.factor if self.volume else wp.ones(count, dtype=real, device=device),
             self._branches.history if self._branches else zeros(none3, mat33),
-            self._branches.bulk_history if self._branches else zeros(none2, real),
+            self.volume.rest if self.volume else bulk,
         )
         """Factors on stress and pressure (B,), and their histories: inputs of element kernels."""
 
@@ -223,6 +230,8 @@ class SolverState:
             array.assign(found.astype(numpy_of(self._real)))
         copy_active(self.everyone, self.u_old, self.u)
         copy_active(self.everyone, self._multiplier_old, self.multiplier)
+        if self.volume is not None:
+            self.volume.roll_back(self.everyone)
         self._duration_old[:] = history["duration"]
         self.start(history["tip"])
 
@@ -237,6 +246,8 @@ class SolverState:
         }
         if self._branches is not None:
             named |= self._branches.state
+        if self.volume is not None:
+            named["rest_pressure"] = self.volume.rest_old
         return {
             name: (array, int(name.endswith("branch")))
             for name, array in named.items()
@@ -285,6 +296,8 @@ class SolverState:
         nodes over it, with constant acceleration.
         """
         active = self._mask(chosen)
+        if self.volume is not None:
+            self.volume.put_within(active, fraction)
         self._remember(active, np.where(chosen, fraction, 1.0) * duration)
         if "inertia" in self._effects:
             self._foresee(active, duration)
@@ -323,6 +336,8 @@ class SolverState:
     def rollback_step(self, active) -> None:
         """Roll back the changes of the step; `begin_step` resets the rest."""
         copy_active(active, self._multiplier_old, self.multiplier)
+        if self.volume is not None:
+            self.volume.roll_back(active)
 
     def settle_limit(self, active) -> None:
         """Set the limit of friction to the pressure of the last evaluated state."""
@@ -343,6 +358,8 @@ class SolverState:
         copy_active(active, self.u, self.u_old)
         copy_active(active, self.pressure, self.multiplier)
         copy_active(active, self.pressure, self._multiplier_old)
+        if self.volume is not None:
+            self.volume.accept(active)
         if "friction" in self._effects:
             copy_active(active, self.traction, self.traction_old)
         self.tip_before[chosen] = self._tip_after[chosen]
@@ -365,6 +382,12 @@ def _inverses(meshes: Sequence[Mesh]) -> list[np.ndarray]:
     """
     boxes = all(mesh.inverse.strides[1] == 0 for mesh in meshes)
     return [mesh.inverse[:, :1] if boxes else mesh.inverse for mesh in meshes]
+
+
+def is_split(scenes: Sequence[Scene]) -> bool:
+    """True if the pressure of one of the bodies is split; one with viscosity has its history."""
+    viscous = "viscosity" in scenes[0].effects.key
+    return not viscous and min(split_factor(scene.body.poisson) for scene in scenes) < 1.0
 
 
 class Assembly:
@@ -396,7 +419,10 @@ class Assembly:
         shape, rule = face_rule(numerics.contact_points)
         self.points = len(rule)
 
-        self._element = element_kernels(real, "viscosity" in self.effects)
+        poisson = np.array([scene.body.poisson for scene in scenes])
+        self.split = is_split(scenes)
+        """True if the pressure of the elements is split (`sim.fem.volume`)."""
+        self._element = element_kernels(real, "viscosity" in self.effects, self.split)
         self._residual = residual_kernel(real, "inertia" in self.effects, "gravity" in self.effects)
 
         self._elements = self._array(mesh.elements, wp.int32)
@@ -454,15 +480,15 @@ class Assembly:
         """Sums over the last evaluated state."""
         self.residual = wp.zeros((environments, count), dtype=vec3, device=device)
         """Out-of-balance force of the last evaluated state (B, N) [E T^2]."""
-        poisson = max(scene.body.poisson for scene in scenes)
         self.block_matrix = BlockMatrix(
             mesh,
             real,
             environments,
             device,
             viscous="viscosity" in self.effects,
+            split=self.split,
             # Short steps make inertia stiff without a bound, and the range of float16 is bounded.
-            half=False if "inertia" in self.effects or poisson > HALF_POISSON else None,
+            half=False if "inertia" in self.effects or poisson.max() > HALF_POISSON else None,
         )
         """Tangent of the last linearised state."""
         self.preconditioner = Multigrid(
@@ -675,6 +701,13 @@ class Assembly:
             renew,
         )
         self.preconditioner.factor(active, self.block_matrix.matrix)
+
+    def settle_volume(self, active, direction) -> Sums:
+        """Let the split pressure follow the current state, and evaluate again; see `evaluate`."""
+        state = self.state
+        mesh = (self._elements, self._inverse, self._weight, self._variant)
+        state.volume.settle(mesh, self._bulk, active, state.u)
+        return self.evaluate(active, state.u, direction)
 
     def accept(self, chosen: np.ndarray, duration: np.ndarray) -> None:
         """Make the current state of the chosen environments (B,) the start of their next step."""

@@ -201,10 +201,11 @@ def kinematics(real):
 
 
 @functools.cache
-def element_kernels(real, viscous: bool):
+def element_kernels(real, viscous: bool, split: bool = False):
     """Return the kernel of the forces for one precision and combination of effects.
 
-    `viscous` compiles the Prony history in; without it none of that code is compiled.
+    `viscous` compiles the Prony history in, `split` that of the pressure alone (`sim.fem.volume`);
+    without them none of that code is compiled.
     """
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
@@ -257,7 +258,7 @@ def element_kernels(real, viscous: bool):
             * bulk[env]
             * (half * theta * (two + theta) - wp.log(wp.max(one + theta, real(1.0e-30))))
         )
-        if wp.static(viscous):
+        if wp.static(viscous or split):
             pressure = bulk_factor[env] * pressure + bulk_history[env, e]
         f1 = vec3()
         f2 = vec3()
@@ -313,10 +314,10 @@ def element_kernels(real, viscous: bool):
 
 
 @functools.cache
-def tangent_functions(real, viscous: bool):
+def tangent_functions(real, viscous: bool, split: bool = False):
     """Return `of_mean` and `at_point`, shared by the two kernels that assemble tangents.
 
-    `viscous` as in `element_kernels`.
+    `viscous` and `split` as in `element_kernels`.
     """
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
@@ -350,7 +351,7 @@ def tangent_functions(real, viscous: bool):
         )
         pressure = pressure_of(bulk[env], theta)
         stiffness = half * bulk[env] * (one + one / ((one + theta) * (one + theta)))
-        if wp.static(viscous):
+        if wp.static(viscous or split):
             pressure = bulk_factor[env] * pressure + bulk_history[env, e]
             stiffness = bulk_factor[env] * stiffness
         return pressure, stiffness / volume
@@ -404,7 +405,7 @@ def tangent_functions(real, viscous: bool):
 
 
 @functools.cache
-def element_blocks_kernel(real, viscous: bool):
+def element_blocks_kernel(real, viscous: bool, split: bool = False):
     """Return the kernel that adds elements' tangents to the stencils.
 
     No two elements of a launch may share a node. On the CPU, where threads run one after the other,
@@ -415,7 +416,7 @@ def element_blocks_kernel(real, viscous: bool):
     modes_of, _scatter = mode_functions(real)
     column = column_function(real)
     strain = kinematics(real)[0]
-    of_mean, at_point = tangent_functions(real, viscous)
+    of_mean, at_point = tangent_functions(real, viscous, split)
     eighth, abscissa = real(0.125), real(0.5773502691896258)
 
     @wp.func
@@ -624,7 +625,7 @@ def element_blocks_kernel(real, viscous: bool):
 
 
 @functools.cache
-def element_rows_kernel(real, viscous: bool):
+def element_rows_kernel(real, viscous: bool, split: bool = False):
     """Return the kernel that adds tangents by rows; no two elements of a launch share a node."""
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
@@ -632,7 +633,7 @@ def element_rows_kernel(real, viscous: bool):
     column = column_function(real)
     blocks_of = nodal_function(real, mat33)
     strain = kinematics(real)[0]
-    of_mean, at_point = tangent_functions(real, viscous)
+    of_mean, at_point = tangent_functions(real, viscous, split)
     half = real(0.5)
     near, far = real(0.5 + 0.5 / 3.0**0.5), real(0.5 - 0.5 / 3.0**0.5)
 

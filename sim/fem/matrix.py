@@ -290,6 +290,7 @@ class BlockMatrix:
         device: str,
         *,
         viscous: bool = False,
+        split: bool = False,
         parallel: bool | None = None,
         half: bool | None = None,
         keep: bool | None = None,
@@ -302,6 +303,7 @@ class BlockMatrix:
             environments: Number of environments, B.
             device: Device of the matrix.
             viscous: True if stresses have a history.
+            split: True if pressures have one (`sim.fem.volume`).
             parallel: Assemble by colour with one row of an element per thread, and store the matrix
                 with node numbers running fastest; by default only on a GPU.
             half: Let products read a copy of the matrix in float16, 486 bytes more; unsuitable
@@ -314,7 +316,7 @@ class BlockMatrix:
         self._device = device
         self._parallel = wp.get_device(device).is_cuda if parallel is None else parallel
         kernel = element_rows_kernel if self._parallel else element_blocks_kernel
-        self._elements_kernel = kernel(real, viscous)
+        self._elements_kernel = kernel(real, viscous, split)
         self._environments, self._nodes = environments, count
         self._on_gpu = wp.get_device(device).is_cuda
         if half is None:

@@ -220,14 +220,22 @@ class Newton:
             active = self.mask(chosen)
             state.settle_limit(active)
             assembly.evaluate_contact(active, state.u, self._cg.solution)
+        is_valid, balanced = self._balance(chosen)
+        if assembly.split and balanced.any():
+            assembly.settle_volume(self.mask(balanced), self._cg.solution)
+            balanced = self._balance(balanced)[1]
+        good = assembly.sums.det > assembly.numerics.det_floor
+        self.converged |= balanced & good
+        self.failed |= (chosen & ~is_valid) | (balanced & ~good)
+
+    def _balance(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Set the residual of the chosen (B,); return which are valid, and which balanced too."""
+        assembly = self._assembly
         sums = assembly.sums
         force = np.maximum(np.sqrt(sums.applied), assembly.min_force_scale)
         self.residual[chosen] = (np.sqrt(sums.square) / force)[chosen]
         is_valid = np.isfinite(self.residual) & (sums.det > DET_TRIAL)
-        balanced = chosen & is_valid & (self.residual <= self._tolerance)
-        good = sums.det > assembly.numerics.det_floor
-        self.converged |= balanced & good
-        self.failed |= (chosen & ~is_valid) | (balanced & ~good)
+        return is_valid, chosen & is_valid & (self.residual <= self._tolerance)
 
     def _search(self, active, running, predicting, slope) -> tuple[np.ndarray, np.ndarray]:
         """Search along the direction; return success (B,) and step length (B,).

@@ -23,7 +23,7 @@ from scipy.spatial import KDTree
 from sim.contact_size import touched_by, width_of
 from sim.device import check_device
 from sim.errors import SimulationDiverged
-from sim.fem.assembly import Assembly
+from sim.fem.assembly import Assembly, is_split
 from sim.fem.mesh import Mesh, meshes_of
 from sim.fem.newton import ROUNDING, Newton, Path, path_of
 from sim.fem.numerics import Fem, Precision
@@ -839,7 +839,7 @@ def _batches(
     """Group scenes into batches of the same mesh topology and kernels, limited in size."""
     alike: dict[tuple, list[int]] = {}
     for index, (scene, mesh) in enumerate(zip(scenes, meshes, strict=True)):
-        kernels = scene.effects.key, traits_of([scene.indenter])
+        kernels = scene.effects.key, traits_of([scene.indenter]), is_split([scene])
         key = scene.body.thickness, mesh.cells, kernels, _penalty(scene, mesh, numerics)
         alike.setdefault(key, []).append(index)
     most = ELEMENTS_SIDE_BY_SIDE["cuda" if wp.get_device(device).is_cuda else "cpu"]
@@ -892,7 +892,7 @@ def _first_precision(scenes: Sequence[Scene], numerics: Fem) -> tuple[str, str]:
     if numerics.precision != "auto":
         return numerics.precision, "requested"
     poisson = max(scene.body.poisson for scene in scenes)
-    if poisson > POISSON_FLOAT32:
+    if poisson > POISSON_FLOAT32 and not is_split(scenes):
         return "float64", (
             f"Poisson's ratio {poisson:g} is above {POISSON_FLOAT32:g}, where float32 seldom "
             "reaches the tolerance"

@@ -1,0 +1,42 @@
+"""Nearly incompressible bodies, whose pressure is split for the solve."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sim import Body, Effects, Friction, Scene, press_shear_return, simulate
+from sim.fem import volume
+from sim.fem.assembly import is_split
+from sim.fem.numerics import Fem
+from sim.indenters import sphere
+from sim.result import Result
+
+MOTION = press_shear_return(0.4e-3, 0.2e-3, steps=1)
+NUMERICS = Fem(spacing=4e-3 / 3, precision="float64", tolerance=1e-4, path_tolerance=1e-4)
+
+
+def _solved(poisson: float, friction: float | None) -> Result:
+    body = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3, poisson=poisson)
+    effects = Effects(friction=None if friction is None else Friction(friction))
+    return simulate(Scene(sphere(3e-3), MOTION, body, effects), NUMERICS)
+
+
+@pytest.mark.parametrize(("poisson", "friction"), [(0.4999, None), (0.499, 0.5)])
+def test_a_split_pressure_gives_the_forces_of_the_whole_one(
+    monkeypatch: pytest.MonkeyPatch, poisson: float, friction: float | None
+) -> None:
+    split = _solved(poisson, friction)
+    monkeypatch.setattr(volume, "SPLIT_ABOVE", 0.5)
+    whole = _solved(poisson, friction)
+    largest = np.abs(whole.wrench[:, :3]).max()
+    assert split.wrench[:, :3] == pytest.approx(whole.wrench[:, :3], abs=5e-4 * largest)
+    assert np.abs(split.surface - whole.surface).max() < 5e-4 * np.abs(whole.surface).max()
+    assert split.quality.balance.max() < 1e-3
+    assert abs(split.quality.energy_gap[2]) < abs(whole.quality.energy_gap[2]) + 5e-3
+
+
+def test_only_nearly_incompressible_bodies_are_split() -> None:
+    for poisson, split in ((0.49, False), (0.495, False), (0.499, True)):
+        assert is_split([Scene(sphere(3e-3), MOTION, Body(poisson=poisson))]) == split
+        assert (volume.split_factor(poisson) < 1.0) == split
