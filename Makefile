@@ -15,6 +15,7 @@ BENCHARG := $(if $(BENCH),--bench $(BENCH)) $(if $(BENCH),$(if $(filter SENSOR,$
 SOURCES  := $(if $(CAMERA),--camera $(CAMERA)) $(if $(STILL),--still) $(if $(TAXELS),--taxels $(TAXELS))
 WATCHARG := $(if $(WATCH),--watch $(filter-out 1,$(WATCH))) $(if $(WATCHHOST),--watch-host $(WATCHHOST))
 DEMO     := examples/demo-learning
+BARE     := examples/demo-transfer
 LAUNCH   := $(if $(GPUS),$(VENV)/bin/torchrun --nproc-per-node $(GPUS),$(PY))
 PIP      := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e
 
@@ -48,7 +49,7 @@ $(error wrong input: $(REFUSED))
 endif
 endif
 
-.PHONY: help accuracy speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip preview compare mock replay check-session split train-field train-autoencoder train-direct train-marker-vae train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning learning-tables learning-ablations learning-on-gpus live endurance faults bench-recorder test golden test-all check format reference setup clean
+.PHONY: help accuracy speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip preview compare mock replay check-session split train-field train-autoencoder train-direct train-marker-vae train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning transfer calibrate-force demo-transfer learning-tables learning-ablations learning-on-gpus live endurance faults bench-recorder test golden test-all check format reference setup clean
 
 # Above a target: `##@` starts a group of the list, `#:` gives the options of the target.
 help:
@@ -182,6 +183,23 @@ experiment: $(VENV)/.learning  ## Translate, train, compensate and evaluate all 
 demo-learning: $(VENV)/.demo  ## Run three simulated sensors from press to report on two cores (10 minutes)
 	@$(PY) -m sim archive sensors --sensors $(DEMO)/array-hard.yaml,$(DEMO)/circle.yaml,$(DEMO)/diamond-soft.yaml --tier layer --scale 0.025 --steps 4 --no-check --out $(or $(OUT),runs/demo-learning)/demo.markers.zarr
 	@$(PY) -m learning experiment $(or $(OUT),runs/demo-learning)/demo.markers.zarr --out $(or $(OUT),runs/demo-learning) --preset demo --pairs array-hard:circle,array-hard:diamond-soft
+
+#: SOURCE=a.markers.zarr:a TARGET=b.markers.zarr:b OUT=runs/x [ARGS="--priors session.zarr"]
+transfer: $(VENV)/.learning  ## Train a force model of a sensor without a gauge, with error bars
+	@$(PY) -m learning transfer --source $(SOURCE) --target $(TARGET) --out $(OUT) $(ARGS)
+
+#: MODEL=runs/x/model WEIGHTS=50g,100g,200g HOLDS=holds.csv OUT=runs/x/weighed [ARGS="--carrier 20g"]
+calibrate-force: $(VENV)/.learning  ## Set the scale of such a model by weights laid on the sensor
+	@$(PY) -m learning calibrate-force $(MODEL) --weights $(WEIGHTS) --holds $(HOLDS) --out $(OUT) $(ARGS)
+
+#: [OUT=runs/demo-transfer]
+demo-transfer: RUN = $(or $(OUT),runs/demo-transfer)
+demo-transfer: $(VENV)/.demo  ## Forces on a simulated sensor without a gauge, and a weight, on two cores (10 minutes)
+	@for name in gauge bare; do $(PY) -m sim archive sensors --sensors $(BARE)/$$name.yaml --tier layer --scale 0.025 --steps 4 --no-check --out $(RUN)/$$name.markers.zarr || exit; done
+	@$(PY) -m learning transfer --source $(RUN)/gauge.markers.zarr:gauge --target $(RUN)/bare.markers.zarr:bare --out $(RUN)
+	@rm -rf $(RUN)/weighed
+	@$(PY) -m learning calibrate-force $(RUN)/model $$($(PY) $(BARE)/weigh.py $(RUN)/bare.markers.zarr:bare 50,200,400) --out $(RUN)/weighed
+	@$(PY) -m learning score-transfer $(RUN)/weighed $(RUN)/bare.markers.zarr:bare
 
 ##@ Measure (pages are in docs/results/)
 

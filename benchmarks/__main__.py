@@ -57,6 +57,10 @@ BENCHMARKS = {
         "diffusion at the paper's size, on a GPU",
     ),
     "learning-tables": ("benchmarks.learning.tables.command", "the paper's tables"),
+    "transfer-skins": (
+        "benchmarks.learning.skins.command",
+        "coverage of intervals over skins of random modulus",
+    ),
     "learning-on-gpus": (
         "benchmarks.learning.tables.on_gpus",
         "all tables and ablations, on all GPUs",

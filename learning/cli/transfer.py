@@ -31,6 +31,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             help=f"{text}, X.markers.zarr",
         )
     parser.add_argument(
+        "--source-model",
+        type=Path,
+        metavar="MODEL",
+        help="use this force model of the source, such as one of `import-force-weights`, in place "
+        "of training one; it has seen all indenters that it was trained on elsewhere",
+    )
+    parser.add_argument(
         "--priors",
         type=Path,
         nargs="+",
@@ -96,6 +103,7 @@ def run(options: argparse.Namespace) -> int:
         target=sensors[1],
         out=options.out,
         settings=read_settings(ExperimentSettings, PRESETS, options.preset, options.set),
+        source_model=options.source_model,
         priors=tuple(options.priors),
         labels=options.labels,
         ratio=options.force_ratio,

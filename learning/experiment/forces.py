@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -109,6 +110,25 @@ class Forces:
             KeyboardInterrupt: A training was stopped between two steps.
         """
         return self._predicted(Pair(sensor, sensor), TARGET)
+
+    def adopt(self, sensor: str, model: ForceModel) -> None:
+        """Store a model as that of a sensor, in place of training one.
+
+        Raises:
+            LearningError: The experiment's model of the sensor is another.
+        """
+        name = f"force-{sensor}"
+        with self._open(name, self._settings(), sensor) as run:
+            if not run.finished:
+                run.finish(0, {"model": model})
+                return
+        own = load_force_model(self.places.model(name)).state_dict()
+        same = all(torch.equal(own[key], each) for key, each in model.state_dict().items())
+        if not same:
+            raise LearningError(
+                f"{self.places.model(name)}: found another model of {sensor}; allowed: the same, "
+                "or another folder"
+            )
 
     def untranslated(self, pair: Pair) -> Predictions:
         """Return predictions on the target by the source's model.
@@ -339,6 +359,30 @@ class Forces:
     def _file(self, pair: Pair, method: str, translator: str) -> Path:
         parts = [f"{pair.source}-to-{pair.target}", method, translator, "npz"]
         return self.places.predictions / ".".join(part for part in parts if part)
+
+
+def adopt_model(
+    folder: Path,
+    archive: MarkerArchive,
+    sensor: str,
+    split: Split,
+    settings: ExperimentSettings,
+    places: Places,
+    device: str,
+) -> ExperimentSettings:
+    """Take a finished force model as that of a sensor; return settings with its network.
+
+    Raises:
+        LearningError: The folder holds no force model of images, or the experiment has another.
+    """
+    found = load_force_model(folder)
+    keys = [("network", asdict(found.network)), ("input", asdict(found.inputs))]
+    changed = [f"{key}.{name}={json.dumps(v)}" for key, each in keys for name, v in each.items()]
+    force = replace(settings.force, set=(*settings.force.set, *changed))
+    settings = replace(settings, force=force)
+    forces = Forces(archive, split, settings, places, torch.device(device), 1, lambda line: None)
+    forces.adopt(sensor, found)
+    return settings
 
 
 def _labels(

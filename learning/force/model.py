@@ -9,6 +9,7 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -105,6 +106,9 @@ class NetworkSettings:
     """Channels of the two residual blocks after it, each of which halves the side."""
     encoder_norm: Literal["instance", "batch", "group", "none"] = "instance"
     tail_norm: Literal["batch", "group", "none"] = "batch"
+    tail_block: Literal["resnet", "raft"] = "resnet"
+    """Residual blocks of the tail: as in ResNet-18, or as in the encoder (authors' code), which
+    have biases and a ReLU at the end of their branch."""
     dropout: float = 0.0
     """Fraction of the encoder's channels dropped during training."""
 
@@ -268,9 +272,10 @@ class ForceModel(nn.Module):
         self.encoder = encoder(network, inputs)
         self.memory = ConvGru(network.encoder[-1], network.memory)
         middle, last = network.tail
+        block = partial(EncoderBlock, stride=2) if network.tail_block == "raft" else TailBlock
         self.tail = nn.Sequential(
-            TailBlock(network.memory, middle, kind=network.tail_norm),
-            TailBlock(middle, last, kind=network.tail_norm),
+            block(network.memory, middle, kind=network.tail_norm),
+            block(middle, last, kind=network.tail_norm),
             nn.AdaptiveAvgPool2d(1),
             nn.Flatten(),
         )

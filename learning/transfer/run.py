@@ -14,6 +14,7 @@ from learning.compensation.fit import Curves, gather_priors, read_stored
 from learning.data.matching import Chosen, Tolerances
 from learning.errors import LearningError
 from learning.evaluation.predictions import CHOICES, after, read_predictions
+from learning.experiment.forces import adopt_model
 from learning.experiment.models import Places, run_command
 from learning.experiment.running import run_experiment
 from learning.experiment.settings import ExperimentSettings
@@ -53,6 +54,8 @@ class Request:
     out: Path
     """Folder of the run."""
     settings: ExperimentSettings
+    source_model: Path | None = None
+    """Force model of the source; None: one is trained."""
     priors: tuple[Path, ...] = ()
     """Force references of the target: sessions of `force-depth`, a folder of published
     coefficients, or the target's own archive."""
@@ -114,6 +117,10 @@ def run_transfer(asked: Request, say: Say = print) -> Card:
     curved = _compensated(asked, archive, places, say)
     kinds = asked.settings.compensation if curved else ()
     settings = replace(asked.settings, compensation=kinds)
+    if asked.source_model is not None:
+        settings = adopt_model(
+            asked.source_model, archive, source, split, settings, places, asked.device
+        )
     if not curved:
         _require_as_deep(asked, archive)
     run_experiment(

@@ -70,11 +70,26 @@ class Score:
         )
 
 
-def score(model_folder: Path, truth: Chosen) -> Score:
-    """Return errors and coverage on indenters that the model neither saw nor was calibrated on.
+@dataclass(frozen=True, slots=True, eq=False)
+class NewFrames:
+    """Frames of indenters that a model neither saw nor was calibrated on."""
+
+    predicted: Floats
+    """Predicted forces (n, 3) [N]."""
+    true: Floats
+    """Labels (n, 3) [N]."""
+    motion_px: Floats
+    """Mean motion of the markers' edges (n,) [px]."""
+    indenters: tuple[str, ...]
+    intervals: Intervals
+    """Intervals of the model."""
+
+
+def new_frames(model_folder: Path, truth: Chosen) -> NewFrames:
+    """Predict the frames of an archive that are new to a model.
 
     Raises:
-        LearningError: The model has no card, or the archive has no such labelled frame.
+        LearningError: The model has no card or intervals, or the archive has no such frame.
         SessionError: The archive is corrupt.
     """
     intervals = read_intervals(model_folder)
@@ -94,14 +109,24 @@ def score(model_folder: Path, truth: Chosen) -> Score:
         )
     presses = presses_of_rows(sensor, rows, model)
     rows = presses.rows.numpy()
-    true = np.asarray(sensor.table["wrench"][rows, :3], np.float64)
-    return score_of(
+    return NewFrames(
         model.predict(presses),
-        true,
-        intervals,
+        np.asarray(sensor.table["wrench"][rows, :3], np.float64),
         motions(sensor, rows),
-        tuple(np.unique(names[rows])),
+        tuple(np.unique(names[rows]).tolist()),
+        intervals,
     )
+
+
+def score(model_folder: Path, truth: Chosen) -> Score:
+    """Return errors and coverage on indenters that the model neither saw nor was calibrated on.
+
+    Raises:
+        LearningError: The model has no card, or the archive has no such labelled frame.
+        SessionError: The archive is corrupt.
+    """
+    new = new_frames(model_folder, truth)
+    return score_of(new.predicted, new.true, new.intervals, new.motion_px, new.indenters)
 
 
 def score_of(

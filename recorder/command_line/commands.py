@@ -223,6 +223,11 @@ LEARN = (
         "convert the authors' published checkpoints",
         extra="diffusion",
     ),
+    Command(
+        "import-force-weights",
+        "learning.cli.import_force_weights",
+        "convert the authors' published force models",
+    ),
     Command("export-onnx", "learning.cli.export_onnx", "write one step of a force model as ONNX"),
 )
 LAB = (

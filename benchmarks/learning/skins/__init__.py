@@ -1,0 +1,1 @@
+"""Coverage of the intervals of a transferred model, over skins of random modulus."""

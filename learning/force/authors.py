@@ -1,0 +1,141 @@
+"""Import of the authors' force models, with tensors renamed to the names used here.
+
+Their `epoch_N.pth` holds the state of one network and nothing else. Its tail has the encoder's
+residual blocks (`tail_block: raft`), with biases and batch norms; its three gates are separate
+convolutions, two of which are one here. The file contains only tensors, so no code in it is run.
+"""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Mapping
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from learning.config import read_settings
+from learning.data.presses import AUTHORS
+from learning.errors import LearningError
+from learning.force.model import KIND, ForceModel, NetworkSettings
+from learning.force.train import PRESETS, ForceSettings
+from learning.training.checkpoint import load_weights, weights_hash
+from learning.training.run import RunFolder
+
+# Our names of their parts; a block's convolutions and norms are renamed by `_BLOCK`.
+_PARTS = {
+    "base_network.conv1.": "encoder.0.",
+    "base_network.conv2.": "encoder.9.",
+    "convgru.layers.0.convq.": "memory.candidate.",
+    "reg_layer.0.": "head.",
+}
+_BLOCKS = {
+    **{
+        f"base_network.layer{stage + 1}.{block}.": f"encoder.{3 + 2 * stage + block}."
+        for stage in range(3)
+        for block in range(2)
+    },
+    "post_processing.0.": "tail.0.",
+    "post_processing.1.": "tail.1.",
+}
+_BLOCK = {
+    "conv1.": "branch.0.",
+    "norm1.": "branch.1.",
+    "conv2.": "branch.3.",
+    "norm2.": "branch.4.",
+    "downsample.0.": "skip.0.",
+    "downsample.1.": "skip.1.",
+}
+_GATES = tuple(f"convgru.layers.0.{name}." for name in ("convz", "convr"))
+
+
+def import_force_weights(file: Path, out: Path, *, marker_value: float = 1.0) -> ForceModel:
+    """Write a run folder with one of the authors' force models, and return it.
+
+    Args:
+        file: Their `.pth` file.
+        out: Folder to write.
+        marker_value: Value of a marker in their training images: 1, or 1/255 in their code for
+            homogeneous and material sensors.
+
+    Raises:
+        LearningError: The file is missing or no such model, or another run is in the folder.
+    """
+    tensors = _read(file)
+    network = _network(file, tensors)
+    changes = [f"input.marker_value={marker_value!r}", 'network.tail_block="raft"']
+    for name in ("encoder", "memory", "tail"):
+        value = getattr(network, name)
+        changes.append(f"network.{name}={list(value) if isinstance(value, tuple) else value}")
+    settings = read_settings(ForceSettings, PRESETS, "authors_code", changes)
+    model = ForceModel(settings.network, settings.input)
+    model.set_range(AUTHORS)
+    box = {name: getattr(model, name) for name in ("low", "high")}
+    load_weights(model, {**_renamed(tensors), **box}, str(file))
+    data = f"{file.name} {weights_hash(file)}"
+    with RunFolder.open(out, KIND, settings, data, True, keep=1) as run:
+        if not run.finished:
+            run.finish(0, {"model": model})
+    return model.eval()
+
+
+def _read(file: Path) -> dict[str, Tensor]:
+    if not file.is_file():
+        raise LearningError(f"{file}: no such file")
+    try:
+        content = torch.load(file, map_location="cpu", weights_only=True)
+    except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError, OSError) as error:
+        first = (str(error).splitlines() or [type(error).__name__])[0]
+        raise LearningError(f"{file}: is no file of weights: {first}") from error
+    if not isinstance(content, Mapping) or not all(
+        isinstance(each, Tensor) for each in content.values()
+    ):
+        raise LearningError(f"{file}: found no tensors by name; allowed: the state of a network")
+    return {str(name): each for name, each in content.items()}
+
+
+def _network(file: Path, tensors: Mapping[str, Tensor]) -> NetworkSettings:
+    """Return the widths of a model, from the shapes of its tensors."""
+
+    def width(name: str) -> int:
+        if name not in tensors:
+            raise LearningError(
+                f"{file}: found no tensor {name}; allowed: a force model of the authors' code"
+            )
+        return int(tensors[name].shape[0])
+
+    first, second, third = (
+        width(f"base_network.layer{stage}.0.conv1.weight") for stage in (1, 2, 3)
+    )
+    return NetworkSettings(
+        encoder=(first, second, third),
+        memory=width("convgru.layers.0.convq.weight"),
+        tail=(width("post_processing.0.conv1.weight"), width("post_processing.1.conv1.weight")),
+        tail_block="raft",
+    )
+
+
+def _renamed(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Return the tensors under our names; unknown ones keep theirs and are rejected later."""
+    found: dict[str, Tensor] = {}
+    for name, each in tensors.items():
+        if name.startswith(_GATES) or ".norm3." in name:  # norm3 is downsample.1 once more
+            continue
+        found[_name(name)] = each
+    for kind in ("weight", "bias"):
+        gates = [tensors[f"{gate}{kind}"] for gate in _GATES if f"{gate}{kind}" in tensors]
+        if gates:
+            found[f"memory.gates.{kind}"] = torch.cat(gates)
+    return found
+
+
+def _name(name: str) -> str:
+    for theirs, ours in _PARTS.items():
+        if name.startswith(theirs):
+            return ours + name.removeprefix(theirs)
+    for theirs, ours in _BLOCKS.items():
+        rest = name.removeprefix(theirs)
+        for own, part in _BLOCK.items():
+            if rest != name and rest.startswith(own):
+                return ours + part + rest.removeprefix(own)
+    return name
