@@ -119,7 +119,7 @@ def _renamed(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Return the tensors under our names; unknown ones keep theirs and are rejected later."""
     found: dict[str, Tensor] = {}
     for name, each in tensors.items():
-        if name.startswith(_GATES) or ".norm3." in name:  # norm3 is downsample.1 once more
+        if name.startswith(_GATES) or ".norm3." in name:  # norm3 is downsample.1 again
             continue
         found[_name(name)] = each
     for kind in ("weight", "bias"):

@@ -80,8 +80,8 @@ def run(options: argparse.Namespace) -> int:
     stiffness = modulus(MarkerArchive(options.run / "gauge.markers.zarr"))
     random = np.random.default_rng(options.seed)
     ratios = options.within ** random.uniform(-1, 1, options.skins)
-    newtons = 1e-3 * GRAVITY * options.grams
-    skins = [skin_of(ratio, ratio * stiffness / own, frames, presses, newtons) for ratio in ratios]
+    weight = 1e-3 * GRAVITY * options.grams
+    skins = [skin_of(ratio, ratio * stiffness / own, frames, presses, weight) for ratio in ratios]
     for skin in sorted(skins, key=lambda each: each.ratio):
         print(
             f"modulus x {skin.ratio:.2f}: without R2 {skin.without.errors.r2_mean:.3f}, coverage "
@@ -121,12 +121,12 @@ def force_depth(archive: MarkerArchive, model_folder: Path) -> Presses:
 
 
 def skin_of(
-    ratio: float, scaled: float, frames: NewFrames, presses: Presses, newtons: float
+    ratio: float, scaled: float, frames: NewFrames, presses: Presses, weight: float
 ) -> Skin:
     """Return the scores on a skin whose true forces are `scaled` times the demo's."""
     true = scaled * frames.true
     without = score_of(frames.predicted, true, frames.intervals, frames.motion_px, frames.indenters)
-    row = int(np.argmin(np.abs(scaled * presses.true - newtons)))
+    row = int(np.argmin(np.abs(scaled * presses.true - weight)))
     known, predicted = scaled * float(presses.true[row]), float(presses.predicted[row])
     value, intervals = weighed(frames.intervals, known, predicted)
     found = score_of(value * frames.predicted, true, intervals, frames.motion_px, frames.indenters)
