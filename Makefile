@@ -193,13 +193,12 @@ calibrate-force: $(VENV)/.learning  ## Set the scale of such a model by weights 
 	@$(PY) -m learning calibrate-force $(MODEL) --weights $(WEIGHTS) --holds $(HOLDS) --out $(OUT) $(ARGS)
 
 #: [OUT=runs/demo-transfer]
-demo-transfer: RUN = $(or $(OUT),runs/demo-transfer)
 demo-transfer: $(VENV)/.demo  ## Forces on a simulated sensor without a gauge, and a weight, on two cores (10 minutes)
-	@for name in gauge bare; do $(PY) -m sim archive sensors --sensors $(BARE)/$$name.yaml --tier layer --scale 0.025 --steps 4 --no-check --out $(RUN)/$$name.markers.zarr || exit; done
-	@$(PY) -m learning transfer --source $(RUN)/gauge.markers.zarr:gauge --target $(RUN)/bare.markers.zarr:bare --out $(RUN)
-	@rm -rf $(RUN)/weighed
-	@$(PY) -m learning calibrate-force $(RUN)/model $$($(PY) $(BARE)/weigh.py $(RUN)/bare.markers.zarr:bare 50,200,400) --out $(RUN)/weighed
-	@$(PY) -m learning score-transfer $(RUN)/weighed $(RUN)/bare.markers.zarr:bare
+	@for name in gauge bare; do $(PY) -m sim archive sensors --sensors $(BARE)/$$name.yaml --tier layer --scale 0.025 --steps 4 --no-check --out $(or $(OUT),runs/demo-transfer)/$$name.markers.zarr || exit; done
+	@$(PY) -m learning transfer --source $(or $(OUT),runs/demo-transfer)/gauge.markers.zarr:gauge --target $(or $(OUT),runs/demo-transfer)/bare.markers.zarr:bare --out $(or $(OUT),runs/demo-transfer)
+	@rm -rf $(or $(OUT),runs/demo-transfer)/weighed
+	@$(PY) -m learning calibrate-force $(or $(OUT),runs/demo-transfer)/model $$($(PY) $(BARE)/weigh.py $(or $(OUT),runs/demo-transfer)/bare.markers.zarr:bare 50,200,400) --out $(or $(OUT),runs/demo-transfer)/weighed
+	@$(PY) -m learning score-transfer $(or $(OUT),runs/demo-transfer)/weighed $(or $(OUT),runs/demo-transfer)/bare.markers.zarr:bare
 
 ##@ Measure (pages are in docs/results/)
 
