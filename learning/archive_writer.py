@@ -26,7 +26,7 @@ class Frames:
     """Rows of one sensor."""
 
     packed: NDArray[np.uint8]
-    """Packed masks (n, 38400)."""
+    """Packed masks (n, 38400), or frames of the plan's representation (n, ...)."""
     table: Mapping[str, NDArray[Any]]
     """Columns of `recorder.archive.GIVEN`."""
     source: Sequence[str]
@@ -183,5 +183,5 @@ def archive_fingerprint(archive: MarkerArchive) -> str:
             digest.update(f"\n{column} {values.dtype.str} {values.shape}\n".encode())
             digest.update(values.tobytes())
         digest.update("\n".join(sensor.sources).encode())
-        digest.update(sensor.references.tobytes())
+        digest.update(sensor.reference_frames.tobytes())
     return digest.hexdigest()

@@ -58,7 +58,7 @@ def add_resume(
     parser.add_argument("--resume", action="store_true", help=help_text)
 
 
-def add_unseen(parser: argparse.ArgumentParser) -> None:
+def add_unseen(parser: argparse._ActionsContainer) -> None:
     """Add the option for held-out indenters."""
     parser.add_argument(
         "--unseen",

@@ -20,7 +20,7 @@ ALLOWED = {
     "sim": {"trajectories", "recorder"},
     "learning": {"trajectories", "recorder"},
     # Schemas describe classes of these.
-    "tactile": {"recorder", "rig", "sim"},
+    "tactile": {"recorder", "rig", "sim", "learning"},
 }
 # Vendor libraries and the only modules that may import them.
 VENDORS = {

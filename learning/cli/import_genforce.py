@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from learning.command import add_unseen, named_number, named_path
+from learning.errors import LearningError
 from recorder.progress import ItemProgress
 
 
@@ -18,6 +19,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("folder", type=Path, metavar="DIR")
     parser.add_argument("--out", type=Path, metavar="PATH", required=True, help="X.markers.zarr")
+    add_options(parser)
+
+
+def add_options(parser: argparse._ActionsContainer) -> None:
+    """Add the options of GenForce folders; `tactile import` has them too."""
     parser.add_argument("--preset", metavar="NAME", help="marker detection in raw pictures")
     parser.add_argument(
         "--mm-per-px",
@@ -50,6 +56,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "without it their places are unknown, and they cannot be joined with other archives",
     )
     parser.add_argument(
+        "--turn",
+        type=named_number,
+        action="append",
+        default=[],
+        metavar="SENSOR=DEG",
+        help="angle from the robot's x axis to the image's, counter-clockwise, of a raw run; "
+        "without it the run cannot be joined with other archives",
+    )
+    parser.add_argument(
         "--compensation", type=Path, metavar="DIR", help="<sensor>_down.csv and _up.csv"
     )
     add_unseen(parser)
@@ -57,6 +72,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
+    return import_one(options.folder, options)
+
+
+def known_layout(folder: Path) -> str | None:
+    """Return the layout of a folder of the published data; None if it is none."""
+    from learning.data.genforce.importing import layout_of
+
+    try:
+        return layout_of(folder)
+    except LearningError:
+        return None
+
+
+def import_one(folder: Path, options: argparse.Namespace) -> int:
+    """Make or continue the archive of a folder and return the exit code."""
     from learning.data.genforce import import_folder, read_compensation, read_plan
     from learning.data.genforce.importing import Choices
     from learning.data.genforce.training import SURFACES_MM
@@ -70,12 +100,13 @@ def run(options: argparse.Namespace) -> int:
         surfaces_mm=surfaces,
         plans={name: read_plan(path) for name, path in options.plan},
         unseen=options.unseen,
+        turns_deg=dict(options.turn),
         compensation={}
         if options.compensation is None
         else read_compensation(options.compensation),
     )
     with ItemProgress("frames", sys.stderr) as progress:
-        made = import_folder(options.folder, options.out, choices=choices, progress=progress)
+        made = import_folder(folder, options.out, choices=choices, progress=progress)
     for line in told(options.out):
         print(line)
     print(f"{options.out}: {made:,} frames read")

@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--method",
-        choices=METHODS,
+        choices=METHODS[:-1],
         help="how it was trained (target if source and sensor are the same, transferred if the "
         "model was trained on translated frames, else source-only)",
     )
@@ -57,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
-    from learning.data.presses import Form, load_presses
+    from learning.data.presses import load_presses
     from learning.data.splits import read_split
     from learning.evaluation.predictions import predictions_of
     from learning.force import load_force_model
@@ -82,7 +82,7 @@ def run(options: argparse.Namespace) -> int:
             f"--role: found no frames of {','.join(options.role)} of {options.sensor}"
         )
     model = load_force_model(options.model, options.device)
-    form: Form = "field" if model.inputs.form == "field" else "images"
+    form = model.inputs.stored_form
     with ItemProgress("frames", sys.stderr) as progress:
         presses = load_presses(sensor, rows, device=options.device, form=form, progress=progress)
     with ItemProgress("forces", sys.stderr) as progress:

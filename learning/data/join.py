@@ -108,7 +108,7 @@ class JoinedSensor:
     def plan(self) -> SensorPlan:
         """Plan of its part of the archive."""
         sensor, archive = self.sensor, self.chosen.archive
-        spec, check = sensor.markers.layout.spec, sensor.attrs.get("marker_check")
+        spec, check = sensor.stored.layout.spec, sensor.attrs.get("marker_check")
         of_archive = {key: archive.attrs[key] for key in archive.attrs if key not in _OF_ARCHIVE}
         attrs = {key: value for key, value in sensor.attrs.items() if key not in _OF_SENSOR}
         attrs["joined_from"] = {

@@ -157,8 +157,8 @@ def read_presses(chosen: Chosen) -> Presses:
         if told.startswith("unknown"):
             raise LearningError(
                 f"{where}: {key} is {told!r}, so its presses cannot be matched to others; "
-                "allowed: import it with its plan (import-genforce --plan), or train a model of "
-                "its own, which needs no join"
+                "allowed: import it with its plan or turn (import-genforce --plan, --turn), or "
+                "train a model of its own, which needs no join"
             )
     table = sensor.table
     ends, deepest_of = _ends(table), _deepest(table)

@@ -22,11 +22,12 @@ from learning.data.images import (
     unpack_masks,
 )
 from learning.errors import LearningError
-from recorder.archive import ArchivedSensor
+from recorder.archive import SHADING, ArchivedSensor
 
 # Form of a frame in memory: an image (256, 256) uint8; its packed mask (38400,) uint8; or the
-# marker field (3, 32, 32) float32: columns [px of 640 x 480], rows [px], log of the area change.
-Form = Literal["images", "packed", "field"]
+# marker field (3, 32, 32) float32: columns [px of 640 x 480], rows [px], log of the area change; or
+# the shading (3, 128, 128) uint8 of a gel without markers.
+Form = Literal["images", "packed", "field", "shading"]
 # Source of marker fields: tracked in the masks, or the archive's stored displacement.
 FieldSource = Literal["flow", "truth"]
 FORMS: tuple[Form, ...] = get_args(Form)
@@ -51,7 +52,8 @@ class Presses:
     images: Tensor
     """Frames (N, ...) in that form, on the device."""
     references: Tensor
-    """Images without contact (K, 256, 256) uint8, or (K, 38400) packed, on the device."""
+    """Images without contact (K, 256, 256) uint8, (K, 38400) packed, or (K, 3, 128, 128) of
+    shading, on the device."""
     reference: Tensor
     """Row of `references` for each frame (N,) int64, on the device."""
     wrench: Tensor
@@ -157,14 +159,22 @@ def load_presses(
         SessionError: A row does not exist, the archive is still being written, or a chunk is
             corrupt.
     """
+    if form not in FORMS:
+        raise LearningError(f"form: found {form!r}; allowed: {', '.join(FORMS)}")
+    if (form == "shading") != (sensor.representation == SHADING):
+        needed = "--preset shading" if sensor.representation == SHADING else "another preset"
+        raise LearningError(
+            f"{sensor.name}: holds {sensor.representation.name}, the model takes {form}; allowed: "
+            f"a model trained with {needed}"
+        )
     described = press_table(sensor, rows)
     if form == "field":
         frames = _read_fields(sensor, described, field_source, processes, progress)
-    elif form in FORMS:
-        frames = read_frames(sensor, described.rows.numpy(), torch.device(device), form, progress)
     else:
-        raise LearningError(f"form: found {form!r}; allowed: {', '.join(FORMS)}")
-    kept = sensor.references if form == "packed" else shrink(sensor.references)
+        frames = read_frames(sensor, described.rows.numpy(), torch.device(device), form, progress)
+    kept = sensor.reference_frames
+    if form in ("images", "field"):
+        kept = shrink(kept)
     return replace(described, form=form, images=frames, references=torch.from_numpy(kept)).to(
         device
     )
@@ -199,7 +209,9 @@ def press_table(sensor: ArchivedSensor, rows: Any) -> Presses:
         mm_per_px=sensor.mm_per_px,
         form="images",
         images=torch.empty(len(chosen), *_IMAGE, dtype=torch.uint8, device="meta"),
-        references=torch.empty(len(sensor.references), *_IMAGE, dtype=torch.uint8, device="meta"),
+        references=torch.empty(
+            len(sensor.reference_frames), *_IMAGE, dtype=torch.uint8, device="meta"
+        ),
         reference=column("reference"),
         wrench=torch.from_numpy(table["wrench"][chosen, :3].astype(np.float32)),
         starts=torch.from_numpy(np.r_[begins, len(chosen)].astype(np.int64)),
@@ -220,19 +232,22 @@ def read_frames(
     form: Form = "images",
     progress: Progress = lambda done, total: None,
 ) -> Tensor:
-    """Read images (n, 256, 256) or packed masks (n, 38400) of rows, uint8, to a device.
+    """Read images (n, 256, 256), or frames as stored (n, ...), of rows, uint8, to a device.
 
     Raises:
         SessionError: A row does not exist, or a chunk is missing or corrupt.
     """
-    shape = _IMAGE if form == "images" else (sensor.references.shape[1],)
+    shape = _IMAGE if form == "images" else sensor.representation.shape
     frames = torch.empty(len(rows), *shape, dtype=torch.uint8, device=device)
     progress(0, len(rows))
     for first in range(0, len(rows), _AT_ONCE):
+        if form != "images":
+            read = torch.from_numpy(sensor.frames(rows[first : first + _AT_ONCE]))
+            frames[first : first + len(read)] = read
+            progress(first + len(read), len(rows))
+            continue
         packed = sensor.packed(rows[first : first + _AT_ONCE])
-        if form == "packed":
-            read = torch.from_numpy(packed)
-        elif device.type == "cpu":
+        if device.type == "cpu":
             read = torch.from_numpy(shrink(packed))
         else:
             # Bits are transferred and unpacked on the device: an eighth of the traffic and of the

@@ -28,8 +28,10 @@ from recorder.archive import ArchivedSensor
 KIND = "predictions"
 # Training data of the model: the source's images; translated images; these with labels compensated
 # by the paper's most frequent choice; by the choice that fits the skins' force-depth curves best;
-# by the choice that fits the target's labels best; the target's own labels.
-METHODS = ("source-only", "transferred", "compensated", "priors", "oracle", "target")
+# by the choice that fits the target's labels best; the target's own labels; and these by ridge
+# regression on a few features instead of a network.
+BASELINE = "baseline"
+METHODS = ("source-only", "transferred", "compensated", "priors", "oracle", "target", BASELINE)
 # Methods with translated images.
 TRANSLATED = METHODS[1:5]
 # Those that need no label of the target, in order of the knowledge of the skins that they use.

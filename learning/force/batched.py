@@ -62,6 +62,8 @@ def train_batched(
         LearningError: Presses differ, have no labels or the wrong form, models cannot share the
             settings, `start_from` has another network, or a loss is not finite.
     """
+    if settings.input.alone:
+        presses = [each.each_frame_alone() for each in presses]
     _require_alike(presses, settings)
     device = presses[0].device
     changes = list(compensation) or [None] * len(presses)

@@ -26,12 +26,23 @@ from learning.force.intervals import Intervals, read_intervals
 from learning.force.stream import ForceStream, open_exported
 from learning.markers.displacement import MAP_SIDE, FieldReader
 from learning.markers.frames import one_thread, taxel_masks
-from learning.markers.segment import CameraPreset, Preset, Segmenter, preset, preset_of_sensor
+from learning.markers.segment import (
+    CameraPreset,
+    Preset,
+    Segmenter,
+    ShadingPreset,
+    TaxelPreset,
+    preset,
+    preset_of_sensor,
+)
+from learning.markers.shading import cells_of, change_of, shading_of
+from recorder.archive import SHADING, SHADING_ZERO
 from recorder.markers import pack
 
 # Network inputs from a stream of masks: images or marker fields.
 
-Mask = NDArray[np.bool_]
+# A mask (480, 640) bool, or shading (3, 128, 128) uint8.
+Mask = NDArray[Any]
 
 
 class Shown(Protocol):
@@ -59,6 +70,13 @@ def shown_to(network: ForceStream, reference: Mask) -> Shown:
         LearningError: The network takes other inputs, or the reference has no markers.
     """
     shape = network.inputs.frame[1:]
+    if (shape == SHADING.shape) != (reference.shape == SHADING.shape):
+        raise LearningError(
+            f"model: takes frames {shape}; allowed: a preset of shading for a model of shading, "
+            "and one of markers for another"
+        )
+    if shape == SHADING.shape:
+        return AsSeen()
     if network.inputs.is_image:
         return Images(reference)
     if shape != (3, MAP_SIDE, MAP_SIDE):
@@ -85,6 +103,19 @@ class Images:
         """Do nothing, as an image does not depend on earlier ones."""
 
 
+class AsSeen:
+    """Shading, which is relative to the sensor without contact already."""
+
+    reference: NDArray[np.uint8] | None = None
+
+    def of(self, mask: Mask) -> NDArray[Any]:
+        """Return the shading (3, 128, 128) as it is."""
+        return mask
+
+    def restart(self) -> None:
+        """Do nothing, as a frame does not depend on earlier ones."""
+
+
 class Fields(FieldReader):
     """Marker fields (3, 32, 32), with markers tracked from frame to frame."""
 
@@ -102,7 +133,7 @@ class Fields(FieldReader):
         self._matcher.restart()
 
 
-# Contact detection from the motion of marker edges.
+# Contact detection from the motion of marker edges, or from the change of colours.
 #
 # The number of pixels in which a mask differs from the reference, divided by the length of the
 # markers' edges, is the mean motion of those edges [px]. Its largest value in the frames without
@@ -122,10 +153,15 @@ class ContactRule:
     """Number of consecutive frames below the threshold that end contact."""
     noise_px: float = 0.5
     """Largest motion accepted in frames without contact [px]."""
+    least_levels: float = 0.3
+    """As `least_px`, for the mean change of colours [grey levels]."""
+    noise_levels: float = 3.0
+    """As `noise_px`, likewise."""
 
     def __post_init__(self) -> None:
         """Reject thresholds by which contact never ends, or every frame is contact."""
-        if not (self.times_noise >= 1 and self.least_px > 0 and self.frames >= 1):
+        least = min(self.least_px, self.least_levels)
+        if not (self.times_noise >= 1 and least > 0 and self.frames >= 1):
             raise LearningError(
                 f"contact: found {self}; allowed: times_noise 1 or more, least_px above 0, frames "
                 "1 or more"
@@ -135,36 +171,51 @@ class ContactRule:
 class Contact:
     """Detects contact from the masks of one sensor."""
 
-    def __init__(self, no_contact: NDArray[np.bool_], rule: ContactRule | None = None) -> None:
+    reference: NDArray[Any]
+    """Majority of the masks without contact (480, 640), or shading without change."""
+
+    def __init__(self, no_contact: NDArray[Any], rule: ContactRule | None = None) -> None:
         """Compute the mask without contact and its noise from frames without contact.
 
         Args:
-            no_contact: Masks (n, 480, 640), one or more.
+            no_contact: Masks (n, 480, 640), or shading (n, 3, 128, 128) uint8, one or more.
             rule: Thresholds for contact.
 
         Raises:
             LearningError: There are no markers, or the frames differ too much.
         """
         self._rule = rule or ContactRule()
-        self.reference: Mask = np.asarray(2 * no_contact.sum(axis=0) > len(no_contact), np.bool_)
-        """Majority of the masks without contact (480, 640)."""
-        self._edge = _edge_length(self.reference)
-        if not self._edge:
+        self._is_shading = no_contact.dtype == np.uint8
+        least, most = self._rule.least_px, self._rule.noise_px
+        what, unit = "markers move", "px"
+        if self._is_shading:
+            least, most = self._rule.least_levels, self._rule.noise_levels
+            what, unit = "colours change", "grey levels"
+            self.reference = np.full_like(no_contact[0], SHADING_ZERO)
+        else:
+            self.reference = np.asarray(2 * no_contact.sum(axis=0) > len(no_contact), np.bool_)
+        self._edge = 0 if self._is_shading else _edge_length(self.reference)
+        if not (self._edge or self._is_shading):
             raise LearningError("frames without contact: found no markers; allowed: another preset")
         noise = max(self.moved(mask) for mask in no_contact)
-        if noise > self._rule.noise_px:
+        if noise > most:
             raise LearningError(
-                f"frames without contact: their markers move by {noise:.2f} px; allowed: "
-                f"{self._rule.noise_px} px; was the sensor touched while its reference was taken?"
+                f"frames without contact: their {what} by {noise:.2f} {unit}; allowed: "
+                f"{most} {unit}; was the sensor touched while its reference was taken?"
             )
-        self.threshold_px = self._rule.times_noise * noise + self._rule.least_px
+        self.threshold_px = self._rule.times_noise * noise + least
         """Mean motion of edges above which there is contact [px]."""
         self._still = self._rule.frames
         self.motion_px = 0.0
         """Mean motion of the markers' edges in the last frame [px]."""
 
     def moved(self, mask: Mask) -> float:
-        """Return the mean distance of the markers' edges from their undeformed positions [px]."""
+        """Return the mean distance of the markers' edges from their undeformed positions [px].
+
+        Of shading it is the mean change of colours [grey levels].
+        """
+        if self._is_shading:
+            return change_of(mask)
         return float(np.count_nonzero(mask != self.reference)) / self._edge
 
     def step(self, mask: Mask) -> bool:
@@ -218,7 +269,8 @@ class LiveForce:
     """True if the sensor is touched; if not, the force is the network's output without
     contact."""
     motion_px: float
-    """Mean motion of the markers' edges [px of 640 x 480]."""
+    """Mean motion of the markers' edges [px of 640 x 480]; of shading, mean change of colours
+    [grey levels]."""
     interval: tuple[Triple, Triple] | None = None
     """Lower and upper ends of the 90 % intervals of Fx, Fy, Fz [N]; None: the model has none."""
     outside: bool = False
@@ -230,10 +282,10 @@ class LiveForce:
 class Masks(Protocol):
     """Computes masks from sensor frames."""
 
-    def reference_masks(self, frames: NDArray[Any]) -> NDArray[np.bool_]:
+    def reference_masks(self, frames: NDArray[Any]) -> NDArray[Any]:
         """Return masks (n, 480, 640) of frames without contact, and store their baseline."""
 
-    def mask(self, frame: Frame) -> NDArray[np.bool_]:
+    def mask(self, frame: Frame) -> NDArray[Any]:
         """Return the mask (480, 640) of a frame."""
 
 
@@ -268,9 +320,13 @@ class LivePredictor:
         self._networks = [network] if before is None else [network, before]
         self.intervals = intervals
         """Intervals of the model; None if it has none."""
-        self._masks: Masks = (
-            _PictureMasks(chosen) if isinstance(chosen, CameraPreset) else _TaxelMasks(chosen)
-        )
+        self._masks: Masks
+        if isinstance(chosen, ShadingPreset):
+            self._masks = _Shading(chosen)
+        elif isinstance(chosen, CameraPreset):
+            self._masks = _PictureMasks(chosen)
+        else:
+            self._masks = _TaxelMasks(chosen)
         self._rule, self._start_frames = rule, start_frames
         self._first: list[Frame] = []
         self._contact: Contact | None = None
@@ -282,8 +338,8 @@ class LivePredictor:
         return len(self._networks) > 1
 
     @property
-    def reference(self) -> NDArray[np.bool_] | None:
-        """The mask without contact (480, 640); None until it is known."""
+    def reference(self) -> NDArray[Any] | None:
+        """The mask without contact (480, 640), or shading without change; None until known."""
         return None if self._contact is None else self._contact.reference
 
     def begin(self, frames: NDArray[Any]) -> None:
@@ -412,11 +468,31 @@ class _PictureMasks:
         return self._segmenter.mask(frame)
 
 
+class _Shading:
+    """Shading of camera pictures, relative to the mean colours without contact."""
+
+    def __init__(self, chosen: ShadingPreset) -> None:
+        self._preset = chosen
+        self._no_contact: NDArray[np.float32] | None = None
+
+    def reference_masks(self, frames: NDArray[Any]) -> NDArray[np.uint8]:
+        """Return the shading (n, 3, 128, 128) of pictures (n, h, w, 3) without contact."""
+        cells = np.stack([cells_of(frame, self._preset) for frame in frames])
+        self._no_contact = np.asarray(cells.mean(axis=0), np.float32)
+        return shading_of(cells, self._no_contact)
+
+    def mask(self, frame: Frame) -> NDArray[np.uint8]:
+        """Return the shading (3, 128, 128) of a picture (h, w, 3)."""
+        if self._no_contact is None:
+            raise LearningError("reference: missing; allowed: frames without contact first")
+        return shading_of(cells_of(frame, self._preset), self._no_contact)
+
+
 class _TaxelMasks:
     """Masks of taxel counts: discs, relative to the mean of the counts without contact."""
 
     def __init__(self, chosen: Preset) -> None:
-        if isinstance(chosen, CameraPreset):
+        if not isinstance(chosen, TaxelPreset):
             raise LearningError("preset: found one of a camera; allowed: one of taxels")
         self._preset = chosen
         self._rest = np.zeros(_TAXELS)

@@ -23,6 +23,7 @@ from learning.config import require
 from learning.data.presses import ForceRange, Presses, Progress
 from learning.errors import LearningError
 from learning.training.checkpoint import read_model_folder
+from recorder.archive import SHADING, SHADING_SIDE, SHADING_ZERO
 
 # Kind of a force model's folder.
 KIND = "force"
@@ -40,9 +41,9 @@ _SIDES = (256, 128, 64, 32)
 class InputSettings:
     """Network input computed from a frame."""
 
-    form: Literal["image", "difference", "both", "field"] = "both"
-    """The image, the image minus the reference, image and difference as two channels, or the
-    measured marker field (dx, dy, change of log area)."""
+    form: Literal["image", "difference", "both", "field", "shading"] = "both"
+    """The image, the image minus the reference, image and difference as two channels, the measured
+    marker field (dx, dy, change of log area), or the shading of a gel without markers."""
     side_px: int = 256
     """Side to which images are averaged down; fields have a fixed side."""
     channels: int = 1
@@ -53,6 +54,11 @@ class InputSettings:
     """Value of a marker before normalisation; authors' code: 1/255 for homogeneous sensors."""
     field_scale_px: float = 10.0
     """Divisor of displacements [px of the 640 x 480 image]."""
+    alone: bool = False
+    """True if each frame is judged alone: the state starts again at each, in training and later.
+    With few recordings a state learns the course of their presses instead of forces."""
+    shading_scale: float = 32.0
+    """Divisor of the change of colours [grey levels]."""
 
     def __post_init__(self) -> None:
         """Reject inputs that no network supports."""
@@ -66,17 +72,21 @@ class InputSettings:
             )
         if self.imagenet and self.channels != 3:
             raise LearningError("imagenet: found true; allowed: only if channels is 3")
-        require(self, "marker_value", "field_scale_px", above=0)
+        if self.form == "shading" and self.side_px > SHADING_SIDE:
+            raise LearningError(
+                f"side_px: found {self.side_px}; allowed: {SHADING_SIDE} or less for shading"
+            )
+        require(self, "marker_value", "field_scale_px", "shading_scale", above=0)
 
     @property
-    def stored_form(self) -> Literal["images", "field"]:
+    def stored_form(self) -> Literal["images", "field", "shading"]:
         """Required form of presses in memory."""
-        return "field" if self.form == "field" else "images"
+        return self.form if self.form in ("field", "shading") else "images"
 
     @property
     def planes(self) -> int:
         """Number of input channels of the network."""
-        return {"both": 2, "field": 3}.get(self.form, self.channels)
+        return {"both": 2, "field": 3, "shading": 3}.get(self.form, self.channels)
 
     @property
     def side(self) -> int:
@@ -346,6 +356,8 @@ class ForceModel(nn.Module):
         """
         features = self.encoder(frame)
         before = self.initial_state(len(frame)).to(features.dtype) if state is None else state
+        if self.inputs.alone:
+            before = before * 0.0
         after = self.memory(features, before)
         return torch.sigmoid(self.head(self.tail(after)).float()), after
 
@@ -379,6 +391,8 @@ class ForceModel(nn.Module):
         Presses are processed in parallel frame by frame, so that memory holds one frame of each.
         """
         require_form(presses, self.inputs)
+        if self.inputs.alone:
+            presses = presses.each_frame_alone()
         training = self.training
         starts, lengths = presses.starts[:-1], presses.starts.diff()
         predicted = torch.zeros(presses.frames, 3, device=self.device)
@@ -435,9 +449,14 @@ _MEAN, _DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
 def stored_shape(inputs: InputSettings) -> tuple[int, ...]:
-    """Return the shape of a stored frame: an image (256, 256) or a marker field (3, 32, 32)."""
+    """Return the shape of a stored frame.
+
+    It is that of an image (256, 256), a marker field (3, 32, 32), or shading (3, 128, 128).
+    """
     if inputs.form == "field":
         return (3, FIELD_SIDE, FIELD_SIDE)
+    if inputs.form == "shading":
+        return SHADING.shape
     return (STORED_SIDE, STORED_SIDE)
 
 
@@ -457,6 +476,10 @@ def prepare(frames: Tensor, references: Tensor | None, inputs: InputSettings) ->
     if inputs.form == "field":
         scale = frames.new_tensor([inputs.field_scale_px, inputs.field_scale_px, 1.0])
         return frames / scale[:, None, None]
+    if inputs.form == "shading":
+        change = (frames.to(torch.float32) - SHADING_ZERO) / inputs.shading_scale
+        factor = SHADING_SIDE // inputs.side_px
+        return functional.avg_pool2d(change, factor) if factor > 1 else change
     image = _reduced(frames, inputs)
     if inputs.needs_reference:
         if references is None:

@@ -152,6 +152,11 @@ class ForceSettings:
             raise LearningError(f"ema: found {self.ema}; allowed: between 0 and 1, or none")
         require(self, "patience_epochs", "validate_every_epochs", least=1)
         require(self, "range_margin", least=0)
+        if self.sequences.flips and self.input.form == "shading":
+            raise LearningError(
+                "sequences.flips: found true; allowed: false for shading, whose colours follow the "
+                "places of the lamps"
+            )
 
 
 # Data: selection of a step's frames, a pure function of seed, stage, epoch and step.
@@ -434,6 +439,8 @@ def train_force(
 
     # Data
     groups, held = _groups(presses), [each for each in _groups(validation) if each.is_labelled]
+    if settings.input.alone:
+        groups = [each.each_frame_alone() for each in groups]
     for each in (*groups, *held):
         require_form(each, settings.input)
     if not groups or not all(len(each) for each in groups):

@@ -22,6 +22,7 @@ from learning.markers.recording import Group, Placed, Recording, SensorGroup, re
 from learning.markers.segment import (
     CameraPreset,
     Segmenter,
+    ShadingPreset,
     TaxelPreset,
     find_centres,
     grey,
@@ -30,8 +31,9 @@ from learning.markers.segment import (
     preset,
     preset_of_sensor,
 )
+from learning.markers.shading import cells_of, change_of, picture_of
 from recorder import MarkerArchive
-from recorder.archive import ArchivedSensor
+from recorder.archive import MASKS, ArchivedSensor
 from recorder.markers import SMALLEST_PX, count_markers, pack, unpack
 from recorder.plot import INK, PAPER, SOFT, font
 from recorder.spec import PHASES
@@ -148,9 +150,13 @@ def told(path: Path) -> tuple[str, ...]:
         reported = [json.loads(line) for line in sensor.sources]
         flagged = [row for row, one in enumerate(of) if FLAG in reported[one]]
         invalid = Counter(reported[one][INVALID] for one in of if INVALID in reported[one])
-        text = f"{name}: {len(sensor):,} frames, {len(sensor.references)} references"
+        text = f"{name}: {len(sensor):,} frames, {len(sensor.reference_frames)} references"
         if sensor.attrs["marker_check"] is None:
-            text += "; markers are not counted"
+            text += (
+                "; markers are not counted"
+                if sensor.representation == MASKS
+                else f"; {sensor.representation.name}: train with --preset shading"
+            )
         else:
             fraction = len(flagged) / max(len(sensor), 1)
             text += f"; marker count: {len(flagged)} flagged ({100 * fraction:.2f} %)"
@@ -206,6 +212,17 @@ def rates(
         found = made.preset
         if isinstance(found, CameraPreset):
             steps = _camera(recording, found, sam)
+        elif isinstance(found, ShadingPreset):
+            rows = np.unique(recording.column("image"))
+            rows = rows[rows >= 0][:FRAMES]
+            pictures, no_contact = recording.camera.images(rows), found
+            steps = {
+                "reading": _fastest(lambda: recording.camera.images(rows), len(rows)),  # noqa: B023
+                "shading": _fastest(
+                    lambda: [cells_of(picture, no_contact) for picture in pictures],  # noqa: B023
+                    len(rows),
+                ),
+            }
         else:
             steps = _taxels(recording, found)
         total = sum(seconds for name, seconds in steps.items() if name != CENTRES)
@@ -313,6 +330,9 @@ def _draw_row(
     text = f"{recording.name}   {len(of):,} frames, {len(flagged)} flagged"
     pen.text((GAP + 20 + pen.textlength(title, font(17)), top + 6), text, SOFT, font(14))
     chosen = _chosen(archived, of, flagged)
+    if archived.representation != MASKS:
+        _draw_shading(page, top, archived, chosen)
+        return
     first = int(archived.table["reference"][of[0]])
     view = _view(archived, placed, int(_reference_image(placed)))
     mask = unpack(archived.references[first])
@@ -329,6 +349,22 @@ def _draw_row(
             box = (left, top + HEAD, left + TILE[0] - 1, top + HEAD + TILE[1] - 1)
             pen.rectangle(box, outline=ALARM, width=3)
         pen.text((left, top + HEAD + TILE[1] + 4), upper, ALARM if alarm else INK, font(13))
+        pen.text((left, top + HEAD + TILE[1] + 20), lower, SOFT, font(13))
+
+
+def _draw_shading(page: Image.Image, top: int, archived: ArchivedSensor, chosen: list[int]) -> None:
+    """Draw the shading of some rows, its changes enlarged."""
+    pen = ImageDraw.Draw(page)
+    for place, row in enumerate(chosen):
+        (shading,) = archived.frames([row])
+        left = GAP + place * (TILE[0] + GAP)
+        tile = Image.fromarray(picture_of(shading)).resize(TILE, Image.Resampling.LANCZOS)
+        page.paste(tile, (left, top + HEAD))
+        force = archived.table["wrench"][row, 2]
+        told = f"Fz {force:+.2f} N" if np.isfinite(force) else "no force"
+        upper = f"row {row}, target {archived.table['target'][row]}"
+        lower = f"mean change {change_of(shading):.1f} grey levels, {told}"
+        pen.text((left, top + HEAD + TILE[1] + 4), upper, INK, font(13))
         pen.text((left, top + HEAD + TILE[1] + 20), lower, SOFT, font(13))
 
 

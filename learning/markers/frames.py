@@ -16,8 +16,15 @@ from learning.indenters import UNSEEN
 from learning.markers.efficient_sam import EfficientSam
 from learning.markers.recording import Placed, Recording, SensorGroup
 from learning.markers.regular import spread_of
-from learning.markers.segment import CameraPreset, Preset, Segmenter, TaxelPreset
-from recorder.archive import MarkerCount, SensorPlan
+from learning.markers.segment import (
+    CameraPreset,
+    Preset,
+    Segmenter,
+    ShadingPreset,
+    TaxelPreset,
+)
+from learning.markers.shading import cells_of, shading_of
+from recorder.archive import MASKS, SHADING, MarkerCount, SensorPlan
 from recorder.markers import HEIGHT, WIDTH, draw_discs, find_blobs, pack
 
 # Marker images of taxels: counts minus those without contact, drawn as discs.
@@ -48,6 +55,8 @@ def taxel_masks(
 
 
 Masks = NDArray[np.bool_]
+# Depths and positions that nobody knows; `archive join` refuses them.
+UNKNOWN = "unknown: 0"
 
 
 class RecordedSensor:
@@ -80,7 +89,8 @@ class RecordedSensor:
         Raises:
             LearningError: The preset is for another kind of sensor, or the pixel size is unknown.
         """
-        if group.kind != preset.KIND:
+        of = "camera" if isinstance(preset, ShadingPreset) else preset.KIND
+        if group.kind != of:
             raise LearningError(
                 f"preset {preset_name}: is for {preset.KIND}; {group.name} has {group.kind}"
             )
@@ -111,6 +121,8 @@ class RecordedSensor:
             "preset_says": repr(self.preset),
             "wrench_frame": "that of the force/torque sensor, as in the sessions",
         }
+        if not all(placed.recording.is_placed for placed in self._group.placed):
+            attrs |= {"depth": UNKNOWN, "position": UNKNOWN}
         if self._sam is not None:
             attrs["efficient_sam"] = self._sam.identity
         count = None
@@ -125,6 +137,7 @@ class RecordedSensor:
             mm_per_px=self._mm_per_px,
             marker_count=count,
             attrs=attrs,
+            representation=SHADING if isinstance(self.preset, ShadingPreset) else MASKS,
         )
 
     def read(self, rows: slice) -> Frames:
@@ -152,7 +165,10 @@ class RecordedSensor:
 
     @cached_property
     def _references(self) -> NDArray[np.uint8]:
-        """Packed masks of the references (K, 38400), recording by recording."""
+        """Stored references (K, ...): packed masks or colours, recording by recording."""
+        if isinstance(self.preset, ShadingPreset):
+            stored = [self._no_contact(placed.recording) for placed in self._group.placed]
+            return np.rint(np.concatenate(stored)).astype(np.uint8)
         if isinstance(self.preset, TaxelPreset):
             still = np.zeros((1, 16, 3))
             return pack(taxel_masks(still, np.zeros((16, 3)), self.preset))
@@ -165,21 +181,42 @@ class RecordedSensor:
                 if not len(blobs):
                     raise LearningError(
                         f"{recording.name}: preset {self._preset_name} finds no markers in its "
-                        f"reference, image {row}; allowed: another preset"
+                        f"reference, image {row}; allowed: another preset, or --preset shading "
+                        "for a gel without markers"
                     )
                 spread = spread_of(blobs.only(blobs.whole))
                 if not (self._irregular or spread.is_regular):
                     raise LearningError(
                         f"{recording.name}: preset {self._preset_name} finds no pattern of "
-                        f"markers in its reference, image {row}: {spread}; allowed: another "
-                        "preset (tactile markers-fit fits one), or --irregular if the markers "
-                        "have no pattern"
+                        f"markers in its reference, image {row}: {spread}; allowed: --preset "
+                        "shading for a gel without markers, another preset (tactile markers-fit "
+                        "fits one), or --irregular if the markers have no pattern"
                     )
                 masks.append(mask)
         return pack(np.stack(masks))
 
+    def _no_contact(self, recording: Recording) -> NDArray[np.float32]:
+        """Return the colours without contact (k, 3, 128, 128) of each reference in use."""
+        images = recording.session.reference["image"][recording.references]
+        return np.stack([self._cells(recording, int(row)) for row in images])
+
+    def _cells(self, recording: Recording, image: int) -> NDArray[np.float32]:
+        if not isinstance(self.preset, ShadingPreset):
+            raise LearningError(f"{recording.name}: has no preset of shading")
+        (picture,) = recording.camera.images([image])
+        return cells_of(picture, self.preset)
+
+    def _shading(self, recording: Recording, chosen: NDArray[np.int64]) -> NDArray[np.uint8]:
+        """Return the shading (n, 3, 128, 128) of some rows of a recording."""
+        no_contact = self._no_contact(recording)
+        frames = np.empty((len(chosen), *SHADING.shape), np.uint8)
+        for place, row in enumerate(chosen):
+            cells = self._cells(recording, int(recording.column("image")[row]))
+            frames[place] = shading_of(cells, no_contact[recording.reference[row]])
+        return frames
+
     def _first_reference(self, index: int) -> int:
-        if self._segmenter is None:
+        if isinstance(self.preset, TaxelPreset):
             return 0
         return sum(len(placed.recording.references) for placed in self._group.placed[:index])
 
@@ -189,11 +226,17 @@ class RecordedSensor:
         invalid = recording.invalid()[rows]
         there = np.array([not reason for reason in invalid])
         table = self._table(index, placed, rows, there)
+        reported = self._said(recording, rows, invalid)
+        chosen = np.flatnonzero(there) + rows.start
+        if isinstance(self.preset, ShadingPreset):
+            frames = np.zeros((len(there), *SHADING.shape), np.uint8)
+            if there.any():
+                frames[there] = self._shading(recording, chosen)
+            lines = [json.dumps(one, ensure_ascii=False) for one in reported]
+            return Frames(frames, table, lines)
         masks = np.zeros((len(there), HEIGHT, WIDTH), np.bool_)
         if there.any():
-            chosen = np.flatnonzero(there) + rows.start
             masks[there] = self._masks(recording, chosen)
-        reported = self._said(recording, rows, invalid)
         for row, flag in self._flagger.flags(masks, table["reference"], there).items():
             reported[row][FLAG] = flag
         lines = [json.dumps(one, ensure_ascii=False) for one in reported]
@@ -238,7 +281,8 @@ class RecordedSensor:
         location = np.full(len(target), -1)
         if placed.first_location is not None:
             location = placed.first_location + target
-        reference = recording.reference[rows] if self._segmenter is not None else target * 0
+        of_taxels = isinstance(self.preset, TaxelPreset)
+        reference = target * 0 if of_taxels else recording.reference[rows]
         return {
             "indenter": np.full(len(target), self._indenters.index(recording.indenter)),
             "seen": np.full(len(target), recording.indenter not in self._unseen),

@@ -16,7 +16,7 @@ from learning.errors import LearningError
 from learning.indenters import coded
 from recorder import Session, Stream
 from recorder.session import quaternion, surface_heights
-from recorder.spec import AXES, PHASES
+from recorder.spec import AXES
 from trajectories.press_shear import PressShear
 from trajectories.stored import plan_from_json
 
@@ -59,6 +59,16 @@ class Recording:
     def located(self) -> bool:
         """True if all targets have a shear direction, and so locations common to sensors."""
         return bool((self.session.targets["direction"] >= 0).all())
+
+    @property
+    def is_imported(self) -> bool:
+        """True if its presses were found in a recording made elsewhere, without a plan."""
+        return "imported" in self.session.attrs and self.session.attrs.get("plan") is None
+
+    @property
+    def is_placed(self) -> bool:
+        """True if places and depths of its presses are known."""
+        return "contact_frame" in self.session.attrs
 
     @property
     def targets(self) -> int:
@@ -128,7 +138,12 @@ class Recording:
         return [str(reason) for reason in wrong]
 
     def positions(self) -> NDArray[np.float64]:
-        """Return tool positions in the contact frame (n, 3) [m]; NaN if unknown."""
+        """Return tool positions in the contact frame (n, 3) [m]; NaN if not known at a time.
+
+        They are 0 if no place of the session is known: the archive says so.
+        """
+        if not self.is_placed:
+            return np.zeros((len(self), 3))
         frame = np.asarray(self.session.attrs["contact_frame"], np.float64)
         offset = self.column("pose")[:, :3] - frame[:3]
         return np.asarray(offset @ _matrix(frame[3:]), np.float64)
@@ -184,10 +199,15 @@ def _require_presses(session: Session, name: str) -> None:
     if kind is not None and kind not in KINDS_OF_PLAN:
         raise LearningError(f"{name}: found plan {kind!r}; allowed: {', '.join(KINDS_OF_PLAN)}")
     if not len(session.targets.get("point", ())):
-        raise LearningError(f"{name}: has no targets, so its frames cannot be assigned to presses")
+        raise LearningError(
+            f"{name}: has no targets, so its frames cannot be assigned to presses; a recording "
+            "made elsewhere gets those that `tactile import` finds"
+        )
     if "t_ns" not in session.frames:
         raise LearningError(f"{name}: has no frames (python -m recorder recover builds them)")
-    frame = session.attrs.get("contact_frame")
+    frame, imported = session.attrs.get("contact_frame"), session.attrs.get("imported")
+    if isinstance(imported, dict) and imported.get("place") == "unknown":
+        return
     if not isinstance(frame, list) or len(frame) != 6 or session.first("pose") is None:
         raise LearningError(
             f"{name}: has no pose or no contact_frame: the depth of its frames is unknown"
@@ -230,10 +250,12 @@ def _once(session: Session) -> tuple[Integers, Integers, list[str]]:
             )
         best[of] = press.astype(np.int64)
     presses = [best[of] for of in sorted(best)]
-    # A force-depth press has no shear.
+    # A force-depth press has no shear; contacts that were found have the phases that were found.
     plan = session.attrs.get("plan")
     straight = isinstance(plan, dict) and plan.get("kind") == "force_depth"
     expected = 2 if straight else len(PHASES)
+    if plan is None:
+        expected = len(np.unique(session.segments["phase"]))
     missing = [of for of, press in best.items() if len(np.unique(phase[press])) < expected]
     if missing:
         omitted.append(f"{len(missing)} targets lack a phase, first {min(missing)}; they are kept")
@@ -252,7 +274,7 @@ def _references(
     """Return the rows of `reference` in use (K,), and the index of each row's reference (n,).
 
     As for the wrench, it is the latest of the target's point at or before the frame; else the
-    latest of its run; else the first of all.
+    latest of its run before it; else the first of its run; else the first of all.
     """
     reference = session.reference
     if kind == "camera":
@@ -266,12 +288,11 @@ def _references(
     chosen = np.empty(len(rows), np.int64)
     for begin, end in _presses(frames["target"][rows]):
         row = rows[begin]
-        earlier = known[
-            (reference["run"][known] == frames["run"][row])
-            & (reference["t_ns"][known] <= frames["t_ns"][row])
-        ]
+        of_run = known[reference["run"][known] == frames["run"][row]]
+        earlier = of_run[reference["t_ns"][of_run] <= frames["t_ns"][row]]
         own = earlier[reference["point"][earlier] == point[frames["target"][row]]]
-        chosen[begin:end] = own[-1] if own.size else earlier[-1] if earlier.size else known[0]
+        first = of_run[0] if of_run.size else known[0]
+        chosen[begin:end] = own[-1] if own.size else earlier[-1] if earlier.size else first
     used, which = np.unique(chosen, return_inverse=True)
     return used.astype(np.int64), which.reshape(-1).astype(np.int64)
 
@@ -358,17 +379,22 @@ def read_group(paths: Sequence[Path], sensor: str | None = None) -> Group:
     for one in recordings:
         by_sensor.setdefault(one.sensor, []).append(one)
     sensors = []
+    # Presses without a plan are numbered after all others: no two sensors share one.
+    free = len(indenters) * targets
     for name, some in by_sensor.items():
         _require_one_device(some)
         some.sort(key=lambda one: (indenters.index(one.indenter), not one.located))
-        placed = [
-            Placed(
-                one,
-                0 if one.located else targets,
-                indenters.index(one.indenter) * targets if one.located else None,
-            )
-            for one in some
-        ]
+        placed = []
+        begun: dict[str, int] = {}
+        for one in some:
+            if not one.is_imported:
+                first = indenters.index(one.indenter) * targets if one.located else None
+                placed.append(Placed(one, 0 if one.located else targets, first))
+                continue
+            number = begun.get(one.indenter, 0)
+            placed.append(Placed(one, number, free))
+            begun[one.indenter] = number + one.targets
+            free += one.targets
         sensors.append(SensorGroup(name, tuple(placed)))
     return Group(tuple(sensors), indenters)
 
@@ -376,12 +402,27 @@ def read_group(paths: Sequence[Path], sensor: str | None = None) -> Group:
 def _require_different(recordings: Sequence[Recording]) -> None:
     known: dict[tuple[str, str, bool], Recording] = {}
     for one in recordings:
+        if one.is_imported:
+            _require_all_imported(one, recordings)
+            continue
         key = one.sensor, one.indenter, one.located
         other = known.setdefault(key, one)
         if other is not one:
             raise LearningError(
                 f"{one.name}: found {one.indenter} on {one.sensor}, as in {other.name}; allowed: "
                 "one session for each indenter on a sensor (and one of force and depth)"
+            )
+
+
+def _require_all_imported(one: Recording, recordings: Sequence[Recording]) -> None:
+    """Reject a sensor with presses of a plan beside others, or with known and unknown places."""
+    for other in recordings:
+        if other.sensor == one.sensor and (
+            (other.is_imported, other.is_placed) != (one.is_imported, one.is_placed)
+        ):
+            raise LearningError(
+                f"{one.name}: is imported, {other.name} of the same sensor was recorded by a plan "
+                "or has other places; allowed: an archive for each, or another --sensor"
             )
 
 

@@ -238,7 +238,29 @@ class TaxelPreset:
             _require(self, "mm_per_px", self.mm_per_px, 1e-4, 10)
 
 
-Preset = CameraPreset | TaxelPreset
+@dataclass(frozen=True, slots=True)
+class ShadingPreset:
+    """Settings of a camera that sees a gel without markers: `learning.markers.shading`."""
+
+    KIND: ClassVar[str] = "shading"
+
+    description: str
+    """Purpose of the preset."""
+    mm_per_px: float | None = None
+    """Size of a pixel of the 640 x 480 on the surface without contact [mm]; None: must be given."""
+    sensors: tuple[str, ...] = ()
+    """Names of the sensors in sessions that use it by default."""
+    region: Region = field(default_factory=Region)
+    """Region of the picture in use; its polygon has no effect."""
+
+    def __post_init__(self) -> None:
+        if self.mm_per_px is not None:
+            _require(self, "mm_per_px", self.mm_per_px, 1e-4, 10)
+        if self.region.polygon:
+            raise LearningError("region.polygon: found one; allowed: rows and columns, for shading")
+
+
+Preset = CameraPreset | TaxelPreset | ShadingPreset
 
 
 def _require(owner: object, name: str, value: float, low: float, high: float) -> None:
@@ -270,6 +292,29 @@ _MORPHOLOGY = {
 _COARSE = 2
 
 
+def view_of(picture: Picture, region: Region) -> Picture:
+    """Return a region of a picture (h, w, 3) as (480, 640, 3).
+
+    Raises:
+        LearningError: The picture is invalid, or smaller than the region.
+    """
+    if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3:
+        raise LearningError(
+            f"picture: found {picture.dtype} {picture.shape}; allowed: uint8 (h, w, 3), RGB"
+        )
+    ends = []
+    for name, side in (("rows", picture.shape[0]), ("columns", picture.shape[1])):
+        first, last = getattr(region, name) or (0, side)
+        if last > side:
+            raise LearningError(f"region.{name}: found {first} to {last}; the picture has {side}")
+        ends.append(slice(first, last))
+    view = picture[ends[0], ends[1]]
+    if view.shape[:2] == (HEIGHT, WIDTH):
+        return view
+    resized: Picture = cv2.resize(view, (WIDTH, HEIGHT), interpolation=cv2.INTER_LINEAR)
+    return resized
+
+
 class Segmenter:
     """Makes masks from the pictures of one camera."""
 
@@ -297,24 +342,7 @@ class Segmenter:
         Raises:
             LearningError: The picture is invalid, or smaller than the preset's region.
         """
-        if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3:
-            raise LearningError(
-                f"picture: found {picture.dtype} {picture.shape}; allowed: uint8 (h, w, 3), RGB"
-            )
-        region = self.preset.region
-        ends = []
-        for name, side in (("rows", picture.shape[0]), ("columns", picture.shape[1])):
-            first, last = getattr(region, name) or (0, side)
-            if last > side:
-                raise LearningError(
-                    f"region.{name}: found {first} to {last}; the picture has {side}"
-                )
-            ends.append(slice(first, last))
-        view = picture[ends[0], ends[1]]
-        if view.shape[:2] == (HEIGHT, WIDTH):
-            return view
-        resized: Picture = cv2.resize(view, (WIDTH, HEIGHT), interpolation=cv2.INTER_LINEAR)
-        return resized
+        return view_of(picture, self.preset.region)
 
     def mask_of_view(self, view: Picture) -> Mask:
         """Return the mask (480, 640) of a result of `view`."""

@@ -8,6 +8,14 @@ from recorder.archive.check import check_archive, marker_flags
 from recorder.archive.pairs import PRESETS, LocationPairs, location_pairs
 from recorder.archive.plan import FORMAT, FORMAT_VERSION, ArchivePlan, MarkerCount, SensorPlan
 from recorder.archive.reader import ArchivedSensor, MarkerArchive, describe_archive
+from recorder.archive.representation import (
+    MASKS,
+    REPRESENTATIONS,
+    SHADING,
+    SHADING_SIDE,
+    SHADING_ZERO,
+    Representation,
+)
 from recorder.archive.table import COLUMNS, GIVEN, NO_PHASE
 from recorder.archive.writer import ArchiveWriter, SensorWriter
 
@@ -16,14 +24,20 @@ __all__ = [
     "FORMAT",
     "FORMAT_VERSION",
     "GIVEN",
+    "MASKS",
     "NO_PHASE",
     "PRESETS",
+    "REPRESENTATIONS",
+    "SHADING",
+    "SHADING_SIDE",
+    "SHADING_ZERO",
     "ArchivePlan",
     "ArchiveWriter",
     "ArchivedSensor",
     "LocationPairs",
     "MarkerArchive",
     "MarkerCount",
+    "Representation",
     "Rows",
     "SensorPlan",
     "SensorWriter",

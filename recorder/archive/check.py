@@ -16,7 +16,7 @@ from recorder.archive.reader import ArchivedSensor, read_archive_attrs
 from recorder.archive.table import COLUMNS, Limits, allowed, misplaced
 from recorder.errors import SessionError
 from recorder.findings import Finding
-from recorder.markers import PACKED, MarkerCheck, MarkerFlag, unpack
+from recorder.markers import MarkerCheck, MarkerFlag, unpack
 from recorder.store.files import Files
 
 # Marker-count check of a sensor: frames that lost or gained markers, with the reason.
@@ -128,7 +128,12 @@ def _progress(files: Files, path: Path, names: list[str]) -> str:
     if not files.local:
         return "status is not 'complete': it was copied while it was being written"
     done = sum(len(Ledger(path / name).done()) for name in names)
-    units = sum(ArrayLayout.load(path / name / "markers").shards for name in names)
+    units = sum(
+        ArrayLayout.load(
+            path / name / ArchivedSensor(path / name, files).representation.array
+        ).shards
+        for name in names
+    )
     return f"{done} of {units} units are written; run the command that made it again to continue"
 
 
@@ -157,8 +162,8 @@ def _check_shared(sensor: ArchivedSensor) -> Iterator[Finding]:
 
 def _prescribed(sensor: ArchivedSensor, name: str, found: Kind) -> Kind:
     """Return the type, row shape and units that an array must have."""
-    if name in ("markers", "references"):
-        return ("uint8", (PACKED,), "1")
+    if name in (sensor.representation.array, "references"):
+        return ("uint8", sensor.representation.shape, "1")
     if name == "displacement":
         return ("float16", sensor.lattice.shape, "px")
     if name == "sources":
@@ -168,7 +173,12 @@ def _prescribed(sensor: ArchivedSensor, name: str, found: Kind) -> Kind:
 
 
 def _layouts(sensor: ArchivedSensor) -> dict[str, ArrayLayout]:
-    names = ["markers", "references", "sources", *(f"table/{name}" for name in COLUMNS)]
+    names = [
+        sensor.representation.array,
+        "references",
+        "sources",
+        *(f"table/{name}" for name in COLUMNS),
+    ]
     if sensor.keeps_displacement:
         names.insert(1, "displacement")
     return {name: ArrayLayout.load(sensor.path / name, sensor.files) for name in names}
@@ -193,7 +203,7 @@ def _check_chunks(sensor: ArchivedSensor) -> Iterator[Finding]:
 
 
 def _check_content(sensor: ArchivedSensor, indenters: int) -> Iterator[Finding]:
-    limits = Limits(indenters, len(sensor.references), len(sensor.sources))
+    limits = Limits(indenters, len(sensor.reference_frames), len(sensor.sources))
     for name in COLUMNS:
         values = sensor.table[name]
         rows = np.flatnonzero(misplaced(name, values, limits))

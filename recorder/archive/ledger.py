@@ -1,8 +1,8 @@
 """Record of the finished units of a sensor, with their table rows until all units are finished.
 
-There is one file per unit, `<sensor>/markers/ledger/<unit>.npz`, written after the unit's data: a
-unit without an entry does not count. It is inside an array's directory because Zarr readers do not
-list that.
+There is one file per unit, `<sensor>/<array>/ledger/<unit>.npz`, written after the unit's data: a
+unit without an entry does not count. It is inside the array of the frames because Zarr readers do
+not list that.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from recorder.archive.array import Array, own_temporary
+from recorder.archive.representation import MASKS, REPRESENTATIONS
 from recorder.archive.table import SOURCE
 from recorder.errors import SessionError
 from recorder.store.durable import replace_file
@@ -41,7 +42,9 @@ class Ledger:
 
     def __init__(self, sensor: Path) -> None:
         """Set the path of the ledger in the sensor's group; nothing is read."""
-        self.path = sensor / "markers" / "ledger"
+        arrays = (each.array for each in REPRESENTATIONS.values())
+        there = (name for name in arrays if (sensor / name).is_dir())
+        self.path = sensor / next(there, MASKS.array) / "ledger"
 
     def create(self) -> None:
         """Create the empty ledger."""

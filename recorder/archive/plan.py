@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from recorder.archive.array import ArrayLayout, ArraySpec
 from recorder.archive.ledger import Ledger
+from recorder.archive.representation import MASKS, Representation
 from recorder.archive.table import write_whole
 from recorder.errors import SessionError
-from recorder.markers import PACKED, SMALLEST_PX, Lattice
+from recorder.markers import SMALLEST_PX, Lattice
 from recorder.store.durable import read_json, sync_directory
 from recorder.store.layout import write_group
 
@@ -27,7 +28,7 @@ WRITING, COMPLETE = "writing", "complete"
 _CREATING = ".creating"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 _ARCHIVE_KEYS = ("format", "format_version", "status", "sensors", "indenters")
-_SENSOR_KEYS = ("mm_per_px", "marker_check", "displacement_of")
+_SENSOR_KEYS = ("mm_per_px", "marker_check", "displacement_of", "representation")
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +54,7 @@ class SensorPlan:
     unit_rows: int
     """Frames per unit, a multiple of `chunk_rows`; the last unit may be shorter."""
     references: NDArray[np.uint8]
-    """Packed masks of the sensor without contact (K, 38400)."""
+    """The sensor without contact (K, ...): packed masks (K, 38400), or as its representation."""
     mm_per_px: float
     """Size of a pixel on the undeformed surface [mm]."""
     lattice: Lattice | None = None
@@ -65,6 +66,8 @@ class SensorPlan:
     """Settings for counting markers; None if the number of patches may vary between frames."""
     attrs: Mapping[str, Any] = field(default_factory=dict)
     """Further JSON-compatible attributes, such as pattern, camera and origin."""
+    representation: Representation = MASKS
+    """Content of its frames."""
 
     def __post_init__(self) -> None:
         """Reject plans that the format cannot hold.
@@ -89,10 +92,18 @@ class SensorPlan:
             )
         found = self.references
         most = np.iinfo(np.int16).max
-        if found.dtype != np.uint8 or found.ndim != 2 or found.shape[1] != PACKED:
+        due = self.representation.shape
+        if found.dtype != np.uint8 or found.shape[1:] != due or found.ndim != 1 + len(due):
             raise SessionError(
                 f"{self.name}.references: found {found.dtype} {found.shape}, expected uint8 "
-                f"(K, {PACKED})"
+                f"(K, {', '.join(map(str, due))})"
+            )
+        if self.representation != MASKS and (
+            self.marker_count is not None or self.lattice is not None
+        ):
+            raise SessionError(
+                f"{self.name}: found {self.representation.name} with a marker count or a lattice; "
+                "allowed: only with masks"
             )
         if not 1 <= len(found) <= most:
             raise SessionError(
@@ -111,13 +122,14 @@ class SensorPlan:
 
     def arrays(self) -> dict[str, ArraySpec]:
         """Return the arrays that are written unit by unit."""
+        shown = self.representation
         arrays = {
-            "markers": ArraySpec(
+            shown.array: ArraySpec(
                 "uint8",
-                (self.rows, PACKED),
-                ("row", "byte"),
+                (self.rows, *shown.shape),
+                ("row", *shown.dims),
                 "1",
-                "mask of 480 x 640 pixels, row-major, first pixel in the highest bit, 1 = marker",
+                shown.description,
                 self.chunk_rows,
                 self.unit_rows,
             )
@@ -144,13 +156,15 @@ class SensorPlan:
             "marker_check": None if self.marker_count is None else asdict(self.marker_count),
             "displacement_of": self.displacement_of,
         }
+        if self.representation != MASKS:
+            own["representation"] = self.representation.name
         write_group(path, {**self.attrs, **own})
         references = ArraySpec(
             "uint8",
             self.references.shape,
-            ("reference", "byte"),
+            ("reference", *self.representation.dims),
             "1",
-            "masks of the untouched sensor, packed as markers are",
+            self.representation.reference,
             1,
             len(self.references),
         )

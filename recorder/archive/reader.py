@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from recorder.archive.array import ArrayLayout, ArrayReader, Rows
 from recorder.archive.plan import COMPLETE, FORMAT, FORMAT_VERSION
+from recorder.archive.representation import MASKS, REPRESENTATIONS
 from recorder.archive.table import COLUMNS
 from recorder.errors import SessionError
 from recorder.markers import SMALLEST_PX, Lattice, count_markers, unpack
@@ -37,7 +38,15 @@ class ArchivedSensor:
             raise SessionError(
                 f"{files.name(path)}: found attrs mm_per_px {found!r}, expected a number"
             )
-        self.markers = ArrayReader(ArrayLayout.load(path / "markers", files))
+        told = str(self.attrs.get("representation", MASKS.name))
+        if told not in REPRESENTATIONS:
+            raise SessionError(
+                f"{files.name(path)}: found attrs representation {told!r:.80}, known: "
+                f"{', '.join(REPRESENTATIONS)}"
+            )
+        self.representation = REPRESENTATIONS[told]
+        """Content of its frames."""
+        self.stored = ArrayReader(ArrayLayout.load(path / self.representation.array, files))
         self._references = ArrayReader(ArrayLayout.load(path / "references", files))
         self.table: Mapping[str, np.ndarray[Any, Any]] = Table(
             path / "table", tuple(COLUMNS), self._column
@@ -46,7 +55,7 @@ class ArchivedSensor:
 
     def __len__(self) -> int:
         """Return the number of frames."""
-        return len(self.markers)
+        return len(self.stored)
 
     @property
     def mm_per_px(self) -> float:
@@ -57,9 +66,26 @@ class ArchivedSensor:
         """Return packed masks (n, 38400).
 
         Raises:
+            SessionError: No such row, a chunk that is missing or corrupt, or no masks.
+        """
+        self._require_masks()
+        return self.frames(rows)
+
+    def frames(self, rows: Rows) -> NDArray[np.uint8]:
+        """Return frames as stored (n, ...), in the shape of the representation.
+
+        Raises:
             SessionError: No such row, or a chunk that is missing or corrupt.
         """
-        return self.markers.read(rows)
+        return self.stored.read(rows)
+
+    def _require_masks(self) -> None:
+        if self.representation != MASKS:
+            raise SessionError(
+                f"{self.name}: holds {self.representation.name}, not masks of markers: it can be "
+                "split, and trained, scored and seen live by models of its own; what follows "
+                "markers cannot be done with it"
+            )
 
     def masks(self, rows: Rows) -> NDArray[np.bool_]:
         """Return masks (n, 480, 640), True on a marker.
@@ -69,9 +95,19 @@ class ArchivedSensor:
         """
         return unpack(self.packed(rows))
 
-    @cached_property
+    @property
     def references(self) -> NDArray[np.uint8]:
-        """Packed contact-free masks (K, 38400); `table["reference"]` holds their indices."""
+        """Packed contact-free masks (K, 38400); `table["reference"]` holds their indices.
+
+        Raises:
+            SessionError: The sensor holds no masks.
+        """
+        self._require_masks()
+        return self.reference_frames
+
+    @cached_property
+    def reference_frames(self) -> NDArray[np.uint8]:
+        """Contact-free frames as stored (K, ...); `table["reference"]` holds their indices."""
         return self._references.all()
 
     def reference(self, row: int) -> NDArray[np.bool_]:
@@ -280,7 +316,9 @@ def describe_archive(path: str | os.PathLike[str]) -> str:
 
 def _sensor_line(sensor: ArchivedSensor, *, tables: bool) -> str:
     smallest = (sensor.attrs.get("marker_check") or {}).get("smallest_px", SMALLEST_PX)
-    markers = count_markers(unpack(sensor.references[0]), smallest)
+    markers = "-"
+    if sensor.representation == MASKS:
+        markers = str(count_markers(unpack(sensor.references[0]), smallest))
     size = sum(sensor.files.sizes(sensor.path).values()) / 1e6
     shapes, depth, force = "-", "-", ["-"] * 3
     if tables:
@@ -290,8 +328,8 @@ def _sensor_line(sensor: ArchivedSensor, *, tables: bool) -> str:
     cells = (
         str(len(sensor)),
         shapes,
-        str(len(sensor.references)),
-        str(markers),
+        str(len(sensor.reference_frames)),
+        markers,
         f"{size:.2f}",
         f"{sensor.mm_per_px:.4f}",
         depth,

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from recorder.archive.array import Array, ArrayLayout, ArraySpec
 from recorder.archive.ledger import Ledger
 from recorder.archive.plan import COMPLETE, FORMAT, FORMAT_VERSION, ArchivePlan, begin
+from recorder.archive.representation import REPRESENTATIONS
 from recorder.archive.table import (
     COLUMNS,
     SOURCE,
@@ -108,7 +109,7 @@ class SensorWriter:
         self.path = archive.path / name
         self.ledger = Ledger(self.path)
         self._archive = archive
-        names = ("markers", "displacement")
+        names = (*(each.array for each in REPRESENTATIONS.values()), "displacement")
         self._layouts = {
             array: ArrayLayout.load(self.path / array)
             for array in names
@@ -120,12 +121,12 @@ class SensorWriter:
     @property
     def rows(self) -> int:
         """Number of frames."""
-        return self._markers.rows
+        return self._frames.rows
 
     @property
     def units(self) -> int:
         """Number of units."""
-        return self._markers.shards
+        return self._frames.shards
 
     def rows_of(self, unit: int) -> slice:
         """Return the rows of a unit.
@@ -135,7 +136,7 @@ class SensorWriter:
         """
         if not 0 <= unit < self.units:
             raise SessionError(f"{self.path}: no unit {unit}, the sensor has {self.units}")
-        return self._markers.rows_of_shard(unit)
+        return self._frames.rows_of_shard(unit)
 
     def missing(self) -> list[int]:
         """Return the units that remain to be written, ascending."""
@@ -157,7 +158,7 @@ class SensorWriter:
 
         Args:
             unit: Number of the unit.
-            packed: Packed masks of its n rows (n, 38400).
+            packed: Frames of its n rows: packed masks (n, 38400), or as the representation.
             table: The columns of `table.GIVEN`, n values each.
             source: One provenance line per row; rows of one press share theirs.
             displacement: Fields (n, *lattice.shape) [px], if the plan has a lattice.
@@ -170,7 +171,8 @@ class SensorWriter:
         where = f"{self.path} unit {unit}"
         columns = checked_columns(table, count, self._limits, where)
         _check_lines(source, count, where)
-        given: dict[str, Array | None] = {"markers": packed, "displacement": displacement}
+        frames = next(name for name in self._layouts if name != "displacement")
+        given: dict[str, Array | None] = {frames: packed, "displacement": displacement}
         large = {name: values for name, values in given.items() if values is not None}
         if large.keys() != self._layouts.keys():
             raise SessionError(
@@ -215,8 +217,8 @@ class SensorWriter:
             sync_directory(folder)
 
     @property
-    def _markers(self) -> ArrayLayout:
-        return self._layouts["markers"]
+    def _frames(self) -> ArrayLayout:
+        return next(self._layouts[name] for name in self._layouts if name != "displacement")
 
 
 def _check_lines(source: Sequence[str], count: int, where: str) -> None:

@@ -115,7 +115,9 @@ SESSIONS = (
     Command("session sheet", "recorder.cli.sheet", "draw a session on one page"),
     Command("session view", "recorder.cli.view", "view a session in Rerun", extra="view"),
     Command(
-        "import", "recorder.cli.import_session", "convert a recording made elsewhere into a session"
+        "import",
+        "tactile.import_recording",
+        "make sessions of recordings made elsewhere, whatever their files are",
     ),
 )
 SIMULATE = (
@@ -177,6 +179,11 @@ LEARN = (
         "compensate",
         "learning.compensation.command",
         "fit material priors and choose how labels are scaled between skins",
+    ),
+    Command(
+        "cross-validate",
+        "learning.cli.cross_validate",
+        "score a force model of one sensor on indenters that were left out",
     ),
     Command("predict", "learning.cli.predict", "predict the forces of frames"),
     Command(
@@ -276,6 +283,7 @@ LIBRARIES = {
     "rerun": ("view",),
     "rtde_control": ("rig",),
     "s3fs": ("remote",),
+    "rosbags": ("export",),
     "safetensors": ("learning",),
     "scipy": ("sim", "markers", "learning"),
     "serial": ("rig",),

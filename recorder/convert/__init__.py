@@ -6,19 +6,32 @@ docs/how-to/export-and-import.md describes the content of each format.
 
 from recorder.convert.export import FORMATS, Options, building, export, file_name
 from recorder.convert.genforce_format import FORCE_COLUMNS, POSE_COLUMNS
-from recorder.convert.import_session import ImportRequest, import_session
-from recorder.convert.import_taxels import in_order, told_order
+from recorder.convert.import_find import Answers
+from recorder.convert.import_force import FORCE_UNITS, TORQUE_UNITS
+from recorder.convert.import_page import write_page
+from recorder.convert.import_session import Draft, draft_recordings, write_sessions
+from recorder.convert.import_taxels import ORDERS, in_order, told_order
+from recorder.convert.import_tracks import KINDS, As, MissingAnswer
 
 __all__ = [
     "FORCE_COLUMNS",
+    "FORCE_UNITS",
     "FORMATS",
+    "KINDS",
+    "ORDERS",
     "POSE_COLUMNS",
-    "ImportRequest",
+    "TORQUE_UNITS",
+    "Answers",
+    "As",
+    "Draft",
+    "MissingAnswer",
     "Options",
     "building",
+    "draft_recordings",
     "export",
     "file_name",
-    "import_session",
     "in_order",
     "told_order",
+    "write_page",
+    "write_sessions",
 ]

@@ -8,6 +8,7 @@ thousand times finer than the resolution of such gauges; the largest change is r
 from __future__ import annotations
 
 import csv
+import math
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -45,6 +46,15 @@ _COLUMN = re.compile(
     r"^(?P<name>[A-Za-z]+)(?:\s*[(\[]\s*(?P<unit>[^)\]]+?)\s*[)\]]|_(?P<tail>\w+))?$"
 )
 _TIMES = ("t", "time", "timestamp")
+# Columns of a CSV file that are no forces: word, name, units.
+LENGTH_UNITS = {"m": 1.0, "mm": 1e-3}
+ANGLE_UNITS = {"rad": 1.0, "deg": math.pi / 180}
+POSE_AXES = ("X", "Y", "Z", "RX", "RY", "RZ")
+_OTHERS: dict[str, tuple[str, dict[str, float]]] = {
+    **{axis.lower(): (axis, LENGTH_UNITS) for axis in POSE_AXES[:3]},
+    **{axis.lower(): (axis, ANGLE_UNITS) for axis in POSE_AXES[3:]},
+    **{word: ("width", LENGTH_UNITS) for word in ("width", "opening")},
+}
 
 
 def parse_unit(text: str, known: dict[str, float], where: str) -> float:
@@ -86,7 +96,7 @@ def parse_header(
     twice = sorted({name for name in kept if kept.count(name) > 1})
     if twice:
         raise SessionError(f"{where}: column {twice[0]} comes twice")
-    if not set(kept) & set(AXES):
+    if not set(kept) & {*AXES, "width", *POSE_AXES}:
         raise SessionError(f"{where}: no force column; known: {', '.join(AXES)}")
     return found
 
@@ -110,6 +120,11 @@ def _column(name: str, force: str | None, torque: str | None, where: str) -> tup
         if unit is None and default is None:
             raise SessionError(f"{where}: says no unit; say {option} ({', '.join(known)})")
         return axis, parse_unit(unit or default or "", known, where)
+    if word in _OTHERS:
+        name, units = _OTHERS[word]
+        if unit is None:
+            raise SessionError(f"{where}: says no unit; allowed: {', '.join(units)}")
+        return name, parse_unit(unit, units, where)
     raise SessionError(
         f"{where}: not known; allowed: {', '.join(AXES)}, each with its unit, as Fx (N), and "
         f"{', '.join(_TIMES)} with theirs; leave others out with --ignore NAME"
@@ -147,13 +162,34 @@ class Wrenches:
         return float(self.t_ns[-1]) * 1e-9 + 1.0 / self.rate_hz
 
 
+@dataclass(frozen=True, slots=True)
+class ForceUnits:
+    """Units and columns that a file does not state itself."""
+
+    force: str | None = None
+    """Unit of a `.npy` file, and of columns without a unit."""
+    torque: str | None = None
+    """The same for torques."""
+    ignore: tuple[str, ...] = ()
+    """Columns to leave out."""
+
+
+def rate_of(t_ns: NDArray[np.int64]) -> float:
+    """Return the usual number of rows a second at times (n,) [ns]; 1 for a single row."""
+    if len(t_ns) < 2:
+        return 1.0
+    step = max(float(np.median(np.diff(t_ns))), 1.0)
+    rate = round(1e9 / step, 3)
+    # Times are whole nanoseconds, which rates such as 60 Hz do not divide.
+    return rate if rate > 0 and abs(1e9 / rate - step) < 1.0 else 1e9 / step
+
+
 def read_force(
     path: Path,
     *,
     rate_hz: float | None,
-    force_unit: str | None,
-    torque_unit: str | None,
-    ignore: tuple[str, ...] = (),
+    units: ForceUnits | None = None,
+    t_ns: NDArray[np.int64] | None = None,
 ) -> Wrenches:
     """Return the forces of a file.
 
@@ -161,37 +197,65 @@ def read_force(
         path: `.csv` with a header line, or `.npy`: (n,) pressing force, positive when pressing;
             (n, 3) Fx Fy Fz; (n, 6) with Tx Ty Tz.
         rate_hz: Rows per second, if no column gives times.
-        force_unit: Unit of a `.npy` file, and of columns without a unit.
-        torque_unit: The same for torques.
-        ignore: Columns to leave out.
+        units: Units and columns that the file does not state.
+        t_ns: Times of the rows (n,) [ns], if no column gives them and there is no rate.
 
     Raises:
         SessionError: Invalid content; the message gives the place.
         OSError: The file cannot be read.
     """
-    name = path.name
+    name, units = path.name, units or ForceUnits()
+    own: NDArray[np.int64] | None = None
     if path.suffix.lower() == ".npy":
-        value, axes, assumed = _from_npy(path, force_unit, torque_unit)
-        t_ns = None
+        value, axes, assumed = from_array(name, load_npy(path), units)
     elif path.suffix.lower() == ".csv":
-        value, axes, t_ns = _from_csv(path, force_unit, torque_unit, ignore)
-        assumed = []
+        table = read_table(name, read_lines(path), units)
+        (value, axes), own, assumed = forces_of(table), table.t_ns, []
+        if not axes:
+            raise SessionError(f"{name}: no force column; known: {', '.join(AXES)}")
     else:
         raise SessionError(f"{name}: found {path.suffix!r}; allowed: .csv, .npy")
-    if t_ns is None:
-        if rate_hz is None:
-            raise SessionError(f"{name}: says no times; say --force-hz")
-        t_ns = np.round(np.arange(len(value)) * (1e9 / rate_hz)).astype(np.int64)
-        assumed.append(f"{name}: {rate_hz:g} rows/s by --force-hz")
-    elif rate_hz is not None:
+    if own is not None and rate_hz is not None:
         raise SessionError(f"{name}: has a time column; --force-hz does not go with it")
-    else:
-        rate_hz = 1e9 / max(float(np.median(np.diff(t_ns))), 1.0) if len(t_ns) > 1 else 1.0
+    if own is None and rate_hz is not None:
+        own = np.round(np.arange(len(value)) * (1e9 / rate_hz)).astype(np.int64)
+        assumed.append(f"{name}: {rate_hz:g} rows/s by --force-hz")
+    elif own is None and t_ns is not None:
+        own = t_ns
+    elif own is None:
+        raise SessionError(f"{name}: says no times; say --force-hz")
+    return wrenches_of(name, value, axes, own, rate_hz=rate_hz, assumed=assumed)
+
+
+def wrenches_of(
+    name: str,
+    value: Floats,
+    axes: list[str],
+    t_ns: NDArray[np.int64],
+    *,
+    rate_hz: float | None = None,
+    assumed: list[str],
+) -> Wrenches:
+    """Return forces (n, 6) [N, N m] at times (n,) [ns] in whole counts, as a gauge sends them.
+
+    Args:
+        name: The file, for messages.
+        value: Forces and torques; NaN on axes that were not measured.
+        axes: Those that were.
+        t_ns: Times since the start of the recording.
+        rate_hz: Rows per second; None: by the times.
+        assumed: Messages so far.
+
+    Raises:
+        SessionError: A force is beyond the counts' range.
+    """
+    rate_hz = rate_hz or rate_of(t_ns)
     missing = [axis for axis in AXES if axis not in axes]
+    told = list(assumed)
     if missing:
-        assumed.append(f"{name}: {', '.join(missing)} not measured, stored as NaN")
+        told.append(f"{name}: {', '.join(missing)} not measured, stored as NaN")
     counted, device, largest = _counted(value, name)
-    assumed.append(
+    told.append(
         f"{name}: rounded to 1e-6 N and "
         f"{'1e-9' if device['torque_unit'] == 'N-mm' else '1e-6'} N m; "
         f"largest change {largest[0]:.2g} N, {largest[1]:.2g} N m"
@@ -201,7 +265,7 @@ def read_force(
         "axes_measured": axes,
         "max_age": max(_MAX_AGE, _MAX_AGE_PERIODS / rate_hz),
     }
-    return Wrenches(counted, t_ns, rate_hz, attrs, assumed)
+    return Wrenches(counted, t_ns, rate_hz, attrs, told)
 
 
 def load_npy(path: Path) -> NDArray[Any]:
@@ -221,38 +285,61 @@ def load_npy(path: Path) -> NDArray[Any]:
     return array
 
 
-def _from_npy(
-    path: Path, force_unit: str | None, torque_unit: str | None
+def from_array(
+    name: str, numbers: NDArray[Any], units: ForceUnits
 ) -> tuple[Floats, list[str], list[str]]:
-    array = load_npy(path).astype(np.float64)
+    """Return forces (n, 6) [N, N m] of an array, the measured axes, and messages.
+
+    Raises:
+        SessionError: Another shape, a unit that nothing states, NaN or infinity.
+    """
+    array = numbers.astype(np.float64)
+    force_unit, torque_unit = units.force, units.torque
     if array.ndim == 2 and array.shape[1] == 1:
         array = array[:, 0]
     if array.ndim > 2 or (array.ndim == 2 and array.shape[1] not in (3, 6)):
-        raise SessionError(f"{path.name}: found shape {array.shape}; allowed: (n,), (n, 3), (n, 6)")
+        raise SessionError(f"{name}: found shape {array.shape}; allowed: (n,), (n, 3), (n, 6)")
     if force_unit is None:
-        raise SessionError(f"{path.name}: says no unit; say --units ({', '.join(FORCE_UNITS)})")
+        raise SessionError(f"{name}: says no unit; say --units ({', '.join(FORCE_UNITS)})")
     newton = parse_unit(force_unit, FORCE_UNITS, "--units")
-    _refuse_bad(array.reshape(len(array), -1), path.name, 0)
+    _refuse_bad(array.reshape(len(array), -1), name, 0)
     value = np.full((len(array), 6), np.nan)
-    assumed = [f"{path.name}: {force_unit} by --units"]
+    assumed = [f"{name}: {force_unit} by --units"]
     if array.ndim == 1:
         value[:, 2] = -array * newton
-        assumed.append(f"{path.name}: one force, positive when pressing, stored as -Fz")
+        assumed.append(f"{name}: one force, positive when pressing, stored as -Fz")
         return value, ["Fz"], assumed
     value[:, :3] = array[:, :3] * newton
     if array.shape[1] == 3:
         return value, list(AXES[:3]), assumed
     if torque_unit is None:
         raise SessionError(
-            f"{path.name}: torques say no unit; say --torque-units ({', '.join(TORQUE_UNITS)})"
+            f"{name}: torques say no unit; say --torque-units ({', '.join(TORQUE_UNITS)})"
         )
     value[:, 3:] = array[:, 3:] * parse_unit(torque_unit, TORQUE_UNITS, "--torque-units")
     return value, list(AXES), assumed
 
 
-def _from_csv(
-    path: Path, force_unit: str | None, torque_unit: str | None, ignore: tuple[str, ...]
-) -> tuple[Floats, list[str], NDArray[np.int64] | None]:
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Known columns of a CSV file."""
+
+    columns: dict[str, Floats]
+    """Values (n,) in SI units by name: axes of `AXES` and `POSE_AXES`, and `width`."""
+    t_ns: NDArray[np.int64] | None
+    """Times (n,) since the first row [ns]; None without a time column."""
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return len(next(iter(self.columns.values())))
+
+
+def read_lines(path: Path) -> list[list[str]]:
+    """Return the words of a CSV file, line by line, the first of which may be a header.
+
+    Raises:
+        SessionError: No text, or fewer than two lines.
+    """
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             lines = list(csv.reader(file))
@@ -260,42 +347,73 @@ def _from_csv(
         raise SessionError(f"{path.name}: no CSV text: {error}") from error
     if len(lines) < 2:
         raise SessionError(f"{path.name}: found {len(lines)} lines; expected a header and rows")
+    return lines
+
+
+def read_table(name: str, lines: list[list[str]], units: ForceUnits) -> Table:
+    """Return the known columns of a CSV file by its header.
+
+    Args:
+        name: The file, for messages.
+        lines: Its words, the header first.
+        units: Units and columns that the file does not state.
+
+    Raises:
+        SessionError: An unknown column, a line of another length, or something that is no number.
+    """
     columns = parse_header(
-        lines[0], force=force_unit, torque=torque_unit, ignore=ignore, where=path.name
+        lines[0], force=units.force, torque=units.torque, ignore=units.ignore, where=name
     )
-    rows = np.zeros((len(lines) - 1, len(columns)))
-    for place, line in enumerate(lines[1:]):
-        if len(line) != len(columns):
-            raise SessionError(
-                f"{path.name}: line {place + 2}: found {len(line)} values, the header has "
-                f"{len(columns)}; is the file cut short?"
-            )
-        for column, word in enumerate(line):
-            if columns[column] is None:
-                continue
-            try:
-                rows[place, column] = float(word)
-            except ValueError:
-                raise SessionError(
-                    f"{path.name}: line {place + 2}: {lines[0][column].strip()}: found {word!r}, "
-                    "expected a number"
-                ) from None
-    _refuse_bad(rows, path.name, 2)
-    value = np.full((len(rows), 6), np.nan)
-    axes, t_ns = [], None
+    rows = read_rows(name, lines, [place for place, each in enumerate(columns) if each is not None])
+    known: dict[str, Floats] = {}
+    t_ns = None
     for column, meaning in enumerate(columns):
         if meaning is None:
             continue
-        name, factor = meaning
-        if name == "t":
+        word, factor = meaning
+        if word == "t":
             since = rows[:, column] - rows[0, column]
             t_ns = np.rint(since * factor).astype(np.int64)
         else:
-            value[:, AXES.index(name)] = rows[:, column] * factor
-            axes.append(name)
+            known[word] = rows[:, column] * factor
     if t_ns is not None and (backward := np.flatnonzero(np.diff(t_ns) <= 0)).size:
-        raise SessionError(f"{path.name}: line {backward[0] + 3}: its time does not advance")
-    return value, sorted(axes, key=AXES.index), t_ns
+        raise SessionError(f"{name}: line {backward[0] + 3}: its time does not advance")
+    return Table(known, t_ns)
+
+
+def read_rows(name: str, lines: list[list[str]], used: list[int], first: int = 1) -> Floats:
+    """Return the numbers of the lines from `first` on; 0 in columns that are not used.
+
+    Raises:
+        SessionError: A line of another length, or a used value that is no finite number.
+    """
+    rows = np.zeros((len(lines) - first, len(lines[0])))
+    for place, line in enumerate(lines[first:]):
+        number = place + first + 1
+        if len(line) != len(lines[0]):
+            raise SessionError(
+                f"{name}: line {number}: found {len(line)} values, the header has "
+                f"{len(lines[0])}; is the file cut short?"
+            )
+        for column in used:
+            try:
+                rows[place, column] = float(line[column])
+            except ValueError:
+                raise SessionError(
+                    f"{name}: line {number}: {lines[0][column].strip()}: found {line[column]!r}, "
+                    "expected a number"
+                ) from None
+    _refuse_bad(rows, name, first + 1)
+    return rows
+
+
+def forces_of(table: Table) -> tuple[Floats, list[str]]:
+    """Return the forces of a table (n, 6), NaN on axes that it lacks, and the axes that it has."""
+    value = np.full((len(table), len(AXES)), np.nan)
+    axes = [axis for axis in AXES if axis in table.columns]
+    for axis in axes:
+        value[:, AXES.index(axis)] = table.columns[axis]
+    return value, axes
 
 
 def _refuse_bad(rows: Floats, name: str, first_line: int) -> None:

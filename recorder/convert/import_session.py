@@ -1,210 +1,234 @@
-"""Import a recording as a session, atomically."""
+"""Write recordings made elsewhere as sessions, atomically: one for each object that touched."""
 
 from __future__ import annotations
 
 import datetime
 import hashlib
 import shutil
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from recorder.convert.import_force import Wrenches, read_force
-from recorder.convert.import_taxels import Counts, TaxelOrder, read_taxels
-from recorder.convert.import_video import Film, open_film
+from recorder.convert.import_find import Answers, Take, find_takes, indenter_of
+from recorder.convert.import_force import Wrenches
+from recorder.convert.import_presses import (
+    Lag,
+    Press,
+    Signal,
+    Span,
+    Trace,
+    find_lag,
+    find_no_contact,
+    find_presses,
+    force_signal,
+    press_within,
+    widened,
+)
+from recorder.convert.import_taxels import Counts
+from recorder.convert.import_tracks import As, MissingAnswer, Numbers, Times, Track
+from recorder.convert.import_video import Film
 from recorder.errors import SessionError
+from recorder.session.align import NS
+from recorder.session.frames import depth_in
 from recorder.session.stream_writer import StreamWriter
 from recorder.session.writer import SessionWriter
-from recorder.spec import StreamSpec, camera_spec, force_spec, signal_of, taxels_spec
+from recorder.spec import (
+    PHASES,
+    Column,
+    StreamSpec,
+    camera_spec,
+    force_spec,
+    pose_spec,
+    reference_spec,
+    signal_of,
+    taxels_spec,
+)
 from recorder.store.durable import sync_directory
 
-# Files to import and their metadata.
-
-_BLOCK = 1 << 20
-# Stream of a file that has no name of its own, and the option of its rate, by option of the file.
-_STREAMS = {
-    "video": ("camera", "fps"),
-    "force": ("force", "force_hz"),
-    "taxels": ("taxels", "taxels_hz"),
-}
-
-# One file, or several by the name of their stream; rates likewise.
-Files = Path | Mapping[str, Path] | None
-Rates = float | Mapping[str, float] | None
-
-
-@dataclass(frozen=True, slots=True)
-class _File:
-    """One file to import."""
-
-    option: str
-    """A key of `_STREAMS`."""
-    stream: str
-    """Name of its stream."""
-    path: Path
-    rate_hz: float | None
-    """Rate that was given."""
-
-    @property
-    def label(self) -> str:
-        """Name in messages and attributes: the option, or the stream if that has its own name."""
-        return self.option if self.stream == _STREAMS[self.option][0] else self.stream
-
-
-@dataclass(frozen=True, slots=True)
-class ImportRequest:
-    """Files of one recording that start together, and metadata that they do not contain."""
-
-    out: Path
-    """The session to write."""
-    sensor: str
-    """Name of the sensor."""
-    indenter: str
-    """Name of the object that touched it."""
-    video: Files = None
-    """Video file, or folder of images."""
-    force: Files = None
-    """Forces: .csv or .npy."""
-    taxels: Files = None
-    """Taxel counts: .npy."""
-    fps: Rates = None
-    """Images per second; None takes the rate of the video."""
-    force_hz: Rates = None
-    """Force rows per second; None takes the time column."""
-    taxels_hz: Rates = None
-    """Taxel rows per second."""
-    taxel_order: TaxelOrder | None = None
-    """Order of the numbers in a row of taxels; None tells it by the resting counts."""
-    units: str | None = None
-    """Unit of forces without a unit."""
-    torque_units: str | None = None
-    """Unit of torques without a unit."""
-    ignore: tuple[str, ...] = ()
-    """Force columns to leave out."""
-    trim: bool = False
-    """If true, cut all to the shortest instead of rejecting recordings of unequal length."""
-    operator: str = ""
-    """Person who made the recording."""
-
-    def __post_init__(self) -> None:
-        """Reject a request without files, and impossible rates.
-
-        Raises:
-            SessionError: The message names the option.
-        """
-        found = self.parts
-        if not found:
-            raise SessionError("found nothing to import; say --video, --force or --taxels")
-        for option, (_, name) in _STREAMS.items():
-            rates = getattr(self, name)
-            flag = "--" + name.replace("_", "-")
-            streams = [part.stream for part in found if part.option == option]
-            given = rates if isinstance(rates, Mapping) else {"": rates}
-            for stream, rate in given.items():
-                if rate is None:
-                    continue
-                if not 0 < rate <= 100_000:
-                    raise SessionError(f"{flag}: found {rate:g}; allowed: above 0 to 100000")
-                if not streams or stream not in ("", *streams):
-                    of = f" of {stream}" if stream else ""
-                    raise SessionError(
-                        f"{flag}: found {rate:g}{of} without the file it is the rate of"
-                    )
-
-    @property
-    def parts(self) -> list[_File]:
-        """Files in the order of the options."""
-        found = []
-        for option, (default, rate) in _STREAMS.items():
-            files, rates = getattr(self, option), getattr(self, rate)
-            named = files if isinstance(files, Mapping) else {default: files}
-            for stream, path in named.items():
-                if path is not None:
-                    own = rates.get(stream) if isinstance(rates, Mapping) else rates
-                    found.append(_File(option, stream, path, own))
-        return found
-
-    def files(self) -> dict[str, dict[str, Any]]:
-        """Return name and SHA-256 of each file; for a folder, over its files in order of the names.
-
-        Raises:
-            OSError: A file cannot be read.
-        """
-        return {
-            part.label: {"name": part.path.name, "sha256": _sha256(part.path)}
-            for part in self.parts
-        }
-
-
-def _sha256(path: Path) -> str:
-    digest = hashlib.sha256()
-    files = sorted(e for e in path.iterdir() if e.is_file()) if path.is_dir() else [path]
-    for file in files:
-        if path.is_dir():
-            digest.update(f"{file.name} {file.stat().st_size}\n".encode())
-        with file.open("rb") as content:
-            while block := content.read(_BLOCK):
-                digest.update(block)
-    return digest.hexdigest()
-
-
+Floats = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 Rows = Iterator[dict[str, Any]]
 
+_BLOCK = 1 << 20
 _IMPORTING = ".importing"
 # Recordings may differ in length by this fraction, or by this duration [s].
 _LENGTH_TOLERANCE = 0.05
 _LENGTH_LEAST = 0.1
+# Side of the small pictures in which contacts are looked for [px].
+_SMALL = (60, 80)
+# Frames without contact that are kept before and after a press, if there are some.
+_AROUND = 2
+# File names of single pictures that show no contact.
+_NO_CONTACT = ("ref", "reference", "background", "no_contact", "untouched", "rest")
 
 
-def import_session(request: ImportRequest, progress: Progress | None = None) -> list[str]:
-    """Write `request.out` and return messages on assumptions and changes.
+@dataclass(frozen=True, slots=True, eq=False)
+class Draft:
+    """A recording as it will be written, to be looked at first."""
+
+    take: Take
+    """Its tracks; times are on one clock, from 0."""
+    indenter: str
+    """Name of what touched the sensor."""
+    no_contact: Span
+    """Time without contact [ns]."""
+    presses: tuple[Press, ...]
+    """Contacts, in order of time."""
+    trace: Trace
+    """Change in which they were found."""
+    end_ns: int
+    """End of what is written."""
+    lag: Lag | None = None
+    """Lag that was found between images or taxels and forces."""
+    small: NDArray[np.uint8] | None = None
+    """Small pictures (n, h, w, 3); None without a camera."""
+    assumed: tuple[str, ...] = ()
+    """Messages on assumptions and changes."""
+
+
+def draft_recordings(
+    paths: Sequence[Path], stated: Sequence[tuple[As, str, Path]], answers: Answers
+) -> list[Draft]:
+    """Find the recordings in files and folders, and the contacts in each.
 
     Args:
-        request: Files to import.
-        progress: Called with the number of rows written and the total.
+        paths: Files and folders, whose kinds are found out.
+        stated: Kind, stream (or an empty text) and path of files that are one recording.
+        answers: What the files cannot tell.
 
     Raises:
-        SessionError: The files are invalid; nothing is left behind.
-        OSError: A file cannot be read, or the disk is full; nothing is left behind.
+        SessionError: Nothing can be imported, or a file is damaged.
+        MissingAnswer: Something that the files do not tell.
+        OSError: A file cannot be read.
     """
-    if request.out.exists():
-        raise SessionError(f"{request.out}: exists already; choose another name")
-    opened = {part: _open(part, request) for part in request.parts}
-    seconds = {part.label: content.seconds for part, content in opened.items()}
-    assumed = ["all files start together"] if len(seconds) > 1 else []
-    for content in opened.values():
-        assumed += content.assumed
-    end = _common_end(seconds, request.trim)
+    takes = find_takes(paths, stated, answers)
+    if not answers.sensor:
+        raise MissingAnswer("sensor", "nothing tells the name of the sensor")
+    if answers.contact_frame and not all(_first(take, "pose") for take in takes):
+        raise SessionError("--contact-frame: found without poses, which a depth takes")
+    return [_draft(take, answers) for take in takes]
+
+
+def _first(take: Take, kind: As) -> Track | None:
+    return next((track for track in take.tracks if track.kind == kind), None)
+
+
+def _draft(take: Take, answers: Answers) -> Draft:
+    indenter = indenter_of(take.name, answers)
+    assumed = [*take.assumed]
+    for track in take.tracks:
+        assumed += track.content.assumed
+    small = _small_pictures(take)
+    take, lag, told = _on_one_clock(take, small, answers)
+    assumed += told
+    seconds = {track.source: track.content.seconds for track in take.tracks}
+    end = _common_end(seconds, answers.trim)
     if end < max(seconds.values()):
-        assumed.append(f"all cut to {end:.3f} s, the length of the shortest")
-    building = request.out.with_name(request.out.name + _IMPORTING)
-    shutil.rmtree(building, ignore_errors=True)
-    try:
-        _write(building, request, _streams(opened, end), assumed, progress)
-        building.rename(request.out)
-    finally:
-        shutil.rmtree(building, ignore_errors=True)
-    sync_directory(request.out.parent)
-    return assumed
-
-
-def _open(part: _File, request: ImportRequest) -> Film | Wrenches | Counts:
-    """Return the content of a file."""
-    if part.option == "video":
-        return open_film(part.path, part.rate_hz)
-    if part.option == "taxels":
-        return read_taxels(part.path, part.rate_hz, request.taxel_order)
-    return read_force(
-        part.path,
-        rate_hz=part.rate_hz,
-        force_unit=request.units,
-        torque_unit=request.torque_units,
-        ignore=request.ignore,
+        assumed.append(f"{take.name}: all cut to {end:.3f} s, the length of the shortest")
+    end_ns = round(end * 1e9)
+    film = _first(take, "video")
+    if isinstance(film and film.content, Film) and film and film.content.names:  # type: ignore[union-attr]
+        no_contact, presses, trace = _stills(film.content, small, answers)  # type: ignore[arg-type]
+    else:
+        no_contact, presses, trace = _contacts(take, small, answers, end_ns)
+    forces = _first(take, "force")
+    if forces is not None and presses:
+        _require_sign(forces, no_contact, presses)
+    if presses:
+        begin, end_s = NS * no_contact[0], NS * no_contact[1]
+        assumed.append(
+            f"{take.name}: without contact from {begin:.3f} to {end_s:.3f} s, "
+            f"{len(presses)} presses by {trace.name}"
+        )
+    return Draft(
+        take, indenter, no_contact, tuple(presses), trace, end_ns, lag, small, tuple(assumed)
     )
+
+
+def _small_pictures(take: Take) -> NDArray[np.uint8] | None:
+    """Return the pictures of the first camera (n, h, w, 3), about 60 by 80 px."""
+    track = _first(take, "video")
+    if track is None or not isinstance(track.content, Film):
+        return None
+    return np.stack([_shrunk(image) for image in track.content.load()])
+
+
+def _shrunk(image: Any) -> NDArray[np.uint8]:
+    from PIL import Image
+
+    if isinstance(image, bytes):
+        import simplejpeg
+
+        image = simplejpeg.decode_jpeg(
+            image, fastdct=True, min_height=_SMALL[0], min_width=_SMALL[1]
+        )
+    picture = Image.fromarray(np.asarray(image))
+    return np.asarray(picture.resize(_SMALL[::-1], Image.Resampling.BOX), np.uint8)
+
+
+def _shown(take: Take, small: NDArray[np.uint8] | None) -> Signal | None:
+    """Return the signal of images, else of taxels; None without either."""
+    film, taxels = _first(take, "video"), _first(take, "taxels")
+    if film is not None and small is not None:
+        rows = small.reshape(len(small), -1).astype(np.float64)
+        return Signal("change of the image [grey levels]", film.content.t_ns, rows)
+    if taxels is not None and isinstance(taxels.content, Counts):
+        rows = taxels.content.value.reshape(len(taxels.content.value), -1).astype(np.float64)
+        return Signal("change of the taxels [counts]", taxels.content.t_ns, rows)
+    return None
+
+
+def _force(take: Take) -> Signal | None:
+    track = _first(take, "force")
+    if track is None or not isinstance(track.content, Wrenches):
+        return None
+    content = track.content
+    return force_signal(content.t_ns, content.value, content.attrs["axes_measured"])
+
+
+def _on_one_clock(
+    take: Take, small: NDArray[np.uint8] | None, answers: Answers
+) -> tuple[Take, Lag | None, list[str]]:
+    """Return the recording with the lag of another clock taken out, that lag, and messages."""
+    clocks = list(dict.fromkeys(track.clock for track in take.tracks))
+    forces = _first(take, "force")
+    shown, force = _shown(take, small), _force(take)
+    seen = _first(take, "video") or _first(take, "taxels")
+    if len(clocks) == 1 or forces is None or seen is None or seen.clock == forces.clock:
+        told = [f"{take.name}: all files start together"] if len(clocks) > 1 else []
+        return take, None, told
+    if answers.lag is not None:
+        moved = _shifted(take, seen.clock, answers.lag)
+        return moved, None, [f"{take.name}: lag of {answers.lag:+.3f} s by --lag"]
+    if shown is None or force is None:
+        raise MissingAnswer("lag", f"{take.name}: the lag between its files is unknown")
+    lag = find_lag(shown.change(_rest(shown)), force.change(find_no_contact(force)), take.name)
+    if lag.low <= 0 <= lag.high:
+        told = f"{take.name}: lag {lag}: its files start together, to within that"
+        return take, lag, [told]
+    told = f"{take.name}: lag {lag}: all but {seen.source} was moved by it"
+    return _shifted(take, seen.clock, lag.seconds), lag, [told]
+
+
+def _rest(signal: Signal) -> Span:
+    """Return the beginning of a signal, which a lag does not need to be free of contact."""
+    count = max(1, min(5, len(signal.t_ns) // 4))
+    return int(signal.t_ns[0]), int(signal.t_ns[count - 1]) + 1
+
+
+def _shifted(take: Take, clock: str, seconds: float) -> Take:
+    """Return the recording with the times of all clocks but one later by `seconds`, from 0 on."""
+    by = {track.clock: round(seconds * 1e9) for track in take.tracks} | {clock: 0}
+    least = min(int(track.content.t_ns[0]) + by[track.clock] for track in take.tracks)
+    tracks = []
+    for track in take.tracks:
+        t_ns = track.content.t_ns + (by[track.clock] - min(least, 0))
+        tracks.append(replace(track, content=replace(track.content, t_ns=t_ns)))
+    return replace(take, tracks=tuple(tracks))
 
 
 def _common_end(seconds: dict[str, float], trim: bool) -> float:
@@ -220,97 +244,395 @@ def _common_end(seconds: dict[str, float], trim: bool) -> float:
     return longest
 
 
-def _streams(
-    opened: Mapping[_File, Film | Wrenches | Counts], end: float
-) -> list[tuple[StreamSpec, int, Rows]]:
-    """Return spec, number of rows and rows of each stream, up to `end` [s]."""
-    found: list[tuple[StreamSpec, int, Rows]] = []
-    end_ns = round(end * 1e9)
-    for part, content in opened.items():
-        device = {"device": "imported", "rate_hz": content.rate_hz}
-        if isinstance(content, Film):
-            height, width = content.shape
-            spec = camera_spec(
-                content.rate_hz,
-                name=part.stream,
-                height=height,
-                width=width,
-                codec=content.codec,
-                device=device,
-                clock="none",
+def _contacts(
+    take: Take, small: NDArray[np.uint8] | None, answers: Answers, end_ns: int
+) -> tuple[Span, list[Press], Trace]:
+    """Return the time without contact, the contacts, and the change that shows them."""
+    signal = _force(take)
+    if signal is None or not float(np.ptp(signal.rows)) > 0:
+        signal = _shown(take, small) or signal
+    if signal is None:
+        raise SessionError(f"{take.name}: found neither images nor taxels nor forces")
+    pressed = answers.spans("press", take.name)
+    if pressed == ["none"]:
+        return (0, 0), [], signal.change(_rest(signal))
+    stated = [_span("--no-contact", text) for text in answers.spans("no_contact", take.name)]
+    no_contact = stated[0] if stated else find_no_contact(signal)
+    trace = signal.change(no_contact)
+    if pressed:
+        spans = sorted(_span("--press", text) for text in pressed)
+        return no_contact, [press_within(trace, span) for span in spans], trace
+    presses = find_presses(trace, no_contact)
+    if not presses:
+        raise MissingAnswer(
+            "press",
+            f"{take.name}: {trace.name} is largest at {trace.value.max():.3g}, which its noise "
+            "explains, so no contact is found",
+            ("START:END in seconds",),
+        )
+    around = _shown(take, small) or signal
+    step = float(np.median(np.diff(around.t_ns))) if len(around.t_ns) > 1 else 0.0
+    start = max(int(track.content.t_ns[0]) for track in take.tracks)
+    last = min(int(track.content.t_ns[-1]) for track in take.tracks) + 1
+    wide = widened(presses, start, min(last, end_ns), round(_AROUND * step))
+    return no_contact, [each for each in wide if each.start_ns < each.peak_ns < each.end_ns], trace
+
+
+def _stills(
+    film: Film, small: NDArray[np.uint8] | None, answers: Answers
+) -> tuple[Span, list[Press], Trace]:
+    """Return the picture without contact, and every other as a contact of its own."""
+    names = [name.rpartition(".")[0] for name in film.names]
+    told = [name for text in answers.no_contact for name in [text.rpartition("=")[2]]]
+    known = told or [name for name in names if name.lower() in _NO_CONTACT]
+    rest = [row for row, name in enumerate(names) if name in known or film.names[row] in known]
+    if not rest:
+        raise MissingAnswer(
+            "no_contact", "no picture is named after a sensor without contact", film.names[:9]
+        )
+    period = round(1e9 / film.rate_hz)
+    starts = film.t_ns.tolist()
+    presses = [
+        Press(start, start + period // 10, start + period // 5)
+        for row, start in enumerate(starts)
+        if row not in rest
+    ]
+    if not presses:
+        raise SessionError("found no picture of a contact beside those without")
+    if small is None:
+        raise SessionError("found no pictures")
+    rows = small.reshape(len(small), -1).astype(np.float64)
+    span = (starts[rest[0]], starts[rest[0]] + period)
+    return span, presses, Signal("change of the image [grey levels]", film.t_ns, rows).change(span)
+
+
+def _span(option: str, text: str) -> Span:
+    begin, colon, end = text.partition(":")
+    try:
+        span = round(float(begin) * 1e9), round(float(end) * 1e9)
+    except ValueError:
+        span = (0, 0)
+    if not colon or not 0 <= span[0] < span[1]:
+        raise SessionError(f"{option}: found {text!r}; allowed: START:END in seconds")
+    return span
+
+
+def _require_sign(track: Track, no_contact: Span, presses: Sequence[Press]) -> None:
+    """Reject three-axis forces whose Fz rises under contact: a session has negative Fz there.
+
+    Raises:
+        SessionError: Fz has the other sign.
+    """
+    content = track.content
+    if not isinstance(content, Wrenches) or "Fz" not in content.attrs["axes_measured"]:
+        return
+    t_ns, force = content.t_ns, content.value[:, 2]
+    rest = force[(t_ns >= no_contact[0]) & (t_ns < no_contact[1])]
+    touched = np.zeros(len(t_ns), np.bool_)
+    for press in presses:
+        touched |= (t_ns >= press.start_ns) & (t_ns < press.end_ns)
+    if not rest.size or not touched.any():
+        return
+    change = force[touched] - rest.mean()
+    if float(change.max()) > 2 * -float(change.min()) and float(change.max()) > 4 * rest.std():
+        raise SessionError(
+            f"{track.source}: Fz rises to {force[touched].max():+.3g} N under contact; a session "
+            "has negative Fz there; turn the sign of the file's forces (all axes turn with the "
+            "frame), or import the pressing force alone as one column"
+        )
+
+
+# Sessions.
+
+
+def write_sessions(
+    drafts: Sequence[Draft], out: Path, answers: Answers, progress: Progress | None = None
+) -> list[Path]:
+    """Write one session for each object that touched; recordings of one object are its runs.
+
+    Args:
+        drafts: Recordings, of one sensor.
+        out: The session; with several objects, the folder of their sessions.
+        answers: Answers on them; stored in the sessions.
+        progress: Called with the number of rows written and the total.
+
+    Raises:
+        SessionError: Something exists at the path, or recordings of one object differ in their
+            streams; nothing is left behind.
+        OSError: A file cannot be read, or the disk is full; nothing is left behind.
+    """
+    by_indenter: dict[str, list[Draft]] = {}
+    for draft in drafts:
+        by_indenter.setdefault(draft.indenter, []).append(draft)
+    several = len(by_indenter) > 1
+    if several and out.suffix == ".zarr":
+        raise SessionError(
+            f"--out: found {out} for sessions of {', '.join(by_indenter)}; allowed: a folder"
+        )
+    if out.exists():
+        raise SessionError(f"{out}: exists already; choose another name")
+    total = sum(len(track.content.t_ns) for draft in drafts for track in draft.take.tracks)
+    building = out.with_name(out.name + _IMPORTING)
+    shutil.rmtree(building, ignore_errors=True)
+    written, done = [], 0
+    try:
+        if several:
+            building.mkdir(parents=True)
+        for indenter, some in by_indenter.items():
+            name = f"{_file_name(indenter)}.zarr"
+            before = done
+            done += _write(
+                building / name if several else building,
+                some,
+                indenter,
+                answers,
+                None if progress is None else lambda n, b=before: progress(b + n, total),  # type: ignore[misc]
             )
-            times = _every(np.array(content.places), content.rate_hz)
-            count = int((times < end_ns).sum())
-            found.append((spec, count, _images(content, times[:count])))
-        elif isinstance(content, Wrenches):
-            counted = {"clock": "none", "numbering": "host", **content.attrs}
-            spec = force_spec(content.rate_hz, name=part.stream, **counted)
-            count = int((content.t_ns < end_ns).sum())
-            found.append((spec, count, _forces(content, count)))
-        else:
-            counted = {"clock": "none", "numbering": "host", "device": device}
-            spec = taxels_spec(content.rate_hz, name=part.stream, **counted)
-            times = _every(np.arange(len(content.value)), content.rate_hz)
-            count = int((times < end_ns).sum())
-            found.append((spec, count, _scans(content, times[:count])))
-    return found
+            written.append(out / name if several else out)
+        building.rename(out)
+    finally:
+        shutil.rmtree(building, ignore_errors=True)
+    sync_directory(out.parent)
+    return written
 
 
-def _every(places: Any, rate_hz: float) -> Any:
-    return np.round(places * (1e9 / rate_hz)).astype(np.int64)
-
-
-def _images(film: Film, times: Any) -> Rows:
-    for t_ns, image in zip(times, film.load(), strict=False):
-        yield {"value": image, "device_t": float("nan"), "t_ns": int(t_ns)}
-
-
-def _forces(wrenches: Wrenches, count: int) -> Rows:
-    for row in range(count):
-        t_ns = int(wrenches.t_ns[row])
-        yield {"value": wrenches.value[row], "seq": row + 1, "status": 0, "t_ns": t_ns}
-
-
-def _scans(counts: Counts, times: Any) -> Rows:
-    for row, t_ns in enumerate(times):
-        value = counts.value[row]
-        yield {"value": value, "device_t": float("nan"), "seq": row + 1, "t_ns": int(t_ns)}
+def _file_name(text: str) -> str:
+    return "".join(each if each.isalnum() or each in "._-" else "_" for each in text)
 
 
 def _write(
     path: Path,
-    request: ImportRequest,
-    streams: list[tuple[StreamSpec, int, Rows]],
-    assumed: list[str],
-    progress: Progress | None,
-) -> None:
+    drafts: Sequence[Draft],
+    indenter: str,
+    answers: Answers,
+    progress: Callable[[int], None] | None,
+) -> int:
+    """Write the session of some recordings and return the number of its rows."""
+    specs = _specs(drafts)
     now = datetime.datetime.now(datetime.UTC).isoformat()
+    placed = bool(answers.contact_frame)
     attrs = {
         "mock": False,
-        "sensor": request.sensor,
-        "indenter": request.indenter,
-        **({"operator": request.operator} if request.operator else {}),
+        "sensor": answers.sensor,
+        "indenter": indenter,
+        **({"operator": answers.operator} if answers.operator else {}),
+        **({"contact_frame": list(answers.contact_frame)} if placed else {}),
         "calibration": {},
-        "imported": {"files": request.files(), "assumed": assumed, "utc": now},
+        "imported": {
+            "files": _digests(drafts),
+            "assumed": [line for draft in drafts for line in draft.assumed],
+            "answers": answers.to_json(),
+            "recordings": [draft.take.name for draft in drafts],
+            "place": "pose" if placed else "unknown",
+            "depth": "pose" if placed else "unknown",
+            "utc": now,
+        },
     }
-    no_targets: dict[str, Any] = {
-        "point": np.zeros(0, np.int16),
-        "depth": np.zeros(0),
-        "direction": np.zeros(0, np.int16),
-        "planned": np.zeros((0, 3)),
-    }
-    specs = [spec for spec, _, _ in streams]
-    done, total = 0, sum(count for _, count, _ in streams)
-    with SessionWriter.create(path, attrs=attrs, streams=specs, targets=no_targets) as session:
-        # These samples have no time on this host's clock: their times begin at 0.
-        session.begin_run({"t0_ns": 0, "utc": None, "boot_id": "imported"})
-        for spec, _, rows in streams:
-            with StreamWriter.open(session.stream_path(spec.name)) as writer:
-                for row in rows:
-                    writer.append(**row)
-                    done += 1
-                    if progress is not None:
-                        progress(done, total)
+    done = 0
+    targets = _targets(drafts, answers)
+    with SessionWriter.create(path, attrs=attrs, streams=specs, targets=targets) as session:
+        first_target = 0
+        for run, draft in enumerate(drafts):
+            # These samples have no time on this host's clock: their times begin at 0.
+            session.begin_run({"t0_ns": 0, "utc": None, "boot_id": "imported"})
+            rows_before: dict[str, int] = {}
+            for track in draft.take.tracks:
+                with StreamWriter.open(session.stream_path(track.stream)) as writer:
+                    rows_before[track.stream] = writer.rows
+                    for row in _rows(track, draft.end_ns):
+                        writer.append(**row)
+                        done += 1
+                        if progress is not None:
+                            progress(done)
+            if draft.presses:
+                session.reference.append(**_reference(draft, run, specs, rows_before))
+            for number, press in enumerate(draft.presses):
+                for phase, (start, end) in _phases(press, draft):
+                    session.segments.append(
+                        target=first_target + number,
+                        phase=phase,
+                        outcome=0,
+                        run=run,
+                        start_ns=start,
+                        end_ns=end,
+                    )
+            first_target += len(draft.presses)
         signal = signal_of((spec.name, spec.traits) for spec in specs) or specs[0].name
         rate_hz = next(spec.rate_hz for spec in specs if spec.name == signal)
         session.finish("complete", rate_hz=rate_hz)
+    return done
+
+
+def _phases(press: Press, draft: Draft) -> list[tuple[int, Span]]:
+    """Return the phases of a press: loading to its largest change, then unloading."""
+    down, up = PHASES.index("normal_inc"), PHASES.index("normal_dec")
+    film = _first(draft.take, "video")
+    if film is not None and isinstance(film.content, Film) and film.content.names:
+        return [(down, (press.start_ns, press.end_ns))]
+    return [(down, (press.start_ns, press.peak_ns)), (up, (press.peak_ns, press.end_ns))]
+
+
+def _targets(drafts: Sequence[Draft], answers: Answers) -> dict[str, Any]:
+    """Return the presses as targets; what nobody knows of them is NaN."""
+    count = sum(len(draft.presses) for draft in drafts)
+    depth, planned = np.full(count, np.nan), np.full((count, 3), np.nan)
+    if answers.contact_frame:
+        frame = np.array(answers.contact_frame, np.float64)
+        row = 0
+        for draft in drafts:
+            track = _first(draft.take, "pose")
+            if track is None or not isinstance(track.content, Numbers):
+                raise SessionError(f"{draft.take.name}: found no pose")
+            depths = depth_in(frame, track.content.value)
+            for press in draft.presses:
+                times = track.content.t_ns
+                inside = np.flatnonzero((times >= press.start_ns) & (times < press.end_ns))
+                if inside.size:
+                    deepest = inside[np.argmax(depths[inside])]
+                    depth[row] = max(float(depths[deepest]), 0.0)
+                    planned[row] = track.content.value[deepest, :3]
+                row += 1
+    return {
+        "point": np.zeros(count, np.int16),
+        "depth": depth,
+        "direction": np.full(count, -1, np.int16),
+        "planned": planned,
+    }
+
+
+def _specs(drafts: Sequence[Draft]) -> list[StreamSpec]:
+    """Return the streams of a session.
+
+    Raises:
+        SessionError: Its recordings differ in them.
+    """
+    first = [_spec(track) for track in drafts[0].take.tracks]
+    for draft in drafts[1:]:
+        own = [_spec(track) for track in draft.take.tracks]
+        if [(each.name, each.columns) for each in own] != [
+            (each.name, each.columns) for each in first
+        ]:
+            raise SessionError(
+                f"{draft.take.name}: found {_told(own)}; {drafts[0].take.name} of the same object "
+                f"has {_told(first)}; allowed: recordings with the same streams"
+            )
+    return first
+
+
+def _told(specs: Sequence[StreamSpec]) -> str:
+    return ", ".join(
+        f"{spec.name} {'x'.join(map(str, spec.value.shape)) if spec.value else ''}".strip()
+        for spec in specs
+    )
+
+
+def _spec(track: Track) -> StreamSpec:
+    content = track.content
+    device = {"device": "imported", "rate_hz": content.rate_hz}
+    counted: dict[str, Any] = {"clock": "none", "numbering": "host"}
+    if isinstance(content, Film):
+        height, width = content.shape
+        return camera_spec(
+            content.rate_hz,
+            name=track.stream,
+            height=height,
+            width=width,
+            codec=content.codec,
+            device=device,
+            clock="none",
+        )
+    if isinstance(content, Wrenches):
+        return force_spec(content.rate_hz, name=track.stream, **counted, **content.attrs)
+    if isinstance(content, Counts):
+        return taxels_spec(content.rate_hz, name=track.stream, **counted, device=device)
+    slow = max(0.02, 2.0 / content.rate_hz)
+    if track.kind == "pose":
+        return pose_spec(
+            content.rate_hz, name=track.stream, clock="none", device=device, max_age=slow
+        )
+    value = Column(
+        "value",
+        "float64",
+        content.value.shape[1:],
+        units=content.units,
+        dims=("number",),
+        description="width of the gripper" if track.kind == "width" else "numbers as imported",
+    )
+    time = Column("t_ns", "int64", units="ns", description="time since the start of the recording")
+    attrs = {"kind": "values", "clock": "none", "device": device, "max_age": slow}
+    return StreamSpec(track.stream, (value, time), content.rate_hz, attrs)
+
+
+def _rows(track: Track, end_ns: int) -> Rows:
+    content, nan = track.content, float("nan")
+    times = content.t_ns[content.t_ns < end_ns].tolist()
+    if isinstance(content, Film):
+        for t_ns, image in zip(times, content.load(), strict=False):
+            yield {"value": image, "device_t": nan, "t_ns": t_ns}
+        return
+    for row, t_ns in enumerate(times):
+        value = content.value[row]
+        if isinstance(content, Wrenches):
+            yield {"value": value, "seq": row + 1, "status": 0, "t_ns": t_ns}
+        elif isinstance(content, Counts):
+            yield {"value": value, "device_t": nan, "seq": row + 1, "t_ns": t_ns}
+        elif track.kind == "pose":
+            yield {"value": value, "device_t": nan, "speed_scaling": 1.0, "t_ns": t_ns}
+        else:
+            yield {"value": value, "t_ns": t_ns}
+
+
+def _reference(
+    draft: Draft, run: int, specs: Sequence[StreamSpec], rows_before: dict[str, int]
+) -> dict[str, Any]:
+    """Return the row of `reference` of a recording: its middle image and its means."""
+    row: dict[str, Any] = {}
+    for column in reference_spec(specs).columns:
+        number = column.dtype.startswith("float")
+        row[column.name] = np.full(column.shape, np.nan) if number else -1
+    row |= {"point": 0, "run": run, "t_ns": draft.no_contact[0]}
+    row |= {"wrench": np.zeros(6), "wrench_std": np.zeros(6)}
+    seen: set[str] = set()
+    for track, spec in zip(draft.take.tracks, specs, strict=True):
+        kind, content = spec.traits.defaults, track.content
+        name = kind.column if kind.column and kind.column not in seen else spec.name
+        seen.add(name)
+        inside = _inside(content.t_ns, draft.no_contact)
+        if name not in row or not inside.size:
+            continue
+        if isinstance(content, Film):
+            row[name] = rows_before[track.stream] + int(inside[len(inside) // 2])
+            continue
+        values = np.asarray(content.value[inside], np.float64)
+        row[name] = np.nan_to_num(values.mean(axis=0))
+        if f"{name}_std" in row:
+            row[f"{name}_std"] = np.nan_to_num(values.std(axis=0))
+    return row
+
+
+def _inside(t_ns: Times, span: Span) -> NDArray[np.intp]:
+    return np.flatnonzero((t_ns >= span[0]) & (t_ns < span[1]))
+
+
+def _digests(drafts: Sequence[Draft]) -> dict[str, dict[str, Any]]:
+    """Return name and SHA-256 of each file; for a folder, over its files in order of the names."""
+    found = {}
+    for draft in drafts:
+        for path in draft.take.files:
+            found[f"{draft.take.name}/{path.name}"] = {"name": path.name, "sha256": _sha256(path)}
+    return found
+
+
+def _sha256(path: Path) -> str:
+    digest = hashlib.sha256()
+    files = [path]
+    if path.is_dir():
+        files = sorted(entry for entry in path.rglob("*") if entry.is_file())
+    for file in files:
+        if path.is_dir():
+            name = file.relative_to(path).as_posix()
+            digest.update(f"{name} {file.stat().st_size}\n".encode())
+        with file.open("rb") as content:
+            while block := content.read(_BLOCK):
+                digest.update(block)
+    return digest.hexdigest()

@@ -1,13 +1,14 @@
 """Taxel counts from an .npy file, rounded to the integers that the device transmits."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.convert.import_force import load_npy
+from recorder.convert.import_force import load_npy, rate_of
+from recorder.convert.import_video import every
 from recorder.errors import SessionError
 
 _COUNT_MAX = 0xFFFF
@@ -33,6 +34,8 @@ class Counts:
 
     value: NDArray[np.int32]
     """Counts (n, 16, 3), each a uint16."""
+    t_ns: NDArray[np.int64]
+    """Time of each scan (n,) since the start of the recording [ns]."""
     rate_hz: float
     """Scans per second."""
     assumed: list[str] = field(default_factory=list)
@@ -41,7 +44,7 @@ class Counts:
     @property
     def seconds(self) -> float:
         """Duration [s]."""
-        return len(self.value) / self.rate_hz
+        return float(self.t_ns[-1]) * 1e-9 + 1.0 / self.rate_hz
 
 
 def read_taxels(path: Path, rate_hz: float | None, order: TaxelOrder | None = None) -> Counts:
@@ -59,12 +62,32 @@ def read_taxels(path: Path, rate_hz: float | None, order: TaxelOrder | None = No
         OSError: The file cannot be read.
     """
     array = load_npy(path)
-    if array.shape[1:] not in ((48,), *_SHAPES) or not len(array):
-        raise SessionError(
-            f"{path.name}: found shape {array.shape}; allowed: (n, 48), (n, 16, 3), (n, 3, 16)"
-        )
     if rate_hz is None:
+        _require_shape(path.name, array)
         raise SessionError(f"{path.name}: says no times; say --taxels-hz")
+    times = every(range(len(array)), rate_hz)
+    found = counts_of(path.name, array, times, order)
+    return replace(
+        found,
+        rate_hz=rate_hz,
+        assumed=[f"{path.name}: {rate_hz:g} rows/s by --taxels-hz", *found.assumed],
+    )
+
+
+def is_taxels(shape: tuple[int, ...]) -> bool:
+    """Return True if an array of that shape holds the counts of 16 taxels, row by row."""
+    return shape[1:] in ((48,), *_SHAPES)
+
+
+def counts_of(
+    name: str, array: NDArray[Any], t_ns: NDArray[np.int64], order: TaxelOrder | None = None
+) -> Counts:
+    """Return counts (n, 48), (n, 16, 3) or (n, 3, 16) taken at times (n,) [ns].
+
+    Raises:
+        SessionError: As `read_taxels`.
+    """
+    _require_shape(name, array)
     values = array.reshape(len(array), 48).astype(np.float64)
     whole = np.rint(values)
     bad = np.flatnonzero(~((whole >= 0) & (whole <= _COUNT_MAX)).all(axis=1))
@@ -72,20 +95,27 @@ def read_taxels(path: Path, rate_hz: float | None, order: TaxelOrder | None = No
         row = values[bad[0]]
         worst = row[~((np.rint(row) >= 0) & (np.rint(row) <= _COUNT_MAX))][0]
         raise SessionError(
-            f"{path.name}: row {bad[0]}: found {worst:g}; allowed: 0 to {_COUNT_MAX} counts "
+            f"{name}: row {bad[0]}: found {worst:g}; allowed: 0 to {_COUNT_MAX} counts "
             f"({bad.size} such rows)"
         )
-    assumed = [f"{path.name}: {rate_hz:g} rows/s by --taxels-hz"]
+    assumed = []
     largest = float(np.abs(values - whole).max())
     if largest > 0:
         assumed.append(
-            f"{path.name}: rounded to whole counts, as the device sends them; largest change "
+            f"{name}: rounded to whole counts, as the device sends them; largest change "
             f"{largest:.3g} counts"
         )
     if order is None:
-        order, why = _order_of(path.name, whole, _SHAPES.get(array.shape[1:]))
+        order, why = _order_of(name, whole, _SHAPES.get(array.shape[1:]))
         assumed.append(why)
-    return Counts(in_order(whole, order).astype(np.int32), rate_hz, assumed)
+    return Counts(in_order(whole, order).astype(np.int32), t_ns, rate_of(t_ns), assumed)
+
+
+def _require_shape(name: str, array: NDArray[Any]) -> None:
+    if not is_taxels(array.shape) or not len(array):
+        raise SessionError(
+            f"{name}: found shape {array.shape}; allowed: (n, 48), (n, 16, 3), (n, 3, 16)"
+        )
 
 
 def in_order(rows: NDArray[np.float64], order: TaxelOrder) -> NDArray[np.float64]:

@@ -6,16 +6,19 @@ import functools
 import mmap
 import struct
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 
 from recorder.errors import SessionError
 from recorder.store import images
 from recorder.strict_yaml import natural_key
+
+Times = NDArray[np.int64]
 
 # Motion JPEG in an AVI file: the camera's JPEG files are extracted without decoding.
 #
@@ -165,7 +168,7 @@ def _standard_tables() -> bytes:
     return found
 
 
-_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff")
+IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff")
 _JPEG_SUFFIXES = (".jpg", ".jpeg")
 
 
@@ -179,31 +182,40 @@ class Film:
     """Rows and columns of an image [px]."""
     rate_hz: float
     """Images per second."""
-    places: list[int]
-    """Time of each image, in periods since the first."""
+    t_ns: Times
+    """Time of each image (n,) since the start of the recording [ns]."""
     load: Callable[[], Iterator[Any]]
     """Load the images: JPEG bytes, or RGB pixels (h, w, 3) uint8."""
     assumed: list[str] = field(default_factory=list)
     """Messages on assumptions and changes."""
+    names: list[str] = field(default_factory=list)
+    """Names of the files of single pictures, each of a contact of its own; empty for a film."""
 
     @property
     def seconds(self) -> float:
         """Duration [s]."""
-        return (self.places[-1] + 1) / self.rate_hz
+        return float(self.t_ns[-1]) * 1e-9 + 1.0 / self.rate_hz
 
 
-def open_film(path: Path, fps: float | None) -> Film:
+def every(places: ArrayLike, rate_hz: float) -> Times:
+    """Return times [ns] of places counted in periods of a rate."""
+    return np.round(np.asarray(places) * (1e9 / rate_hz)).astype(np.int64)
+
+
+def open_film(path: Path, fps: float | None, *, stills: bool = False) -> Film:
     """Return the images of a video file, or of a folder in natural order of the names.
 
     Args:
         path: A video file or a folder.
-        fps: Images per second; None takes the rate of the video.
+        fps: Images per second; None takes the times of the video.
+        stills: True if each picture of a folder shows a contact of its own: they have no times,
+            and are numbered one second apart.
 
     Raises:
         SessionError: No images, corrupt ones, unequal sizes, or an unknown rate.
     """
     if path.is_dir():
-        return _folder(path, fps)
+        return _folder(path, fps, stills)
     if not path.is_file():
         raise SessionError(f"{path}: no such video file or folder")
     motion = read_avi(path)
@@ -232,28 +244,38 @@ def _jpegs(name: str, frames: list[bytes], rate_hz: float, *, message: bool) -> 
     shape = _same_size(
         [_jpeg_size(jpeg, f"{name}: frame {k}") for k, jpeg in enumerate(kept)], name
     )
-    return Film("jpeg", shape, rate_hz, places, lambda: iter(kept), assumed)
+    return Film("jpeg", shape, rate_hz, every(places, rate_hz), lambda: iter(kept), assumed)
 
 
-def _folder(path: Path, fps: float | None) -> Film:
+def _folder(path: Path, fps: float | None, stills: bool) -> Film:
     files = sorted(
-        (entry for entry in path.iterdir() if entry.suffix.lower() in _SUFFIXES),
+        (entry for entry in path.iterdir() if entry.suffix.lower() in IMAGE_SUFFIXES),
         key=lambda entry: natural_key(entry.name),
     )
     if not files:
-        raise SessionError(f"{path}: no image; known: {', '.join(_SUFFIXES)}")
-    if fps is None:
-        raise SessionError(f"{path}: a folder says no rate; say --fps")
+        raise SessionError(f"{path}: no image; known: {', '.join(IMAGE_SUFFIXES)}")
+    if fps is None and not stills:
+        raise SessionError(
+            f"{path}: a folder says no rate; say --fps, or --stills if each picture is a contact "
+            "of its own"
+        )
+    rate_hz = 1.0 if stills or fps is None else fps
     if all(file.suffix.lower() in _JPEG_SUFFIXES for file in files):
-        film = _jpegs(path.name, [file.read_bytes() for file in files], fps, message=True)
+        film = _jpegs(path.name, [file.read_bytes() for file in files], rate_hz, message=True)
         film.assumed.append(f"{path.name}: in order of the names, {files[0].name} first")
+    else:
+        shape = _same_size([_size(file) for file in files], path.name)
+        assumed = [
+            f"{path.name}: {rate_hz:g} images/s by --fps, in order of the names, "
+            f"{files[0].name} first",
+            f"{path.name}: decoded and stored as pixels, losslessly",
+        ]
+        times = every(range(len(files)), rate_hz)
+        film = Film("zstd", shape, rate_hz, times, lambda: map(_pixels, files), assumed)
+    if not stills:
         return film
-    shape = _same_size([_size(file) for file in files], path.name)
-    assumed = [
-        f"{path.name}: {fps:g} images/s by --fps, in order of the names, {files[0].name} first",
-        f"{path.name}: decoded and stored as pixels, losslessly",
-    ]
-    return Film("zstd", shape, fps, list(range(len(files))), lambda: map(_pixels, files), assumed)
+    told = f"{path.name}: single pictures without times, numbered one second apart"
+    return replace(film, assumed=[told, film.assumed[-1]], names=[file.name for file in files])
 
 
 def _decoded(path: Path, fps: float | None) -> Film:
@@ -266,15 +288,23 @@ def _decoded(path: Path, fps: float | None) -> Film:
         ) from None
     capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     try:
-        count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
-        rate_hz = fps or float(capture.get(cv2.CAP_PROP_FPS))
+        nominal = float(capture.get(cv2.CAP_PROP_FPS))
+        declared = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
         size = tuple(int(capture.get(p)) for p in (4, 3))
-        if not capture.isOpened() or count < 1 or min(size) < 1:
+        if not capture.isOpened() or min(size) < 1:
             raise SessionError(f"{path.name}: OpenCV finds no video in it")
-        if not rate_hz > 0:
-            raise SessionError(f"{path.name}: says no rate; say --fps")
+        # The packets say how many images there are, and when: a header's count is a promise.
+        seconds = []
+        while capture.grab():
+            seconds.append(1e-3 * float(capture.get(cv2.CAP_PROP_POS_MSEC)))
     finally:
         capture.release()
+    count = len(seconds)
+    if not count:
+        raise SessionError(f"{path.name}: OpenCV finds no video in it")
+    if count < declared:
+        raise SessionError(f"{path.name}: cut short: {count} of {declared} images can be decoded")
+    times, rate_hz, told = _stamped(path.name, np.array(seconds), nominal, fps)
 
     def load() -> Iterator[Any]:
         again = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
@@ -289,11 +319,40 @@ def _decoded(path: Path, fps: float | None) -> Film:
         finally:
             again.release()
 
-    assumed = [
-        f"{path.name}: {rate_hz:g} images/s by {'--fps' if fps else 'its header'}",
-        f"{path.name}: decoded and stored as pixels, losslessly",
-    ]
-    return Film("zstd", (size[0], size[1]), rate_hz, list(range(count)), load, assumed)
+    assumed = [told, f"{path.name}: decoded and stored as pixels, losslessly"]
+    return Film("zstd", (size[0], size[1]), rate_hz, times, load, assumed)
+
+
+# Stamps that depart from even steps by more than this fraction of a period are times of their own.
+_UNEVEN = 0.1
+
+
+def _stamped(
+    name: str, seconds: NDArray[np.float64], nominal: float, fps: float | None
+) -> tuple[Times, float, str]:
+    """Return times [ns] and rate of a video's images, and a message on where they come from."""
+    count = len(seconds)
+    steps = np.diff(seconds)
+    if fps is not None:
+        return every(range(count), fps), fps, f"{name}: {fps:g} images/s by --fps"
+    if count > 1 and (steps > 0).all():
+        middle = float(np.median(steps))
+        if float(np.abs(steps - middle).max()) > _UNEVEN * middle:
+            times = np.round(1e9 * (seconds - seconds[0])).astype(np.int64)
+            told = f"{name}: times by its own stamps, steps {1e3 * steps.min():.1f} to "
+            return times, 1.0 / middle, f"{told}{1e3 * steps.max():.1f} ms"
+        # Evenly spaced stamps are rounded in the file; the header's rate is exact.
+        if abs(nominal * middle - 1) < 0.01:
+            return (
+                every(range(count), nominal),
+                nominal,
+                f"{name}: {nominal:g} images/s by its header",
+            )
+        rate_hz = (count - 1) / float(seconds[-1] - seconds[0])
+        return every(range(count), rate_hz), rate_hz, f"{name}: {rate_hz:g} images/s by its stamps"
+    if not nominal > 0:
+        raise SessionError(f"{name}: says no rate; say --fps")
+    return every(range(count), nominal), nominal, f"{name}: {nominal:g} images/s by its header"
 
 
 def _size(file: Path) -> tuple[int, int]:

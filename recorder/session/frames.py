@@ -266,8 +266,8 @@ def _reference_offset(
 ) -> Floats:
     """Return the residual offset of each tick's contact point (n, 6) [N, N m].
 
-    This is the latest reference of the point in this run, taken at or before the tick; zero if
-    there is none.
+    This is the latest reference of the point in this run, taken at or before the tick, else its
+    first in this run; zero if there is none.
     """
     reference, targets = session.reference, session.targets
     known = "point" in targets and len(targets["point"]) and column in reference
@@ -275,8 +275,12 @@ def _reference_offset(
         return np.zeros((len(ticks), 6))
     offset = np.zeros((len(ticks), *reference[column].shape[1:]))
     point = _of_target(targets["point"], target, -1)
+    known_points: set[int] = set()
     for row in np.argsort(reference["t_ns"], kind="stable"):
         if reference["run"][row] == run:
-            later = (point == reference["point"][row]) & (ticks >= reference["t_ns"][row])
-            offset[later] = reference[column][row]
+            here = point == reference["point"][row]
+            if int(reference["point"][row]) in known_points:
+                here &= ticks >= reference["t_ns"][row]
+            known_points.add(int(reference["point"][row]))
+            offset[here] = reference[column][row]
     return offset

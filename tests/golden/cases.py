@@ -30,7 +30,7 @@ RIG = (
     *("collect", "home", "calibrate-latency", "force-depth", "campaign", "jog", "live", "grip"),
     *("preview", "compare", "mock", "replay"),
 )
-RECORDER = ("list", "info", "check", "recover", "repack", "export", "import", "view", "sheet")
+RECORDER = ("list", "info", "check", "recover", "repack", "export", "view", "sheet")
 SIM = ("press", "loop", "hold", "archive", "archive states", "archive sensors")
 LEARNING = (
     *("markers", "import-genforce", "export-genforce", "split", "train-field"),
@@ -422,15 +422,15 @@ RECORDER_CASES = (
         look=("*.png",),
     ),
     Case(
-        "recorder-import",
+        "tactile-import",
         (
-            "recorder import {out}/a.zarr --video {out}/frames --fps 20 --sensor gelsight "
-            "--indenter ball --operator golden",
-            "recorder import {out}/b.zarr --taxels {out}/t.npy --taxels-hz 60 --taxel-order taxel "
-            "--sensor uskin --indenter ball --operator golden",
-            "recorder import {out}/c.zarr --video {out}/frames --fps 20 --force {out}/f.csv "
+            "tactile import {out}/a.zarr --video {out}/frames --fps 20 --sensor gelsight "
+            "--indenter ball --operator golden --press none --yes",
+            "tactile import {out}/b.zarr --taxels {out}/t.npy --taxels-hz 60 --taxel-order taxel "
+            "--sensor uskin --indenter ball --operator golden --press none --yes",
+            "tactile import {out}/c.zarr --video {out}/frames --fps 20 --force {out}/f.csv "
             "--force-hz 40 --units N --torque-units N*m --trim --sensor gelsight --indenter ball "
-            "--operator golden",
+            "--operator golden --press none --lag 0 --yes",
             "recorder info {out}/b.zarr",
             "recorder check {out}/a.zarr",
         ),
@@ -448,17 +448,17 @@ RECORDER_CASES = (
         look=("*.zarr",),
     ),
     Case(
-        "recorder-import-refused",
+        "tactile-import-refused",
         (
-            "recorder import {out}/a.zarr --sensor uskin --indenter ball",
-            "recorder import {out}/a.zarr --taxels {out}/t.npy --sensor uskin --indenter ball",
-            "recorder import {out}/a.zarr --taxels {out}/bad.npy --taxels-hz 60 --sensor u --indenter b",
-            "recorder import {out}/a.zarr --taxels {out}/none.npy --taxels-hz 60 --sensor u --indenter b",
-            "recorder import {out}/a.zarr --taxels {out}/t.npy --taxels-hz -1 --sensor u --indenter b",
-            "recorder import {out}/a.zarr --taxels {out}/n.npy --taxels-hz 60 --sensor u --indenter b",
-            "recorder import {out}/a.zarr --force {out}/f.csv --force-hz 40 --sensor u --indenter b",
-            "recorder import {out}/a.zarr --video {out}/f.csv --fps 9 --sensor u --indenter b",
-            "recorder import {out}/a.zarr --video {out}/none --fps 9 --sensor u --indenter b",
+            "tactile import {out}/a.zarr --sensor uskin --indenter ball",
+            "tactile import {out}/a.zarr --taxels {out}/t.npy --sensor uskin --indenter ball",
+            "tactile import {out}/a.zarr --taxels {out}/bad.npy --taxels-hz 60 --sensor u --indenter b",
+            "tactile import {out}/a.zarr --taxels {out}/none.npy --taxels-hz 60 --sensor u --indenter b",
+            "tactile import {out}/a.zarr --taxels {out}/t.npy --taxels-hz -1 --sensor u --indenter b",
+            "tactile import {out}/a.zarr --taxels {out}/n.npy --taxels-hz 60 --sensor u --indenter b",
+            "tactile import {out}/a.zarr --force {out}/f.csv --force-hz 40 --sensor u --indenter b",
+            "tactile import {out}/a.zarr --video {out}/f.csv --fps 9 --sensor u --indenter b",
+            "tactile import {out}/a.zarr --video {out}/none --fps 9 --sensor u --indenter b",
         ),
         one_process=True,
         portable=True,

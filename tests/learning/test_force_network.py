@@ -163,6 +163,20 @@ def test_inputs_show_what_they_are_named_for() -> None:
     assert torch.allclose(colour[:, 1] * 0.224 + 0.456, frames / 255, atol=1e-6)
     field = torch.full((1, 3, 32, 32), 20.0)
     assert prepare(field, None, InputSettings(form="field"))[0, :, 0, 0].tolist() == [2, 2, 20]
+    shading = torch.full((1, 3, 128, 128), 144, dtype=torch.uint8)
+    found = prepare(shading, None, InputSettings(form="shading", side_px=32, shading_scale=8.0))
+    assert (found == 2).all()
+    assert found.shape == (1, 3, 32, 32)
+
+
+def test_a_model_that_judges_frames_alone_forgets_at_every_step() -> None:
+    model = _model(input=InputSettings(form="shading", side_px=32, alone=True)).eval()
+    frame, other = torch.randn(2, 1, 3, 32, 32)
+    with torch.no_grad():
+        _, state = model.step(other)
+        after, _ = model.step(frame, state)
+        fresh, _ = model.step(frame)
+    assert torch.equal(after, fresh)
 
 
 @pytest.mark.parametrize(

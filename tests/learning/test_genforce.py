@@ -27,6 +27,7 @@ from learning.data.genforce import (
     write_coefficients,
 )
 from learning.data.genforce.importing import Choices
+from learning.data.matching import Chosen, read_presses
 from learning.errors import LearningError
 from learning.indenters import NAMES
 from learning.markers import archive_sessions
@@ -428,6 +429,18 @@ def test_runs_as_they_were_collected_give_the_archive_of_their_session(
     np.testing.assert_allclose(sensor.table["wrench"], own[name].table["wrench"], rtol=1e-12)
     shift = np.ptp(sensor.table["position"][:, 0] - own[name].table["position"][:, 0])
     assert shift < 1e-12
+    # Its axes are the robot's; nothing tells how the sensor was turned, so nothing is matched.
+    with pytest.raises(LearningError, match=r"position is 'unknown turn: .* --turn SENSOR=DEG"):
+        read_presses(Chosen(raw, name, name))
+    turned = tmp_path / "turned.markers.zarr"
+    import_folder(tmp_path / "data", turned, choices=Choices(turns_deg={name: 90.0}))
+    table = MarkerArchive(turned)[name].table
+    x, y = sensor.table["position"].T
+    # What lies along the robot's y axis lies along the image's x axis.
+    np.testing.assert_allclose(table["position"], np.stack([y, -x], axis=1), atol=1e-15)
+    assert len(read_presses(Chosen(MarkerArchive(turned), name, name)).target)
+    with pytest.raises(LearningError, match=f"turn: found other; allowed: {name}"):
+        import_folder(tmp_path / "data", turned, choices=Choices(turns_deg={"other": 1.0}))
 
 
 def test_runs_of_force_and_depth_come_behind_the_targets_without_a_location(

@@ -14,7 +14,9 @@ from learning.force.live import Contact, ContactRule, LivePredictor, open_live
 from learning.force.stream import FRAME, REFERENCE, STATE, ForceStream, StepInputs
 from learning.markers import Segmenter, preset, taxel_masks
 from learning.markers.displacement import FieldReader
-from learning.markers.segment import CameraPreset, TaxelPreset
+from learning.markers.segment import CameraPreset, ShadingPreset, TaxelPreset
+from learning.markers.shading import cells_of, shading_of
+from recorder.archive import SHADING, SHADING_ZERO
 from recorder.markers import pack
 from rig.mock.world.picture import MarkerCamera, Surface
 
@@ -177,3 +179,28 @@ def test_a_model_of_something_else_or_none_is_refused(tmp_path: Any) -> None:
         open_live(tmp_path, sensor="nobody")
     with pytest.raises(LearningError, match="runtime: found 'paper'"):
         open_live(tmp_path, sensor="uskin", runtime="paper")
+
+
+def test_shading_is_seen_live_as_in_archives_and_its_change_is_contact() -> None:
+    chosen = ShadingPreset("bare gel")
+    random = np.random.default_rng(0)
+    still = [random.integers(99, 102, (60, 80, 3)).astype(np.uint8) for _ in range(4)]
+    stub = Stub()
+    stream = ForceStream(stub, StepInputs((1, *SHADING.shape), True, (1, 1, 1, 1), False))
+    predictor = LivePredictor(stream, chosen, start_frames=3)
+    assert [predictor.step(picture) for picture in still[:3]] == [None, None, None]
+    found = predictor.step(still[3])
+    assert found is not None
+    assert not found.contact
+    pressed = still[3].copy()
+    pressed[20:40, 30:50, 0] += 60
+    found = predictor.step(pressed)
+    assert found is not None
+    assert found.contact
+    no_contact = np.mean([cells_of(picture, chosen) for picture in still[:3]], axis=0)
+    expected = shading_of(cells_of(pressed, chosen), no_contact.astype(np.float32))
+    assert np.array_equal(stub.frames[-1], expected)
+    assert stub.frames[-1][0].max() == pytest.approx(SHADING_ZERO + 60, abs=3)
+    of_markers = ForceStream(stub, StepInputs(SHAPE, True, (1, 1, 1, 1), True))
+    with pytest.raises(LearningError, match="a preset of shading for a model of shading"):
+        LivePredictor(of_markers, chosen).begin(np.stack(still))

@@ -13,8 +13,8 @@ import simplejpeg
 from PIL import Image
 
 from recorder import Session, SessionError, check, faults
-from recorder.__main__ import main
-from recorder.convert import ImportRequest, import_session
+from recorder.command_line.run import main
+from recorder.convert import Answers, As, draft_recordings, write_sessions
 from recorder.convert.import_force import FORCE_UNITS, TORQUE_UNITS, parse_header, parse_unit
 from recorder.convert.import_taxels import read_taxels
 from recorder.convert.import_video import read_avi, whole_jpeg
@@ -69,15 +69,25 @@ def avi(
     return file
 
 
-def order(folder: Path, **options: Any) -> ImportRequest:
-    return ImportRequest(out=folder / "s.zarr", sensor="wedge", indenter="ball", **options)
+def imported(folder: Path, **options: Any) -> list[str]:
+    """Import files whose kind is stated as a session without presses; return the messages."""
+    stated: list[tuple[As, str, Path]] = [
+        (kind, "", options.pop(kind)) for kind in ("video", "force", "taxels") if kind in options
+    ]
+    for name in ("fps", "force_hz", "taxels_hz"):
+        if name in options:
+            options[name] = (f"{options[name]:g}",)
+    answers = Answers(sensor="wedge", indenter="ball", press=("none",), lag=0.0, **options)
+    drafts = draft_recordings([], stated, answers)
+    write_sessions(drafts, folder / "s.zarr", answers)
+    return [line for draft in drafts for line in draft.assumed]
 
 
 def rejected(folder: Path, match: str, **options: Any) -> None:
     """Check that the import raises and leaves nothing behind."""
     before = set(folder.iterdir())
     with pytest.raises(SessionError, match=match):
-        import_session(order(folder, **options))
+        imported(folder, **options)
     assert set(folder.iterdir()) == before
 
 
@@ -105,8 +115,8 @@ def test_the_cameras_own_bytes_are_taken_out_of_an_avi_file(
 def test_video_and_force_become_a_sound_session(tmp_path: Path) -> None:
     frames, force = jpegs(40), 3.0 * np.sin(np.arange(40) / 9) + 0.123_456_789
     video = saved(tmp_path / "v.avi", avi(frames))
-    message = import_session(
-        order(tmp_path, video=video, force=saved(tmp_path / "f.npy", force), force_hz=30, units="N")
+    message = imported(
+        tmp_path, video=video, force=saved(tmp_path / "f.npy", force), force_hz=30, units="N"
     )
     session = Session(tmp_path / "s.zarr")
     assert faults(check(tmp_path / "s.zarr")) == []
@@ -116,7 +126,7 @@ def test_video_and_force_become_a_sound_session(tmp_path: Path) -> None:
     assert np.isnan(value[:, [0, 1, 3, 4, 5]]).all()
     assert session.streams["force"].attrs["axes_measured"] == ["Fz"]
     assert (session.attrs["mock"], session.status) == (False, "complete")
-    assert session.attrs["imported"]["files"]["video"]["name"] == "v.avi"
+    assert session.attrs["imported"]["files"]["v/v.avi"]["name"] == "v.avi"
     assert session.attrs["imported"]["assumed"] == message
     assert any("not measured, stored as NaN" in line for line in message)
     assert str(tmp_path) not in json.dumps(session.attrs)
@@ -126,13 +136,13 @@ def test_video_and_force_become_a_sound_session(tmp_path: Path) -> None:
     assert frames_view["valid"].all()
     assert set(frames_view["target"].tolist()) == {-1}
     contact_sheet(session.path, tmp_path / "sheet.png")
-    assert main(["info", str(session.path)]) == 0
+    assert main(["session", "info", str(session.path)]) == 0
 
 
 def test_a_dropped_frame_leaves_its_place_in_time(tmp_path: Path) -> None:
     frames = jpegs(5)
     frames[2] = b""
-    message = import_session(order(tmp_path, video=saved(tmp_path / "v.avi", avi(frames))))
+    message = imported(tmp_path, video=saved(tmp_path / "v.avi", avi(frames)))
     times = Session(tmp_path / "s.zarr").streams["camera"].t_ns
     assert times.tolist() == [0, 33_333_333, 100_000_000, 133_333_333]
     assert any("1 dropped frames" in line for line in message)
@@ -151,7 +161,7 @@ def test_missing_huffman_tables_are_put_in_and_change_no_pixel(tmp_path: Path) -
     assert changed
     assert np.array_equal(simplejpeg.decode_jpeg(mended), simplejpeg.decode_jpeg(whole))
     assert whole_jpeg(whole, "x") == (whole, False)
-    message = import_session(order(tmp_path, video=saved(tmp_path / "v.avi", avi([bare] * 3))))
+    message = imported(tmp_path, video=saved(tmp_path / "v.avi", avi([bare] * 3)))
     assert any("Huffman tables put into 3 images" in line for line in message)
 
 
@@ -160,7 +170,7 @@ def test_a_folder_of_images_is_taken_in_the_order_of_its_numbers(tmp_path: Path)
     folder.mkdir()
     for number in (10, 2, 1):
         Image.fromarray(picture(number)).save(folder / f"image_{number}.png")
-    import_session(order(tmp_path, video=folder, fps=20.0))
+    imported(tmp_path, video=folder, fps=20.0)
     camera = Session(tmp_path / "s.zarr").streams["camera"]
     assert camera.jpeg(0) is None
     for row, number in enumerate((1, 2, 10)):
@@ -175,7 +185,7 @@ def test_a_video_that_must_be_decoded_is_stored_as_it_decodes(tmp_path: Path) ->
     for number in range(6):
         writer.write(np.ascontiguousarray(picture(number)[:, :, ::-1]))
     writer.release()
-    import_session(order(tmp_path, video=path))
+    imported(tmp_path, video=path)
     camera = Session(tmp_path / "s.zarr").streams["camera"]
     assert (len(camera), camera.rate_hz) == (6, 25.0)
     assert np.array_equal(camera.images([5])[0], picture(5))
@@ -185,7 +195,7 @@ def test_taxels_are_rounded_to_the_wires_counts_and_it_says_how_far(tmp_path: Pa
     rng = np.random.default_rng(0)
     counts = (30_000 + rng.normal(0, 50, (90, 48))).astype(np.float32)
     path = saved(tmp_path / "t.npy", counts)
-    message = import_session(order(tmp_path, taxels=path, taxels_hz=60, taxel_order="taxel"))
+    message = imported(tmp_path, taxels=path, taxels_hz=60, taxel_order="taxel")
     session = Session(tmp_path / "s.zarr")
     assert faults(check(tmp_path / "s.zarr")) == []
     value = session.streams["taxels"].array("value")
@@ -246,11 +256,11 @@ def test_a_count_that_no_taxel_gives_is_named_with_its_row(
 
 
 def test_a_csv_is_read_by_its_header(tmp_path: Path) -> None:
-    text = "time (ms),Fx(N),Fy [N],Fz_N,Tx(Nmm),Ty (N-mm),Tz [N mm],X(m)\n"
+    text = "time (ms),Fx(N),Fy [N],Fz_N,Tx(Nmm),Ty (N-mm),Tz [N mm],P(bar)\n"
     text += "".join(f"{5 * k},{k},0,-{k}.5,1000,0,{2 * k},9\n" for k in range(30))
     path = saved(tmp_path / "f.csv", text)
-    rejected(tmp_path, r"column 'X\(m\)': not known; allowed: Fx, .*--ignore NAME", force=path)
-    import_session(order(tmp_path, force=path, ignore=("X(m)",)))
+    rejected(tmp_path, r"column 'P\(bar\)': not known; allowed: Fx, .*--ignore NAME", force=path)
+    imported(tmp_path, force=path, ignore=("P(bar)",))
     force = Session(tmp_path / "s.zarr").streams["force"]
     assert force.array("value")[3] == pytest.approx([3, 0, -3.5, 1, 0, 0.006], abs=1e-12)
     assert force.t_ns[:3].tolist() == [0, 5_000_000, 10_000_000]
@@ -303,7 +313,7 @@ def test_forces_are_whole_counts_so_that_a_replay_can_give_them_back(tmp_path: P
     wrench = rng.normal(0, 5, (50, 6)) * [1, 1, 1, 0.1, 0.1, 0.1]
     path = saved(tmp_path / "f.npy", wrench)
     options = {"force": path, "force_hz": 100.0, "units": "N", "torque_units": "N m"}
-    message = import_session(order(tmp_path, **options))
+    message = imported(tmp_path, **options)
     value = Session(tmp_path / "s.zarr").streams["force"].array("value")
     counts = np.rint(value / np.repeat([1e-6, 1e-9], 3)).astype(np.int64)
     scale = np.repeat([1.0 / 1e6, 1e-3 / 1e6], 3)
@@ -335,25 +345,18 @@ def test_recordings_of_unequal_length_are_refused_unless_trimmed(tmp_path: Path)
     video = saved(tmp_path / "v.avi", avi(jpegs(60)))
     force = saved(tmp_path / "f.npy", np.arange(300.0) / 100)
     options = {"video": video, "force": force, "force_hz": 300.0, "units": "N"}
-    rejected(tmp_path, r"unequal length: video 2.000 s, force 1.000 s.*--trim", **options)
-    import_session(order(tmp_path, trim=True, **options))
+    rejected(tmp_path, r"unequal length: v.avi 2.000 s, f.npy 1.000 s.*--trim", **options)
+    imported(tmp_path, trim=True, **options)
     session = Session(tmp_path / "s.zarr")
     assert len(session.streams["camera"]) == 30
     assert len(session.streams["force"]) == 300
 
 
-@pytest.mark.parametrize(
-    ("options", "match"),
-    [
-        ({}, "nothing to import"),
-        ({"fps": 30.0}, "nothing to import"),
-        ({"taxels": Path("t.npy"), "fps": 30.0}, "--fps: found 30 without the file"),
-        ({"taxels": Path("t.npy"), "taxels_hz": -1.0}, "--taxels-hz: found -1"),
-    ],
-)
-def test_an_order_that_makes_no_sense_is_refused(options: Any, match: str, tmp_path: Path) -> None:
-    with pytest.raises(SessionError, match=match):
-        order(tmp_path, **options)
+def test_nothing_to_import_and_a_bad_rate_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(SessionError, match="nothing to import"):
+        draft_recordings([tmp_path], [], Answers(sensor="a", indenter="b"))
+    path = saved(tmp_path / "t.npy", np.zeros((9, 48)))
+    rejected(tmp_path, "--taxels-hz: found -1", taxels=path, taxels_hz=-1.0)
 
 
 @pytest.mark.parametrize("content", [b"", b"no numpy", b"\x93NUMPY\1\0"])
@@ -369,6 +372,7 @@ def test_the_command_line_says_what_was_assumed(
     command_order = ["--taxel-order", "taxel"]
     out = str(tmp_path / "s.zarr")
     command = ["import", out, "--taxels", str(path), "--sensor", "uskin", "--indenter", "ball"]
+    command += ["--press", "none", "--yes"]
     assert main(command) == 2
     assert "say --taxels-hz" in capsys.readouterr().err
     assert main([*command, "--taxels-hz", "60"]) == 2
@@ -378,7 +382,7 @@ def test_the_command_line_says_what_was_assumed(
     assert "largest change 0.25 counts" in capsys.readouterr().out
     assert main([*command, "--taxels-hz", "60"]) == 2
     assert "exists already" in capsys.readouterr().err
-    assert main(["check", out]) == 0
+    assert main(["session", "check", out]) == 0
 
 
 def test_several_files_of_a_kind_become_a_stream_each(tmp_path: Path) -> None:
@@ -391,6 +395,7 @@ def test_several_files_of_a_kind_become_a_stream_each(tmp_path: Path) -> None:
     words += ["--video", f"top={tmp_path / 'a=b.avi'}", "--video", f"side={side_file}"]
     words += ["--force", f"left={left}", "--force", f"right={right}", "--units", "N"]
     words += ["--force-hz", "left=30", "--force-hz", "right=60"]
+    words += ["--press", "none", "--lag", "0", "--yes"]
     assert main(words) == 0
     session = Session(tmp_path / "s.zarr")
     assert faults(check(session.path)) == []
@@ -399,13 +404,14 @@ def test_several_files_of_a_kind_become_a_stream_each(tmp_path: Path) -> None:
     assert session.columns == {"top": "image", "side": "side", "left": "wrench", "right": "right"}
     assert session.streams["right"].rate_hz == 60
     assert session.frames["right"][5, 2] < -2 < session.frames["wrench"][5, 2]
-    assert set(session.attrs["imported"]["files"]) == {"top", "side", "left", "right"}
+    names = {each["name"] for each in session.attrs["imported"]["files"].values()}
+    assert names == {"a=b.avi", "side.avi", "left.npy", "right.npy"}
 
 
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        (["--video", "a.avi", "--video", "b.avi"], "--video: found 'camera' twice; name them"),
+        (["--video", "a.avi", "--video", "b.avi"], "--video: found 'b.avi' twice; name them"),
         (["--video", "x=a.avi", "--video", "x=b.avi"], "--video: found 'x' twice"),
         (["--video", "x=a.avi", "--fps", "y=3"], "--fps: found 3 of y without the file"),
         (["--video", "a.avi", "--fps", "fast"], "--fps: found"),

@@ -29,6 +29,7 @@ from recorder import (
 )
 from recorder.__main__ import main
 from recorder.checks.reseal import reseal
+from recorder.command_line.run import main as main_of_all
 from recorder.session.frames import write_frames
 from recorder.session.reader import Stream
 from recorder.session.recover import recover_streams
@@ -413,7 +414,8 @@ def imported(folder: Path) -> Path:
     np.save(folder / "taxels.npy", np.random.default_rng(2).integers(0, 9, (120, 16, 3)))
     arguments = ["--force", folder / "force.csv", "--taxels", folder / "taxels.npy"]
     options = ["--taxels-hz", "60", "--sensor", "a", "--indenter", "b"]
-    assert main(["import", str(folder / "s.zarr"), *map(str, [*arguments, *options])]) == 0
+    options += ["--press", "none", "--lag", "0", "--yes"]
+    assert main_of_all(["import", str(folder / "s.zarr"), *map(str, [*arguments, *options])]) == 0
     return folder / "s.zarr"
 
 

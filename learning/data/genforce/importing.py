@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -22,7 +23,14 @@ from learning.data.genforce.format import (
 from learning.errors import LearningError
 from learning.indenters import UNSEEN, coded
 from learning.markers.frames import taxel_masks
-from learning.markers.segment import CameraPreset, Segmenter, TaxelPreset, preset, preset_of_sensor
+from learning.markers.segment import (
+    CameraPreset,
+    Segmenter,
+    ShadingPreset,
+    TaxelPreset,
+    preset,
+    preset_of_sensor,
+)
 from recorder.archive import MarkerCount
 from recorder.markers import pack, smallest_marker, unpack
 from recorder.settings import Reader
@@ -37,6 +45,11 @@ LAYOUTS: Mapping[str, str] = {
 # Default size of a pixel of the authors' GelSights [mm].
 MM_PER_PX = 0.0249
 TAXELS_MM_PER_PX = 0.03671875
+# Positions of a raw run whose sensor may be turned against the robot; `archive join` refuses them.
+TURN_UNKNOWN = (
+    "unknown turn: pose.csv, from the first pose of the run along the robot's axes; import with "
+    "--turn SENSOR=DEG"
+)
 _NO_TIMES = "none: t_ns is 0; frames are in the order of their numbers"
 
 
@@ -56,6 +69,10 @@ class Choices:
     """Indenters that models may not be trained on."""
     compensation: Mapping[str, Compensation] = field(default_factory=dict)
     """Force over depth by sensor, stored with it."""
+    turns_deg: Mapping[str, float] = field(default_factory=dict)
+    """Angle from the robot's x axis to the image's, counter-clockwise, by raw sensor [deg].
+
+    Poses of a run are in the robot's frame, and nothing in it tells how the sensor stood there."""
 
 
 def read_plan(path: Path) -> PressShear:
@@ -108,6 +125,11 @@ def import_folder(
     """
     chosen = choices or Choices()
     layout = layout_of(root)
+    if chosen.turns_deg and layout != "raw":
+        raise LearningError(
+            f"turn: found with a folder of layout {layout}, whose places are in the image; "
+            "allowed: a raw run"
+        )
     if chosen.plans and layout != "training":
         raise LearningError(
             f"plan: found with a folder of layout {layout}, which tells places itself; allowed: "
@@ -140,12 +162,13 @@ def _states(root: Path, indenters: tuple[str, ...], chosen: Choices) -> Iterator
 
 
 def _raw(root: Path, indenters: tuple[str, ...], chosen: Choices) -> Iterator[PublishedSensor]:
-    for one in raw.read_raw(root, _codes(indenters)):
+    turns = {name: math.radians(turn) for name, turn in chosen.turns_deg.items()}
+    for one in raw.read_raw(root, _codes(indenters), turns):
         name = chosen.preset_name or preset_of_sensor(one.name)
         if name is None:
             raise LearningError(f"{one.name}: no preset is assigned to it; allowed: --preset NAME")
         found = preset(name)
-        if isinstance(found, TaxelPreset) != one.taxels:
+        if isinstance(found, ShadingPreset) or isinstance(found, TaxelPreset) != one.taxels:
             kind = "taxels" if one.taxels else "pictures"
             raise LearningError(f"preset {name}: is for {found.KIND}; {one.name} has {kind}")
         count = None
@@ -158,7 +181,10 @@ def _raw(root: Path, indenters: tuple[str, ...], chosen: Choices) -> Iterator[Pu
             count = MarkerCount(found.area_px[0], found.tolerance)
         about: dict[str, Any] = {
             "depth": "pose.csv: below the first pose of the press",
-            "position": "pose.csv: from the first pose of the run",
+            "position": TURN_UNKNOWN
+            if one.name not in chosen.turns_deg
+            else "pose.csv: from the first pose of the run, turned by "
+            f"{chosen.turns_deg[one.name]:g} deg into the image as stated",
             "preset": name,
         }
         yield _published(

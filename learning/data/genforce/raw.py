@@ -10,9 +10,10 @@ Phases are normal_inc, shear_inc, shear_dec, normal_dec; down and up in force-de
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -63,7 +64,9 @@ def indenters_of(root: Path) -> set[str]:
     return {_indenter(run) for sensor in _sensors(root) for run in _runs(sensor)}
 
 
-def read_raw(root: Path, codes: Mapping[str, int]) -> Iterator[RawSensor]:
+def read_raw(
+    root: Path, codes: Mapping[str, int], turns: Mapping[str, float] | None = None
+) -> Iterator[RawSensor]:
     """Yield the sensors of a folder, without opening frames.
 
     Depth is measured downwards from the first pose of the press, position from the first pose of
@@ -72,11 +75,19 @@ def read_raw(root: Path, codes: Mapping[str, int]) -> Iterator[RawSensor]:
     Args:
         root: The folder of a sensor, or its parent.
         codes: Codes of the indenters, by name; locations are numbered by them.
+        turns: Angle from the robot's x axis to the image's, counter-clockwise, by sensor [rad].
+            Without one, positions stay in the robot's frame.
 
     Raises:
-        LearningError: A file or folder is missing or invalid; the message names it.
+        LearningError: A file or folder is missing or invalid, or a turn is of no sensor of the
+            folder; the message names it.
     """
-    sensors = _sensors(root)
+    sensors, turns = _sensors(root), turns or {}
+    if unknown := sorted(set(turns) - {sensor.name for sensor in sensors}):
+        raise LearningError(
+            f"turn: found {', '.join(unknown)}; allowed: "
+            f"{', '.join(sensor.name for sensor in sensors)}"
+        )
     targets = max(
         (_point(point) for sensor in sensors for run in _runs(sensor) for point in _points(run)),
         default=0,
@@ -99,7 +110,9 @@ def read_raw(root: Path, codes: Mapping[str, int]) -> Iterator[RawSensor]:
                     f"{run}: found {_indenter(run)}, as in {other.name}; expected one run for an "
                     "indenter"
                 )
-            presses += _presses(sensor, run, located, codes, targets, 0 if taxels else number)
+            of_run = _presses(sensor, run, located, codes, targets, 0 if taxels else number)
+            turn = turns.get(sensor.name, 0.0)
+            presses += [replace(press, position=_turned(press.position, -turn)) for press in of_run]
         yield RawSensor(sensor.name, taxels, tuple(presses), tuple(references))
 
 
@@ -173,6 +186,14 @@ def _presses(
             location=np.full(len(files), location),
             reference=reference,
         )
+
+
+def _turned(places: Array, angle: float) -> Array:
+    """Return places (n, 2) turned counter-clockwise by an angle [rad]; as they are by 0."""
+    if angle == 0:
+        return places
+    cosine, sine = math.cos(angle), math.sin(angle)
+    return np.asarray(places @ np.array([[cosine, sine], [-sine, cosine]]))
 
 
 def _wrench(path: Path, files: tuple[Path, ...]) -> Array:

@@ -1,0 +1,318 @@
+"""Topics of MCAP files and of rosbags 1 and 2, as tracks of one clock.
+
+Messages are known by their fields, whatever their encoding: CDR and ROS 1 by `rosbags`, protobuf
+and JSON by `mcap`. A message's own stamp is its time where it has one, else the time of the log.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from recorder.convert.import_force import ForceUnits, rate_of
+from recorder.convert.import_taxels import TaxelOrder
+from recorder.convert.import_tracks import As, Track, content_of, kind_of_name
+from recorder.convert.import_video import Film
+from recorder.errors import SessionError
+
+SUFFIXES = (".bag", ".mcap", ".db3")
+
+# Channels and bytes of a pixel by encoding, and their order as indices of red, green and blue.
+_ENCODINGS = {
+    "rgb8": (3, (0, 1, 2)),
+    "bgr8": (3, (2, 1, 0)),
+    "8UC3": (3, (2, 1, 0)),
+    "rgba8": (4, (0, 1, 2)),
+    "bgra8": (4, (2, 1, 0)),
+    "mono8": (1, (0, 0, 0)),
+    "8UC1": (1, (0, 0, 0)),
+}
+_JPEG = b"\xff\xd8"
+# Fields of seconds and nanoseconds in a stamp: ROS 2, our JSON, protobuf, ROS 1.
+_STAMPS = (("sec", "nanosec"), ("sec", "nsec"), ("seconds", "nanos"), ("secs", "nsecs"))
+_SUPPORT = "pip install 'tactile-rig[export]'"
+
+
+@dataclass(slots=True)
+class _Topic:
+    """Content of a topic."""
+
+    kind: As
+    t_ns: list[int] = field(default_factory=list)
+    values: list[Any] = field(default_factory=list)
+    """Numbers of each message; shapes of images."""
+    jpeg: bool = True
+    unstamped: int = 0
+
+
+def read_bag(
+    path: Path,
+    *,
+    chosen: Callable[[str], As | None],
+    units: ForceUnits,
+    order: TaxelOrder | None,
+    width_unit: str | None,
+) -> tuple[list[Track], list[str]]:
+    """Return the tracks of a file or folder, and messages on what was left out.
+
+    Args:
+        path: `.bag`, `.mcap`, `.db3`, or the folder of a rosbag 2.
+        chosen: Kind of a topic by its name, if the user stated it.
+        units: Units of forces; messages of forces are in N and N m.
+        order: Order of the counts of taxels.
+        width_unit: Unit of a width.
+
+    Raises:
+        SessionError: No topic that can be read, or a corrupt file.
+        MissingAnswer: Something the bag does not tell.
+    """
+    topics: dict[str, _Topic] = {}
+    left_out: dict[str, str] = {}
+    for topic, kind_name, log_ns, message in _messages(path):
+        told = chosen(topic)
+        if told == "skip":
+            left_out[topic] = "left out as stated"
+            continue
+        sample = _sample(message)
+        if sample is None:
+            left_out[topic] = f"{kind_name} holds nothing that a session has a stream for"
+            continue
+        kind, value = sample
+        by_name = kind_of_name(topic)
+        kind = told or (by_name if kind == "values" and by_name not in (None, "video") else kind)
+        entry = topics.setdefault(topic, _Topic(kind))
+        stamp = _stamp(message)
+        entry.unstamped += stamp is None
+        entry.t_ns.append(log_ns if stamp is None else stamp)
+        if kind == "video":
+            entry.jpeg = entry.jpeg and isinstance(value, bytes) and value[:2] == _JPEG
+            entry.values.append(_size_of(value))
+        else:
+            entry.values.append(value)
+    if not topics:
+        raise SessionError(f"{path.name}: found no topic with images, forces, taxels or numbers")
+    start = min(min(entry.t_ns) for entry in topics.values())
+    tracks, told_lines = [], [f"{path.name}: {topic}: {why}" for topic, why in left_out.items()]
+    for topic, entry in sorted(topics.items(), key=lambda item: item[1].kind != "video"):
+        t_ns = np.array(entry.t_ns, np.int64) - start
+        source = f"{path.name}:{topic}"
+        if (np.diff(t_ns) <= 0).any():
+            row = int(np.flatnonzero(np.diff(t_ns) <= 0)[0]) + 1
+            raise SessionError(f"{source}: message {row}: its time does not advance")
+        if entry.unstamped:
+            told_lines.append(f"{source}: {entry.unstamped} messages without a stamp: log time")
+        if entry.kind == "video":
+            content: Any = _film(path, topic, entry, t_ns)
+        else:
+            sizes = {np.size(value) for value in entry.values}
+            if len(sizes) > 1:
+                raise SessionError(f"{source}: found messages of {sorted(sizes)} numbers")
+            if entry.kind == "force" and units.force is None:
+                # The messages' definitions state newton and newton metre.
+                units = ForceUnits("N", "N m", units.ignore)
+            content = content_of(
+                source,
+                np.array(entry.values, np.float64),
+                t_ns,
+                entry.kind,
+                units=units,
+                order=order,
+                width_unit=width_unit,
+            )
+        tracks.append(Track("", entry.kind, content, source, path.name))
+    return tracks, told_lines
+
+
+def _film(path: Path, topic: str, entry: _Topic, t_ns: Any) -> Film:
+    if len(set(entry.values)) > 1:
+        raise SessionError(f"{path.name}:{topic}: found images of {sorted(set(entry.values))}")
+
+    def load() -> Iterator[Any]:
+        for _, _, _, message in _messages(path, topic):
+            sample = _sample(message)
+            if sample is not None:
+                yield sample[1] if entry.jpeg else _pixels(sample[1])
+
+    told = "the camera's bytes" if entry.jpeg else "decoded and stored as pixels, losslessly"
+    assumed = [f"{path.name}:{topic}: times by its own stamps, {told}"]
+    codec = "jpeg" if entry.jpeg else "zstd"
+    return Film(codec, entry.values[0], rate_of(t_ns), t_ns, load, assumed)
+
+
+def _messages(path: Path, only: str | None = None) -> Iterator[tuple[str, str, int, Any]]:
+    """Yield topic, type, time of the log [ns] and content of every message in order of time."""
+    if path.is_file() and path.suffix == ".mcap":
+        yield from _mcap(path, only)
+        return
+    try:
+        from rosbags.highlevel import AnyReader, AnyReaderError
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        raise SessionError(f"{path.name}: reading rosbags takes rosbags: {_SUPPORT}") from None
+    folder = path.parent if path.suffix == ".db3" else path
+    try:
+        # Older rosbags 2 hold no definitions of their messages.
+        store = get_typestore(Stores.ROS2_HUMBLE)
+        with AnyReader([folder], default_typestore=store) as reader:
+            wanted = [each for each in reader.connections if only in (None, each.topic)]
+            for connection, t_ns, data in reader.messages(connections=wanted):
+                message = reader.deserialize(data, connection.msgtype)
+                yield connection.topic, connection.msgtype, int(t_ns), message
+    except AnyReaderError as error:
+        raise SessionError(f"{path.name}: no rosbag that can be read: {error}") from error
+
+
+def _mcap(path: Path, only: str | None) -> Iterator[tuple[str, str, int, Any]]:
+    try:
+        from mcap.exceptions import McapError
+        from mcap.reader import make_reader
+        from mcap_protobuf.decoder import DecoderFactory
+    except ImportError:
+        raise SessionError(f"{path.name}: reading MCAP takes mcap: {_SUPPORT}") from None
+    protobuf = DecoderFactory()
+    decoders: dict[int, Callable[[bytes], Any] | None] = {}
+    try:
+        with path.open("rb") as file:
+            reader = make_reader(file)
+            for schema, channel, message in reader.iter_messages(
+                topics=None if only is None else only
+            ):
+                if channel.id not in decoders:
+                    decoders[channel.id] = (
+                        _json
+                        if channel.message_encoding == "json"
+                        else _ros(path, channel.message_encoding, schema)
+                        if channel.message_encoding in ("cdr", "ros1")
+                        else protobuf.decoder_for(channel.message_encoding, schema)
+                    )
+                decode = decoders[channel.id]
+                content = SimpleNamespace() if decode is None else decode(message.data)
+                name = schema.name if schema is not None else channel.message_encoding
+                yield channel.topic, name, int(message.log_time), content
+    except McapError as error:
+        raise SessionError(f"{path.name}: no whole MCAP file: {error}") from error
+
+
+def _ros(path: Path, encoding: str, schema: Any) -> Callable[[bytes], Any] | None:
+    """Return the decoder of a ROS message by its definition in the file."""
+    try:
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+    except ImportError:
+        raise SessionError(f"{path.name}: reading ROS messages takes rosbags: {_SUPPORT}") from None
+    if schema is None or schema.encoding not in ("ros2msg", "ros1msg"):
+        return None
+    store = get_typestore(Stores.EMPTY if encoding == "ros1" else Stores.ROS2_HUMBLE)
+    name = schema.name if "/msg/" in schema.name else schema.name.replace("/", "/msg/")
+    if encoding == "ros1" or name not in store.fielddefs:
+        store.register(get_types_from_msg(schema.data.decode(), name))
+    read = store.deserialize_ros1 if encoding == "ros1" else store.deserialize_cdr
+    return lambda data: read(data, name)
+
+
+def _json(data: bytes) -> Any:
+    return json.loads(data, object_hook=lambda entry: SimpleNamespace(**entry))
+
+
+def _sample(message: Any) -> tuple[As, Any] | None:
+    """Return kind and value of a message by its fields; None if it has no stream."""
+    for inner in ("wrench", "pose", "twist"):
+        if hasattr(message, inner) and not hasattr(message, "force"):
+            message = getattr(message, inner)
+    if hasattr(message, "force") and hasattr(message, "torque"):
+        force, torque = _xyz(message.force), _xyz(message.torque)
+        known = force is not None and torque is not None
+        return ("force", np.array([*force, *torque])) if known else None  # type: ignore[misc]
+    if hasattr(message, "position") and hasattr(message, "orientation"):
+        turned = message.orientation
+        place = _xyz(message.position)
+        return (
+            None
+            if place is None
+            else (
+                "pose",
+                np.array([*place, turned.x, turned.y, turned.z, turned.w]),
+            )
+        )
+    data = getattr(message, "data", None)
+    if data is not None and hasattr(message, "encoding") and hasattr(message, "height"):
+        return "video", message
+    if data is not None and hasattr(message, "format"):
+        return "video", bytes(data)
+    if (counts := getattr(message, "counts", None)) is not None:
+        return "taxels", np.asarray(counts, np.float64)
+    if isinstance(getattr(message, "position", None), list | np.ndarray):
+        return "values", np.asarray(message.position, np.float64)
+    if isinstance(data, int | float) and not isinstance(data, bool):
+        return "values", np.array([float(data)])
+    if isinstance(data, list | np.ndarray) and len(data):
+        numbers = np.asarray(data)
+        if numbers.dtype.kind in "iuf":
+            return ("taxels" if numbers.size == 48 else "values"), numbers.astype(np.float64)
+    return None
+
+
+def _xyz(vector: Any) -> tuple[float, float, float] | None:
+    if isinstance(vector, list) and len(vector) == 3:
+        return float(vector[0]), float(vector[1]), float(vector[2])
+    if not all(hasattr(vector, axis) for axis in "xyz"):
+        return None
+    # JSON has null for an axis that was not measured.
+    x, y, z = (
+        math.nan if value is None else float(value) for value in (vector.x, vector.y, vector.z)
+    )
+    return x, y, z
+
+
+def _stamp(message: Any) -> int | None:
+    """Return a message's own time [ns]; None if it has none, or one that was never set."""
+    stamp = getattr(getattr(message, "header", message), "stamp", None)
+    stamp = getattr(message, "timestamp", None) if stamp is None else stamp
+    for whole, parts in (
+        ("sec", "nanosec"),
+        ("sec", "nsec"),
+        ("seconds", "nanos"),
+        ("secs", "nsecs"),
+    ):
+        if hasattr(stamp, whole) and hasattr(stamp, parts):
+            found = int(getattr(stamp, whole)) * 10**9 + int(getattr(stamp, parts))
+            return found or None
+    return None
+
+
+def _size_of(value: Any) -> tuple[int, int]:
+    if not isinstance(value, bytes):
+        return int(value.height), int(value.width)
+    with Image.open(io.BytesIO(value)) as picture:
+        return picture.height, picture.width
+
+
+def _pixels(value: Any) -> Any:
+    """Return an image message as pixels (h, w, 3) uint8, RGB.
+
+    Raises:
+        SessionError: An encoding that is unknown, or fewer bytes than its size needs.
+    """
+    if isinstance(value, bytes):
+        with Image.open(io.BytesIO(value)) as picture:
+            return np.asarray(picture.convert("RGB"))
+    if value.encoding not in _ENCODINGS:
+        raise SessionError(
+            f"image: found encoding {value.encoding!r}; allowed: {', '.join(_ENCODINGS)}"
+        )
+    channels, order = _ENCODINGS[value.encoding]
+    rows = np.frombuffer(bytes(value.data), np.uint8)
+    step = int(value.step) or int(value.width) * channels
+    if rows.size < step * value.height:
+        raise SessionError(f"image: found {rows.size} bytes; expected {step * value.height}")
+    rows = rows[: step * value.height].reshape(value.height, step)[:, : value.width * channels]
+    pixels = rows.reshape(value.height, value.width, channels)[..., list(order)]
+    return np.ascontiguousarray(pixels)

@@ -1,0 +1,116 @@
+"""One page that shows what an import will write, to be looked at before it is written."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from recorder.convert.import_session import Draft
+from recorder.pages import render
+from recorder.plot import Curve, line_plot
+from recorder.session.align import NS
+
+_SIZE = (900, 240)
+_LINE, _PRESSED = (62, 118, 196), (196, 78, 62)
+# Most recordings that are drawn; the rest is listed.
+_DRAWN = 30
+
+
+@dataclass(frozen=True, slots=True)
+class _Drawn:
+    """One recording on the page."""
+
+    name: str
+    indenter: str
+    tracks: str
+    presses: str
+    lag: str
+    plot: str
+    """PNG as a data URI; empty if it is not drawn."""
+    pictures: tuple[tuple[str, str], ...]
+    """Caption and PNG of pictures."""
+
+
+def write_page(drafts: Sequence[Draft], path: Path, *, sensor: str, places: str) -> None:
+    """Write the page (HTML).
+
+    Args:
+        drafts: Recordings.
+        path: File to write.
+        sensor: Name of the sensor.
+        places: What is known of places and depths.
+
+    Raises:
+        OSError: The file is not writable.
+    """
+    lines = list(dict.fromkeys(line for draft in drafts for line in draft.assumed))
+    text = render(
+        Path(__file__).parent / "import_page.html",
+        sensor=sensor,
+        places=places,
+        recordings=[_drawn(draft, at < _DRAWN) for at, draft in enumerate(drafts)],
+        assumed=lines,
+    )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")
+
+
+def _drawn(draft: Draft, is_drawn: bool) -> _Drawn:
+    tracks = ", ".join(
+        f"{track.stream} ({track.source}, {len(track.content.t_ns):,} at "
+        f"{track.content.rate_hz:.4g} Hz)"
+        for track in draft.take.tracks
+    )
+    presses = ", ".join(
+        f"{NS * press.start_ns:.2f} to {NS * press.end_ns:.2f} s" for press in draft.presses
+    )
+    return _Drawn(
+        draft.take.name,
+        draft.indenter,
+        tracks,
+        presses,
+        str(draft.lag or ""),
+        _plot(draft) if is_drawn else "",
+        _pictures(draft) if is_drawn else (),
+    )
+
+
+def _plot(draft: Draft) -> str:
+    trace = draft.trace
+    t_s = np.asarray(trace.t_ns * NS, np.float64)
+    touched = np.zeros(len(t_s), np.bool_)
+    for press in draft.presses:
+        touched |= (trace.t_ns >= press.start_ns) & (trace.t_ns < press.end_ns)
+    curves = [
+        Curve("all", trace.value, _LINE),
+        Curve("presses", np.where(touched, trace.value, np.nan), _PRESSED),
+    ]
+    marks = np.array([NS * press.peak_ns for press in draft.presses[:40]], np.float64)
+    return _png(line_plot(_SIZE, t_s, curves, title=trace.name, marks=marks, x_label="s"))
+
+
+def _pictures(draft: Draft) -> tuple[tuple[str, str], ...]:
+    if draft.small is None:
+        return ()
+    film = next(track for track in draft.take.tracks if track.kind == "video")
+    found = [("without contact", (draft.no_contact[0] + draft.no_contact[1]) // 2)]
+    found += [(f"press {at}", press.peak_ns) for at, press in enumerate(draft.presses[:4], 1)]
+    shown = []
+    for caption, t_ns in found:
+        row = int(np.argmin(np.abs(film.content.t_ns - t_ns)))
+        picture: Any = Image.fromarray(draft.small[row]).resize((240, 180))
+        shown.append((caption, _png(picture)))
+    return tuple(shown)
+
+
+def _png(picture: Image.Image) -> str:
+    content = io.BytesIO()
+    picture.save(content, "PNG")
+    return "data:image/png;base64," + base64.b64encode(content.getvalue()).decode()

@@ -1,0 +1,324 @@
+"""Presses in a recording that has no plan: when nothing touched, when something did, and lags.
+
+A contact shows in the force if it was recorded, else in the images or taxels: as the change from a
+span without contact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.convert.import_tracks import MissingAnswer
+from recorder.errors import SessionError
+from recorder.session.align import NS
+from recorder.spec import AXES
+
+Times = NDArray[np.int64]
+Floats = NDArray[np.float64]
+Span = tuple[int, int]
+
+# A span without contact is at least this long [s] and has at least this many samples, but is at
+# most this part of the recording.
+_STILL_S, _STILL_SAMPLES, _STILL_MOST = 0.15, 5, 0.25
+# Spans whose force differs by less than this part of the largest one are equally free of contact.
+_AS_FREE = 0.02
+# A recording that ends this far from its beginning, as part of its largest change, may begin or end
+# in contact: images and taxels cannot tell which.
+_RETURNED = 0.4
+# Change during contact over that without, from which a contact differs from noise.
+_TOLD = 4.0
+# A press begins where the change exceeds `_BEGIN` of its largest value or twice its noise, and
+# reaches to where it falls below `_REACH`; interruptions shorter than `_GAP_S` are part of it.
+_BEGIN, _REACH, _GAP_S, _PRESS_S = 0.10, 0.03, 0.15, 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trace:
+    """Change of a track from its span without contact."""
+
+    name: str
+    """Quantity and unit."""
+    t_ns: Times
+    """Times (n,) [ns]."""
+    value: Floats
+    """Size of the change (n,), 0 or more."""
+
+
+@dataclass(frozen=True, slots=True)
+class Press:
+    """One contact."""
+
+    start_ns: int
+    peak_ns: int
+    """Time of the largest change."""
+    end_ns: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Signal:
+    """Samples in which a contact can show."""
+
+    name: str
+    """Quantity and unit."""
+    t_ns: Times
+    """Times (n,) [ns]."""
+    rows: Floats
+    """Values that are compared with those of the span without contact (n, m)."""
+    pressing: Floats | None = None
+    """Pressing force (n,) [N], the larger the harder; None if the signal has no direction."""
+
+    def change(self, no_contact: Span) -> Trace:
+        """Return the size of the change from a span.
+
+        Raises:
+            SessionError: The span holds no sample.
+        """
+        inside = (self.t_ns >= no_contact[0]) & (self.t_ns < no_contact[1])
+        if not inside.any():
+            raise SessionError(
+                f"--no-contact: {NS * no_contact[0]:.3f} to {NS * no_contact[1]:.3f} s holds no "
+                f"sample of {self.name}"
+            )
+        rest = self.rows[inside].mean(axis=0)
+        size = np.abs(self.rows - rest)
+        value = np.linalg.norm(size, axis=1) if self.pressing is not None else size.mean(axis=1)
+        return Trace(self.name, self.t_ns, np.asarray(value, np.float64))
+
+
+def force_signal(t_ns: Times, wrench: Floats, axes: Sequence[str]) -> Signal:
+    """Return the signal of forces (n, 6) [N, N m]; pressing is negative Fz."""
+    measured = [AXES.index(axis) for axis in axes if axis in AXES[:3]]
+    rows = wrench[:, measured or [0]]
+    pressing = -wrench[:, 2] if "Fz" in axes else np.linalg.norm(rows, axis=1)
+    return Signal("force [N]", t_ns, rows, np.asarray(pressing, np.float64))
+
+
+def find_no_contact(signal: Signal) -> Span:
+    """Return the span in which nothing touched the sensor [ns].
+
+    With a force it is the first still span of the least pressing force; with images or taxels it is
+    the beginning, if the recording returns to it.
+
+    Raises:
+        MissingAnswer: The recording does not tell.
+    """
+    t_ns, count = signal.t_ns, len(signal.t_ns)
+    step = float(np.median(np.diff(t_ns))) * NS if count > 1 else 1.0
+    length = max(_STILL_SAMPLES, round(_STILL_S / max(step, 1e-9)))
+    length = int(max(1, min(length, count * _STILL_MOST)))
+    if signal.pressing is not None:
+        mean, deviation = _windows(signal.pressing, length)
+        score = mean + 3 * deviation
+        # Of spans that are about as free of force the first is the best: gel creeps after contact.
+        _require_ends(signal.name, mean)
+        least = float(score.min()) + _AS_FREE * float(np.ptp(signal.pressing))
+        return _span(t_ns, int(np.flatnonzero(score <= least)[0]), length)
+    begin, end = signal.rows[:length], signal.rows[-length:]
+    change = np.abs(signal.rows - begin.mean(axis=0)).mean(axis=1)
+    largest = float(change.max())
+    apart = float(np.abs(end.mean(axis=0) - begin.mean(axis=0)).mean())
+    if largest > _TOLD * _noise(change[:length]) and apart > _RETURNED * largest:
+        raise MissingAnswer(
+            "no_contact",
+            f"{signal.name}: the recording ends {100 * apart / largest:.0f} % of its largest "
+            "change away from its beginning, so one of them is in contact, and nothing tells which",
+            (_stated(t_ns, 0, length), _stated(t_ns, count - length, length)),
+        )
+    return _span(t_ns, 0, length)
+
+
+def _require_ends(name: str, pressing: Floats) -> None:
+    """Reject forces that press most at both ends of a recording: their sign may be the other one.
+
+    Raises:
+        MissingAnswer: The mean pressing force of the first and the last span is above the middle.
+    """
+    middle = float(pressing.min() + pressing.max()) / 2
+    if pressing[0] > middle and pressing[-1] > middle:
+        raise MissingAnswer(
+            "no_contact",
+            f"{name}: presses with {pressing[0]:.3g} and {pressing[-1]:.3g} N at the ends of the "
+            f"recording and {pressing.min():.3g} N between; a session has negative Fz under "
+            "contact, so turn the sign of the file's forces, or, if it begins and ends in contact",
+            ("START:END in seconds",),
+        )
+
+
+def find_presses(trace: Trace, no_contact: Span, least_s: float = _PRESS_S) -> list[Press]:
+    """Return the contacts in a trace, in order of time.
+
+    Args:
+        trace: Change from the span without contact.
+        no_contact: That span [ns].
+        least_s: Shortest contact [s].
+    """
+    t_ns, value = trace.t_ns, trace.value
+    inside = (t_ns >= no_contact[0]) & (t_ns < no_contact[1])
+    noise = float(value[inside].max()) if inside.any() else 0.0
+    largest = float(value.max())
+    if largest <= _TOLD * max(noise, 1e-12):
+        return []
+    high = value > max(2 * noise, _BEGIN * largest)
+    reach = value > max(1.2 * noise, _REACH * largest)
+    presses: list[Press] = []
+    for first, last in _runs(reach):
+        if not high[first : last + 1].any():
+            continue
+        if presses and (t_ns[first] - presses[-1].end_ns) * NS < _GAP_S:
+            before = presses.pop()
+            first = int(np.searchsorted(t_ns, before.start_ns))
+        presses.append(_press(t_ns, value, first, last))
+    return [press for press in presses if (press.end_ns - press.start_ns) * NS >= least_s]
+
+
+def press_within(trace: Trace, span: Span) -> Press:
+    """Return the contact within a span that was stated [ns].
+
+    Raises:
+        SessionError: The span holds fewer than two samples.
+    """
+    inside = np.flatnonzero((trace.t_ns >= span[0]) & (trace.t_ns < span[1]))
+    if len(inside) < 2:
+        raise SessionError(
+            f"--press: {NS * span[0]:.3f} to {NS * span[1]:.3f} s holds {len(inside)} samples"
+        )
+    return _press(trace.t_ns, trace.value, int(inside[0]), int(inside[-1]))
+
+
+def widened(presses: Sequence[Press], start_ns: int, end_ns: int, by_ns: int) -> list[Press]:
+    """Return presses with up to `by_ns` before and after each, which touch no other press."""
+    found = []
+    for index, press in enumerate(presses):
+        before = presses[index - 1].end_ns if index else start_ns
+        after = presses[index + 1].start_ns if index + 1 < len(presses) else end_ns
+        low = max(press.start_ns - by_ns, (before + press.start_ns) // 2 if index else start_ns)
+        high = min(
+            press.end_ns + by_ns,
+            (after + press.end_ns) // 2 if index + 1 < len(presses) else end_ns,
+        )
+        found.append(Press(low, press.peak_ns, high))
+    return found
+
+
+def _press(t_ns: Times, value: Floats, first: int, last: int) -> Press:
+    peak = first + int(np.argmax(value[first : last + 1]))
+    end = int(t_ns[last + 1]) if last + 1 < len(t_ns) else int(t_ns[last]) + 1
+    start = int(t_ns[first])
+    return Press(start, min(max(int(t_ns[peak]), start + 1), end - 1), end)
+
+
+def _runs(high: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return first and last index of each run of true values."""
+    edges = np.flatnonzero(np.diff(np.r_[False, high, False].astype(np.int8)))
+    return [(int(first), int(end) - 1) for first, end in edges.reshape(-1, 2)]
+
+
+def _windows(values: Floats, length: int) -> tuple[Floats, Floats]:
+    """Return mean and standard deviation of every window of a length."""
+    windows = np.lib.stride_tricks.sliding_window_view(values, length)
+    return windows.mean(axis=1), windows.std(axis=1)
+
+
+def _noise(values: Floats) -> float:
+    return max(float(values.max()), 1e-12)
+
+
+def _stated(t_ns: Times, first: int, length: int) -> str:
+    """Return a span as `--no-contact` takes it."""
+    begin, end = _span(t_ns, first, length)
+    return f"{NS * begin:.2f}:{NS * end:.2f}"
+
+
+def _span(t_ns: Times, first: int, length: int) -> Span:
+    last = first + length - 1
+    end = int(t_ns[last + 1]) if last + 1 < len(t_ns) else int(t_ns[last]) + 1
+    return int(t_ns[first]), end
+
+
+# Lag between two clocks: that at which the change of one signal explains the other best.
+
+# Largest lag that is looked for, and its resolution [s].
+_LAG_MOST_S, _LAG_STEP_S = 1.0, 0.002
+# A lag counts if the signals correlate at least so, and its interval is at most so wide [s].
+_CORRELATED, _WIDEST_S = 0.7, 0.2
+# Ratio of the sums of squares at the ends of a 95 % interval, for one degree of freedom.
+_CHI2_95 = 3.84
+
+
+@dataclass(frozen=True, slots=True)
+class Lag:
+    """Delay of one signal behind another."""
+
+    seconds: float
+    """Best estimate; positive if the first signal shows a contact later than the second."""
+    low: float
+    high: float
+    """Ends of the 95 % interval [s]."""
+    correlation: float
+    """Correlation at that lag."""
+
+    def __str__(self) -> str:
+        return (
+            f"{1e3 * self.seconds:+.0f} ms (95 %: {1e3 * self.low:+.0f} to "
+            f"{1e3 * self.high:+.0f} ms), correlation {self.correlation:.2f}"
+        )
+
+
+def find_lag(shown: Trace, force: Trace, where: str) -> Lag:
+    """Return how much later images or taxels show contacts than the force does.
+
+    The change that is shown is compared with the force, shifted; residuals are correlated in time,
+    so the interval counts only the independent ones.
+
+    Raises:
+        MissingAnswer: The signals do not tell: too flat, too short or too different.
+    """
+
+    def refuse(why: str) -> MissingAnswer:
+        return MissingAnswer(
+            "lag",
+            f"{where}: the lag of {shown.name} behind {force.name} cannot be found: {why}",
+            ("SECONDS", "0 if they started together"),
+        )
+
+    lags = np.arange(-_LAG_MOST_S, _LAG_MOST_S + _LAG_STEP_S / 2, _LAG_STEP_S)
+    t, at = shown.t_ns * NS, force.t_ns * NS
+    if len(t) < 8 or len(at) < 8:
+        raise refuse(f"{min(len(t), len(at))} samples are too few")
+    if not float(np.ptp(force.value)) > 0 or not float(np.ptp(shown.value)) > 0:
+        raise refuse("one of them is flat")
+    errors, correlations = np.full(len(lags), np.inf), np.zeros(len(lags))
+    residuals: dict[int, Floats] = {}
+    for index, lag in enumerate(lags):
+        there = (t - lag >= at[0]) & (t - lag <= at[-1])
+        if there.sum() < max(8, 0.6 * len(t)):
+            continue
+        known = np.interp(t[there] - lag, at, force.value)
+        seen = shown.value[there]
+        if not np.ptp(known) > 0 or not np.ptp(seen) > 0:
+            continue
+        design = np.stack([np.ones_like(known), known], axis=1)
+        fit: Any = np.linalg.lstsq(design, seen, rcond=None)[0]
+        residual = seen - design @ fit
+        # Per sample, as fewer overlap at a large lag.
+        errors[index] = float(np.mean(residual**2)) / float(np.var(shown.value))
+        correlations[index] = float(np.corrcoef(known, seen)[0, 1])
+        residuals[index] = residual
+    best = int(np.argmin(errors))
+    if not np.isfinite(errors[best]) or correlations[best] < _CORRELATED:
+        raise refuse(f"they correlate by {correlations[best]:.2f} at most")
+    near = residuals[best]
+    power = float(near @ near)
+    memory = float(near[1:] @ near[:-1]) / power if power > 0 else 0.0
+    independent = max(len(near) * (1 - memory) / (1 + max(memory, 0.0)), 3.0)
+    floor = max(errors[best], 1e-6)
+    likely = np.flatnonzero(errors <= floor * (1 + _CHI2_95 / independent) + 1e-12)
+    low, high = lags[likely[0]] - _LAG_STEP_S, lags[likely[-1]] + _LAG_STEP_S
+    if likely[0] == 0 or likely[-1] == len(lags) - 1 or high - low > _WIDEST_S:
+        raise refuse(f"every lag from {low:+.2f} to {high:+.2f} s explains them as well")
+    return Lag(float(lags[best]), float(low), float(high), float(correlations[best]))

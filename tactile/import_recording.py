@@ -1,0 +1,294 @@
+"""`tactile import`: make sessions, or a marker archive, of recordings made elsewhere."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from collections.abc import Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from recorder import Session, SessionError
+from recorder.command_line.options import numbers
+from recorder.convert import (
+    FORCE_UNITS,
+    KINDS,
+    ORDERS,
+    TORQUE_UNITS,
+    Answers,
+    As,
+    Draft,
+    MissingAnswer,
+    draft_recordings,
+    write_page,
+    write_sessions,
+)
+from recorder.progress import ItemProgress
+
+_NAME = re.compile("[A-Za-z][A-Za-z0-9_]*")
+# Options of files, and their kind.
+_FILES: dict[str, As] = {
+    "video": "video",
+    "force": "force",
+    "taxels": "taxels",
+    "width": "width",
+    "pose": "pose",
+}
+# Folders of the published layouts.
+_GENFORCE = ("img", "image", "uskin_raw")
+_UNPLACED = (
+    "Places and depths are unknown: no press can be joined with another sensor's, but a model of "
+    "the sensor's own can be trained"
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Finds out what files and folders hold (videos, folders of images, CSV, NPY, NPZ, MCAP, "
+        "rosbags, LeRobot, uSkin logs, GenForce folders), finds the contacts, draws a page to "
+        "approve and writes sessions. Asks for what the files do not tell; without a terminal it "
+        "names the option."
+    )
+    add = parser.add_argument
+    add("paths", nargs="+", type=Path, metavar="PATH", help="files or folders of recordings")
+    add("--out", type=Path, metavar="PATH", help="session to write; a folder for several objects")
+    add("--yes", action="store_true", help="write without asking for approval of the page")
+    add("--page", type=Path, metavar="HTML", help="page to draw (beside --out)")
+    add("--like", type=Path, metavar="SESSION", help="take the answers of an earlier import")
+    add("--sensor", metavar="NAME", help="name of the sensor")
+    add("--indenter", metavar="NAME", help="name of what touched it")
+    add(
+        "--by-name",
+        action="store_true",
+        default=None,
+        help="recordings are named after what touched: ball_1, ball_2",
+    )
+    add("--operator", metavar="NAME", help="who recorded it")
+    files = parser.add_argument_group("files whose kind is stated; all are one recording")
+    for name in _FILES:
+        files.add_argument(f"--{name}", action="append", default=[], metavar="[STREAM=]PATH")
+    told = parser.add_argument_group("what files may not tell")
+    tell = told.add_argument
+    several: dict[str, Any] = {"action": "append", "metavar": "[STREAM=]HZ"}
+    tell(
+        "--as",
+        dest="kinds",
+        action="append",
+        metavar="PATTERN=KIND",
+        help=f"files, topics or features of these names are {', '.join(KINDS)}",
+    )
+    tell("--fps", **several, help="images per second")
+    tell("--force-hz", **several, help="rows of forces, widths and poses per second")
+    tell("--taxels-hz", **several, help="scans of taxels per second")
+    tell(
+        "--taxel-order",
+        choices=ORDERS,
+        help="order of 48 numbers: taxel (x y z of each in turn) or axis (x of all, then y, then "
+        "z); default: by the resting counts",
+    )
+    tell("--units", metavar="UNIT", help=f"of forces: {', '.join(FORCE_UNITS)}")
+    tell("--torque-units", metavar="UNIT", help=f"of torques: {', '.join(TORQUE_UNITS)}")
+    tell("--width-unit", choices=("m", "mm"), help="of the width of a gripper")
+    tell("--ignore", action="append", metavar="NAME", help="leave out this CSV column")
+    tell(
+        "--stills",
+        action="store_true",
+        default=None,
+        help="each picture of a folder is a contact of its own",
+    )
+    tell(
+        "--no-contact",
+        action="append",
+        metavar="[NAME=]START:END",
+        help="seconds without contact in a recording; of single pictures, the name of one",
+    )
+    tell(
+        "--press",
+        action="append",
+        metavar="[NAME=]START:END",
+        help="seconds of a contact in a recording, or none, instead of looking for contacts",
+    )
+    tell("--lag", type=float, metavar="S", help="how much later the images show what forces show")
+    tell(
+        "--contact-frame",
+        type=numbers(6),
+        metavar="X,...",
+        help="x y z [m] and rotation vector [rad] in which poses give places and depths",
+    )
+    tell("--trim", action="store_true", default=None, help="cut files to the shortest of them")
+    _add_genforce(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
+    stated = _stated(options)
+    if options.out is None and stated and len(options.paths) == 1:
+        # As it was once written: tactile import SESSION --video FILE --force FILE.
+        options.out, options.paths = options.paths[0], []
+    if options.out is None:
+        raise SessionError("--out: missing; allowed: the session or folder to write")
+    if options.paths and not stated and _genforce_layout(options.paths):
+        return _import_genforce(options)
+    answers, drafts = _drafts(options, stated)
+    for line in _grouped([line for draft in drafts for line in draft.assumed]):
+        print(line)
+    places = "Places and depths come from the poses" if answers.contact_frame else _UNPLACED
+    print(places)
+    page = options.page or options.out.with_name(options.out.name + ".import.html")
+    write_page(drafts, page, sensor=answers.sensor, places=places + ".")
+    print(f"{page}: look at it before you use the data")
+    if not options.yes and not _approved(options.out):
+        return 0
+    with ItemProgress("rows", sys.stderr) as progress:
+        written = write_sessions(drafts, options.out, answers, progress)
+    presses = sum(len(draft.presses) for draft in drafts)
+    for path in written:
+        print(f"{path}: imported")
+    names = " ".join(map(str, written))
+    print(f"{len(drafts)} recordings, {presses} presses, {len(written)} sessions")
+    print(f"next: tactile markers {names} --out {options.out.with_suffix('')}.markers.zarr")
+    return 0
+
+
+def _grouped(lines: Sequence[str]) -> list[str]:
+    """Return messages `NAME: text`, those of one text in one line."""
+    names: dict[str, list[str]] = {}
+    for line in dict.fromkeys(lines):
+        name, _, text = line.partition(": ")
+        names.setdefault(text, []).append(name)
+    return [
+        f"{', '.join(of[:3])}{f' and {len(of) - 3} more' if len(of) > 3 else ''}: {text}"
+        for text, of in names.items()
+    ]
+
+
+def _stated(options: argparse.Namespace) -> list[tuple[As, str, Path]]:
+    """Return kind, stream and path of the files whose kind is stated."""
+    found: list[tuple[As, str, Path]] = []
+    for option, kind in _FILES.items():
+        seen: set[str] = set()
+        for text in getattr(options, option):
+            name, equals, value = text.partition("=")
+            if not equals or not _NAME.fullmatch(name):
+                name, value = "", text
+            if name in seen:
+                raise SessionError(
+                    f"--{option}: found {name or value!r} twice; name them: --{option} NAME=..."
+                )
+            seen.add(name)
+            found.append((kind, name, Path(value)))
+    return found
+
+
+def _drafts(
+    options: argparse.Namespace, stated: Sequence[tuple[As, str, Path]]
+) -> tuple[Answers, list[Draft]]:
+    """Return the answers and the recordings; ask for what is missing if there is a terminal."""
+    answers = Answers()
+    if options.like is not None:
+        imported = Session(options.like).attrs.get("imported", {})
+        answers = Answers.from_json(imported.get("answers"), str(options.like))
+    given = {each.name: getattr(options, each.name, None) for each in fields(Answers)}
+    answers = answers.with_values({name: each for name, each in given.items() if each is not None})
+    _require_rates(answers, stated, options.paths)
+    while True:
+        try:
+            return answers, draft_recordings(options.paths, stated, answers)
+        except MissingAnswer as missing:
+            if not sys.stdin.isatty() or options.yes:
+                raise
+            answers = _asked(answers, missing)
+
+
+def _require_rates(
+    answers: Answers, stated: Sequence[tuple[As, str, Path]], paths: Sequence[Path]
+) -> None:
+    """Reject a rate of a stream that no stated file has."""
+    if paths:
+        return
+    kinds: dict[str, tuple[As, ...]] = {
+        "fps": ("video",),
+        "force_hz": ("force", "width", "pose"),
+        "taxels_hz": ("taxels",),
+    }
+    for option, of in kinds.items():
+        streams = {stream or _default(kind) for kind, stream, _ in stated if kind in of}
+        for text in getattr(answers, option):
+            name, equals, rate = text.rpartition("=")
+            if not streams or (equals and name not in streams):
+                flag = "--" + option.replace("_", "-")
+                of_stream = f" of {name}" if equals else ""
+                raise SessionError(
+                    f"{flag}: found {rate}{of_stream} without the file it is the rate of"
+                )
+
+
+def _default(kind: As) -> str:
+    return "camera" if kind == "video" else kind
+
+
+def _asked(answers: Answers, missing: MissingAnswer) -> Answers:
+    """Return the answers with one more, typed at the terminal."""
+    print(missing, file=sys.stderr)
+    text = input(f"--{missing.option.replace('_', '-')}: ").strip()
+    name = "kinds" if missing.option == "as" else missing.option
+    value: Any = text
+    if name == "lag":
+        try:
+            value = float(text)
+        except ValueError:
+            raise SessionError(f"--lag: found {text!r}; allowed: seconds") from None
+    elif isinstance(getattr(answers, name), tuple):
+        value = (*getattr(answers, name), text)
+    if not text:
+        raise SessionError(f"--{missing.option.replace('_', '-')}: found no answer")
+    return answers.with_values({name: value})
+
+
+def _approved(out: Path) -> bool:
+    """Return True if a person at the terminal approves the page.
+
+    Raises:
+        SessionError: There is no terminal.
+    """
+    if not sys.stdin.isatty():
+        raise SessionError(f"{out}: not written; look at the page, then repeat with --yes")
+    return input(f"write {out}? [y/N] ").strip().lower() in ("y", "yes")
+
+
+# GenForce folders become a marker archive: they hold masks, not a camera's images at their times.
+
+
+def _add_genforce(parser: argparse.ArgumentParser) -> None:
+    from learning.cli.import_genforce import add_options
+
+    add_options(parser.add_argument_group("GenForce folders, which become a marker archive"))
+
+
+def _genforce_layout(paths: Sequence[Path]) -> str | None:
+    """Return the layout of a folder of the published data; None if there is none."""
+    likely = [path for path in paths if path.is_dir() and _may_be_genforce(path)]
+    if not likely:
+        return None
+    from learning.cli.import_genforce import known_layout
+
+    layouts = [known_layout(path) for path in likely]
+    if any(layouts) and len(paths) > 1:
+        raise SessionError("found a GenForce folder among others; allowed: one at a time")
+    return layouts[0] if layouts else None
+
+
+def _may_be_genforce(path: Path) -> bool:
+    """Return True if a folder has names of the published layouts, which `learning` then reads."""
+    folders = [path, *(each for each in path.iterdir() if each.is_dir())]
+    named = any((each / name).is_dir() for each in folders for name in _GENFORCE)
+    return named or any(path.glob("*_ref.jpg"))
+
+
+def _import_genforce(options: argparse.Namespace) -> int:
+    from learning.cli.import_genforce import import_one
+
+    return import_one(options.paths[0], options)
