@@ -199,8 +199,8 @@ def _on_one_clock(
     shown, force = _shown(take, small), _force(take)
     seen = _first(take, "video") or _first(take, "taxels")
     if len(clocks) == 1 or forces is None or seen is None or seen.clock == forces.clock:
-        told = [f"{take.name}: all files start together"] if len(clocks) > 1 else []
-        return take, None, told
+        several = len(clocks) > 1
+        return take, None, [f"{take.name}: all files start together"] if several else []
     if answers.lag is not None:
         moved = _shifted(take, seen.clock, answers.lag)
         return moved, None, [f"{take.name}: lag of {answers.lag:+.3f} s by --lag"]

@@ -129,7 +129,8 @@ def test_from_folders_to_scores_on_the_object_left_out(
     assert "baseline R2 (Fz)" in told
     assert "baseline" in (report / "report.html").read_text()
     assert run("import", source, "--out", tmp_path / "b", "--like", sessions[0], "--yes") == 0
-    assert run("archive", "join", archive, archive, "--out", tmp_path / "j.markers.zarr") == 2
+    joined = tmp_path / "j.markers.zarr"
+    assert run("archive", "join", archive, f"{archive}:gel=other", "--out", joined) == 2
     assert "unknown" in capsys.readouterr().err
 
 
