@@ -47,8 +47,8 @@ MM_PER_PX = 0.0249
 TAXELS_MM_PER_PX = 0.03671875
 # Positions of a raw run whose sensor may be turned against the robot; `archive join` refuses them.
 TURN_UNKNOWN = (
-    "unknown turn: pose.csv, from the first pose of the run along the axes of the robot; import with "
-    "--turn SENSOR=DEG"
+    "unknown turn: pose.csv, from the first pose of the run along the axes of the robot; import "
+    "with --turn SENSOR=DEG"
 )
 _NO_TIMES = "none: t_ns is 0; frames are in the order of their numbers"
 
