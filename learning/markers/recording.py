@@ -16,7 +16,7 @@ from learning.errors import LearningError
 from learning.indenters import coded
 from recorder import Session, Stream
 from recorder.session import quaternion, surface_heights
-from recorder.spec import AXES
+from recorder.spec import AXES, PHASES
 from trajectories.press_shear import PressShear
 from trajectories.stored import plan_from_json
 

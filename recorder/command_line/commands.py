@@ -83,7 +83,7 @@ SESSIONS = (
     Command(
         "session list",
         "recorder.cli.list_sessions",
-        "list the sessions below a folder, by sensor, indenter, date, status or faults",
+        "list the sessions below a folder, by sensor, indenter, date, status, faults",
     ),
     Command(
         "session info", "recorder.cli.info", "show the contents of a session or a marker archive"
@@ -212,7 +212,7 @@ LEARN = (
     Command(
         "archive join",
         "learning.cli.archive_join",
-        "join sensors of several archives: presses match by place, depth and direction",
+        "join sensors of several archives: presses match by place, depth, direction",
     ),
     Command(
         "import-genforce",
