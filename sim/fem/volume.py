@@ -7,7 +7,7 @@ shear. Its tangent is then so hard to solve that each of Newton's iterations tak
 of the preconditioner, where 10 to 20 are enough at 0.49.
 
 So the pressure is split, as that of contact is (`sim.fem.contact`): a fraction follows the volume
-within a solve, with the stiffness of a Poisson's ratio of 0.49, and the rest is what the whole was
+within a solve, with the stiffness of a Poisson's ratio of 0.47, and the rest is what the whole was
 before. Once a state is balanced, the rest is set to its fraction of the new pressure, and the state
 solved again, until that no longer disturbs the balance (augmented Lagrangian method; Simo & Taylor,
 Comput. Methods Appl. Mech. Eng. 85, 1991). The solution is that of the whole stiffness.
@@ -27,7 +27,7 @@ from sim.fem.vectors import copy_active
 from sim.scalars import matrix_of, numpy_of, vector_of
 
 # Poisson's ratio above which the pressure is split, and that of the stiffness within a solve.
-SPLIT_ABOVE, SPLIT_LIKE = 0.495, 0.49
+SPLIT_ABOVE, SPLIT_LIKE = 0.495, 0.47
 
 
 def split_factor(poisson: float) -> float:
