@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -49,6 +50,7 @@ def run(options: argparse.Namespace) -> int:
     from learning.markers.build import draw_sheet, rates
     from learning.markers.recording import read_group
 
+    _refuse_pictures(options.sessions)
     sam = _sam(options)
     if options.rate:
         for line in rates(
@@ -77,6 +79,17 @@ def run(options: argparse.Namespace) -> int:
         print(f"{options.sheet}: written")
     print(f"{options.out}: {built.made:,} frames made")
     return 0
+
+
+def _refuse_pictures(paths: Sequence[Path]) -> None:
+    """Point to the import for files and folders that are no session yet."""
+    for path in paths:
+        pictures = path.is_dir() and not (path / "zarr.json").exists() and any(path.iterdir())
+        if pictures or path.is_file():
+            raise LearningError(
+                f"{path}: is no session; allowed: what `tactile import {path} --out NAME.zarr` "
+                "makes of it (--stills: each picture is a contact of its own)"
+            )
 
 
 def _sam(options: argparse.Namespace) -> EfficientSam | None:

@@ -13,6 +13,7 @@ import numpy as np
 from PIL import Image
 
 from recorder.convert.import_session import Draft
+from recorder.convert.import_video import Film
 from recorder.pages import render
 from recorder.plot import Curve, line_plot
 from recorder.session.align import NS
@@ -97,17 +98,21 @@ def _plot(draft: Draft) -> str:
 
 
 def _pictures(draft: Draft) -> tuple[tuple[str, str], ...]:
-    if draft.small is None:
+    film = next((track.content for track in draft.take.tracks if track.kind == "video"), None)
+    if not isinstance(film, Film):
         return ()
-    film = next(track for track in draft.take.tracks if track.kind == "video")
     found = [("without contact", (draft.no_contact[0] + draft.no_contact[1]) // 2)]
     found += [(f"press {at}", press.peak_ns) for at, press in enumerate(draft.presses[:4], 1)]
-    shown = []
-    for caption, t_ns in found:
-        row = int(np.argmin(np.abs(film.content.t_ns - t_ns)))
-        picture: Any = Image.fromarray(draft.small[row]).resize((240, 180))
-        shown.append((caption, _png(picture)))
-    return tuple(shown)
+    rows = [int(np.argmin(np.abs(film.t_ns - t_ns))) for _, t_ns in found]
+    shown: dict[int, str] = {}
+    for row, image in enumerate(film.load()):
+        if row in rows:
+            picture: Any = Image.open(io.BytesIO(image)) if isinstance(image, bytes) else None
+            picture = picture or Image.fromarray(np.asarray(image))
+            shown[row] = _png(picture.convert("RGB").resize((240, 180)))
+        if row >= max(rows):
+            break
+    return tuple((caption, shown[row]) for (caption, _), row in zip(found, rows, strict=True))
 
 
 def _png(picture: Image.Image) -> str:

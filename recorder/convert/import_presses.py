@@ -67,7 +67,7 @@ class Signal:
     """Quantity and unit."""
     t_ns: Times
     """Times (n,) [ns]."""
-    rows: Floats
+    rows: NDArray[np.floating[Any]]
     """Values that are compared with those of the span without contact (n, m)."""
     pressing: Floats | None = None
     """Pressing force (n,) [N], the larger the harder; None if the signal has no direction."""

@@ -58,8 +58,9 @@ _IMPORTING = ".importing"
 # Recordings may differ in length by this fraction, or by this duration [s].
 _LENGTH_TOLERANCE = 0.05
 _LENGTH_LEAST = 0.1
-# Side of the small pictures in which contacts are looked for [px].
-_SMALL = (60, 80)
+# Rows and columns of the pictures in which contacts are looked for: 2.7 kB each, as all of a
+# recording are held in memory.
+_SMALL = (30, 30)
 # Frames without contact that are kept before and after a press, if there are some.
 _AROUND = 2
 # File names of single pictures that show no contact.
@@ -85,7 +86,7 @@ class Draft:
     lag: Lag | None = None
     """Lag that was found between images or taxels and forces."""
     small: NDArray[np.uint8] | None = None
-    """Small pictures (n, h, w, 3); None without a camera."""
+    """Small pictures (n, 30, 30, 3); None without a camera."""
     assumed: tuple[str, ...] = ()
     """Messages on assumptions and changes."""
 
@@ -150,7 +151,7 @@ def _draft(take: Take, answers: Answers) -> Draft:
 
 
 def _small_pictures(take: Take) -> NDArray[np.uint8] | None:
-    """Return the pictures of the first camera (n, h, w, 3), about 60 by 80 px."""
+    """Return the pictures of the first camera (n, 30, 30, 3)."""
     track = _first(take, "video")
     if track is None or not isinstance(track.content, Film):
         return None
@@ -170,11 +171,17 @@ def _shrunk(image: Any) -> NDArray[np.uint8]:
     return np.asarray(picture.resize(_SMALL[::-1], Image.Resampling.BOX), np.uint8)
 
 
+def _coarse(small: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return small pictures (n, 30, 30, 3) as colours of 10 x 10 cells (n, 300)."""
+    cells = small.reshape(len(small), 10, 3, 10, 3, 3).mean(axis=(2, 4), dtype=np.float32)
+    return np.asarray(cells.reshape(len(small), -1), np.float32)
+
+
 def _shown(take: Take, small: NDArray[np.uint8] | None) -> Signal | None:
     """Return the signal of images, else of taxels; None without either."""
     film, taxels = _first(take, "video"), _first(take, "taxels")
     if film is not None and small is not None:
-        rows = small.reshape(len(small), -1).astype(np.float64)
+        rows = _coarse(small)
         return Signal("change of the image [grey levels]", film.content.t_ns, rows)
     if taxels is not None and isinstance(taxels.content, Counts):
         rows = taxels.content.value.reshape(len(taxels.content.value), -1).astype(np.float64)
@@ -301,7 +308,7 @@ def _stills(
         raise SessionError("found no picture of a contact beside those without")
     if small is None:
         raise SessionError("found no pictures")
-    rows = small.reshape(len(small), -1).astype(np.float64)
+    rows = _coarse(small)
     span = (starts[rest[0]], starts[rest[0]] + period)
     return span, presses, Signal("change of the image [grey levels]", film.t_ns, rows).change(span)
 

@@ -245,6 +245,7 @@ def test_single_pictures_are_contacts_of_their_own(
     words = ["import", folder, "--out", out, *STATED]
     assert "--stills if each picture" in refused(*words)
     assert "say --no-contact (p0.png or p1.png or p2.png)" in refused(*words, "--stills")
+    assert "allowed: what `tactile import" in refused("markers", folder, "--out", tmp_path / "m")
     assert run(*words, "--stills", "--no-contact", "p0.png") == 0
     session = Session(out)
     assert faults(check(out)) == []
