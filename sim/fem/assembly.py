@@ -153,15 +153,17 @@ class SolverState:
         self._branches = Branches(real, scenes, elements, device) if "viscosity" in on else None
         self.volume = None
         """Split pressure of nearly incompressible bodies, if any."""
+        bulk = self._branches.bulk_history if self._branches else None
         if assembly.split:
             poisson = np.array([scene.body.poisson for scene in scenes])
-            self.volume = VolumePressure(real, poisson, elements, device)
-        bulk = self._branches.bulk_history if self._branches else zeros(none2, real)
+            self.volume = VolumePressure(real, poisson, elements, device, bulk)
+            bulk = self.volume.kept
+        self._bulk_growth = np.ones(count)
         self.viscous = (
             wp.ones(count, dtype=real, device=device),
-            self.volume.factor if self.volume else wp.ones(count, dtype=real, device=device),
+            self._array(self.volume.fraction if self.volume else np.ones(count), real),
             self._branches.history if self._branches else zeros(none3, mat33),
-            self.volume.rest if self.volume else bulk,
+            zeros(none2, real) if bulk is None else bulk,
         )
         """Factors on stress and pressure (B,), and their histories: inputs of element kernels."""
 
@@ -247,7 +249,7 @@ class SolverState:
         if self._branches is not None:
             named |= self._branches.state
         if self.volume is not None:
-            named["rest_pressure"] = self.volume.rest_old
+            named["pressure"] = self.volume.pressure_old
         return {
             name: (array, int(name.endswith("branch")))
             for name, array in named.items()
@@ -275,10 +277,18 @@ class SolverState:
     def _remember(self, active, duration: np.ndarray) -> None:
         """Set the material's history, `duration` (B,) [s] after the last step."""
         if self._branches is not None:
-            for factor, values in zip(
-                self.viscous[:2], self._branches.begin(active, duration), strict=True
-            ):
-                factor.assign(self._array(values, self._real))
+            stress, self._bulk_growth = self._branches.begin(active, duration)
+            self.viscous[0].assign(self._array(stress, self._real))
+        self.follow_volume(active)
+
+    def follow_volume(self, active) -> None:
+        """Update the factor on pressures, and the part of them that does not follow the volume."""
+        factor = self._bulk_growth
+        if self.volume is not None:
+            factor = factor * self.volume.fraction
+            self.volume.compose(active)
+        if self.volume is not None or self._branches is not None:
+            self.viscous[1].assign(self._array(factor, self._real))
 
     def _foresee(self, active, duration: np.ndarray) -> None:
         """Predict the motion of mass without forces in the step of `duration` (B,) [s]."""
@@ -385,9 +395,8 @@ def _inverses(meshes: Sequence[Mesh]) -> list[np.ndarray]:
 
 
 def is_split(scenes: Sequence[Scene]) -> bool:
-    """True if the pressure of one of the bodies is split; one with viscosity has its history."""
-    viscous = "viscosity" in scenes[0].effects.key
-    return not viscous and min(split_factor(scene.body.poisson) for scene in scenes) < 1.0
+    """True if the pressure of one of the bodies is split."""
+    return min(split_factor(scene.body.poisson) for scene in scenes) < 1.0
 
 
 class Assembly:
@@ -706,7 +715,7 @@ class Assembly:
         """Let the split pressure follow the current state, and evaluate again; see `evaluate`."""
         state = self.state
         mesh = (self._elements, self._inverse, self._weight, self._variant)
-        state.volume.settle(mesh, self._bulk, active, state.u)
+        state.volume.settle(mesh, self._bulk, state.viscous[1], active, state.u)
         return self.evaluate(active, state.u, direction)
 
     def accept(self, chosen: np.ndarray, duration: np.ndarray) -> None:

@@ -19,6 +19,7 @@ from sim.fem.assembly import Assembly, Sums
 from sim.fem.cg import ConjugateGradient
 from sim.fem.numerics import ELASTIC_EVERY, Fem
 from sim.fem.vectors import axpy, copy_active
+from sim.fem.volume import SETTLINGS, STIFFER
 from sim.scalars import numpy_of
 from sim.scene import Scene
 
@@ -95,6 +96,7 @@ class Newton:
         self._convex_left = np.full(count, CONVEX_MOST)
         self._best = np.full(count, np.inf)
         self._best_at, self._far_at = np.zeros((2, count), int)
+        self._settled, self._renewed = np.zeros((2, count), int)
         self._patience = np.ones(count, int)
 
     def begin(
@@ -136,6 +138,10 @@ class Newton:
         self.residual[chosen], self._damping[chosen] = np.inf, 0.0
         self._exact_below[chosen], self._convex_left[chosen] = EXACT_BELOW, CONVEX_MOST
         self._best[chosen], self._best_at[chosen], self._far_at[chosen] = np.inf, 0, 0
+        self._settled[chosen], self._renewed[chosen] = 0, 0
+        if self._assembly.split:
+            self._assembly.state.volume.stiffen(chosen, 0.0)
+            self._assembly.state.follow_volume(self.mask(chosen))
         self._switch(chosen & self._convex)
         self.converged[chosen], self.failed[chosen] = False, False
         state = self._assembly.state
@@ -197,7 +203,7 @@ class Newton:
         self._best[better], self._best_at[better] = self.residual[better], self.iterations[better]
         far = running & (self.residual > ROUNDING * self._tolerance)
         self._far_at[far] = self.iterations[far]
-        spent = self.iterations >= assembly.numerics.newton_max * self._patience
+        spent = self.iterations - self._renewed >= assembly.numerics.newton_max * self._patience
         spent |= self.iterations - self._best_at >= PATIENCE * self._patience
         spent |= self.iterations - np.maximum(self._best_at, self._far_at) >= PATIENCE
         stuck = ~walked & (damping >= DAMPING_MOST)
@@ -223,10 +229,27 @@ class Newton:
         is_valid, balanced = self._balance(chosen)
         if assembly.split and balanced.any():
             assembly.settle_volume(self.mask(balanced), self._cg.solution)
+            moved = balanced.copy()
             balanced = self._balance(balanced)[1]
+            self._renew(moved & ~balanced)
         good = assembly.sums.det > assembly.numerics.det_floor
         self.converged |= balanced & good
         self.failed |= (chosen & ~is_valid) | (balanced & ~good)
+
+    def _renew(self, chosen: np.ndarray) -> None:
+        """Continue after the pressure of nearly incompressible bodies has followed (B,)."""
+        if not chosen.any():
+            return
+        self._settled[chosen] += 1
+        self._best[chosen], self._renewed[chosen] = np.inf, self.iterations[chosen]
+        self._best_at[chosen] = self._far_at[chosen] = self.iterations[chosen]
+        slow = chosen & (self._settled % SETTLINGS == 0)
+        if slow.any():
+            state = self._assembly.state
+            state.volume.stiffen(slow, STIFFER)
+            state.follow_volume(self.mask(slow))
+            self._assembly.evaluate(self.mask(slow), state.u, self._cg.solution)
+            self._balance(slow)
 
     def _balance(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Set the residual of the chosen (B,); return which are valid, and which balanced too."""

@@ -434,8 +434,6 @@ Asked = dict[tuple[int, int], Sizes]
 # Samples along a side of a face at which overlap is measured, for frames and for intermediate
 # states; and the number of states per step, its end included.
 FRAME_SAMPLES, PATH_SAMPLES, PATH_STATES = 8, 3, 3
-# Above this, `auto` does not try float32: there the pressure is 3,000 times the shear stress.
-POISSON_FLOAT32 = 0.4995
 # A step that fails with a residual below `ROUNDING` tolerances is limited by float32 rounding: a
 # smaller step would fail too. After this many such steps `auto` restarts in float64.
 ROUNDED_MOST = 2
@@ -857,16 +855,12 @@ def _part(progress: Progress, before: int, these: int, all_: int) -> Progress:
 
 def _solve(scenes, meshes, numerics, device, meshed, progress) -> list[Outcome]:
     """Solve one batch, in the requested precision or the one that it needs."""
-    first, reason = _first_precision(scenes, numerics)
-    trial = numerics
-    if numerics.precision == "auto" and first == "float32":
-        trial = replace(numerics, halvings=min(numerics.halvings, HALVINGS_FLOAT32))
-    batch = _Batch(scenes, meshes, trial, first, device, meshed, progress)
-    outcomes = batch.run()
     if numerics.precision != "auto":
-        return outcomes
-    if first == "float64":
-        return [_with_reason(outcome, reason) for outcome in outcomes]
+        batch = _Batch(scenes, meshes, numerics, numerics.precision, device, meshed, progress)
+        return batch.run()
+    trial = replace(numerics, halvings=min(numerics.halvings, HALVINGS_FLOAT32))
+    batch = _Batch(scenes, meshes, trial, "float32", device, meshed, progress)
+    outcomes = batch.run()
     again = [i for i, outcome in enumerate(outcomes) if isinstance(outcome, SimulationDiverged)]
     if again:
         reached = batch.reached(again)
@@ -885,19 +879,6 @@ def _solve(scenes, meshes, numerics, device, meshed, progress) -> list[Outcome]:
             forget_dump(outcomes[i].dump)
             outcomes[i] = _with_reason(outcome, f"float32 did not converge: {outcomes[i]}")
     return outcomes
-
-
-def _first_precision(scenes: Sequence[Scene], numerics: Fem) -> tuple[str, str]:
-    """Return the precision to begin with, and the reason."""
-    if numerics.precision != "auto":
-        return numerics.precision, "requested"
-    poisson = max(scene.body.poisson for scene in scenes)
-    if poisson > POISSON_FLOAT32 and not is_split(scenes):
-        return "float64", (
-            f"Poisson's ratio {poisson:g} is above {POISSON_FLOAT32:g}, where float32 seldom "
-            "reaches the tolerance"
-        )
-    return "float32", ""
 
 
 def _with_reason(outcome: Outcome, reason: str) -> Outcome:

@@ -10,10 +10,13 @@ So the pressure is split, as that of contact is (`sim.fem.contact`): a fraction 
 within a solve, with the stiffness of a Poisson's ratio of 0.47, and the rest is what the whole was
 before. Once a state is balanced, the rest is set to its fraction of the new pressure, and the state
 solved again, until that no longer disturbs the balance (augmented Lagrangian method; Simo & Taylor,
-Comput. Methods Appl. Mech. Eng. 85, 1991). The solution is that of the whole stiffness.
+Comput. Methods Appl. Mech. Eng. 85, 1991). The solution is that of the whole stiffness. Pressures
+that alternate from element to element hardly move anything and settle slowly; so the fraction that
+follows grows after every few settlings, up to the whole.
 
-An element's pressure depends on its volume through the material's law p(theta). The kernels compute
-`factor` p(theta) + `rest`; with rest = (1 - factor) pressure its fixed point is p(theta).
+An element's pressure depends on its volume through the material's law p(theta), and with viscosity
+on its history: law = growth p(theta) + history. The kernels compute factor law + rest; with
+rest = (1 - factor) pressure the fixed point is the law.
 """
 
 import functools
@@ -28,6 +31,8 @@ from sim.scalars import matrix_of, numpy_of, vector_of
 
 # Poisson's ratio above which the pressure is split, and that of the stiffness within a solve.
 SPLIT_ABOVE, SPLIT_LIKE = 0.495, 0.47
+# Settlings of one solve after which the fraction that follows the volume grows by the second.
+SETTLINGS, STIFFER = 6, 4.0
 
 
 def split_factor(poisson: float) -> float:
@@ -38,7 +43,7 @@ def split_factor(poisson: float) -> float:
 
 
 @functools.cache
-def _settle_kernel(real):
+def _kernels(real):
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
     modes_of, _scatter = mode_functions(real)
@@ -55,12 +60,16 @@ def _settle_kernel(real):
         points: int,
         # Material, by environment:
         bulk: wp.array(dtype=real),
+        bulk_factor: wp.array(dtype=real),
         factor: wp.array(dtype=real),
+        history: wp.array2d(dtype=real),
         # In:
         active: wp.array(dtype=wp.int32),
         u: wp.array2d(dtype=vec3),
+        # Out:
+        pressure_out: wp.array2d(dtype=real),
         # In and out:
-        rest_out: wp.array2d(dtype=real),
+        kept_out: wp.array2d(dtype=real),
     ):
         env, e = wp.tid()
         if active[env] == 0:
@@ -72,53 +81,108 @@ def _settle_kernel(real):
         _volume, theta, _lowest = mean_change(
             inverse, weight, m, e, points, u1, u2, u3, u4, u5, u6, u7
         )
-        pressure = factor[env] * pressure_of(bulk[env], theta) + rest_out[env, e]
-        rest_out[env, e] = (one - factor[env]) * pressure
+        pressure = bulk_factor[env] * pressure_of(bulk[env], theta) + kept_out[env, e]
+        pressure_out[env, e] = pressure
+        kept_out[env, e] = factor[env] * history[env, e] + (one - factor[env]) * pressure
 
-    return settle
+    @wp.kernel(enable_backward=False, module="unique")
+    def compose(
+        # In:
+        factor: wp.array(dtype=real),
+        history: wp.array2d(dtype=real),
+        pressure: wp.array2d(dtype=real),
+        active: wp.array(dtype=wp.int32),
+        # Out:
+        kept_out: wp.array2d(dtype=real),
+    ):
+        env, e = wp.tid()
+        if active[env] == 1:
+            rest = (one - factor[env]) * pressure[env, e]
+            kept_out[env, e] = factor[env] * history[env, e] + rest
+
+    return settle, compose
 
 
 class VolumePressure:
-    """Pressure of the elements of B environments that does not follow the volume in a solve."""
+    """Pressure of the elements of B environments at the last settled state, and its fraction kept.
 
-    def __init__(self, real, poisson: NDArray[np.float64], elements: int, device: str) -> None:
-        factor = np.array([split_factor(one) for one in poisson], numpy_of(real))
-        self.factor = wp.array(factor, dtype=real, device=device)
+    Args:
+        real: Warp's scalar type.
+        poisson: Poisson's ratios (B,).
+        elements: Number of elements, E.
+        device: Device of the arrays.
+        history: Pressure by viscosity that does not change within a step (B, E) [E]; None: none.
+    """
+
+    def __init__(
+        self, real, poisson: NDArray[np.float64], elements: int, device: str, history=None
+    ) -> None:
+        self._least = np.array([split_factor(one) for one in poisson])
+        self.fraction = self._least.copy()
         """Fraction of the pressure that follows the volume (B,)."""
-        self.rest = wp.zeros((len(factor), elements), dtype=real, device=device)
-        """Pressure that does not (B, E) [E]."""
-        self.rest_old = wp.zeros_like(self.rest)
+        self._factor = wp.array(self.fraction.astype(numpy_of(real)), dtype=real, device=device)
+        self.pressure = wp.zeros((len(poisson), elements), dtype=real, device=device)
+        """Pressure at the last settled state (B, E) [E]."""
+        self.kept = wp.zeros_like(self.pressure)
+        """Part of the pressure that does not follow the volume: an input of element kernels."""
+        self._history = wp.zeros_like(self.pressure) if history is None else history
+        self.pressure_old = wp.zeros_like(self.pressure)
         """The same at the last accepted step."""
-        self._whole = wp.zeros_like(self.rest)
+        self._whole = wp.zeros_like(self.pressure)
         self._real, self._device = real, device
 
-    def settle(self, mesh, bulk, active, u) -> None:
-        """Set the rest to its fraction of the pressure at `u`.
+    def stiffen(self, chosen: NDArray[np.bool_], factor: float) -> None:
+        """Multiply the fraction that follows by `factor`, up to 1; with 0 return to the least."""
+        self.fraction[chosen] = np.clip(factor * self.fraction, self._least, 1.0)[chosen]
+        self._factor.assign(self.fraction.astype(numpy_of(self._real)))
 
-        `mesh` is (elements, inverse, weight, variant), `bulk` (B,).
+    def compose(self, active) -> None:
+        """Update `kept` where the pressure, the fraction or the history has changed."""
+        wp.launch(
+            _kernels(self._real)[1],
+            dim=self.kept.shape,
+            inputs=[self._factor, self._history, self.pressure, active],
+            outputs=[self.kept],
+            device=self._device,
+        )
+
+    def settle(self, mesh, bulk, bulk_factor, active, u) -> None:
+        """Set the pressure to that at `u`.
+
+        `mesh` is (elements, inverse, weight, variant), `bulk` (B,) the modulus, `bulk_factor` (B,)
+        the factor on its pressure.
         """
         wp.launch(
-            _settle_kernel(self._real),
-            dim=self.rest.shape,
-            inputs=[*mesh, GAUSS_POINTS, bulk, self.factor, active, u],
-            outputs=[self.rest],
+            _kernels(self._real)[0],
+            dim=self.kept.shape,
+            inputs=[
+                *mesh,
+                GAUSS_POINTS,
+                bulk,
+                bulk_factor,
+                self._factor,
+                self._history,
+                active,
+                u,
+            ],
+            outputs=[self.pressure, self.kept],
             device=self._device,
         )
 
     def accept(self, active) -> None:
         """Make the current pressure that of the last accepted step."""
-        copy_active(active, self.rest, self.rest_old)
+        copy_active(active, self.pressure, self.pressure_old)
 
     def roll_back(self, active) -> None:
         """Return to the pressure of the last accepted step."""
-        copy_active(active, self.rest_old, self.rest)
+        copy_active(active, self.pressure_old, self.pressure)
 
     def put_within(self, active, fraction: float) -> None:
         """Set the pressure a fraction of the way through the step: one half, then the whole."""
         if fraction < 1.0:
-            copy_active(active, self.rest, self._whole)
-            mean = (self.rest.numpy() * fraction) + (1 - fraction) * self.rest_old.numpy()
-            half = wp.array(mean, dtype=self._real, device=self._device)
-            copy_active(active, half, self.rest)
+            copy_active(active, self.pressure, self._whole)
+            mean = fraction * self.pressure.numpy() + (1 - fraction) * self.pressure_old.numpy()
+            within = wp.array(mean.astype(numpy_of(self._real)), device=self._device)
+            copy_active(active, within, self.pressure)
         else:
-            copy_active(active, self._whole, self.rest)
+            copy_active(active, self._whole, self.pressure)

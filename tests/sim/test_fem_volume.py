@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim import Body, Effects, Friction, Scene, press_shear_return, simulate
+from sim import Body, Effects, Friction, Scene, Viscosity, press_shear_return, simulate
 from sim.fem import volume
 from sim.fem.assembly import is_split
 from sim.fem.numerics import Fem
@@ -16,19 +16,28 @@ MOTION = press_shear_return(0.4e-3, 0.2e-3, steps=1)
 NUMERICS = Fem(spacing=4e-3 / 3, precision="float64", tolerance=1e-4, path_tolerance=1e-4)
 
 
-def _solved(poisson: float, friction: float | None) -> Result:
+def _solved(poisson: float, effects: Effects) -> Result:
     body = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3, poisson=poisson)
-    effects = Effects(friction=None if friction is None else Friction(friction))
     return simulate(Scene(sphere(3e-3), MOTION, body, effects), NUMERICS)
 
 
-@pytest.mark.parametrize(("poisson", "friction"), [(0.4999, None), (0.499, 0.5)])
+@pytest.mark.parametrize(
+    ("poisson", "effects"),
+    [
+        (0.4999, Effects()),
+        (
+            0.499,
+            Effects(friction=Friction(0.5), viscosity=Viscosity((0.5,), (0.05,), relaxes="all")),
+        ),
+    ],
+    ids=["elastic", "viscous with friction"],
+)
 def test_a_split_pressure_gives_the_forces_of_the_whole_one(
-    monkeypatch: pytest.MonkeyPatch, poisson: float, friction: float | None
+    monkeypatch: pytest.MonkeyPatch, poisson: float, effects: Effects
 ) -> None:
-    split = _solved(poisson, friction)
+    split = _solved(poisson, effects)
     monkeypatch.setattr(volume, "SPLIT_ABOVE", 0.5)
-    whole = _solved(poisson, friction)
+    whole = _solved(poisson, effects)
     largest = np.abs(whole.wrench[:, :3]).max()
     assert split.wrench[:, :3] == pytest.approx(whole.wrench[:, :3], abs=5e-4 * largest)
     assert np.abs(split.surface - whole.surface).max() < 5e-4 * np.abs(whole.surface).max()
