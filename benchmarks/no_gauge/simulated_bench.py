@@ -9,6 +9,7 @@ published in the same shared records.
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import math
 import types
 from collections import deque
@@ -36,14 +37,16 @@ from rig.devices.arm.arm import MoveResult
 from rig.devices.arm.emulated_arm import CYCLE, Robot, Wrist
 from rig.devices.arm.messages import Move, Reply, Setup
 from rig.devices.arm.mover import Mover, Watch
-from rig.mock.world.analytic import AnalyticWorld
+from rig.mock.world.analytic import AnalyticWorld, surface_of
 from rig.mock.world.picture import MarkerCamera
 from trajectories import Plan, Target
 
 _CYCLE_NS = round(CYCLE * SECOND_NS)
 # Delays of samples from the World to the guard [s]: exposure, transfer, decoding; 60 Hz taxels.
 CAMERA_DELAY, TAXELS_DELAY, WRENCH_DELAY = 0.09, 0.03, 0.012
-_START_HEIGHT = 0.03
+_START_HEIGHT = 0.012
+# Above this height over everything, the World has nothing to compute [m].
+_FREE = 1e-3
 # Images are drawn in full and compared at a quarter: noise of a reduced pixel.
 _REDUCED_NOISE = 0.25
 
@@ -86,10 +89,16 @@ class SimulatedBench(FakeClock):
         self.robot = Robot(start, np.array(bench.arm.tcp))
         place = (0.0, 0.0, truth.surface, *truth.tilt, 0.0)
         frame = compose(bench.contact_frame, place)
-        self._world = AnalyticWorld(truth.world, tuple(frame.tolist()))
+        # Counts are computed when they are sampled, the force at every step.
+        stepped = dataclasses.replace(truth.world, taxels=None)
+        self._world = AnalyticWorld(stepped, tuple(frame.tolist()))
         # The tool never turns, so the tip's true place differs by one constant.
         self._longer = np.zeros(6)
         self._longer[:3] = matrix_from_vector(start[3:])[:, 2] * truth.longer
+        # Everything that can be touched lies below the plane through the true apex.
+        self._origin, self._normal = frame[:3], matrix_from_vector(frame[3:])[:, 2]
+        self._reach = _FREE
+        self._state: np.void | None = None
         self._rng = np.random.default_rng(truth.seed)
         self._picture = _Picture(truth.world, self._rng)
         self.movement: Iterator[None] | None = None
@@ -102,6 +111,7 @@ class SimulatedBench(FakeClock):
         self._ticks = 0
         self._last: np.ndarray | None = None
         signal = bench.signal
+        self._delay = CAMERA_DELAY if signal and signal.kind == "camera" else TAXELS_DELAY
         self._signal_every = max(round(1 / (signal.rate_hz * CYCLE)), 1) if signal else 10**9
         self.level = SignalLevel(is_image=bool(signal and signal.kind == "camera"))
         self.zeros = np.zeros(6)
@@ -144,9 +154,12 @@ class SimulatedBench(FakeClock):
             self._under_way.popleft()[1](now_ns)
         if self._ticks % 2:
             return
-        state = self._world.step(now_ns, self.robot.pose + self._longer)
-        force = float(np.linalg.norm(state["wrench"][:3]))
-        self.largest = max(self.largest, force)
+        tip = self.robot.pose + self._longer
+        if self._state is None or float((tip[:3] - self._origin) @ self._normal) < self._reach:
+            self._state = self._world.step(now_ns, tip)
+            force = float(np.linalg.norm(self._state["wrench"][:3]))
+            self.largest = max(self.largest, force)
+        state = self._state
         sample = {"t_ns": now_ns, "value": tuple(self.robot.pose.tolist()), "safety_status": 1}
         sample |= {"speed": tuple(self.robot.speed.tolist()), "speed_fraction": 1.0}
         self._fresh.append(sample)
@@ -164,9 +177,7 @@ class SimulatedBench(FakeClock):
         if not frozen or self._last is None:
             self._last = self._picture.taken(state)
         reading = self._last
-        camera = self.bench.signal is not None and self.bench.signal.kind == "camera"
-        delay = CAMERA_DELAY if camera else TAXELS_DELAY
-        self._later(delay, lambda t_ns: self._take_signal(t_ns, reading))
+        self._later(self._delay, lambda t_ns: self._take_signal(t_ns, reading))
 
     def _later(self, delay: float, action: Callable[[int], None]) -> None:
         due_ns = self._now_ns + round(delay * SECOND_NS)
@@ -207,12 +218,14 @@ class _Picture:
 
     def taken(self, state: np.void) -> np.ndarray:
         """Return the reading of a WORLD_STATE."""
-        from rig.mock.world.analytic import surface_of
-
         if self._camera is None:
             counts = 0.0 if self._noise is None else self._noise.counts
             noise = self._rng.normal(0.0, counts, (16, 3))
-            return np.asarray(np.rint(state["taxels"] + noise), np.float32)
+            taxels = self._world.taxels
+            if taxels is None:
+                raise ValueError("found a World without camera and taxels")
+            shown = taxels.counts(surface_of(self._world, state))
+            return np.asarray(np.rint(shown + noise), np.float32)
         if state["depth"] <= 0:
             if self._rest is None:
                 self._rest = grey(self._camera.image(surface_of(self._world, state)))

@@ -139,8 +139,8 @@ def evaluate(session: Session, plan: Plan) -> FoundSurface:
         onset = onset_of(*ways)
         if onset is None:
             raise SafetyStop(
-                f"home: no contact in the signal at point {target.point}; is the sensor alive, "
-                "and its light on?"
+                f"home: no contact in the signal at point {target.point}, at the height of the "
+                "search; is the sensor tilted against contact_frame, or its light off?"
             )
         expected = target.bottom[2] + target.depth
         both, delay = onset
