@@ -42,6 +42,8 @@ _STEP_SAMPLES = 16  # on either side; enough that one or two late packets do not
 _LATER_COLUMNS = {"taxels", "time_sigma"}
 
 # Columns in which NaN means that the device sends no such value.
+# Column of a gauge that settles: what it read, also where that is no value.
+_READING = "reading"
 _NAN_IS_FINE = {"device_t", "speed"}
 
 
@@ -69,7 +71,8 @@ def check_stream(
         columns = {name: stream.array(name)[rows] for name in stream.small}
         yield from _check_times(where, first, t_ns, columns, losses, stream.rate_hz, compressed)
         still = "still" in (stream.attrs.get("source_motion"), session.attrs.get("source_motion"))
-        if stream.traits.defaults.changes and not still:
+        # A scale repeats one reading while its load rests.
+        if stream.traits.defaults.changes and not still and _READING not in stream.small:
             images = None if contents is None else contents[: len(stream)][rows]
             # Two NaN differ, so that axes that are not measured would hide a frozen gauge.
             same = images if images is not None else _measured(stream, "value", columns["value"])
@@ -77,7 +80,11 @@ def check_stream(
     for name in stream.small:
         values = stream.array(name)
         if values.dtype.kind == "f" and name not in _NAN_IS_FINE:
-            bad = np.flatnonzero(~np.isfinite(_measured(stream, name, values)).all(axis=1))
+            missing = ~np.isfinite(_measured(stream, name, values)).all(axis=1)
+            if name == "value" and _READING in stream.small:
+                # A reading that has not settled is kept, and is no value.
+                missing &= ~np.isfinite(stream.array(_READING))[: len(missing)]
+            bad = np.flatnonzero(missing)
             if bad.size:
                 yield Finding("nan", f"{where}/{name}", f"{bad.size} rows, first row {bad[0]}")
 

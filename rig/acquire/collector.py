@@ -401,10 +401,16 @@ def guarded(bench: Bench, folder: Path) -> dict[Path, GuardLimits]:
 def _tare_entry(tares: Mapping[str, Tare]) -> dict[str, Any]:
     """Return the attributes of a run: `tare` of the first F/T sensor, `tares` of several."""
     found = {
-        name: {"mean": tare.mean.tolist(), "std": tare.std.tolist()} for name, tare in tares.items()
+        name: {"mean": _or_null(tare.mean), "std": _or_null(tare.std)}
+        for name, tare in tares.items()
     }
     first = {"tare": next(iter(found.values()))} if found else {}
     return {**first, **({"tares": found} if len(found) > 1 else {})}
+
+
+def _or_null(values: np.ndarray) -> list[float | None]:
+    """Return numbers for JSON, which has no NaN: an axis that is not measured is null."""
+    return [float(value) if np.isfinite(value) else None for value in values]
 
 
 def target_table(plan: Plan, total: int, bench: Bench) -> dict[str, np.ndarray]:

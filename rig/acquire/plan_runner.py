@@ -14,7 +14,7 @@ from recorder import OUTCOMES, SessionError, SessionWriter
 from recorder.spec import frame_columns, reference_spec
 from rig.acquire.control import Control, InterruptFlag
 from rig.acquire.interlocks import DeadManReleased, Interlocks
-from rig.acquire.preflight import check_no_contact, settling, tip_position
+from rig.acquire.preflight import check_no_contact, no_mean, settling, tip_position
 from rig.acquire.progress_line import LiveLine
 from rig.acquire.streams import Streams
 from rig.bench.bench import Bench, empty_spec
@@ -196,7 +196,7 @@ class PlanRunner:
         found = self._zero(point)
         for gauge in bench.of_kind("force"):
             if "mean" not in found[gauge.name]:
-                raise DeviceLost(f"{gauge.name}: no sample over point {point}")
+                raise DeviceLost(f"{gauge.name}: {no_mean(gauge)} over point {point}")
         for gauge in bench.gauges:
             tared = found[gauge.name]["mean"] - self._zeros[gauge.name]
             check_no_contact(bench, gauge, tared, point)

@@ -154,9 +154,16 @@ def settling(row: BenchStream) -> float:
     return float(getattr(row.config, "hold", 0.0))
 
 
+def no_mean(gauge: BenchStream) -> str:
+    """Return why a gauge has no mean, for an error."""
+    if settling(gauge):
+        return f"no settled reading ({gauge.key}.settle_ms, settle_within_n)"
+    return "no sample"
+
+
 def _tare(bench: Bench, gauge: BenchStream, found: dict[str, Any]) -> Tare:
     if "mean" not in found:
-        raise DeviceLost(f"{gauge.name}: no sample during the tare")
+        raise DeviceLost(f"{gauge.name}: {no_mean(gauge)} during the tare")
     measured = _measured_axes(gauge)
     _require_numbers(gauge, found["mean"], "during the tare")
     axis, spread = max(

@@ -87,7 +87,7 @@ class _Measurement:
             "rate_hz": (len(inner) - 1) / span if span > 0 else 0.0,
             "longest_gap": float(np.diff(times).max()) / SECOND_NS,
         }
-        if self._averaged and len(inner):
+        if self._averaged and self._values:
             values = np.array(self._values, dtype=float)
             found |= {"mean": values.mean(axis=0), "std": values.std(axis=0)}
         return found

@@ -30,7 +30,7 @@ from rig.core.samples import ARM_TRUTH, PRESS_STATE, WORLD_STATE
 from rig.core.shared_memory import SharedLatest
 from rig.core.sources import Sources
 from rig.devices.arm.settings import PoseConfig, WrenchConfig
-from rig.devices.force.settings import NidaqConfig
+from rig.devices.force.settings import NidaqConfig, ScaleConfig
 from rig.mock.processes import ProcessGroup, StartedOrClosed
 from rig.mock.world import ARM_FILE, WORLD_FILE
 from rig.mock.world.simulated import PRESS_FILE
@@ -170,7 +170,9 @@ class MockBench(StartedOrClosed):
                     f"{where}.grpc: missing; allowed: loopback:31763, the address of a mock "
                     "bench's NI card"
                 )
-            return {"noise_n": noise.force}
+            # A scale averages over many samples of its load cell.
+            averaged = 0.2 if isinstance(config, ScaleConfig) else 1.0
+            return {"noise_n": averaged * noise.force}
         if name == "camera":
             if sources.camera is not None:
                 return {"source": str(sources.camera), "motion": sources.camera_motion}

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recorder import Session, SessionWriter, StreamWriter
+from recorder import Session, SessionWriter, StreamWriter, check, faults
 from rig.bench.bench import bench_from
 from rig.bench.stream_kinds import stream_spec
 from rig.core.clock import SECOND_NS, FakeClock, SystemClock
@@ -153,6 +153,7 @@ def test_only_rows_between_settled_readings_get_a_label(tmp_path: Path) -> None:
             row = {"value": value, "reading": -1.0, "seq": k, "status": 0 if 5 <= k < 15 else 1}
             stream.append(**row, t_ns=k * SECOND_NS // 10)
     writer.finish("complete", "", rate_hz=40.0)
+    assert not faults(check(path))
     frames = Session(path).frames
     t = frames["t_ns"] / SECOND_NS
     labelled = np.isfinite(frames["wrench"][:, 2])

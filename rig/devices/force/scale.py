@@ -181,8 +181,10 @@ class ScaleDriver(ReceivingDriver):
             raise self._not_open()
         now_ns = self._clock.now_ns()
         with self._errors():
-            if self._request is not None and now_ns - self._asked_ns >= SECOND_NS / config.rate_hz:
-                self._asked_ns = now_ns
+            period_ns = round(SECOND_NS / config.rate_hz)
+            if self._request is not None and now_ns - self._asked_ns >= period_ns:
+                # Against the last due time, since a read may wait for half a period.
+                self._asked_ns = max(self._asked_ns + period_ns, now_ns - period_ns)
                 port.write(self._request)
             self._buffer += port.read(max(1, port.in_waiting))
         *lines, self._buffer = re.split(rb"[\r\n]+", self._buffer)
