@@ -80,7 +80,7 @@ def check_stream(
     for name in stream.small:
         values = stream.array(name)
         if values.dtype.kind == "f" and name not in _NAN_IS_FINE:
-            missing = ~np.isfinite(_measured(stream, name, values)).all(axis=1)
+            missing = np.asarray(~np.isfinite(_measured(stream, name, values)).all(axis=1))
             if name == "value" and _READING in stream.small:
                 # A reading that has not settled is kept, and is no value.
                 missing &= ~np.isfinite(stream.array(_READING))[: len(missing)]
