@@ -179,9 +179,11 @@ class _StreamLoop:
             if self._last_ns:
                 gap = (sample["t_ns"] - self._last_ns) / SECOND_NS
                 self._longest_gap = max(self._longest_gap, gap)
+        # The zero is for the guards alone: what is stored and averaged is as the device sent it.
+        guarded = sample
         if self._zero is not None:
-            sample = {**sample, "value": sample["value"] - self._zero}
-        self._latest.write(self._kind.record(sample, row))
+            guarded = {**sample, "value": sample["value"] - self._zero}
+        self._latest.write(self._kind.record(guarded, row))
         if self._level is not None:
             level = self._level.add(sample)
             self._fresh_ns = sample["t_ns"] if level.fresh else self._fresh_ns

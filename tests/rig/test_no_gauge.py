@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import multiprocessing
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,13 +22,15 @@ from rig.acquire.calibration.onset import Onset
 from rig.acquire.calibration.signal_onset import Way, onset_of, surface_of
 from rig.acquire.calibration.store import now_utc
 from rig.acquire.signal_level import SignalLevel
+from rig.acquire.stream_process import COUNTERS, StreamJob, _StreamLoop
 from rig.bench.bench import Bench, bench_from
 from rig.bench.no_gauge import check_plan, guards_of, planned_depth, slowed, without_gauge
-from rig.core.clock import SECOND_NS
+from rig.core.clock import SECOND_NS, FakeClock
 from rig.core.config import read_yaml
 from rig.core.errors import ConfigError, SafetyStop
 from rig.core.packaged import BENCHES
 from rig.core.samples import FORCE_LATEST, SIGNAL_LATEST
+from rig.core.shared_memory import SharedLatest
 from rig.core.stand_in_guards import CrashLimits, SignalLimits
 from rig.devices.arm.emulated_arm import Wrist
 
@@ -229,6 +233,36 @@ def test_a_lab_bench_needs_a_fresh_and_narrow_surface(
         return
     with pytest.raises(ConfigError, match=text):
         no_gauge.check_home(bench, calibration, "tactile home")
+
+
+def test_a_zero_is_for_the_guard_and_not_for_what_is_averaged(tmp_path: Path) -> None:
+    """A second zero is measured like the first: the arm would else be stopped by its own bias."""
+    bench = bench_of("tacpalm")
+    name = "arm_wrench"
+    latest = SharedLatest.create(tmp_path / f"{name}.latest", FORCE_LATEST)
+    SharedLatest.create(tmp_path / f"{name}.counters", COUNTERS)
+    ours, theirs = multiprocessing.Pipe()
+    driver: Any = SimpleNamespace(dropped=0)
+    clock = FakeClock(SECOND_NS)
+    loop = _StreamLoop(StreamJob(name, bench, tmp_path), theirs, driver, clock)
+    bias = np.array([3.0, -2.0, 4.0, 0.0, 0.0, 0.0])
+
+    def measured() -> np.ndarray:
+        loop._on_measure(1.0)
+        for k in range(10):
+            t_ns = clock.now_ns() + k * SECOND_NS // 10
+            loop._take({"value": bias.copy(), "device_t": 0.0, "t_ns": t_ns})
+        assert loop._measurement is not None
+        found: np.ndarray = loop._measurement.result()["mean"]
+        return found
+
+    for _ in range(3):
+        loop._on_zero(measured().tolist())
+        assert ours.recv() == ("zeroed", None)
+        np.testing.assert_array_equal(measured(), bias)
+        record = latest.read()
+        assert record is not None
+        np.testing.assert_array_equal(record["value"], np.zeros(6))
 
 
 def collect(*options: str) -> subprocess.CompletedProcess[str]:
