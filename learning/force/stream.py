@@ -125,7 +125,10 @@ def open_exported(
     file = Path(path)
     file = file / "model.onnx" if file.is_dir() else file
     if not file.is_file():
-        raise LearningError(f"{file}: no such file; python -m learning export-onnx makes it")
+        raise LearningError(
+            f"{file}: no such file; python -m learning export-onnx makes it, "
+            "--runtime torch needs none"
+        )
     if runtime == "openvino":
         return _openvino(file, threads, bf16)
     if runtime != "onnxruntime" or bf16:

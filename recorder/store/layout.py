@@ -466,6 +466,8 @@ def read_attrs(
         SessionError: Missing, a different format, or a newer version.
     """
     name = files.name(path)
+    if files.local and path.is_file():
+        raise SessionError(f"{name}: found a file; allowed: the folder of a session or an archive")
     if files.local and not path.is_dir():
         raise SessionError(f"{name}: no such {what}")
     try:
