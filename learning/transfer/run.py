@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from learning.archive_writer import archive_fingerprint
 from learning.compensation.fit import Curves, gather_priors, read_stored
 from learning.data.matching import Chosen, Tolerances
 from learning.errors import LearningError
@@ -36,6 +39,7 @@ from learning.transfer.deliver import (
 from learning.transfer.few_labels import Labels, error_curve, read_labels, scale_of_labels
 from learning.transfer.pairs import join_pair, split_pair
 from recorder import MarkerArchive
+from recorder.store import replace_file
 
 Say = Callable[[str], None]
 
@@ -95,6 +99,7 @@ def run_transfer(asked: Request, say: Say = print) -> Card:
     source, target = asked.source.name, asked.target.name
     places = Places(asked.out, asked.out / "pairs.markers.zarr")
     asked.out.mkdir(parents=True, exist_ok=True)
+    _begin(asked)
 
     # Presses of both sensors match by place; the target's labels stay behind.
     own_curve = any(_is_same(path, asked.target.archive) for path in asked.priors)
@@ -184,6 +189,36 @@ def run_transfer(asked: Request, say: Say = print) -> Card:
     for line in (*lines_of(card), *history):
         say(line)
     return card
+
+
+def _begin(asked: Request) -> None:
+    """Write what the models of a folder are made of, or check that it is the same.
+
+    Raises:
+        LearningError: Names the first difference.
+    """
+    plain: dict[str, Any] = {
+        **{
+            name: f"{archive_fingerprint(each.archive)} {each.sensor} as {each.name}"
+            for name, each in (("source", asked.source), ("target", asked.target))
+        },
+        "source_model": str(asked.source_model and asked.source_model.resolve()),
+        "priors": sorted(str(path.resolve()) for path in asked.priors),
+        "calibrate_on": asked.calibrate_on and sorted(asked.calibrate_on),
+        "unseen": asked.unseen and sorted(asked.unseen),
+        "tolerances": asdict(asked.tolerances),
+    }
+    path = asked.out / "transfer.json"
+    if not path.exists():
+        replace_file(path, (json.dumps(plain, indent=1) + "\n").encode())
+        return
+    found = json.loads(path.read_text(encoding="utf-8"))
+    for key, value in plain.items():
+        if found.get(key) != value:
+            raise LearningError(
+                f"{path}.{key}: found {found.get(key)!r}, asked for {value!r}; allowed: the same, "
+                "or another folder"
+            )
 
 
 def _is_same(path: Path, archive: MarkerArchive) -> bool:
