@@ -38,6 +38,7 @@ from learning.transfer.deliver import (
 )
 from learning.transfer.few_labels import Labels, error_curve, read_labels, scale_of_labels
 from learning.transfer.pairs import join_pair, split_pair
+from learning.transfer.tune import tune_by_place
 from recorder import MarkerArchive
 from recorder.store import replace_file
 
@@ -138,11 +139,15 @@ def run_transfer(asked: Request, say: Say = print) -> Card:
         say=say,
     )
 
-    # Errors on indenters never seen become intervals; the scale is what is known of it.
+    # The model of translated frames learns the target's own; errors on indenters never seen become
+    # intervals; the scale is what is known of it.
     method = after(kinds) if kinds else "transferred"
     translator = settings.translators[0]
     trained = places.model(f"force-{source}-to-{target}.{method}.{translator}")
     labels_as = _applied(places, source, target, method)
+    trained = tune_by_place(
+        archive, source, target, split, trained, settings, labels_as, asked.device
+    )
     calibration = calibrate(
         archive,
         source,
@@ -184,7 +189,7 @@ def run_transfer(asked: Request, say: Say = print) -> Card:
         predicted=factor * calibration.predicted,
         wanted=factor * calibration.wanted,
     )
-    pictures = [*_pictures(asked, places, method, translator, scaled, factor)]
+    pictures = [*_pictures(asked, archive, places, scaled)]
     write_report(asked.out / "report.html", card, matches, pictures, curve)
     for line in (*lines_of(card), *history):
         say(line)
@@ -332,12 +337,7 @@ def _deliver_before(trained: Path, out: Path) -> None:
 
 
 def _pictures(
-    asked: Request,
-    places: Places,
-    method: str,
-    translator: str,
-    calibration: Calibration,
-    factor: float,
+    asked: Request, archive: MarkerArchive, places: Places, calibration: Calibration
 ) -> Iterator[tuple[str, bytes]]:
     """Yield captions and pictures of the report."""
     yield (
@@ -345,21 +345,22 @@ def _pictures(
         calibration_picture(calibration),
     )
     pair = f"{asked.source.name}-to-{asked.target.name}"
-    found = read_predictions(places.predictions / f"{pair}.{method}.{translator}.npz")
-    before = read_predictions(places.predictions / f"{pair}.source-only.npz")
+    found = read_predictions(places.predictions / f"{pair}.source-only.npz")
     unseen = np.flatnonzero(~np.isin(found.indenter, calibration.intervals.indenters))
     rows = unseen if len(unseen) else np.arange(len(found))
     locations = np.unique(found.location[rows])
     chosen = locations[np.linspace(0, len(locations) - 1, PRESSES).round().astype(int)]
     rows = rows[np.isin(found.location[rows], chosen)]
     rows = rows[np.lexsort((found.frame[rows], found.location[rows]))]
+    model = load_force_model(asked.model)
+    presses = presses_of_rows(archive[asked.target.name], found.rows[rows], model)
     starts = np.flatnonzero(np.diff(found.location[rows], prepend=-1))
     names = ", ".join(dict.fromkeys(found.indenter[rows].tolist()))
     yield (
         f"Forces of some presses of {asked.target.name}, of {names}",
         forces_picture(
-            factor * found.predicted[rows],
-            before.predicted[rows],
+            model.predict(presses),
+            found.predicted[rows],
             calibration.intervals,
             starts.tolist(),
         ),
