@@ -293,9 +293,19 @@ class StreamSpec:
         return next((column for column in self.columns if column.name == "value"), None)
 
     @property
+    def has_jpegs(self) -> bool:
+        """True if images are kept as the camera's JPEG."""
+        return any(column.codec == "jpeg" for column in self.columns)
+
+    @property
     def block(self) -> int:
-        """Rows per chunk of a small column: the power of two nearest to 1.3 s, from 64 to 4096."""
-        return int(2 ** min(max(round(math.log2(1.28 * self.rate_hz)), 6), 12))
+        """Rows per chunk of a small column: the power of two nearest to 1.3 s, from 64 to 4096.
+
+        With JPEG images at least 256: other Zarr readers see only full shards of images anyway, and
+        every block costs as much as storing ten of them.
+        """
+        least = 8 if self.has_jpegs else 6
+        return int(2 ** min(max(round(math.log2(1.28 * self.rate_hz)), least), 12))
 
 
 def check_streams(specs: Iterable[StreamSpec]) -> None:

@@ -21,6 +21,8 @@ from benchmarks.recording.measure import cpu_seconds
 _DIFFERENT = 64
 # Bytes from which a write or checksum is of a frame, and not of a row.
 _LARGE = 16_384
+# Parts of a frame's record; a write of more is of pages of zeros.
+_PARTS = 3
 _FLUSH = "flushing to the disk, in the background"
 _FILES = "creating and renaming files and folders"
 
@@ -48,14 +50,18 @@ def measure(entry: stores.Entry, path: Path, *, frames: int) -> dict[str, float]
         return call
 
     def of_write(args: tuple[Any, ...]) -> str:
-        return "making the file longer by zeros" if len(args[1]) > _LARGE else "row of the journal"
+        return "copying the frame into the file" if len(args[1]) > _LARGE else "row of the journal"
+
+    def of_vector(args: tuple[Any, ...]) -> str:
+        zeros = len(args[1]) > _PARTS
+        return "making the file longer by zeros" if zeros else "copying the frame into the file"
 
     def of_sum(args: tuple[Any, ...]) -> str:
         return "checksum of the frame" if len(args[0]) > _LARGE else ""
 
     parts: dict[str, Callable[[tuple[Any, ...]], str]] = {
         "pwrite": of_write,
-        "pwritev": lambda _: "copying the frame into the file",
+        "pwritev": of_vector,
         "fdatasync": lambda _: _FLUSH,
         "fsync": lambda _: _FLUSH,
         **dict.fromkeys(("open", "close", "mkdir", "replace", "ftruncate"), lambda _: _FILES),

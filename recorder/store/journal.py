@@ -49,10 +49,12 @@ _RESIDUE = 0x48674BC7
 _JOIN_BELOW = 1 << 14  # bytes; below this size one copy is cheaper than a vectored write
 # A log of images grows ahead of them in steps of this size [bytes], filled with zeros: a write into
 # pages that exist costs the kernel a third of one that makes the file longer, and an aligned step
-# lets it take large pages. Records below a page gain nothing.
-STEP = 1 << 18
+# lets it take large pages. The zeros are one page many times, which stays in the processor's first
+# cache. Records below a page gain nothing.
+STEP = 1 << 19
 _AHEAD_FROM = 1 << 12
-_ZEROS = memoryview(bytes(STEP))
+_PAGE = bytes(1 << 12)
+_PAGES = [_PAGE] * (STEP // len(_PAGE))
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,8 +185,9 @@ class RecordLog:
         end = start + nbytes
         try:
             if end > self._room and _AHEAD_FROM <= nbytes < self._step // 2:
-                ahead = _ZEROS[: self._step - self._room % self._step]
-                self._room += os.pwrite(self._fd, ahead, self._room)
+                pages, rest = divmod(self._step - self._room % self._step, len(_PAGE))
+                ahead = [_PAGE[:rest], *_PAGES[:pages]]
+                self._room += os.pwritev(self._fd, ahead, self._room)
             if len(parts) == 1:
                 written = os.pwrite(self._fd, parts[0], start)
             elif nbytes < _JOIN_BELOW:

@@ -24,6 +24,8 @@ from recorder.store.files import LOCAL, Files, read_document
 # images would be small and many otherwise.
 CHUNKS_PER_SHARD = 64
 JPEGS_PER_SHARD = 512
+# Chunks per shard of the other columns of a stream of JPEG images, whose blocks are larger.
+BLOCKS_PER_JPEG_SHARD = 16
 # Largest number of inner chunks per shard that is read.
 CHUNKS_MAX = 1 << 16
 # Largest metadata accepted, so that a corrupt or hostile file cannot make a reader allocate memory.
@@ -329,8 +331,10 @@ def create_stream(path: Path, spec: StreamSpec) -> StreamLayout:
     path.mkdir()
     attrs = {"rate_hz": spec.rate_hz, "columns": [column.name for column in spec.columns]}
     write_group(path, {**spec.attrs, **spec.traits.to_json(), **attrs})
+    blocks = BLOCKS_PER_JPEG_SHARD if spec.has_jpegs else 0
     for column in spec.columns:
-        Layout(path / column.name, column, 1 if column.is_image else spec.block).create()
+        rows, chunks = (1, 0) if column.is_image else (spec.block, blocks)
+        Layout(path / column.name, column, rows, chunks_per_shard=chunks).create()
     return StreamLayout.load(path)
 
 
