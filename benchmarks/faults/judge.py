@@ -12,11 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.faults.observer import ArmState, Seen, age
+from benchmarks.faults.observer import Seen, age
 from recorder import Session, SessionError, check, faults
 from rig.devices.camera.jpeg import frame_stamp
 
-# The arm's emulator ends with the bench; its last answer counts if it is no older than this [s].
+# The arm's emulator ends with the bench; the collection may then take long to close its session.
+# The last answer counts if the next question, or the end, came within this time of it [s].
 _RECENT = 3.0
 # Findings that describe the effect of the fault, not a defect.
 _EXCUSED = ("gap", "clock-step", "dropped", "rate", "frozen", "truncated")
@@ -139,20 +140,20 @@ def complaints(path: Path, left: Left, findings_allowed: Iterable[str] = ()) -> 
     return wrong
 
 
-def arm_in_words(states: list[ArmState], ended_ns: int, gone: bool) -> tuple[str, bool]:
+def arm_in_words(seen: Seen, ended_ns: int, gone: bool) -> tuple[str, bool]:
     """Return the state of the arm at the end, and True if it is known to have stopped.
 
     Args:
-        states: States reported by the arm's emulator.
+        seen: Observations, with the states that the arm's emulator reported.
         ended_ns: Time at which the collection ended [ns].
         gone: True if the controller itself was killed.
     """
     if gone:
         return "controller gone", True
-    recent = [state for state in states if age(state, ended_ns) < _RECENT]
-    if not recent:
+    last_ns = ended_ns if seen.arm_silent_ns is None else min(ended_ns, seen.arm_silent_ns)
+    if not seen.arm or age(seen.arm[-1], last_ns) >= _RECENT:
         return "not known", False
-    last = recent[-1]
+    last = seen.arm[-1]
     place = "clear" if last.clear else f"at {1e3 * last.height:.1f} mm"
     return (f"still, {place}" if last.still else f"MOVING, {place}"), last.still
 

@@ -147,7 +147,7 @@ def _killed(collection: CollectionRun, rng: random.Random, found: Kills) -> str:
         found.wrong.append(f"{where}: did not end within {_ENDING:g} s: {commands}")
     if victim not in _BENCH_GOES_TOO:
         gone = victim == "the arm emulator"
-        arm, standing = arm_in_words(collection.seen().arm, collection.ended_ns, gone)
+        arm, standing = arm_in_words(collection.seen(), collection.ended_ns, gone)
         if not standing:
             found.wrong.append(f"{where}: the arm: {arm}")
     if collection.folder is not None:

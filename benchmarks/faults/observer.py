@@ -64,6 +64,8 @@ class Seen:
     """Highest number of stored rows that each stream reported in this run."""
     arm: list[ArmState] = field(default_factory=list)
     """States of the arm in order of time."""
+    arm_silent_ns: int | None = None
+    """Time of the first question after the last state, which got no answer; None: none [ns]."""
 
 
 class Observer:
@@ -133,7 +135,10 @@ class Observer:
             state = emulator_faults.inject(self._host, "state")
         except (OSError, ValueError):
             # The controller is gone, so the last state heard stays, with its time.
+            if self.seen.arm_silent_ns is None:
+                self.seen.arm_silent_ns = self._clock.now_ns()
             return
+        self.seen.arm_silent_ns = None
         self.seen.arm.append(_arm_state(state, self._frame, self._clock.now_ns()))
 
 

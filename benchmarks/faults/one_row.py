@@ -73,7 +73,7 @@ def judge(row: Row, collection: CollectionRun, code: int, touched: int = 0) -> F
     wrong = []
     if code not in row.codes:
         wrong.append(f"exit code {code}; right: {' or '.join(map(str, row.codes))}")
-    arm, standing = arm_in_words(seen.arm, collection.ended_ns, row.controller_gone)
+    arm, standing = arm_in_words(seen, collection.ended_ns, row.controller_gone)
     if not standing:
         wrong.append(f"the arm: {arm}")
     elif "clear" not in arm and "NOT RETRACTED" not in collection.text:

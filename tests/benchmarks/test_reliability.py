@@ -141,20 +141,25 @@ def test_a_row_stored_twice_or_out_of_order_is_not_let_pass(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    ("states", "gone", "words", "standing"),
+    ("states", "silent", "gone", "words", "standing"),
     [
-        ([ArmState(9 * SECOND, 0.02, 0.0)], False, "still, clear", True),
-        ([ArmState(9 * SECOND, -0.001, 0.0)], False, "still, at -1.0 mm", True),
-        ([ArmState(9 * SECOND, 0.02, 0.01)], False, "MOVING, clear", False),
-        ([ArmState(2 * SECOND, 0.02, 0.0)], False, "not known", False),
-        ([], False, "not known", False),
-        ([], True, "controller gone", True),
+        ([ArmState(9 * SECOND, 0.02, 0.0)], None, False, "still, clear", True),
+        ([ArmState(9 * SECOND, -0.001, 0.0)], None, False, "still, at -1.0 mm", True),
+        ([ArmState(9 * SECOND, 0.02, 0.01)], None, False, "MOVING, clear", False),
+        ([ArmState(2 * SECOND, 0.02, 0.0)], None, False, "not known", False),
+        ([ArmState(2 * SECOND, 0.02, 0.0)], 3 * SECOND, False, "still, clear", True),
+        ([ArmState(2 * SECOND, 0.02, 0.01)], 3 * SECOND, False, "MOVING, clear", False),
+        ([ArmState(2 * SECOND, 0.02, 0.0)], 6 * SECOND, False, "not known", False),
+        ([ArmState(2 * SECOND, 0.02, 0.0)], 20 * SECOND, False, "not known", False),
+        ([], 3 * SECOND, False, "not known", False),
+        ([], None, True, "controller gone", True),
     ],
 )
 def test_an_arm_nobody_has_seen_standing_does_not_stand(
-    states: list[ArmState], gone: bool, words: str, standing: bool
+    states: list[ArmState], silent: int | None, gone: bool, words: str, standing: bool
 ) -> None:
-    assert arm_in_words(states, 10 * SECOND, gone) == (words, standing)
+    seen = Seen(arm=states, arm_silent_ns=silent)
+    assert arm_in_words(seen, 10 * SECOND, gone) == (words, standing)
 
 
 def test_the_page_says_what_is_wrong_and_what_was_not_run(session: Path) -> None:
@@ -183,7 +188,7 @@ def test_a_labs_stale_limits_are_50_and_100_ms_and_stop_the_arm_just_past_them()
     for key in ("stale_force_ms", "stale_pose_ms"):
         del content["limits"][key]
     bench = bench_from(content, "a lab's bench")
-    limits = replace(bench.guard_limits, box=((-9.0,) * 3, (9.0,) * 3))
+    limits = replace(bench.guard_limits(), box=((-9.0,) * 3, (9.0,) * 3))
     clock = FakeClock(10 * SECOND)
     force, pose = np.zeros((), FORCE_LATEST), np.zeros((), POSE_LATEST)
     pose["safety_status"] = 1
