@@ -285,7 +285,7 @@ class _Arm:
             (folder / name, limits) for name, limits in guards_of(bench, contact=contact).items()
         )
         setup = Setup(
-            bench.arm, tuple(bench.contact_frame), bench.guard_limits, (), None, stand_ins
+            bench.arm, tuple(bench.contact_frame), bench.guard_limits(), (), None, stand_ins
         )
         control: Any = _Control(clock)
         link: Any = _Link(clock)

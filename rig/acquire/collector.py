@@ -201,7 +201,7 @@ class Collector:
         arm = Arm(
             self._bench.arm,
             self._bench.contact_frame,
-            self._bench.guard_limits,
+            self._bench.guard_limits(),
             gauges=guarded(self._bench, self._folder),
             pose_path=self._folder / "pose.latest",
             stand_ins={self._folder / name: limits for name, limits in stand_ins.items()},
@@ -395,7 +395,7 @@ def seconds_per_target(bench: Bench, plan: Plan) -> float:
 
 def guarded(bench: Bench, folder: Path) -> dict[Path, GuardLimits]:
     """Return the shared record of each F/T sensor that guards, and its limits."""
-    return {folder / f"{gauge.name}.latest": bench.guard_limits_of(gauge) for gauge in bench.gauges}
+    return {folder / f"{gauge.name}.latest": bench.guard_limits(gauge) for gauge in bench.gauges}
 
 
 def _tare_entry(tares: Mapping[str, Tare]) -> dict[str, Any]:

@@ -130,7 +130,7 @@ class Jog:
             DeviceLost: Arm, SpaceMouse or a stream is gone; the arm stands still.
             Interrupted: The operator requested the end.
         """
-        box = self._bench.guard_limits.box
+        box = self._bench.guard_limits().box
         while True:
             cap = self._look(0.02)
             if TAKE in self._pressed:

@@ -344,19 +344,10 @@ class Bench:
         """F/T sensors that stop the arm at the bench's limits, in order."""
         return tuple(row for row in self.of_kind("force") if "guard" in row.traits.roles)
 
-    def guard_limits_of(self, gauge: BenchStream) -> GuardLimits:
-        """Return the limits of the guard that watches an F/T sensor."""
-        return replace(
-            self.guard_limits,
-            force_status_mask=gauge.config.UNTRUSTED_MASK,
-            axes_measured=gauge.config.axes_measured,
-        )
-
-    @property
-    def guard_limits(self) -> GuardLimits:
-        """Limits of the guard while the arm moves, without what an F/T sensor adds."""
+    def guard_limits(self, gauge: BenchStream | None = None) -> GuardLimits:
+        """Return the limits of the guard that watches a gauge; None: only the arm's motion."""
         limits = self.limits
-        return GuardLimits(
+        motion = GuardLimits(
             force_rating=(*limits.force_rating, *limits.torque_rating),
             soft_fraction=limits.soft_fraction,
             hard_fraction=limits.hard_fraction,
@@ -368,6 +359,13 @@ class Bench:
                 (limits.box_x[1], limits.box_y[1], limits.height_max),
             ),
             dome_radius=self.dome_radius,
+        )
+        if gauge is None:
+            return motion
+        return replace(
+            motion,
+            force_status_mask=gauge.config.UNTRUSTED_MASK,
+            axes_measured=gauge.config.axes_measured,
         )
 
 

@@ -78,7 +78,7 @@ def _jogged(
     arm = Arm(
         bench.arm,
         bench.contact_frame,
-        bench.guard_limits,
+        bench.guard_limits(),
         gauges=guarded(bench, folder),
         pose_path=folder / "pose.latest",
     )

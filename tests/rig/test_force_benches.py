@@ -126,7 +126,7 @@ def test_the_guard_stops_at_what_the_device_itself_does_not_trust(
 
     bench = loaded(tmp_path, FORCES[kind])
     (gauge,) = bench.gauges
-    guard = Guard(bench.guard_limits_of(gauge), bench.contact_frame, watch_pose=False)
+    guard = Guard(bench.guard_limits(gauge), bench.contact_frame, watch_pose=False)
     record = np.zeros(1, FORCE_LATEST)[0]
     record["status"] = status
     violation = guard.check(0, record, None)
@@ -138,7 +138,7 @@ def test_the_guard_looks_ahead_at_the_rate_of_every_line(tmp_path: Path, rate_hz
     from rig.core.guard import Guard
 
     bench = loaded(tmp_path, ATI_SERIAL)
-    limits = bench.guard_limits_of(*bench.gauges)
+    limits = bench.guard_limits(*bench.gauges)
     guard = Guard(limits, bench.contact_frame, watch_pose=False)
     soft, speed = limits.soft_fraction * limits.force_rating[2], 100.0
     record = np.zeros(1, FORCE_LATEST)[0]
