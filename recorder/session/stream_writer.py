@@ -185,13 +185,16 @@ def store_block(
 def _rows_to_journal(layout: StreamLayout, state: StreamState) -> tuple[int, list[bytes]]:
     """Return the rows that must (again) be in a journal, writing the journal if necessary."""
     journalled = state.journalled
+    start = state.rows - state.rows % layout.block
     if journalled is not None and journalled.first_row <= state.rows:
         rows = journalled.rows[: state.rows - journalled.first_row]
-        start = state.rows - state.rows % layout.block
-        if layout.journal(start) not in journalled.paths:
-            write_journal(layout, start, rows[start - journalled.first_row :])
-        return journalled.first_row, rows
-    start = state.rows - state.rows % layout.block
+        within = journalled.first_row % layout.block
+        first_row = journalled.first_row - within
+        if within:  # of a file that no writer made; the block before its rows is stored
+            rows = [*_stored_rows(layout, first_row, journalled.first_row), *rows]
+        if within or layout.journal(start) not in journalled.paths:
+            write_journal(layout, start, rows[start - first_row :])
+        return first_row, rows
     rows = _stored_rows(layout, start, state.rows)
     write_journal(layout, start, rows)
     return start, rows

@@ -133,8 +133,14 @@ class Table(Mapping[str, Array]):
 
     @classmethod
     def of_group(cls, path: Path, files: Files = LOCAL) -> "Table":
-        """Return the table in a group written by `write_table`; empty if there is none."""
+        """Return the table in a group written by `write_table`; empty if there is none.
+
+        Raises:
+            SessionError: Its metadata is missing, or differs from the manifest.
+        """
         names = tuple(sorted(entry.name for entry in files.groups(path)))
+        if names:
+            read_document(files, path / "zarr.json")
         return cls(path, names, partial(_column, files, path))
 
     def __getitem__(self, name: str) -> Array:

@@ -609,7 +609,7 @@ def losses(path: Path, other: Path, kind: str, every: int) -> int:
             variants.append((other / where).read_bytes())
         for data in variants:
             file.unlink() if data is None else file.write_bytes(data)
-            if where.parts[0] != "manifest" and unchanged(path, good):
+            if "c" in where.parts and unchanged(path, good):
                 file.write_bytes(whole)
                 continue  # equal values with the same checksums, recorded at another time
             named = [str(f) for f in faults([*check_any(path, quick=True)])]
@@ -643,6 +643,25 @@ def test_every_file_removed_cut_or_replaced_is_named(
     shutil.copytree(sealed(kind), tmp_path / "s.zarr")
     other = make_session(tmp_path / "other.zarr", names=("camera", "taxels", "force", "pose"))
     assert losses(tmp_path / "s.zarr", other, kind, every=1) > 150
+
+
+def test_metadata_of_a_table_replaced_or_removed_is_named_and_refused(
+    sealed: Callable[[str], Path], tmp_path: Path
+) -> None:
+    path = tmp_path / "s.zarr"
+    shutil.copytree(sealed("jpeg"), path)
+    for name in ("targets", "frames"):
+        file = path / name / "zarr.json"
+        whole = file.read_bytes()
+        same_values = json.dumps(json.loads(whole)).encode()
+        for data in (same_values, None):
+            file.unlink() if data is None else file.write_bytes(data)
+            for quick in (True, False):
+                assert f"{name}/zarr.json" in {f.where for f in check(path, quick=quick)}
+            with pytest.raises(SessionError, match=rf"{name}/zarr\.json"):
+                Session(path)
+        file.write_bytes(whole)
+    Session(path)
 
 
 def test_a_file_added_after_closing_is_named(sealed: Callable[[str], Path], tmp_path: Path) -> None:

@@ -321,6 +321,7 @@ def test_finish_recovers_a_stream_whose_process_died(tmp_path: Path) -> None:
     with SessionWriter.resume(path) as session:
         session.finish("complete", rate_hz=40)
     assert faults(check(path)) == []
+    assert len(Session(path).streams["camera"]) == 216
 
 
 def test_unknown_streams_and_statuses_are_refused_by_name(tmp_path: Path) -> None:

@@ -104,6 +104,15 @@ def test_a_table_of_any_length_reads_back(rows: int, tmp_path: Path) -> None:
         np.testing.assert_array_equal(np.asarray(group[name]), values)
 
 
+def test_other_values_of_a_table_under_the_same_checksum_are_refused(tmp_path: Path) -> None:
+    for name, value in (("table", 1.0), ("other", 2.0)):
+        write_table(tmp_path / name, {"force": np.full(9, value)}, {})
+    chunk, other = (tmp_path / name / "force/c/0" for name in ("table", "other"))
+    chunk.write_bytes(other.read_bytes()[:-4] + chunk.read_bytes()[-4:])
+    with pytest.raises(SessionError, match=r"force/c/0: the chunk does not match its checksum"):
+        Table.of_group(tmp_path / "table")["force"]
+
+
 def test_a_dark_frame_is_stored_like_any_other(tmp_path: Path) -> None:
     path = tiny_camera(tmp_path / "camera")
     with StreamWriter.open(path) as stream:
