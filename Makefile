@@ -193,7 +193,7 @@ calibrate-force: $(VENV)/.learning  ## Set the scale of such a model by weights 
 	@$(PY) -m learning calibrate-force $(MODEL) --weights $(WEIGHTS) --holds $(HOLDS) --out $(OUT) $(ARGS)
 
 #: [OUT=runs/demo-transfer]
-demo-transfer: $(VENV)/.demo  ## Forces on a simulated sensor without a gauge, and a weight, on two cores (10 minutes)
+demo-transfer: $(VENV)/.demo  ## Newtons on a simulated sensor without a gauge (10 minutes, two cores)
 	@for name in gauge bare; do $(PY) -m sim archive sensors --sensors $(BARE)/$$name.yaml --tier layer --scale 0.025 --steps 4 --no-check --out $(or $(OUT),runs/demo-transfer)/$$name.markers.zarr || exit; done
 	@$(PY) -m learning transfer --source $(or $(OUT),runs/demo-transfer)/gauge.markers.zarr:gauge --target $(or $(OUT),runs/demo-transfer)/bare.markers.zarr:bare --out $(or $(OUT),runs/demo-transfer)
 	@rm -rf $(or $(OUT),runs/demo-transfer)/weighed

@@ -2,6 +2,7 @@
 
 `learning.transfer.run.run_transfer` goes through the stages, each of which is a file. Presses of
 both sensors are matched by place and split (`pairs`). An experiment trains the translator and the
-force models (`learning.experiment`). Errors on indenters that no model saw become intervals
-(`calibrate`), and the model is written with its card and report (`deliver`).
+force models (`learning.experiment`). The model learns the target's own frames (`tune`). Errors on
+indenters that no model saw become intervals (`calibrate`), and the model is written with its card
+and report (`deliver`).
 """

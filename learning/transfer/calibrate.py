@@ -1,4 +1,4 @@
-"""Third stage: intervals of the model, from its errors on indenters that it never saw.
+"""Next stage: intervals of the model, from its errors on indenters that it never saw.
 
 The frames are the target's own. What the predicted forces are compared with are not labels of the
 target, but the source's at the same place, depth and direction, scaled between the skins as the
@@ -70,11 +70,8 @@ def calibrate(
         LearningError: Too few frames of the target match labels of the source.
         SessionError: The archive is corrupt.
     """
-    table, its = archive[source].table, archive[target].table
-    labels = np.full((len(table["location"]), 3), np.nan)
-    rows = np.flatnonzero(table["valid"] & (table["location"] >= 0) & table["seen"])
-    labels[rows] = _scaled(table["wrench"][rows, :3], table, rows, compensation)
-    wanted = labels_by_place(table, labels, its)
+    its = archive[target].table
+    wanted = wanted_forces(archive, source, target, compensation)
     names = np.array(archive.indenters)[its["indenter"]]
     calibrates = np.isin(names, indenters)
     with ItemProgress("forces that calibrate", sys.stderr) as progress:
@@ -92,13 +89,36 @@ def calibrate(
     intervals = Intervals(
         axes=_three(axes),
         scale=scale,
-        largest=_largest(labels[rows]),
+        largest=_largest(_source_labels(archive, source, compensation)),
         motion_px=float(motions(archive[target], np.flatnonzero(learned)).max()),
         frames=int(known.sum()),
         indenters=indenters,
         errors_from=f"{source}'s labels at the same place, scaled between the skins",
     )
     return Calibration(intervals, predicted[known], wanted[used][known], names[used][known])
+
+
+def wanted_forces(
+    archive: MarkerArchive, source: str, target: str, compensation: Compensation | None
+) -> Floats:
+    """Return the source's labels at the target's frames (n, 3) [N], scaled; NaN without one.
+
+    Raises:
+        SessionError: The archive is corrupt.
+    """
+    labels = _source_labels(archive, source, compensation)
+    return labels_by_place(archive[source].table, labels, archive[target].table)
+
+
+def _source_labels(
+    archive: MarkerArchive, source: str, compensation: Compensation | None
+) -> Floats:
+    """Return the scaled labels of indenters that may be learned from (m, 3) [N]; NaN elsewhere."""
+    table = archive[source].table
+    labels = np.full((len(table["location"]), 3), np.nan)
+    rows = np.flatnonzero(table["valid"] & (table["location"] >= 0) & table["seen"])
+    labels[rows] = _scaled(table["wrench"][rows, :3], table, rows, compensation)
+    return labels
 
 
 def motions(sensor: ArchivedSensor, rows: NDArray[np.int64]) -> Floats:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from learning.archive_writer import archive_fingerprint
 from learning.compensation.fit import Curves, gather_priors, read_stored
 from learning.data.matching import Chosen, Tolerances
 from learning.errors import LearningError
@@ -35,7 +38,9 @@ from learning.transfer.deliver import (
 )
 from learning.transfer.few_labels import Labels, error_curve, read_labels, scale_of_labels
 from learning.transfer.pairs import join_pair, split_pair
+from learning.transfer.tune import tune_by_place
 from recorder import MarkerArchive
+from recorder.store import replace_file
 
 Say = Callable[[str], None]
 
@@ -95,6 +100,7 @@ def run_transfer(asked: Request, say: Say = print) -> Card:
     source, target = asked.source.name, asked.target.name
     places = Places(asked.out, asked.out / "pairs.markers.zarr")
     asked.out.mkdir(parents=True, exist_ok=True)
+    _begin(asked)
 
     # Presses of both sensors match by place; the target's labels stay behind.
     own_curve = any(_is_same(path, asked.target.archive) for path in asked.priors)
@@ -133,11 +139,15 @@ def run_transfer(asked: Request, say: Say = print) -> Card:
         say=say,
     )
 
-    # Errors on indenters never seen become intervals; the scale is what is known of it.
+    # The model of translated frames learns the target's own; errors on indenters never seen become
+    # intervals; the scale is what is known of it.
     method = after(kinds) if kinds else "transferred"
     translator = settings.translators[0]
     trained = places.model(f"force-{source}-to-{target}.{method}.{translator}")
     labels_as = _applied(places, source, target, method)
+    trained = tune_by_place(
+        archive, source, target, split, trained, settings, labels_as, asked.device
+    )
     calibration = calibrate(
         archive,
         source,
@@ -179,11 +189,41 @@ def run_transfer(asked: Request, say: Say = print) -> Card:
         predicted=factor * calibration.predicted,
         wanted=factor * calibration.wanted,
     )
-    pictures = [*_pictures(asked, places, method, translator, scaled, factor)]
+    pictures = [*_pictures(asked, archive, places, scaled)]
     write_report(asked.out / "report.html", card, matches, pictures, curve)
     for line in (*lines_of(card), *history):
         say(line)
     return card
+
+
+def _begin(asked: Request) -> None:
+    """Write what the models of a folder are made of, or check that it is the same.
+
+    Raises:
+        LearningError: Names the first difference.
+    """
+    plain: dict[str, Any] = {
+        **{
+            name: f"{archive_fingerprint(each.archive)} {each.sensor} as {each.name}"
+            for name, each in (("source", asked.source), ("target", asked.target))
+        },
+        "source_model": str(asked.source_model and asked.source_model.resolve()),
+        "priors": sorted(str(path.resolve()) for path in asked.priors),
+        "calibrate_on": asked.calibrate_on and sorted(asked.calibrate_on),
+        "unseen": asked.unseen and sorted(asked.unseen),
+        "tolerances": asdict(asked.tolerances),
+    }
+    path = asked.out / "transfer.json"
+    if not path.exists():
+        replace_file(path, (json.dumps(plain, indent=1) + "\n").encode())
+        return
+    found = json.loads(path.read_text(encoding="utf-8"))
+    for key, value in plain.items():
+        if found.get(key) != value:
+            raise LearningError(
+                f"{path}.{key}: found {found.get(key)!r}, asked for {value!r}; allowed: the same, "
+                "or another folder"
+            )
 
 
 def _is_same(path: Path, archive: MarkerArchive) -> bool:
@@ -297,12 +337,7 @@ def _deliver_before(trained: Path, out: Path) -> None:
 
 
 def _pictures(
-    asked: Request,
-    places: Places,
-    method: str,
-    translator: str,
-    calibration: Calibration,
-    factor: float,
+    asked: Request, archive: MarkerArchive, places: Places, calibration: Calibration
 ) -> Iterator[tuple[str, bytes]]:
     """Yield captions and pictures of the report."""
     yield (
@@ -310,21 +345,22 @@ def _pictures(
         calibration_picture(calibration),
     )
     pair = f"{asked.source.name}-to-{asked.target.name}"
-    found = read_predictions(places.predictions / f"{pair}.{method}.{translator}.npz")
-    before = read_predictions(places.predictions / f"{pair}.source-only.npz")
+    found = read_predictions(places.predictions / f"{pair}.source-only.npz")
     unseen = np.flatnonzero(~np.isin(found.indenter, calibration.intervals.indenters))
     rows = unseen if len(unseen) else np.arange(len(found))
     locations = np.unique(found.location[rows])
     chosen = locations[np.linspace(0, len(locations) - 1, PRESSES).round().astype(int)]
     rows = rows[np.isin(found.location[rows], chosen)]
     rows = rows[np.lexsort((found.frame[rows], found.location[rows]))]
+    model = load_force_model(asked.model)
+    presses = presses_of_rows(archive[asked.target.name], found.rows[rows], model)
     starts = np.flatnonzero(np.diff(found.location[rows], prepend=-1))
     names = ", ".join(dict.fromkeys(found.indenter[rows].tolist()))
     yield (
         f"Forces of some presses of {asked.target.name}, of {names}",
         forces_picture(
-            factor * found.predicted[rows],
-            before.predicted[rows],
+            model.predict(presses),
+            found.predicted[rows],
             calibration.intervals,
             starts.tolist(),
         ),

@@ -272,6 +272,8 @@ def test_a_transfer_makes_a_model_that_no_label_of_the_target_has_touched(
             assert (out / name).stat().st_size > 1000
         assert "**Scale assumed**" in (out / "model" / "card.md").read_text()
     assert len(set(hashes)) == 1
+    with pytest.raises(LearningError, match=r"transfer\.json\.calibrate_on: found None"):
+        run_module(transfer, *named, "--out", out, *settings, "--calibrate-on", "prism")
     # Again: nothing is trained twice.
     assert run_module(transfer, *named, "--out", out, *settings) == 0
 

@@ -1,0 +1,88 @@
+"""Second stage: the model learns the target's own frames, with the source's labels at their place.
+
+Frames that a translator made differ from the target's own. Where a press of the source matches one
+of the target, its labels belong to the target's frames too, scaled between the skins.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from learning.archive_writer import archive_fingerprint
+from learning.data.presses import load_presses
+from learning.data.splits import Split
+from learning.experiment.forces import force_settings
+from learning.experiment.settings import ExperimentSettings
+from learning.force.model import KIND, load_force_model
+from learning.force.train import Compensation, train_force
+from learning.training.run import RunFolder, Session, Stop, accelerator
+from learning.transfer.calibrate import wanted_forces
+from recorder import MarkerArchive
+from recorder.progress import ItemProgress
+
+
+def tune_by_place(
+    archive: MarkerArchive,
+    source: str,
+    target: str,
+    split: Split,
+    trained: Path,
+    settings: ExperimentSettings,
+    compensation: Compensation | None,
+    device: str,
+) -> Path:
+    """Fine-tune a model on the target's training presses that match; return its folder.
+
+    Args:
+        archive: Presses of both sensors.
+        source: Sensor with labels.
+        target: Sensor of the frames.
+        split: Roles of presses.
+        trained: Folder of the model that was trained on translated frames.
+        settings: Settings of the experiment, whose fine-tuning is repeated.
+        compensation: Scaling of the labels.
+        device: Device of the training.
+
+    Returns:
+        Folder of the model; `trained` itself if no training press matches.
+
+    Raises:
+        LearningError: The training diverged.
+        SessionError: The archive is corrupt.
+        KeyboardInterrupt: It was stopped; repeating the call continues it.
+    """
+    sensor = archive[target]
+    rows = split.rows(sensor.table, "train")
+    wanted = wanted_forces(archive, source, target, compensation)
+    location = sensor.table["location"][rows]
+    matched = np.unique(location[np.isfinite(wanted[rows]).any(axis=1)])
+    rows = rows[np.isin(location, matched)]
+    if not len(rows):
+        return trained
+    tuning = force_settings(settings, archive, torch.device(device), tuning=True)
+    data = f"{archive_fingerprint(archive)} {split.fingerprint} {target} by place"
+    folder = trained.with_name(f"{trained.name}.by-place")
+    with RunFolder.open(folder, KIND, tuning, data, True, keep=1) as run:
+        if not run.finished:
+            presses = load_presses(sensor, rows, device=device)
+            labels = torch.from_numpy(wanted[presses.rows.numpy()]).float()
+            presses = replace(presses, wrench=labels.to(presses.device))
+            with (
+                ItemProgress(f"steps of {target} by place", sys.stderr) as steps,
+                Stop(partial(print, file=sys.stderr)) as stop,
+            ):
+                train_force(
+                    presses,
+                    tuning,
+                    Session(accelerator(tuning.launch), run, stop, steps),
+                    start_from=load_force_model(trained, device),
+                )
+            if stop.asked and not run.finished:
+                raise KeyboardInterrupt
+    return folder
