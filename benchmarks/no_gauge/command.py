@@ -196,6 +196,7 @@ def wrong(bench: Bench, fault: str, rng: np.random.Generator, seed: int, *, wris
 
 # First words of a reason, and the guard that they belong to.
 _NAMES = (
+    ("home: no contact in the signal at", "touch: a point without contact"),
     ("home: no contact", "search: no contact found"),
     ("home: the surface is", "surface: too far from the bench file"),
     ("home: the surface at", "surface: uneven (tilt)"),

@@ -24,7 +24,7 @@ _REDUCED = 4
 # The flow counts at the steepest fraction of the pixels, the edges of markers, for a plain area has
 # none of its own.
 # A small fraction of these may show more, since single pixels of a flow are often wrong.
-_EDGES, _BEYOND = 0.15, 0.02
+_EDGES, _BEYOND = 0.15, 0.05
 
 
 class Level(NamedTuple):
