@@ -434,10 +434,7 @@ Asked = dict[tuple[int, int], Sizes]
 # Samples along a side of a face at which overlap is measured, for frames and for intermediate
 # states; and the number of states per step, its end included.
 FRAME_SAMPLES, PATH_SAMPLES, PATH_STATES = 8, 3, 3
-# A step that fails with a residual below `ROUNDING` tolerances is limited by float32 rounding: a
-# smaller step would fail too. After this many such steps `auto` restarts in float64.
-ROUNDED_MOST = 2
-# Times that `auto` halves a step to a waypoint in float32 before it restarts in float64. Most such
+# Times that `auto` halves a step to a waypoint in float32 before it goes on in float64. Most such
 # steps are limited by rounding, where forces or elements are small, and each costs as much as ten
 # steps that converge.
 HALVINGS_FLOAT32 = 1
@@ -1002,7 +999,7 @@ class _Batch:
         self._aside = Aside(thread=wp.get_device(device).is_cuda)
         self._spent = [Spent() for _scene in scenes]
         self._busy = np.zeros(count, bool)
-        self._augmented, self._rounded = np.zeros((2, count), int)
+        self._augmented = np.zeros(count, int)
         self._last = np.zeros((count, 2))
         self._tip, self._share = np.zeros((count, 3)), np.zeros(count)
         self._duration, self._load = np.ones(count), np.ones(count)
@@ -1105,14 +1102,16 @@ class _Batch:
                 f"{newton.iterations[i]} Newton iterations, residual {newton.residual[i]:.2e}"
             )
             self._last[i] = -1
-            self._rounded[i] += self._is_rounding(i)
             more = self._paths[i].refuse(self._share[i], reported)
-            if not more or self._rounded[i] >= ROUNDED_MOST:
+            if not more or self._is_rounding(i):
                 self._failed[i] = self._diverged(i)
         self._busy &= ~(good | bad)
 
     def _is_rounding(self, env: int) -> bool:
-        """True if a step failed so close to its tolerance that float32 rounding is the limit."""
+        """True if a step failed so close to its tolerance that float32 rounding is the limit.
+
+        A smaller step would fail too.
+        """
         if self._numerics.precision != "auto" or self._assembly.precision != "float32":
             return False
         tolerance = self._numerics.tolerance
