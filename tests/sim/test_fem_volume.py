@@ -24,7 +24,7 @@ def _solved(poisson: float, effects: Effects) -> Result:
 @pytest.mark.parametrize(
     ("poisson", "effects"),
     [
-        (0.4999, Effects()),
+        pytest.param(0.4999, Effects(), marks=pytest.mark.slow),
         (
             0.499,
             Effects(friction=Friction(0.5), viscosity=Viscosity((0.5,), (0.05,), relaxes="all")),
