@@ -232,7 +232,7 @@ def page(found: list[Outcome]) -> str:
         f"{worst.seed}: {worst.sensor}, {worst.fault}).",
         "",
         "Each bench finds its surface, presses in steps and presses targets spread over its plan. "
-        "Samples reach the guards late: images 90 ms, taxels 30 ms, the wrench 12 ms, the last with "
+        "Samples reach the guards late: images 90 ms, taxels 30 ms, the wrench 12 ms, this with "
         "a gain that is wrong by up to 30 %, a bias and a drift. A wrong indenter is a punch or a "
         "sphere of 1 to 5 mm; `several` are three faults at once.",
         "",
