@@ -39,6 +39,7 @@ def started_bench(
     *,
     sources: Sources | None = None,
     truth: Path | None = None,
+    folder: Path | None = None,
 ) -> Iterator[StartedBench]:
     """Start the emulators of a mock bench for the context; a lab bench needs nothing.
 
@@ -47,6 +48,7 @@ def started_bench(
         content: Content of the bench file.
         sources: Real recordings for a mock bench to play.
         truth: File for a mock bench to log the World's truth to.
+        folder: Folder for the files of a mock bench; by default a temporary one.
 
     Raises:
         ConfigError, DeviceLost: An emulator did not start.
@@ -57,10 +59,12 @@ def started_bench(
     # Imported here, so that a collection on lab devices loads no emulator.
     from rig.mock.bench import MockBench
 
-    with tempfile.TemporaryDirectory(prefix="tactile-rig-") as name:
-        mock = MockBench(content, str(path), Path(name), sources=sources, truth=truth)
-        with mock:
-            yield StartedBench(mock.content, mock.check)
+    with contextlib.ExitStack() as stack:
+        if folder is None:
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-")))
+        mock = MockBench(content, str(path), folder, sources=sources, truth=truth)
+        stack.enter_context(mock)
+        yield StartedBench(mock.content, mock.check)
 
 
 def record(
@@ -101,9 +105,10 @@ def record(
     request.path.parent.mkdir(parents=True, exist_ok=True)
     log_to(request.path.with_suffix(".log"))
     with contextlib.ExitStack() as stack:
-        if on is None:
-            on = stack.enter_context(started_bench(path, content, sources=sources, truth=truth))
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-")))
+        if on is None:
+            started = started_bench(path, content, sources=sources, truth=truth, folder=folder)
+            on = stack.enter_context(started)
         bench = prepared(bench_from(on.content, str(path)))
         shown = None if page is None else stack.enter_context(page(bench, folder))
         collector = Collector(bench, on.content, folder, on.watch, shown)

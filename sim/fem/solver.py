@@ -893,6 +893,9 @@ def forget_dump(dump: File | None) -> None:
 
 # Most calls waiting for the thread: frames that wait to be kept take memory.
 AHEAD = 32
+# More updates of the multipliers where an indenter has all but left the skin: they remember the press
+# before, and each leaves a tenth of it or less. Below this fraction of the largest force.
+FADED, FADED_BELOW = 3, 0.01
 # Longest time [s] that this thread may hold the GIL while the GPU waits for its next launch. With
 # Python's default of 5 ms, 162 presses on an H200 were 7 to 9 % slower.
 TURN = 2e-4
@@ -1000,6 +1003,7 @@ class _Batch:
         self._spent = [Spent() for _scene in scenes]
         self._busy = np.zeros(count, bool)
         self._augmented = np.zeros(count, int)
+        self._largest = np.zeros(count)
         self._last = np.zeros((count, 2))
         self._tip, self._share = np.zeros((count, 3)), np.zeros(count)
         self._duration, self._load = np.ones(count), np.ones(count)
@@ -1118,8 +1122,12 @@ class _Batch:
         return bool(tolerance < self._newton.residual[env] < ROUNDING * tolerance)
 
     def _augmentations(self, env: int) -> int:
-        touched = self._assembly.sums.contact[env].any()
-        return self._numerics.augmentations if touched else 0
+        force = float(np.linalg.norm(self._assembly.sums.contact[env]))
+        self._largest[env] = max(self._largest[env], force)
+        if not force:
+            return 0
+        weak = FADED if force < FADED_BELOW * self._largest[env] else 0
+        return self._numerics.augmentations + weak
 
     def _take(self, good: np.ndarray) -> None:
         if not good.any():
