@@ -893,8 +893,8 @@ def forget_dump(dump: File | None) -> None:
 
 # Most calls waiting for the thread: frames that wait to be kept take memory.
 AHEAD = 32
-# More updates of the multipliers where an indenter has all but left the skin: they remember the press
-# before, and each leaves a tenth of it or less. Below this fraction of the largest force.
+# Further updates of the multipliers where an indenter has all but left the skin: they remember the
+# press before, and each leaves a tenth of it or less. Below this fraction of the largest force.
 FADED, FADED_BELOW = 3, 0.01
 # Longest time [s] that this thread may hold the GIL while the GPU waits for its next launch. With
 # Python's default of 5 ms, 162 presses on an H200 were 7 to 9 % slower.
