@@ -27,6 +27,8 @@ def some(pair: tuple[str, str], off: float) -> Predictions:
         role=ROLES,
         true=np.concatenate([3 * TRUE, TRUE, 9 * TRUE]),
         predicted=np.concatenate([3 * TRUE + off, TRUE + 0.125, 9 * TRUE]),
+        low=np.full((12, 3), np.nan),
+        high=np.full((12, 3), np.nan),
     )
     assert len(made) == 12
     return made
