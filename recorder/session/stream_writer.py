@@ -80,8 +80,12 @@ def survey(layout: StreamLayout) -> StreamState:
         return StreamState(min(lengths), None, 0, _spread(lengths), unfinished_files(layout))
     held, torn = zip(*(count_chunks(column) for column in layout.columns), strict=True)
     blocks = min(held[-len(layout.small) :])
-    reach = journalled.first_row + len(journalled.rows)
-    lengths = [reach if blocks * layout.block >= journalled.first_row else blocks * layout.block]
+    end = blocks * layout.block
+    if journalled.first_row <= end:
+        lengths = [journalled.first_row + len(journalled.rows)]
+    else:  # no journal of this stream: one begins no later than the chunks end
+        declared = min(column.rows() for column in layout.small)
+        lengths = [declared if end - layout.block < declared <= end else end]
     if layout.image is not None:
         lengths.append(held[0])
     return StreamState(
