@@ -329,6 +329,50 @@ class Pty:
         self._link.unlink(missing_ok=True)
 
 
+class PtyEmulator(ThreadedEmulator):
+    """Base of the emulators on a pty: one thread, `_serve`, receives and sends.
+
+    Args:
+        link: Path of the link to the pty, which a driver opens.
+    """
+
+    def __init__(self, link: Path) -> None:
+        super().__init__()
+        self._link = link
+        self._pty: Pty | None = None
+
+    @property
+    def address(self) -> str:
+        """Link for a driver to open."""
+        return str(self._link)
+
+    def start(self) -> None:
+        """Create the pty and the link to it, and serve.
+
+        Raises:
+            OSError: No pty is available, or the link cannot be created.
+        """
+        self._pty = Pty(self._link)
+        self._fd = self._pty.fd
+        os.set_blocking(self._fd, False)
+        self._run_threads(self._serve)
+
+    def _serve(self) -> None:
+        raise NotImplementedError
+
+    def _release(self) -> None:
+        if self._pty is not None:
+            self._pty.close()
+            self._pty = None
+
+    def _send(self, content: bytes) -> None:
+        try:
+            os.write(self._fd, content)
+        except BlockingIOError:
+            # Nobody reads it: the line has no handshake, the bytes are lost.
+            logger.debug("%d bytes lost: nobody reads", len(content))
+
+
 def check_loopback(host: str) -> None:
     """Reject every other address, so that no emulator can be mistaken for a lab's device.
 

@@ -7,20 +7,16 @@ time is that of its last byte on the host. The controller's own bias is not used
 
 from __future__ import annotations
 
-import contextlib
 import logging
-import termios
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-import serial
 
 from rig.core.clock import SECOND_NS, Clock
-from rig.core.driver import ReceivingDriver
 from rig.core.errors import ConfigError, DeviceLost
 from rig.devices.force.ati_serial_wire import PROMPT, BinaryFramer, Found, TextFramer, parse
 from rig.devices.force.sample_clock import LOST_BEFORE
+from rig.devices.force.serial_driver import SerialDriver
 from rig.devices.force.settings import RECORD_BYTES, AtiSerialConfig
 
 logger = logging.getLogger(__name__)
@@ -37,17 +33,19 @@ _N_PER_N_MM = 0.1
 _DOUBTS_MAX = 20
 
 
-class AtiSerialDriver(ReceivingDriver):
+class AtiSerialDriver(SerialDriver):
     """Stream of an ATI stand-alone controller.
 
     Columns: value (6,) float64 [N, N m] in the transducer's frame, seq int64 (host's count), status
     int64 (the controller's error number, and rig/devices/force/sample_clock.py), t_ns.
     """
 
+    POWER = "the controller's power"
+    FAREWELL = b"\r"
+
     def __init__(self, config: AtiSerialConfig, clock: Clock) -> None:
         super().__init__(config.address, clock, _CAPACITY)
         self._config = config
-        self._port: serial.Serial | None = None
         force, torque = 1 / config.counts_per_n, 1e-3 / config.counts_per_n_mm
         self._scale = np.repeat([force, torque], 3)
         self._framer: TextFramer | BinaryFramer = TextFramer()
@@ -55,18 +53,6 @@ class AtiSerialDriver(ReceivingDriver):
         self._idle = self._in_vain = self._fruitless = 0
         self._interrupted = False
         self._replies: dict[str, str] = {}
-        self.corrupt = 0
-        """Number of records that were damaged or doubtful."""
-
-    @property
-    def dropped(self) -> int:
-        """Records known to be damaged on the line, or not read in time."""
-        return self.corrupt + self._inbox.overflowed
-
-    @property
-    def rejected(self) -> dict[str, int]:
-        """Rejected records, by reason."""
-        return {"corrupt": self.corrupt}
 
     def open(self, timeout: float) -> None:
         """Stop any stream, set the record format, check it on one record, start the stream.
@@ -81,13 +67,7 @@ class AtiSerialDriver(ReceivingDriver):
         deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
         config = self._config
         with self._errors():
-            self._port = serial.Serial(
-                config.address,
-                config.baud,
-                timeout=_POLL,
-                write_timeout=_WRITE_TIMEOUT,
-                exclusive=True,
-            )
+            self._connect(config.baud, timeout=_POLL, write_timeout=_WRITE_TIMEOUT)
         try:
             with self._errors():
                 self._silence(deadline_ns)
@@ -101,8 +81,7 @@ class AtiSerialDriver(ReceivingDriver):
 
     def describe(self) -> dict[str, Any]:
         """Return the settings, and the controller's replies to them."""
-        if self._port is None:
-            raise self._not_open()
+        self._open_port()
         config = self._config
         return {
             "device": "ATI F/T controller, RS-232",
@@ -117,33 +96,6 @@ class AtiSerialDriver(ReceivingDriver):
             "device_clock": "none",
             "numbering": "host",
         }
-
-    def _release(self) -> None:
-        if self._port is not None:
-            with contextlib.suppress(OSError, termios.error):
-                self._port.write(b"\r")
-            with contextlib.suppress(OSError, termios.error):
-                self._port.close()
-            self._port = None
-
-    @contextlib.contextmanager
-    def _errors(self) -> Iterator[None]:
-        """Translate errors of pyserial and of the system."""
-        try:
-            yield
-        except (OSError, termios.error) as error:
-            text = " ".join(str(error).split())
-            raise DeviceLost(
-                f"{self._config.address}: {text}; check the cable, the controller's power, and "
-                "that the port is yours (group dialout) and no other program's"
-            ) from error
-        except ValueError as error:
-            raise ConfigError(f"{self._config.address}: {error}; allowed: a serial port") from error
-
-    def _open_port(self) -> serial.Serial:
-        if self._port is None:
-            raise self._not_open()
-        return self._port
 
     def _silence(self, deadline_ns: int) -> None:
         """End a stream that may be running, up to a prompt with nothing after it."""

@@ -10,7 +10,6 @@ rig.core.fault_injection; `unplug` is the RS-232 cable: the port stays, and is s
 
 from __future__ import annotations
 
-import logging
 import os
 import select
 from collections.abc import Iterable
@@ -20,20 +19,11 @@ from pathlib import Path
 import numpy as np
 
 from rig.core.clock import Clock, Pacer
-from rig.core.emulation import (
-    EmulatorConfig,
-    Pty,
-    Served,
-    SharedWorld,
-    ThreadedEmulator,
-    WorldReader,
-)
+from rig.core.emulation import EmulatorConfig, PtyEmulator, Served, SharedWorld, WorldReader
 from rig.core.fault_injection import FaultInjector, corrupted_bytes
 from rig.devices.force.ati_serial_wire import PROMPT, SerialRecord, emit
 from rig.devices.force.emulated_noise import NOISE_ROWS, noise_table
 from rig.devices.force.settings import RECORD_BYTES, AtiSerialConfig
-
-logger = logging.getLogger(__name__)
 
 _COUNTS_MAX = 32767
 # Error field when a count is at its limit.
@@ -52,51 +42,28 @@ class AtiSerialEmulatorConfig(EmulatorConfig):
     """Standard deviation of the force components [N]."""
 
 
-class AtiSerialEmulator(ThreadedEmulator):
+class AtiSerialEmulator(PtyEmulator):
     """Emulated controller: one thread receives commands and sends records."""
 
     def __init__(self, config: AtiSerialEmulatorConfig, world: WorldReader, clock: Clock) -> None:
-        super().__init__()
+        super().__init__(Path(config.device.address))
         self._config = config
         self.faults = FaultInjector[bytes](clock, spoil=corrupted_bytes, seed=config.seed)
         self._world = world
         self._clock = clock
         device = config.device
-        self._link = Path(device.address)
         self._scale = np.repeat([device.counts_per_n, device.counts_per_n_mm * 1e3], 3)
         self._noise = noise_table(config.seed, config.noise) * self._scale
         self._row = 0
         self._form = "ascii"
         self._typed = b""
         self._streaming = False
-        self._pty: Pty | None = None
-
-    @property
-    def address(self) -> str:
-        """Link for a driver to open."""
-        return str(self._link)
 
     @property
     def rate_hz(self) -> float:
         """Records per second in the current format, limited by the line."""
         line_rate = self._config.device.baud / 10 / RECORD_BYTES[self._form]
         return min(self._config.device.rate_hz, line_rate)
-
-    def start(self) -> None:
-        """Create the pty and the link to it, and serve.
-
-        Raises:
-            OSError: No pty is available, or the link cannot be created.
-        """
-        self._pty = Pty(self._link)
-        self._fd = self._pty.fd
-        os.set_blocking(self._fd, False)
-        self._run_threads(self._serve)
-
-    def _release(self) -> None:
-        if self._pty is not None:
-            self._pty.close()
-            self._pty = None
 
     def records(self, content: bytes) -> Iterable[bytes]:
         """Return the content sent for one record; faults and tests lose or corrupt bytes here."""
@@ -153,13 +120,6 @@ class AtiSerialEmulator(ThreadedEmulator):
                 self._streaming = True
             else:
                 self._send(command.encode() + b"\r\n" + self.answer(command) + PROMPT)
-
-    def _send(self, content: bytes) -> None:
-        try:
-            os.write(self._fd, content)
-        except BlockingIOError:
-            # Nobody reads it: the line has no handshake, the bytes are lost.
-            logger.debug("%d bytes lost: nobody reads", len(content))
 
 
 def emulate(settings: AtiSerialEmulatorConfig, clock: Clock) -> Served:

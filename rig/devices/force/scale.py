@@ -10,20 +10,16 @@ they move, the value is NaN, and the reading is kept in a column of its own.
 
 from __future__ import annotations
 
-import contextlib
 import re
-import termios
 from collections import deque
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import serial
 
 from rig.core.clock import SECOND_NS, Clock
-from rig.core.driver import ReceivingDriver
-from rig.core.errors import ConfigError, DeviceLost
+from rig.core.errors import DeviceLost
+from rig.devices.force.serial_driver import SerialDriver
 from rig.devices.force.settings import ScaleConfig
 
 # Request for one reading, by protocol; None: the device sends by itself.
@@ -66,7 +62,7 @@ def parse(line: str) -> Reading:
     return Reading(-float(digits) if sign == "-" else float(digits), unit)
 
 
-class ScaleDriver(ReceivingDriver):
+class ScaleDriver(SerialDriver):
     """Stream of a load cell or scale.
 
     Columns: value (6,) float64 [N, N m] with Fz alone, NaN unless settled; reading float64 [N], Fz
@@ -78,7 +74,6 @@ class ScaleDriver(ReceivingDriver):
         super().__init__(config.address, clock, _CAPACITY)
         self._config = config
         self._request = REQUESTS[config.protocol]
-        self._port: serial.Serial | None = None
         self._buffer = b""
         self._unit = ""
         self._recent: deque[tuple[int, float]] = deque()
@@ -86,18 +81,6 @@ class ScaleDriver(ReceivingDriver):
         self._wrong = 0
         self._heard_ns = self._asked_ns = 0
         self._lost = False
-        self.corrupt = 0
-        """Lines that were no readings."""
-
-    @property
-    def dropped(self) -> int:
-        """Lines known to be damaged, and readings not read in time."""
-        return self.corrupt + self._inbox.overflowed
-
-    @property
-    def rejected(self) -> dict[str, int]:
-        """Rejected lines, by reason."""
-        return {"corrupt": self.corrupt}
 
     def open(self, timeout: float) -> None:
         """Open the port and wait for the first reading.
@@ -112,16 +95,13 @@ class ScaleDriver(ReceivingDriver):
         self._recent.clear()
         deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
         with self._errors():
-            self._port = serial.Serial(
-                config.address,
+            self._connect(
                 config.baud,
                 bytesize=config.bits,
                 parity={"none": "N", "odd": "O", "even": "E"}[config.parity],
                 timeout=_POLL,
                 write_timeout=1.0,
-                exclusive=True,
-            )
-            self._port.reset_input_buffer()
+            ).reset_input_buffer()
         self._heard_ns, self._asked_ns = self._clock.now_ns(), 0
         try:
             while self._sequence < 0:
@@ -138,8 +118,7 @@ class ScaleDriver(ReceivingDriver):
 
     def describe(self) -> dict[str, Any]:
         """Return the settings."""
-        if self._port is None:
-            raise self._not_open()
+        self._open_port()
         config = self._config
         return {
             "device": "load cell or scale, serial",
@@ -155,30 +134,8 @@ class ScaleDriver(ReceivingDriver):
             "numbering": "host",
         }
 
-    def _release(self) -> None:
-        if self._port is not None:
-            with contextlib.suppress(OSError, termios.error):
-                self._port.close()
-            self._port = None
-
-    @contextlib.contextmanager
-    def _errors(self) -> Iterator[None]:
-        """Translate errors of pyserial and of the system."""
-        try:
-            yield
-        except (OSError, termios.error) as error:
-            text = " ".join(str(error).split())
-            raise DeviceLost(
-                f"{self._config.address}: {text}; check the cable, the power, and that the port is "
-                "yours (group dialout) and no other program's"
-            ) from error
-        except ValueError as error:
-            raise ConfigError(f"{self._config.address}: {error}; allowed: a serial port") from error
-
     def _receive(self) -> None:
-        port, config = self._port, self._config
-        if port is None:
-            raise self._not_open()
+        port, config = self._open_port(), self._config
         now_ns = self._clock.now_ns()
         with self._errors():
             period_ns = round(SECOND_NS / config.rate_hz)

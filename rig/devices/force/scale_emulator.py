@@ -8,7 +8,6 @@ missing while it moves. Faults are injected through rig.core.fault_injection.
 
 from __future__ import annotations
 
-import logging
 import math
 import os
 import select
@@ -19,18 +18,9 @@ from pathlib import Path
 import numpy as np
 
 from rig.core.clock import Clock, Pacer
-from rig.core.emulation import (
-    EmulatorConfig,
-    Pty,
-    Served,
-    SharedWorld,
-    ThreadedEmulator,
-    WorldReader,
-)
+from rig.core.emulation import EmulatorConfig, PtyEmulator, Served, SharedWorld, WorldReader
 from rig.core.fault_injection import FaultInjector, corrupted_bytes
 from rig.devices.force.settings import ScaleConfig
-
-logger = logging.getLogger(__name__)
 
 _GRAMS_PER_N = 1e3 / 9.80665
 # A scale shows its unit while the reading moves by less than this between two readings [N].
@@ -51,39 +41,17 @@ class ScaleEmulatorConfig(EmulatorConfig):
     """Time constant of the scale's filter [s]."""
 
 
-class ScaleEmulator(ThreadedEmulator):
+class ScaleEmulator(PtyEmulator):
     """Emulated scale: one thread filters the force, takes commands and sends lines."""
 
     def __init__(self, config: ScaleEmulatorConfig, world: WorldReader, clock: Clock) -> None:
-        super().__init__()
+        super().__init__(Path(config.device.address))
         self._config = config
         self.faults = FaultInjector[bytes](clock, spoil=corrupted_bytes, seed=config.seed)
         self._world = world
         self._clock = clock
         self._rng = np.random.default_rng(config.seed)
         self._shown = self._before = 0.0
-        self._pty: Pty | None = None
-
-    @property
-    def address(self) -> str:
-        """Link for a driver to open."""
-        return self._config.device.address
-
-    def start(self) -> None:
-        """Create the pty and the link to it, and serve.
-
-        Raises:
-            OSError: No pty is available, or the link cannot be created.
-        """
-        self._pty = Pty(Path(self._config.device.address))
-        self._fd = self._pty.fd
-        os.set_blocking(self._fd, False)
-        self._run_threads(self._serve)
-
-    def _release(self) -> None:
-        if self._pty is not None:
-            self._pty.close()
-            self._pty = None
 
     def lines(self, content: bytes) -> Iterable[bytes]:
         """Return the content sent for one reading; faults and tests lose or corrupt bytes here."""
@@ -134,13 +102,6 @@ class ScaleEmulator(ThreadedEmulator):
         if device.protocol == "kern":
             return f"{'-' if grams < 0 else ' '}{abs(grams):10.2f} {unit:<3}\r\n".encode()
         return f"{'N':<6}{sign}{abs(grams):10.2f} {unit:<3}\r\n".encode()
-
-    def _send(self, content: bytes) -> None:
-        try:
-            os.write(self._fd, content)
-        except BlockingIOError:
-            # Nobody reads it: the line has no handshake, the bytes are lost.
-            logger.debug("%d bytes lost: nobody reads", len(content))
 
 
 def emulate(settings: ScaleEmulatorConfig, clock: Clock) -> Served:
