@@ -443,13 +443,8 @@ def depth_spec(
 
 def force_spec(rate_hz: float, *, name: str = "force", **attrs: Any) -> StreamSpec:
     """Return a stream of forces and torques: measured values minus `attrs["bias"]` (6,)."""
-    value = Column(
-        "value",
-        "float64",
-        (6,),
-        units=_WRENCH_UNITS,
-        dims=("axis",),
-        description="Fx Fy Fz [N], Tx Ty Tz [N m] in the F/T frame, measured minus attrs bias",
+    value = _six_axes(
+        _WRENCH_UNITS, "Fx Fy Fz [N], Tx Ty Tz [N m] in the F/T frame, measured minus attrs bias"
     )
     status = Column("status", "int64", units="1", description="the device's status word")
     attrs.setdefault("bias", [0.0] * 6)
@@ -461,26 +456,16 @@ def arm_wrench_spec(rate_hz: float, *, name: str, **attrs: Any) -> StreamSpec:
 
     It is accurate to a few newtons: it stops the arm and is no label.
     """
-    value = Column(
-        "value",
-        "float64",
-        (6,),
-        units=_WRENCH_UNITS,
-        dims=("axis",),
-        description="Fx Fy Fz [N], Tx Ty Tz [N m] as the arm estimates them, without any zero",
+    value = _six_axes(
+        _WRENCH_UNITS, "Fx Fy Fz [N], Tx Ty Tz [N m] as the arm estimates them, without any zero"
     )
     return _stream("arm_wrench", name, (value, _device_t(), _t_ns()), rate_hz, attrs)
 
 
 def pose_spec(rate_hz: float, *, name: str = "pose", **attrs: Any) -> StreamSpec:
     """Return a stream of a robot's tool pose."""
-    value = Column(
-        "value",
-        "float64",
-        (6,),
-        units=_POSE_UNITS,
-        dims=("axis",),
-        description="x y z [m] and UR rotation vector [rad] in the robot's base frame",
+    value = _six_axes(
+        _POSE_UNITS, "x y z [m] and UR rotation vector [rad] in the robot's base frame"
     )
     scaling = Column(
         "speed_scaling", "float64", units="1", description="the controller's speed scaling, 0 to 1"
@@ -549,6 +534,10 @@ def event_row(text: str, length: int = 256) -> np.ndarray[Any, Any]:
 def event_text(row: np.ndarray[Any, Any]) -> str:
     """Return the text of a row (length,) uint8 of an event stream."""
     return bytes(np.asarray(row, np.uint8)).rstrip(b"\0").decode("utf-8", "replace")
+
+
+def _six_axes(units: Any, description: str) -> Column:
+    return Column("value", "float64", (6,), units=units, dims=("axis",), description=description)
 
 
 def _stream(

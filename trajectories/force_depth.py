@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from trajectories.moves import PHASES, Move, Target, check_positive
+from trajectories.moves import Move, Target, check_positive, down_and_up
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,4 @@ class ForceDepth:
 
     def moves(self, target: Target) -> tuple[Move, ...]:
         """Return the loading and the unloading move."""
-        return (
-            Move(target.index, PHASES.index("normal_inc"), target.origin, target.bottom),
-            Move(target.index, PHASES.index("normal_dec"), target.bottom, target.origin),
-        )
+        return down_and_up(target)

@@ -69,6 +69,15 @@ class Plan(Protocol):
         """Return the recorded moves of one target, each starting at the end of the previous one."""
 
 
+def down_and_up(target: Target, end: Point | None = None) -> tuple[Move, ...]:
+    """Return the moves of a press without shear: down, and up to `end`; by default to its p0."""
+    up = target.origin if end is None else end
+    return (
+        Move(target.index, PHASES.index("normal_inc"), target.origin, target.bottom),
+        Move(target.index, PHASES.index("normal_dec"), target.bottom, up),
+    )
+
+
 def dome_height(radius: float | None, x: float, y: float) -> float:
     """Return the height of a sensor's undeformed top at (x, y) [m], 0 at the centre.
 

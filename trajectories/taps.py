@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from trajectories.moves import PHASES, Move, Target, check_positive
+from trajectories.moves import Move, Target, check_positive, down_and_up
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +75,4 @@ class Taps:
     def moves(self, target: Target) -> tuple[Move, ...]:
         """Return the move down, and the move up to the start of the next tap."""
         rise = (0.0, 0.0, self._drawn()[0][target.index + 1])
-        return (
-            Move(target.index, PHASES.index("normal_inc"), target.origin, target.bottom),
-            Move(target.index, PHASES.index("normal_dec"), target.bottom, rise),
-        )
+        return down_and_up(target, rise)

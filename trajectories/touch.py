@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from trajectories.moves import PHASES, Move, Target, check_positive, dome_height
+from trajectories.moves import Move, Target, check_positive, dome_height, down_and_up
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,4 @@ class Touch:
 
     def moves(self, target: Target) -> tuple[Move, ...]:
         """Return the move down, and the move up in case there was no contact."""
-        return (
-            Move(target.index, PHASES.index("normal_inc"), target.origin, target.bottom),
-            Move(target.index, PHASES.index("normal_dec"), target.bottom, target.origin),
-        )
+        return down_and_up(target)

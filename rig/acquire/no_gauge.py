@@ -25,8 +25,9 @@ from rig.acquire.calibration.calibration import (
     FirstPressRecord,
     HomeCalibration,
 )
+from rig.acquire.calibration.home import home_calibration, truth_lines
 from rig.acquire.calibration.signal_onset import FoundSurface
-from rig.acquire.calibration.store import age_hours, bench_hash, now_utc
+from rig.acquire.calibration.store import age_hours, now_utc
 from rig.bench.bench import Bench
 from rig.bench.no_gauge import FRACTION, SURFACE_HOURS, SURFACE_WIDTH, slowed
 from rig.core.errors import ConfigError, SafetyStop
@@ -146,7 +147,7 @@ def check_surface(found: FoundSurface, shift: float) -> None:
         shift: Height of the surface above the place that the bench file states [m].
 
     Raises:
-        SafetyStop: States what was found and what is allowed.
+        SafetyStop: Names the value, and the range that is allowed.
     """
     if found.surface.width > SURFACE_WIDTH:
         raise SafetyStop(
@@ -181,17 +182,8 @@ def home_of(
         bench: The bench as its file describes it.
         content: Content of the file.
     """
-    surface = found.surface
-    return HomeCalibration(
-        date_utc=now_utc(),
-        method=signal_onset.METHOD,
-        mock=bench.mock,
-        bench_sha256=bench_hash(content),
-        contact_frame=tuple(bench.contact_frame),
-        tcp=tuple(bench.arm.tcp),
-        shift=rough + surface.z,
-        interval=(rough + surface.interval[0], rough + surface.interval[1]),
-        contacts=tuple(rough + onset.z for onset in found.onsets),
+    return home_calibration(
+        signal_onset.METHOD, found.surface, found.onsets, bench, content, raised=rough
     )
 
 
@@ -226,8 +218,8 @@ def check_home(bench: Bench, calibration: Calibration, hint: str) -> None:
         )
 
 
-def lines_of(found: FoundSurface, home: HomeCalibration, truth: float | None) -> list[str]:
-    """Return the result as lines, with the true height of a mock bench's surface [m]."""
+def lines_of(found: FoundSurface, home: HomeCalibration, bench: Bench) -> list[str]:
+    """Return the result as lines, with the true height of a mock bench's surface."""
     low, high = (1e3 * value for value in home.interval)
     lines = [
         f"home: surface {1e3 * home.shift:+.3f} mm along z of the bench file's contact frame "
@@ -241,20 +233,7 @@ def lines_of(found: FoundSurface, home: HomeCalibration, truth: float | None) ->
             + ", ".join(f"{point}: {1e3 * z:+.3f}" for point, z in found.heights.items())
             + " mm"
         )
-    if truth is not None:
-        lines.append(
-            f"home: the mock bench's true surface is at {1e3 * truth:+.3f} mm: difference "
-            f"{1e3 * (home.shift - truth):+.3f} mm"
-        )
-    return lines
-
-
-def true_height(bench: Bench) -> float | None:
-    """Return the height of a mock bench's true surface in its contact frame [m]."""
-    if not bench.mock:
-        return None
-    origin = np.array((bench.world_frame or bench.contact_frame)[:3])
-    return float(transform(invert(bench.contact_frame), origin)[2])
+    return [*lines, *truth_lines(bench, home.shift)]
 
 
 class Record(Protocol):
@@ -311,7 +290,7 @@ def find_surface(bench: Bench, content: dict[str, Any], record: Record) -> HomeC
     session = record("home", touches, lambda ready: touching(at_surface(ready, rough)))
     surface = signal_onset.evaluate(session, touches)
     home = home_of(surface, rough, bench, content)
-    print("\n".join(lines_of(surface, home, true_height(bench))), flush=True)
+    print("\n".join(lines_of(surface, home, bench)), flush=True)
     check_surface(surface, home.shift)
     return home
 

@@ -138,16 +138,30 @@ def calibration_from(found: Approaches, bench: Bench, content: dict[str, Any]) -
         bench: The bench as described by its file.
         content: Content of the file.
     """
+    return home_calibration(METHOD, found.surface, found.onsets, bench, content)
+
+
+def home_calibration(
+    method: str,
+    surface: Surface,
+    onsets: Sequence[Onset],
+    bench: Bench,
+    content: dict[str, Any],
+    *,
+    raised: float = 0.0,
+) -> HomeCalibration:
+    """Return the calibration of a surface that was touched `raised` [m] above the bench's frame."""
+    low, high = surface.interval
     return HomeCalibration(
         date_utc=now_utc(),
-        method=METHOD,
+        method=method,
         mock=bench.mock,
         bench_sha256=bench_hash(content),
         contact_frame=tuple(bench.contact_frame),
         tcp=tuple(bench.arm.tcp),
-        shift=found.surface.z,
-        interval=found.surface.interval,
-        contacts=tuple(onset.z for onset in found.onsets),
+        shift=raised + surface.z,
+        interval=(raised + low, raised + high),
+        contacts=tuple(raised + onset.z for onset in onsets),
     )
 
 
@@ -171,17 +185,19 @@ def lines_of(found: Approaches, bench: Bench) -> list[str]:
             f"home: the surface tilts by {across:+.2f} deg along x, {along:+.2f} deg along y "
             "(reported; correct contact_frame's rotation_deg if it matters)"
         )
-    if bench.mock:
-        truth = transform(invert(bench.contact_frame), _origin(bench))[2]
-        lines.append(
-            f"home: the mock bench's true surface is at {1e3 * truth:+.3f} mm: "
-            f"difference {1e3 * (surface.z - truth):+.3f} mm"
-        )
-    return lines
+    return [*lines, *truth_lines(bench, surface.z)]
 
 
-def _origin(bench: Bench) -> np.ndarray:
-    return np.array((bench.world_frame or bench.contact_frame)[:3])
+def truth_lines(bench: Bench, height: float) -> list[str]:
+    """Return the comparison of a surface's height [m] with the true one; empty on a lab bench."""
+    if not bench.mock:
+        return []
+    origin = np.array((bench.world_frame or bench.contact_frame)[:3])
+    truth = float(transform(invert(bench.contact_frame), origin)[2])
+    return [
+        f"home: the mock bench's true surface is at {1e3 * truth:+.3f} mm: "
+        f"difference {1e3 * (height - truth):+.3f} mm"
+    ]
 
 
 def plan_for(bench: Bench, *, travel: float | None, repeats: int, points: Sequence[int]) -> Touch:
