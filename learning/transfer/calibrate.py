@@ -9,7 +9,7 @@ new indenter, not an error of that scaling: that one is the interval's `Scale`.
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -147,6 +147,23 @@ def presses_of_rows(sensor: ArchivedSensor, rows: NDArray[np.int64], model: Forc
         SessionError: The archive is corrupt.
     """
     return load_presses(sensor, rows, device=model.device, form=model.inputs.stored_form)
+
+
+def forces_at(
+    sensor: ArchivedSensor, rows: Sequence[int] | NDArray[np.int64], model: ForceModel
+) -> Floats:
+    """Return the forces that a model predicts in some rows (n, 3) [N], from their whole presses.
+
+    Raises:
+        SessionError: The archive is corrupt.
+    """
+    table = sensor.table
+    keys = np.stack([table[name] for name in ("location", "indenter", "target")], axis=1)
+    wanted = np.unique(keys[rows], axis=0)
+    whole = (keys[:, None] == wanted[None]).all(axis=-1).any(axis=1) & table["valid"]
+    presses = presses_of_rows(sensor, np.flatnonzero(whole), model)
+    order = {row: place for place, row in enumerate(presses.rows.tolist())}
+    return model.predict(presses)[[order[int(row)] for row in rows]]
 
 
 def _presses(sensor: ArchivedSensor, chosen: NDArray[np.bool_], model: ForceModel) -> Presses:

@@ -26,7 +26,7 @@ from learning.force.intervals import Scale
 from learning.force.model import load_force_model
 from learning.force.train import Compensation
 from learning.training.checkpoint import CONFIG, MODEL, read_model_folder
-from learning.transfer.calibrate import Calibration, calibrate, presses_of_rows
+from learning.transfer.calibrate import Calibration, calibrate, forces_at, presses_of_rows
 from learning.transfer.deliver import (
     PRESSES,
     Card,
@@ -36,7 +36,7 @@ from learning.transfer.deliver import (
     lines_of,
     write_report,
 )
-from learning.transfer.few_labels import Labels, error_curve, read_labels, scale_of_labels
+from learning.transfer.few_labels import error_curve, read_labels, scale_of_labels
 from learning.transfer.pairs import join_pair, split_pair
 from learning.transfer.tune import tune_by_place
 from recorder import MarkerArchive
@@ -165,7 +165,7 @@ def run_transfer(asked: Request, say: Say = print) -> Card:
     curve: list[dict[str, str]] = []
     if asked.labels is not None:
         few = read_labels(asked.labels, asked.target.archive, asked.target.sensor)
-        given = _forces_of_labels(few, archive, target, trained, factor)
+        given = factor * forces_at(archive[target], few.rows, load_force_model(trained))
         curve = error_curve(few, given, calibration.intervals)
         value, scale, text = scale_of_labels(few, given, calibration.intervals)
         factor *= value
@@ -307,20 +307,6 @@ def _met(archive: MarkerArchive, source: str, target: str) -> int:
     """Return the number of presses that match."""
     one, other = (archive[name].table["location"] for name in (source, target))
     return len(np.intersect1d(one[one >= 0], other[other >= 0]))
-
-
-def _forces_of_labels(
-    few: Labels, archive: MarkerArchive, target: str, trained: Path, factor: float
-) -> np.ndarray:
-    """Return the forces predicted in labelled frames (n, 3) [N]."""
-    sensor, model = archive[target], load_force_model(trained)
-    table = sensor.table
-    keys = np.stack([table["indenter"], table["target"]], axis=1)
-    wanted = np.unique(keys[few.rows], axis=0)
-    whole = (keys[:, None] == wanted[None]).all(axis=-1).any(axis=1) & table["valid"]
-    presses = presses_of_rows(sensor, np.flatnonzero(whole), model)
-    order = {row: place for place, row in enumerate(presses.rows.tolist())}
-    return factor * model.predict(presses)[[order[row] for row in few.rows.tolist()]]
 
 
 def _deliver_before(trained: Path, out: Path) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from learning.errors import LearningError
 from learning.force.intervals import Held, measured_scale, read_intervals
 from learning.force.model import load_force_model
-from learning.transfer.calibrate import presses_of_rows
+from learning.transfer.calibrate import forces_at
 from learning.transfer.deliver import deliver, lines_of, read_card
 from recorder import MarkerArchive
 
@@ -127,15 +127,8 @@ def forces_of_rows(model_folder: Path, named: str, rows: Sequence[int]) -> list[
     for row in rows:
         if not 0 <= row < len(sensor) or not table["valid"][row]:
             raise LearningError(f"--rows: found {row}; allowed: valid rows, 0 to {len(sensor) - 1}")
-    found = []
-    for row in rows:
-        same = table["valid"].copy()
-        for key in ("location", "indenter", "target"):
-            same &= table[key] == table[key][row]
-        presses = presses_of_rows(sensor, np.flatnonzero(same), model)
-        place = presses.rows.tolist().index(row)
-        found.append(float(model.predict(presses)[place, 2]))
-    return found
+    fz: list[float] = forces_at(sensor, rows, model)[:, 2].tolist()
+    return fz
 
 
 def _read(path: Path) -> tuple[Floats, NDArray[np.bool_]]:

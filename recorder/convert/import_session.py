@@ -118,6 +118,12 @@ def _first(take: Take, kind: As) -> Track | None:
     return next((track for track in take.tracks if track.kind == kind), None)
 
 
+def _film(take: Take) -> Film | None:
+    """Return the pictures of the first camera; None without one."""
+    track = _first(take, "video")
+    return track.content if track is not None and isinstance(track.content, Film) else None
+
+
 def _draft(take: Take, answers: Answers) -> Draft:
     indenter = indenter_of(take.name, answers)
     assumed = [*take.assumed]
@@ -131,9 +137,9 @@ def _draft(take: Take, answers: Answers) -> Draft:
     if end < max(seconds.values()):
         assumed.append(f"{take.name}: all cut to {end:.3f} s, the length of the shortest")
     end_ns = round(end * 1e9)
-    film = _first(take, "video")
-    if isinstance(film and film.content, Film) and film and film.content.names:  # type: ignore[union-attr]
-        no_contact, presses, trace = _stills(film.content, small, answers)  # type: ignore[arg-type]
+    film = _film(take)
+    if film is not None and film.names:
+        no_contact, presses, trace = _stills(film, small, answers)
     else:
         no_contact, presses, trace = _contacts(take, small, answers, end_ns)
     forces = _first(take, "force")
@@ -152,10 +158,8 @@ def _draft(take: Take, answers: Answers) -> Draft:
 
 def _small_pictures(take: Take) -> NDArray[np.uint8] | None:
     """Return the pictures of the first camera (n, 30, 30, 3)."""
-    track = _first(take, "video")
-    if track is None or not isinstance(track.content, Film):
-        return None
-    return np.stack([_shrunk(image) for image in track.content.load()])
+    film = _film(take)
+    return None if film is None else np.stack([_shrunk(image) for image in film.load()])
 
 
 def _shrunk(image: Any) -> NDArray[np.uint8]:
@@ -334,10 +338,10 @@ def _require_sign(track: Track, no_contact: Span, presses: Sequence[Press]) -> N
     if not isinstance(content, Wrenches) or "Fz" not in content.attrs["axes_measured"]:
         return
     t_ns, force = content.t_ns, content.value[:, 2]
-    rest = force[(t_ns >= no_contact[0]) & (t_ns < no_contact[1])]
+    rest = force[_inside(t_ns, no_contact)]
     touched = np.zeros(len(t_ns), np.bool_)
     for press in presses:
-        touched |= (t_ns >= press.start_ns) & (t_ns < press.end_ns)
+        touched[_inside(t_ns, (press.start_ns, press.end_ns))] = True
     if not rest.size or not touched.any():
         return
     change = force[touched] - rest.mean()
@@ -473,8 +477,8 @@ def _write(
 def _phases(press: Press, draft: Draft) -> list[tuple[int, Span]]:
     """Return the phases of a press: loading to its largest change, then unloading."""
     down, up = PHASES.index("normal_inc"), PHASES.index("normal_dec")
-    film = _first(draft.take, "video")
-    if film is not None and isinstance(film.content, Film) and film.content.names:
+    film = _film(draft.take)
+    if film is not None and film.names:
         return [(down, (press.start_ns, press.end_ns))]
     return [(down, (press.start_ns, press.peak_ns)), (up, (press.peak_ns, press.end_ns))]
 
@@ -492,8 +496,7 @@ def _targets(drafts: Sequence[Draft], answers: Answers) -> dict[str, Any]:
                 raise SessionError(f"{draft.take.name}: found no pose")
             depths = depth_in(frame, track.content.value)
             for press in draft.presses:
-                times = track.content.t_ns
-                inside = np.flatnonzero((times >= press.start_ns) & (times < press.end_ns))
+                inside = _inside(track.content.t_ns, (press.start_ns, press.end_ns))
                 if inside.size:
                     deepest = inside[np.argmax(depths[inside])]
                     depth[row] = max(float(depths[deepest]), 0.0)
