@@ -240,7 +240,7 @@ class Held:
 def measured_scale(
     held: Sequence[Held], prior: Scale, source: str, *, independent: int = 1
 ) -> tuple[float, Scale]:
-    """Return the factor on predicted forces, and what remains unknown of it.
+    """Return the factor on predicted forces, and its remaining uncertainty.
 
     The factor is the least-squares ratio of known over predicted forces. Prior and measurement are
     combined by their precision (both are log-normal): weights that are too light for the model to

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from learning.errors import LearningError
 from learning.force.export import export_onnx
 from learning.force.intervals import COVERAGE, AxisError, Intervals
 from learning.force.model import AXES, ForceModel, load_force_model
@@ -99,8 +100,6 @@ def read_card(model_folder: Path, intervals: Intervals) -> Card:
     Raises:
         LearningError: The folder holds no model that `tactile transfer` made.
     """
-    from learning.errors import LearningError
-
     content = read_model_folder(model_folder).config.metadata.get("transfer")
     if not isinstance(content, Mapping):
         raise LearningError(
@@ -219,7 +218,7 @@ def forces_picture(
 
 
 def lines_of(card: Card) -> Iterator[str]:
-    """Yield what the command prints of a model: the half-widths, and what is not known."""
+    """Yield the lines that commands print: half-widths, unmeasured axes and the scale."""
     intervals = card.intervals
     for name, one in zip(AXES, intervals.axes, strict=True):
         if one is None:

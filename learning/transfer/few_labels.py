@@ -97,7 +97,7 @@ def read_labels(path: Path, archive: MarkerArchive, sensor: str) -> Labels:
 def scale_of_labels(
     labels: Labels, predicted: Floats, intervals: Intervals
 ) -> tuple[float, Scale, str]:
-    """Return the factor on predicted forces, what remains unknown of it, and a sentence.
+    """Return the factor on predicted forces, its remaining uncertainty, and a sentence.
 
     Args:
         labels: Labels of the target.

@@ -1003,7 +1003,7 @@ class _Batch:
         self._spent = [Spent() for _scene in scenes]
         self._busy = np.zeros(count, bool)
         self._augmented = np.zeros(count, int)
-        self._largest = np.zeros(count)
+        self._largest = np.zeros(count)  # force at a waypoint, by environment [E T^2]
         self._last = np.zeros((count, 2))
         self._tip, self._share = np.zeros((count, 3)), np.zeros(count)
         self._duration, self._load = np.ones(count), np.ones(count)
@@ -1083,13 +1083,16 @@ class _Batch:
             return
         assembly, newton = self._assembly, self._newton
         again, good, bad = np.zeros((3, len(done)), bool)
+        force = np.linalg.norm(assembly.sums.contact, axis=1)
+        at_goal = done & newton.converged & (self._share >= 1.0)
+        self._largest[at_goal] = np.maximum(self._largest, force)[at_goal]
         for i in np.flatnonzero(done).tolist():
             spent = self._spent[i]
             spent.newton += int(newton.iterations[i])
             spent.cg += int(newton.cg[i])
             if not newton.converged[i]:
                 bad[i] = True
-            elif self._share[i] >= 1.0 and self._augmented[i] < self._augmentations(i):
+            elif at_goal[i] and self._augmented[i] < self._augmentations(force[i], i):
                 again[i] = True
             else:
                 good[i] = True
@@ -1121,13 +1124,11 @@ class _Batch:
         tolerance = self._numerics.tolerance
         return bool(tolerance < self._newton.residual[env] < ROUNDING * tolerance)
 
-    def _augmentations(self, env: int) -> int:
-        force = float(np.linalg.norm(self._assembly.sums.contact[env]))
-        self._largest[env] = max(self._largest[env], force)
+    def _augmentations(self, force: float, env: int) -> int:
         if not force:
             return 0
-        weak = FADED if force < FADED_BELOW * self._largest[env] else 0
-        return self._numerics.augmentations + weak
+        fades = force < FADED_BELOW * self._largest[env]
+        return self._numerics.augmentations + (FADED if fades else 0)
 
     def _take(self, good: np.ndarray) -> None:
         if not good.any():
