@@ -404,11 +404,10 @@ class Recorded:
         since: Number of the stage's first pose and signal.
     """
 
-    path = Path("stage.zarr")
-
     def __init__(
         self, clock: SimulatedBench, bench: Bench, segments: _Table, since: tuple[int, int]
     ) -> None:
+        self.path = clock.folder / "stage.zarr"
         rows = segments.rows
         names = rows[0] if rows else ("target", "phase", "outcome")
         self.segments = {name: np.array([row[name] for row in rows]) for name in names}
