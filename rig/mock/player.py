@@ -90,7 +90,9 @@ def make_playback_device(recorded: RecordedStream, host: str) -> PlaybackDevice:
 logger = logging.getLogger(__name__)
 
 STEP_NS = SECOND_NS // 50
-_NAP_NS = 200_000
+# Pauses between two looks at a condition: they double while it does not hold, because a dozen
+# emulators that look 5,000 times per second each leave no time for the readers they wait for.
+_NAP_NS, _LONGEST_NAP_NS = 200_000, 5_000_000
 _SLICE_NS = SECOND_NS // 20
 # Pauses between wake-ups [s]: fewer than the 10 corrupt frames in a row that mean a lost camera.
 _WAKE_PAUSES = (0.05, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)
@@ -234,6 +236,7 @@ class Player(ThreadedEmulator):
     def _waited(self, condition: Callable[[], bool]) -> bool:
         """Wait for `condition`; return False if stopped first."""
         idle_ns = self._clock.now_ns() + _SLICE_NS
+        nap_ns = _NAP_NS
         while not condition():
             if self._over:
                 return False
@@ -241,7 +244,8 @@ class Player(ThreadedEmulator):
             if now_ns >= idle_ns:
                 self._device.idle()
                 idle_ns = now_ns + _SLICE_NS
-            self._clock.sleep_until(now_ns + _NAP_NS)
+            self._clock.sleep_until(now_ns + nap_ns)
+            nap_ns = min(2 * nap_ns, _LONGEST_NAP_NS)
         return not self._over
 
 
@@ -258,11 +262,17 @@ class _Step:
         # Positions only advance, so none is read while the last reading allows the row.
         if t_ns <= self._reached_ns + STEP_NS or not self._records:
             return True
-        positions = [record.read() for record in self._records]
-        self._reached_ns = min(
-            0 if position is None else int(position["t_ns"]) for position in positions
-        )
-        return t_ns <= self._reached_ns + STEP_NS
+        reached_ns = FAR_NS
+        for place, record in enumerate(self._records):
+            position = record.read()
+            at_ns = 0 if position is None else int(position["t_ns"])
+            if t_ns > at_ns + STEP_NS:
+                # Read first from now on, and alone until it has moved.
+                self._records.insert(0, self._records.pop(place))
+                return False
+            reached_ns = min(reached_ns, at_ns)
+        self._reached_ns = reached_ns
+        return True
 
     def close(self) -> None:
         for record in self._records:
@@ -302,6 +312,7 @@ def emulate(settings: PlayerConfig, clock: Clock) -> Served:
     player = Player(
         name, recorded, device, settings.folder, clock, speed=settings.speed, others=others
     )
-    camera = recorded.stream.traits.kind == "camera"
-    priority = CAMERA_PRIORITY if camera else DEVICE_PRIORITY
+    # At maximum speed the readers set the pace, so no emulator may keep one from running.
+    yields = settings.speed == 0 or recorded.stream.traits.kind == "camera"
+    priority = CAMERA_PRIORITY if yields else DEVICE_PRIORITY
     return Served(name, player, priority=priority)

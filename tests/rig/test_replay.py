@@ -20,11 +20,21 @@ from support.sessions import Columns, make_session, set_attrs
 
 from recorder import Session, SessionError, check, faults
 from recorder.info import digests
-from rig.core.clock import SECOND_NS
+from rig.core.clock import SECOND_NS, FakeClock
 from rig.core.errors import DeviceLost
+from rig.core.realtime import RIG_PRIORITY
+from rig.core.shared_memory import SharedLatest
 from rig.devices.force.netft_wire import Page
 from rig.devices.playback.wire import force_counts, replayable
-from rig.mock.playback_sync import ENDED, PLAYING, POSITION
+from rig.mock.playback_sync import (
+    ENDED,
+    PLAYING,
+    POSITION,
+    SYNC,
+    position_path,
+    sync_path,
+)
+from rig.mock.player import Player, PlayerConfig, emulate
 from rig.replay import replay as module
 from rig.replay.replay import EXIT_DIFFERENT, Replay, ReplayRequest
 from rig.replay.result import Retiming, compared
@@ -278,6 +288,26 @@ def test_a_tape_that_never_ends_is_given_up() -> None:
 def test_more_rows_than_were_sent_are_no_replay() -> None:
     with pytest.raises(DeviceLost, match="force: 1 rows more than were sent"):
         EndOfTape({"force": 10}, 0.0).reached(0, {"force": 11}, {"force": _position(ENDED, 10)})
+
+
+def test_at_maximum_speed_no_emulator_keeps_a_reader_from_running(tmp_path: Path) -> None:
+    source = small_session(tmp_path / "s.zarr", seconds=0.2, names=("force",))
+    SharedLatest.create(sync_path(tmp_path), SYNC)
+    SharedLatest.create(position_path(tmp_path, "force"), POSITION)
+    clock = FakeClock()
+    job = PlayerConfig(source, "force", tmp_path, "127.0.0.1", ("force",), speed=0.0)
+    fast, paced = emulate(job, clock), emulate(replace(job, speed=1.0), clock)
+    assert fast.priority < RIG_PRIORITY < paced.priority
+    looks: list[int] = []
+
+    def a_second_has_passed() -> bool:
+        looks.append(clock.now_ns())
+        return clock.now_ns() >= SECOND_NS
+
+    assert isinstance(fast.emulator, Player)
+    assert fast.emulator._waited(a_second_has_passed)
+    assert np.diff(looks[:3]).max() < SECOND_NS // 1000
+    assert len(looks) < 250
 
 
 @pytest.fixture(scope="module")
