@@ -93,10 +93,16 @@ class Pose:
 def current_keys(kind: Any, content: Mapping[str, Any]) -> dict[str, Any]:
     """Return a mapping for the dataclass `kind`, with the keys of older files renamed."""
     content = dict(content)
-    for each in dataclasses.fields(kind):
-        if (old := each.metadata.get("formerly")) in content and each.name not in content:
-            content[each.name] = content.pop(old)
+    for old, new in _former_keys(kind).items():
+        if old in content and new not in content:
+            content[new] = content.pop(old)
     return content
+
+
+def _former_keys(kind: Any) -> dict[str, str]:
+    """Return the names of fields by their keys in older files."""
+    fields = dataclasses.fields(kind)
+    return {each.metadata["formerly"]: each.name for each in fields if "formerly" in each.metadata}
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,18 +116,20 @@ class Reader:
     stored: bool = False
     """True for values stored by a program: SI under the names of the fields, infinity as `inf`."""
 
-    def read(self, path: Path, library: Path | None = None) -> dict[str, Any]:
+    def read(self, path: Path, library: Path | None = None, *, kind: Any = None) -> dict[str, Any]:
         """Return the mapping in a YAML file, merged over the file that its `extends` names.
 
         Args:
             path: The file.
             library: Folder in which a file named by `extends` is also looked for.
+            kind: Dataclass that the file describes; its keys in older files are renamed before
+                files are merged.
 
         Raises:
             ValueError: Of type `error`: no such file, not YAML, not a mapping, or a circle.
         """
         try:
-            return read_mapping(path, library=library)
+            return read_mapping(path, library=library, renamed=_former_keys(kind) if kind else None)
         except YamlError as error:
             raise self.error(str(error)) from None
 

@@ -57,11 +57,11 @@ class Reader:
     """Reader of one sensor of an archive; keeps constant data between calls."""
 
     def __init__(self, sensor: SimulatedSensor, seed: int, device: str) -> None:
-        """Mount the sensor with the variations in its `life`."""
+        """Mount the sensor with the deviations in its `variation`."""
         self.sensor = sensor
         self._readout = readout(sensor, seed=seed, device=device)
         # A lab picks a good reference, so it has no segmentation errors and no noise.
-        careful = replace(sensor, life=replace(sensor.life, segmentation=None))
+        careful = replace(sensor, variation=replace(sensor.variation, segmentation=None))
         taxels = isinstance(self._readout, TaxelReadout)
         self._still = readout(careful, seed=None if taxels else seed, device=device)
         self._creep = creep(sensor, seed)
@@ -130,9 +130,9 @@ def creep(sensor: SimulatedSensor, seed: int) -> Array:
     Offsets follow one random walk over all indenters in their order, so that a point's offset does
     not depend on which indenters are simulated.
     """
-    if sensor.life.drift is None or sensor.trajectory is None:
+    if sensor.variation.drift is None or sensor.trajectory is None:
         return np.zeros((1, 2))
-    return sensor.life.drift.drawn(session_points(sensor.trajectory), seed, sensor.name)
+    return sensor.variation.drift.drawn(session_points(sensor.trajectory), seed, sensor.name)
 
 
 def crept(top: SurfaceField, offset: Array) -> SurfaceField:

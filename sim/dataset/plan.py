@@ -669,9 +669,9 @@ def _family(plan: DatasetPlan, sensors: tuple[SimulatedSensor, ...]) -> Family:
 def _deformation(plan: DatasetPlan, each: SimulatedSensor) -> Hashable:
     """Return a key that is equal for sensors with the same deformations."""
     body = replace(each.body, modulus=MODULUS) if _proportional(plan, each) else each.body
-    life = each.life.mount, each.life.grip
-    own = each.name if any(life) else ""
-    return body, each.effects, each.film, each.speed, each.trajectory, each.force_depth, life, own
+    varied = each.variation.mount, each.variation.grip
+    own = each.name if any(varied) else ""
+    return body, each.effects, each.film, each.speed, each.trajectory, each.force_depth, varied, own
 
 
 def _proportional(plan: DatasetPlan, each: SimulatedSensor) -> bool:

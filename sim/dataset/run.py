@@ -183,7 +183,7 @@ def _marker_count(each: SimulatedSensor, references: Packed) -> MarkerCount | No
     """Return the marker check; its tolerance allows for markers that segmentation misses."""
     if not isinstance(each.signal, CameraSignal):
         return None
-    errors = each.life.segmentation
+    errors = each.variation.segmentation
     if errors is None:
         return MarkerCount()
     # An upper bound: every marker counts as lying in the rim as well.
@@ -566,7 +566,7 @@ def _bytes(each: SimulatedSensor) -> float:
 def _seconds_seeing(each: SimulatedSensor) -> float:
     if not isinstance(each.signal, CameraSignal):
         return SECONDS_MASK
-    segmented = 0.0 if each.life.segmentation is None else SECONDS_SEGMENTED
+    segmented = 0.0 if each.variation.segmentation is None else SECONDS_SEGMENTED
     return SECONDS_VIEW + len(names(each)) * (SECONDS_MASK + segmented)
 
 

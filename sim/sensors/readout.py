@@ -44,7 +44,7 @@ def readout(
 
     Args:
         sensor: The sensor.
-        seed: Seed of its noise and of the variations in its `life`; None disables both.
+        seed: Seed of its noise and of the variations in its `variation`; None disables both.
         session: Names that distinguish its frames from other sessions, such as the indenter.
         device: Device that renders the images, `cpu` or `cuda:0` and the like.
     """
@@ -109,7 +109,7 @@ class CameraReadout:
         self.patterns = signal.patterns
         self._renderer = Renderer(sensor.body, self.camera, device=device)
         self._textures = self._renderer.textures(self._patterns)
-        errors = sensor.life.segmentation
+        errors = sensor.variation.segmentation
         self._segmenters = (
             []
             if errors is None or seed is None
@@ -192,12 +192,12 @@ class CameraReadout:
 
 
 def _placement(sensor: SimulatedSensor, seed: int | None) -> Placement:
-    mount = sensor.life.mount
+    mount = sensor.variation.mount
     return Placement() if mount is None or seed is None else mount.drawn(seed, sensor.name)
 
 
 def _framed(sensor: SimulatedSensor, signal: CameraSignal, seed: int | None) -> Camera:
-    camera, framing = signal.camera(), sensor.life.framing
+    camera, framing = signal.camera(), sensor.variation.framing
     if framing is None or seed is None:
         return camera
     column, row, turn = framing.drawn(seed, sensor.name)

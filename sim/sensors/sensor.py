@@ -91,7 +91,9 @@ class SimulatedSensor:
     """Recorded presses; None without such a recording."""
     force_depth: ForceDepth | None = None
     """Presses that relate force and depth, for material compensation."""
-    life: DeviceVariation = field(default_factory=DeviceVariation)
+    variation: DeviceVariation = field(
+        default_factory=DeviceVariation, metadata={"formerly": "life"}
+    )
     """Deviations of this device from its design; all off by default."""
 
     def __post_init__(self) -> None:
@@ -143,14 +145,14 @@ class SimulatedSensor:
         return replace(indenter, edge_radius=min(self.film, indenter.edge_radius_max))
 
     def placed(self, indenter: Indenter, motion: Motion, *, seed: int) -> Scene:
-        """Return the scene of a robot's motion, with mount and grip drawn at random from `life`.
+        """Return the scene of a motion with mount and grip drawn at random from `variation`.
 
         `Mount.drawn(seed, name).field` then transforms its deformation to the sensor's frame.
         """
-        if self.life.mount is not None:
-            motion = self.life.mount.drawn(seed, self.name).motion(motion)
-        if self.life.grip is not None:
-            about_x, about_y = self.life.grip.drawn(seed, self.name, indenter.name)
+        if self.variation.mount is not None:
+            motion = self.variation.mount.drawn(seed, self.name).motion(motion)
+        if self.variation.grip is not None:
+            about_x, about_y = self.variation.grip.drawn(seed, self.name, indenter.name)
             indenter = indenter.tilted(about_x, about_y)
         return self.scene(indenter, motion)
 
@@ -188,7 +190,7 @@ def read_sensor(path: Path) -> SimulatedSensor:
     Raises:
         SceneError: The file is invalid; the message names the file and the key.
     """
-    content = READER.read(path)
+    content = READER.read(path, kind=SimulatedSensor)
     if "name" in content:
         raise SceneError(f"{path}: unknown ['name']; a sensor is named as its file is")
     return READER.build(SimulatedSensor, {"name": path.stem, **content}, str(path))

@@ -634,7 +634,7 @@ SIM_CASES = (
                 "{out}/mine.yaml",
                 "extends: {root}/sim/sensors/rows/gelsight.yaml\ndescription: our own skin\n"
                 "body: {modulus_kpa: 200.0}\nsignal: {patterns: [Circle-I]}\n"
-                "life: {mount: {shift_mm: 0.2, turn_deg: 1.0}}\n",
+                "variation: {mount: {shift_mm: 0.2, turn_deg: 1.0}}\n",
             ),
         ),
         look=("x.markers.zarr",),

@@ -51,7 +51,7 @@ def camera_readout(each: SimulatedSensor, **options: object) -> CameraReadout:
 
 
 def plain(name: str) -> SimulatedSensor:
-    return replace(sensor(name), life=DeviceVariation())
+    return replace(sensor(name), variation=DeviceVariation())
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +106,7 @@ def test_the_displacement_lattice_says_how_far_the_image_moved(gelsight: CameraR
 def test_parameters_of_nothing_give_the_plain_image() -> None:
     each = plain("gelsight")
     # Jitter below a hundredth of a pixel, and zero probabilities.
-    quiet = replace(each, life=DeviceVariation(segmentation=Segmentation()))
+    quiet = replace(each, variation=DeviceVariation(segmentation=Segmentation()))
     top = dent(each)
     np.testing.assert_array_equal(
         camera_readout(quiet, seed=0).coverage(top)[0, 0] >= 128,
@@ -129,7 +129,7 @@ def test_lives_differ_between_sensors_and_come_back_the_same() -> None:
 
 def test_mounted_sensors_are_pressed_beside_their_middle() -> None:
     each = sensor("array-i")
-    mount = each.life.mount
+    mount = each.variation.mount
     assert mount is not None
     placement = mount.drawn(5, each.name)
     scene = each.placed(named("prism"), press([1e-3]), seed=5)

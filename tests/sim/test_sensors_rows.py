@@ -54,7 +54,7 @@ def test_skins_grow_softer_with_their_ratio() -> None:
 def test_homogeneous_sensors_share_a_body_and_a_life_and_differ_in_patterns() -> None:
     rows = [sensor(name) for name in HOMOGENEOUS]
     assert len({row.body for row in rows}) == 1
-    assert len({row.life for row in rows}) == 1
+    assert len({row.variation for row in rows}) == 1
     signals = [row.signal for row in rows if isinstance(row.signal, CameraSignal)]
     assert len({signal.patterns for signal in signals}) == 5
 
@@ -145,8 +145,11 @@ def test_a_signal_of_another_kind_replaces_the_whole(tmp_path: Path) -> None:
         ("signal: {kind: sonar}\n", r"\.signal\.kind: found 'sonar'; allowed: camera, taxels"),
         ("signal: {patterns: [TacPalm]}\n", r"mine\.yaml: pattern 'TacPalm': .* beyond the gel"),
         ("trajectory: {points: [7]}\n", r"mine\.yaml\.trajectory: points: \(7,\)"),
-        ("life: {mount: {shift_mm: 50.0, turn_deg: 0.0}}\n", r"\.life\.mount: mount\.shift"),
-        ("life: {drift: {}}\n", r"\.life\.drift: missing step_um"),
+        (
+            "variation: {mount: {shift_mm: 50.0, turn_deg: 0.0}}\n",
+            r"\.variation\.mount: mount\.shift",
+        ),
+        ("variation: {drift: {}}\n", r"\.variation\.drift: missing step_um"),
         ("depth_max_mm: 1.2\ndepth_max_mm: 1.3\n", r"line 5: key 'depth_max_mm' is written twice"),
         ("body: [\n", r"mine\.yaml: not YAML"),
     ],
@@ -171,3 +174,18 @@ def test_a_file_that_is_not_there_or_holds_no_mapping_is_refused(tmp_path: Path)
     (tmp_path / "list.yaml").write_text("- 1\n")
     with pytest.raises(SceneError, match=r"list\.yaml: found the list \[1\]; allowed: a mapping"):
         read_sensor(tmp_path / "list.yaml")
+
+
+def test_a_file_may_have_the_former_key_of_variation(tmp_path: Path) -> None:
+    quiet = "extends: base.yaml\nlife: {segmentation: null}\n"
+    base = written(tmp_path, BASE + "variation: {drift: {step_um: 2.0}}\n")
+    base.rename(tmp_path / "base.yaml")
+    (tmp_path / "old.yaml").write_text(quiet)
+    (tmp_path / "new.yaml").write_text(quiet.replace("life", "variation"))
+    (tmp_path / "both.yaml").write_text(quiet + "variation: {drift: null}\n")
+    old, new = (read_sensor(tmp_path / f"{name}.yaml") for name in ("old", "new"))
+    assert old.variation == new.variation
+    assert old.variation.segmentation is None
+    assert old.variation.drift is not None
+    with pytest.raises(SceneError, match=r"both\.yaml\.life: found beside variation; allowed: one"):
+        read_sensor(tmp_path / "both.yaml")

@@ -79,8 +79,14 @@ def test_a_skin_creeps_as_a_random_walk_that_begins_at_home() -> None:
 
 
 def test_nothing_is_on_unless_asked_for() -> None:
-    life = DeviceVariation()
-    assert [life.mount, life.grip, life.framing, life.drift, life.segmentation] == [None] * 5
+    variation = DeviceVariation()
+    assert [
+        variation.mount,
+        variation.grip,
+        variation.framing,
+        variation.drift,
+        variation.segmentation,
+    ] == [None] * 5
     assert Mount(0.0, 0.0).drawn(0, "a") == Placement()
     assert Grip(0.0).drawn(0, "a", "b") == (0.0, 0.0)
 
