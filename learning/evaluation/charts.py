@@ -55,7 +55,12 @@ def radar(before: Sequence[ForceRow], after: Sequence[ForceRow], names: tuple[st
 
 
 def heatmaps(
-    by_variant: Mapping[tuple[str, str], Sequence[ForceRow]], measure: str, title: str, good: str
+    by_variant: Mapping[tuple[str, str], Sequence[ForceRow]],
+    measure: str,
+    title: str,
+    good: str,
+    *,
+    own: Sequence[ForceRow] = (),
 ) -> bytes:
     """Draw a heat map of source against target for each variant, with a common scale.
 
@@ -64,22 +69,28 @@ def heatmaps(
         measure: One of `predictions.MEASURES`.
         title: Name of the measure, with its unit.
         good: `low` or `high`: the good end of the scale.
+        own: A row for each sensor with a model from its own labels, drawn below the pairs.
     """
     rows = [row for some in by_variant.values() for row in some]
-    names = sorted({name for row in rows for name in (row.source, row.target)}, key=natural_key)
-    values = np.array([row.value(measure) for row in rows])
+    sources = sorted({row.source for row in rows}, key=natural_key)
+    targets = sorted({row.target for row in rows}, key=natural_key)
+    own = [row for row in own if row.target in targets]
+    lines = [*sources, *(["own labels"] if own else [])]
+    values = np.array([row.value(measure) for row in (*rows, *own)])
     top = float(np.nanmax(values, initial=1e-9)) if good == "low" else 1.0
     # R2 below 0 is worse than the mean of the labels, and has the colour of 0.
     colours, extended = ("cividis_r", "neither") if good == "low" else ("cividis", "min")
-    side = 1.4 + 0.5 * len(names)
+    wide, high = 1.4 + 0.5 * len(targets), 1.4 + 0.5 * len(lines)
     png = io.BytesIO()
-    with chart(png, max(side * len(by_variant), 3.2) + 0.8, side + 0.7) as figure:
+    with chart(png, max(wide * len(by_variant), 3.2) + 0.8, high + 0.7) as figure:
         figure.set_layout_engine("compressed", h_pad=0.1)
         every = figure.subplots(1, len(by_variant), squeeze=False, sharey=True)[0]
         for axes, (variant, some) in zip(every, by_variant.items(), strict=True):
-            grid = np.full((len(names), len(names)), np.nan)
+            grid = np.full((len(lines), len(targets)), np.nan)
             for row in some:
-                grid[names.index(row.source), names.index(row.target)] = row.value(measure)
+                grid[sources.index(row.source), targets.index(row.target)] = row.value(measure)
+            for row in own:
+                grid[-1, targets.index(row.target)] = row.value(measure)
             image = axes.imshow(grid, cmap=colours, vmin=0, vmax=top)
             for (line, column), value in np.ndenumerate(grid):
                 if np.isfinite(value):
@@ -87,8 +98,10 @@ def heatmaps(
                     ink = "white" if dark else INK
                     text = f"{value:.2f}"
                     axes.text(column, line, text, ha="center", va="center", fontsize=7, color=ink)
-            axes.set_xticks(range(len(names)), names, rotation=90)
-            axes.set_yticks(range(len(names)), names)
+            if own:
+                axes.axhline(len(sources) - 0.5, color=INK, lw=2)
+            axes.set_xticks(range(len(targets)), targets, rotation=90)
+            axes.set_yticks(range(len(lines)), lines)
             axes.set(xlabel="target", title=variant_name(variant))
             axes.grid(visible=False)
         every[0].set_ylabel("source")

@@ -180,6 +180,7 @@ def _pictures(rows: Sequence[ForceRow], role: str) -> Iterator[tuple[str, str]]:
     """Yield pictures of all pairs, encoded in base 64, with their texts."""
     transfers = _transfers(rows)
     by_way = {way: [row for row in transfers if row.variant == way] for way in variants(transfers)}
+    own = [row for row in rows if row.method == TARGET]
     name = ROLES.get(role, role)
     if by_way:
         for measure, title, good in (
@@ -187,7 +188,7 @@ def _pictures(rows: Sequence[ForceRow], role: str) -> Iterator[tuple[str, str]]:
             ("mae_fz_n", f"MAE Fz [N]; {name}", "low"),
             ("mae_shear_n", f"MAE shear [N]; {name}", "low"),
         ):
-            yield _encoded(charts.heatmaps(by_way, measure, title, good)), title
+            yield _encoded(charts.heatmaps(by_way, measure, title, good, own=own)), title
     before = next((some for way, some in by_way.items() if way[0] == BEFORE), [])
     for way, some in by_way.items():
         if way[0] != BEFORE:

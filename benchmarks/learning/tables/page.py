@@ -90,9 +90,10 @@ def write_tables(groups: Sequence[Group], out: Path, intro: str = "") -> list[Pa
 
 
 def _picture(group: Group) -> bytes:
-    shown = [(BEFORE, NO_TRANSLATOR), (group.after, group.best), (TARGET, NO_TRANSLATOR)]
+    shown = [(BEFORE, NO_TRANSLATOR), (group.after, group.best)]
     by_variant = {variant: rows for variant in shown if (rows := group.rows(*variant))}
-    return heatmaps(by_variant, "r2_mean", f"{group.name}: R2 on unseen indenters", "high")
+    title = f"{group.name}: R2 on unseen indenters"
+    return heatmaps(by_variant, "r2_mean", title, "high", own=group.rows(TARGET))
 
 
 def _but_for_one(group: Group) -> str:
