@@ -131,8 +131,8 @@ def test_follow_yields_each_row_once_in_order_until_the_session_is_closed(tmp_pa
 
 
 def bytes_read() -> int:
-    """Return the bytes that this process has read from files so far."""
-    return int(Path("/proc/self/io").read_text().split()[1])
+    """Return the bytes that this thread has read from files so far."""
+    return int(Path("/proc/thread-self/io").read_text().split()[1])
 
 
 def test_following_reads_each_byte_once(tmp_path: Path) -> None:

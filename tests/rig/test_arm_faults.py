@@ -9,7 +9,9 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from support.arms import (
@@ -29,8 +31,11 @@ from support.arms import (
     wait_until,
 )
 
+from rig.core.clock import FakeClock
 from rig.core.errors import DeviceLost, SafetyStop
 from rig.devices.arm.arm import Arm
+from rig.devices.arm.messages import Move
+from rig.devices.arm.mover import Mover
 
 pytest.importorskip("rtde_control", reason="ur-rtde is not installed: pip install -e '.[rig]'")
 
@@ -154,6 +159,24 @@ def test_a_program_stopped_at_the_pendant_is_device_lost_and_recovers(arm):
     with pytest.raises(DeviceLost, match="program stopped"):
         arm.move(at(0, 0, 0), on_wait=Once(lambda: inject("stop_program")))
     assert arm.recover_and_retract()
+
+
+@pytest.mark.parametrize(("runs", "words"), [(False, "program stopped"), (True, "out of reach")])
+def test_a_move_that_an_ended_program_refused_is_not_called_out_of_reach(runs, words):
+    control = SimpleNamespace(connected=lambda: True, kick=lambda: runs, reaches=lambda pose: False)
+    watch = SimpleNamespace(
+        look=lambda mode: None,
+        look_again=lambda seconds: None,
+        require_fresh=lambda: None,
+        fresh=lambda: True,
+        pose=np.zeros(6),
+    )
+    mover = Mover(SimpleNamespace(config=CONFIG), control, watch, FakeClock(), lambda: False)
+    try:
+        found = mover.move(Move(1, (0.0,) * 6, 0.1, 0.1, "retreat"), lambda seconds: None).reason
+    except DeviceLost as error:
+        found = str(error)
+    assert words in found
 
 
 def test_an_arm_in_local_control_is_not_started(emulator):

@@ -48,7 +48,7 @@ extends: {BENCHES / "tacpalm.yaml"}
 preflight: {{rate_window: 0.4, tare_window: 0.2, point_window: 0.1}}
 arm: {{travel_speed_mm_s: 100.0, travel_acceleration_mm_s2: 1000.0}}
 trajectory: {{depth_step_mm: 2.25}}
-limits: {{force_rating_n: [12.0, 12.0, 1.1], stiffness_n_per_mm: 0.2}}
+limits: {{force_rating_n: [12.0, 12.0, 1.1], stiffness_n_per_mm: 0.1}}
 """
     )
     return path
@@ -69,11 +69,11 @@ def watched(folder: Path, *arguments: str) -> Iterator[tuple[Collection, Chromiu
                     browser.resize(1440, 900)
                     browser.open(found[1])
                     break
+            else:
+                raise AssertionError(f"no address was printed:\n{collection.text}")
             yield collection, browser
         finally:
-            if collection.process.poll() is None:
-                collection.kill_all()
-                collection.process.communicate()
+            collection.end()
 
 
 def count(name: str) -> str:
@@ -153,6 +153,4 @@ def test_a_lost_connection_shows_at_once_and_the_next_collection_by_itself(tmp_p
             assert browser.eval("document.getElementById('lost').hidden") is True
             assert following.wait() == 0, following.text
         finally:
-            if following.process.poll() is None:
-                following.kill_all()
-                following.process.communicate()
+            following.end()

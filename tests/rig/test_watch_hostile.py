@@ -92,9 +92,7 @@ def test_no_sample_is_lost_while_the_page_is_attacked(tmp_path: Path) -> None:
         ending.set()
         for thread in threads:
             thread.join()
-        if collection.process.poll() is None:
-            collection.kill_all()
-            collection.process.communicate()
+        collection.end()
     assert code == 0, collection.text
     summary = Session(collection.session).attrs["summary"]
     assert {name: stream["dropped"] for name, stream in summary.items()} == dict.fromkeys(

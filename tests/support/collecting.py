@@ -154,6 +154,14 @@ class Collection:
         """Return the bytes of the segment journal, which grows by one row per phase."""
         return sum(path.stat().st_size for path in self.session.glob("segments/*/journal-*"))
 
+    def end(self) -> None:
+        """Kill it if it still runs, and close its output; may be called twice."""
+        if self.process.poll() is None:
+            self.kill_all()
+        self.process.wait()
+        if self.process.stdout is not None:
+            self.process.stdout.close()
+
     def kill_all(self) -> None:
         """Send SIGKILL to every process, children first, main process last."""
         pids = sorted(self.processes(), key=lambda pid: pid == self.process.pid)

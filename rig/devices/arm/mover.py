@@ -237,17 +237,27 @@ class Mover:
         self._tick += 1
         # Nothing is sent to a controller that has fallen silent: the call could hang for 300 s.
         due = self._tick % _KICK_TICKS == 0 and self.latched is None and self._watch.fresh()
-        if due and not (self._control.connected() and self._control.kick()):
-            # The safety status may reach us one package after the program's end.
-            violation = self._watch.look_again(0.1)
-            if violation is None:
-                raise DeviceLost(
-                    f"arm at {self._config.host}: the control program stopped on the controller: "
-                    "stopped at the pendant, or commands came too slowly "
-                    f"(watchdog {self._config.watchdog_hz:g} Hz)"
-                )
-            self.latched = violation
+        if due:
+            violation = self._kick() or violation
         return violation
+
+    def _kick(self) -> Violation | None:
+        """Kick the watchdog; return the safety stop that ended the program, if one did.
+
+        Raises:
+            DeviceLost: The controller no longer runs our program, for another reason.
+        """
+        if self._control.connected() and self._control.kick():
+            return None
+        # The safety status may reach us one package after the program's end.
+        self.latched = self._watch.look_again(0.1)
+        if self.latched is None:
+            raise DeviceLost(
+                f"arm at {self._config.host}: the control program stopped on the controller: "
+                "stopped at the pendant, or commands came too slowly "
+                f"(watchdog {self._config.watchdog_hz:g} Hz)"
+            )
+        return self.latched
 
     def halt(self) -> None:
         """Stop and wait until at rest; do nothing after a safety stop, which stops by itself.
@@ -314,8 +324,8 @@ class Mover:
         return self._follow(command, goal, before, start_ns, limit)
 
     def _refused(self, command: Move, start_ns: int, what: str) -> Reply:
-        # A command also fails when a safety stop has just ended the program: report that instead.
-        violation = self._watch.look_again(0.05) or self.step(command.mode)
+        # A command also fails when the program has just ended: report that instead.
+        violation = self._watch.look_again(0.05) or self.step(command.mode) or self._kick()
         if violation is not None:
             return self._judged(command, start_ns, violation)
         return self._reply(command, "stopped", start_ns, f"the controller {what}")
