@@ -22,11 +22,23 @@ TEMPORARY = ".tmp"
 
 def sync_directory(path: Path) -> None:
     """Make the names in a directory as durable as the files that they refer to."""
+    _sync(path)
+
+
+def _sync(path: Path) -> None:
     fd = os.open(path, os.O_RDONLY)
     try:
         os.fsync(fd)
     finally:
         os.close(fd)
+
+
+def sync_tree(path: Path) -> None:
+    """Make every file and every name below a directory durable."""
+    for folder, _, names in os.walk(path, topdown=False):
+        for name in names:
+            _sync(Path(folder, name))
+        _sync(Path(folder))
 
 
 def replace_file(path: Path, data: bytes, *, temporary: Path | None = None) -> None:

@@ -21,7 +21,7 @@ from typing import Any
 import zarr
 
 from recorder.errors import SessionError
-from recorder.store.durable import TEMPORARY, json_bytes, read_json, replace_file
+from recorder.store.durable import TEMPORARY, json_bytes, read_json, replace_file, sync_tree
 from recorder.store.files import LOCAL, Files, Range, check_document_size, read_document
 from recorder.store.layout import REBUILDING, ROWS_MAX, StreamLayout, merge_attrs, write_group
 from recorder.store.shard import MISSING, read_shard_index
@@ -200,11 +200,13 @@ def write_manifest(session: Path, run: int, root: bytes) -> None:
     Raises:
         SessionError: A shard that a stream declares is missing or corrupt.
     """
-    (session / GROUP).mkdir(exist_ok=True)
+    manifest_path(session, run).parent.mkdir(parents=True, exist_ok=True)
     earlier = [number for number in manifest_runs(session) if number < run]
     before = read_manifest(LOCAL, session, earlier[-1]) if earlier else None
     if not (session / GROUP / "zarr.json").exists():
         write_group(session / GROUP, {})
+    # No power failure may take away what the manifest names.
+    sync_tree(session)
     # Of shards that no later run may change, the first digest holds.
     shards = {} if before is None else before.fixed
     rows = {}
@@ -239,7 +241,6 @@ def write_manifest(session: Path, run: int, root: bytes) -> None:
     document = {"zarr_format": 3, "node_type": "group", "attributes": attrs}
     body = json.dumps(document).encode()
     own = hashlib.sha256(body).hexdigest().encode()
-    manifest_path(session, run).parent.mkdir(exist_ok=True)
     replace_file(manifest_path(session, run), body[:-3] + own + body[-3:])
 
 

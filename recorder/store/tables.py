@@ -11,6 +11,7 @@ import numpy as np
 
 from recorder.errors import SessionError
 from recorder.store import images
+from recorder.store.durable import sync_tree
 from recorder.store.files import LOCAL, Files, read_document
 from recorder.store.journal import CRC_BYTES, ends_with_its_crc, packed_crc
 from recorder.store.layout import check_shape, write_group
@@ -27,7 +28,7 @@ def write_table(
     units: Mapping[str, tuple[str, str]],
     attrs: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write a new group with one array per column.
+    """Write a new group with one array per column, durably.
 
     Args:
         path: The group; must not exist.
@@ -46,6 +47,7 @@ def write_table(
     for name, column in columns.items():
         unit, description = units.get(name, ("1", ""))
         _write_column(path / name, np.asarray(column), {"units": unit, "description": description})
+    sync_tree(path)
 
 
 def _write_column(path: Path, column: Array, attrs: dict[str, Any]) -> None:

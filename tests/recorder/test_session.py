@@ -1,6 +1,8 @@
 """Sessions: runs, the frames view, windows, recovery, and compatibility with other readers."""
 
+import itertools
 import json
+import os
 import shutil
 from pathlib import Path
 from typing import Any
@@ -40,6 +42,36 @@ from recorder.store.tables import Table
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A finished session with a camera; must not be changed."""
     return make_session(tmp_path_factory.mktemp("recorded") / "s.zarr")
+
+
+def test_files_are_durable_before_the_manifest_names_them_and_it_before_the_status(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    orders: dict[tuple[int, int], int] = {}
+    fsync, numbers = os.fsync, itertools.count()
+
+    def noted(fd: int) -> None:
+        fsync(fd)
+        found = os.fstat(fd)
+        orders[found.st_ino, found.st_mtime_ns] = next(numbers)
+
+    monkeypatch.setattr(os, "fsync", noted)
+    path = make_session(tmp_path / "s.zarr")
+
+    def order(entry: Path) -> float:
+        """Return when the present content of a file or directory was made durable."""
+        found = entry.stat()
+        return orders.get((found.st_ino, found.st_mtime_ns), np.inf)
+
+    manifest, status = path / "manifest/0/zarr.json", path / "zarr.json"
+    later = {path / "manifest/0", manifest, status}
+    late = [
+        str(entry.relative_to(path))
+        for entry in path.rglob("*")
+        if entry not in later and order(entry) >= order(manifest)
+    ]
+    assert late == []
+    assert order(manifest) < order(status) < np.inf
 
 
 def tree(path: Path) -> dict[str, bytes]:

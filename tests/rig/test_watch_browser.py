@@ -25,6 +25,8 @@ pytestmark = [
 PICTURE = os.environ.get("WATCH_PICTURE")
 STATUS = "document.body.dataset.status"
 SHOWN = "Number(document.getElementById('image').dataset.shown || 0)"
+CUT_OFF = """[...document.querySelectorAll('section, h2')]
+  .filter((box) => box.scrollWidth > box.clientWidth + 1).map((box) => box.className || box.id)"""
 INK = """(() => {
   const canvas = document.getElementById('%s'), pen = canvas.getContext('2d');
   const data = pen.getImageData(0, 0, canvas.width, canvas.height).data, colours = new Set();
@@ -105,10 +107,11 @@ def test_a_collection_can_be_watched_paused_and_resumed(tmp_path: Path) -> None:
         browser.until(f"{STATUS} == 'collecting'", 30)
 
         browser.until(f"{count('limited')} >= 1", 90)
-        for width in (768, 390):
+        for width in (1280, 768, 390):
             browser.resize(width, 1024, dark=False)
             wide = browser.eval("document.documentElement.scrollWidth")
             assert wide <= width, f"{wide} px wide on a screen of {width} px"
+            assert browser.eval(CUT_OFF) == [], f"cut off on a screen of {width} px"
 
         browser.until(f"{STATUS} == 'complete'", 120)
         assert "11 of 11 targets" in browser.eval("document.getElementById('reason').textContent")
