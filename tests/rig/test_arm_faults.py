@@ -161,6 +161,14 @@ def test_a_program_stopped_at_the_pendant_is_device_lost_and_recovers(arm):
     assert arm.recover_and_retract()
 
 
+def test_a_program_that_ended_between_two_commands_is_named(arm):
+    inject("stop_program")
+    wait_until(lambda: not arm.alive)
+    with pytest.raises(DeviceLost, match="program stopped"):
+        arm.move(at(0, 0, 0))
+    assert arm.recover_and_retract()
+
+
 @pytest.mark.parametrize(("runs", "words"), [(False, "program stopped"), (True, "out of reach")])
 def test_a_move_that_an_ended_program_refused_is_not_called_out_of_reach(runs, words):
     control = SimpleNamespace(connected=lambda: True, kick=lambda: runs, reaches=lambda pose: False)

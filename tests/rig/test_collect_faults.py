@@ -93,15 +93,17 @@ def test_a_protective_stop_ends_the_session_with_4_and_is_not_reset(tmp_path: Pa
 
 @pytest.mark.slow
 def test_the_hard_force_limit_stops_the_session_with_4(tmp_path: Path) -> None:
-    # Both limits are equal, and without look-ahead the soft one does not come first.
-    bench = limited_bench(tmp_path, hard=0.8, soft=0.8, rating=0.3, horizon_ms=0.001)
+    # Both limits are equal, and with the shortest look-ahead the soft one seldom comes first.
+    bench = limited_bench(tmp_path, hard=0.8, soft=0.8, rating=0.3, horizon_ms=0.5)
     run = Collection.start(tmp_path / "s.zarr", "--targets", "4", "--bench", str(bench))
     assert run.wait() == 4, run.text
     session = Session(run.session)
     assert session.status == "stopped"
     assert "Fz" in session.attrs["reason"]
     assert "NOT RETRACTED" not in session.attrs["reason"]
-    assert list(session.segments["outcome"]) == [OUTCOMES.index("stopped")]
+    *before, last = session.segments["outcome"]
+    assert last == OUTCOMES.index("stopped")
+    assert set(before) <= {OUTCOMES.index("force_limited")}
     force = np.asarray(session.streams["force"].column("value"))
     assert 0.2 < -force[:, 2].min() < 0.3
 
@@ -126,6 +128,6 @@ def limited_bench(
         "soft_fraction": soft,
         "hard_fraction": hard,
         "horizon_ms": horizon_ms,
-        "stiffness_n_per_mm": 0.001,
+        "stiffness_n_per_mm": 0.005,
     }
     return quick_bench(folder, "tacpalm", limits=json.dumps(limits))

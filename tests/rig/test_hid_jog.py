@@ -153,7 +153,7 @@ def test_the_arm_follows_the_cap_stops_with_it_and_a_button_takes_the_origin(han
     hand.move("button", number=0)
     assert hand.run.process.wait(30) == 0, hand.log.read_text()
     text = hand.log.read_text()
-    snippet = yaml.safe_load(text[text.index("contact_frame:") : text.index("then let")])
+    snippet = yaml.safe_load(text[text.index("contact_frame:") : text.index("then find")])
     assert snippet["contact_frame"]["position_mm"] == pytest.approx(1e3 * taken, abs=0.1)
 
 

@@ -177,10 +177,15 @@ class Child:
             process.join(_EXIT)
             code = process.exitcode
             died = "crashed" if code is None or code < 0 else "ended"
-            self.discard(
+            why = (
                 f"{self._where}: the process that moves it {died} (exit code {code}); "
                 "the controller's watchdog stops the arm. Was the connection or the power cut?"
             )
+            for report in self._reports.values():
+                # Between two commands, the reason comes under the number of the last one.
+                if isinstance(report, Reply) and report.outcome == "device_lost":
+                    why = report.reason
+            self.discard(why)
             self._require_pipe()
 
     def _file(self, report: Report) -> None:
