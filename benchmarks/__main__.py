@@ -56,6 +56,7 @@ BENCHMARKS = {
         "benchmarks.learning.diffusion_full_size",
         "diffusion at the paper's size, on a GPU",
     ),
+    "extrapolation": ("benchmarks.learning.extrapolation", "forces beyond those of the training"),
     "learning-tables": ("benchmarks.learning.tables.command", "the paper's tables"),
     "transfer-skins": (
         "benchmarks.learning.skins.command",

@@ -31,6 +31,7 @@ from learning.force.train import (
     optimiser_of,
     schedule_of,
     signs,
+    superposed,
 )
 from learning.training.optim import set_rate
 from learning.training.run import seed_torch
@@ -98,7 +99,9 @@ def train_batched(
             lengths = sequences.lengths if settings.sequences.padding == "masked" else None
             rows = torch.from_numpy(sequences.rows).to(device)
             seen = mirrored(frames[:, rows], sequences.flips, settings.input)
-            wanted = (forces[:, rows] * signs(sequences.flips, device) - low) / (high - low)
+            labelled = forces[:, rows] * signs(sequences.flips, device)
+            seen, labelled = (superposed(each, sequences, axis=1) for each in (seen, labelled))
+            wanted = (labelled - low) / (high - low)
             with torch.autocast(device.type, torch.bfloat16, enabled=_in_bf16(settings)):
                 normalised = _forward(models[0], weights, buffers, seen, lengths, settings)
             losses = torch.vmap(lambda one, other: error(one, other, lengths))(  # noqa: B023

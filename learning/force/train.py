@@ -112,10 +112,16 @@ class SequenceSettings:
     """Interval at which backpropagation through time is truncated; none: not truncated."""
     flips: bool = False
     """True to mirror images at random, together with the shear."""
+    superpose: float = 0.0
+    """Fraction of sequences to which another press of the step is added, times a random factor up
+    to 1: marker fields and forces both, as in a linear skin. The force range doubles, so that
+    forces beyond the training presses can be predicted. Marker fields only."""
 
     def __post_init__(self) -> None:
         """Reject empty sequences."""
         require(self, "batch", "presses", "truncate_frames", least=1)
+        if not 0.0 <= self.superpose <= 1.0:
+            raise LearningError(f"superpose: found {self.superpose}; allowed: 0 to 1")
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,6 +158,11 @@ class ForceSettings:
             raise LearningError(f"ema: found {self.ema}; allowed: between 0 and 1, or none")
         require(self, "patience_epochs", "validate_every_epochs", least=1)
         require(self, "range_margin", least=0)
+        if self.sequences.superpose and self.input.form != "field":
+            raise LearningError(
+                f"sequences.superpose: found {self.sequences.superpose:g} with input.form "
+                f"{self.input.form}; allowed: 0, or input.form field: only marker fields add up"
+            )
         if self.sequences.flips and self.input.form == "shading":
             raise LearningError(
                 "sequences.flips: found true; allowed: false for shading, whose colours follow the "
@@ -177,6 +188,10 @@ class Sequences:
     """Number of valid frames of each sequence (b,)."""
     flips: NDArray[np.bool_]
     """True where columns and rows are mirrored (b, 2)."""
+    added: NDArray[np.int64]
+    """Index of the sequence that is added to each (b,)."""
+    factors: NDArray[np.float32]
+    """Factor of that sequence (b,); 0: none is added."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,11 +224,20 @@ class Epoch:
         lengths = tuple(min(longest, len(each)) for each in frames)
         rows = np.stack([each[np.minimum(np.arange(longest), len(each) - 1)] for each in frames])
         flips = random.random((batch, 2)) < 0.5
+        sensors = np.array([sensor for sensor, _ in chosen])
+        added, factors = np.arange(batch), np.zeros(batch, np.float32)
+        if self.settings.superpose:
+            added = random.permutation(batch)
+            # Presses of another sensor have another stiffness.
+            joins = (random.random(batch) < self.settings.superpose) & (sensors == sensors[added])
+            factors = (random.random(batch) * joins).astype(np.float32)
         return Sequences(
-            np.array([sensor for sensor, _ in chosen]),
+            sensors,
             rows,
             lengths,
             flips if self.settings.flips else np.zeros_like(flips),
+            added,
+            factors,
         )
 
     def _frames(self, sensor: int, presses: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -288,6 +312,23 @@ def mirrored(frames: Tensor, flips: NDArray[np.bool_], inputs: InputSettings) ->
     return frames
 
 
+def superposed(values: Tensor, sequences: Sequences, *, axis: int = 0) -> Tensor:
+    """Return prepared frames or forces with those of the added sequences.
+
+    Args:
+        values: Values (b, s, ...); a shorter sequence repeats its last frame.
+        sequences: Sequences of the step.
+        axis: Axis of the sequences.
+    """
+    if not sequences.factors.any():
+        return values
+    added = torch.from_numpy(sequences.added).to(values.device)
+    shape = [-1 if each == axis else 1 for each in range(values.ndim)]
+    factors = torch.from_numpy(sequences.factors).to(values).view(shape)
+    # A label that is missing in the other press counts only where that press is added.
+    return torch.where(factors > 0, values + factors * values.index_select(axis, added), values)
+
+
 def signs(flips: NDArray[np.bool_], device: torch.device) -> Tensor:
     """Return the signs (b, 1, 3) for forces (..., b, s, 3) of mirrored sequences.
 
@@ -357,6 +398,8 @@ def force_range(labels: Sequence[Tensor], settings: ForceSettings) -> ForceRange
         return ForceRange((low[0], low[1], low[2]), (high[0], high[1], high[2]))
     if settings.sequences.flips:
         forces = torch.cat([forces, forces * forces.new_tensor([-1.0, -1.0, 1.0])])
+    if settings.sequences.superpose:
+        forces = torch.cat([forces, 2 * forces])
     return ForceRange.from_training(forces, margin=settings.range_margin)
 
 
@@ -474,7 +517,9 @@ def train_force(
             sequences = passes.sequences(state.step, rank, ranks)
             lengths = sequences.lengths if settings.sequences.padding == "masked" else None
             frames = frames_of(groups, sequences, settings.input, device)  # (b, s, planes, h, w)
-            targets = model.normalised(forces_of(labels, sequences, device))  # (b, s, 3)
+            frames = superposed(frames, sequences)
+            forces = superposed(forces_of(labels, sequences, device), sequences)
+            targets = model.normalised(forces)  # (b, s, 3)
             normalised, _ = network(
                 frames, lengths=lengths, truncate=settings.sequences.truncate_frames
             )

@@ -13,6 +13,7 @@ from support.force_models import TOY, noise_presses, toy
 from learning.data.presses import Presses
 from learning.errors import LearningError
 from learning.force.batched import train_batched
+from learning.force.model import InputSettings
 from learning.force.train import (
     ForceSettings,
     OptimiserSettings,
@@ -71,6 +72,27 @@ def test_sgd_and_many_frames_are_shared_too() -> None:
         for name, weight in alone.state_dict().items():
             torch.testing.assert_close(found.state_dict()[name], weight, rtol=1e-4, atol=1e-6)
         np.testing.assert_allclose(found.predict(each), alone.predict(each), atol=1e-3)
+
+
+def test_superposed_presses_are_those_of_a_model_alone() -> None:
+    settings = replace(
+        SETTINGS,
+        input=InputSettings(form="field"),
+        network=replace(SETTINGS.network, encoder_norm="none", tail_norm="none"),
+        sequences=SequenceSettings(batch=3, superpose=1.0),
+    )
+    presses = [
+        replace(noise_presses(3, seed=seed, form="field"), sensor=str(seed)) for seed in (0, 1)
+    ]
+    batched = train_batched(presses, settings)
+    assert batched is not None
+    for each, found in zip(presses, batched, strict=True):
+        alone = train_force(each, settings)
+        np.testing.assert_allclose(found.predict(each), alone.predict(each), atol=1e-3)
+    with pytest.raises(
+        LearningError, match=r"superpose: found 1 with input\.form both; allowed: 0"
+    ):
+        replace(settings, input=TOY.input)
 
 
 def test_it_stops_when_it_is_asked_to() -> None:

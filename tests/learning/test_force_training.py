@@ -28,6 +28,7 @@ from learning.force.train import (
     forces_of,
     frames_of,
     labels_of,
+    superposed,
     train_force,
 )
 from learning.training.checkpoint import read_model_folder
@@ -247,10 +248,23 @@ def test_presses_are_strung_together_within_a_sensor() -> None:
     assert [s.lengths[0] for s in found if s.sensor[0] == 1] == [6]
 
 
+def _sequences(rows: np.ndarray[Any, Any], **changes: Any) -> Sequences:
+    """Return sequences of one sensor, neither mirrored nor superposed."""
+    batch, longest = rows.shape
+    given = {
+        "sensor": np.zeros(batch, np.int64),
+        "lengths": (longest,) * batch,
+        "flips": np.zeros((batch, 2), bool),
+        "added": np.arange(batch),
+        "factors": np.zeros(batch, np.float32),
+    }
+    return Sequences(rows=rows, **(given | changes))
+
+
 def test_mirroring_a_frame_mirrors_its_shear() -> None:
     presses = noise_presses(1, form="field")
     columns, down = [
-        Sequences(np.array([0]), np.array([[0]]), (1,), np.array([flips]))
+        _sequences(np.array([[0]]), flips=np.array([flips]))
         for flips in ((True, False), (False, True))
     ]
     inputs, device = InputSettings(form="field"), torch.device("cpu")
@@ -261,6 +275,52 @@ def test_mirroring_a_frame_mirrors_its_shear() -> None:
     assert torch.equal(frames_of([presses], down, inputs, device)[0, 0, 1], -plain[1].flip(-2))
     force = presses.wrench[0] * torch.tensor([-1.0, 1.0, 1.0])
     assert torch.equal(forces_of([presses.wrench], columns, device)[0, 0], force)
+
+
+def test_superposing_adds_fields_and_forces_and_takes_no_missing_label_of_a_press_left_out() -> (
+    None
+):
+    factors = np.array([0.5, 0.0, 0.25], np.float32)
+    joined = _sequences(np.array([[0], [1], [2]]), added=np.array([1, 2, 0]), factors=factors)
+    forces = torch.tensor([[[1.0, 2.0, 3.0]], [[4.0, 5.0, 6.0]], [[torch.nan, 7.0, 8.0]]])
+    found = superposed(forces, joined)
+    wanted = [[[3.0, 4.5, 6.0]], [[4.0, 5.0, 6.0]], [[torch.nan, 7.5, 8.75]]]
+    torch.testing.assert_close(found, torch.tensor(wanted), equal_nan=True)
+    several = superposed(torch.stack([forces, 2 * forces]), joined, axis=1)
+    torch.testing.assert_close(several[1], 2 * found, equal_nan=True)
+
+
+def test_only_presses_of_the_same_sensor_are_superposed() -> None:
+    settings = SequenceSettings(batch=4, superpose=1.0)
+    passes = epoch(STARTS, (0, 1), settings, seed=0, number=0)
+    steps = [passes.sequences(step) for step in range(passes.steps(ranks=1))]
+    added = [
+        (one.sensor[row] == one.sensor[one.added[row]], one.factors[row] > 0)
+        for one in steps
+        for row in range(settings.batch)
+    ]
+    assert {joined for same, joined in added if not same} <= {False}
+    assert any(joined for _, joined in added)
+
+
+def test_superposed_fields_let_a_model_predict_forces_beyond_its_training() -> None:
+    weak = noise_presses(6, form="field")
+    shade = -weak.wrench[:, 2] / 10
+    images = shade[:, None, None, None] * torch.ones(3, 32, 32)
+    weak = replace(weak, images=images, wrench=torch.stack([0 * shade, shade, -shade], dim=1))
+    strong = replace(weak, images=1.7 * weak.images, wrench=1.7 * weak.wrench)
+    settings = toy(
+        input=InputSettings(form="field", field_scale_px=1.0),
+        stages=(StageSettings(epochs=60, learning_rate=2e-2, schedule="cosine"),),
+        sequences=SequenceSettings(batch=6, lengths="whole"),
+        range_margin=0.05,
+    )
+    wider = replace(settings, sequences=replace(settings.sequences, superpose=0.8))
+    off = [
+        np.abs(train_force(weak, each).predict(strong) - strong.wrench.numpy())[:, 1:].mean()
+        for each in (settings, wider)
+    ]
+    assert off[1] < 0.5 * off[0]
 
 
 def _measured(presses: Presses, *axes: int) -> Presses:
