@@ -61,9 +61,7 @@ def run(options: argparse.Namespace) -> int:
             progress(number, len(pressed))
             print(f"{path.name}: {recalled}")
     if options.sheet is not None:
-        draw_outlines(
-            preset, [*no_contact, *(picture for _path, picture in pressed)], options.sheet
-        )
+        draw_outlines(preset, no_contact, [picture for _path, picture in pressed], options.sheet)
         print(f"{options.sheet}: written")
     text = yaml.safe_dump(as_yaml(preset), sort_keys=False, width=100)
     if options.out is None:

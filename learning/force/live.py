@@ -26,6 +26,7 @@ from learning.force.intervals import Intervals, read_intervals
 from learning.force.stream import ForceStream, open_exported
 from learning.markers.displacement import MAP_SIDE, FieldReader
 from learning.markers.frames import one_thread, taxel_masks
+from learning.markers.lattice import Lattice, with_reference
 from learning.markers.segment import (
     CameraPreset,
     Preset,
@@ -458,14 +459,17 @@ class _PictureMasks:
 
     def __init__(self, chosen: CameraPreset) -> None:
         self._segmenter = Segmenter(chosen)
+        self._finder: Segmenter | Lattice = self._segmenter
 
     def reference_masks(self, frames: NDArray[Any]) -> NDArray[np.bool_]:
-        """Return the masks (n, 480, 640) of pictures (n, h, w, 3)."""
-        return np.stack([self.mask(frame) for frame in frames])
+        """Return the masks (n, 480, 640) of pictures (n, h, w, 3) without contact."""
+        views = [self._segmenter.view(frame) for frame in frames]
+        self._finder = with_reference(self._segmenter, views[-1])
+        return np.stack([self._segmenter.mask_of_view(view) for view in views])
 
     def mask(self, frame: Frame) -> NDArray[np.bool_]:
         """Return the mask (480, 640) of a picture (h, w, 3)."""
-        return self._segmenter.mask(frame)
+        return self._finder.mask_of_view(self._segmenter.view(frame))
 
 
 class _Shading:

@@ -8,7 +8,7 @@ is chosen: markers are alike and evenly spaced, shading and dust are not.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from learning.errors import LearningError
+from learning.markers.lattice import with_reference
 from learning.markers.regular import MARKERS_LEAST, SPREAD_MOST, Spread, pitch_of, spread_of
 from learning.markers.segment import (
     CHANNELS,
@@ -126,11 +127,12 @@ def fit_preset(
             f"{100 * SPREAD_MOST:.0f} % or less"
         )
     best = _steadiest(regular)
+    detector = replace(best.detector, lattice=True)
     middle = best.area_px[1]
     width = 2 * (middle / np.pi) ** 0.5
     return CameraPreset(
         description=description or f"fitted: {best}",
-        detectors=(best.detector,),
+        detectors=(detector,),
         mm_per_px=None if pitch_mm is None else round(pitch_mm / best.pitch_px, 6),
         smooth_px=3,
         morphology=(Morphology("open", 3),) if width >= 8 else (),
@@ -242,12 +244,13 @@ def recalls(
     """
     segmenter = Segmenter(preset)
     before = segmenter.view(reference)
+    finder = with_reference(segmenter, before)
     first = find_blobs(segmenter.mask_of_view(before)[None], SMALLEST_PX).centre
     column, row = np.round(first).astype(int).T
     soft = _soft(before)
     for picture in pressed:
         after = segmenter.view(picture)
-        then = find_blobs(segmenter.mask_of_view(after)[None], SMALLEST_PX).centre
+        then = find_blobs(finder.mask_of_view(after)[None], SMALLEST_PX).centre
         found = ~Tracker(first).step(then).lost
         changed = (np.abs(_soft(after) - soft).max(axis=2) > TOUCHED).astype(np.uint8)
         under = (cv2.dilate(changed, np.ones((9, 9), np.uint8)) > 0)[row, column]
@@ -260,18 +263,20 @@ def _soft(view: Picture) -> NDArray[np.int16]:
     return cv2.GaussianBlur(view, (BLUR_PX, BLUR_PX), 0).astype(np.int16)
 
 
-def draw_outlines(preset: CameraPreset, pictures: Sequence[Picture], path: Path) -> None:
+def draw_outlines(
+    preset: CameraPreset, no_contact: Sequence[Picture], pressed: Sequence[Picture], path: Path
+) -> None:
     """Write the views of pictures with the outlines of their markers, two in a row, as a PNG.
 
     Raises:
         OSError: The file cannot be written.
     """
     segmenter = Segmenter(preset)
+    finder = with_reference(segmenter, segmenter.view(no_contact[0]))
     drawn = []
-    for picture in pictures:
-        view = segmenter.view(picture)
-        mask = segmenter.mask_of_view(view)
-        drawn.append(outlined(view, mask, (255, 255, 0), 1))
+    for made_by, pictures in ((segmenter, no_contact), (finder, pressed)):
+        for view in map(segmenter.view, pictures):
+            drawn.append(outlined(view, made_by.mask_of_view(view), (255, 255, 0), 1))
     drawn += [np.zeros_like(drawn[0])] * (len(drawn) % 2)
     rows = [np.hstack(drawn[first : first + 2]) for first in range(0, len(drawn), 2)]
     Image.fromarray(np.vstack(rows)).save(path)

@@ -14,10 +14,12 @@ from learning.archive_writer import CHUNK_ROWS, FLAG, INVALID, UNIT_ROWS, Flagge
 from learning.errors import LearningError
 from learning.indenters import UNSEEN
 from learning.markers.efficient_sam import EfficientSam
+from learning.markers.lattice import Lattice, with_reference
 from learning.markers.recording import Placed, Recording, SensorGroup
 from learning.markers.regular import spread_of
 from learning.markers.segment import (
     CameraPreset,
+    Picture,
     Preset,
     Segmenter,
     ShadingPreset,
@@ -104,6 +106,7 @@ class RecordedSensor:
         self._sam = sam
         self._irregular = irregular
         self._segmenter = Segmenter(preset) if isinstance(preset, CameraPreset) else None
+        self._finders: dict[tuple[str, int], Segmenter | Lattice] = {}
         lengths = [len(placed.recording) for placed in group.placed]
         self._ends = np.cumsum([0, *lengths])
 
@@ -248,21 +251,50 @@ class RecordedSensor:
             counts = recording.column("taxels")[chosen]
             no_contact = recording.session.reference["taxels"][recording.references]
             return taxel_masks(counts, no_contact[recording.reference[chosen]], self.preset)
-        images, place = np.unique(recording.column("image")[chosen], return_inverse=True)
-        return self._seen(recording, images)[place.reshape(-1)]
+        images, first, place = np.unique(
+            recording.column("image")[chosen], return_index=True, return_inverse=True
+        )
+        reference = recording.reference[chosen[first]]
+        return self._seen(recording, images, reference)[place.reshape(-1)]
 
-    def _seen(self, recording: Recording, images: NDArray[np.integer]) -> Masks:
-        if self._segmenter is None:
-            raise LearningError(f"{recording.name}: has no pictures")
+    def _seen(
+        self,
+        recording: Recording,
+        images: NDArray[np.integer],
+        references: NDArray[np.integer] | None = None,
+    ) -> Masks:
+        """Return the masks of pictures; without references, each is one itself."""
         masks = np.empty((len(images), HEIGHT, WIDTH), np.bool_)
         for place, row in enumerate(images):
-            (picture,) = recording.camera.images([int(row)])
-            view = self._segmenter.view(picture)
-            mask = self._segmenter.mask_of_view(view)
+            view = self._view(recording, int(row))
+            finder = (
+                self._segmenter_of(recording)
+                if references is None
+                else self._finder(recording, int(references[place]))
+            )
+            mask = finder.mask_of_view(view)
             if self._sam is not None:
-                mask = self._sam.refined(view, mask, self._segmenter.preset.box_px)
+                mask = self._sam.refined(view, mask, self._segmenter_of(recording).preset.box_px)
             masks[place] = mask
         return masks
+
+    def _view(self, recording: Recording, image: int) -> Picture:
+        (picture,) = recording.camera.images([image])
+        return self._segmenter_of(recording).view(picture)
+
+    def _segmenter_of(self, recording: Recording) -> Segmenter:
+        if self._segmenter is None:
+            raise LearningError(f"{recording.name}: has no pictures")
+        return self._segmenter
+
+    def _finder(self, recording: Recording, reference: int) -> Segmenter | Lattice:
+        """Return what makes the masks of pictures of one reference; the last one is kept."""
+        key = recording.name, reference
+        if key not in self._finders:
+            image = recording.session.reference["image"][recording.references][reference]
+            view = self._view(recording, int(image))
+            self._finders = {key: with_reference(self._segmenter_of(recording), view)}
+        return self._finders[key]
 
     def _table(
         self, index: int, placed: Placed, rows: slice, there: NDArray[np.bool_]

@@ -90,6 +90,8 @@ class Hat:
     """True if markers are brighter than their surroundings."""
     channel: Channel = "brightest"
     """Compared channel. The brightest hardly changes where coloured lamps shade a contact."""
+    lattice: bool = False
+    """True to look for the reference's markers again where a contact hides them."""
 
     def __post_init__(self) -> None:
         _require(self, "size_px", self.size_px, 3, 200)

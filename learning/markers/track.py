@@ -1,20 +1,24 @@
 """Tracking of markers through a sequence, by the reference's markers; lost ones are recovered.
 
-In each frame, a marker is expected at its last position plus its last velocity times a factor; a
-lost marker is expected where its neighbours predict. Markers and detections are assigned with the
-least sum of distances (Kuhn, 1955; Jonker and Volgenant, 1987), none beyond the gate. Then
-neighbours predict each marker again, and the assignment is repeated. So a marker that moved too far
-to be matched alone is matched by its neighbours. In a regular pattern this fails beyond three
-quarters of a pitch between frames; a sequence can have any length.
+In each frame, a marker is expected at its last position plus its last velocity times a factor, or
+less it, at its last position, or at its position without contact. Markers and detections are
+assigned with the least sum of distances (Kuhn, 1955; Jonker and Volgenant, 1987), none beyond the
+gate. Parts that move unlike their neighbours are matched again from the rest inwards, so a marker
+that moved too far to be matched alone is matched by its neighbours. Of several solutions the one
+that matches most markers holds; where others match as many and differ, a marker is lost, as it
+could be either. A sequence can have any length.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from learning.errors import LearningError
@@ -24,8 +28,14 @@ Indices = NDArray[np.int64]
 
 # Number of neighbours that predict a marker's position.
 NEIGHBOURS = 8
-# Maximum number of assignments per frame.
-ROUNDS = 4
+# Largest difference of the displacements of neighbours, over their distance.
+SMOOTH = 0.4
+# Parts of one assignment that the rest is matched from.
+PARTS = 3
+# Matched markers by which another solution may fall short and still count as likely.
+AS_MANY = 1
+# Roughness of another solution over that of the best one, up to which it counts as likely.
+AS_ROUGH = 1.5
 _FAR = 1e6
 
 
@@ -75,9 +85,13 @@ class Tracker:
             )
         count = min(NEIGHBOURS + 1, len(self.reference))
         distance, around = cKDTree(self.reference).query(self.reference, count)
-        distance, self._around = distance.reshape(-1, count), around.reshape(-1, count)
+        distance, around = distance.reshape(-1, count), around.reshape(-1, count)
         pitch = np.median(distance[:, 1]) if count > 1 else 40.0
         self.gate_px = float(gate * pitch)
+        self._around, self._distance = around[:, 1:], distance[:, 1:]
+        own = np.repeat(np.arange(len(around)), count - 1)
+        self._edges = np.stack([own, self._around.ravel()], axis=1)
+        self._length = self._distance.ravel()
         self._speed = speed
         self.restart()
 
@@ -101,28 +115,122 @@ class Tracker:
         if not self._fresh.all():
             # Lost markers have no velocity: they move with their neighbours.
             moved = np.where(self._fresh[:, None], moved, self._neighbourly(moved, self._fresh))
-        found = self._assigned(moved, centres)
-        for _ in range(ROUNDS - 1):
-            known = found >= 0
-            if known.all() or not known.any():
-                break
-            place = np.where(known[:, None], centres[found] - self.reference, moved)
-            moved = self._neighbourly(place, known)
-            again = self._assigned(moved, centres)
-            if np.array_equal(again, found) or np.sum(again >= 0) < np.sum(known):
-                break
-            found = again
+        back = 2 * before - moved
+        found = self._likeliest((moved, before, back, np.zeros_like(before)), centres)
         known = found >= 0
         now = np.where(
             known[:, None], centres[found] - self.reference if len(centres) else 0.0, moved
         )
         if known.any() and not known.all():
             now = np.where(known[:, None], now, self._neighbourly(now, known))
+            moved = np.where(known[:, None], moved, now)
         both = known & self._fresh
         self._step = np.where(both[:, None], now - before, 0.0)
         self._moved, self._fresh = now, known
         place = np.where(known[:, None], self.reference + now, np.nan)
         return Track(place, self.reference + moved, found)
+
+    def _likeliest(self, expected: Sequence[Floats], centres: Floats) -> Indices:
+        """Return the centre of each marker (m,), -1 for none, by the likeliest solution.
+
+        Args:
+            expected: Expected displacements (m, 2), the likeliest first.
+            centres: Detections (n, 2).
+        """
+        solutions: list[Indices] = []
+        if not len(centres):
+            return np.full(len(self.reference), -1)
+        for moved in expected:
+            found = self._assigned(moved, centres)
+            parts = self._parts(found, centres)
+            if not solutions and len(parts) == 1 and parts[0].all():
+                return found
+            grown = (self._grown(np.where(part, found, -1), centres) for part in parts)
+            solutions += [self._polished(one, centres) for one in (found, *grown)]
+        counts, rough = zip(*(self._quality(one, centres) for one in solutions), strict=True)
+        best = min(range(len(solutions)), key=lambda one: (-counts[one], rough[one]))
+        chosen = solutions[best]
+        for other, count, roughness in zip(solutions, counts, rough, strict=True):
+            if count >= counts[best] - AS_MANY and roughness <= AS_ROUGH * rough[best]:
+                chosen = np.where((other >= 0) & (chosen != other), -1, chosen)
+        return chosen
+
+    def _changes(self, found: Indices, centres: Floats) -> tuple[Indices, Floats]:
+        """Return pairs of matched neighbours (k, 2), and the change between them (k,).
+
+        The change is the difference of their displacements over their distance.
+        """
+        both = (found[self._edges] >= 0).all(axis=1)
+        pairs = self._edges[both]
+        moved = centres[found] - self.reference
+        change = np.linalg.norm(moved[pairs[:, 0]] - moved[pairs[:, 1]], axis=1)
+        return pairs, change / self._length[both]
+
+    def _quality(self, found: Indices, centres: Floats) -> tuple[int, float]:
+        """Return the size of the largest smooth part of a solution, and its roughness."""
+        _, change = self._changes(found, centres)
+        size = max((int(part.sum()) for part in self._parts(found, centres)), default=0)
+        return size, float(np.sqrt((change**2).mean())) if len(change) else 0.0
+
+    def _parts(self, found: Indices, centres: Floats) -> list[NDArray[np.bool_]]:
+        """Return the largest parts that move smoothly, as flags of their markers (m,)."""
+        known = found >= 0
+        if not known.any():
+            return []
+        pairs, change = self._changes(found, centres)
+        first, second = pairs[change <= SMOOTH].T
+        graph = coo_array((np.ones(len(first), np.int8), (first, second)), 2 * found.shape)
+        _, label = connected_components(graph, directed=False)
+        sizes = np.bincount(label[known], minlength=int(label.max()) + 1)
+        largest = np.argsort(-sizes, kind="stable")[:PARTS]
+        return [known & (label == number) for number in largest if sizes[number]]
+
+    def _grown(self, found: Indices, centres: Floats) -> Indices:
+        """Match the neighbours of matched markers, the closest to expectations first."""
+        found, gate = found.copy(), self.gate_px / 2
+        while True:
+            known = found >= 0
+            rows = np.flatnonzero(~known & known[self._around].any(axis=1))
+            free = np.setdiff1d(np.arange(len(centres)), found[known])
+            if not len(rows) or not len(free):
+                return found
+            moved = np.where(known[:, None], centres[found] - self.reference, 0.0)
+            expected = self.reference[rows] + self._extrapolated(moved, known, rows)
+            distance = np.linalg.norm(expected[:, None] - centres[free][None], axis=-1)
+            nearest = distance.argmin(axis=1)
+            mutual = distance.argmin(axis=0)[nearest] == np.arange(len(rows))
+            close = mutual & (distance[np.arange(len(rows)), nearest] <= gate)
+            if close.any():
+                found[rows[close]] = free[nearest[close]]
+            elif gate < self.gate_px:
+                gate = self.gate_px
+            else:
+                return found
+
+    def _polished(self, found: Indices, centres: Floats) -> Indices:
+        """Assign all markers again by the median of their neighbours, while that matches more."""
+        while (known := found >= 0).any() and not known.all():
+            moved = np.where(known[:, None], centres[found] - self.reference, 0.0)
+            again = self._assigned(self._neighbourly(moved, known), centres)
+            if np.sum(again >= 0) <= known.sum():
+                break
+            found = again
+        return found
+
+    def _extrapolated(self, moved: Floats, known: NDArray[np.bool_], rows: Indices) -> Floats:
+        """Return the displacements (k, 2) of markers by those of their known neighbours.
+
+        The displacement is linear in position, as far as there are neighbours to tell.
+        """
+        around = self._around[rows]
+        weight = known[around].astype(np.float64)
+        away = (self.reference[around] - self.reference[rows][:, None]) / self.gate_px
+        ones = np.ones((*away.shape[:2], 1))
+        design = np.concatenate([ones, away], axis=2) * weight[..., None]
+        # A little stiffness keeps slopes small that few neighbours tell.
+        square = design.transpose(0, 2, 1) @ design + np.diag([1e-6, 1.0, 1.0])
+        right = design.transpose(0, 2, 1) @ (moved[around] * weight[..., None])
+        return np.asarray(np.linalg.solve(square, right)[:, 0])
 
     def _assigned(self, moved: Floats, centres: Floats) -> Indices:
         """Return the centre assigned to each marker (m,), -1 for none."""

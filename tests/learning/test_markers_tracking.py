@@ -51,6 +51,40 @@ def test_a_leap_of_three_quarters_of_a_pitch_is_followed_by_their_neighbours() -
     np.testing.assert_array_equal(track.found, np.arange(len(reference)))
 
 
+@pytest.mark.parametrize("missed", [0.0, 0.05])
+@pytest.mark.parametrize("kind", ["all alike", "sheared", "pressed"])
+def test_no_identity_is_wrong_after_leaps_of_half_a_pitch_there_and_back(
+    kind: str, missed: float
+) -> None:
+    lost = seen = 0
+    for seed in range(3):
+        random = np.random.default_rng(seed)
+        reference = grid(13, 11, 50.0)
+        reference += random.normal(0, 1.5, reference.shape)
+        angle = random.uniform(0, 2 * np.pi)
+        away = reference - reference.mean(axis=0) - random.uniform(-60, 60, 2)
+        bell = np.exp(-np.sum(away**2, axis=1) / 2 / 110.0**2)[:, None]
+        leap = {
+            "all alike": np.tile([np.cos(angle), np.sin(angle)], (len(reference), 1)),
+            "sheared": bell * [np.cos(angle), np.sin(angle)],
+            "pressed": bell * away,
+        }[kind]
+        most = 0.45 if kind == "all alike" else 0.5
+        leap *= most * 50.0 / np.linalg.norm(leap, axis=1).max()
+        tracker = Tracker(reference)
+        for times in (0, 1, 2, 3, 2, 1, 0, 1, 0):
+            names = np.flatnonzero(random.uniform(size=len(reference)) >= missed)
+            truth = (reference + times * leap)[names]
+            given, order = shuffled(truth + random.normal(0, 0.3, truth.shape), random)
+            track = tracker.step(given)
+            right = np.full(len(reference), -1)
+            right[names] = order
+            assert not ((track.found >= 0) & (track.found != right)).any()
+            lost += int(((track.found < 0) & (right >= 0)).sum())
+            seen += len(names)
+    assert lost <= 0.02 * seen
+
+
 def test_markers_that_are_lost_are_found_again_under_their_names() -> None:
     reference, random = grid(), np.random.default_rng(2)
     tracker = Tracker(reference)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from learning.data.genforce.format import (
 from learning.errors import LearningError
 from learning.indenters import UNSEEN, coded
 from learning.markers.frames import taxel_masks
+from learning.markers.lattice import Lattice, with_reference
 from learning.markers.segment import (
     CameraPreset,
     Segmenter,
@@ -176,7 +178,7 @@ def _raw(root: Path, indenters: tuple[str, ...], chosen: Choices) -> Iterator[Pu
             read = _taxels(found)
             still = pack(taxel_masks(np.zeros((1, 16, 3)), np.zeros((16, 3)), found))
         else:
-            read = _segmented(found)
+            read = _segmented(found, one.references)
             still = np.stack([read(path) for path in one.references])
             count = MarkerCount(found.area_px[0], found.tolerance)
         about: dict[str, Any] = {
@@ -228,11 +230,19 @@ def _count_of(references: Packed) -> MarkerCount:
     return MarkerCount(min(smallest_marker(mask) for mask in unpack(references)))
 
 
-def _segmented(found: CameraPreset) -> ReadMask:
+def _segmented(found: CameraPreset, references: Collection[Path]) -> ReadMask:
     segmenter = Segmenter(found)
 
+    @functools.lru_cache(maxsize=1)
+    def finder(reference: Path | None) -> Segmenter | Lattice:
+        if reference is None:
+            return segmenter
+        return with_reference(segmenter, segmenter.view(raw.read_picture(reference)))
+
     def read(path: Path) -> Packed:
-        return pack(segmenter.mask(raw.read_picture(path)))
+        run = path.parents[:3]
+        own = next((one for one in references if one != path and one.parent in run), None)
+        return pack(finder(own).mask_of_view(segmenter.view(raw.read_picture(path))))
 
     return read
 

@@ -1,0 +1,195 @@
+"""Markers found again where a contact hides them, by those of the reference around them.
+
+Edges of shadows and of coloured light hide a marker, or join it to a patch of shading. Such a
+marker is looked for where its neighbours predict it, by the likeness (normalised correlation) of
+the contrast there to its contrast without contact. Found again, it has its patch of the reference.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from learning.markers.segment import Hat, Mask, Picture, Segmenter, hat_contrast
+from learning.markers.track import NEIGHBOURS, Tracker
+from recorder.markers import SMALLEST_PX
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+# Area of a marker over that without contact, between which it counts as seen.
+_AREA_FROM, _AREA_TO = 0.65, 1.55
+# Largest distance of a seen marker from where its neighbours predict it [pitch].
+_ASTRAY = 0.1
+# Half the side of the compared squares, and largest distance looked for [pitch].
+_HALF, _SEARCH = 0.42, 0.3
+# Least likeness of a marker that is found again. Of 26 markers hidden under the contacts of three
+# pictures of a GelSlim, 25 reach 0.67.
+LIKENESS = 0.6
+# Loss of likeness at the distance _HALF from the predicted position: of two alike, the nearer.
+_FAR = 0.25
+# Largest fraction of a marker found again that another marker covers.
+_COVERED = 0.3
+
+
+class Lattice:
+    """The markers of a picture without contact, found again in others."""
+
+    def __init__(self, segmenter: Segmenter, detector: Hat, reference: Picture) -> None:
+        """Index the markers of a reference.
+
+        Args:
+            segmenter: Detection of markers.
+            detector: Its detector that looks for hidden markers.
+            reference: View without contact (480, 640, 3), of `Segmenter.view`.
+
+        Raises:
+            LearningError: The reference has no markers.
+        """
+        self._segmenter, self._detector = segmenter, detector
+        patches = _Patches(segmenter.mask_of_view(reference))
+        self._centre, self._area = patches.centre, patches.area
+        self._contrast = self._of(reference)
+        self._tracker = Tracker(self._centre)
+        self._pitch = self._tracker.gate_px / 0.5
+        count = min(NEIGHBOURS + 1, len(self._centre))
+        self._around = cKDTree(self._centre).query(self._centre, count)[1].reshape(-1, count)[:, 1:]
+        self._patches = patches
+
+    def mask_of_view(self, view: Picture) -> Mask:
+        """Return the mask (480, 640) of a view, with the markers that were found again."""
+        mask = self._segmenter.mask_of_view(view)
+        patches = _Patches(mask)
+        if not len(patches.number):
+            return mask
+        moved, seen, own = self._matched(patches)
+        hidden = np.flatnonzero(~seen)
+        if not len(hidden) or not seen.any():
+            return mask
+        expected = self._neighbourly(moved, seen)
+        contrast = self._of(view)
+        owns = np.zeros(int(patches.labels.max()) + 1, np.bool_)
+        owns[patches.number[own[seen]]] = True
+        wrong = np.zeros(len(owns), np.bool_)
+        again: list[tuple[NDArray[np.int64], NDArray[np.int64]]] = []
+        for marker in hidden.tolist():
+            shift = self._found_again(marker, contrast, expected[marker])
+            if shift is None:
+                continue
+            pixels = self._pixels(marker, shift)
+            covering = patches.labels[pixels]
+            if owns[covering].mean() > _COVERED:
+                continue
+            wrong[covering] = True
+            again.append(pixels)
+        wrong &= ~owns
+        mask &= ~wrong[patches.labels]
+        for pixels in again:
+            mask[pixels] = True
+        return mask
+
+    def _of(self, view: Picture) -> NDArray[np.float32]:
+        """Return the contrast of luma: coloured shadows change it least in shape."""
+        detector = self._detector
+        soft = np.asarray(cv2.GaussianBlur(view, (3, 3), 0), np.uint8)
+        return hat_contrast(soft, detector.size_px, "grey", bright=detector.bright)
+
+    def _matched(self, patches: _Patches) -> tuple[Floats, Flags, NDArray[np.int64]]:
+        """Return displacements (m, 2), True for markers that were seen (m,), and their patches."""
+        self._tracker.restart()
+        found = self._tracker.step(patches.centre).found
+        seen = found >= 0
+        moved = np.where(seen[:, None], patches.centre[found] - self._centre, 0.0)
+        ratio = patches.area[found] / self._area
+        seen &= (ratio > _AREA_FROM) & (ratio < _AREA_TO)
+        for _ in range(2):
+            astray = np.linalg.norm(moved - self._neighbourly(moved, seen), axis=1)
+            seen &= astray < _ASTRAY * self._pitch
+        return moved, seen, found
+
+    def _neighbourly(self, moved: Floats, seen: Flags) -> Floats:
+        """Return the median displacement (m, 2) of the neighbours that were seen."""
+        values = np.where(seen[:, None], moved, np.nan)[self._around]
+        some = seen[self._around].any(axis=1)
+        median = np.zeros_like(moved)
+        median[some] = np.nanmedian(values[some], axis=1)
+        return median
+
+    def _found_again(
+        self, marker: int, contrast: NDArray[np.float32], expected: Floats
+    ) -> tuple[int, int] | None:
+        """Return the shift (columns, rows) of a marker that is as likely as `LIKENESS`."""
+        half, search = round(_HALF * self._pitch), round(_SEARCH * self._pitch)
+        column, row = np.round(self._centre[marker]).astype(int)
+        right, down = np.round(expected).astype(int)
+        own = _square(self._contrast, column, row, half)
+        near = _square(contrast, column + right, row + down, half + search)
+        if own is None or near is None:
+            return None
+        likeness = cv2.matchTemplate(near, own, cv2.TM_CCOEFF_NORMED)
+        away = np.arange(-search, search + 1) / half
+        chosen = likeness - _FAR * (away[:, None] ** 2 + away**2)
+        place = np.unravel_index(int(chosen.argmax()), chosen.shape)
+        if likeness[place] < LIKENESS:
+            return None
+        return int(right + place[1] - search), int(down + place[0] - search)
+
+    def _pixels(
+        self, marker: int, shift: tuple[int, int]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return rows and columns of a marker's patch, shifted."""
+        row, column = self._patches.pixels(marker)
+        row, column = row + shift[1], column + shift[0]
+        height, width = self._patches.labels.shape
+        inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+        return row[inside], column[inside]
+
+
+def with_reference(segmenter: Segmenter, reference: Picture) -> Segmenter | Lattice:
+    """Return what makes the masks of pictures of one reference, by the segmenter's preset.
+
+    Args:
+        segmenter: Detection of markers.
+        reference: View without contact (480, 640, 3), of `Segmenter.view`.
+
+    Raises:
+        LearningError: Markers are to be found again, and the reference has none.
+    """
+    for detector in segmenter.preset.detectors:
+        if isinstance(detector, Hat) and detector.lattice:
+            return Lattice(segmenter, detector, reference)
+    return segmenter
+
+
+class _Patches:
+    """Patches of a mask (480, 640)."""
+
+    def __init__(self, mask: Mask) -> None:
+        _, labels, stats, centre = cv2.connectedComponentsWithStats(
+            mask.view(np.uint8), connectivity=4
+        )
+        self.labels = np.asarray(labels)
+        area = stats[:, cv2.CC_STAT_AREA].astype(np.int64)
+        self.number = np.flatnonzero((area >= SMALLEST_PX) & (np.arange(len(area)) > 0))
+        self.centre: Floats = np.asarray(centre, np.float64)[self.number]
+        self.area = area[self.number]
+        self._box = stats[self.number, : cv2.CC_STAT_AREA]
+
+    def pixels(self, index: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return rows and columns of a patch."""
+        left, top, width, height = self._box[index].tolist()
+        part = self.labels[top : top + height, left : left + width] == self.number[index]
+        row, column = np.nonzero(part)
+        return row + top, column + left
+
+
+def _square(
+    values: NDArray[np.float32], column: int, row: int, half: int
+) -> NDArray[np.float32] | None:
+    """Return the square around a pixel; None if it is cut by the border."""
+    height, width = values.shape
+    if not (half <= column < width - half and half <= row < height - half):
+        return None
+    return values[row - half : row + half + 1, column - half : column + half + 1]
