@@ -37,8 +37,6 @@ _ENCODINGS = {
     "8UC1": (1, (0, 0, 0)),
 }
 _JPEG = b"\xff\xd8"
-# Fields of seconds and nanoseconds in a stamp: ROS 2, our JSON, protobuf, ROS 1.
-_STAMPS = (("sec", "nanosec"), ("sec", "nsec"), ("seconds", "nanos"), ("secs", "nsecs"))
 _SUPPORT = "pip install 'tactile-rig[export]'"
 
 

@@ -184,49 +184,6 @@ def rate_of(t_ns: NDArray[np.int64]) -> float:
     return rate if rate > 0 and abs(1e9 / rate - step) < 1.0 else 1e9 / step
 
 
-def read_force(
-    path: Path,
-    *,
-    rate_hz: float | None,
-    units: ForceUnits | None = None,
-    t_ns: NDArray[np.int64] | None = None,
-) -> Wrenches:
-    """Return the forces of a file.
-
-    Args:
-        path: `.csv` with a header line, or `.npy`: (n,) pressing force, positive when pressing;
-            (n, 3) Fx Fy Fz; (n, 6) with Tx Ty Tz.
-        rate_hz: Rows per second, if no column gives times.
-        units: Units and columns that the file does not state.
-        t_ns: Times of the rows (n,) [ns], if no column gives them and there is no rate.
-
-    Raises:
-        SessionError: Invalid content; the message gives the place.
-        OSError: The file cannot be read.
-    """
-    name, units = path.name, units or ForceUnits()
-    own: NDArray[np.int64] | None = None
-    if path.suffix.lower() == ".npy":
-        value, axes, assumed = from_array(name, load_npy(path), units)
-    elif path.suffix.lower() == ".csv":
-        table = read_table(name, read_lines(path), units)
-        (value, axes), own, assumed = forces_of(table), table.t_ns, []
-        if not axes:
-            raise SessionError(f"{name}: no force column; known: {', '.join(AXES)}")
-    else:
-        raise SessionError(f"{name}: found {path.suffix!r}; allowed: .csv, .npy")
-    if own is not None and rate_hz is not None:
-        raise SessionError(f"{name}: has a time column; --force-hz does not go with it")
-    if own is None and rate_hz is not None:
-        own = np.round(np.arange(len(value)) * (1e9 / rate_hz)).astype(np.int64)
-        assumed.append(f"{name}: {rate_hz:g} rows/s by --force-hz")
-    elif own is None and t_ns is not None:
-        own = t_ns
-    elif own is None:
-        raise SessionError(f"{name}: says no times; say --force-hz")
-    return wrenches_of(name, value, axes, own, rate_hz=rate_hz, assumed=assumed)
-
-
 def wrenches_of(
     name: str,
     value: Floats,

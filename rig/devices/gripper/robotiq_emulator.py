@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.core.clock import SECOND_NS, Clock
-from rig.core.emulation import EmulatorConfig, Pty, Served, ThreadedEmulator
+from rig.core.emulation import EmulatorConfig, Pty, PtyEmulator, Served
 from rig.core.fault_injection import FaultInjector, corrupted_bytes
 from rig.devices.gripper.robotiq_wire import (
     ACTIVATING,
@@ -188,7 +188,7 @@ class Fingers:
 _GAP = 0.02
 
 
-class RobotiqEmulator(ThreadedEmulator):
+class RobotiqEmulator(PtyEmulator):
     """An emulated gripper.
 
     Args:
@@ -202,34 +202,13 @@ class RobotiqEmulator(ThreadedEmulator):
     def __init__(
         self, fingers: Fingers, link: Path, clock: Clock, *, slave: int = 9, seed: int = 0
     ) -> None:
-        super().__init__()
+        super().__init__(link)
         self.fingers = fingers
         self.faults = FaultInjector[bytes](clock, spoil=corrupted_bytes, seed=seed)
         self.requests = 0
         """Number of requests answered so far."""
-        self._link = link
         self._slave = slave
         self._lock = threading.Lock()
-        self._pty: Pty | None = None
-
-    @property
-    def address(self) -> str:
-        """Serial port for a driver to open."""
-        return str(self._link)
-
-    def start(self) -> None:
-        """Create the pty and its link, and serve.
-
-        Raises:
-            OSError: The link cannot be created.
-        """
-        self._pty = Pty(self._link)
-        self._run_threads(self._run)
-
-    def _release(self) -> None:
-        if self._pty is not None:
-            self._pty.close()
-            self._pty = None
 
     def inject(self, fault: str, **values: Any) -> dict[str, Any]:
         """Inject a fault and return the emulator's state.
@@ -251,7 +230,7 @@ class RobotiqEmulator(ThreadedEmulator):
             line = self.faults.inject(fault, **values)
         return {**line, "requests": self.requests}
 
-    def _run(self) -> None:
+    def _serve(self) -> None:
         pending = b""
         while not self._ending.is_set():
             # Only this thread opens and closes the pty, so that no reused descriptor is read.
@@ -268,9 +247,9 @@ class RobotiqEmulator(ThreadedEmulator):
                     pending = b""
                     continue
                 pending += os.read(fd, 1024)
-                pending = self._serve(fd, pending)
+                pending = self._answers(fd, pending)
 
-    def _serve(self, fd: int, pending: bytes) -> bytes:
+    def _answers(self, fd: int, pending: bytes) -> bytes:
         """Answer the complete requests in `pending` and return the rest."""
         while (length := request_length(pending)) is not None and len(pending) >= length:
             frame, pending = pending[:length], pending[length:]
