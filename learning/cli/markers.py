@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,7 +21,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Finds the markers in pictures or taxels of sessions, one session for each "
         "indenter on each sensor. Repeat the command with the same sessions to continue."
     )
-    parser.add_argument("sessions", nargs="+", type=Path, metavar="SESSION", help="NAME.zarr")
+    parser.add_argument(
+        "sessions",
+        nargs="+",
+        type=Path,
+        metavar="SESSION",
+        help="NAME.zarr, or a folder of pictures, each a contact of its own",
+    )
+    parser.add_argument(
+        "--no-contact",
+        metavar="PICTURE",
+        help="name of the picture without contact in a folder of pictures (ref.png or the like)",
+    )
     parser.add_argument("--out", type=Path, metavar="PATH", help="archive to write, X.markers.zarr")
     parser.add_argument(
         "--preset", metavar="NAME", help="preset of marker detection: a name or a YAML file"
@@ -50,19 +60,17 @@ def run(options: argparse.Namespace) -> int:
     from learning.markers.build import draw_sheet, rates
     from learning.markers.recording import read_group
 
-    _refuse_pictures(options.sessions)
+    sessions = _sessions(options)
     sam = _sam(options)
     if options.rate:
-        for line in rates(
-            options.sessions, preset_name=options.preset, sensor=options.sensor, sam=sam
-        ):
+        for line in rates(sessions, preset_name=options.preset, sensor=options.sensor, sam=sam):
             print(line)
         return 0
     if options.out is None:
         raise LearningError("--out: missing; allowed: where the archive goes, or --rate")
     with ItemProgress("frames", sys.stderr) as progress:
         built = archive_sessions(
-            options.sessions,
+            sessions,
             options.out,
             preset_name=options.preset,
             sensor=options.sensor,
@@ -75,21 +83,45 @@ def run(options: argparse.Namespace) -> int:
     for line in built.lines:
         print(line)
     if options.sheet is not None:
-        draw_sheet(options.out, read_group(options.sessions, options.sensor), options.sheet)
+        draw_sheet(options.out, read_group(sessions, options.sensor), options.sheet)
         print(f"{options.sheet}: written")
     print(f"{options.out}: {built.made:,} frames made")
     return 0
 
 
-def _refuse_pictures(paths: Sequence[Path]) -> None:
-    """Point to the import for files and folders that are no session yet."""
-    for path in paths:
-        pictures = path.is_dir() and not (path / "zarr.json").exists() and any(path.iterdir())
-        if pictures or path.is_file():
+def _sessions(options: argparse.Namespace) -> list[Path]:
+    """Return the sessions; a folder of pictures becomes one, beside the archive."""
+    from learning.markers.fit import ENDINGS
+    from recorder.convert import Answers, draft_recordings, write_sessions
+
+    found: list[Path] = []
+    for path in options.sessions:
+        if path.is_file():
             raise LearningError(
                 f"{path}: is no session; allowed: what `tactile import {path} --out NAME.zarr` "
-                "makes of it (--stills: each picture is a contact of its own)"
+                "makes of it"
             )
+        if not path.is_dir() or not any(one.suffix.lower() in ENDINGS for one in path.iterdir()):
+            found.append(path)
+            continue
+        if options.out is None:
+            raise LearningError(f"--out: missing; allowed: where the archive of {path} goes")
+        session = options.out.with_name(f"{options.out.name.split('.')[0]}.{path.name}.zarr")
+        found.append(session)
+        if session.exists():
+            print(f"{session}: exists already, used for {path}", file=sys.stderr)
+            continue
+        answers = Answers(
+            sensor=options.sensor or path.resolve().parent.name,
+            indenter=path.resolve().name,
+            stills=True,
+            no_contact=() if options.no_contact is None else (options.no_contact,),
+        )
+        drafts = draft_recordings([path], [], answers)
+        with ItemProgress("pictures", sys.stderr) as progress:
+            write_sessions(drafts, session, answers, progress)
+        print(f"{session}: session of the pictures in {path}", file=sys.stderr)
+    return found
 
 
 def _sam(options: argparse.Namespace) -> EfficientSam | None:

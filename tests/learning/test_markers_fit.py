@@ -15,6 +15,7 @@ from learning.__main__ import main
 from learning.errors import LearningError
 from learning.markers import Segmenter, read_preset
 from learning.markers.fit import fit_preset, recalls
+from recorder import MarkerArchive
 
 SCALE = 2
 
@@ -98,6 +99,32 @@ def test_the_command_writes_a_preset_that_markers_reads(
     assert read_preset(out).detectors[0].KIND == "hat"
     assert yaml.safe_load(out.read_text())["kind"] == "camera"
     assert cv2.imread(str(sheet)).shape == (480, 1280, 3)
+
+
+@pytest.mark.parametrize("ending", ["png", "jpg"])
+def test_a_folder_of_pictures_becomes_masks(
+    ending: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "mine" / "ball"
+    folder.mkdir(parents=True)
+    for name, pressed in (("a", False), ("b", True), ("c", True)):
+        picture = cv2.cvtColor(painted(2, pressed=pressed)[0], cv2.COLOR_RGB2BGR)
+        assert cv2.imwrite(str(folder / f"{name}.{ending}"), picture)
+    out = tmp_path / "x.markers.zarr"
+    command = ["markers", str(folder), "--out", str(out), "--preset", "dark-markers"]
+    command += ["--mm-per-px", "0.03"]
+    assert main(command) != 0
+    assert f"say --no-contact (a.{ending} or b.{ending}" in capsys.readouterr().err
+    assert main([*command, "--no-contact", f"a.{ending}"]) == 0
+    sensor = MarkerArchive(out)["mine"]
+    assert len(sensor) == 2
+    assert iou(sensor.masks([0])[0], painted(2, pressed=True)[1]) > 0.85
+    # The command is repeated with the session that it wrote.
+    assert main([*command, "--no-contact", f"a.{ending}"]) == 0
+    assert "x.ball.zarr: exists already" in capsys.readouterr().err
+    (tmp_path / "one.png").write_bytes((folder / f"a.{ending}").read_bytes())
+    assert main(["markers", str(tmp_path / "one.png"), "--out", str(out)]) == 2
+    assert "is no session" in capsys.readouterr().err
 
 
 def test_wrong_files_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import simplejpeg
@@ -245,7 +246,6 @@ def test_single_pictures_are_contacts_of_their_own(
     words = ["import", folder, "--out", out, *STATED]
     assert "--stills if each picture" in refused(*words)
     assert "say --no-contact (p0.png or p1.png or p2.png)" in refused(*words, "--stills")
-    assert "allowed: what `tactile import" in refused("markers", folder, "--out", tmp_path / "m")
     assert run(*words, "--stills", "--no-contact", "p0.png") == 0
     session = Session(out)
     assert faults(check(out)) == []
@@ -290,15 +290,18 @@ def test_what_is_in_an_npz_and_a_csv_becomes_streams(
     assert faults(check(session.path)) == []
 
 
-def _rosbag(version: int, folder: Path, force: np.ndarray) -> Path:
+def _rosbag(version: int, folder: Path, force: np.ndarray, *, mcap: bool = False) -> Path:
+    """Write a rosbag; `mcap` returns the one MCAP file of CDR messages in a rosbag 2."""
     from rosbags.rosbag1 import Writer as Writer1
+    from rosbags.rosbag2 import StoragePlugin
     from rosbags.rosbag2 import Writer as Writer2
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS1_NOETIC if version == 1 else Stores.ROS2_HUMBLE)
     types = store.types
     path = folder / ("x.bag" if version == 1 else "x")
-    writer: Any = Writer1(path) if version == 1 else Writer2(path, version=8)
+    plugin = StoragePlugin.MCAP if mcap else StoragePlugin.SQLITE3
+    writer: Any = Writer1(path) if version == 1 else Writer2(path, version=8, storage_plugin=plugin)
     serialize = store.serialize_ros1 if version == 1 else store.serialize_cdr
     with writer:
         topics = {
@@ -326,23 +329,34 @@ def _rosbag(version: int, folder: Path, force: np.ndarray) -> Path:
             ):
                 # Logged late: the message's own stamp is its time.
                 writer.write(opened[name], t_ns + 5_000_000, serialize(message, topics[name]))
-    return path
+    if not mcap:
+        return path
+    (file,) = path.glob("*.mcap")
+    return file.rename(folder / "alone.mcap")
 
 
-@pytest.mark.parametrize("kind", ["rosbag1", "rosbag2", "mcap", "lerobot"])
+KINDS = ["rosbag1", "rosbag2", "mcap", "mcap-cdr", "lerobot", "lerobot-mp4"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_bags_and_data_sets_become_the_session_that_they_hold(kind: str, tmp_path: Path) -> None:
     force = pressing()
     out = tmp_path / "x.zarr"
-    if kind.startswith("rosbag"):
+    if kind.startswith("rosbag") or kind == "mcap-cdr":
         pytest.importorskip("rosbags")
-        path = _rosbag(int(kind[-1]), tmp_path, force)
+        pytest.importorskip("mcap")
+        path = _rosbag(1 if kind == "rosbag1" else 2, tmp_path, force, mcap=kind == "mcap-cdr")
     else:
         pytest.importorskip("mcap" if kind == "mcap" else "pyarrow")
         path = _exported(kind, tmp_path, force)
     assert run("import", path, "--out", out, "--units", "N", "--torque-units", "N m", *STATED) == 0
     session = Session(out)
     assert faults(check(out)) == []
-    assert session.streams["camera"].jpeg(3) is not None
+    if kind == "lerobot-mp4":
+        shown = session.streams["camera"].images([3])[0].astype(float)
+        assert np.abs(shown - pictures(force)[3]).mean() < 8
+    else:
+        assert session.streams["camera"].jpeg(3) is not None
     # LeRobot keeps times as float32.
     assert np.diff(session.streams["camera"].t_ns) == pytest.approx(1e9 / FPS, abs=200)
     found = session.streams["force"].array("value")[:, 2]
@@ -386,10 +400,14 @@ def _exported(kind: str, folder: Path, force: np.ndarray) -> Path:
     path = folder / "x"
     (path / "meta").mkdir(parents=True)
     (path / "data" / "chunk-000").mkdir(parents=True)
+    film = kind == "lerobot-mp4"
+    camera = "observation.images.tactile"
     info = {
         "fps": FPS,
+        "chunks_size": 1000,
+        "video_path": "videos/{video_key}/episode_{episode_index:06d}.mp4",
         "features": {
-            "observation.images.tactile": {"dtype": "image", "shape": [60, 80, 3]},
+            camera: {"dtype": "video" if film else "image", "shape": [60, 80, 3]},
             "observation.force": {"dtype": "float32", "shape": [6]},
             "action": {"dtype": "float32", "shape": [6]},
             "episode_index": {"dtype": "int64", "shape": [1]},
@@ -397,11 +415,19 @@ def _exported(kind: str, folder: Path, force: np.ndarray) -> Path:
     }
     (path / "meta" / "info.json").write_text(json.dumps(info))
     rows = {
-        "observation.images.tactile": [{"bytes": each, "path": None} for each in jpegs],
+        camera: [{"bytes": each, "path": None} for each in jpegs],
         "observation.force": [[0.0, 0.0, -float(each), 0.0, 0.0, 0.0] for each in force],
         "timestamp": TIMES.astype(np.float32).tolist(),
         "episode_index": [0] * COUNT,
     }
+    if film:
+        del rows[camera]
+        file = path / "videos" / camera / "episode_000000.mp4"
+        file.parent.mkdir(parents=True)
+        writer = cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*"mp4v"), FPS, (80, 60))
+        for image in pictures(force):
+            writer.write(image[..., ::-1])
+        writer.release()
     pq.write_table(pa.table(rows), path / "data" / "chunk-000" / "file-000.parquet")
     return path
 
