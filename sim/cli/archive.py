@@ -76,6 +76,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _add_plan_options(parser: argparse.ArgumentParser, out: Path | None) -> None:
     group = parser.add_argument_group("contents")
     group.add_argument("--indenters", type=names, metavar="NAME,...", help="some of the 18 (all)")
+    group.add_argument(
+        "--drawn", type=int, default=0, metavar="N", help="randomly drawn indenters besides (0)"
+    )
     add_seed(group)
     shown = out or "data/GROUP.markers.zarr"
     group.add_argument("--out", type=Path, default=out, metavar="PATH", help=f"archive ({shown})")
@@ -128,7 +131,7 @@ def _states(options: argparse.Namespace) -> int:
     plan = DatasetPlan(
         "states",
         (gel(options.patterns),),
-        indenters=_indenters(options.indenters, smoke=options.smoke),
+        indenters=_indenters(options, smoke=options.smoke),
         solving=_solving(options, smoke=options.smoke),
         seed=options.seed,
     )
@@ -147,7 +150,7 @@ def _sensors(options: argparse.Namespace) -> int:
     plan = DatasetPlan(
         "targets",
         chosen,
-        indenters=_indenters(options.indenters, smoke=smoke),
+        indenters=_indenters(options, smoke=smoke),
         solving=_solving(options, smoke=smoke),
         seed=options.seed,
         steps=steps,
@@ -331,14 +334,18 @@ def _solving(options: argparse.Namespace, *, smoke: bool) -> Solving:
     return solving
 
 
-def _indenters(listed: Sequence[str] | None, *, smoke: bool) -> tuple[str, ...]:
-    from sim.indenters import NAMES
+def _indenters(options: argparse.Namespace, *, smoke: bool) -> tuple[str, ...]:
+    from sim.indenters import DRAWN_MOST, NAMES, drawn_name
 
+    if not 0 <= options.drawn <= DRAWN_MOST:
+        raise SceneError(f"--drawn: {options.drawn}; allowed: 0 to {DRAWN_MOST}")
+    drawn = map(drawn_name, range(options.drawn))
+    listed: Sequence[str] | None = options.indenters
     if listed is None:
-        return tuple(name for name in NAMES if not smoke or name in SMOKE_SHAPES)
+        return (*(name for name in NAMES if not smoke or name in SMOKE_SHAPES), *drawn)
     if unknown := [name for name in listed if name not in NAMES]:
         raise SceneError(f"--indenters: {', '.join(unknown)}; allowed: {', '.join(NAMES)}")
-    return tuple(name for name in NAMES if name in listed)
+    return (*(name for name in NAMES if name in listed), *drawn)
 
 
 def _share(text: str) -> tuple[bool, float]:

@@ -26,9 +26,9 @@ from sim.dataset.plan import (
     code,
     families,
     force_scale,
+    indenter_names,
     names,
     scenes,
-    session_points,
     solve,
 )
 from sim.errors import SceneError
@@ -56,15 +56,22 @@ TAXEL_PITCH_PX = 128
 class Reader:
     """Reader of one sensor of an archive; keeps constant data between calls."""
 
-    def __init__(self, sensor: SimulatedSensor, seed: int, device: str) -> None:
-        """Mount the sensor with the deviations in its `variation`."""
+    def __init__(self, sensor: SimulatedSensor, seed: int, device: str, indenters: int) -> None:
+        """Mount the sensor with the deviations in its `variation`.
+
+        Args:
+            sensor: The sensor.
+            seed: Seed of all draws.
+            device: Device of the renderer.
+            indenters: Number of indenters in its session, by code.
+        """
         self.sensor = sensor
         self._readout = readout(sensor, seed=seed, device=device)
         # A lab picks a good reference, so it has no segmentation errors and no noise.
         careful = replace(sensor, variation=replace(sensor.variation, segmentation=None))
         taxels = isinstance(self._readout, TaxelReadout)
         self._still = readout(careful, seed=None if taxels else seed, device=device)
-        self._creep = creep(sensor, seed)
+        self._creep = creep(sensor, seed, indenters)
 
     @property
     def mm_per_px(self) -> float:
@@ -119,12 +126,12 @@ class Reader:
 
 
 @functools.lru_cache(maxsize=32)
-def reader(sensor: SimulatedSensor, seed: int, device: str) -> Reader:
+def reader(sensor: SimulatedSensor, seed: int, device: str, indenters: int) -> Reader:
     """Return the reader of a sensor, cached within the process."""
-    return Reader(sensor, seed, device)
+    return Reader(sensor, seed, device, indenters)
 
 
-def creep(sensor: SimulatedSensor, seed: int) -> Array:
+def creep(sensor: SimulatedSensor, seed: int, indenters: int) -> Array:
     """Return the offset of the skin at each contact point of its session (K, 2) [m].
 
     Offsets follow one random walk over all indenters in their order, so that a point's offset does
@@ -132,7 +139,8 @@ def creep(sensor: SimulatedSensor, seed: int) -> Array:
     """
     if sensor.variation.drift is None or sensor.trajectory is None:
         return np.zeros((1, 2))
-    return sensor.variation.drift.drawn(session_points(sensor.trajectory), seed, sensor.name)
+    points = indenters * len(sensor.trajectory.points)
+    return sensor.variation.drift.drawn(points, seed, sensor.name)
 
 
 def crept(top: SurfaceField, offset: Array) -> SurfaceField:
@@ -211,7 +219,7 @@ def _write(
     device: str,
 ) -> int:
     """Write the rows of one sensor and return the number of masks."""
-    seen = reader(sensor, plan.seed, device)
+    seen = reader(sensor, plan.seed, device, len(indenter_names(plan)))
     recordings = [
         (press, each, one)
         for press, each in zip(presses, solved, strict=True)

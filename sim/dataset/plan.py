@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args
 from sim.effects import Friction
 from sim.errors import SceneError, SimulationDiverged, check_range
 from sim.fem import FOR_EDGES, Fem, Grading
-from sim.indenters import NAMES, named
+from sim.indenters import NAMES, drawn_name, indenter_of, is_indenter, number_of
 from sim.layer import Layer
 from sim.paper_presses import DEPTHS_MM, FRICTION, PLACES_MM
 from sim.result import Result, from_json, to_json
@@ -261,7 +261,7 @@ class DatasetPlan:
     sensors: tuple[SimulatedSensor, ...]
     """Rows of `sim.sensors`, with different names."""
     indenters: tuple[str, ...] = NAMES
-    """Names, in the order of `sim.indenters.NAMES`."""
+    """Names, in the order of `sim.indenters.NAMES`, then of drawn ones, such as drawn-0."""
     solving: Solving = field(default_factory=Solving)
     """Tier and mesh, or tolerance, of the presses."""
     seed: int = 0
@@ -280,10 +280,13 @@ class DatasetPlan:
             raise SceneError(f"plan.work: {self.work!r}; allowed: {get_args(Part)}")
         _check_names("sensors", [each.name for each in self.sensors])
         _check_names("indenters", list(self.indenters))
-        if unknown := [name for name in self.indenters if name not in NAMES]:
-            raise SceneError(f"plan.indenters: {unknown}; allowed: {', '.join(NAMES)}")
-        if self.indenters != tuple(name for name in NAMES if name in self.indenters):
-            raise SceneError(f"plan.indenters: {self.indenters}; allowed: in the order of {NAMES}")
+        if unknown := [name for name in self.indenters if not is_indenter(name)]:
+            raise SceneError(f"plan.indenters: {unknown}; allowed: {', '.join(NAMES)}, drawn-0 ...")
+        if self.indenters != tuple(sorted(self.indenters, key=code)):
+            raise SceneError(
+                f"plan.indenters: {self.indenters}; allowed: in the order of {NAMES}, then of the "
+                "numbers of drawn ones"
+            )
         check_range("plan", "seed", self.seed, 0, 2**32)
         check_range("plan", "steps", self.steps, 1, STEPS_MAX)
         check_range("plan", "fraction", self.fraction, 0.0, 1.0, open_low=True)
@@ -334,8 +337,18 @@ def names(sensor: SimulatedSensor) -> tuple[str, ...]:
 
 
 def code(indenter: str) -> int:
-    """Return the code of an indenter, the same in archives with all or some indenters."""
-    return NAMES.index(indenter)
+    """Return the code of an indenter, the same in archives with all or some indenters.
+
+    Raises:
+        SceneError: The name is unknown.
+    """
+    return NAMES.index(indenter) if indenter in NAMES else len(NAMES) + number_of(indenter)
+
+
+def indenter_names(plan: DatasetPlan) -> tuple[str, ...]:
+    """Return the names of all codes of a plan's archive: the 18, then drawn ones."""
+    drawn = max(0, code(plan.indenters[-1]) + 1 - len(NAMES))
+    return (*NAMES, *map(drawn_name, range(drawn)))
 
 
 def differing(one: dict[str, Any], other: dict[str, Any], where: str = "") -> list[str]:
@@ -409,13 +422,6 @@ def chosen_targets(trajectory: PressShear, fraction: float) -> tuple[Target, ...
         for trait in _traits(best):
             met[trait] = met.get(trait, 0) + 1
     return tuple(sorted(chosen, key=lambda one: one.index))
-
-
-def session_points(trajectory: PressShear) -> int:
-    """Return the number of contact points in a sensor's session, over all indenters."""
-    from sim.indenters import NAMES
-
-    return len(NAMES) * len(trajectory.points)
 
 
 def _traits(target: Target) -> tuple[tuple[object, ...], ...]:
@@ -644,7 +650,9 @@ def units(plan: DatasetPlan) -> tuple[Unit, ...]:
 def scenes(plan: DatasetPlan, family: Family, presses: tuple[PlannedPress, ...]) -> list[Scene]:
     """Return the scenes to simulate, for the mount of the first sensor and the common modulus."""
     lead = family.sensors[0]
-    made = [lead.placed(named(press.indenter), press.motion, seed=plan.seed) for press in presses]
+    made = [
+        lead.placed(indenter_of(press.indenter), press.motion, seed=plan.seed) for press in presses
+    ]
     if not _proportional(plan, lead):
         return made
     body = replace(lead.body, modulus=MODULUS)

@@ -31,13 +31,13 @@ from sim.dataset.plan import (
     described,
     differing,
     families,
+    indenter_names,
     names,
     scenes,
     units,
 )
 from sim.device import ready_device
 from sim.errors import SceneError
-from sim.indenters import NAMES
 from sim.markers import named as pattern_named
 from sim.result import to_json
 from sim.sensors import CameraSignal, SimulatedSensor
@@ -143,13 +143,13 @@ def archive_plan(plan: DatasetPlan, device: str = "cpu") -> ArchivePlan:
         PLAN: plan.document(),
         "patterns": {name: to_json(pattern_named(name)) for name in patterns},
     }
-    return ArchivePlan(tuple(by_name[name] for name in order), NAMES, attrs)
+    return ArchivePlan(tuple(by_name[name] for name in order), indenter_names(plan), attrs)
 
 
 def _sensor_plans(plan: DatasetPlan, family: Family, device: str) -> Iterator[SensorPlan]:
     rows = family.recordings * family.rows_each
     for each in family.sensors:
-        seen = reader(each, plan.seed, device)
+        seen = reader(each, plan.seed, device, len(indenter_names(plan)))
         references = seen.references()
         owner = names(each)[0]
         for index, name in enumerate(names(each)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from sim.indenters.drawn import DRAWN_MOST, drawn_name, indenter_of, is_indenter, number_of
 from sim.indenters.indenter import Indenter
 from sim.indenters.outline import Part
 from sim.indenters.shapes import (
@@ -22,6 +23,7 @@ from sim.indenters.shapes import (
 from sim.indenters.solid import UNITS, UPS, Solid
 
 __all__ = [
+    "DRAWN_MOST",
     "NAMES",
     "UNITS",
     "UPS",
@@ -31,10 +33,14 @@ __all__ = [
     "bar",
     "box",
     "cone",
+    "drawn_name",
     "extruded",
     "flat_punch",
     "from_stl",
+    "indenter_of",
+    "is_indenter",
     "named",
+    "number_of",
     "plane",
     "rounded_cone",
     "sphere",

@@ -14,7 +14,8 @@ from rig.bench.bench import load_bench
 from rig.core.packaged import BENCHES
 from sim import SceneError
 from sim.dataset import DatasetPlan, Solving, chosen_targets, families, gel, units
-from sim.dataset.plan import STATES, code, differing, force_scale, names, scenes
+from sim.dataset.generate import creep
+from sim.dataset.plan import STATES, code, differing, force_scale, indenter_names, names, scenes
 from sim.indenters import NAMES
 from sim.sensors import HETEROGENEOUS, HOMOGENEOUS, MATERIAL, sensor
 from trajectories import PressShear
@@ -172,6 +173,20 @@ def test_a_part_of_the_indenters_keeps_codes_locations_and_draws() -> None:
     assert [code(name) for name in NAMES] == list(range(18))
 
 
+def test_drawn_indenters_follow_the_18_and_change_nothing_of_them() -> None:
+    plain = group(("array-i",), indenters=("cone", "moon"), fraction=0.1)
+    more = replace(plain, indenters=("cone", "moon", "drawn-0", "drawn-3"))
+    before, after = (families(each)[0].presses for each in (plain, more))
+    assert [each for each in after if not each.indenter.startswith("drawn")] == list(before)
+    assert indenter_names(more) == (*NAMES, "drawn-0", "drawn-1", "drawn-2", "drawn-3")
+    assert code("drawn-3") == 21
+    numbers = [one.number for press in after for one in press.recordings]
+    assert len(set(numbers)) == len(numbers)
+    assert DatasetPlan.of(json.loads(json.dumps(more.document()))) == more
+    few, many = (creep(sensor("array-i"), 0, count) for count in (18, 22))
+    np.testing.assert_array_equal(few, many[: len(few)])
+
+
 @pytest.mark.parametrize(
     "plan",
     [
@@ -232,6 +247,8 @@ def test_plans_say_in_which_keys_they_differ() -> None:
         ({"sensors": (gel(), gel())}, "plan.sensors: .*all different"),
         ({"indenters": ("sphere", "ball")}, r"plan.indenters: \['ball'\]; allowed: sphere"),
         ({"indenters": ("moon", "sphere")}, "in the order of"),
+        ({"indenters": ("drawn-1", "drawn-0")}, "in the order of"),
+        ({"indenters": ("drawn-01",)}, r"plan.indenters: \['drawn-01'\]; allowed: sphere"),
         ({"fraction": 0.0}, "plan.fraction: 0.0; allowed: above 0 to 1"),
         ({"steps": 0}, "plan.steps: 0; allowed: 1 to"),
         ({"seed": -1}, "plan.seed: -1; allowed: 0 to"),

@@ -15,8 +15,10 @@ from sim.indenters import (
     bar,
     box,
     cone,
+    drawn_name,
     extruded,
     flat_punch,
+    indenter_of,
     named,
     plane,
     rounded_cone,
@@ -292,3 +294,23 @@ def test_rounding_a_ridge_that_is_the_tip_is_refused_because_it_would_lift_it() 
     assert float(ridge.heights(0.0, 0.0)) == 0
     with pytest.raises(SceneError, match="lowest point"):
         replace(ridge, edge_radius=0.1e-3)
+
+
+def test_drawn_indenters_differ_are_the_same_by_name_and_as_large_as_the_18() -> None:
+    drawn = [indenter_of(drawn_name(number)) for number in range(40)]
+    assert len({each.parts for each in drawn}) == 40
+    assert drawn[17] == indenter_of("drawn-17")
+    for each in drawn:
+        # The skin touches at height 0, and the body is within reach of a sensor.
+        places = np.linspace(-9e-3, 9e-3, 121)
+        heights = each.heights(*np.meshgrid(places, places), reach=2e-3)
+        touched = np.isfinite(heights) & (heights < 0.3e-3)
+        assert heights.min() == pytest.approx(0.0, abs=2e-5)
+        assert not touched[[0, -1]].any()
+        assert not touched[:, [0, -1]].any()
+        assert each.sharpest >= 0.15e-3
+    # All kinds occur: round, flat, ring-shaped, with corners, and of several tips.
+    assert {each.parts[0].figure for each in drawn} >= {"circle", "half_plane", "band", "path"}
+    assert indenter_of("moon", 1e-4) == named("moon", 1e-4)
+    with pytest.raises(SceneError, match=r"allowed: .*drawn-0 to drawn-999"):
+        indenter_of("drawn-1000")
