@@ -48,6 +48,9 @@ PATIENCE, BETTER = 25, 0.7
 # edge, goes from one state to a distant one; it may take 150 iterations, in all of which its energy
 # falls. No shorter step of the tip avoids them, nor those after an update of the multipliers.
 PATIENT, ROUNDING = 6, 10.0
+# Iterations beyond `PATIENCE` that all patient steps of a path may take: skin that folds again and
+# again has no state that a result could be made of.
+PATIENT_IN_ALL = 300
 # Iterations of a step with a convex tangent, after which the exact one is damped instead: where a
 # body turns far, the convex tangent is too stiff to make progress.
 CONVEX_MOST = 10
@@ -88,6 +91,8 @@ class Newton:
         """True if the current state is in balance."""
         self.failed = np.zeros(count, bool)
         """True if the solver cannot continue from the current state."""
+        self.crushed = np.zeros(count, bool)
+        """True if elements of a failed step have all but lost their volume."""
         self._predicting = np.zeros(count, bool)
         self._tolerance = np.full(count, assembly.numerics.tolerance)
         self._damping = np.zeros(count)
@@ -97,7 +102,7 @@ class Newton:
         self._best = np.full(count, np.inf)
         self._best_at, self._far_at = np.zeros((2, count), int)
         self._settled, self._renewed = np.zeros((2, count), int)
-        self._patience = np.ones(count, int)
+        self._patience = np.ones(count)
 
     def begin(
         self,
@@ -105,11 +110,11 @@ class Newton:
         tolerance: np.ndarray,
         *,
         predict: np.ndarray,
-        patient: np.ndarray,
+        patience: np.ndarray,
     ) -> None:
         """Start a step of the chosen environments from `state.u`; all arrays (B,).
 
-        Where `patient` is set, it may take `PATIENT` times as many iterations.
+        It may take `patience` times as many iterations as usual.
 
         Where `predict` is set, `state.u` is the state before the tip moved. The first iteration
         then follows the tip along the tangent and contact of that state.
@@ -123,14 +128,17 @@ class Newton:
             state.settle_limit(self.mask(chosen))
         state.set_tip(chosen & predict, before=True)
         state.set_tip(chosen & ~predict)
-        self._patience[chosen] = np.where(patient, PATIENT, 1)[chosen]
+        self._patience[chosen] = patience[chosen]
         self._restart(chosen)
 
-    def resume(self, chosen: np.ndarray) -> None:
-        """Continue from the current state, a solution, after an update of its multipliers."""
+    def resume(self, chosen: np.ndarray, patience: np.ndarray) -> None:
+        """Continue from the current state, a solution, after an update of its multipliers.
+
+        `patience` is as in `begin`.
+        """
         if not chosen.any():
             return
-        self._patience[chosen] = PATIENT
+        self._patience[chosen] = patience[chosen]
         self._restart(chosen)
 
     def _restart(self, chosen: np.ndarray) -> None:
@@ -208,6 +216,7 @@ class Newton:
         spent |= self.iterations - np.maximum(self._best_at, self._far_at) >= PATIENCE
         stuck = ~walked & (damping >= DAMPING_MOST)
         self.failed |= running & ~self.converged & (spent | stuck)
+        self.crushed = self.failed & (assembly.sums.det <= assembly.numerics.det_floor)
 
     def _switch(self, chosen: np.ndarray) -> bool:
         """Switch tangents of the chosen (B,) between convex and exact; return True if any."""
@@ -348,6 +357,9 @@ Array = NDArray[np.float64]
 FULL_RELAXATION_TIME = 1e9
 # Failed attempts, of ever shorter steps from one place, after which the next may take long.
 PATIENT_AFTER = (2, 5)
+# Determinant of the last accepted state, over the least accepted one, below which its elements are
+# all but crushed; and the number of shorter and shorter steps that may then fail by crushing them.
+NEARLY_CRUSHED, CRUSHED_MOST = 2.0, 2
 # Largest ratio of a step to the last one that was accepted.
 GROWTH = 1.5
 # Steps per shortest relaxation time, but at most `STEPS_MAX` in a segment.
@@ -391,12 +403,24 @@ class Path:
     """Failed attempts since the last accepted step."""
     hard: bool = False
     """True if another batch, in float32, has failed on this path."""
+    patient_left: int = PATIENT_IN_ALL
+    """Iterations that patient steps may still take."""
+    nearly_crushed: bool = False
+    """True if elements of the last accepted state have little volume left."""
+    crushed: int = 0
+    """Steps since then that failed because elements lost their volume."""
+    ended: str = ""
+    """Reason why shorter steps are of no use, if so."""
     tried: list[str] = field(default_factory=list)
 
     @property
     def patient(self) -> bool:
         """True if the next step may take long, as shorter ones would not help."""
         return self.failed in PATIENT_AFTER or (self.hard and self.failed == 0)
+
+    def patience(self, newton_max: int) -> float:
+        """Return how many times as many iterations as usual a patient step may take."""
+        return 1.0 + min(PATIENT - 1.0, max(self.patient_left, 0) / newton_max)
 
     @property
     def finished(self) -> bool:
@@ -445,10 +469,11 @@ class Path:
         """Return the fraction of the weight that acts after a fraction of the current segment."""
         return fraction if self.ramped and self.segment == 0 else 1.0
 
-    def accept(self, fraction: float) -> bool:
+    def accept(self, fraction: float, *, nearly_crushed: bool = False) -> bool:
         """Accept the step; return True if a waypoint was reached."""
         step = fraction - self.fraction
-        self.failed = 0
+        self.failed = self.crushed = 0
+        self.nearly_crushed = nearly_crushed
         if fraction < 1.0:
             self.fraction = fraction
             self.step = step * GROWTH
@@ -472,14 +497,24 @@ class Path:
         self.hard = True
         self.tried.clear()
 
-    def refuse(self, fraction: float, message: str) -> bool:
-        """Reject the step and halve it; return True if there is a smaller one to try."""
+    def refuse(self, fraction: float, message: str, *, crushed: bool = False) -> bool:
+        """Reject the step and halve it; return True if there is a smaller one to try.
+
+        `crushed` is set if its elements have lost their volume.
+        """
         step = fraction - self.fraction
         self.tried.append(f"segment {self.segment}, step of {step:.3g} of it: {message}")
         self.ramped |= self.heavy and self.segment == 0 and self.fraction == 0
         self.step = step / 2
         self.halvings += 1
         self.failed += 1
+        self.crushed += crushed
+        if self.nearly_crushed and self.crushed >= CRUSHED_MOST:
+            self.ended = "elements are crushed: the skin folds there, or is pressed flat"
+        elif self.patient_left <= 0 and self.failed >= PATIENT_AFTER[0]:
+            self.ended = f"{PATIENT_IN_ALL} further iterations have not led past such places"
+        if self.ended:
+            return False
         return self.halvings <= self.halvings_max and (
             self.length > 0 or (self.ramped and self.segment == 0)
         )

@@ -25,7 +25,7 @@ from sim.device import check_device
 from sim.errors import SimulationDiverged
 from sim.fem.assembly import Assembly, is_split
 from sim.fem.mesh import Mesh, meshes_of
-from sim.fem.newton import ROUNDING, Newton, Path, path_of
+from sim.fem.newton import NEARLY_CRUSHED, PATIENCE, ROUNDING, Newton, Path, path_of
 from sim.fem.numerics import Fem, Precision
 from sim.fem.self_overlap import self_overlap
 from sim.fem.sizing import (
@@ -858,7 +858,7 @@ def _solve(scenes, meshes, numerics, device, meshed, progress) -> list[Outcome]:
     trial = replace(numerics, halvings=min(numerics.halvings, HALVINGS_FLOAT32))
     batch = _Batch(scenes, meshes, trial, "float32", device, meshed, progress)
     outcomes = batch.run()
-    again = [i for i, outcome in enumerate(outcomes) if isinstance(outcome, SimulationDiverged)]
+    again = [i for i in range(len(outcomes)) if batch.may_go_on(i)]
     if again:
         reached = batch.reached(again)
         del batch  # frees its memory on the device
@@ -1027,6 +1027,10 @@ class _Batch:
             seconds=self._seconds["solve"],
         )
 
+    def may_go_on(self, env: int) -> bool:
+        """True if an environment has failed where float64 may succeed."""
+        return env in self._failed and not self._paths[env].ended
+
     def run(self) -> list[Outcome]:
         began = time.perf_counter()
         newton = self._newton
@@ -1052,12 +1056,13 @@ class _Batch:
         """Begin the next step of the idle environments (B,)."""
         if not idle.any():
             return
-        guess, tolerance, patient = np.zeros((3, len(idle)))
+        guess, tolerance, patience = np.zeros((3, len(idle)))
         for i in np.flatnonzero(idle).tolist():
             path = self._paths[i]
             self._share[i], self._tip[i], self._duration[i] = path.goal()
             self._load[i] = path.load(self._share[i])
-            tolerance[i], patient[i] = self._tolerance(self._share[i]), path.patient
+            tolerance[i] = self._tolerance(self._share[i])
+            patience[i] = path.patience(self._numerics.newton_max) if path.patient else 1.0
             segment, step = self._last[i]
             going_on = segment == path.segment and step > 0 and path.halvings == 0
             if going_on and "friction" in self._assembly.effects:
@@ -1067,7 +1072,7 @@ class _Batch:
         if "gravity" in self._assembly.effects:
             self._assembly.state.put_weight(self._load)
         self._assembly.state.begin_step(idle, self._tip, self._duration, guess)
-        self._newton.begin(idle, tolerance, predict=guess == 0, patient=patient > 0)
+        self._newton.begin(idle, tolerance, predict=guess == 0, patience=patience)
 
     def _tolerance(self, fraction: float) -> float:
         numerics = self._numerics
@@ -1090,6 +1095,8 @@ class _Batch:
             spent = self._spent[i]
             spent.newton += int(newton.iterations[i])
             spent.cg += int(newton.cg[i])
+            if self._augmented[i] or self._paths[i].patient:
+                self._paths[i].patient_left -= max(0, int(newton.iterations[i]) - PATIENCE)
             if not newton.converged[i]:
                 bad[i] = True
             elif at_goal[i] and self._augmented[i] < self._augmentations(force[i], i):
@@ -1099,7 +1106,8 @@ class _Batch:
         if again.any():
             self._augmented[again] += 1
             assembly.state.update_multiplier(newton.mask(again))
-            newton.resume(again)
+            most = self._numerics.newton_max
+            newton.resume(again, np.array([path.patience(most) for path in self._paths]))
         self._take(good)
         if bad.any():
             assembly.state.rollback_step(newton.mask(bad))
@@ -1109,7 +1117,8 @@ class _Batch:
                 f"{newton.iterations[i]} Newton iterations, residual {newton.residual[i]:.2e}"
             )
             self._last[i] = -1
-            more = self._paths[i].refuse(self._share[i], reported)
+            crushed = bool(newton.crushed[i])
+            more = self._paths[i].refuse(self._share[i], reported, crushed=crushed)
             if not more or self._is_rounding(i):
                 self._failed[i] = self._diverged(i)
         self._busy &= ~(good | bad)
@@ -1142,7 +1151,8 @@ class _Batch:
             self._spent[i].steps += 1
             self._last[i] = path.segment, self._share[i] - path.fraction
             frame = path.segment
-            if path.accept(self._share[i]):
+            floor = NEARLY_CRUSHED * self._numerics.det_floor
+            if path.accept(self._share[i], nearly_crushed=bool(assembly.sums.det[i] < floor)):
                 kept[i] = frame
         way = assembly.overlap(self._newton.mask(good), samples=PATH_SAMPLES, states=PATH_STATES)
         overlap = way
@@ -1206,6 +1216,7 @@ class _Batch:
         return SimulationDiverged(
             f"no converged state after the tip at ({millimetres[0]:.4g}, {millimetres[1]:.4g}, "
             f"{millimetres[2]:.4g}) mm, on the way to waypoint {path.segment}{weight}: "
+            f"{path.ended + '; ' if path.ended else ''}"
             f"{len(path.tried)} steps failed, the last: {path.tried[-1]}; "
             f"{self._assembly.precision}; state: {dump or 'could not be written'}",
             tried=tuple(path.tried),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path as File
 from typing import Any
 
 import numpy as np
@@ -25,8 +25,8 @@ from sim import (
     simulate,
     simulate_many,
 )
-from sim.fem.newton import Newton, path_of
-from sim.fem.numerics import Fem
+from sim.fem.newton import CRUSHED_MOST, PATIENT, PATIENT_IN_ALL, Newton, Path, path_of
+from sim.fem.numerics import Fem, Precision
 from sim.fem.solver import precision_for_finer
 from sim.indenters import sphere
 
@@ -37,7 +37,7 @@ CRIPPLED = Fem(spacing=SPACING, precision="float64", newton_max=1, halvings=1)
 
 
 @pytest.fixture(autouse=True)
-def _dumps_in_a_folder_of_the_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _dumps_in_a_folder_of_the_test(tmp_path: File, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
 
 
@@ -85,10 +85,56 @@ def test_nothing_unconverged_is_returned() -> None:
     assert max(largest) > 0.3, "no frame came close to its tolerance: this would not see a slip"
 
 
-def test_a_body_flatter_than_allowed_is_not_returned() -> None:
-    never_flat = Fem(spacing=SPACING, precision="float64", det_floor=0.99, halvings=2)
-    with pytest.raises(SimulationDiverged):
+@pytest.mark.parametrize("precision", ["auto", "float64"])
+def test_a_body_flatter_than_allowed_is_not_returned_nor_tried_in_ever_smaller_steps(
+    precision: Precision,
+) -> None:
+    never_flat = Fem(spacing=SPACING, precision=precision, det_floor=0.99)
+    with pytest.raises(SimulationDiverged, match="waypoint 1: elements are crushed") as caught:
         simulate(SCENE, never_flat)
+    assert len(caught.value.tried) == CRUSHED_MOST
+
+
+def test_steps_that_crush_elements_end_a_path_only_where_they_were_nearly_crushed_before() -> None:
+    path = path_of(SCENE, Fem(spacing=SPACING))
+    path.accept(1.0)
+    for _attempt in range(CRUSHED_MOST):
+        assert path.refuse(path.goal()[0], "", crushed=True)
+    path.accept(path.goal()[0], nearly_crushed=True)
+    assert path.refuse(path.goal()[0], "", crushed=True)
+    path.accept(path.goal()[0], nearly_crushed=True)
+    assert path.refuse(path.goal()[0], "", crushed=True)
+    assert path.refuse(path.goal()[0], "")
+    assert not path.refuse(path.goal()[0], "", crushed=True)
+
+
+def test_a_path_has_a_budget_of_patient_iterations() -> None:
+    path = path_of(SCENE, Fem(spacing=SPACING))
+    path.accept(1.0)
+    assert path.patience(60) == PATIENT
+    path.patient_left = 30
+    assert path.patience(60) == 1.5
+    path.patient_left = -4
+    assert path.patience(60) == 1.0
+    assert path.refuse(path.goal()[0], "")  # an ordinary step may fail, and be halved
+    assert not path.refuse(path.goal()[0], "")
+    assert "iterations" in path.ended
+
+
+def test_all_patient_steps_of_a_press_draw_on_its_budget(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An update of the multipliers may take long too, and is made to fail with the budget spent."""
+    monkeypatch.setattr("sim.fem.solver.PATIENCE", -PATIENT_IN_ALL)
+    left = []
+    patience = Path.patience
+
+    def kept(path: Path, newton_max: int) -> float:
+        left.append(path.patient_left)
+        return patience(path, newton_max)
+
+    monkeypatch.setattr(Path, "patience", kept)
+    simulate(SCENE, Fem(spacing=SPACING, precision="float64"))
+    assert left[0] == PATIENT_IN_ALL
+    assert left[-1] <= 0
 
 
 def test_float32_that_cannot_reach_the_tolerance_goes_on_in_float64_and_says_why() -> None:
