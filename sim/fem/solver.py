@@ -467,7 +467,7 @@ def simulate_fem(
     check_device(device)
     if not numerics.follows:
         outcomes = _on_meshes(scenes, numerics, None, device, progress)
-        return [_judged(outcome) for outcome in outcomes]
+        return [judged(outcome) for outcome in outcomes]
     stages = [stages_of(scene) for scene in scenes]
     parts = [(i, stage) for i, each in enumerate(stages) for stage in each]
     some = [_beginning(scenes[i], stage.waypoints) for i, stage in parts]
@@ -480,7 +480,7 @@ def simulate_fem(
             asked[key] = _learnt(size, outcome)
     of_scene: list[list[Outcome]] = [[] for _scene in scenes]
     for (i, _stage), outcome in zip(parts, outcomes, strict=True):
-        of_scene[i].append(_judged(outcome))
+        of_scene[i].append(judged(outcome))
     return [_in_one(each) for each in of_scene]
 
 
@@ -526,7 +526,7 @@ def _following(
             if more is None or not refines(scenes[i], numerics, sizes[i], more, outcomes[i]):
                 continue
             lacking = lacks(outcomes[i])
-            useless = isinstance(_judged(outcomes[i]), SimulationDiverged)
+            useless = isinstance(judged(outcomes[i]), SimulationDiverged)
             if useless or lacking < LACKS_LESS * before[i]:
                 again.append(i)
             before[i] = lacking
@@ -708,7 +708,7 @@ def _remeshed(outcome: Outcome, times: int, before: Result) -> Outcome:
     return replace(outcome, record=record)
 
 
-def _judged(outcome: Outcome) -> Outcome:
+def judged(outcome: Outcome) -> Outcome:
     """Return the result with its warnings, or a failure if an overlap is too large."""
     if isinstance(outcome, SimulationDiverged):
         return outcome
@@ -796,10 +796,13 @@ def _overlapped_width(scene: Scene, tip: np.ndarray) -> float:
 def _straight_push(result: Result) -> float:
     """Return the force of a punch as wide as the contact, in series with the body as a column [N].
 
-    The force of the half-space is 2 a d E / (1 - nu^2).
+    The force of the half-space is 2 a d E / (1 - nu^2). The width is that on the upright body: one
+    that has buckled yields to the indenter, and touches it with an edge only.
     """
-    body = result.scene.body
-    punch = result.quality.contact_width.max() * body.modulus / (1 - body.poisson**2)
+    scene, body = result.scene, result.scene.body
+    deepest = np.asarray(min(scene.motion.tip, key=lambda tip: tip[2]))
+    width = max(float(result.quality.contact_width.max()), _overlapped_width(scene, deepest))
+    punch = width * body.modulus / (1 - body.poisson**2)
     column = body.modulus * body.size_x * body.size_y / body.thickness
     return float(result.scene.motion.depth_max / (1 / max(punch, 1e-30) + 1 / column))
 

@@ -26,7 +26,7 @@ from benchmarks.sim.stability.chance.referee import LAWS, held, loading
 from benchmarks.sim.stability.chance.run import RandomRun, Told, tell
 from benchmarks.sim.stability.chance.scenes import ELEMENTS_MAX, Drawn, drawn
 from benchmarks.sim.stability.chance.shrink import failure, load, shrunk, snippet, store
-from benchmarks.sim.stability.chance.twins import KINDS, symmetric, twin_of
+from benchmarks.sim.stability.chance.twins import KINDS, agrees, symmetric, twin_of
 from sim.effects import Effects, Friction
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem.mesh import meshes_of
@@ -90,6 +90,27 @@ def test_a_made_up_answer_of_the_right_size_keeps_all_laws(good: Result) -> None
 )
 def test_a_doctored_force_is_caught(good: Result, factor: float, laws: set[str]) -> None:
     assert laws <= _broken(replace(good, wrench=good.wrench * factor))
+
+
+def _stating(result: Result, error: float) -> Result:
+    stated = {"status": "estimated", "force": [error] * len(result.force), "percent": 100 * error}
+    return replace(result, record={**result.record, "error": stated})
+
+
+def test_forces_that_fall_with_depth_or_differ_between_twins_may_do_so_within_the_stated_error(
+    good: Result,
+) -> None:
+    lower = good.wrench.copy()
+    lower[-1] = 0.8 * lower[-2]
+    falls = replace(good, wrench=lower)
+    assert "rises" in _broken(_stating(falls, 0.05))
+    assert "rises" not in _broken(_stating(falls, 0.2))
+    twin = twin_of(BALL, "mirror-x")
+    assert twin is not None
+    other = replace(good, wrench=good.wrench * 1.1)
+    assert not agrees(good, twin, other).law.holds
+    assert not agrees(_stating(good, 0.02), twin, _stating(other, 0.02)).law.holds
+    assert agrees(_stating(good, 0.06), twin, _stating(other, 0.06)).law.holds
 
 
 def test_a_force_at_first_touch_is_caught(good: Result) -> None:

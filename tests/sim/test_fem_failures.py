@@ -27,7 +27,7 @@ from sim import (
 )
 from sim.fem.newton import CRUSHED_MOST, PATIENT, PATIENT_IN_ALL, Newton, Path, path_of
 from sim.fem.numerics import Fem, Precision
-from sim.fem.solver import precision_for_finer
+from sim.fem.solver import judged, precision_for_finer
 from sim.indenters import sphere
 
 BODY = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
@@ -263,3 +263,17 @@ def test_numerics_that_mean_nothing_are_refused(name: str, value: object) -> Non
 def test_a_device_that_is_not_there_is_refused() -> None:
     with pytest.raises(SceneError, match=r"device: 'cuda:77'.*cpu"):
         simulate(SCENE, Fem(spacing=SPACING), device="cuda:77")
+
+
+def test_a_column_that_may_have_buckled_says_so_however_little_of_it_still_touches() -> None:
+    """The width on the upright column counts: one that has bent touches with an edge."""
+    column = Body(size_x=4e-3, size_y=4e-3, thickness=20e-3)
+    result = simulate(Scene(sphere(4e-3), press([0.5e-3]), column), Fem(spacing=1e-3))
+    edge = replace(result.quality, contact_width=result.quality.contact_width / 10)
+    bent = replace(result, quality=edge, record={**result.record, "warnings": []})
+    for one in (result, judged(bent)):
+        assert isinstance(one, Result)
+        assert any("may buckle" in warning for warning in one.record["warnings"])
+    sturdy = replace(column, thickness=4e-3)
+    result = simulate(Scene(sphere(4e-3), press([0.5e-3]), sturdy), Fem(spacing=1e-3))
+    assert not any("may buckle" in warning for warning in result.record["warnings"])

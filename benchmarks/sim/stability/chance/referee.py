@@ -1,7 +1,9 @@
 """Referee: laws of mechanics, measured on a result without using the solver.
 
-`Result.quality` is not used. A law that does not apply to a scene (for example a closed loop, or a
-static force with inertia) is skipped.
+`Result.quality` is not used. Laws that compare forces hold within the error that the result states;
+bounds from mechanics and from the spectral layer are wide enough for it already.
+A law that does not apply to a scene (for example a closed loop, or a static force with inertia) is
+skipped.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ from numpy.typing import NDArray
 from benchmarks.sim.stability.chance import bounds, overlap
 from benchmarks.sim.stability.chance.footprint import footprint, half_wall, inside_by
 from benchmarks.sim.stability.laws import Law, at_least, at_most
+from sim.metrics import force_scale
 from sim.result import Result
 from sim.scene import Scene
 
@@ -30,10 +33,11 @@ TOUCH = 1e-6, 2.5e-4
 NOTHING = 1e-3
 # Accuracy of a solid's surface, in spacings of its grid.
 OF_GRID = 0.02
-# Allowed difference of two frames of an elastic gel at one place, or the result's error estimate
-# if larger: on a coarse mesh an edge may rest on either side of a node.
+# Allowed difference of two frames of an elastic gel at one place, or the errors that the result
+# states for both, if larger: on a coarse mesh an edge may rest on either side of a node.
 SAME = 0.01
-# Fraction of the largest force by which the force of a deeper press may be lower.
+# Fraction of the largest force by which the force of a deeper press may be lower; again the stated
+# errors, if larger.
 DROP = 0.005
 # Work that a closed loop may give back or, if elastic, absorb, over the maximum work: without and
 # with friction (trapezoid rule over a few frames).
@@ -109,6 +113,12 @@ def pushes(result: Result) -> Array:
 def largest(result: Result) -> float:
     """Return the magnitude of the largest force [N], at least the negligible force."""
     return max(float(np.linalg.norm(result.force, axis=1).max()), no_force(result.scene))
+
+
+def stated(result: Result) -> Array:
+    """Return the error that the result states for the force of each frame (F,) [N]; 0 if none."""
+    fraction = result.record.get("error", {}).get("force") or [0.0] * len(result.force)
+    return np.asarray(fraction, float) * force_scale(result.force)
 
 
 def loading(result: Result) -> list[int]:
@@ -229,9 +239,11 @@ def _rises(result: Result) -> list[Law]:
     ]  # fmt: skip
     if len(some) < 2:
         return []
-    force = pushes(result)[some]
+    force, error = pushes(result)[some], stated(result)[some]
     top = max(float(np.abs(force).max()), no_force(scene))
-    return [at_least("least rise with depth / largest", float(np.diff(force).min()) / top, -DROP)]
+    rise, drop = np.diff(force) / top, np.maximum(DROP, (error[1:] + error[:-1]) / top)
+    least = int(np.argmin(rise + drop))
+    return [at_least("least rise with depth / largest", rise[least], -float(drop[least]))]
 
 
 def _same_place(result: Result) -> list[Law]:
@@ -246,12 +258,12 @@ def _same_place(result: Result) -> list[Law]:
     ]  # fmt: skip
     if not pairs:
         return []
-    stated = result.record.get("error", {}).get("force") or [0.0] * len(tips)
+    error = stated(result) / largest(result)
     laws = [
         at_most(
             "difference at one place / largest force",
             float(np.linalg.norm(result.force[a] - result.force[b])) / largest(result),
-            max(SAME, stated[a], stated[b]),
+            max(SAME, float(error[a] + error[b])),
         )
         for a, b in pairs
     ]

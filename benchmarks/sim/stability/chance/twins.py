@@ -9,7 +9,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.sim.stability.chance.referee import Held, elastic, largest, smooth, weightless
+from benchmarks.sim.stability.chance.referee import (
+    Held,
+    elastic,
+    largest,
+    smooth,
+    stated,
+    weightless,
+)
 from benchmarks.sim.stability.laws import at_most
 from sim.effects import Effects
 from sim.errors import SceneError
@@ -19,7 +26,8 @@ from sim.scene import Body, Motion, Scene
 
 Array = NDArray[np.float64]
 
-# Allowed difference of forces over the largest: symmetry error of default meshes.
+# Allowed difference of forces over the largest, or the errors that both results state, if larger:
+# symmetry error of default meshes.
 AGREE = 0.02
 # The same with friction, where a point that slips early or late affects others.
 AGREE_RUBBING = 0.05
@@ -38,12 +46,17 @@ class Twin:
 
 
 def agrees(result: Result, twin: Twin, other: Result) -> Held:
-    """Return the law that both scenes have the same forces."""
+    """Return the law that both scenes have the same forces, within the errors that they state."""
     expected = twin.forces(result.force)
-    scale = largest(result) * _ratio(twin.scene, result.scene)
-    gap = float(np.nanmax(np.linalg.norm(other.force - expected, axis=1))) / scale
-    limit = AGREE if smooth(result.scene) else AGREE_RUBBING
-    return Held(f"twin-{twin.name}", at_most(f"{twin.name}: |difference| / largest", gap, limit))
+    ratio = _ratio(twin.scene, result.scene)
+    scale = largest(result) * ratio
+    gap = np.linalg.norm(other.force - expected, axis=1) / scale
+    known = stated(other) + stated(result)[-len(gap) :] * ratio
+    limit = np.maximum(AGREE if smooth(result.scene) else AGREE_RUBBING, known / scale)
+    over = np.where(np.isnan(expected).any(axis=1), -np.inf, gap - limit)
+    worst = int(np.argmax(over))
+    law = at_most(f"{twin.name}: |difference| / largest", gap[worst], float(limit[worst]))
+    return Held(f"twin-{twin.name}", law)
 
 
 def symmetric(result: Result) -> list[Held]:
