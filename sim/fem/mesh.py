@@ -114,6 +114,12 @@ class Mesh:
         return grid[:, :, -1]
 
     @property
+    def top_faces(self) -> NDArray[np.int32]:
+        """Columns of nodes at the corners of each face of the top (X Y, 4), the first faces."""
+        nx, ny, nz = self.cells
+        return self.faces[: nx * ny] // (nz + 1)
+
+    @property
     def base(self) -> NDArray[np.int64]:
         """Node numbers of the bonded base, in no particular order."""
         return np.flatnonzero(~self.free)

@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path as File
 from typing import Self
 
@@ -111,6 +112,16 @@ class Snapshot:
             self._base, self._det = self._base.copy(), self._det.copy()
             self._rates = None if self._rates is None else np.copy(self._rates)
 
+    def all(self, name: str, environments: Sequence[int]) -> np.ndarray:
+        """Return the parts of an array that belong to `environments` (K, ...)."""
+        return self._arrays[name][[self._row[env] for env in environments]]
+
+    def at(
+        self, name: str, environments: Sequence[int], one: np.ndarray, rows: np.ndarray
+    ) -> np.ndarray:
+        """Return rows (T,) of an array; `one` (T,) is the index of their environment."""
+        return self._arrays[name][np.array([self._row[env] for env in environments])[one], rows]
+
     def of(self, env: int, name: str) -> np.ndarray:
         """Return the part of an array that belongs to environment `env`."""
         return self._arrays[name][self._row[env]]
@@ -128,33 +139,80 @@ class Snapshot:
         return self._rates[env]
 
 
-def contact_points(held: Snapshot, env: int, u: np.ndarray) -> ContactPoints:
-    """Return the contact points of environment `env`, displaced by `u`."""
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """One environment's part of a snapshot, in units of thickness and modulus."""
+
+    u: np.ndarray
+    """Displacements (N, 3)."""
+    points: ContactPoints
+    moment: np.ndarray
+    """Moments of the points' forces about the tip (T, P, 3)."""
+    push: np.ndarray
+    """Forces on the nodes of the top (X Y, 3)."""
+
+
+def kept_of(held: Snapshot, environments: Sequence[int], tips: np.ndarray) -> list[Kept]:
+    """Return the parts of environments whose tips are at `tips` (K, 3), in their order.
+
+    All are read and computed at once; each has the same bits as alone.
+    """
     assembly = held.assembly
-    mesh = assembly.meshes[env]
-    rows = np.flatnonzero(held.of(env, "touched"))
-    pressure = held.of(env, "pressure")[rows].astype(float)
-    deep = (pressure - held.of(env, "multiplier")[rows]) / assembly.numerics.penalty
-    push = held.of(env, "normal")[rows] * pressure[:, :, None]
-    excess = np.nan
+    u = held.all("u", environments).astype(float)
+    one, rows = np.nonzero(held.all("touched", environments))
+    cuts = np.searchsorted(one, np.arange(len(environments) + 1))
+    parts = [slice(*pair) for pair in pairwise(cuts.tolist())]
+    pressure = held.at("pressure", environments, one, rows).astype(float)
+    multiplier = held.at("multiplier", environments, one, rows)
+    deep = (pressure - multiplier) / assembly.numerics.penalty
+    push = held.at("normal", environments, one, rows) * pressure[:, :, None]
     traction = np.zeros_like(push)
-    if "friction" in assembly.effects:
-        traction = held.of(env, "traction")[rows].astype(float)
-        most = assembly.coefficients[env] * pressure
-        size = np.linalg.norm(traction, axis=2)
-        excess = float((size - most).max(initial=0.0) / pressure.max(initial=1e-30))
-    faces = mesh.faces[rows]
+    has_friction = "friction" in assembly.effects
+    if has_friction:
+        traction = held.at("traction", environments, one, rows).astype(float)
+        over = np.linalg.norm(traction, axis=2)
+        over -= np.asarray(assembly.coefficients)[list(environments)][one, None] * pressure
+    meshes = [assembly.meshes[env] for env in environments]
+    top, faces = meshes[0].top_faces, meshes[0].faces[rows]
+    corner, area = u[one[:, None], faces], np.empty((len(rows), 1))
+    for mesh, part in zip(meshes, parts, strict=True):
+        corner[part] = mesh.nodes[faces[part]] + corner[part]
+        area[part, 0] = mesh.face_area[rows[part]]
     shape, rule = assembly.face_rule
-    area = rule * mesh.face_area[rows, None]
-    return ContactPoints(
-        pressure=pressure,
-        penetration=np.where(pressure > 0, deep, 0.0),
-        traction=traction,
-        force=(push + traction) * area[:, :, None],
-        place=shape @ (mesh.nodes[faces] + u[faces]),
-        area=area,
-        slip_excess=excess,
-    )
+    area = rule * area
+    force, place = (push + traction) * area[:, :, None], shape @ corner
+    moment = _moments(place - tips[one, None], force)
+    penetration = np.where(pressure > 0, deep, 0.0)
+    nodal = _nodal(held, environments, one[rows < len(top)], rows[rows < len(top)], top)
+    found = []
+    for index, part in enumerate(parts):
+        excess = np.nan
+        if has_friction:
+            excess = float(over[part].max(initial=0.0) / pressure[part].max(initial=1e-30))
+        points = ContactPoints(
+            pressure=pressure[part],
+            penetration=penetration[part],
+            traction=traction[part],
+            force=force[part],
+            place=place[part],
+            area=area[part],
+            slip_excess=excess,
+        )
+        found.append(Kept(u[index], points, moment[part], nodal[index]))
+    return found
+
+
+def _nodal(
+    held: Snapshot, environments: Sequence[int], one: np.ndarray, rows: np.ndarray, top: np.ndarray
+) -> np.ndarray:
+    """Return forces on the nodes of the top (K, X Y, 3) of touched faces (T,) of environments."""
+    force = held.at("face_force", environments, one, rows).astype(float).reshape(-1, 3)
+    count = int(top.max()) + 1
+    touched = (top[rows] + one[:, None] * count).ravel()
+    nodal = np.empty((len(environments) * count, 3))
+    for axis in range(3):
+        nodal[:, axis] = np.bincount(touched, force[:, axis], len(nodal))
+    return nodal.reshape(len(environments), count, 3)
 
 
 def stored_energy(held: Snapshot, env: int, points: ContactPoints, u: np.ndarray) -> float:
@@ -285,10 +343,8 @@ class Collector:
         self.worst = np.full(3, np.nan)
         """Material point of the skin that was deepest inside the indenter [m]."""
         top = nx * ny
-        self._columns = mesh.faces[:top] // (mesh.cells[2] + 1)
-        """Columns of nodes at the corners of the faces of the top (X Y, 4)."""
         count = (nx + 1) * (ny + 1)
-        area = np.bincount(self._columns.ravel(), np.repeat(mesh.face_area[:top], 4), count)
+        area = np.bincount(mesh.top_faces.ravel(), np.repeat(mesh.face_area[:top], 4), count)
         self._area = np.where(area > 0, area, np.inf).reshape(nx + 1, ny + 1, 1)
         """Area of the nodes of the top (X, Y, 1) [T^2]; inf outside a round body."""
         self._resolved = np.full(frames, np.inf)
@@ -296,7 +352,8 @@ class Collector:
         self._self_overlap, self._self_place = np.zeros(frames), np.zeros(3)
         self._counts = {name: np.zeros(frames, np.int64) for name in ("newton", "cg", "steps")}
         self._work, self._work_most = 0.0, 0.0
-        self._tip = np.zeros(3)
+        self.tip = np.zeros(3)
+        """Position of the tip at the end of the last step (3,) [T]."""
         self._start: float | None = None
         self._round = None if mesh.fraction is None else Round(scene, mesh)
         self.at_side: dict[str, list[int]] = {"rim": [], "wall": []}
@@ -306,7 +363,7 @@ class Collector:
         """Add the work [E T^3] of a step that ended with the tip at `tip` (3,)."""
         self._work += work
         self._work_most = max(self._work_most, self._work)
-        self._tip = tip
+        self.tip = tip
 
     def passed(self, overlap: np.ndarray) -> None:
         """Record the overlap along a step, as returned by `Assembly.overlap` (4,)."""
@@ -318,20 +375,18 @@ class Collector:
         frame: int,
         env: int,
         held: Snapshot,
+        kept: Kept,
         residual: float,
         overlap: np.ndarray,
         spent: Spent,
     ) -> None:
-        """Store the last evaluated state of environment `env` as frame `frame`.
+        """Store the last evaluated state of environment `env`, `kept`, as frame `frame`.
 
         `overlap` is that of the state, as returned by `Assembly.overlap` (4,); `spent` is its cost.
         """
         assembly, mesh = held.assembly, self._mesh
-        u = held.of(env, "u").astype(float)
-        tip = self._tip
-        points = contact_points(held, env, u)
-        force = points.force.sum(axis=(0, 1))
-        torque = _moments(points.place - tip, points.force).sum(axis=(0, 1))
+        u, tip, points = kept.u, self.tip, kept.points
+        force, torque = points.force.sum(axis=(0, 1)), kept.moment.sum(axis=(0, 1))
         unit, push = self._unit, self._stress * self._unit**2
         self._wrench[frame, :3] = force * push
         self._wrench[frame, 3:] = torque * push * unit
@@ -347,7 +402,9 @@ class Collector:
             if self._round.overlapped(wall, tip):
                 self.at_side["wall"].append(frame)
             self.below_base = max(self.below_base, -(1.0 + float(wall[..., 2].min())) * unit)
-        self._traction[frame] = self._surface_traction(held, env) * self._stress
+        self._traction[frame] = (
+            kept.push.reshape(self._surface[frame].shape) / self._area * self._stress
+        )
         depth = max(-float(tip[2]), 1e-6)
         size = float(np.linalg.norm(force))
         external = force + body_force(held, env, u)
@@ -387,17 +444,6 @@ class Collector:
         self._touched = touched
         for name in self._counts:
             self._counts[name][frame] = getattr(spent, name)
-
-    def _surface_traction(self, held: Snapshot, env: int) -> np.ndarray:
-        """Return the nodal force over nodal area on the top (X, Y, 3) [E]."""
-        rows = np.flatnonzero(held.of(env, "touched")[: len(self._columns)])
-        force = held.of(env, "face_force")[rows].astype(float).reshape(-1, 3)
-        touched, count = self._columns[rows].ravel(), self._area.size
-        nodal = np.empty((*self._area.shape[:2], 3))
-        for axis in range(3):
-            of_axis = np.bincount(touched, force[:, axis], count)
-            nodal[:, :, axis] = of_axis.reshape(self._area.shape[:2])
-        return nodal / self._area
 
     def resolved(self) -> list[float | None]:
         """Return the contact resolution of each frame, 1 for 12 elements; None without contact."""
@@ -800,11 +846,17 @@ def _straight_push(result: Result) -> float:
     that has buckled yields to the indenter, and touches it with an edge only.
     """
     scene, body = result.scene, result.scene.body
+
+    def push(width: float) -> float:
+        punch = width * body.modulus / (1 - body.poisson**2)
+        column = body.modulus * body.size_x * body.size_y / body.thickness
+        return float(scene.motion.depth_max / (1 / max(punch, 1e-30) + 1 / column))
+
+    of_contact = push(float(result.quality.contact_width.max()))
+    if push(min(body.size_x, body.size_y)) <= _buckling_load(body):
+        return of_contact  # no contact is wide enough
     deepest = np.asarray(min(scene.motion.tip, key=lambda tip: tip[2]))
-    width = max(float(result.quality.contact_width.max()), _overlapped_width(scene, deepest))
-    punch = width * body.modulus / (1 - body.poisson**2)
-    column = body.modulus * body.size_x * body.size_y / body.thickness
-    return float(result.scene.motion.depth_max / (1 / max(punch, 1e-30) + 1 / column))
+    return max(of_contact, push(_overlapped_width(scene, deepest)))
 
 
 def _buckling_load(body: Body) -> float:
@@ -1187,9 +1239,13 @@ class _Batch:
         for i in taken.steps:
             self._collectors[i].moved(taken.tip[i], float(taken.work[i]))
             self._collectors[i].passed(taken.way[i])
-        for i, frame in taken.frames.items():
+        if taken.held is None:
+            return
+        tips = np.array([self._collectors[i].tip for i in taken.frames])
+        found = kept_of(taken.held, list(taken.frames), tips)
+        for (i, frame), kept in zip(taken.frames.items(), found, strict=True):
             told = float(taken.residual[i]), taken.overlap[i], taken.spent[i]
-            self._collectors[i].keep(frame, i, taken.held, *told)
+            self._collectors[i].keep(frame, i, taken.held, kept, *told)
 
     def _diverged(self, env: int) -> SimulationDiverged:
         path, scene = self._paths[env], self._scenes[env]

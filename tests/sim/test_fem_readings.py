@@ -11,7 +11,7 @@ import pytest
 from sim import Body, Effects, Friction, Gravity, Inertia, Scene, press, simulate_many
 from sim.fem import solver
 from sim.fem.numerics import Fem
-from sim.fem.solver import Aside, Snapshot
+from sim.fem.solver import Aside, Snapshot, kept_of
 from sim.indenters import named
 from sim.result import Result
 
@@ -40,6 +40,57 @@ def found(monkeypatch: pytest.MonkeyPatch, *, gather: bool) -> list[Result]:
     assert [0, 1] in kept
     assert [1] in kept or [0] in kept
     return [one for one in results if isinstance(one, Result)]
+
+
+def _alone(held: Snapshot, env: int, tip: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the contact points of one environment, written out face by face."""
+    assembly, mesh = held.assembly, held.assembly.meshes[env]
+    rows = np.flatnonzero(held.of(env, "touched"))
+    u = held.of(env, "u").astype(float)
+    shape, rule = assembly.face_rule
+    pressure = held.of(env, "pressure")[rows].astype(float)
+    traction = held.of(env, "traction")[rows].astype(float)
+    push = held.of(env, "normal")[rows] * pressure[:, :, None]
+    place = np.array([shape @ (mesh.nodes[face] + u[face]) for face in mesh.faces[rows]])
+    force = (push + traction) * (rule * mesh.face_area[rows, None])[:, :, None]
+    nodal = np.zeros(((mesh.cells[0] + 1) * (mesh.cells[1] + 1), 3))
+    for row in rows[rows < mesh.cells[0] * mesh.cells[1]].tolist():
+        np.add.at(nodal, mesh.top_faces[row], held.of(env, "face_force")[row].astype(float))
+    excess = np.linalg.norm(traction, axis=2) - assembly.coefficients[env] * pressure
+    return {
+        "pressure": pressure,
+        "traction": traction,
+        "place": place,
+        "force": force,
+        "moment": np.cross(place - tip, force),
+        "push": nodal,
+        "slip_excess": excess.max(initial=0.0) / pressure.max(),
+    }
+
+
+def test_what_is_read_for_all_environments_has_the_bits_of_each_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of two presses at waypoints that both reach in one sweep, and of one alone."""
+    numbers: list[int] = []
+
+    def compared(held: Snapshot, environments: Sequence[int], tips: np.ndarray) -> Any:
+        found = kept_of(held, environments, tips)
+        for env, tip, kept in zip(environments, tips, found, strict=True):
+            numbers.append(len(environments))
+            np.testing.assert_array_equal(kept.u, held.of(env, "u"))
+            if not len(kept.points.pressure):
+                assert not kept.push.any()
+                continue
+            for name, value in _alone(held, env, tip).items():
+                ours = getattr(kept, name, None)
+                ours = getattr(kept.points, name) if ours is None else ours
+                np.testing.assert_array_equal(ours, value, err_msg=name)
+        return found
+
+    monkeypatch.setattr(solver, "kept_of", compared)
+    found(monkeypatch, gather=True)
+    assert set(numbers) == {1, 2}
 
 
 def test_results_are_the_same_however_arrays_come_to_the_host(
