@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 Floats = npt.NDArray[np.float32]
+Grey = npt.NDArray[np.uint8]
 
 # Samples that are kept: a zero averages the older half and measures the noise of the newer half.
 _KEPT = 16
@@ -25,6 +26,10 @@ _REDUCED = 4
 # none of its own.
 # A small fraction of these may show more, since single pixels of a flow are often wrong.
 _EDGES, _BEYOND = 0.15, 0.05
+# The flow of the sample before is followed from this motion on [px of the image], as a pattern that
+# moved by more than half a pitch looks like one that moved less; not where it explains the image
+# worse than a flow without history by this factor.
+_FOLLOWED_PX, _WORSE = 4.0, 1.3
 
 
 class Level(NamedTuple):
@@ -83,6 +88,7 @@ class SignalLevel:
         self._floor, self._noise = 0.0, 1.0
         self._flow: Any = None
         self._edges: Any = None
+        self._moved: Any = None
 
     def add(self, sample: Mapping[str, Any]) -> Level:
         """Return the level of a sample; before the first zero, without change and motion."""
@@ -113,6 +119,7 @@ class SignalLevel:
             down, across = np.gradient(self._rest)
             steep = np.hypot(down, across)
             self._edges = steep >= np.quantile(steep, 1 - _EDGES)
+            self._moved = None
 
     def _motion(self, found: Floats, rest: Floats) -> float:
         if not self._is_image:
@@ -123,8 +130,32 @@ class SignalLevel:
             self._flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
         before = np.clip(rest, 0, 255).astype(np.uint8)
         after = np.clip(found, 0, 255).astype(np.uint8)
-        moved = self._flow.calc(before, after, None)[self._edges]
-        return _REDUCED * float(np.quantile(np.hypot(moved[:, 0], moved[:, 1]), 1 - _BEYOND))
+        flow = self._flow.calc(before, after, None)
+        if self._moved is not None:
+            followed = self._flow.calc(before, after, self._moved)
+            if _residual(followed, before, after, self._edges) < _WORSE * _residual(
+                flow, before, after, self._edges
+            ):
+                flow = followed
+        moved = flow[self._edges]
+        motion = _REDUCED * float(np.quantile(np.hypot(moved[:, 0], moved[:, 1]), 1 - _BEYOND))
+        self._moved = flow if motion > _FOLLOWED_PX else None
+        return motion
+
+
+def _residual(flow: Floats, before: Grey, after: Grey, edges: npt.NDArray[np.bool_]) -> float:
+    """Return the mean difference [grey levels] at the edges of an image moved back by a flow."""
+    import cv2
+
+    row, column = np.indices(before.shape, np.float32)
+    back = cv2.remap(
+        after,
+        column + flow[..., 0],
+        row + flow[..., 1],
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    return float(np.abs(back.astype(np.float32) - before)[edges].mean())
 
 
 def _difference(found: Floats, rest: Floats) -> float:

@@ -21,7 +21,7 @@ from rig.acquire.calibration.calibration import Calibration, HomeCalibration
 from rig.acquire.calibration.onset import Onset
 from rig.acquire.calibration.signal_onset import Way, onset_of, surface_of
 from rig.acquire.calibration.store import now_utc
-from rig.acquire.signal_level import SignalLevel
+from rig.acquire.signal_level import SignalLevel, grey
 from rig.acquire.stream_process import COUNTERS, StreamJob, _StreamLoop
 from rig.bench.bench import Bench, bench_from
 from rig.bench.no_gauge import check_plan, guards_of, planned_depth, slowed, without_gauge
@@ -158,6 +158,34 @@ def test_the_level_shows_contact_and_repeated_readings() -> None:
     assert touched.change > no_gauge.CONTACT
     assert touched.motion == pytest.approx(500.0, abs=10.0)
     assert not again.fresh
+
+
+def pressed_pattern(amount: float) -> np.ndarray:
+    """Return a picture (480, 640, 3) of dots 70 px apart, pushed outwards by up to some px."""
+    v, u = np.mgrid[:480, :640].astype(np.float64)
+    x, y = u.copy(), v.copy()
+    for _ in range(8):
+        far = np.hypot(x - 320, y - 240) + 1e-6
+        push = amount / 110 * np.exp(0.5 - (far / 110) ** 2 / 2)
+        x, y = u - push * (x - 320), v - push * (y - 240)
+    apart = np.hypot(x % 70 - 35, y % 70 - 35)
+    light = 180 - 120 * np.clip((14 - apart) / 2 + 0.5, 0, 1)
+    light += np.random.default_rng(round(1e3 * amount)).normal(0, 2, light.shape)
+    return np.repeat(np.clip(light, 0, 255).astype(np.uint8)[..., None], 3, axis=2)
+
+
+def test_the_motion_of_markers_is_read_beyond_half_a_pitch_and_back() -> None:
+    level = SignalLevel(is_image=True)
+    for _ in range(16):
+        level.of(grey(pressed_pattern(0.0)))
+    level.zero()
+    amounts = [*np.linspace(0, 60, 21), *np.linspace(60, 0, 11)]
+    motion = np.array([level.of(grey(pressed_pattern(amount))).motion for amount in amounts])
+    ratio = motion / np.maximum(amounts, 1e-6)
+    far = np.array(amounts) >= 12
+    # Largest motions, of which 5 % of the edges may show more: nearly those of the ring.
+    assert ((ratio > 0.6) & (ratio < 1.15))[far].all(), ratio
+    assert motion[[0, -1]].max() < 4
 
 
 def ways(surface: float, delay: float) -> tuple[Way, Way]:
