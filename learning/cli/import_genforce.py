@@ -62,7 +62,8 @@ def add_options(parser: argparse._ActionsContainer) -> None:
         default=[],
         metavar="SENSOR=DEG",
         help="angle from the robot's x axis to the image's, counter-clockwise, of a raw run; "
-        "without it the run cannot be joined with other archives",
+        "without it the markers of sheared presses tell the turn, or the run cannot be joined with "
+        "other archives",
     )
     parser.add_argument(
         "--compensation", type=Path, metavar="DIR", help="<sensor>_down.csv and _up.csv"
@@ -91,6 +92,7 @@ def import_one(folder: Path, options: argparse.Namespace) -> int:
     from learning.data.genforce.importing import Choices
     from learning.data.genforce.training import SURFACES_MM
     from learning.markers.build import told
+    from recorder import MarkerArchive
 
     surfaces = dict(SURFACES_MM) if options.heights else {}
     surfaces |= dict(options.surface_mm)
@@ -109,5 +111,8 @@ def import_one(folder: Path, options: argparse.Namespace) -> int:
         made = import_folder(folder, options.out, choices=choices, progress=progress)
     for line in told(options.out):
         print(line)
+    for name, sensor in MarkerArchive(options.out).items():
+        if "found by the markers" in (position := str(sensor.attrs.get("position"))):
+            print(f"{name}: {position}; --turn {name}=DEG decides otherwise")
     print(f"{options.out}: {made:,} frames read")
     return 0

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import functools
 import json
+import math
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from PIL import Image
@@ -26,7 +28,9 @@ from learning.data.genforce import (
     read_mask,
     write_coefficients,
 )
+from learning.data.genforce.format import GenForcePress
 from learning.data.genforce.importing import Choices
+from learning.data.genforce.turns import fitted_turn, turn_of
 from learning.data.matching import Chosen, read_presses
 from learning.errors import LearningError
 from learning.indenters import NAMES
@@ -441,6 +445,55 @@ def test_runs_as_they_were_collected_give_the_archive_of_their_session(
     assert len(read_presses(Chosen(MarkerArchive(turned), name, name)).target)
     with pytest.raises(LearningError, match=f"turn: found other; allowed: {name}"):
         import_folder(tmp_path / "data", turned, choices=Choices(turns_deg={"other": 1.0}))
+
+
+def test_the_turn_of_a_raw_run_is_found_by_the_markers_of_sheared_presses() -> None:
+    """Eight directions; the shear moves the markers of a circle by 9 px, turned by 37 degrees."""
+    grid = np.stack(np.meshgrid(np.arange(8), np.arange(6)), axis=-1).reshape(-1, 2) * 70.0 + 70.0
+    inside = np.linalg.norm(grid - (315, 245), axis=1) < 130
+
+    def drawn(shift: tuple[float, float]) -> Any:
+        image = np.zeros((480, 640), np.uint8)
+        for place, moves in zip(grid, inside, strict=True):
+            centre = place + np.array(shift) * (1, -1) * moves
+            cv2.circle(image, np.round(centre * 16).astype(int).tolist(), 14 * 16, 1, -1, shift=4)
+        (packed,) = pack(image.astype(bool)[None])
+        return packed
+
+    def of(turn: float, mirror: int, directions: int) -> Any:
+        masks, presses = {}, []
+        for number in range(8):
+            angle = 2 * math.pi * (number % directions) / directions
+            robot = np.array([[0, 0], [math.cos(angle), math.sin(angle)]])
+            cosine, sine = math.cos(-turn), math.sin(-turn)
+            x, y = np.array([[cosine, -sine], [sine, cosine]]) @ robot[1]
+            files = (Path(f"{number}a"), Path(f"{number}b"))
+            masks |= {files[0]: drawn((0, 0)), files[1]: drawn((9 * mirror * x, 9 * y))}
+            nothing = np.zeros(2)
+            presses.append(
+                GenForcePress(
+                    "cone",
+                    number,
+                    files,
+                    np.array([0, 1]),
+                    np.zeros((2, 6)),
+                    nothing,
+                    1e-3 * robot,
+                    np.zeros(2, int),
+                )
+            )
+        return turn_of("gel", presses, drawn((0, 0))[None], masks.__getitem__)
+
+    found = of(math.radians(37), 1, 8)
+    assert math.degrees(found.angle) == pytest.approx(37, abs=0.5)
+    assert found.presses == 8
+    assert of(math.radians(37), 1, 1) is None  # along one line: mirrored or not
+    with pytest.raises(LearningError, match="gel: its images are mirrored"):
+        of(math.radians(37), -1, 8)
+    random = np.random.default_rng(0)
+    noise = random.normal(size=(2, 24, 2))
+    assert fitted_turn("gel", *noise) is None
+    assert fitted_turn("gel", *noise[:, :3]) is None
 
 
 def test_runs_of_force_and_depth_come_behind_the_targets_without_a_location(

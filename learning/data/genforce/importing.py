@@ -21,6 +21,7 @@ from learning.data.genforce.format import (
     ReadMask,
     read_mask,
 )
+from learning.data.genforce.turns import turn_of
 from learning.errors import LearningError
 from learning.indenters import UNSEEN, coded
 from learning.markers.frames import taxel_masks
@@ -52,6 +53,7 @@ TURN_UNKNOWN = (
     "unknown turn: pose.csv, from the first pose of the run along the axes of the robot; import "
     "with --turn SENSOR=DEG"
 )
+TURNED = "pose.csv: from the first pose of the run, turned by"
 _NO_TIMES = "none: t_ns is 0; frames are in the order of their numbers"
 
 
@@ -181,16 +183,19 @@ def _raw(root: Path, indenters: tuple[str, ...], chosen: Choices) -> Iterator[Pu
             read = _segmented(found, one.references)
             still = np.stack([read(path) for path in one.references])
             count = MarkerCount(found.area_px[0], found.tolerance)
+        presses, position = one.presses, TURN_UNKNOWN
+        if one.name in chosen.turns_deg:
+            position = f"{TURNED} {chosen.turns_deg[one.name]:g} deg into the image as stated"
+        elif not one.taxels and (turn := turn_of(one.name, presses, still, read)) is not None:
+            presses = raw.turned(presses, turn.angle)
+            position = f"{TURNED} {turn}"
         about: dict[str, Any] = {
             "depth": "pose.csv: below the first pose of the press",
-            "position": TURN_UNKNOWN
-            if one.name not in chosen.turns_deg
-            else "pose.csv: from the first pose of the run, turned by "
-            f"{chosen.turns_deg[one.name]:g} deg into the image as stated",
+            "position": position,
             "preset": name,
         }
         yield _published(
-            root, one.name, one.presses, still, indenters, chosen, about, read=read, count=count
+            root, one.name, presses, still, indenters, chosen, about, read=read, count=count
         )
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -111,9 +111,18 @@ def read_raw(
                     "indenter"
                 )
             of_run = _presses(sensor, run, located, codes, targets, 0 if taxels else number)
-            turn = turns.get(sensor.name, 0.0)
-            presses += [replace(press, position=_turned(press.position, -turn)) for press in of_run]
+            presses += turned(of_run, turns.get(sensor.name, 0.0))
         yield RawSensor(sensor.name, taxels, tuple(presses), tuple(references))
+
+
+def turned(presses: Iterable[GenForcePress], angle: float) -> tuple[GenForcePress, ...]:
+    """Return presses whose positions are turned into an image.
+
+    Args:
+        presses: Presses along the axes of the robot.
+        angle: Angle from the robot's x axis to the image's, counter-clockwise [rad].
+    """
+    return tuple(replace(press, position=_turned(press.position, -angle)) for press in presses)
 
 
 def read_picture(path: Path) -> NDArray[np.uint8]:
