@@ -125,6 +125,7 @@ SIMULATE = (
     Command("sim loop", "sim.cli.loop", "press, shear, return and lift: hysteresis and slip"),
     Command("sim hold", "sim.cli.hold", "press within a given time and hold: relaxation"),
     Command("sim archive", "sim.cli.archive", "write or draw marker archives of simulated sensors"),
+    Command("twin fit", "sim.cli.twin_fit", "identify a simulated twin of a sensor from presses"),
 )
 LEARN = (
     Command("markers", "learning.cli.markers", "make a marker archive of recorded sessions"),
@@ -255,6 +256,7 @@ FAMILIES = {
     "session": "inspect, check and convert sessions and marker archives",
     "archive": "join marker archives",
     "sim": "press rigid indenters into a soft layer; lengths in mm, forces in N",
+    "twin": "identify a simulated twin of a sensor from its own presses",
     "train": "train translators and force models",
 }
 # Extras that the commands of a package need.

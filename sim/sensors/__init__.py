@@ -10,6 +10,7 @@ deformation. Assumptions and sources are in docs/reference/sensors.md.
 
 from sim.sensors.field import EVEN_STEP, SurfaceField, cubic_weights
 from sim.sensors.optics import Lamp, Pins, Shading
+from sim.sensors.posterior import Posterior
 from sim.sensors.readout import CameraReadout, Readout, TaxelReadout, readout
 from sim.sensors.sensor import (
     HETEROGENEOUS,
@@ -49,6 +50,7 @@ __all__ = [
     "Mount",
     "Pins",
     "Placement",
+    "Posterior",
     "Readout",
     "Segmentation",
     "Segmenter",

@@ -13,6 +13,7 @@ from sim.markers import Camera, Pattern, named
 from sim.scene import Body, Motion, Scene
 from sim.sensors.config import READER
 from sim.sensors.optics import Pins, Shading
+from sim.sensors.posterior import Posterior
 from sim.sensors.taxels import TaxelPad, TaxelSignal
 from sim.sensors.variation import DeviceVariation
 from trajectories import ForceDepth, PressShear
@@ -95,6 +96,8 @@ class SimulatedSensor:
         default_factory=DeviceVariation, metadata={"formerly": "life"}
     )
     """Deviations of this device from its design; all off by default."""
+    posterior: Posterior | None = field(default=None, metadata={"stored": "unless default"})
+    """Uncertainty of a twin, a row identified from presses; None of a design."""
 
     def __post_init__(self) -> None:
         deepest = 0.9 * self.body.thickness
@@ -187,10 +190,12 @@ def sensor(name: str) -> SimulatedSensor:
 def read_sensor(path: Path) -> SimulatedSensor:
     """Read the sensor that a YAML file describes; its name is that of the file.
 
+    A file may extend one of the rows that come with the simulator: `extends: gelsight.yaml`.
+
     Raises:
         SceneError: The file is invalid; the message names the file and the key.
     """
-    content = READER.read(path, kind=SimulatedSensor)
+    content = READER.read(path, library=ROWS, kind=SimulatedSensor)
     if "name" in content:
         raise SceneError(f"{path}: unknown ['name']; a sensor is named as its file is")
     return READER.build(SimulatedSensor, {"name": path.stem, **content}, str(path))

@@ -136,6 +136,17 @@ class LivePress:
         return self._press.wrench
 
     @property
+    def force(self) -> Array:
+        """Force of the indenter on the body (3,) [N]."""
+        return self._press.force
+
+    @property
+    def relaxed_force(self) -> Array:
+        """Force that would remain if the body relaxed at its present displacement (3,) [N]."""
+        relaxed: Array = self._press.history.elastic.sum(axis=(1, 2)) * self.grid.area
+        return relaxed
+
+    @property
     def shear(self) -> Array:
         """Mean sideways displacement of the contact (2,) [m]; 0 without contact."""
         return self._press.shear

@@ -1,0 +1,165 @@
+"""Sensors with random skins, and tracks as a bench would record them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.indenters import named
+from sim.sensors import SimulatedSensor, sensor
+from sim.sensors.posterior import with_quantities
+from sim.stream import LivePress
+from sim.twin import Track, track_of
+
+Array = NDArray[np.float64]
+
+# Rate of poses and forces [Hz], and of solutions while the tip moves.
+RATE, SOLVED = 200.0, 50.0
+# Speed of the tip, height from which it comes [m], solutions of one hold.
+SPEED, ABOVE, HELD = 5e-3, 0.3e-3, 24
+
+
+@dataclass(frozen=True, slots=True)
+class Bench:
+    """Errors of a bench, which the fit does not know."""
+
+    noise: float = 0.01
+    """Standard deviation of each sample of force [N]."""
+    height: float = 0.0
+    """Height of the surface above where the bench takes it to be [m]."""
+    compliance: float = 0.0
+    """Yielding of arm and mount [m/N]."""
+    latency: float = 0.0
+    """Time by which forces are late [s]."""
+    turn: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Rotation of the gauge [rad]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Presses:
+    """Presses at the centre, each sheared and held."""
+
+    depths: tuple[float, ...] = (0.6e-3, 1.2e-3)
+    """Depths [m]."""
+    angles: tuple[float, ...] = (0.0,)
+    """Directions of shear [rad]."""
+    shear: float = 1.0e-3
+    """Length of the shear [m]; 0 for none."""
+    hold: float = 1.6
+    """Time at rest after each move in contact [s]."""
+
+    def path(self) -> tuple[Array, Array]:
+        """Return corners of the path: times (k,) [s] and tips (k, 3) [m]."""
+        time, tips = [0.0], [np.array([0.0, 0.0, ABOVE])]
+
+        def go(x: float, y: float, z: float, hold: float) -> None:
+            place = np.array([x, y, z])
+            time.append(time[-1] + max(float(np.linalg.norm(place - tips[-1])) / SPEED, 1e-3))
+            tips.append(place)
+            time.append(time[-1] + hold)
+            tips.append(place)
+
+        go(0.0, 0.0, ABOVE, 0.5)
+        for depth in self.depths:
+            for angle in self.angles:
+                go(0.0, 0.0, -depth, self.hold)
+                if self.shear:
+                    aside = self.shear * np.cos(angle), self.shear * np.sin(angle)
+                    go(*aside, -depth, self.hold)
+                    go(0.0, 0.0, -depth, self.hold)
+                go(0.0, 0.0, ABOVE, 0.5)
+        return np.array(time), np.array(tips)
+
+
+def observed(
+    skin: SimulatedSensor,
+    indenter: str,
+    presses: Presses,
+    bench: Bench,
+    seed: int,
+    *,
+    grid: int = 96,
+) -> Track:
+    """Return the track that a bench would record of a skin, by tier `layer`."""
+    time, tip, force = recorded(skin, indenter, presses, bench, seed, grid=grid)
+    track = track_of(indenter, indenter, time, tip, time, force)
+    assert track is not None
+    return track
+
+
+def recorded(
+    skin: SimulatedSensor,
+    indenter: str,
+    presses: Presses,
+    bench: Bench,
+    seed: int,
+    *,
+    grid: int = 96,
+) -> tuple[Array, Array, Array]:
+    """Return times (n,) [s], tips (n, 3) [m] and forces (n, 3) [N] that a bench would record."""
+    corners, tips = presses.path()
+    press = LivePress(skin, named(indenter), grid=grid, tolerance=2e-3)
+    times: list[float] = [0.0]
+    force: list[Any] = [np.zeros(3)]
+    yielded = 0.0
+    for leg in range(1, len(corners)):
+        start, stop = corners[leg - 1], corners[leg]
+        held = not np.any(tips[leg] != tips[leg - 1])
+        count = HELD if held else max(2, round((stop - start) * SOLVED))
+        fractions = np.arange(1, count + 1) / count
+        for fraction in np.square(fractions) if held else fractions:
+            place = tips[leg - 1] + fraction * (tips[leg] - tips[leg - 1])
+            place = place - np.array([0.0, 0.0, bench.height]) + np.array([0.0, 0.0, yielded])
+            now = start + fraction * (stop - start)
+            press.move(place, now - times[-1])
+            times.append(now)
+            force.append(press.force if press.touching else np.zeros(3))
+            yielded = -bench.compliance * force[-1][2]
+    random = np.random.default_rng(seed)
+    time = np.arange(0.0, corners[-1], 1 / RATE)
+    late = np.stack(
+        [np.interp(time - bench.latency, times, axis) for axis in np.array(force).T], axis=1
+    )
+    turned = late + np.cross(np.array(bench.turn), late)
+    tip = np.stack([np.interp(time, corners, axis) for axis in tips.T], axis=1)
+    return time, tip, turned + random.normal(0.0, bench.noise, late.shape)
+
+
+def random_skin(random: np.random.Generator, base: str) -> tuple[SimulatedSensor, Bench]:
+    """Return a skin that differs from the row `base`, and the errors of a bench."""
+    design = replace(sensor(base), trajectory=None, force_depth=None)
+    viscosity = design.effects.viscosity
+    assert viscosity is not None
+    values: Mapping[str, float] = {
+        "modulus": design.body.modulus * np.exp(random.uniform(-0.7, 0.7)),
+        "thickness": design.body.thickness * np.exp(random.uniform(-0.2, 0.2)),
+        "poisson": random.uniform(0.43, 0.47),
+        "friction": np.exp(random.uniform(np.log(0.3), np.log(0.9))),
+        **{
+            f"ratio_{index}": ratio * np.exp(random.uniform(-0.6, 0.6))
+            for index, ratio in enumerate(viscosity.ratios, 1)
+        },
+        **{
+            f"time_{index}": time * np.exp(random.uniform(-0.3, 0.3))
+            for index, time in enumerate(viscosity.times, 1)
+        },
+    }
+    bench = Bench(
+        height=random.normal(0.0, 30e-6),
+        compliance=abs(random.normal(0.0, 3e-6)),
+        latency=random.uniform(0.0, 8e-3),
+        turn=tuple(random.normal(0.0, 0.015, 3).tolist()),
+    )
+    return with_quantities(design, values), bench
+
+
+def relaxation(ratios: Sequence[float], times: Sequence[float], at: Array) -> Array:
+    """Return the relaxation function over that at rest, at times (n,) [s]."""
+    found = np.ones_like(at)
+    for ratio, time in zip(ratios, times, strict=True):
+        found += ratio * np.exp(-at / time)
+    return found

@@ -1,0 +1,126 @@
+"""Uncertainty of a sensor identified from its own presses, and sensors drawn from it."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sim.effects import Friction, Viscosity
+from sim.errors import SceneError
+from sim.scene import Body
+
+if TYPE_CHECKING:
+    from sim.sensors.sensor import SimulatedSensor
+
+# Quantities of a sensor that presses may identify; branches of viscosity are numbered from 1.
+_NAMES = re.compile(r"modulus|thickness|poisson|friction|ratio_[1-4]|time_[1-4]")
+# Poisson's ratios that a draw may have: near 0.5 the layer becomes rigid.
+POISSON = (0.3, 0.4995)
+# Greatest depth of a sensor's presses over its thickness.
+DEEPEST = 0.9
+
+
+@dataclass(frozen=True, slots=True)
+class Posterior:
+    """Normal distribution of a sensor's quantities about the values of its row.
+
+    All are in logarithms, so that a spread of 0.02 is 2 %, but Poisson's ratio is as it is.
+
+    Raises:
+        SceneError: A name is unknown or repeated, or a shape or a value does not fit.
+    """
+
+    names: tuple[str, ...]
+    """modulus, thickness, poisson, friction, ratio_1, time_1 and so on."""
+    spreads: tuple[float, ...]
+    """Standard deviation of each."""
+    correlations: tuple[tuple[float, ...], ...]
+    """Matrix of correlations, -1 to 1, with ones on its diagonal."""
+
+    def __post_init__(self) -> None:
+        unknown = [name for name in self.names if not _NAMES.fullmatch(name)]
+        if unknown or len(set(self.names)) != len(self.names):
+            raise SceneError(
+                f"posterior.names: {', '.join(unknown or self.names)}; allowed: modulus, "
+                "thickness, poisson, friction, ratio_1 to ratio_4, time_1 to time_4, each once"
+            )
+        count = len(self.names)
+        matrix = np.array(self.correlations, float)
+        if len(self.spreads) != count or matrix.shape != (count, count):
+            raise SceneError(
+                f"posterior: {count} names, {len(self.spreads)} spreads, correlations of shape "
+                f"{matrix.shape}; allowed: one spread for each name, and a square of that size"
+            )
+        if not all(0 <= spread <= 3 for spread in self.spreads):
+            raise SceneError(f"posterior.spreads: {self.spreads}; allowed: 0 to 3")
+        if not np.allclose(matrix, matrix.T, atol=1e-6) or np.abs(matrix).max(initial=0) > 1.000001:
+            raise SceneError("posterior.correlations: allowed: a symmetric matrix, -1 to 1")
+
+    def draw(self, centre: SimulatedSensor, random: np.random.Generator) -> SimulatedSensor:
+        """Return a sensor drawn about `centre`, which itself keeps no posterior."""
+        spread = np.array(self.spreads)
+        matrix = np.array(self.correlations) * np.outer(spread, spread)
+        values, axes = np.linalg.eigh((matrix + matrix.T) / 2)
+        moved = axes @ (np.sqrt(np.maximum(values, 0.0)) * random.standard_normal(len(spread)))
+        known = quantities(centre)
+        drawn = {
+            name: known[name] + step if name == "poisson" else known[name] * math.exp(step)
+            for name, step in zip(self.names, moved, strict=True)
+        }
+        return replace(with_quantities(centre, drawn), posterior=None)
+
+
+def quantities(sensor: SimulatedSensor) -> dict[str, float]:
+    """Return the quantities of a sensor by name, in SI; friction and branches if it has them."""
+    body, effects = sensor.body, sensor.effects
+    found = {"modulus": body.modulus, "thickness": body.thickness, "poisson": body.poisson}
+    if effects.friction is not None:
+        found["friction"] = effects.friction.coefficient
+    if effects.viscosity is not None:
+        for index, (ratio, time) in enumerate(
+            zip(effects.viscosity.ratios, effects.viscosity.times, strict=True), 1
+        ):
+            found |= {f"ratio_{index}": ratio, f"time_{index}": time}
+    return found
+
+
+def with_quantities(sensor: SimulatedSensor, values: Mapping[str, float]) -> SimulatedSensor:
+    """Return the sensor with some quantities replaced; presses beyond its skin are dropped.
+
+    Raises:
+        SceneError: A value is out of range, or the sensor has no such branch.
+    """
+    known = quantities(sensor)
+    if missing := [name for name in values if name not in known and name != "friction"]:
+        raise SceneError(f"{sensor.name}: {', '.join(missing)}; allowed: {', '.join(known)}")
+    known |= values
+    body: Body = replace(
+        sensor.body,
+        modulus=known["modulus"],
+        thickness=known["thickness"],
+        poisson=float(np.clip(known["poisson"], *POISSON)),
+    )
+    effects = sensor.effects
+    if "friction" in known:
+        effects = replace(effects, friction=Friction(known["friction"]))
+    if effects.viscosity is not None:
+        count = len(effects.viscosity.ratios)
+        viscosity: Viscosity = replace(
+            effects.viscosity,
+            ratios=tuple(known[f"ratio_{index}"] for index in range(1, count + 1)),
+            times=tuple(known[f"time_{index}"] for index in range(1, count + 1)),
+        )
+        effects = replace(effects, viscosity=viscosity)
+    deepest = min(sensor.depth_max, DEEPEST * body.thickness)
+    plans = {
+        name: plan
+        for name in ("trajectory", "force_depth")
+        if (plan := getattr(sensor, name)) is None or plan.depth_max <= deepest * (1 + 1e-9)
+    }
+    none = {"trajectory": None, "force_depth": None}
+    return replace(sensor, body=body, effects=effects, depth_max=deepest, **{**none, **plans})

@@ -1,0 +1,326 @@
+"""Fit of a twin: the sensor, mount and gauge that explain tracks, with their uncertainty."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.effects import Friction, Viscosity
+from sim.errors import SceneError
+from sim.indenters import Indenter
+from sim.sensors import SimulatedSensor
+from sim.sensors.posterior import POISSON, Posterior, quantities, with_quantities
+from sim.twin.model import Linear, Model
+from sim.twin.observations import SETTLING, Track
+
+Array = NDArray[np.float64]
+
+# Prior spreads: of logarithms, but of Poisson's ratio and of quantities in SI as they are. A skin's
+# thickness is measured, or known from its mould, better than its modulus.
+PRIOR = {
+    "modulus": 1.0,
+    "thickness": 0.2,
+    "poisson": 0.02,
+    "friction": 0.7,
+    "ratio": 0.8,
+    "time": 0.5,
+    "height": 50e-6,
+    "compliance": 5e-6,
+    "latency": 10e-3,
+    "turn": 0.03,
+}
+# Sensor without friction or viscosity in its row: these are where the fit begins.
+FRICTION, VISCOSITY = Friction(0.6), Viscosity((0.15, 0.15), (0.05, 0.5))
+# Names of what is not of the sensor.
+BENCH = ("height", "compliance", "latency", "turn_x", "turn_y", "turn_z")
+# Names in logarithms.
+LOGARITHMS = ("modulus", "thickness", "friction", "ratio", "time")
+# Most rounds of a fit, and the largest step in posterior spreads at which it has converged.
+ROUNDS, SMALL = 12, 0.25
+# Least and most timing error between arm and gauge [s], and the least error of the law.
+TIMING, LAW = (5e-4, 60e-3), 4e-3
+# Longest step of a logarithm in a round, and the longest after which derivatives are kept.
+STEP, CLOSE = 0.5, 0.1
+# Damping beyond which a step is given up.
+DAMPED = 100.0
+# Spread over the prior's above which presses have told nothing.
+UNTOLD = 0.7
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """Result of a fit."""
+
+    design: SimulatedSensor
+    """Sensor from which it began, with friction and viscosity."""
+    names: tuple[str, ...]
+    values: Mapping[str, float]
+    """All quantities, in SI."""
+    covariance: Array
+    """(p, p), of logarithms where `LOGARITHMS` has the name."""
+    tracks: tuple[Track, ...]
+    readings: tuple[Array, ...]
+    """Forces that the twin gives (n, 3) [N], of each track."""
+    sigma: tuple[Array, ...]
+    """Standard error expected of each point (n,) [N], of each track."""
+    timing: float
+    """Timing error between arm and gauge [s]."""
+    law: float
+    """Error of forces at rest that neither noise nor timing explain, over the force."""
+    misfit: float
+    """RMS difference of forces at rest over their RMS."""
+    rounds: int
+
+    @property
+    def spreads(self) -> dict[str, float]:
+        """Standard deviation of each quantity, or of its logarithm."""
+        return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+    @property
+    def untold(self) -> tuple[str, ...]:
+        """Quantities that the presses did not tell, so that they keep their prior."""
+        spreads = self.spreads
+        return tuple(name for name in self.names if spreads[name] > UNTOLD * prior_spread(name))
+
+    @property
+    def sensor(self) -> SimulatedSensor:
+        """The twin: the design with the fitted quantities and their posterior."""
+        known = quantities(self.design)
+        rows = [index for index, name in enumerate(self.names) if name in known]
+        part = self.covariance[np.ix_(rows, rows)]
+        spread = np.sqrt(np.diag(part))
+        correlations = np.clip(part / np.outer(spread, spread), -1.0, 1.0)
+        np.fill_diagonal(correlations, 1.0)
+        twin = with_quantities(self.design, {name: self.values[name] for name in known})
+        return replace(
+            twin,
+            posterior=Posterior(
+                tuple(self.names[row] for row in rows),
+                tuple(spread.tolist()),
+                tuple(tuple(row) for row in correlations.tolist()),
+            ),
+        )
+
+    def interval(self, name: str, z: float = 1.645) -> tuple[float, float]:
+        """Return the interval of a quantity, 90 % by default."""
+        value, spread = self.values[name], z * self.spreads[name]
+        if is_log(name):
+            return value * math.exp(-spread), value * math.exp(spread)
+        return value - spread, value + spread
+
+
+def is_log(name: str) -> bool:
+    """Return True if a quantity is fitted by its logarithm."""
+    return name.partition("_")[0] in LOGARITHMS
+
+
+def prior_spread(name: str) -> float:
+    """Return the prior's standard deviation of a quantity, or of its logarithm."""
+    return PRIOR[name.partition("_")[0]]
+
+
+def fitted(
+    tracks: Sequence[Track],
+    design: SimulatedSensor,
+    *,
+    grid: int = 64,
+    indenters: Mapping[str, Indenter] | None = None,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> Fit:
+    """Return the twin that explains tracks, however badly: see its `misfit`.
+
+    Args:
+        tracks: Tracks of one sensor, by one or more indenters.
+        design: Row from which the fit begins; its body gives the prior's centre.
+        grid: Pixels along the body's longer side.
+        indenters: Indenters by name, in place of those of `sim.indenters`.
+        progress: Called with the fraction done.
+
+    Raises:
+        SceneError: There is no track, or a tip goes deeper than the skin is thick.
+        SimulationDiverged: The contact of a candidate did not converge.
+    """
+    design = with_effects(design)
+    deepest = max((-track.tip[:, 2].min() for track in tracks), default=0.0)
+    if not 0 < deepest < design.body.thickness:
+        raise SceneError(
+            f"tracks: {1e3 * deepest:.3g} mm deep; allowed: presses, less deep than the skin of "
+            f"{design.name}, {1e3 * design.body.thickness:.3g} mm"
+        )
+    for track in tracks:
+        if not (track.rest & track.contact).any():
+            raise SceneError(
+                f"{track.name}: the tip never stands still in contact; allowed: presses with holds "
+                "(hold_ms in the bench file)"
+            )
+    model = Model(design, tracks, grid=grid, indenters=indenters)
+    names = (*quantities(design), *BENCH)
+    centre = {**quantities(design), **dict.fromkeys(BENCH, 0.0)}
+    prior = np.array([prior_spread(name) for name in names])
+    values, damping, timing, law = dict(centre), 1e-3, 20e-3, 0.01
+    values["modulus"] *= _stiffer(tracks, model.readings(values))
+    near = model.linearised(values, names)
+    for done in range(1, ROUNDS + 1):
+        progress((done - 1) / ROUNDS)
+        timing, law = _errors(tracks, near.readings, near.rates)
+        sigma = _sigmas(tracks, near, timing, law)
+        residual, jacobian = _stacked(tracks, near.readings, sigma, near.slopes)
+        offset = _offset(names, values, centre)
+        normal = jacobian.T @ jacobian + np.diag(prior**-2)
+        slope = jacobian.T @ residual - offset / prior**2
+        cost = _cost(residual, offset / prior)
+        spread = np.sqrt(np.diag(np.linalg.inv(normal)))
+        while True:
+            step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), slope)
+            longest = max(abs(each) for name, each in zip(names, step, strict=True) if is_log(name))
+            step *= min(1.0, STEP / longest)
+            moved = {name: _moved(name, values, by) for name, by in zip(names, step, strict=True)}
+            trial, _ = _stacked(tracks, model.readings(moved), sigma)
+            better = _cost(trial, _offset(names, moved, centre) / prior) < cost
+            if better or damping > DAMPED:
+                break
+            damping = max(damping, 1e-2) * 10
+        small = float(np.max(np.abs(step) / spread)) < SMALL
+        if better:
+            values, damping = moved, damping / 10
+            close = longest < CLOSE
+            near = model.linearised(values, names, near if close and done > 1 else None)
+        if small or not better:
+            break
+    timing, law = _errors(tracks, near.readings, near.rates)
+    sigma = _sigmas(tracks, near, timing, law)
+    residual, jacobian = _stacked(tracks, near.readings, sigma, near.slopes)
+    excess = max(1.0, float(residual @ residual) / max(1, len(residual) - len(names)))
+    covariance = np.linalg.inv(jacobian.T @ jacobian / excess + np.diag(prior**-2))
+    progress(1.0)
+    return Fit(
+        design=design,
+        names=names,
+        values=values,
+        covariance=np.asarray(covariance, float),
+        tracks=tuple(tracks),
+        readings=tuple(near.readings),
+        sigma=tuple(sigma),
+        timing=timing,
+        law=law,
+        misfit=misfit(tracks, near.readings),
+        rounds=done,
+    )
+
+
+def with_effects(design: SimulatedSensor) -> SimulatedSensor:
+    """Return a design with friction and viscosity, where it has none those that a fit begins at."""
+    effects = design.effects
+    return replace(
+        design,
+        posterior=None,
+        effects=replace(
+            effects,
+            friction=effects.friction or FRICTION,
+            viscosity=effects.viscosity or VISCOSITY,
+        ),
+    )
+
+
+def misfit(tracks: Sequence[Track], readings: Sequence[Array]) -> float:
+    """Return the RMS difference of forces at rest over their RMS."""
+    off = force = 0.0
+    for track, read in zip(tracks, readings, strict=True):
+        rest = track.rest & track.contact
+        off += float(np.square(track.force - read)[rest].sum())
+        force += float(np.square(track.force)[rest].sum())
+    return math.sqrt(off / force) if force > 0 else math.inf
+
+
+def _stiffer(tracks: Sequence[Track], readings: Sequence[Array]) -> float:
+    """Return the factor that brings readings to the forces, least squares."""
+    product = sum(float(np.sum(t.force * read)) for t, read in zip(tracks, readings, strict=True))
+    square = sum(float(np.sum(read * read)) for read in readings)
+    return max(product / square, 1e-3) if square > 0 else 1.0
+
+
+def _errors(
+    tracks: Sequence[Track], readings: Sequence[Array], rates: Sequence[Array]
+) -> tuple[float, float]:
+    """Return the timing error [s] of moving points, and the relative error of those at rest."""
+    late, off = [], []
+    for track, read, rate in zip(tracks, readings, rates, strict=True):
+        error = np.linalg.norm(track.force - read, axis=1) / math.sqrt(3)
+        size = np.linalg.norm(track.force, axis=1)
+        fast = recent(track.time, rate)
+        moving = track.contact & ~track.rest & (fast > 0.1 * fast.max(initial=0))
+        late.append(error[moving] / fast[moving])
+        still = track.contact & track.rest & (size > 0.2 * size.max(initial=0))
+        square = np.square(error[still]) - np.square(track.noise[still])
+        off.append(square / np.square(size[still]))
+    timing = math.sqrt(3) * float(np.sqrt(np.mean(np.square(np.concatenate(late)))))
+    law = math.sqrt(max(0.0, float(np.mean(np.concatenate(off)))))
+    return float(np.clip(np.nan_to_num(timing), *TIMING)), max(LAW, np.nan_to_num(law))
+
+
+def recent(time: Array, rate: Array) -> Array:
+    """Return the largest rate (n,) of each point and of those up to `SETTLING` before it."""
+    first = np.searchsorted(time, time - SETTLING)
+    return np.array([rate[low : row + 1].max() for row, low in enumerate(first)])
+
+
+def _sigmas(tracks: Sequence[Track], near: Linear, timing: float, law: float) -> list[Array]:
+    """Return the error expected of each point (n,) [N].
+
+    Points of one rest have one error of the law, so theirs counts as often as there are points.
+    """
+    found = []
+    for track, read, rate in zip(tracks, near.readings, near.rates, strict=True):
+        rest = track.rest
+        episode = np.cumsum(np.diff(np.r_[False, rest].astype(int)) > 0)
+        count = np.bincount(episode, rest)[episode]
+        often = np.where(rest, np.maximum(count, 1), 1)
+        size = np.linalg.norm(read, axis=1)
+        late = timing * recent(track.time, rate)
+        found.append(np.sqrt(track.noise**2 + late**2 + often * (law * size) ** 2))
+    return found
+
+
+def _stacked(
+    tracks: Sequence[Track],
+    readings: Sequence[Array],
+    sigma: Sequence[Array],
+    slopes: Sequence[Array] = (),
+) -> tuple[Array, Array]:
+    """Return residuals (m,) in standard errors of the points in contact, and slopes (m, p)."""
+    parts, columns = [], []
+    for index, (track, read, each) in enumerate(zip(tracks, readings, sigma, strict=True)):
+        used = track.contact
+        parts.append(((track.force - read)[used] / each[used, None]).ravel())
+        if slopes:
+            scaled = slopes[index][used] / each[used, None, None]
+            columns.append(scaled.reshape(-1, scaled.shape[-1]))
+    return np.concatenate(parts), np.concatenate(columns) if columns else np.zeros((0, 0))
+
+
+def _cost(residual: Array, offset: Array) -> float:
+    return float(residual @ residual + offset @ offset)
+
+
+def _offset(
+    names: Sequence[str], values: Mapping[str, float], centre: Mapping[str, float]
+) -> Array:
+    """Return the distance of each quantity from the prior's centre, in the fit's coordinates."""
+    return np.array([_coordinate(name, values) - _coordinate(name, centre) for name in names])
+
+
+def _coordinate(name: str, values: Mapping[str, float]) -> float:
+    return math.log(values[name]) if is_log(name) else values[name]
+
+
+def _moved(name: str, values: Mapping[str, float], step: float) -> float:
+    if is_log(name):
+        return values[name] * math.exp(step)
+    moved = values[name] + step
+    if name == "poisson":
+        return float(np.clip(moved, *POISSON))
+    return max(moved, 0.0) if name == "compliance" else moved

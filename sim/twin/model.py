@@ -1,0 +1,190 @@
+"""Forces of a candidate sensor along tracks, by tier `layer`, and their derivatives."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.indenters import Indenter, named
+from sim.sensors import SimulatedSensor
+from sim.sensors.posterior import quantities, with_quantities
+from sim.stream import LivePress
+from sim.twin.observations import Track
+
+Array = NDArray[np.float64]
+
+# Steps of the derivatives that need another solution: relative, Poisson's ratio and metres as is.
+STEPS = {"thickness": 0.03, "friction": 0.06, "poisson": 0.01, "height": 8e-6}
+# Step of the logarithm of a relaxation time.
+STEP_TIME = 0.05
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solved:
+    """Solution along one track, in the contact frame."""
+
+    force: Array
+    """Force on the sensor (n, 3) [N]."""
+    elastic: Array
+    """Force after full relaxation at the same displacement (n, 3) [N]."""
+    rate: Array
+    """Rate of the force (n, 3) [N/s]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Linear:
+    """Readings of a candidate and their first derivatives, of every track."""
+
+    readings: list[Array]
+    """Forces (n, 3) [N]."""
+    slopes: list[Array]
+    """Derivatives (n, 3, p): by logarithms of modulus, thickness, friction, ratios and times, and
+    by the others themselves."""
+    rates: list[Array]
+    """Rates of the force (n,) [N/s]."""
+    costly: dict[str, list[Array]]
+    """Those derivatives that took a solution each, by name."""
+
+
+class Model:
+    """Readings that a sensor would give along tracks.
+
+    Args:
+        design: Sensor whose quantities are unknown; it must have friction and viscosity.
+        tracks: The tracks.
+        grid: Pixels along the body's longer side.
+        tolerance: Residual of the contact.
+        indenters: Indenters by name, in place of those of `sim.indenters`.
+    """
+
+    def __init__(
+        self,
+        design: SimulatedSensor,
+        tracks: Sequence[Track],
+        *,
+        grid: int = 64,
+        tolerance: float = 5e-3,
+        indenters: Mapping[str, Indenter] | None = None,
+    ) -> None:
+        self._design = replace(design, trajectory=None, force_depth=None)
+        self._tracks = tracks
+        self._grid, self._tolerance = grid, tolerance
+        self._indenters = indenters or {track.indenter: named(track.indenter) for track in tracks}
+        self._solved: dict[tuple[tuple[str, float], ...], list[Solved]] = {}
+
+    def readings(self, values: Mapping[str, float]) -> list[Array]:
+        """Return the force that the gauge reads at each point (n, 3) [N], of every track."""
+        return [self._read(solved, values) for solved in self.solve(values)]
+
+    def linearised(
+        self, values: Mapping[str, float], names: Sequence[str], known: Linear | None = None
+    ) -> Linear:
+        """Return the readings near `values`, which must have all `names`.
+
+        Derivatives by modulus, branches, gauge and latency come from one solution: forces are
+        proportional to the modulus, and relaxation is a convolution of the elastic force. The
+        contact is assumed not to change with them; readings themselves are exact. The others take
+        a solution each, unless they are those of `known`, not far from here.
+        """
+        solved = self.solve(values)
+        base = [self._read(each, values) for each in solved]
+        costly: dict[str, list[Array]] = {} if known is None else known.costly
+        for name in STEPS:
+            if known is not None or (name not in names and name != "height"):
+                continue
+            step = STEPS[name]
+            linear = name in ("poisson", "height")
+            moved = values[name] + step if linear else values[name] * (1 + step)
+            over = step if linear else math.log1p(step)
+            there = self.readings({**values, name: moved})
+            costly[name] = [(new - old) / over for new, old in zip(there, base, strict=True)]
+        slopes = []
+        for index, track in enumerate(self._tracks):
+            rows = []
+            for name in names:
+                if name in costly:
+                    rows.append(costly[name][index])
+                elif name == "compliance":
+                    # The mount yields by compliance times force, as if the surface were lower.
+                    rows.append(costly["height"][index] * track.force[:, 2:])
+                else:
+                    rows.append(self._cheap(name, solved[index], base[index], values, track))
+            slopes.append(np.stack(rows, axis=-1))
+        rates = [np.linalg.norm(each.rate, axis=1) for each in solved]
+        return Linear(base, slopes, rates, costly)
+
+    def solve(self, values: Mapping[str, float]) -> list[Solved]:
+        """Return the solution of every track."""
+        known = quantities(self._design)
+        sensor = with_quantities(
+            self._design, {name: value for name, value in values.items() if name in known}
+        )
+        key = tuple(sorted(values.items()))
+        if key not in self._solved:
+            followed = [self._follow(sensor, track, values) for track in self._tracks]
+            self._solved = {**dict(list(self._solved.items())[-1:]), key: followed}
+        return self._solved[key]
+
+    def _follow(self, sensor: SimulatedSensor, track: Track, values: Mapping[str, float]) -> Solved:
+        press = LivePress(
+            sensor, self._indenters[track.indenter], grid=self._grid, tolerance=self._tolerance
+        )
+        tip = track.tip.copy()
+        tip[:, 2] -= values.get("height", 0.0)
+        tip[:, 2] -= values.get("compliance", 0.0) * np.minimum(track.force[:, 2], 0.0)
+        force, elastic = np.zeros((len(tip), 3)), np.zeros((len(tip), 3))
+        before = track.time[0]
+        for row, (time, place) in enumerate(zip(track.time, tip, strict=True)):
+            press.move(place, time - before)
+            before = time
+            if press.touching:
+                force[row], elastic[row] = press.force, press.relaxed_force
+        return Solved(force, elastic, _rates(track.time, force))
+
+    def _read(self, solved: Solved, values: Mapping[str, float]) -> Array:
+        turn = np.array([values.get(f"turn_{axis}", 0.0) for axis in "xyz"])
+        late = solved.force - values.get("latency", 0.0) * solved.rate
+        found: Array = late + np.cross(turn, late)
+        return found
+
+    def _cheap(
+        self, name: str, solved: Solved, read: Array, values: Mapping[str, float], track: Track
+    ) -> Array:
+        if name == "modulus":
+            return read
+        if name == "latency":
+            return -solved.rate
+        kind, _, which = name.partition("_")
+        if kind == "turn":
+            axis = np.zeros(3)
+            axis["xyz".index(which)] = 1.0
+            return np.cross(axis, solved.force)
+        ratio, time = values[f"ratio_{which}"], values[f"time_{which}"]
+        if kind == "ratio":
+            return ratio * relaxing(track.time, solved.elastic, time)
+        ahead, behind = (
+            relaxing(track.time, solved.elastic, time * math.exp(step))
+            for step in (STEP_TIME, -STEP_TIME)
+        )
+        return ratio * (ahead - behind) / (2 * STEP_TIME)
+
+
+def relaxing(time: Array, elastic: Array, relaxation: float) -> Array:
+    """Return the convolution (n, 3) of an elastic force's changes with exp(-t / relaxation)."""
+    branch = np.zeros_like(elastic)
+    for row in range(1, len(time)):
+        span = (time[row] - time[row - 1]) / relaxation
+        gain = -math.expm1(-span) / span if span > 0 else 1.0
+        change = elastic[row] - elastic[row - 1]
+        branch[row] = math.exp(-span) * branch[row - 1] + gain * change
+    return branch
+
+
+def _rates(time: Array, force: Array) -> Array:
+    """Return the rate of the interval that ends at each point (n, 3)."""
+    span = np.maximum(np.diff(time), 1e-4)
+    return np.concatenate([np.zeros((1, 3)), np.diff(force, axis=0) / span[:, None]])

@@ -1,0 +1,208 @@
+"""Observations of a twin: the tip's path through a session, and the force at points of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder import Session
+from sim.errors import SceneError
+from trajectories import dome_height
+
+Array = NDArray[np.float64]
+
+# Tips higher than this above the surface touch nothing [m].
+FREE = 0.1e-3
+# Points per deepest press along the tip's path; sideways they are as far apart as the second says.
+POINTS, SIDEWAYS = 4, 0.3e-3
+# Shortest time between points of a resting tip [s], and growth of that time over the rest so far.
+SOONEST, GROWTH = 0.05, 0.8
+# Longest time between points without contact [s].
+IDLE = 0.5
+# A tip that has moved less than this since the last point, within `SOONEST`, is at rest [m].
+STILL = 2e-6
+# Time after a move in which forces may still belong to it, however late they are read [s].
+SETTLING = 0.06
+# Half of the longest and of the shortest time over which a force is averaged [s].
+WINDOW, WINDOW_LEAST = 0.2, 0.003
+# Time before a contact over which its zero is averaged [s].
+ZERO = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Track:
+    """Path of one indenter over a sensor, and the forces along it."""
+
+    name: str
+    """Where it is from."""
+    indenter: str
+    time: Array
+    """Time of each point (n,) [s], rising."""
+    tip: Array
+    """Tip at each point (n, 3) [m], z above the undeformed surface there."""
+    force: Array
+    """Mean force around each point (n, 3) [N], on the sensor: pressing is negative z."""
+    noise: Array
+    """Standard deviation of that mean by the gauge's noise (n,) [N]."""
+    target: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    """Press that each point belongs to (n,), -1 in between."""
+
+    @property
+    def rest(self) -> NDArray[np.bool_]:
+        """True for points at which the tip has not moved for `SETTLING` (n,)."""
+        found = np.zeros(len(self.time), bool)
+        since = self.time[0]
+        for row in range(1, len(self.time)):
+            if np.linalg.norm(self.tip[row] - self.tip[row - 1]) > STILL:
+                since = self.time[row]
+            found[row] = self.time[row] - since >= SETTLING
+        return found
+
+    @property
+    def contact(self) -> NDArray[np.bool_]:
+        """True for points below the surface, or with a force above noise (n,)."""
+        size = np.linalg.norm(self.force, axis=1)
+        found: NDArray[np.bool_] = (self.tip[:, 2] < 0) | (size > 5 * self.noise)
+        return found
+
+
+def tracks_of(session: Session) -> list[Track]:
+    """Return the tracks of a session, one for each run.
+
+    Raises:
+        SceneError: It has no gauge, no arm, no contact frame, or no contact.
+    """
+    force, pose = session.first("force"), session.first("pose")
+    frame = session.attrs.get("contact_frame")
+    for name, value in (("stream of kind force", force), ("stream of kind pose", pose)):
+        if value is None:
+            raise SceneError(
+                f"{session.name}: no {name}; allowed: sessions with forces and the arm's poses"
+            )
+    if frame is None or "indenter" not in session.attrs:
+        raise SceneError(f"{session.name}: no contact_frame or indenter; allowed: both")
+    assert force is not None
+    assert pose is not None
+    found = []
+    for run in range(max(len(session.runs), 1)):
+        poses, forces = session.streams[pose], session.streams[force]
+        at, of = session.rows_of_run(pose, run), session.rows_of_run(force, run)
+        if at.stop - at.start < 2 or of.stop - of.start < 2:
+            continue
+        origin = int(poses.t_ns[at][0])
+        track = track_of(
+            f"{session.path.name}",
+            str(session.attrs["indenter"]),
+            np.asarray(1e-9 * (poses.t_ns[at] - origin), float),
+            in_frame(np.asarray(frame, float), np.asarray(poses.array("value"))[at][:, :3]),
+            np.asarray(1e-9 * (forces.t_ns[of] - origin), float),
+            np.asarray(forces.array("value"), float)[of][:, :3],
+            dome_radius=(session.attrs.get("plan") or {}).get("dome_radius"),
+        )
+        if track is not None:
+            found.append(track)
+    if not found:
+        raise SceneError(f"{session.name}: the tip never went below the surface; allowed: presses")
+    return found
+
+
+def in_frame(frame: Array, places: Array) -> Array:
+    """Return places (n, 3) in a frame given as a pose (6,) in theirs [m, rad]."""
+    from scipy.spatial.transform import Rotation
+
+    found: Array = Rotation.from_rotvec(frame[3:]).inv().apply(places - frame[:3])
+    return found
+
+
+def track_of(
+    name: str,
+    indenter: str,
+    time: Array,
+    tip: Array,
+    force_time: Array,
+    force: Array,
+    *,
+    dome_radius: float | None = None,
+) -> Track | None:
+    """Return the track of poses (n,), (n, 3) and forces (m,), (m, 3) [s, m, N].
+
+    Forces without contact are taken as zero: the mean of the last of them before each press is
+    removed. None if the tip never went below the surface.
+    """
+    tip = tip.copy()
+    if dome_radius is not None:
+        tip[:, 2] -= [dome_height(dome_radius, x, y) for x, y in tip[:, :2]]
+    if tip[:, 2].min() >= 0:
+        return None
+    inside = (force_time >= time[0]) & (force_time <= time[-1]) & np.isfinite(force).all(axis=1)
+    force_time, force = force_time[inside], force[inside]
+    height = np.interp(force_time, time, tip[:, 2])
+    free = height > FREE
+    if not free.any():
+        raise SceneError(
+            f"{name}: no force without contact; allowed: presses that begin above {1e3 * FREE:g} mm"
+        )
+    noise = float(force[free].std(axis=0).max())
+    force = force - _zeros(force_time, force, free)
+    points = _points(time, tip)
+    step = np.diff(time[points])
+    reach = np.minimum(np.r_[step, step[-1]], np.r_[step[0], step])
+    half = np.clip(0.4 * reach, WINDOW_LEAST, WINDOW)
+    first = np.searchsorted(force_time, time[points] - half)
+    last = np.maximum(np.searchsorted(force_time, time[points] + half, side="right"), first + 1)
+    last = np.minimum(last, len(force_time))
+    first = np.minimum(first, last - 1)
+    sums = np.concatenate([np.zeros((1, 3)), np.cumsum(force, axis=0)])
+    count = last - first
+    below = tip[points, 2] <= FREE
+    target = np.where(below, np.cumsum(np.diff(np.r_[False, below].astype(int)) > 0) - 1, -1)
+    return Track(
+        name=name,
+        indenter=indenter,
+        time=time[points],
+        tip=tip[points],
+        force=(sums[last] - sums[first]) / count[:, None],
+        noise=noise / np.sqrt(count),
+        target=target.astype(np.int64),
+    )
+
+
+def _zeros(time: Array, force: Array, free: NDArray[np.bool_]) -> Array:
+    """Return the zero of each sample (m, 3): the mean of those free before its contact."""
+    zeros = np.repeat(force[free].mean(axis=0)[None], len(force), axis=0)
+    starts = np.flatnonzero(np.diff(free.astype(int)) < 0) + 1
+    for index, start in enumerate(starts):
+        stop = starts[index + 1] if index + 1 < len(starts) else len(force)
+        before = np.flatnonzero(free[:start] & (time[:start] > time[start] - ZERO))
+        if len(before) > 20:
+            zeros[start:stop] = force[before].mean(axis=0)
+    return zeros
+
+
+def _points(time: Array, tip: Array) -> NDArray[np.int64]:
+    """Return rows at which to solve: evenly along the path, ever rarer while the tip rests."""
+    step = -tip[:, 2].min() / POINTS
+    kept, since = [0], time[0]
+    for row in range(1, len(time)):
+        last = kept[-1]
+        passed = time[row] - time[last]
+        if tip[row, 2] > FREE and tip[last, 2] > FREE:
+            if passed >= IDLE:
+                kept.append(row)
+            continue
+        if tip[last, 2] > FREE and last != row - 1:
+            kept.append(row - 1)  # the last one without contact, so that the way down is straight
+            since = time[row]
+            continue
+        way = tip[row] - tip[last]
+        moved = abs(way[2]) >= step or np.hypot(way[0], way[1]) >= SIDEWAYS
+        if not moved and passed < SOONEST:
+            continue
+        if moved or np.abs(way).max() > STILL:
+            since = time[row]
+            kept.append(row)
+        elif passed >= GROWTH * (time[last] - since):
+            kept.append(row)
+    return np.array(kept, np.int64)

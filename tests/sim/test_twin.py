@@ -1,0 +1,228 @@
+"""Twins: points along a path, fits of planted skins, rows and draws."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.sessions import CONTACT_FRAME, T0, Columns, make_session
+
+from benchmarks.sim.twin.planted import Bench, Presses, observed, recorded
+from sim.__main__ import main
+from sim.errors import SceneError
+from sim.sensors import Posterior, SimulatedSensor, read_sensor, sensor
+from sim.sensors.posterior import quantities, with_quantities
+from sim.twin import Fit, Track, fitted
+from sim.twin.model import relaxing
+from sim.twin.observations import track_of
+from sim.twin.record import lines, twin_yaml
+
+COARSE = 32
+SHORT = Presses(depths=(1.0e-3,), shear=0.6e-3, hold=1.2)
+
+
+def planted() -> SimulatedSensor:
+    """Return a skin that is stiffer, thinner and smoother than the design."""
+    design = replace(sensor("gelsight"), trajectory=None, force_depth=None)
+    return with_quantities(
+        design, {"modulus": 190e3, "thickness": 3.6e-3, "friction": 0.4, "ratio_2": 0.25}
+    )
+
+
+@pytest.fixture(scope="module")
+def tracks() -> list[Track]:
+    bench = Bench(noise=0.005, height=20e-6, turn=(0.02, -0.01, 0.01))
+    return [
+        observed(planted(), name, SHORT, bench, seed, grid=COARSE)
+        for seed, name in enumerate(("sphere", "prism"))
+    ]
+
+
+@pytest.fixture(scope="module")
+def fit(tracks: list[Track]) -> Fit:
+    return fitted(tracks, sensor("gelsight"), grid=COARSE)
+
+
+def test_a_planted_skin_is_found_again(fit: Fit) -> None:
+    true = quantities(planted())
+    assert fit.values["modulus"] == pytest.approx(true["modulus"], rel=0.06)
+    assert fit.values["thickness"] == pytest.approx(true["thickness"], rel=0.12)
+    assert fit.values["friction"] == pytest.approx(true["friction"], rel=0.03)
+    assert fit.values["ratio_2"] == pytest.approx(true["ratio_2"], rel=0.15)
+    assert fit.values["height"] == pytest.approx(20e-6, abs=15e-6)
+    assert fit.values["turn_x"] == pytest.approx(0.02, abs=5e-3)
+    assert fit.misfit < 0.01
+
+
+def test_true_values_lie_in_the_intervals(fit: Fit) -> None:
+    for name, true in quantities(planted()).items():
+        low, high = fit.interval(name, z=3.0)
+        assert low <= true <= high, name
+
+
+def test_another_shape_is_foretold(fit: Fit) -> None:
+    from sim.twin import Model, misfit
+
+    held_out = observed(planted(), "cylinder", SHORT, Bench(noise=0.0), 9, grid=COARSE)
+    model = Model(fit.design, [held_out], grid=COARSE)
+    found = model.readings({name: fit.values[name] for name in quantities(planted())})
+    assert misfit([held_out], found) < 0.04
+
+
+def test_a_row_of_a_twin_is_read_back_and_drawn_from(fit: Fit, tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(twin_yaml(fit, "gelsight.yaml", ["a.zarr"]))
+    twin = read_sensor(path)
+    assert twin.name == "mine"
+    assert twin.signal == sensor("gelsight").signal
+    assert quantities(twin) == pytest.approx(quantities(fit.sensor), rel=1e-5)
+    assert twin.posterior is not None
+    random = np.random.default_rng(0)
+    drawn = [twin.posterior.draw(twin, random) for _ in range(400)]
+    moduli = np.log([each.body.modulus for each in drawn])
+    thick = np.log([each.body.thickness for each in drawn])
+    names = twin.posterior.names
+    spread = twin.posterior.spreads[names.index("modulus")]
+    assert moduli.std() == pytest.approx(spread, rel=0.15)
+    row = twin.posterior.correlations[names.index("modulus")]
+    assert np.corrcoef(moduli, thick)[0, 1] == pytest.approx(row[names.index("thickness")], abs=0.1)
+    assert all(each.posterior is None for each in drawn)
+
+
+def test_the_report_has_every_quantity_and_its_interval(fit: Fit) -> None:
+    text = "\n".join(lines(fit))
+    assert "kPa" in text
+    assert all(name in text for name in fit.names)
+
+
+def test_points_are_dense_in_motion_and_rare_at_rest() -> None:
+    time = np.arange(0.0, 4.0, 0.002)
+    tip = np.zeros((len(time), 3))
+    tip[:, 2] = np.interp(
+        time, [0, 1, 1.3, 3.3, 3.6, 4.0], [3e-4, 3e-4, -1.2e-3, -1.2e-3, 3e-4, 3e-4]
+    )
+    force = np.zeros((len(time), 3))
+    force[:, 2] = np.minimum(tip[:, 2], 0) * 1e3 + 0.5
+    track = track_of("a", "sphere", time, tip, time, force)
+    assert track is not None
+    moving = track.contact & ~track.rest
+    assert 8 <= moving.sum() <= 40
+    still = track.rest & track.contact
+    assert 4 <= still.sum() <= 25
+    # The gauge's offset is removed by the forces before the contact.
+    assert track.force[still, 2] == pytest.approx(-1.2, abs=2e-3)
+    assert np.all(np.diff(track.time) > 0)
+
+
+def test_a_path_without_contact_is_no_track() -> None:
+    time = np.arange(0.0, 1.0, 0.01)
+    tip = np.full((len(time), 3), 1e-3)
+    assert track_of("a", "sphere", time, tip, time, 0 * tip) is None
+
+
+def test_relaxing_is_the_convolution_with_an_exponential() -> None:
+    time = np.linspace(0.0, 2.0, 9)
+    ramp = np.stack([0 * time, 0 * time, time], axis=1)
+    exact = 0.5 * (1 - np.exp(-time / 0.5))
+    assert relaxing(time, ramp, 0.5)[:, 2] == pytest.approx(exact, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("names", "spreads", "matrix"),
+    [
+        (("colour",), (0.1,), ((1.0,),)),
+        (("modulus",), (0.1, 0.2), ((1.0,),)),
+        (("modulus",), (-0.1,), ((1.0,),)),
+        (("modulus", "thickness"), (0.1, 0.1), ((1.0, 0.5), (0.4, 1.0))),
+    ],
+)
+def test_a_wrong_posterior_is_refused(
+    names: tuple[str, ...], spreads: tuple[float, ...], matrix: tuple[tuple[float, ...], ...]
+) -> None:
+    with pytest.raises(SceneError, match="posterior"):
+        Posterior(names, spreads, matrix)
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a session of one planted press."""
+    time, tip, force = recorded(planted(), "sphere", SHORT, Bench(noise=0.01), 3, grid=COARSE)
+    folder = tmp_path_factory.mktemp("twin")
+    return make_session(
+        folder / "press.zarr",
+        seconds=0.5,
+        names=("force", "pose"),
+        change=lambda name, columns: _of(name, columns, time, tip, force),
+    )
+
+
+def _of(name: str, columns: Columns, time: Any, tip: Any, force: Any) -> Columns:
+    """Return the columns of a stream for a path; other tables are as they were."""
+    if name not in ("force", "pose"):
+        return columns
+    rows = np.zeros((len(time), 6))
+    if name == "pose":
+        rows[:] = CONTACT_FRAME
+        rows[:, :3] += tip
+    else:
+        rows[:, :3] = force + 0.3
+    t_ns = T0 + np.round(1e9 * time).astype(np.int64)
+    first = {key: np.repeat(values[:1], len(time)) for key, values in columns.items()}
+    return {**first, "t_ns": t_ns, "value": rows} | (
+        {"seq": np.arange(len(time))} if name == "force" else {}
+    )
+
+
+def test_the_command_writes_a_row_and_a_picture(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "mine.yaml"
+    words = ["twin-fit", str(session), "--sensor", "gelsight", "--out", str(out), "--json"]
+    assert main([*words, "--grid", str(COARSE)]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["refused"] is False
+    assert found["misfit"] < 0.03
+    assert found["values"]["friction"] == pytest.approx(0.4, rel=0.1)
+    assert read_sensor(out).body.modulus == pytest.approx(found["values"]["modulus"], rel=1e-4)
+    assert out.with_suffix(".png").stat().st_size > 10_000
+
+
+def test_forces_that_no_skin_explains_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    time, tip, force = recorded(planted(), "sphere", SHORT, Bench(noise=0.01), 3, grid=COARSE)
+    # A force that grows with the root of an elastic layer's is of no such layer.
+    bent = np.sign(force) * np.sqrt(np.abs(force) / np.abs(force).max())
+    path = make_session(
+        tmp_path / "bent.zarr",
+        seconds=0.5,
+        names=("force", "pose"),
+        change=lambda name, columns: _of(name, columns, time, tip, bent),
+    )
+    out = tmp_path / "bent.yaml"
+    words = ["twin-fit", str(path), "--sensor", "gelsight", "--out", str(out)]
+    assert main([*words, "--grid", str(COARSE)]) == 1
+    assert "refused: forces at rest differ by" in capsys.readouterr().err
+    assert not out.exists()
+    assert out.with_suffix(".png").stat().st_size > 10_000
+
+
+def _always_moving(name: str, columns: Columns) -> Columns:
+    if name == "pose":
+        columns["value"][:, 2] += 3e-4  # from well above the surface
+    return columns
+
+
+def test_presses_without_a_rest_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    moving = make_session(tmp_path / "moving.zarr", names=("force", "pose"), change=_always_moving)
+    assert main(["twin-fit", str(moving), "--sensor", "gelsight"]) == 2
+    assert "hold_ms" in capsys.readouterr().err
+    bare = make_session(tmp_path / "bare.zarr", names=("pose",))
+    assert main(["twin-fit", str(bare), "--sensor", "gelsight"]) == 2
+    assert "no stream of kind force" in capsys.readouterr().err
