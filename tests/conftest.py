@@ -94,8 +94,7 @@ def nothing_left_behind() -> Iterator[None]:
     ours = [
         thread
         for thread in set(threading.enumerate()) - threads
-        if not thread.name.startswith(("zarr", "asyncio"))
-        and type(thread).__name__ != "TMonitor"
+        if not thread.name.startswith(("zarr", "asyncio")) and type(thread).__name__ != "TMonitor"
     ]
     for thread in ours:
         thread.join(2.0)
