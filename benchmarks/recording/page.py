@@ -65,6 +65,7 @@ def render(results: Results) -> str:
         **{field.name: getattr(results, field.name) for field in fields(results)}
         | {"lateness": results.lateness and pairs},
         criteria=criteria_of(results),
+        goal=criteria.WINDOW_IMAGES,
         base_of=lambda row: stores.get("ours-jpeg" if "jpeg" in row.key else "ours-zstd", _NONE),
         elsewhere=QUOTED,
         checksums={entry.key: entry.checksum for entry in STORES},
