@@ -184,6 +184,10 @@ demo-learning: $(VENV)/.demo  ## Run three simulated sensors from press to repor
 	@$(PY) -m sim archive sensors --sensors $(DEMO)/array-hard.yaml,$(DEMO)/circle.yaml,$(DEMO)/diamond-soft.yaml --tier layer --scale 0.025 --steps 4 --no-check --out $(or $(OUT),runs/demo-learning)/demo.markers.zarr
 	@$(PY) -m learning experiment $(or $(OUT),runs/demo-learning)/demo.markers.zarr --out $(or $(OUT),runs/demo-learning) --preset demo --pairs array-hard:circle,array-hard:diamond-soft
 
+#: [OUT=runs/twin-demo]
+demo-twin: $(VENV)/.rig $(VENV)/.sim  ## Record a mock sensor and identify its twin on two cores (10 minutes)
+	@$(PY) -m benchmarks twin-demo $(if $(OUT),--out $(OUT))
+
 #: SOURCE=a.markers.zarr:a TARGET=b.markers.zarr:b OUT=runs/x [ARGS="--priors session.zarr"]
 transfer: $(VENV)/.learning  ## Train a force model of a sensor without a gauge, with error bars
 	@$(PY) -m learning transfer --source $(SOURCE) --target $(TARGET) --out $(OUT) $(ARGS)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from recorder.command_line.errors import EXIT_INTERRUPTED, EXIT_WRONG_INPUT
-from recorder.command_line.options import add_device, add_seed, names
+from recorder.command_line.options import add_device, add_seed, names, whole
 from sim.cli.options import metres
 from sim.errors import SceneError
 
@@ -23,6 +23,8 @@ GROUPS = ("homogeneous", "material", "heterogeneous")
 # Indenters with --smoke, and elements over the thickness.
 SMOKE_SHAPES, SMOKE_CELLS = ("sphere", "prism"), 3
 SMOKE_SHARE, SMOKE_STEPS = 0.01, 3
+# Most sensors drawn from a twin.
+DRAWS_MOST = 1000
 # Presses that a GPU solves in one launch: all of the paper's.
 BATCH_SIZE_GPU = 162
 
@@ -53,6 +55,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=names,
         metavar="NAME,...",
         help="in place of --group: rows of sim/sensors, YAML files",
+    )
+    sensors.add_argument(
+        "--twin",
+        type=Path,
+        metavar="PATH",
+        help="in place of both: sensors drawn from the uncertainty of a twin (tactile twin fit)",
+    )
+    sensors.add_argument(
+        "--draws",
+        type=whole(1, DRAWS_MOST),
+        default=20,
+        metavar="N",
+        help="number of sensors drawn from --twin (%(default)s)",
     )
     sensors.add_argument(
         "--scale",
@@ -364,6 +379,10 @@ def _share(text: str) -> tuple[bool, float]:
 def _chosen_sensors(options: argparse.Namespace) -> tuple[SimulatedSensor, ...]:
     from sim.sensors import HETEROGENEOUS, HOMOGENEOUS, MATERIAL, read_sensor, sensor
 
+    if options.twin is not None:
+        if options.group is not None or options.sensors is not None:
+            raise SceneError("--twin: found beside --group or --sensors; allowed: one of them")
+        return _drawn_sensors(options.twin, options.draws, options.seed)
     if (options.group is None) == (options.sensors is None):
         raise SceneError(
             f"--group: {options.group!r}, --sensors: {options.sensors!r}; allowed: one of both"
@@ -374,4 +393,22 @@ def _chosen_sensors(options: argparse.Namespace) -> tuple[SimulatedSensor, ...]:
     return tuple(
         read_sensor(Path(name)) if name.endswith((".yaml", ".yml")) else sensor(name)
         for name in options.sensors
+    )
+
+
+def _drawn_sensors(path: Path, draws: int, seed: int) -> tuple[SimulatedSensor, ...]:
+    """Return sensors drawn from the uncertainty of a twin, named after it and numbered."""
+    import numpy as np
+
+    from sim.sensors import read_sensor
+
+    twin = read_sensor(path)
+    if twin.posterior is None:
+        raise SceneError(
+            f"--twin: {path} has no posterior; allowed: a file that `tactile twin fit` wrote"
+        )
+    random = np.random.default_rng(seed)
+    return tuple(
+        replace(twin.posterior.draw(twin, random), name=f"{twin.name}-{index:03d}")
+        for index in range(draws)
     )

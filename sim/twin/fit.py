@@ -14,7 +14,7 @@ from sim.errors import SceneError
 from sim.indenters import Indenter
 from sim.sensors import SimulatedSensor
 from sim.sensors.posterior import POISSON, Posterior, quantities, with_quantities
-from sim.twin.model import Linear, Model
+from sim.twin.model import Linear, Model, Solved
 from sim.twin.observations import SETTLING, Track
 
 Array = NDArray[np.float64]
@@ -30,13 +30,12 @@ PRIOR = {
     "time": 0.5,
     "height": 50e-6,
     "compliance": 5e-6,
-    "latency": 10e-3,
     "turn": 0.03,
 }
 # Sensor without friction or viscosity in its row: these are where the fit begins.
 FRICTION, VISCOSITY = Friction(0.6), Viscosity((0.15, 0.15), (0.05, 0.5))
 # Names of what is not of the sensor.
-BENCH = ("height", "compliance", "latency", "turn_x", "turn_y", "turn_z")
+BENCH = ("height", "compliance", "turn_x", "turn_y", "turn_z")
 # Names in logarithms.
 LOGARITHMS = ("modulus", "thickness", "friction", "ratio", "time")
 # Most rounds of a fit, and the largest step in posterior spreads at which it has converged.
@@ -68,7 +67,9 @@ class Fit:
     sigma: tuple[Array, ...]
     """Standard error expected of each point (n,) [N], of each track."""
     timing: float
-    """Timing error between arm and gauge [s]."""
+    """Timing error between arm and gauge [s], of forces while the tip moves."""
+    latency: float
+    """Time by which moving forces are later than the twin's on average [s]."""
     law: float
     """Error of forces at rest that neither noise nor timing explain, over the force."""
     misfit: float
@@ -206,6 +207,7 @@ def fitted(
         readings=tuple(near.readings),
         sigma=tuple(sigma),
         timing=timing,
+        latency=_latency(tracks, model.solve(values)),
         law=law,
         misfit=misfit(tracks, near.readings),
         rounds=done,
@@ -262,6 +264,17 @@ def _errors(
     return float(np.clip(np.nan_to_num(timing), *TIMING)), max(LAW, np.nan_to_num(law))
 
 
+def _latency(tracks: Sequence[Track], solved: Sequence[Solved]) -> float:
+    """Return the delay that moves the twin's forces nearest to those of the moving points [s]."""
+    product = square = 0.0
+    for track, each in zip(tracks, solved, strict=True):
+        moving = track.contact & ~track.rest
+        rate = each.rate[moving]
+        product -= float(np.sum((track.force - each.force)[moving] * rate))
+        square += float(np.sum(rate * rate))
+    return product / square if square > 0 else 0.0
+
+
 def recent(time: Array, rate: Array) -> Array:
     """Return the largest rate (n,) of each point and of those up to `SETTLING` before it."""
     first = np.searchsorted(time, time - SETTLING)
@@ -291,10 +304,14 @@ def _stacked(
     sigma: Sequence[Array],
     slopes: Sequence[Array] = (),
 ) -> tuple[Array, Array]:
-    """Return residuals (m,) in standard errors of the points in contact, and slopes (m, p)."""
+    """Return residuals (m,) in standard errors of the resting points, and slopes (m, p).
+
+    Forces of a moving tip differ by how late each stream is read, all in the same direction: they
+    would pass for relaxation.
+    """
     parts, columns = [], []
     for index, (track, read, each) in enumerate(zip(tracks, readings, sigma, strict=True)):
-        used = track.contact
+        used = track.contact & track.rest
         parts.append(((track.force - read)[used] / each[used, None]).ravel())
         if slopes:
             scaled = slopes[index][used] / each[used, None, None]

@@ -85,7 +85,7 @@ class Model:
     ) -> Linear:
         """Return the readings near `values`, which must have all `names`.
 
-        Derivatives by modulus, branches, gauge and latency come from one solution: forces are
+        Derivatives by modulus, branches and gauge come from one solution: forces are
         proportional to the modulus, and relaxation is a convolution of the elastic force. The
         contact is assumed not to change with them; readings themselves are exact. The others take
         a solution each, unless they are those of `known`, not far from here.
@@ -147,8 +147,7 @@ class Model:
 
     def _read(self, solved: Solved, values: Mapping[str, float]) -> Array:
         turn = np.array([values.get(f"turn_{axis}", 0.0) for axis in "xyz"])
-        late = solved.force - values.get("latency", 0.0) * solved.rate
-        found: Array = late + np.cross(turn, late)
+        found: Array = solved.force + np.cross(turn, solved.force)
         return found
 
     def _cheap(
@@ -156,8 +155,6 @@ class Model:
     ) -> Array:
         if name == "modulus":
             return read
-        if name == "latency":
-            return -solved.rate
         kind, _, which = name.partition("_")
         if kind == "turn":
             axis = np.zeros(3)

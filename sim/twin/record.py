@@ -21,7 +21,6 @@ SHOWN = {
     "time": (1.0, "s"),
     "height": (1e6, "um"),
     "compliance": (1e6, "um/N"),
-    "latency": (1e3, "ms"),
     "turn": (180 / math.pi, "deg"),
 }
 # Correlations from this on are listed.
@@ -91,7 +90,8 @@ def lines(fit: Fit) -> list[str]:
     found.append(f"correlations above {STRONG:g}: {', '.join(pairs) or 'none'}")
     found.append(
         f"misfit {100 * fit.misfit:.2f} % of the forces at rest; error of the law "
-        f"{100 * fit.law:.2f} %, timing between arm and gauge {1e3 * fit.timing:.0f} ms"
+        f"{100 * fit.law:.2f} %; moving forces are {1e3 * fit.latency:.0f} ms late, timing "
+        f"{1e3 * fit.timing:.0f} ms"
     )
     return found
 
@@ -117,6 +117,7 @@ def summary(fit: Fit) -> dict[str, Any]:
         "misfit": fit.misfit,
         "law": fit.law,
         "timing": fit.timing,
+        "latency": fit.latency,
         "rounds": fit.rounds,
     }
 

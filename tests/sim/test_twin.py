@@ -51,7 +51,7 @@ def test_a_planted_skin_is_found_again(fit: Fit) -> None:
     true = quantities(planted())
     assert fit.values["modulus"] == pytest.approx(true["modulus"], rel=0.06)
     assert fit.values["thickness"] == pytest.approx(true["thickness"], rel=0.12)
-    assert fit.values["friction"] == pytest.approx(true["friction"], rel=0.03)
+    assert fit.values["friction"] == pytest.approx(true["friction"], rel=0.06)
     assert fit.values["ratio_2"] == pytest.approx(true["ratio_2"], rel=0.15)
     assert fit.values["height"] == pytest.approx(20e-6, abs=15e-6)
     assert fit.values["turn_x"] == pytest.approx(0.02, abs=5e-3)
@@ -226,3 +226,29 @@ def test_presses_without_a_rest_are_refused(
     bare = make_session(tmp_path / "bare.zarr", names=("pose",))
     assert main(["twin-fit", str(bare), "--sensor", "gelsight"]) == 2
     assert "no stream of kind force" in capsys.readouterr().err
+
+
+def test_an_archive_has_sensors_drawn_from_a_twin(fit: Fit, tmp_path: Path) -> None:
+    from sim.dataset import found
+
+    twin, out = tmp_path / "mine.yaml", tmp_path / "drawn.markers.zarr"
+    twin.write_text(twin_yaml(fit, "gelsight.yaml", ["a.zarr"]))
+    words = ["archive", "sensors", "--twin", str(twin), "--draws", "2", "--indenters", "sphere"]
+    words += ["--tier", "layer", "--scale", "smoke", "--out", str(out), "--processes", "1"]
+    assert main(words) == 0
+    drawn = found(out).plan.sensors
+    assert [each.name for each in drawn] == ["mine-000", "mine-001"]
+    assert drawn[0].body.modulus != drawn[1].body.modulus
+    spread = fit.spreads["modulus"]
+    assert all(
+        abs(np.log(each.body.modulus / fit.values["modulus"])) < 5 * spread for each in drawn
+    )
+
+
+def test_draws_come_from_a_twin_alone(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    design = tmp_path / "design.yaml"
+    design.write_text("extends: gelsight.yaml\n")
+    assert main(["archive", "sensors", "--twin", str(design)]) == 2
+    assert "no posterior" in capsys.readouterr().err
+    assert main(["archive", "sensors", "--twin", str(design), "--group", "material"]) == 2
+    assert "allowed: one of them" in capsys.readouterr().err
