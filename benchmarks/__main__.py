@@ -46,6 +46,7 @@ BENCHMARKS = {
         "live forces compared with `layer` and `fem`",
     ),
     "live-session": ("benchmarks.sim.sensors.stream_accuracy", "a session solved again"),
+    "twin": ("benchmarks.sim.twin.command", "fit twins of random skins that are known"),
     "twin-demo": ("benchmarks.sim.twin.demo", "record a mock sensor and identify its twin"),
     "patterns": ("benchmarks.sim.pictures.patterns", "draw all marker patterns"),
     "indenters": ("benchmarks.sim.pictures.indenters", "draw all indenters"),

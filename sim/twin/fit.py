@@ -164,7 +164,7 @@ def fitted(
     prior = np.array([prior_spread(name) for name in names])
     values, damping, timing, law = dict(centre), 1e-3, 20e-3, 0.01
     values["modulus"] *= _stiffer(tracks, model.readings(values))
-    near = model.linearised(values, names)
+    near, kept = model.linearised(values, names), False
     for done in range(1, ROUNDS + 1):
         progress((done - 1) / ROUNDS)
         timing, law = _errors(tracks, near.readings, near.rates)
@@ -188,10 +188,14 @@ def fitted(
         small = float(np.max(np.abs(step) / spread)) < SMALL
         if better:
             values, damping = moved, damping / 10
-            close = longest < CLOSE
-            near = model.linearised(values, names, near if close and done > 1 else None)
-        if small or not better:
+            kept = longest < CLOSE and done > 1
+            near = model.linearised(values, names, near if kept else None)
+        if small or (not better and not kept):
             break
+        if not better:
+            # Derivatives from elsewhere may be why: take new ones before giving up.
+            kept, damping = False, 1e-2
+            near = model.linearised(values, names)
     timing, law = _errors(tracks, near.readings, near.rates)
     sigma = _sigmas(tracks, near, timing, law)
     residual, jacobian = _stacked(tracks, near.readings, sigma, near.slopes)

@@ -1,0 +1,98 @@
+"""Fit twins of random skins that are known, and compare.
+
+    python -m benchmarks twin --planted 6
+
+Each skin differs from the row that the fit begins with, and is pressed on a bench with errors of
+its own, by a finer grid than the fit's. Forces under a torus, which the fit does not get, are held
+out. In simulation, by tier `layer` on both sides.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+
+import numpy as np
+
+from benchmarks.sim.twin.planted import Bench, Presses, observed, random_skin, relaxation
+from recorder.command_line.options import add_seed, names, whole
+from sim.sensors import sensor
+from sim.sensors.posterior import quantities
+from sim.twin import Model, fitted, misfit
+
+COLUMNS = ("modulus", "thickness", "relaxation", "friction", "held-out")
+# Times at which relaxation is compared [s].
+TIMES = np.geomspace(0.05, 2.0, 20)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
+    parser.add_argument(
+        "--planted", type=whole(1, 1000), default=6, metavar="N", help="skins (%(default)s)"
+    )
+    parser.add_argument(
+        "--indenters",
+        type=names,
+        default=("sphere", "prism"),
+        metavar="NAME,...",
+        help="indenters that the fit gets (sphere,prism)",
+    )
+    parser.add_argument("--sensor", default="gelsight", help="design (%(default)s)")
+    add_seed(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Fit, print one line for each skin, then medians and coverage, and return the exit code."""
+    print(f"{'skin':<6}" + "".join(f"{name:>12}" for name in COLUMNS) + f"{'misfit':>10}{'s':>8}")
+    errors, inside = [], []
+    for number in range(options.planted):
+        row, covered, text = one(number, options)
+        errors.append(row)
+        inside += covered
+        print(text, flush=True)
+    median = np.median(errors, axis=0)
+    print(f"{'median':<6}" + "".join(f"{100 * each:>10.1f} %" for each in median))
+    print(
+        f"{100 * np.mean(inside):.0f} % of {len(inside)} true values lie in their 90 % intervals",
+        file=sys.stdout,
+    )
+    return 0
+
+
+def one(number: int, options: argparse.Namespace) -> tuple[list[float], list[bool], str]:
+    """Return errors by column, whether each interval has its value, and a line of text."""
+    random = np.random.default_rng([options.seed, number])
+    skin, bench = random_skin(random, options.sensor)
+    deepest = sensor(options.sensor).depth_max
+    presses = Presses(depths=(0.4 * deepest, 0.8 * deepest), shear=0.8e-3)
+    tracks = [
+        observed(skin, name, presses, bench, 100 * number + index)
+        for index, name in enumerate(options.indenters)
+    ]
+    began = time.perf_counter()
+    fit = fitted(tracks, sensor(options.sensor))
+    seconds = time.perf_counter() - began
+    true = quantities(skin)
+    still = observed(skin, "torus", presses, Bench(noise=0.0), number)
+    readings = Model(fit.design, [still]).readings({name: fit.values[name] for name in true})
+    shapes = []
+    for values in (fit.values, true):
+        count = sum(name.startswith("ratio") for name in true)
+        shapes.append(
+            relaxation(
+                [values[f"ratio_{index}"] for index in range(1, count + 1)],
+                [values[f"time_{index}"] for index in range(1, count + 1)],
+                TIMES,
+            )
+        )
+    row = [abs(fit.values[name] / true[name] - 1) for name in ("modulus", "thickness")]
+    row.append(float(np.sqrt(np.mean(np.square(shapes[0] / shapes[1] - 1)))))
+    row.append(abs(fit.values["friction"] / true["friction"] - 1))
+    row.append(misfit([still], readings))
+    covered = []
+    for name, value in true.items():
+        low, high = fit.interval(name)
+        covered.append(low <= value <= high)
+    text = f"{number:<6}" + "".join(f"{100 * each:>10.1f} %" for each in row)
+    return row, covered, f"{text}{100 * fit.misfit:>8.2f} %{seconds:>8.0f}"
