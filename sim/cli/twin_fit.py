@@ -14,7 +14,7 @@ from sim.errors import SceneError
 # Difference of forces at rest above which a twin is refused [%].
 REFUSED = 5.0
 # Pixels of the fit.
-GRID = 64
+GRID = 96
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -128,7 +128,7 @@ def fitted(
     tracks: Sequence[Track],
     design: SimulatedSensor,
     *,
-    grid: int = 64,
+    grid: int = 96,
     indenters: Mapping[str, Indenter] | None = None,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Fit:

@@ -66,7 +66,7 @@ class Model:
         design: SimulatedSensor,
         tracks: Sequence[Track],
         *,
-        grid: int = 64,
+        grid: int = 96,
         tolerance: float = 5e-3,
         indenters: Mapping[str, Indenter] | None = None,
     ) -> None:

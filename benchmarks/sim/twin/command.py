@@ -71,11 +71,11 @@ def one(number: int, options: argparse.Namespace) -> tuple[list[float], list[boo
         for index, name in enumerate(options.indenters)
     ]
     began = time.perf_counter()
-    fit = fitted(tracks, sensor(options.sensor))
+    fit = fitted(tracks, sensor(options.sensor), grid=64)
     seconds = time.perf_counter() - began
     true = quantities(skin)
     still = observed(skin, "torus", presses, Bench(noise=0.0), number)
-    readings = Model(fit.design, [still]).readings({name: fit.values[name] for name in true})
+    readings = Model(fit.design, [still], grid=64).readings({name: fit.values[name] for name in true})
     shapes = []
     for values in (fit.values, true):
         count = sum(name.startswith("ratio") for name in true)

@@ -66,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
     found = {name: recording(bench, folder, name) for name in (*PRESSED, HELD_OUT)}
     tracks = [track for name in PRESSED for track in tracks_of(Session(found[name]))]
     with Progress("twin", sys.stderr) as progress:
-        fit = fitted(tracks, sensor("gelsight"), progress=progress)
+        fit = fitted(tracks, sensor("gelsight"), grid=64, progress=progress)
     print("\n".join(lines(fit)))
     (folder / "twin.yaml").write_text(
         twin_yaml(fit, "gelsight.yaml", [found[name].name for name in PRESSED]), encoding="utf-8"
@@ -109,5 +109,5 @@ def summary(fit: Fit, held_out: list[Track], skin: Path) -> str:
         f"{name} {100 * abs(fit.values[name] / true[name] - 1):.1f} %  "
         for name in ("modulus", "thickness", "friction")
     )
-    readings = Model(fit.design, held_out).readings(fit.values)
+    readings = Model(fit.design, held_out, grid=64).readings(fit.values)
     return f"{errors}held-out force {100 * misfit(held_out, readings):.1f} %"
