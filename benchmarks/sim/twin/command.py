@@ -75,7 +75,8 @@ def one(number: int, options: argparse.Namespace) -> tuple[list[float], list[boo
     seconds = time.perf_counter() - began
     true = quantities(skin)
     still = observed(skin, "torus", presses, Bench(noise=0.0), number)
-    readings = Model(fit.design, [still], grid=64).readings({name: fit.values[name] for name in true})
+    model = Model(fit.design, [still], grid=64)
+    readings = model.readings({name: fit.values[name] for name in true})
     shapes = []
     for values in (fit.values, true):
         count = sum(name.startswith("ratio") for name in true)
