@@ -37,6 +37,9 @@ _NORMAL = 1.6449
 _MOTION = 1.05
 # Fewest errors to calibrate from: below, no quantile of 90 % exists.
 FEWEST = 10
+# Fewest indenters whose errors have a quantile of 90 %; with fewer, indenters are assumed to differ
+# in the size of their errors by this standard deviation of the logarithm.
+FEWEST_INDENTERS, INDENTER_SPREAD = 9, 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,10 +123,19 @@ class Intervals:
         beyond = (np.abs(np.asarray(forces).reshape(-1, 3)) > largest).any(axis=1)
         return np.asarray(beyond | (np.asarray(motion_px) > _MOTION * self.motion_px), np.bool_)
 
-    def rescaled(self, value: float, scale: Scale) -> Intervals:
-        """Return the intervals of a model whose forces are multiplied by a value."""
-        axes = [None if one is None else replace(one, base=value * one.base) for one in self.axes]
-        largest = [None if one is None else value * one for one in self.largest]
+    def rescaled(self, value: float | Sequence[float], scale: Scale) -> Intervals:
+        """Return the intervals of a model whose forces are multiplied by a value, or one an axis.
+
+        The slope is by newton of all three: on an axis that grows more than Fz it grows as well.
+        """
+        gain = [float(each) for each in np.broadcast_to(value, 3)]
+        axes = [
+            None if one is None else AxisError(g * one.base, g / gain[2] * one.slope)
+            for g, one in zip(gain, self.axes, strict=True)
+        ]
+        largest = [
+            None if one is None else g * one for g, one in zip(gain, self.largest, strict=True)
+        ]
         return replace(
             self,
             axes=(axes[0], axes[1], axes[2]),
@@ -177,16 +189,21 @@ def read_intervals(folder: Path) -> Intervals | None:
 # Calibration: from errors on unseen indenters to half-widths.
 
 
-def fit_errors(predicted: Floats, wanted: Floats) -> tuple[AxisError | None, ...]:
-    """Return the error of each axis that 90 % of new frames stay below (split-conformal).
+def fit_errors(
+    predicted: Floats, wanted: Floats, indenter: NDArray[np.str_]
+) -> tuple[AxisError | None, ...]:
+    """Return the error of each axis that 90 % of a new indenter's frames stay below.
 
     The half-width's shape, a base and a slope, is a least-squares fit of the absolute errors over
-    the magnitude of the predicted force; its size is the conformal quantile, the
-    ceil(0.9 (n + 1))-th smallest of n errors over that fit.
+    the magnitude of the predicted force. Its size is split-conformal by indenter, as frames of one
+    indenter err alike: of the 90 % quantiles of n indenters (of errors over that fit) the
+    ceil(0.9 (n + 1))-th smallest. With fewer than 9 indenters there is none: it is the largest,
+    times a factor by which a new indenter exceeds it in one of ten cases (`beyond_largest`).
 
     Args:
         predicted: Forces (n, 3) [N] on frames of indenters that the model never saw.
         wanted: Labels (n, 3) [N]; NaN is no label.
+        indenter: Indenter of each frame (n,).
 
     Returns:
         An error for each axis; None for an axis with fewer than `FEWEST` errors.
@@ -201,11 +218,36 @@ def fit_errors(predicted: Floats, wanted: Floats) -> tuple[AxisError | None, ...
             continue
         error, size = error[known], magnitude[known]
         base, slope = _line(size, error)
-        ratio = np.sort(error / (base + slope * size))
-        rank = min(len(ratio), math.ceil(COVERAGE * (len(ratio) + 1)))
-        quantile = float(ratio[rank - 1])
+        ratio, names = error / (base + slope * size), indenter[known]
+        each = [_conformal(ratio[names == name]) for name in np.unique(names)]
+        quantile = _conformal(np.array(each)) * beyond_largest(len(each))
         found.append(AxisError(quantile * base, quantile * slope))
     return tuple(found)
+
+
+def _conformal(values: Floats) -> float:
+    """Return the ceil(0.9 (n + 1))-th smallest of n values, or the largest."""
+    rank = min(len(values), math.ceil(COVERAGE * (len(values) + 1)))
+    return float(np.sort(values)[rank - 1])
+
+
+def beyond_largest(count: int) -> float:
+    """Return the factor on the largest error of some indenters that 90 % of new ones stay below.
+
+    Errors of indenters are assumed to be log-normal, with `INDENTER_SPREAD`: 1.44 for one
+    indenter, 1.16 for three, 1 for nine and more.
+    """
+    if count >= FEWEST_INDENTERS:
+        return 1.0
+    at = np.linspace(-6, 6, 2001)
+    density = np.exp(-(at**2) / 2) / math.sqrt(2 * math.pi)
+    below = np.cumsum(density) * (at[1] - at[0])
+    largest = count * below ** (count - 1) * density
+    steps = np.linspace(0, 3, 601)
+    chance = [
+        float(np.sum(largest * np.interp(at + step, at, below)) * (at[1] - at[0])) for step in steps
+    ]
+    return math.exp(INDENTER_SPREAD * float(np.interp(COVERAGE, chance, steps)))
 
 
 def _line(size: Floats, error: Floats) -> tuple[float, float]:

@@ -78,7 +78,7 @@ def calibrate(
         presses = _presses(archive[target], calibrates & its["valid"], model)
         predicted = model.predict(presses, progress=progress)
     used = presses.rows.numpy()
-    axes = fit_errors(predicted, wanted[used])
+    axes = fit_errors(predicted, wanted[used], names[used])
     if all(axis is None for axis in axes):
         raise LearningError(
             f"{', '.join(indenters)}: {len(used)} frames of {target}, fewer than {FEWEST} of which "

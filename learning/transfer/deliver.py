@@ -47,7 +47,9 @@ class Card:
     """Changes of the scale since, such as weights."""
 
 
-def deliver(model_folder: Path, out: Path, card: Card, factor: float = 1.0) -> ForceModel:
+def deliver(
+    model_folder: Path, out: Path, card: Card, factor: float | Sequence[float] = 1.0
+) -> ForceModel:
     """Write a folder with a model, its ONNX, intervals and card; return the model.
 
     An existing folder is replaced once the new one is complete.
@@ -56,12 +58,13 @@ def deliver(model_folder: Path, out: Path, card: Card, factor: float = 1.0) -> F
         model_folder: Folder of the trained model.
         out: Folder to write.
         card: Content of the card, whose intervals are those of the model times the factor.
-        factor: Factor on the model's forces.
+        factor: Factor on the model's forces, or one for each axis.
     """
     folder = read_model_folder(model_folder)
     model = load_force_model(model_folder)
-    model.low.mul_(factor)
-    model.high.mul_(factor)
+    factors = model.low.new_tensor(np.broadcast_to(factor, 3).tolist())
+    model.low.mul_(factors)
+    model.high.mul_(factors)
     new = out.with_name(f"{out.name}.new")
     shutil.rmtree(new, ignore_errors=True)
     new.mkdir(parents=True)

@@ -24,6 +24,11 @@ Floats = NDArray[np.float64]
 KEYS, FORCES = ("indenter", "target", "frame"), ("fx_n", "fy_n", "fz_n")
 # Numbers of labelled presses whose errors the report lists.
 COUNTS = (0, 1, 5, 20, 100)
+# Labelled presses of an axis from which it has a gain of its own, as shear and pressing may
+# differ; below, all axes have the same. Offsets are not corrected: they would show without contact.
+GAINS_FROM = 5
+# Largest ratio of an axis's gain and the common one.
+_GAIN_MOST = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,10 +99,10 @@ def read_labels(path: Path, archive: MarkerArchive, sensor: str) -> Labels:
     return Labels(np.array(list(found)), np.array(list(found.values())), np.array(press))
 
 
-def scale_of_labels(
+def gains_of_labels(
     labels: Labels, predicted: Floats, intervals: Intervals
-) -> tuple[float, Scale, str]:
-    """Return the factor on predicted forces, its remaining uncertainty, and a sentence.
+) -> tuple[Floats, Scale, str]:
+    """Return factors on predicted forces (3,), their remaining uncertainty, and a sentence.
 
     Args:
         labels: Labels of the target.
@@ -108,8 +113,10 @@ def scale_of_labels(
         LearningError: The labels' forces are of another sign than the predicted ones.
     """
     text = f"scale from {labels.presses} labelled presses of the target"
-    value, scale = _scale(labels, predicted, intervals, labels.presses, text)
-    return value, scale, f"{text}: factor {value:.3f}"
+    gains, scale = _gains(labels, predicted, intervals, labels.presses, text)
+    listed = ", ".join(f"{gain:.3f}" for gain in gains)
+    told = f"factors of Fx, Fy, Fz {listed}" if np.ptp(gains) else f"factor {gains[0]:.3f}"
+    return gains, scale, f"{text}: {told}"
 
 
 def error_curve(labels: Labels, predicted: Floats, intervals: Intervals) -> list[dict[str, str]]:
@@ -124,12 +131,14 @@ def error_curve(labels: Labels, predicted: Floats, intervals: Intervals) -> list
     spread, _ = spread_and_range(labels.forces)
     lines = []
     for count in [n for n in COUNTS if n <= labels.presses - held]:
-        value = 1.0 if not count else _scale(labels, predicted, intervals, count, "")[0]
-        errors = force_errors(labels.forces[tested], value * predicted[tested], spread)
+        gains = np.ones(3) if not count else _gains(labels, predicted, intervals, count, "")[0]
+        errors = force_errors(labels.forces[tested], gains * predicted[tested], spread)
         lines.append(
             {
                 "labelled presses": str(count),
-                "factor": f"{value:.3f}",
+                "factor": " ".join(
+                    f"{gain:.3f}" for gain in (gains if np.ptp(gains) else gains[:1])
+                ),
                 **{
                     f"MAE {axis} [N]": f"{mae:.3f}" if np.isfinite(mae) else "-"
                     for axis, mae in zip(("Fx", "Fy", "Fz"), errors.mae, strict=False)
@@ -139,6 +148,23 @@ def error_curve(labels: Labels, predicted: Floats, intervals: Intervals) -> list
             }
         )
     return lines
+
+
+def _gains(
+    labels: Labels, predicted: Floats, intervals: Intervals, presses: int, source: str
+) -> tuple[Floats, Scale]:
+    """Return the factor of each axis by the first presses: with few of them, the common one."""
+    value, scale = _scale(labels, predicted, intervals, presses, source)
+    gains = np.full(3, value)
+    for axis in range(3):
+        known = np.isfinite(labels.forces[:, axis]) & np.isfinite(predicted[:, axis])
+        known &= labels.press < presses
+        if len(np.unique(labels.press[known])) < GAINS_FROM:
+            continue
+        x, y = value * predicted[known, axis], labels.forces[known, axis]
+        gain = float((x * y).sum()) / max(float((x**2).sum()), 1e-12)
+        gains[axis] *= min(max(gain, 1 / _GAIN_MOST), _GAIN_MOST)
+    return gains, scale
 
 
 def _scale(

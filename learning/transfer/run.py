@@ -36,7 +36,7 @@ from learning.transfer.deliver import (
     lines_of,
     write_report,
 )
-from learning.transfer.few_labels import error_curve, read_labels, scale_of_labels
+from learning.transfer.few_labels import error_curve, gains_of_labels, read_labels
 from learning.transfer.pairs import join_pair, split_pair
 from learning.transfer.tune import tune_by_place
 from recorder import MarkerArchive
@@ -161,16 +161,18 @@ def run_transfer(asked: Request, say: Say = print) -> Card:
     calibration = replace(
         calibration, intervals=calibration.intervals.rescaled(factor, _scale(asked, curved))
     )
+    factors = np.full(3, factor)
     history: tuple[str, ...] = ()
     curve: list[dict[str, str]] = []
     if asked.labels is not None:
         few = read_labels(asked.labels, asked.target.archive, asked.target.sensor)
         given = factor * forces_at(archive[target], few.rows, load_force_model(trained))
         curve = error_curve(few, given, calibration.intervals)
-        value, scale, text = scale_of_labels(few, given, calibration.intervals)
-        factor *= value
+        gains, scale, text = gains_of_labels(few, given, calibration.intervals)
+        factors = factor * gains
         history = (text,)
-        calibration = replace(calibration, intervals=calibration.intervals.rescaled(value, scale))
+        rescaled = calibration.intervals.rescaled(gains.tolist(), scale)
+        calibration = replace(calibration, intervals=rescaled)
 
     card = Card(
         source=source,
@@ -182,12 +184,12 @@ def run_transfer(asked: Request, say: Say = print) -> Card:
         intervals=calibration.intervals,
         history=history,
     )
-    deliver(trained, asked.model, card, factor)
+    deliver(trained, asked.model, card, factors.tolist())
     _deliver_before(places.model(f"force-{source}"), asked.before)
     scaled = replace(
         calibration,
-        predicted=factor * calibration.predicted,
-        wanted=factor * calibration.wanted,
+        predicted=factors * calibration.predicted,
+        wanted=factors * calibration.wanted,
     )
     pictures = [*_pictures(asked, archive, places, scaled)]
     write_report(asked.out / "report.html", card, matches, pictures, curve)

@@ -20,11 +20,12 @@ from learning.force.intervals import (
     Held,
     Intervals,
     Scale,
+    beyond_largest,
     fit_errors,
     measured_scale,
     read_intervals,
 )
-from learning.transfer.few_labels import error_curve, read_labels, scale_of_labels
+from learning.transfer.few_labels import Labels, error_curve, gains_of_labels, read_labels
 from learning.transfer.pairs import join_pair, labels_by_place, split_pair
 from learning.transfer.score import score_of
 from learning.transfer.weigh import forces_of_holds
@@ -64,7 +65,7 @@ def test_ninety_percent_of_new_errors_are_within_intervals_fitted_to_old_ones() 
     true, predicted = frames(600)
     true[:, 1] = np.nan
     true[5:, 0] = np.nan
-    axes = fit_errors(predicted, true)
+    axes = fit_errors(predicted, true, np.repeat([f"{number}" for number in range(12)], 50))
     assert axes[0] is None
     assert axes[1] is None
     found = replace(INTERVALS, axes=(None, None, axes[2]))
@@ -73,10 +74,38 @@ def test_ninety_percent_of_new_errors_are_within_intervals_fitted_to_old_ones() 
     assert np.isnan(low[:, :2]).all()
     assert np.isnan(high[:, :2]).all()
     inside = (low[:, 2] <= true[:, 2]) & (true[:, 2] <= high[:, 2])
-    assert 0.87 < inside.mean() < 0.94
+    # The quantiles of 12 indenters of 50 frames each vary by chance, and the largest is taken.
+    assert 0.88 < inside.mean() < 0.97
     # At strong and weak forces alike.
     for part in (true[:, 2] < -7, true[:, 2] > -3):
-        assert 0.82 < inside[part].mean() < 0.97
+        assert 0.84 < inside[part].mean() < 0.99
+
+
+@pytest.mark.parametrize("count", [1, 2, 4, 12])
+def test_intervals_from_few_indenters_are_wide_enough_for_a_new_one(count: int) -> None:
+    random = np.random.default_rng(count)
+    covered, pooled = [], []
+    for _ in range(200):
+        names = np.repeat([f"{number}" for number in range(count)], 60)
+        sizes = 0.2 * np.exp(random.normal(0, 0.2, count))
+        error = np.zeros((60 * count, 3))
+        error[:, 2] = random.normal(size=60 * count) * np.repeat(sizes, 60)
+        axis = fit_errors(error, np.zeros_like(error), names)[2]
+        assert axis is not None
+        new = random.normal(size=500) * 0.2 * np.exp(random.normal(0, 0.2))
+        predicted = np.zeros((500, 3))
+        predicted[:, 2] = new
+        low, high = replace(INTERVALS, axes=(None, None, axis)).of(predicted)
+        inside = ((low <= 0) & (high >= 0))[:, 2].mean()
+        covered.append(inside)
+        pooled.append(np.mean(np.abs(new) <= np.quantile(np.abs(error[:, 2]), 0.9)))
+    # A new indenter has 90 % of its frames within in about nine of ten cases, not in one of two.
+    kept = np.mean(np.array(covered) >= 0.89)
+    assert kept >= 0.8
+    assert np.mean(np.array(pooled) >= 0.89) < kept - 0.2
+    assert beyond_largest(count) == pytest.approx(
+        {1: 1.436, 2: 1.241, 4: 1.107, 12: 1.0}[count], abs=2e-3
+    )
 
 
 def test_an_interval_contains_the_model_s_error_and_all_assumed_scales(tmp_path: Path) -> None:
@@ -209,8 +238,8 @@ def test_a_few_labels_set_the_scale_and_measure_the_error(
     assert np.isnan(few.forces[:, :2]).all()
     predicted = table["wrench"][few.rows, :3] / 1.6
     intervals = replace(INTERVALS, axes=(None, None, AxisError(0.05, 0.0)), scale=ASSUMED)
-    value, scale, _ = scale_of_labels(few, predicted, intervals)
-    assert value == pytest.approx(1.6, rel=0.01)
+    gains, scale, _ = gains_of_labels(few, predicted, intervals)
+    assert gains == pytest.approx([1.6] * 3, rel=0.01)
     assert scale.factor < 1.05
     curve = error_curve(few, predicted, intervals)
     assert [line["labelled presses"] for line in curve] == ["0", "1"]
@@ -227,6 +256,38 @@ def test_a_few_labels_set_the_scale_and_measure_the_error(
         path.write_text(text)
         with pytest.raises(LearningError, match=message):
             read_labels(path, other, "grid")
+
+
+def test_labels_of_five_presses_give_each_measured_axis_its_own_factor() -> None:
+    random = np.random.default_rng(0)
+    press = np.repeat(np.arange(12), 4)
+    predicted = random.uniform(0.2, 1.0, (48, 3)) * [0.5, 0.5, -4.0]
+    true = predicted * [1.1, 1.9, 1.5] + random.normal(0, 0.01, (48, 3))
+    true[:, 1] = np.nan  # never measured
+    true[press >= 4, 0] = np.nan  # measured in four presses alone
+    intervals = replace(INTERVALS, axes=(AxisError(0.05, 0.0),) * 3, scale=ASSUMED)
+    labels = Labels(np.arange(48), true, press)
+    gains, scale, text = gains_of_labels(labels, predicted, intervals)
+    assert gains[2] == pytest.approx(1.5, rel=0.01)
+    assert gains[0] == gains[1] == pytest.approx(1.5, rel=0.02)  # the common factor
+    assert "factors of Fx, Fy, Fz" in text
+    assert not scale.assumed
+    one = Labels(np.arange(4), true[:4], press[:4])
+    assert np.ptp(gains_of_labels(one, predicted[:4], intervals)[0]) == 0
+    shear = true.copy()
+    shear[:, 0] = 1.1 * predicted[:, 0]
+    measured = Labels(np.arange(48), shear, press)
+    gains, _, _ = gains_of_labels(measured, predicted, intervals)
+    assert gains == pytest.approx([1.1, gains[1], 1.5], rel=0.01)
+    lines = error_curve(measured, predicted, intervals)
+    assert [line["labelled presses"] for line in lines] == ["0", "1", "5"]
+    first, one_press, five = (float(line["MAE Fx [N]"]) for line in lines)
+    assert five < 0.1 * one_press
+    assert float(lines[2]["MAE Fz [N]"]) < float(lines[0]["MAE Fz [N]"])
+    assert first > five
+    twice = intervals.rescaled([1.0, 1.0, 2.0], KNOWN)
+    assert [one.base for one in twice.axes if one] == pytest.approx([0.05, 0.05, 0.1])
+    assert twice.largest == (1.0, None, 20.0)
 
 
 def test_unmeasured_axes_are_neither_scored_nor_covered() -> None:
