@@ -62,7 +62,7 @@ def run(options: argparse.Namespace) -> int:
     loaded: dict[str, tuple[Presses, Presses, Presses]] = {}
     lines = []
     for preset in options.presets.split(","):
-        sets = [f"launch.device={options.device}"]
+        sets = [f"launch.device={device.type}"]
         if options.epochs is not None:
             stage = f"{{epochs: {options.epochs}, learning_rate: 0.001, schedule: cosine}}"
             sets.append(f"stages=[{stage}]")

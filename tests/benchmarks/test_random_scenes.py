@@ -180,6 +180,9 @@ def test_a_warning_excuses_only_what_it_owns_up_to(good: Result) -> None:
     assert not covered("not-through", [edge])
     assert not covered("touches", [edge])
     assert covered("not-through", ["the skin overlaps the indenter by 0.3 mm"])
+    rim = "the contact reaches the rim of the round body, which cuts through elements there"
+    assert covered("lets-go", [rim])
+    assert not covered("not-through", [rim])
     less = replace(good, wrench=good.wrench * 0.45, traction=good.traction * np.float32(0.45))
     message = replace(less, record={"warnings": [edge]})
     assert of_laws(message, held(message)).kind == "warned"

@@ -31,8 +31,8 @@ def without_prediction() -> Iterator[None]:
     class WithTheTip(Newton):
         """Newton's method that begins each step at its tip, without a tangent predictor."""
 
-        def begin(self, chosen: Any, tolerance: Any, *, predict: Any, patient: Any) -> None:
-            super().begin(chosen, tolerance, predict=np.zeros_like(predict), patient=patient)
+        def begin(self, chosen: Any, tolerance: Any, *, predict: Any, patience: Any) -> None:
+            super().begin(chosen, tolerance, predict=np.zeros_like(predict), patience=patience)
 
     with in_place_of(assembly, "SolverState", FromLast), in_place_of(solver, "Newton", WithTheTip):
         yield

@@ -47,6 +47,8 @@ COVERS: tuple[tuple[str, str], ...] = (
     (r"too coarse|too small|few elements|not resolved", rf"{AMOUNTS}|touches|within-bounds"),
     (r"base plane|below the base", r"above-base"),
     (r"buckle", rf"{AMOUNTS}|within-bounds"),
+    # Elements that a round rim cuts through may bear what is just beside the rim.
+    (r"reaches the rim of the round body", rf"{AMOUNTS}|touches|lets-go|within-bounds"),
     (r"its own image in the plane", r"symmetric"),
     (r"touch|light|round-off", r"touches|lets-go|same-place|within-bounds"),
 )

@@ -177,16 +177,20 @@ def _touches(result: Result) -> list[Law]:
     scene = result.scene
     if not (weightless(scene) and scene.effects.inertia is None):
         return []
-    least = max(TOUCH[0], TOUCH[1] * scene.body.thickness)
     some = [
         frame for frame in loading(result)
-        if footprint(scene, bounds.reached(result)[frame]).deepest > least
+        if _resolved(scene, bounds.reached(result)[frame])
         and bounds.least_force(scene, bounds.reached(result)[frame]) > no_force(scene)
     ]  # fmt: skip
     if not some:
         return []
     least_push = float(pushes(result)[some].min()) / no_force(scene)
     return [at_least("push where gel is overlapped / none", least_push, 1.0)]
+
+
+def _resolved(scene: Scene, tip: tuple[float, float, float]) -> bool:
+    """Return True if the indenter overlaps the undeformed gel by more than a first touch."""
+    return footprint(scene, tip).deepest > max(TOUCH[0], TOUCH[1] * scene.body.thickness)
 
 
 def _within_bounds(result: Result) -> list[Law]:
@@ -201,7 +205,7 @@ def _within_bounds(result: Result) -> list[Law]:
         tip = bounds.reached(result)[frame]
         push = float(pushes(result)[frame])
         least, most = bounds.least_force(scene, tip), bounds.most_force(scene, tip)
-        if least > no_force(scene):
+        if least > no_force(scene) and _resolved(scene, tip):
             low.append(push / least)
         if most > no_force(scene) and half_wall(scene) > 0:
             high.append(push / (most * stiffer))
