@@ -12,6 +12,7 @@ The numbers are a file beside the model, `intervals.json`; reading it needs nump
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 from collections.abc import Sequence
@@ -231,6 +232,7 @@ def _conformal(values: Floats) -> float:
     return float(np.sort(values)[rank - 1])
 
 
+@functools.cache
 def beyond_largest(count: int) -> float:
     """Return the factor on the largest error of some indenters that 90 % of new ones stay below.
 
