@@ -93,7 +93,7 @@ def tracks_of(session: Session) -> list[Track]:
             continue
         origin = int(poses.t_ns[at][0])
         track = track_of(
-            f"{session.path.name}",
+            session.path.name,
             str(session.attrs["indenter"]),
             np.asarray(1e-9 * (poses.t_ns[at] - origin), float),
             in_frame(np.asarray(frame, float), np.asarray(poses.array("value"))[at][:, :3]),

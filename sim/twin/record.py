@@ -67,7 +67,7 @@ def twin_yaml(fit: Fit, design: str, sessions: Sequence[str]) -> str:
 
 
 def lines(fit: Fit) -> list[str]:
-    """Return the fitted values with 90 % intervals, strong correlations and what stayed untold."""
+    """Return the fitted values with 90 % intervals, strong correlations, and errors of the fit."""
     found = [f"{'quantity':<12}{'value':>10}  {'90 % interval':<22}"]
     for name in fit.names:
         factor, unit = SHOWN.get(name.partition("_")[0], (1.0, ""))

@@ -10,7 +10,6 @@ out. In simulation, by tier `layer` on both sides.
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 
 import numpy as np
@@ -53,10 +52,7 @@ def run(options: argparse.Namespace) -> int:
         print(text, flush=True)
     median = np.median(errors, axis=0)
     print(f"{'median':<6}" + "".join(f"{100 * each:>10.1f} %" for each in median))
-    print(
-        f"{100 * np.mean(inside):.0f} % of {len(inside)} true values lie in their 90 % intervals",
-        file=sys.stdout,
-    )
+    print(f"{100 * np.mean(inside):.0f} % of {len(inside)} true values lie in their 90 % intervals")
     return 0
 
 
@@ -77,16 +73,15 @@ def one(number: int, options: argparse.Namespace) -> tuple[list[float], list[boo
     still = observed(skin, "torus", presses, Bench(noise=0.0), number)
     model = Model(fit.design, [still], grid=64)
     readings = model.readings({name: fit.values[name] for name in true})
-    shapes = []
-    for values in (fit.values, true):
-        count = sum(name.startswith("ratio") for name in true)
-        shapes.append(
-            relaxation(
-                [values[f"ratio_{index}"] for index in range(1, count + 1)],
-                [values[f"time_{index}"] for index in range(1, count + 1)],
-                TIMES,
-            )
+    branches = range(1, 1 + sum(name.startswith("ratio") for name in true))
+    shapes = [
+        relaxation(
+            [values[f"ratio_{index}"] for index in branches],
+            [values[f"time_{index}"] for index in branches],
+            TIMES,
         )
+        for values in (fit.values, true)
+    ]
     row = [abs(fit.values[name] / true[name] - 1) for name in ("modulus", "thickness")]
     row.append(float(np.sqrt(np.mean(np.square(shapes[0] / shapes[1] - 1)))))
     row.append(abs(fit.values["friction"] / true["friction"] - 1))
