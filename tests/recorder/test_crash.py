@@ -161,22 +161,26 @@ class InlineBackground(Background):
         pass
 
 
-def open_files() -> set[int]:
-    listed = [int(name) for name in os.listdir("/proc/self/fd")]
-    return {fd for fd in listed if Path(f"/proc/self/fd/{fd}").exists()}
+def open_below(path: Path) -> set[int]:
+    """Return the descriptors of open files below a path, and of no other thread's files."""
+    found = set()
+    for name in os.listdir("/proc/self/fd"):
+        with suppress(OSError):  # closed meanwhile, such as the one that lists them
+            if Path(os.readlink(f"/proc/self/fd/{name}")).is_relative_to(path):
+                found.add(int(name))
+    return found
 
 
 @contextmanager
-def killed_at(call: int | None) -> Iterator[None]:
-    """Kill the code inside before its file operation number `call`, or at the end."""
-    before = open_files()
+def killed_at(call: int | None, path: Path) -> Iterator[None]:
+    """Kill the code that writes below `path` before its file operation `call`, or at the end."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(stream_writer, "Background", InlineBackground)
         patch.setattr(stream_writer, "_PENDING_MAX", 1)  # as often as possible
         FailingCalls(patch, call)
         with suppress(Killed):
             yield
-    for left in open_files() - before:
+    for left in open_below(path):
         os.close(left)
 
 
@@ -235,7 +239,7 @@ def test_dying_in_front_of_any_file_operation_of_a_recovery_loses_nothing(
     origin = tmp_path / "origin"
     create_stream(origin, lossless_camera(60))
     list(append_rows(origin, image_row, BLOCK - 3))
-    with killed_at(None), monkeypatch.context() as patch:
+    with killed_at(None, origin), monkeypatch.context() as patch:
         patch.setattr(InlineBackground, "keeps_up", keeps_up)
         for rows in append_rows(origin, image_row, 3 * BLOCK):
             if rows == 2 * BLOCK + 3:
@@ -256,7 +260,7 @@ def check_every_crash_point(
         shutil.copytree(origin, path)
         accepted = survey(StreamLayout.load(origin)).rows
         finished = False
-        with killed_at(crashes):
+        with killed_at(crashes, path):
             for rows in scenario(path):
                 accepted = rows
             finished = True
@@ -276,7 +280,7 @@ def check_every_crash_point(
 def abandoned_with_nine_images(folder: Path) -> Path:
     path = folder / "camera"
     create_stream(path, lossless_camera(60))
-    with killed_at(None):
+    with killed_at(None, path):
         for rows in append_rows(path, image_row, 10):
             if rows == 9:
                 break
