@@ -264,6 +264,7 @@ class RemoteFiles:
         """Return the last bytes of a file."""
         with self._said(path):
             data: bytes = self._system().cat_file(self._key(path), start=-nbytes)
+        self._check_range(path, data, nbytes)
         return data
 
     def ranges(self, path: Path, wanted: Sequence[Range]) -> list[bytes]:
@@ -279,12 +280,22 @@ class RemoteFiles:
                 parts = self._system().cat_ranges(
                     [key] * len(joined), starts, stops, on_error="raise"
                 )
+        for part, (start, stop) in zip(parts, joined, strict=True):
+            self._check_range(path, part, stop - start)
         out = []
         for offset, nbytes in wanted:
             place = next(i for i, (start, stop) in enumerate(joined) if start <= offset < stop)
             first = offset - joined[place][0]
             out.append(bytes(parts[place][first : first + nbytes]))
         return out
+
+    def _check_range(self, path: Path, data: bytes, nbytes: int) -> None:
+        if len(data) > nbytes:
+            raise SessionError(
+                f"{self.name(path)}: asked for {nbytes} bytes of it, got {len(data)}; allowed: a "
+                "server of byte ranges, such as nginx or an object store; "
+                "`python -m http.server` has none"
+            )
 
     def groups(self, path: Path) -> list[Path]:
         """Return the Zarr nodes directly below a directory."""

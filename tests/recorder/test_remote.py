@@ -9,6 +9,7 @@ import pickle
 import shutil
 import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -85,13 +86,23 @@ class _Quiet(http.server.SimpleHTTPRequestHandler):
 
 @pytest.fixture(scope="module")
 def web(recorded: Path) -> Iterator[str]:
+    with served(recorded.parent, _Quiet) as address:
+        yield f"{address}/s.zarr"
+
+
+class _WithoutRanges(_Quiet):
+    do_GET = http.server.SimpleHTTPRequestHandler.do_GET  # noqa: N815
+
+
+@contextmanager
+def served(folder: Path, kind: type[_Quiet]) -> Iterator[str]:
     def handler(*arguments: Any) -> _Quiet:
-        return _Quiet(*arguments, directory=str(recorded.parent))
+        return kind(*arguments, directory=str(folder))
 
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
-        yield f"http://127.0.0.1:{server.server_port}/s.zarr"
+        yield f"http://127.0.0.1:{server.server_port}"
         server.shutdown()
         thread.join()
 
@@ -330,3 +341,11 @@ def test_near_ranges_become_one_request() -> None:
     ]
     assert join_ranges([(500, 5), (0, 600)]) == [(0, 600)]
     assert join_ranges([]) == []
+
+
+def test_a_server_without_byte_ranges_is_named_as_such(recorded: Path) -> None:
+    with (
+        served(recorded.parent, _WithoutRanges) as address,
+        pytest.raises(SessionError, match="allowed: a server of byte ranges, such as"),
+    ):
+        Session(f"{address}/s.zarr").window(0, n=1)
