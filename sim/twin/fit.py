@@ -198,9 +198,10 @@ def fitted(
             near = model.linearised(values, names)
     timing, law = _errors(tracks, near.readings, near.rates)
     sigma = _sigmas(tracks, near, timing, law)
-    residual, jacobian = _stacked(tracks, near.readings, sigma, near.slopes)
+    residual, _ = _stacked(tracks, near.readings, sigma)
     excess = max(1.0, float(residual @ residual) / max(1, len(residual) - len(names)))
-    covariance = np.linalg.inv(jacobian.T @ jacobian / excess + np.diag(prior**-2))
+    told = information(tracks, near, timing, law) / excess
+    covariance = np.linalg.inv(told + np.diag(prior**-2))
     progress(1.0)
     return Fit(
         design=design,
@@ -216,6 +217,21 @@ def fitted(
         misfit=misfit(tracks, near.readings),
         rounds=done,
     )
+
+
+def information(tracks: Sequence[Track], near: Linear, timing: float, law: float) -> Array:
+    """Return what tracks tell of the quantities (p, p): without a prior, an inverse covariance.
+
+    Args:
+        tracks: The tracks.
+        near: Readings and slopes of all of them.
+        timing: Timing error between arm and gauge [s].
+        law: Relative error of the law at rest.
+    """
+    sigma = _sigmas(tracks, near, timing, law)
+    _, jacobian = _stacked(tracks, near.readings, sigma, near.slopes)
+    told: Array = jacobian.T @ jacobian
+    return told
 
 
 def with_effects(design: SimulatedSensor) -> SimulatedSensor:

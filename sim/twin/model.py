@@ -110,7 +110,7 @@ class Model:
                     rows.append(costly[name][index])
                 elif name == "compliance":
                     # The mount yields by compliance times force, as if the surface were lower.
-                    rows.append(costly["height"][index] * track.force[:, 2:])
+                    rows.append(costly["height"][index] * solved[index].force[:, 2:])
                 else:
                     rows.append(self._cheap(name, solved[index], base[index], values, track))
             slopes.append(np.stack(rows, axis=-1))

@@ -13,6 +13,7 @@ from recorder.charts import BLUE, INK, ORANGE, RED, SOFT, chart
 from recorder.strict_yaml import yaml_text
 from sim.twin.fit import Fit, is_log
 from sim.twin.observations import Track
+from sim.twin.plan import Planner, Presses, cost
 
 # Quantities as people write them: factor from SI, and unit.
 SHOWN = {
@@ -93,6 +94,66 @@ def lines(fit: Fit) -> list[str]:
         f"{100 * fit.law:.2f} %; moving forces are {1e3 * fit.latency:.0f} ms late, timing "
         f"{1e3 * fit.timing:.0f} ms"
     )
+    return found
+
+
+def plan_files(planned: Sequence[Presses], bench: str) -> dict[str, str]:
+    """Return the text of each file of a plan: a bench for each session, and `campaign.yaml`.
+
+    Args:
+        planned: Presses of each session.
+        bench: Bench file that presses, relative to the plan's folder.
+    """
+    files, entries = {}, []
+    for number, each in enumerate(planned, 1):
+        name = f"twin-{number}"
+        plan = each.plan
+        trajectory = {
+            "kind": plan.kind,
+            "points": list(plan.points),
+            "depth_step_mm": _round(1e3 * plan.depth_step),
+            "depth_max_mm": _round(1e3 * plan.depth_max),
+            "angle_step_deg": _round(math.degrees(plan.angle_step)),
+            "shear_mm": _round(1e3 * plan.shear),
+        }
+        files[f"{name}.yaml"] = yaml_text(
+            {
+                "extends": bench,
+                "indenter": each.indenter,
+                "hold_ms": _round(1e3 * each.hold),
+                "trajectory": trajectory,
+            }
+        )
+        entries.append({"sensor": name, "indenter": each.indenter})
+    files["campaign.yaml"] = yaml_text({"sessions": entries})
+    return files
+
+
+def expected_lines(
+    planner: Planner, planned: Sequence[Presses], usual: Sequence[Presses], change: float
+) -> list[str]:
+    """Return the sessions of a plan, and the 90 % intervals to expect with and without it."""
+    found = [
+        f"{each.indenter}: depth {' and '.join(f'{1e3 * depth:.3g}' for depth in each.depths)} mm, "
+        f"shear {1e3 * each.plan.shear:.3g} mm, hold {each.hold:.2g} s"
+        for each in planned
+    ]
+    columns = {"plan": planned, "sphere, prism": usual}
+    found.append(f"{'90 % interval, +-':<20}" + "".join(f"{name:>16}" for name in columns))
+    spreads = [planner.expected(each).spreads for each in columns.values()]
+    for name in planner.names:
+        factor, unit = SHOWN.get(name.partition("_")[0], (1.0, ""))
+        factor, unit = (100.0, "%") if is_log(name) else (factor, unit)
+        found.append(
+            f"{f'{name} [{unit}]' if unit else name:<20}"
+            + "".join(f"{1.645 * factor * each[name]:>16.3g}" for each in spreads)
+        )
+    for label, count in (
+        ("presses", lambda part: sum(len(each.plan) for each in part)),
+        ("seconds", lambda part: round(sum(each.seconds for each in part))),
+        ("with changes", lambda part: round(cost(part, change))),
+    ):
+        found.append(f"{label:<20}" + "".join(f"{count(each):>16}" for each in columns.values()))
     return found
 
 

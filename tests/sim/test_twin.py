@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from support.sessions import CONTACT_FRAME, T0, Columns, make_session
 
-from benchmarks.sim.twin.planted import Bench, Presses, observed, recorded
+from benchmarks.sim.twin.planted import Bench, observed, recorded
 from sim.__main__ import main
 from sim.errors import SceneError
 from sim.sensors import Posterior, SimulatedSensor, read_sensor, sensor
@@ -19,10 +19,11 @@ from sim.sensors.posterior import quantities, with_quantities
 from sim.twin import Fit, Track, fitted
 from sim.twin.model import relaxing
 from sim.twin.observations import track_of
-from sim.twin.record import lines, twin_yaml
+from sim.twin.plan import Planner, cost, presses, sessions
+from sim.twin.record import lines, plan_files, twin_yaml
 
 COARSE = 32
-SHORT = Presses(depths=(1.0e-3,), shear=0.6e-3, hold=1.2)
+SHORT = {name: presses(name, (1.0e-3,), 0.6e-3, 1.2) for name in ("sphere", "prism", "cylinder")}
 
 
 def planted() -> SimulatedSensor:
@@ -37,7 +38,7 @@ def planted() -> SimulatedSensor:
 def tracks() -> list[Track]:
     bench = Bench(noise=0.005, height=20e-6, turn=(0.02, -0.01, 0.01))
     return [
-        observed(planted(), name, SHORT, bench, seed, grid=COARSE)
+        observed(planted(), SHORT[name], bench, seed, grid=COARSE)
         for seed, name in enumerate(("sphere", "prism"))
     ]
 
@@ -64,10 +65,60 @@ def test_true_values_lie_in_the_intervals(fit: Fit) -> None:
         assert low <= true <= high, name
 
 
+def test_expected_intervals_are_those_of_a_fit(fit: Fit) -> None:
+    planner = Planner(sensor("gelsight"), noise=0.005, grid=COARSE)
+    expected = planner.expected([SHORT["sphere"], SHORT["prism"]]).spreads
+    for name, found in fit.spreads.items():
+        assert 0.5 < found / expected[name] < 2.0, name
+
+
+def test_a_plan_tells_more_than_sphere_and_prism_in_the_same_time() -> None:
+    planner = Planner(sensor("gelsight"), grid=16)
+    usual = planner.usual()
+    open_ = planner.candidates(("sphere", "prism", "line"))
+    chosen = planner.best(open_, seconds=cost(usual, 20.0), change=20.0)
+    assert cost(chosen, 20.0) <= cost(usual, 20.0)
+    assert planner.expected(chosen).volume < planner.expected(usual).volume
+    joined = sessions(chosen)
+    assert sum(len(each.plan) for each in joined) == len(chosen)
+    apart, joint = planner.expected(chosen).spreads, planner.expected(joined).spreads
+    assert all(0.6 < joint[name] / apart[name] < 1.6 for name in apart)
+    with pytest.raises(SceneError, match="not enough for a press"):
+        planner.best(open_, seconds=5.0, change=20.0)
+
+
+def test_a_plan_is_a_campaign_that_the_rig_takes(tmp_path: Path) -> None:
+    from rig.acquire.campaign import load_campaign
+
+    planned = [presses("sphere", (0.5e-3, 1.0e-3), 0.4e-3, 1.5), presses("line", (1e-3,), 1e-3, 1)]
+    for name, text in plan_files(planned, "gelsight.yaml").items():
+        (tmp_path / name).write_text(text)
+    campaign = load_campaign(tmp_path / "campaign.yaml", tmp_path)
+    assert [item.entry.indenter for item in campaign.items] == ["sphere", "line"]
+    assert [item.bench.hold for item in campaign.items] == [1.5, 1.0]
+    assert [item.total for item in campaign.items] == [2, 1]
+    for item, each in zip(campaign.items, planned, strict=True):
+        bottoms = [target.sheared for target in item.plan.targets()]
+        np.testing.assert_allclose(bottoms, [target.sheared for target in each.plan.targets()])
+
+
+def test_the_command_writes_a_plan_and_what_to_expect(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "plan"
+    words = ["twin-plan", "--sensor", "gelsight", "--out", str(out), "--grid", "16"]
+    assert main([*words, "--minutes", "1", "--change", "20", "--indenters", "sphere"]) == 0
+    text = capsys.readouterr().out
+    assert "sphere: depth" in text
+    assert all(name in text for name in ("modulus [%]", "poisson", "compliance [um/N]", "seconds"))
+    assert (out / "campaign.yaml").exists()
+    assert main([*words, "--minutes", "0.1"]) == 2
+
+
 def test_another_shape_is_foretold(fit: Fit) -> None:
     from sim.twin import Model, misfit
 
-    held_out = observed(planted(), "cylinder", SHORT, Bench(noise=0.0), 9, grid=COARSE)
+    held_out = observed(planted(), SHORT["cylinder"], Bench(noise=0.0), 9, grid=COARSE)
     model = Model(fit.design, [held_out], grid=COARSE)
     found = model.readings({name: fit.values[name] for name in quantities(planted())})
     assert misfit([held_out], found) < 0.04
@@ -150,7 +201,7 @@ def test_a_wrong_posterior_is_refused(
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a session of one planted press."""
-    time, tip, force = recorded(planted(), "sphere", SHORT, Bench(noise=0.01), 3, grid=COARSE)
+    time, tip, force = recorded(planted(), SHORT["sphere"], Bench(noise=0.01), 3, grid=COARSE)
     folder = tmp_path_factory.mktemp("twin")
     return make_session(
         folder / "press.zarr",
@@ -194,7 +245,7 @@ def test_the_command_writes_a_row_and_a_picture(
 def test_forces_that_no_skin_explains_are_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    time, tip, force = recorded(planted(), "sphere", SHORT, Bench(noise=0.01), 3, grid=COARSE)
+    time, tip, force = recorded(planted(), SHORT["sphere"], Bench(noise=0.01), 3, grid=COARSE)
     # A force that grows with the root of an elastic layer's is of no such layer.
     bent = np.sign(force) * np.sqrt(np.abs(force) / np.abs(force).max())
     path = make_session(

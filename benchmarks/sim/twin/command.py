@@ -11,15 +11,21 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Sequence
 
 import numpy as np
 
-from benchmarks.sim.twin.planted import Bench, Presses, observed, random_skin, relaxation
-from recorder.command_line.options import add_seed, names, whole
+from benchmarks.sim.twin.planted import Bench, observed, random_skin, relaxation
+from recorder.command_line.options import add_seed, names, positive, whole
+from sim.cli.twin_plan import CHANGE
+from sim.indenters import NAMES
 from sim.sensors import sensor
 from sim.sensors.posterior import quantities
 from sim.twin import Model, fitted, misfit
+from sim.twin.plan import Planner, Presses, presses, sessions
 
+# Indenter whose forces are foretold; no fit gets its presses.
+HELD_OUT = "torus"
 COLUMNS = ("modulus", "thickness", "relaxation", "friction", "held-out")
 # Times at which relaxation is compared [s].
 TIMES = np.geomspace(0.05, 2.0, 20)
@@ -37,6 +43,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME,...",
         help="indenters that the fit gets (sphere,prism)",
     )
+    parser.add_argument(
+        "--minutes",
+        type=positive,
+        metavar="MIN",
+        help="presses that `tactile twin plan` chooses for this time, in place of --indenters",
+    )
+    parser.add_argument(
+        "--grid", type=whole(16, 256), default=64, metavar="N", help="of the fit (%(default)s)"
+    )
     parser.add_argument("--sensor", default="gelsight", help="design (%(default)s)")
     add_seed(parser)
 
@@ -45,8 +60,16 @@ def run(options: argparse.Namespace) -> int:
     """Fit, print one line for each skin, then medians and coverage, and return the exit code."""
     print(f"{'skin':<6}" + "".join(f"{name:>12}" for name in COLUMNS) + f"{'misfit':>10}{'s':>8}")
     errors, inside = [], []
+    pressed = [usual(name, options.sensor) for name in options.indenters]
+    if options.minutes is not None:
+        planner = Planner(sensor(options.sensor))
+        open_ = planner.candidates([name for name in NAMES if name != HELD_OUT])
+        chosen = planner.best(open_, seconds=60 * options.minutes, change=CHANGE)
+        pressed = sessions(chosen)
+        for each in pressed:
+            print(each, flush=True)
     for number in range(options.planted):
-        row, covered, text = one(number, options)
+        row, covered, text = one(number, pressed, options)
         errors.append(row)
         inside += covered
         print(text, flush=True)
@@ -56,22 +79,27 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def one(number: int, options: argparse.Namespace) -> tuple[list[float], list[bool], str]:
+def usual(indenter: str, name: str) -> Presses:
+    """Return presses to two depths of a design, sheared and held."""
+    step = round(0.4 * sensor(name).depth_max, 5)
+    return presses(indenter, (step, 2 * step), 0.8e-3, 1.6)
+
+
+def one(
+    number: int, pressed: Sequence[Presses], options: argparse.Namespace
+) -> tuple[list[float], list[bool], str]:
     """Return errors by column, whether each interval has its value, and a line of text."""
     random = np.random.default_rng([options.seed, number])
     skin, bench = random_skin(random, options.sensor)
-    deepest = sensor(options.sensor).depth_max
-    presses = Presses(depths=(0.4 * deepest, 0.8 * deepest), shear=0.8e-3)
     tracks = [
-        observed(skin, name, presses, bench, 100 * number + index)
-        for index, name in enumerate(options.indenters)
+        observed(skin, each, bench, 100 * number + index) for index, each in enumerate(pressed)
     ]
     began = time.perf_counter()
-    fit = fitted(tracks, sensor(options.sensor), grid=64)
+    fit = fitted(tracks, sensor(options.sensor), grid=options.grid)
     seconds = time.perf_counter() - began
     true = quantities(skin)
-    still = observed(skin, "torus", presses, Bench(noise=0.0), number)
-    model = Model(fit.design, [still], grid=64)
+    still = observed(skin, usual(HELD_OUT, options.sensor), Bench(noise=0.0), number)
+    model = Model(fit.design, [still], grid=options.grid)
     readings = model.readings({name: fit.values[name] for name in true})
     branches = range(1, 1 + sum(name.startswith("ratio") for name in true))
     shapes = [

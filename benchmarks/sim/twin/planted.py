@@ -14,13 +14,14 @@ from sim.sensors import SimulatedSensor, sensor
 from sim.sensors.posterior import with_quantities
 from sim.stream import LivePress
 from sim.twin import Track, track_of
+from sim.twin.plan import Presses
 
 Array = NDArray[np.float64]
 
 # Rate of poses and forces [Hz], and of solutions while the tip moves.
 RATE, SOLVED = 200.0, 50.0
-# Speed of the tip, height from which it comes [m], solutions of one hold.
-SPEED, ABOVE, HELD = 5e-3, 0.3e-3, 24
+# Solutions of one hold.
+HELD = 24
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,45 +40,8 @@ class Bench:
     """Rotation of the gauge [rad]."""
 
 
-@dataclass(frozen=True, slots=True)
-class Presses:
-    """Presses at the centre, each sheared and held."""
-
-    depths: tuple[float, ...] = (0.6e-3, 1.2e-3)
-    """Depths [m]."""
-    angles: tuple[float, ...] = (0.0,)
-    """Directions of shear [rad]."""
-    shear: float = 1.0e-3
-    """Length of the shear [m]; 0 for none."""
-    hold: float = 1.6
-    """Time at rest after each move in contact [s]."""
-
-    def path(self) -> tuple[Array, Array]:
-        """Return corners of the path: times (k,) [s] and tips (k, 3) [m]."""
-        time, tips = [0.0], [np.array([0.0, 0.0, ABOVE])]
-
-        def go(x: float, y: float, z: float, hold: float) -> None:
-            place = np.array([x, y, z])
-            time.append(time[-1] + max(float(np.linalg.norm(place - tips[-1])) / SPEED, 1e-3))
-            tips.append(place)
-            time.append(time[-1] + hold)
-            tips.append(place)
-
-        go(0.0, 0.0, ABOVE, 0.5)
-        for depth in self.depths:
-            for angle in self.angles:
-                go(0.0, 0.0, -depth, self.hold)
-                if self.shear:
-                    aside = self.shear * np.cos(angle), self.shear * np.sin(angle)
-                    go(*aside, -depth, self.hold)
-                    go(0.0, 0.0, -depth, self.hold)
-                go(0.0, 0.0, ABOVE, 0.5)
-        return np.array(time), np.array(tips)
-
-
 def observed(
     skin: SimulatedSensor,
-    indenter: str,
     presses: Presses,
     bench: Bench,
     seed: int,
@@ -85,15 +49,14 @@ def observed(
     grid: int = 96,
 ) -> Track:
     """Return the track that a bench would record of a skin, by tier `layer`."""
-    time, tip, force = recorded(skin, indenter, presses, bench, seed, grid=grid)
-    track = track_of(indenter, indenter, time, tip, time, force)
+    time, tip, force = recorded(skin, presses, bench, seed, grid=grid)
+    track = track_of(presses.indenter, presses.indenter, time, tip, time, force)
     assert track is not None
     return track
 
 
 def recorded(
     skin: SimulatedSensor,
-    indenter: str,
     presses: Presses,
     bench: Bench,
     seed: int,
@@ -102,7 +65,7 @@ def recorded(
 ) -> tuple[Array, Array, Array]:
     """Return times (n,) [s], tips (n, 3) [m] and forces (n, 3) [N] that a bench would record."""
     corners, tips = presses.path()
-    press = LivePress(skin, named(indenter), grid=grid, tolerance=2e-3)
+    press = LivePress(skin, named(presses.indenter), grid=grid, tolerance=2e-3)
     times: list[float] = [0.0]
     force: list[Any] = [np.zeros(3)]
     yielded = 0.0

@@ -1,0 +1,101 @@
+"""`tactile twin plan`: presses that identify a twin best in the time given."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+
+from recorder.command_line.options import names, positive, whole
+
+# Most time at the bench [min], and time to mount an indenter [s].
+MINUTES, CHANGE = 5.0, 60.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Chooses indenters, depths, shears and holds whose presses narrow the intervals of a twin "
+        "most for their time, as far as simulations of the design tell. Writes a bench file for "
+        "each session and a campaign that records them all, and prints the 90 % intervals to "
+        "expect, with the plan and with four presses by sphere and prism."
+    )
+    add = parser.add_argument
+    add(
+        "--sensor",
+        required=True,
+        metavar="NAME",
+        help="design to begin with: a row of sim/sensors, or a YAML file",
+    )
+    add(
+        "--bench",
+        metavar="FILE",
+        help="bench file that presses, or a packaged one (that of --sensor)",
+    )
+    add("--out", type=Path, default=Path("twin-plan"), metavar="PATH", help="folder (%(default)s)")
+    add(
+        "--minutes",
+        type=positive,
+        default=MINUTES,
+        metavar="MIN",
+        help="time for all presses, with changes of the indenter (%(default)g)",
+    )
+    add(
+        "--change",
+        type=positive,
+        default=CHANGE,
+        metavar="S",
+        help="time to mount an indenter (%(default)g)",
+    )
+    add("--indenters", type=names, metavar="NAME,...", help="those at hand (all)")
+    add(
+        "--noise",
+        type=positive,
+        default=10.0,
+        metavar="MN",
+        help="standard deviation of a reading of the gauge [mN] (%(default)g)",
+    )
+    add(
+        "--grid",
+        type=whole(16, 256),
+        default=64,
+        metavar="N",
+        help="pixels along the longer side (%(default)s)",
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Choose, write the files, print the intervals, and return the exit code.
+
+    Raises:
+        SceneError: The sensor or an indenter cannot be used, or the time is too short.
+        SimulationDiverged: A candidate's contact has no solution.
+    """
+    from recorder.progress import Progress
+    from sim.indenters import NAMES
+    from sim.sensors import read_sensor, sensor
+    from sim.twin.plan import Planner, sessions
+    from sim.twin.record import expected_lines, plan_files
+
+    own = options.sensor.endswith((".yaml", ".yml"))
+    design = read_sensor(Path(options.sensor)) if own else sensor(options.sensor)
+    planner = Planner(design, noise=1e-3 * options.noise, grid=options.grid)
+    with Progress("plan", sys.stderr) as progress:
+        chosen = planner.best(
+            planner.candidates(options.indenters or NAMES),
+            seconds=60 * options.minutes,
+            change=options.change,
+            progress=progress,
+        )
+    planned, usual = sessions(chosen), planner.usual()
+    bench = options.bench or f"{Path(options.sensor).stem}.yaml"
+    if os.sep in bench or Path(bench).exists():
+        bench = os.path.relpath(bench, options.out)
+    options.out.mkdir(parents=True, exist_ok=True)
+    for name, text in plan_files(planned, bench).items():
+        (options.out / name).write_text(text, encoding="utf-8")
+    for line in expected_lines(planner, planned, usual, options.change):
+        print(line)
+    print(f"tactile campaign --file {options.out}/campaign.yaml --benches {options.out}")
+    return 0

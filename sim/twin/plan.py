@@ -1,0 +1,279 @@
+"""Plan of presses that identify a twin: which indenters, depths, shears and holds tell most."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.errors import SceneError
+from sim.indenters import Indenter
+from sim.sensors import SimulatedSensor
+from sim.sensors.posterior import quantities
+from sim.twin.fit import BENCH, LAW, information, prior_spread, with_effects
+from sim.twin.model import Model
+from sim.twin.observations import Track, track_of
+from trajectories import PressShear
+
+Array = NDArray[np.float64]
+
+# Speed of the tip, height from which it comes [m], rate of poses and forces [Hz], rest above [s].
+SPEED, ABOVE, RATE, FREE = 5e-3, 0.3e-3, 200.0, 0.5
+# Depths in steps of a part of the deepest, shears as parts of the deepest, holds of the longest.
+LEVELS, STEP, SHEARS, HOLDS = 2, 0.4, (0.25, 0.65), (0.4, 1.0)
+# Longest hold over the longest relaxation time, and shortest of them [s].
+RELAXED, LEAST_HOLD = 3.0, 0.3
+# Timing error between arm and gauge [s]; relative error of all forces of an indenter, by its print.
+TIMING, PRINT = 20e-3, 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Presses:
+    """Presses by one indenter at the sensor's centre, which end in a rest after every move."""
+
+    indenter: str
+    plan: PressShear
+    hold: float
+    """Time at rest after each move in contact [s]."""
+
+    def path(self) -> tuple[Array, Array]:
+        """Return corners of the path: times (k,) [s] and tips (k, 3) [m]."""
+        time, tips = [0.0, FREE], [np.array([0.0, 0.0, self.plan.clearance])] * 2
+        for target in self.plan.targets():
+            for move in self.plan.moves(target):
+                place = np.array(move.end)
+                way = float(np.linalg.norm(place - tips[-1]))
+                time.append(time[-1] + max(way / SPEED, 1e-3))
+                time.append(time[-1] + (self.hold if place[2] < 0 else FREE))
+                tips += [place, place]
+        return np.array(time), np.array(tips)
+
+    @property
+    def depths(self) -> tuple[float, ...]:
+        """Depths [m]."""
+        return tuple(dict.fromkeys(target.depth for target in self.plan.targets()))
+
+    @property
+    def seconds(self) -> float:
+        """Duration [s]."""
+        return float(self.path()[0][-1])
+
+
+def presses(
+    indenter: str,
+    depths: Sequence[float],
+    shear: float,
+    hold: float,
+    *,
+    directions: int = 1,
+    dome_radius: float | None = None,
+) -> Presses:
+    """Return presses to depths [m], which are multiples of the first, each with a shear [m]."""
+    plan = PressShear(
+        step_x=1e-3,
+        step_y=1e-3,
+        depth_step=depths[0],
+        depth_max=depths[-1],
+        angle_step=2 * math.pi / directions,
+        shear=shear,
+        clearance=ABOVE,
+        points=(1,),
+        dome_radius=dome_radius,
+    )
+    return Presses(indenter, plan, hold)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Expected:
+    """Uncertainty that a fit to some presses is expected to have."""
+
+    names: tuple[str, ...]
+    covariance: Array
+    """(p, p), as of `Fit`."""
+
+    @property
+    def spreads(self) -> dict[str, float]:
+        """Standard deviation of each quantity, or of its logarithm."""
+        return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+    @property
+    def volume(self) -> float:
+        """Logarithm of the determinant of the sensor's part, the bench's quantities unknown."""
+        rows = [index for index, name in enumerate(self.names) if name not in BENCH]
+        return float(np.linalg.slogdet(self.covariance[np.ix_(rows, rows)])[1])
+
+
+class Planner:
+    """Information of presses on a design, before any is pressed.
+
+    Args:
+        design: Row from which the fit would begin; its values are taken as true.
+        noise: Standard deviation of a sample of the gauge [N].
+        law: Relative error of the law at rest.
+        grid: Pixels along the body's longer side.
+        indenters: Indenters by name, in place of those of `sim.indenters`.
+    """
+
+    def __init__(
+        self,
+        design: SimulatedSensor,
+        *,
+        noise: float = 0.01,
+        law: float = LAW,
+        grid: int = 64,
+        indenters: Mapping[str, Indenter] | None = None,
+    ) -> None:
+        self.design = with_effects(design)
+        self.names = (*quantities(self.design), *BENCH)
+        self._noise, self._law, self._grid, self._indenters = noise, law, grid, indenters
+        self._known: dict[Presses, Array] = {}
+
+    def candidates(self, indenters: Sequence[str]) -> list[Presses]:
+        """Return one press for each indenter, depth, shear and hold."""
+        deepest = self.design.depth_max
+        viscosity = self.design.effects.viscosity
+        assert viscosity is not None
+        longest = max(RELAXED * max(viscosity.times), LEAST_HOLD)
+        return [
+            presses(name, (level * _round(STEP * deepest),), _round(shear * deepest), hold)
+            for name in indenters
+            for level in range(1, LEVELS + 1)
+            for shear in SHEARS
+            for hold in (round(part * longest, 2) for part in HOLDS)
+        ]
+
+    def usual(self) -> list[Presses]:
+        """Return two presses by a sphere and two by a prism, with the longest shear and hold."""
+        found = self.candidates(("sphere", "prism"))
+        most = max(found, key=lambda each: (each.plan.shear, each.hold))
+        return [
+            each for each in found if (each.plan.shear, each.hold) == (most.plan.shear, most.hold)
+        ]
+
+    def expected(self, chosen: Sequence[Presses]) -> Expected:
+        """Return the uncertainty after some presses."""
+        return self._after(sum((self.information(each) for each in chosen), self._prior))
+
+    def information(self, each: Presses) -> Array:
+        """Return the information (p, p) of presses: the inverse of a covariance.
+
+        Raises:
+            SimulationDiverged: Their contact did not converge.
+        """
+        if each not in self._known:
+            track = self._track(each)
+            model = Model(self.design, [track], grid=self._grid, indenters=self._indenters)
+            values = {**quantities(self.design), **dict.fromkeys(BENCH, 0.0)}
+            near = model.linearised(values, self.names)
+            self._known[each] = information([track], near, TIMING, self._law)
+        return self._known[each]
+
+    def _track(self, each: Presses) -> Track:
+        corners, tips = each.path()
+        time = np.arange(0.0, corners[-1], 1 / RATE)
+        tip = np.stack([np.interp(time, corners, axis) for axis in tips.T], axis=1)
+        force = np.random.default_rng(0).normal(0.0, self._noise, tip.shape)
+        track = track_of(each.indenter, each.indenter, time, tip, time, force)
+        assert track is not None
+        return track
+
+    @property
+    def _prior(self) -> Array:
+        return np.diag(np.array([prior_spread(name) for name in self.names]) ** -2)
+
+    def _after(self, told: Array) -> Expected:
+        return Expected(self.names, np.asarray(np.linalg.inv(told), float))
+
+    def best(
+        self,
+        candidates: Sequence[Presses],
+        *,
+        seconds: float,
+        change: float,
+        progress: Callable[[float], None] = lambda fraction: None,
+    ) -> list[Presses]:
+        """Return presses that narrow the sensor's intervals most in the time given.
+
+        One after another, that which narrows them most for its time (D-optimal, greedy): a press,
+        or the first two of an indenter that is not mounted yet. All forces of an indenter may be
+        off by `PRINT`, so that presses by another one tell more than the same ones repeated.
+
+        Args:
+            candidates: What may be pressed.
+            seconds: Time for all [s], with changes of the indenter.
+            change: Time to mount an indenter [s].
+            progress: Called with the fraction of candidates that is solved.
+
+        Raises:
+            SceneError: No candidate fits into the time.
+        """
+        least = change + min(each.seconds for each in candidates)
+        if seconds < least:
+            raise SceneError(
+                f"{seconds:g} s: not enough for a press; allowed: at least {least:.0f} s"
+            )
+        for done, each in enumerate(candidates):
+            self.information(each)
+            progress((done + 1) / len(candidates))
+        chosen: list[Presses] = []
+        while True:
+            now, mounted = self._robust(chosen).volume, {each.indenter for each in chosen}
+            best: tuple[float, list[Presses]] | None = None
+            for more in _steps([each for each in candidates if each not in chosen], mounted):
+                then = [*chosen, *more]
+                if cost(then, change) > seconds:
+                    continue
+                gained = now - self._robust(then).volume
+                rate = gained / (cost(then, change) - cost(chosen, change))
+                if best is None or rate > best[0]:
+                    best = rate, more
+            if best is None:
+                return chosen
+            chosen += best[1]
+
+    def _robust(self, chosen: Sequence[Presses]) -> Expected:
+        """Return the uncertainty if all forces of an indenter have a common error, `PRINT`."""
+        told, scale = self._prior, self.names.index("modulus")
+        for name in {each.indenter for each in chosen}:
+            part = sum(self.information(each) for each in chosen if each.indenter == name)
+            assert not isinstance(part, int)
+            # Forces are proportional to the modulus, so its slopes are those of the scale.
+            lost = np.outer(part[scale], part[scale]) / (PRINT**-2 + part[scale, scale])
+            told = told + part - lost
+        return self._after(told)
+
+
+def _steps(open_: Sequence[Presses], mounted: set[str]) -> Iterator[list[Presses]]:
+    for index, each in enumerate(open_):
+        yield [each]
+        if each.indenter not in mounted:
+            yield from ([each, other] for other in open_[:index] if other.indenter == each.indenter)
+
+
+def cost(chosen: Sequence[Presses], change: float) -> float:
+    """Return the time of presses with `change` for each indenter [s]."""
+    mounted = {each.indenter for each in chosen}
+    return sum(each.seconds for each in chosen) + change * len(mounted)
+
+
+def sessions(chosen: Sequence[Presses]) -> list[Presses]:
+    """Return the chosen presses with those of one indenter, shear and hold in one session each."""
+    groups: dict[tuple[str, float, float], list[float]] = {}
+    for each in chosen:
+        key = each.indenter, each.plan.shear, each.hold
+        groups.setdefault(key, []).append(each.plan.depth_max)
+    first = list(dict.fromkeys(each.indenter for each in chosen))
+    return [
+        presses(name, sorted(depths), shear, hold)
+        for (name, shear, hold), depths in sorted(
+            groups.items(), key=lambda item: (first.index(item[0][0]), item[0])
+        )
+    ]
+
+
+def _round(length: float) -> float:
+    """Return a length rounded to 0.01 mm."""
+    return round(length, 5)
