@@ -11,6 +11,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from recorder.command_line.options import add_device
 from sim.errors import SceneError
 from sim.fem import Fem
 from sim.layer import Layer
@@ -44,6 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--processes", type=int, default=1, help="number of parallel cases (%(default)s)"
     )
+    add_device(parser)
     parser.add_argument("--csv", type=Path, metavar="FILE", help="also write the rows to this file")
     parser.add_argument(
         "--make",
@@ -89,7 +91,7 @@ def run(options: argparse.Namespace) -> int:
     rows: list[Row] = []
     print(HEAD)
     tier = {"layer": Layer, "fem": Fem, "mpm": Mpm}[options.tier or "fem"]()
-    settings = Settings(tier, options.tolerance)
+    settings = Settings(tier, options.tolerance, options.device)
     for found in all_compared(tasks, settings, options.processes):
         print("\n".join(map(line, found)), flush=True)
         rows += found

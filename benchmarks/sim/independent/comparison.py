@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from concurrent.futures import as_completed
 from dataclasses import dataclass
+from functools import partial
 
 from benchmarks.sim.independent import foreign, foreign_cases
 from benchmarks.sim.independent.cases import CASES, MM, Case
 from benchmarks.sim.independent.foreign_cases import ForeignCase
 from benchmarks.sim.independent.truth import load
-from recorder.processes import Workers
+from benchmarks.sim.stability.runner import side_by_side
 from sim.effects import Effects, Friction
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
@@ -41,6 +41,7 @@ class Settings:
 
     tier: Tier = Fem()
     tolerance: str | None = None
+    device: str = "cpu"
 
 
 @dataclass(frozen=True)
@@ -179,9 +180,9 @@ def compared(task: Task, settings: Settings) -> list[Row]:
     forces = [(math.nan, math.nan, math.nan)] * len(task.frames)
     try:
         if settings.tolerance is not None:
-            result = plan(task.scene, settings.tolerance).run()
+            result = plan(task.scene, settings.tolerance, device=settings.device).run()
         else:
-            result = simulate(task.scene, settings.tier)
+            result = simulate(task.scene, settings.tier, device=settings.device)
         forces = [tuple(result.force[frame]) for frame in task.frames]
         own = own_error(result.record)
     except (SceneError, SimulationDiverged) as error:
@@ -225,22 +226,11 @@ def all_compared(tasks: Sequence[Task], settings: Settings, processes: int) -> I
     Raises:
         WorkerLost: A worker process was killed.
     """
-    if processes == 1:
-        _ready()
-        for task in tasks:
-            yield compared(task, settings)
-        return
-    with Workers(processes, _ready) as workers:
-        waiting = [workers.submit(compared, task, settings) for task in tasks]
-        for done in as_completed(waiting):
-            yield done.result()
-
-
-def _ready() -> None:
-    """Start Warp without its banner."""
     from sim.device import ready_device
 
-    ready_device("cpu")
+    ready_device(settings.device)
+    compare = partial(compared, settings=settings)
+    yield from side_by_side(compare, tasks, settings.device, processes)
 
 
 def summary(rows: Sequence[Row]) -> str:
