@@ -18,6 +18,12 @@ from learning.compensation.prior import (
     prior_of_coefficients,
 )
 from learning.compensation.search import Choice, Grid, Paired, best_for_labels, best_for_priors
+from learning.compensation.simulated import (
+    SimulatedLabels,
+    simulated_labels,
+    simulated_r2,
+    twin_forces,
+)
 
 __all__ = [
     "DEFAULT_D0",
@@ -29,6 +35,7 @@ __all__ = [
     "PairCompensation",
     "Paired",
     "Prior",
+    "SimulatedLabels",
     "StoredCompensation",
     "best_for_labels",
     "best_for_priors",
@@ -38,4 +45,7 @@ __all__ = [
     "fit_prior",
     "prior_of_coefficients",
     "read_stored",
+    "simulated_labels",
+    "simulated_r2",
+    "twin_forces",
 ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +15,8 @@ from recorder.command_line.options import numbers
 from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
-    from learning.compensation.fit import Search
+    from learning.compensation.fit import Search, StoredCompensation
+    from recorder import MarkerArchive
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -115,10 +117,28 @@ def run(options: argparse.Namespace) -> int:
     found.write(options.out)
     for line in tables(found, gathered):
         print(line)
+    for line in _simulated(archive, found, options.split):
+        print(line)
     picture = options.picture or options.out.with_suffix(".png")
     draw_curves(found, gathered, picture)
     print(f"{options.out}, {picture}: written")
     return 0
+
+
+def _simulated(
+    archive: MarkerArchive, found: StoredCompensation, split: Path | None
+) -> Iterator[str]:
+    """Yield R2 of the labels of each pair whose sensors both have forces of a twin."""
+    from learning.compensation.simulated import simulated_r2
+
+    for pair in found.pairs:
+        r2 = simulated_r2(archive, pair.source, pair.target, split)
+        if r2 is not None:
+            others = {"before": pair.before, **pair.choices}
+            told = "  ".join(
+                f"{name} {one.r2:.2f}" for name, one in others.items() if one.r2 is not None
+            )
+            yield f"R2 of labels, {pair.source} > {pair.target}: {told}  simulated {r2:.2f}"
 
 
 def _search(options: argparse.Namespace) -> Search:

@@ -200,7 +200,7 @@ def paired_labels(
     """
     one, other = archive[source], archive[target]
     pairs = location_pairs(one.table, other.table)
-    kept = _learned_from(archive, one, pairs.source, split)
+    kept = learned_from(archive, one, pairs.source, split)
     forces = one.table["wrench"][pairs.source, :3], other.table["wrench"][pairs.target, :3]
     both = np.isfinite(forces[0]) & np.isfinite(forces[1])
     kept &= both.any(axis=1)
@@ -221,9 +221,14 @@ def depth_range(sensor: ArchivedSensor) -> float | None:
     return deepest if deepest > 0 else None
 
 
-def _learned_from(
+def learned_from(
     archive: MarkerArchive, sensor: ArchivedSensor, rows: NDArray[np.int64], split: Path | None
 ) -> NDArray[np.bool_]:
+    """Return a mask (n,) of the rows that may be trained on: of a split, or of seen indenters.
+
+    Raises:
+        LearningError: The split belongs to another archive, or trains on none of them.
+    """
     if split is None:
         return np.asarray(sensor.table["seen"][rows], np.bool_)
     from learning.data.splits import read_split

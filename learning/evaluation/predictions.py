@@ -28,15 +28,25 @@ from recorder.archive import ArchivedSensor
 KIND = "predictions"
 # Training data of the model: the source's images; translated images; these with labels compensated
 # by the paper's most frequent choice; by the choice that fits the skins' force-depth curves best;
-# by the choice that fits the target's labels best; the target's own labels; and these by ridge
-# regression on a few features instead of a network.
+# by twins of both sensors; by the choice that fits the target's labels best; the target's own
+# labels; and these by ridge regression on a few features instead of a network.
 BASELINE = "baseline"
-METHODS = ("source-only", "transferred", "compensated", "priors", "oracle", "target", BASELINE)
+SIMULATED = "simulated"
+METHODS = (
+    "source-only",
+    "transferred",
+    "compensated",
+    "priors",
+    SIMULATED,
+    "oracle",
+    "target",
+    BASELINE,
+)
 # Methods with translated images.
-TRANSLATED = METHODS[1:5]
+TRANSLATED = METHODS[1:6]
 # Those that need no label of the target, in order of the knowledge of the skins that they use.
-LABEL_FREE = TRANSLATED[:3]
-# Names of these methods' choices in compensation files.
+LABEL_FREE = TRANSLATED[:4]
+# Names of methods' choices in compensation files.
 CHOICES = {"compensated": "default", "priors": "priors", "oracle": "oracle"}
 
 _TEXTS = ("source", "target", "method", "translator", "model")

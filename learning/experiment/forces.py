@@ -12,12 +12,18 @@ from pathlib import Path
 import torch
 
 from learning.archive_writer import archive_fingerprint
-from learning.compensation import StoredCompensation
+from learning.compensation import SimulatedLabels, StoredCompensation, simulated_labels
 from learning.config import read_settings
 from learning.data.presses import Presses
 from learning.data.splits import Split
 from learning.errors import LearningError
-from learning.evaluation.predictions import CHOICES, Predictions, predictions_of, read_predictions
+from learning.evaluation.predictions import (
+    CHOICES,
+    SIMULATED,
+    Predictions,
+    predictions_of,
+    read_predictions,
+)
 from learning.experiment.models import Places, Tuning, tune_batched
 from learning.experiment.parts import (
     Pair,
@@ -31,7 +37,7 @@ from learning.experiment.parts import (
 from learning.experiment.settings import ExperimentSettings
 from learning.experiment.translating import flow_fields, translate_presses, warp_presses
 from learning.force.model import KIND, ForceModel, load_force_model
-from learning.force.train import PRESETS, Compensation, ForceSettings, train_force
+from learning.force.train import PRESETS, ForceSettings, Relabelling, train_force
 from learning.metrics import force_errors
 from learning.training.checkpoint import read_model_folder
 from learning.training.run import RunFolder, Session, Stop, accelerator
@@ -153,7 +159,7 @@ class Forces:
             pairs: Pairs of one source.
             translator: Name of the translator.
             model: The translator.
-            compensation: Compensation of labels; None if the settings request none.
+            compensation: Relabelling of labels; None if the settings request none.
 
         Raises:
             LearningError: Presses have no labels, or a training diverged.
@@ -166,7 +172,7 @@ class Forces:
         found = []
         for first in range(0, len(pairs), at_once):
             tunings = [
-                Tuning(pair, method, translator, _labels(pair, method, compensation))
+                Tuning(pair, method, translator, _labels(self.archive, pair, method, compensation))
                 for pair in pairs[first : first + at_once]
                 for method in (TRANSFERRED, *self._compensated(pair, compensation))
             ]
@@ -197,7 +203,7 @@ class Forces:
             if (each.source, each.target) == (pair.source, pair.target)
             for choice in each.choices
         }
-        return [method for method in asked if CHOICES[method] in choices]
+        return [method for method in asked if method == SIMULATED or CHOICES[method] in choices]
 
     def _predicted(
         self,
@@ -252,7 +258,7 @@ class Forces:
         return self._trained(
             tuning.name,
             self._settings(tuning=True),
-            shown.sensor,
+            _data(tuning, shown.sensor),
             lambda: (shown, None),
             start_from=own,
             compensation=tuning.labels,
@@ -266,7 +272,7 @@ class Forces:
         frames: Callable[[], tuple[Presses, Presses | None]],
         *,
         start_from: ForceModel | None = None,
-        compensation: Compensation | None = None,
+        compensation: Relabelling | None = None,
     ) -> tuple[Path, ForceModel]:
         """Return a model and its folder; its training frames are loaded only if needed."""
         folder = self.places.model(name)
@@ -291,7 +297,7 @@ class Forces:
         return folder, load_force_model(folder, self.device)
 
     def _run_of(self, tuning: Tuning) -> RunFolder:
-        shown = f"{tuning.pair.source}-to-{tuning.pair.target}"
+        shown = _data(tuning, f"{tuning.pair.source}-to-{tuning.pair.target}")
         return self._open(tuning.name, self._settings(tuning=True), shown)
 
     def _open(self, name: str, settings: ForceSettings, sensor: str) -> RunFolder:
@@ -385,10 +391,18 @@ def adopt_model(
     return settings
 
 
+def _data(tuning: Tuning, shown: str) -> str:
+    """Return what tells the data of a model: its frames, and the twins that labelled them."""
+    labels = tuning.labels
+    return f"{shown} {labels.made_from}" if isinstance(labels, SimulatedLabels) else shown
+
+
 def _labels(
-    pair: Pair, method: str, compensation: StoredCompensation | None
-) -> Compensation | None:
+    archive: MarkerArchive, pair: Pair, method: str, compensation: StoredCompensation | None
+) -> Relabelling | None:
     """Return the compensation of a pair's labels for a method, or None."""
+    if method == SIMULATED:
+        return simulated_labels(archive[pair.source], archive[pair.target])
     if compensation is None or method not in CHOICES:
         return None
     return compensation.pair(pair.source, pair.target, CHOICES[method]).applied

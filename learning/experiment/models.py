@@ -19,7 +19,7 @@ from learning.experiment.settings import ExperimentSettings, ModelChoice
 from learning.experiment.translating import WithoutSourceReference
 from learning.force.batched import train_batched
 from learning.force.model import ForceModel
-from learning.force.train import Compensation, ForceSettings
+from learning.force.train import ForceSettings, Relabelling
 from learning.training.run import RunFolder, Stop
 from learning.translation.archive import Model, hash_of
 from learning.translation.direct import train, train_autoencoder
@@ -175,8 +175,8 @@ class Tuning:
     """Kind of its labels, a method of evaluations."""
     translator: str
     """Translator of its frames."""
-    labels: Compensation | None
-    """Compensation of the labels."""
+    labels: Relabelling | None
+    """Relabelling of the labels."""
 
     @property
     def name(self) -> str:

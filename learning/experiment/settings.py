@@ -13,8 +13,8 @@ from learning.errors import LearningError
 PRESETS = Path(__file__).parent / "presets"
 
 TranslatorName = Literal["flow", "field", "direct"]
-# Choices of compensation, by method: label-free, or by the target's labels.
-Compensated = Literal["compensated", "priors", "oracle"]
+# Kinds of labels: label-free by formulae, by twins, or by the target's labels.
+Compensated = Literal["compensated", "priors", "simulated", "oracle"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,12 +16,12 @@ from pathlib import Path
 
 import torch
 
-from learning.compensation import read_stored
+from learning.compensation import read_stored, twin_forces
 from learning.compensation.fit import Curves, gather_priors
 from learning.data.splits import read_split
 from learning.errors import LearningError
 from learning.evaluation.distribution import MarkerGrid
-from learning.evaluation.predictions import Predictions
+from learning.evaluation.predictions import CHOICES, SIMULATED, Predictions
 from learning.evaluation.translation import TranslationScores, read_scores, score_translation
 from learning.experiment.forces import Forces
 from learning.experiment.models import Places, open_translator, run_command, train_translator
@@ -70,7 +70,7 @@ class Job:
         sources = tuple(dict.fromkeys(pair.source for pair in self.pairs))
         sensors = dict.fromkeys([*sources, *(pair.target for pair in self.pairs)])
         trained: list[Task] = [("train", name) for name in self.settings.translators]
-        fitted: list[Task] = [("compensate",)] if self.settings.compensation else []
+        fitted: list[Task] = [("compensate",)] if _by_formulae(self.settings) else []
         alone = [
             *trained,
             *fitted,
@@ -90,13 +90,17 @@ class Worker:
         """Open the archive and the split.
 
         Raises:
-            LearningError: The split cannot be read.
+            LearningError: The split cannot be read, or a sensor has no forces of a twin that are
+                asked for.
             SessionError: The archive is corrupt.
         """
         self._work, self._say = work, say
         self._device = torch.device(work.device)
         self._places = Places(work.out, work.archive)
         self._archive, self._split = MarkerArchive(work.archive), read_split(self._places.split)
+        if SIMULATED in work.settings.compensation:
+            for name in {name for pair in work.pairs for name in (pair.source, pair.target)}:
+                twin_forces(self._archive[name])
         self._forces = Forces(
             self._archive,
             self._split,
@@ -159,7 +163,7 @@ class Worker:
         model = open_translator(self._places, self._work.settings, name, self._device)
         pairs = [pair for pair in self._work.pairs if pair.source == source]
         stored = self._places.compensation
-        asked = self._work.settings.compensation and stored.exists()
+        asked = _by_formulae(self._work.settings) and stored.exists()
         labels = read_stored(stored) if asked else None
         found = self._forces.translated(pairs, name, model, labels)
         return TaskResult(found, self._scores(source, pairs, name, model))
@@ -194,6 +198,11 @@ class Worker:
             scores.append(read_scores(file))
         self._say(f"translations of {source} by {name} scored: {path}")
         return scores
+
+
+def _by_formulae(settings: ExperimentSettings) -> bool:
+    """Return True if labels are compensated by the paper's formulae."""
+    return bool(CHOICES.keys() & set(settings.compensation))
 
 
 # Execution of the tasks, sequentially or in parallel.

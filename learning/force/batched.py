@@ -21,8 +21,8 @@ from learning.data.presses import Presses
 from learning.errors import LearningError
 from learning.force.model import ForceModel, prepared_rows, require_form
 from learning.force.train import (
-    Compensation,
     ForceSettings,
+    Relabelling,
     begun_model,
     epoch_of,
     error,
@@ -32,6 +32,8 @@ from learning.force.train import (
     schedule_of,
     signs,
     superposed,
+    variances_of,
+    weights_of,
 )
 from learning.training.optim import set_rate
 from learning.training.run import seed_torch
@@ -45,7 +47,7 @@ def train_batched(
     settings: ForceSettings,
     *,
     start_from: ForceModel | None = None,
-    compensation: Sequence[Compensation | None] = (),
+    compensation: Sequence[Relabelling | None] = (),
     stopped: Callable[[], bool] = lambda: False,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[ForceModel] | None:
@@ -69,6 +71,15 @@ def train_batched(
     device = presses[0].device
     changes = list(compensation) or [None] * len(presses)
     labels = [labels_of(each, change) for each, change in zip(presses, changes, strict=True)]
+    unsure = [variances_of(each, change) for each, change in zip(presses, changes, strict=True)]
+    variance = None
+    if any(each is not None for each in unsure):
+        variance = torch.stack(
+            [
+                torch.zeros_like(label) if each is None else each
+                for each, label in zip(unsure, labels, strict=True)
+            ]
+        )
     models = [begun_model([each], settings, start_from, device) for each in labels]
     forces = torch.stack(labels)  # (k, n, 3)
     low, high = (
@@ -104,8 +115,11 @@ def train_batched(
             wanted = (labelled - low) / (high - low)
             with torch.autocast(device.type, torch.bfloat16, enabled=_in_bf16(settings)):
                 normalised = _forward(models[0], weights, buffers, seen, lengths, settings)
-            losses = torch.vmap(lambda one, other: error(one, other, lengths))(  # noqa: B023
-                normalised, wanted
+            sure = torch.ones_like(wanted)
+            if variance is not None:
+                sure = weights_of(superposed(variance[:, rows], sequences, axis=1), low, high)
+            losses = torch.vmap(lambda one, other, known: error(one, other, lengths, known))(  # noqa: B023
+                normalised, wanted, sure
             )
             set_rate(optimiser, schedule.at(number))
             optimiser.zero_grad()

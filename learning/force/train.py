@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from learning.archive_writer import archive_fingerprint
-from learning.compensation import read_stored
+from learning.compensation import SimulatedLabels, read_stored
 from learning.config import read_settings, require
 from learning.data.presses import AUTHORS, ForceRange, Presses, load_presses
 from learning.data.splits import Role, Split
@@ -350,11 +350,16 @@ def forces_of(labels: Sequence[Tensor], sequences: Sequences, device: torch.devi
         sequences: Sequences of the step.
         device: Device of the result.
     """
-    wanted = [
-        labels[sensor][torch.from_numpy(rows).to(labels[sensor].device)].to(device)
+    return _gathered(labels, sequences, device) * signs(sequences.flips, device)
+
+
+def _gathered(values: Sequence[Tensor], sequences: Sequences, device: torch.device) -> Tensor:
+    """Return the values (b, s, 3) of a step, of those (N, 3) of the frames of each sensor."""
+    rows = [
+        values[sensor][torch.from_numpy(rows).to(values[sensor].device)].to(device)
         for sensor, rows in zip(sequences.sensor, sequences.rows, strict=True)
     ]
-    return torch.stack(wanted) * signs(sequences.flips, device)
+    return torch.stack(rows)
 
 
 # Training targets: labels, optionally compensated for another material, and their range (a box).
@@ -365,9 +370,13 @@ Compensation = Callable[
     [NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]],
     tuple[NDArray[np.float64], int],
 ]
+# Other labels than the source's own.
+Relabelling = SimulatedLabels | Compensation
+# Spread of a label, as a fraction of the force range, at which it weighs half.
+HALF = 0.05
 
 
-def labels_of(presses: Presses, compensation: Compensation | None = None) -> Tensor:
+def labels_of(presses: Presses, compensation: Relabelling | None = None) -> Tensor:
     """Return the training labels (N, 3) N of presses, on their device; NaN is no label.
 
     Raises:
@@ -376,6 +385,14 @@ def labels_of(presses: Presses, compensation: Compensation | None = None) -> Ten
     presses.require_wrench()
     if compensation is None:
         return presses.wrench[:, :3]
+    if isinstance(compensation, SimulatedLabels):
+        known = torch.from_numpy(compensation.force[presses.rows.numpy()]).float()
+        if not known.isfinite().any():
+            raise LearningError(
+                f"{presses.sensor}: found no press that both sensors of the pair have; allowed: "
+                "one or more to label"
+            )
+        return known.to(presses.device)
     forces = presses.wrench[:, :3].double().cpu().numpy()
     changed, _ = compensation(forces, presses.depth.cpu().numpy(), presses.phase.cpu().numpy())
     if changed.shape != forces.shape or (np.isfinite(changed) != np.isfinite(forces)).any():
@@ -384,6 +401,19 @@ def labels_of(presses: Presses, compensation: Compensation | None = None) -> Ten
             f"where the labels are; allowed: {forces.shape}, finite"
         )
     return torch.from_numpy(changed).float().to(presses.device)
+
+
+def variances_of(presses: Presses, compensation: Relabelling | None = None) -> Tensor | None:
+    """Return the variance of each training label (N, 3) N^2; None if all are equally certain."""
+    if not isinstance(compensation, SimulatedLabels):
+        return None
+    spread = torch.from_numpy(compensation.spread[presses.rows.numpy()]).float()
+    return spread.nan_to_num().square().to(presses.device)
+
+
+def weights_of(variance: Tensor, low: Tensor, high: Tensor) -> Tensor:
+    """Return weights of labels (..., 3), 1 if certain, for forces in the range low to high (3,)."""
+    return 1 / (1 + variance / (HALF * (high - low)).square())
 
 
 def force_range(labels: Sequence[Tensor], settings: ForceSettings) -> ForceRange:
@@ -406,13 +436,19 @@ def force_range(labels: Sequence[Tensor], settings: ForceSettings) -> ForceRange
 # Loss
 
 
-def error(predicted: Tensor, wanted: Tensor, lengths: Sequence[int] | None) -> Tensor:
+def error(
+    predicted: Tensor,
+    wanted: Tensor,
+    lengths: Sequence[int] | None,
+    weights: Tensor | None = None,
+) -> Tensor:
     """Return the mean absolute error of forces (b, s, 3) over labels of valid frames (eq. 5).
 
     Args:
         predicted: Predicted forces, normalised to the force range.
         wanted: True forces, likewise; NaN is no label and adds neither error nor gradient.
         lengths: Number of valid frames of each sequence (b,); None: all.
+        weights: Weights of the labels (b, s, 3); None: equal.
     """
     known = ~wanted.isnan()
     if lengths is not None:
@@ -420,7 +456,10 @@ def error(predicted: Tensor, wanted: Tensor, lengths: Sequence[int] | None) -> T
         inside = torch.arange(wanted.shape[1], device=wanted.device) < counts[:, None]
         known = known & inside[..., None]
     difference = torch.where(known, predicted - torch.where(known, wanted, 0.0), 0.0).abs()
-    return difference.sum() / known.sum().clamp(min=1)
+    if weights is None:
+        return difference.sum() / known.sum().clamp(min=1)
+    weights = torch.where(known, weights, 0.0)
+    return (weights * difference).sum() / weights.sum().clamp(min=1e-6)
 
 
 # Loop
@@ -454,7 +493,7 @@ def train_force(
     *,
     validation: Presses | Sequence[Presses] = (),
     start_from: ForceModel | None = None,
-    compensation: Compensation | None = None,
+    compensation: Relabelling | None = None,
 ) -> ForceModel:
     """Train a force model and return it in evaluation mode.
 
@@ -490,6 +529,9 @@ def train_force(
         raise LearningError("presses: found none of a sensor; allowed: one or more of each")
     labels = [labels_of(each, compensation) for each in groups]
     wanted = [labels_of(each, compensation) for each in held]
+    variances = [
+        found for each in groups if (found := variances_of(each, compensation)) is not None
+    ]
 
     # Model
     model = begun_model(labels, settings, start_from, device)
@@ -523,7 +565,11 @@ def train_force(
             normalised, _ = network(
                 frames, lengths=lengths, truncate=settings.sequences.truncate_frames
             )
-            loss = error(normalised, targets, lengths)
+            weights = None
+            if variances:
+                unsure = superposed(_gathered(variances, sequences, device), sequences)
+                weights = weights_of(unsure, model.low, model.high)
+            loss = error(normalised, targets, lengths, weights)
             set_rate(optimiser, schedule.at(state.epoch * steps + state.step))
             optimiser.zero_grad()
             runs_on.backward(loss)

@@ -7,7 +7,7 @@ from recorder.archive.array import Rows
 from recorder.archive.check import check_archive, marker_flags
 from recorder.archive.pairs import PRESETS, LocationPairs, location_pairs
 from recorder.archive.plan import FORMAT, FORMAT_VERSION, ArchivePlan, MarkerCount, SensorPlan
-from recorder.archive.reader import ArchivedSensor, MarkerArchive, describe_archive
+from recorder.archive.reader import ArchivedSensor, MarkerArchive, Simulated, describe_archive
 from recorder.archive.representation import (
     MASKS,
     REPRESENTATIONS,
@@ -17,7 +17,7 @@ from recorder.archive.representation import (
     Representation,
 )
 from recorder.archive.table import COLUMNS, GIVEN, NO_PHASE
-from recorder.archive.writer import ArchiveWriter, SensorWriter
+from recorder.archive.writer import ArchiveWriter, SensorWriter, write_simulated
 
 __all__ = [
     "COLUMNS",
@@ -41,8 +41,10 @@ __all__ = [
     "Rows",
     "SensorPlan",
     "SensorWriter",
+    "Simulated",
     "check_archive",
     "describe_archive",
     "location_pairs",
     "marker_flags",
+    "write_simulated",
 ]

@@ -13,7 +13,7 @@ from recorder.archive.array import ArrayLayout, ArrayReader
 from recorder.archive.ledger import Ledger
 from recorder.archive.plan import COMPLETE
 from recorder.archive.reader import ArchivedSensor, read_archive_attrs
-from recorder.archive.table import COLUMNS, Limits, allowed, misplaced
+from recorder.archive.table import COLUMNS, SIMULATED, Limits, allowed, misplaced
 from recorder.errors import SessionError
 from recorder.findings import Finding
 from recorder.markers import MarkerCheck, MarkerFlag, unpack
@@ -168,7 +168,7 @@ def _prescribed(sensor: ArchivedSensor, name: str, found: Kind) -> Kind:
         return ("float16", sensor.lattice.shape, "px")
     if name == "sources":
         return ("uint8", found[1], "1")
-    column = COLUMNS[name.removeprefix("table/")]
+    column = {**COLUMNS, **SIMULATED}[name.removeprefix("table/")]
     return (column.dtype, column.shape, column.units)
 
 
@@ -179,6 +179,8 @@ def _layouts(sensor: ArchivedSensor) -> dict[str, ArrayLayout]:
         "sources",
         *(f"table/{name}" for name in COLUMNS),
     ]
+    kept = {place.name for place in sensor.files.groups(sensor.path / "table")}
+    names += [f"table/{name}" for name in SIMULATED if name in kept]
     if sensor.keeps_displacement:
         names.insert(1, "displacement")
     return {name: ArrayLayout.load(sensor.path / name, sensor.files) for name in names}

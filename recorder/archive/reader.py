@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -14,12 +15,24 @@ from numpy.typing import NDArray
 from recorder.archive.array import ArrayLayout, ArrayReader, Rows
 from recorder.archive.plan import COMPLETE, FORMAT, FORMAT_VERSION
 from recorder.archive.representation import MASKS, REPRESENTATIONS
-from recorder.archive.table import COLUMNS
+from recorder.archive.table import COLUMNS, SIMULATED
 from recorder.errors import SessionError
 from recorder.markers import SMALLEST_PX, Lattice, count_markers, unpack
 from recorder.store.files import LOCAL, Files, locate, read_document
 from recorder.store.layout import read_attrs
 from recorder.store.tables import Table
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Simulated:
+    """Forces that a twin of a sensor gives for its frames."""
+
+    force: NDArray[np.float64]
+    """Fx, Fy, Fz (n, 3) [N]; NaN where there is no press."""
+    spread: NDArray[np.float64]
+    """Their standard deviation by the twin's uncertainty (n, 3) [N]."""
+    made_from: str
+    """The twin and settings that they are from."""
 
 
 class ArchivedSensor:
@@ -169,6 +182,20 @@ class ArchivedSensor:
         """
         text = self._whole("sources")
         return [line.tobytes().rstrip(b"\0").decode() for line in text]
+
+    @cached_property
+    def simulated(self) -> Simulated | None:
+        """Forces of a twin of the sensor; None if `tactile sim labels` has not written any.
+
+        Raises:
+            SessionError: A chunk is missing or corrupt, or the archive is still being written.
+        """
+        kept = {place.name for place in self.files.groups(self.path / "table")}
+        if not kept.issuperset(SIMULATED):
+            return None
+        force, spread = (self._whole(f"table/{name}") for name in SIMULATED)
+        layout = ArrayLayout.load(self.path / "table" / "simulated", self.files)
+        return Simulated(force, spread, str(layout.spec.attrs.get("made_from", "")))
 
     def _required_fields(self) -> ArrayReader:
         if self.fields is None:

@@ -79,6 +79,15 @@ COLUMNS: Mapping[str, TableColumn] = {
     SOURCE: TableColumn("int32", "1", "row of sources", least=0),
 }
 
+# Columns that a simulation may add to a complete archive (`write_simulated`).
+SIMULATED: Mapping[str, TableColumn] = {
+    name: TableColumn("float64", "N", description, (3,), ("axis",), may_be_nan=True)
+    for name, description in (
+        ("simulated", "Fx Fy Fz that a twin of the sensor gives in the frame's press; NaN: none"),
+        ("simulated_spread", "standard deviation of these forces by the twin's uncertainty"),
+    )
+}
+
 # Columns that the caller of the writer supplies.
 GIVEN = tuple(name for name in COLUMNS if name != SOURCE)
 
@@ -150,15 +159,18 @@ def allowed(name: str, limits: Limits) -> str:
     return f"{column.least} " + ("and more" if end is None else f"to {end - 1}")
 
 
-def column_spec(name: str, rows: int, names: Sequence[str] = ()) -> ArraySpec:
+def column_spec(
+    name: str, rows: int, names: Sequence[str] = (), attrs: Mapping[str, Any] | None = None
+) -> ArraySpec:
     """Return the specification of a column's array: one shard, one file.
 
     Args:
-        name: One of `COLUMNS`.
+        name: One of `COLUMNS` or `SIMULATED`.
         rows: Length of the table.
         names: Names of the codes, in order.
+        attrs: Further attributes.
     """
-    column = COLUMNS[name]
+    column = {**COLUMNS, **SIMULATED}[name]
     return ArraySpec(
         column.dtype,
         (rows, *column.shape),
@@ -167,7 +179,7 @@ def column_spec(name: str, rows: int, names: Sequence[str] = ()) -> ArraySpec:
         column.description,
         _CHUNK_ROWS,
         -(-rows // _CHUNK_ROWS) * _CHUNK_ROWS,
-        {"names": list(names)} if names else {},
+        ({"names": list(names)} if names else {}) | dict(attrs or {}),
     )
 
 

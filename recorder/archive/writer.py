@@ -19,9 +19,11 @@ from numpy.typing import NDArray
 from recorder.archive.array import Array, ArrayLayout, ArraySpec
 from recorder.archive.ledger import Ledger
 from recorder.archive.plan import COMPLETE, FORMAT, FORMAT_VERSION, ArchivePlan, begin
+from recorder.archive.reader import ArchivedSensor
 from recorder.archive.representation import REPRESENTATIONS
 from recorder.archive.table import (
     COLUMNS,
+    SIMULATED,
     SOURCE,
     Limits,
     checked_columns,
@@ -219,6 +221,25 @@ class SensorWriter:
     @property
     def _frames(self) -> ArrayLayout:
         return next(self._layouts[name] for name in self._layouts if name != "displacement")
+
+
+def write_simulated(sensor: ArchivedSensor, force: Array, spread: Array, made_from: str) -> None:
+    """Add a twin's forces to a sensor of a complete archive, in place of any that it has.
+
+    Args:
+        sensor: The sensor, of an archive on this machine.
+        force: Fx, Fy, Fz of each frame (n, 3) [N]; NaN without a press.
+        spread: Their standard deviation (n, 3) [N].
+        made_from: The twin and settings that they are from.
+
+    Raises:
+        SessionError: The archive is not complete, or the shapes do not fit its frames.
+    """
+    rows = len(sensor.table["valid"])
+    for name, values in zip(SIMULATED, (force, spread), strict=True):
+        spec = column_spec(name, rows, attrs={"made_from": made_from})
+        write_whole(sensor.path / "table" / name, spec, np.asarray(values, "<f8"))
+    sync_directory(sensor.path / "table")
 
 
 def _check_lines(source: Sequence[str], count: int, where: str) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,15 +42,7 @@ class Presses:
 
     def path(self) -> tuple[Array, Array]:
         """Return corners of the path: times (k,) [s] and tips (k, 3) [m]."""
-        time, tips = [0.0, FREE], [np.array([0.0, 0.0, self.plan.clearance])] * 2
-        for target in self.plan.targets():
-            for move in self.plan.moves(target):
-                place = np.array(move.end)
-                way = float(np.linalg.norm(place - tips[-1]))
-                time.append(time[-1] + max(way / SPEED, 1e-3))
-                time.append(time[-1] + (self.hold if place[2] < 0 else FREE))
-                tips += [place, place]
-        return np.array(time), np.array(tips)
+        return _path(self)
 
     @property
     def depths(self) -> tuple[float, ...]:
@@ -60,6 +53,19 @@ class Presses:
     def seconds(self) -> float:
         """Duration [s]."""
         return float(self.path()[0][-1])
+
+
+@lru_cache(maxsize=4096)
+def _path(each: Presses) -> tuple[Array, Array]:
+    time, tips = [0.0, FREE], [np.array([0.0, 0.0, each.plan.clearance])] * 2
+    for target in each.plan.targets():
+        for move in each.plan.moves(target):
+            place = np.array(move.end)
+            way = float(np.linalg.norm(place - tips[-1]))
+            time.append(time[-1] + max(way / SPEED, 1e-3))
+            time.append(time[-1] + (each.hold if place[2] < 0 else FREE))
+            tips += [place, place]
+    return np.array(time), np.array(tips)
 
 
 def presses(
@@ -197,9 +203,9 @@ class Planner:
     ) -> list[Presses]:
         """Return presses that narrow the sensor's intervals most in the time given.
 
-        One after another, that which narrows them most for its time (D-optimal, greedy): a press,
-        or the first two of an indenter that is not mounted yet. All forces of an indenter may be
-        off by `PRINT`, so that presses by another one tell more than the same ones repeated.
+        One after another, the most narrowing for its time (D-optimal, greedy): a press, or the
+        first two of an indenter that is not mounted yet. All forces of an indenter may be off by
+        `PRINT`, so that presses by another one tell more than the same ones repeated.
 
         Args:
             candidates: What may be pressed.

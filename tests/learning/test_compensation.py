@@ -24,11 +24,14 @@ from learning.compensation import (
     fit_prior,
     prior_of_coefficients,
     read_stored,
+    simulated_labels,
+    simulated_r2,
 )
 from learning.compensation.search import paired_labels, tried
 from learning.data.genforce.format import Compensation
 from learning.errors import LearningError
 from recorder import PHASES, MarkerArchive
+from recorder.archive import check_archive, write_simulated
 
 DOWN, SHEARED, BACK, UP = range(len(PHASES))
 DEPTH = np.linspace(0.1e-3, 1.2e-3, 12)
@@ -338,3 +341,32 @@ def test_another_file_is_never_overwritten_and_a_damaged_one_is_named(
     out.write_text(json.dumps(content))
     with pytest.raises(LearningError, match="grid has no prior"):
         read_stored(out)
+
+
+def test_labels_by_simulation_are_the_target_s_where_both_twins_are_wrong_alike(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "twins.markers.zarr"
+    archive = made_up_archive(path, targets=2, frames_per_phase=2, force_depth=2)
+    source, target = archive["dots"], archive["grid"]
+    with pytest.raises(LearningError, match="dots: found no forces of a twin; allowed: tactile"):
+        simulated_labels(source, target)
+    assert simulated_r2(archive, "dots", "grid") is None
+    for sensor, spread in ((source, 0.1), (target, 0.2)):
+        wrench = sensor.table["wrench"][:, :3]
+        write_simulated(sensor, 0.9 * wrench, np.full(wrench.shape, spread), sensor.name)
+    archive = MarkerArchive(path)
+    assert list(check_archive(archive.files, path)) == []
+    labels = simulated_labels(archive["dots"], archive["grid"])
+    rows = source.table["location"] >= 0
+    true = target.table["wrench"][rows, :3]
+    np.testing.assert_allclose(labels.force[rows], true, atol=1e-9)
+    assert np.isnan(labels.force[~rows]).all()
+    pressed = rows & (np.abs(source.table["wrench"][:, 2]) > 0.1)
+    np.testing.assert_allclose(labels.spread[pressed, 2], np.hypot(0.2, 1.6 * 0.1), rtol=1e-6)
+    assert labels.made_from == "dots; grid"
+    assert simulated_r2(archive, "dots", "grid") == pytest.approx(1.0)
+    assert main(["compensate", str(path), "--out", str(tmp_path / "c.json")]) == 0
+    printed = capsys.readouterr().out
+    assert "R2 of labels, dots > grid: before" in printed
+    assert "simulated 1.00" in printed

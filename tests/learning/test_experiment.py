@@ -38,6 +38,7 @@ from learning.metrics import force_errors
 from learning.translation.flow import FlowTranslator
 from learning.translation.translator import SensorView
 from recorder import MarkerArchive
+from recorder.archive import write_simulated
 
 CPU = torch.device("cpu")
 SMALL = (
@@ -366,6 +367,24 @@ def test_learned_translators_are_trained_by_their_own_commands(
     for name in ("field", "direct"):
         assert (out / "results" / f"dots-to-grid.transferred.{name}.npz").is_file()
         assert (out / "results" / f"dots-to-grid.{name}.scores.npz").is_file()
+
+
+def test_an_experiment_trains_on_labels_by_simulation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "x.markers.zarr"
+    some = made_up_archive(path, targets=3, frames_per_phase=2)
+    with pytest.raises(LearningError, match="found no forces of a twin; allowed: tactile sim"):
+        run(some, tmp_path / "none", "compensation=[simulated]")
+    for sensor in some.values():
+        wrench = sensor.table["wrench"][:, :3]
+        write_simulated(sensor, wrench, np.full(wrench.shape, 0.01), "a twin")
+    undrawn(monkeypatch)
+    reported = run(MarkerArchive(path), tmp_path / "out", "compensation=[simulated]")
+    found = read_predictions(tmp_path / "out" / "results" / "dots-to-grid.simulated.flow.npz")
+    errors = force_errors(found.true, found.predicted, found.label_std)
+    assert any(f"simulated by flow: R2 {errors.r2_mean:.3f}" in line for line in reported)
+    assert not (tmp_path / "out" / "compensation.json").exists()
 
 
 def test_an_unlabelled_target_is_predicted_and_rows_by_its_labels_are_left_out(

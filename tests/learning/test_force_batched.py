@@ -10,6 +10,7 @@ import pytest
 import torch
 from support.force_models import TOY, noise_presses, toy
 
+from learning.compensation import SimulatedLabels
 from learning.data.presses import Presses
 from learning.errors import LearningError
 from learning.force.batched import train_batched
@@ -42,6 +43,23 @@ def _softer(
     forces: np.ndarray[Any, Any], depth: object, phase: object
 ) -> tuple[np.ndarray[Any, Any], int]:
     return forces / 2, 0
+
+
+def test_labels_by_simulation_count_by_their_certainty_alone_and_batched() -> None:
+    presses = _shown()[:2]
+    count = presses[0].frames
+    force = np.tile([0.5, -0.5, -5.0], (count, 1))
+    force[::2] *= 0.2
+    spread = np.zeros((count, 3))
+    spread[::2] = 1e3
+    labels = SimulatedLabels(force, spread)
+    batched = train_batched(presses, SETTINGS, compensation=[labels, _softer])
+    assert batched is not None
+    alone = train_force(presses[0], SETTINGS, compensation=labels)
+    np.testing.assert_allclose(batched[0].predict(presses[0]), alone.predict(presses[0]), atol=1e-3)
+    equal = train_force(presses[0], SETTINGS, compensation=SimulatedLabels(force, 0 * spread))
+    # The smaller forces, of which nothing is known, hold the others back.
+    assert alone.predict(presses[0])[:, 2].mean() < equal.predict(presses[0])[:, 2].mean()
 
 
 @pytest.mark.parametrize(("begun", "flips"), [(False, False), (True, True)])

@@ -13,6 +13,7 @@ from learning.errors import LearningError
 from learning.evaluation.paper_figures import Beside, beside_the_paper
 from learning.evaluation.predictions import (
     CHOICES,
+    SIMULATED,
     UNSEEN,
     ForceRow,
     Predictions,
@@ -95,7 +96,7 @@ class Group:
 
     def label_fits(self) -> list[float]:
         """Return R2 of the training labels compared with the target's own, by pair."""
-        if self.labels is None:
+        if self.labels is None or self.after == SIMULATED:
             return []
         name = CHOICES.get(self.after)
         pairs = self.labels.pairs

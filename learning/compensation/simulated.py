@@ -1,0 +1,136 @@
+"""Labels by simulation: labels of one sensor, for another as far as twins of both tell.
+
+`tactile sim labels` adds a twin's forces to a sensor of an archive. A label f of the source becomes
+
+    T + g (f - S)
+
+with the forces T and S of the twins of target and source in the same press, and their ratio g: of
+Fz for Fz, of the shear's size for the shear. Fz is thus f times T / S.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from learning.compensation.search import learned_from
+from learning.errors import LearningError
+from learning.metrics import r_squared
+from recorder import MarkerArchive
+from recorder.archive import ArchivedSensor, Simulated, location_pairs
+
+Floats = NDArray[np.float64]
+
+# Limits of ratios, as of those of priors, and the forces from which they are known [N].
+RATIOS, KNOWN = (0.1, 10.0), 0.01
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimulatedLabels:
+    """Labels for the frames of a source, as if they were the target's."""
+
+    force: Floats
+    """Fx, Fy, Fz for each row of the source's table (n, 3) [N]; NaN without a press of both."""
+    spread: Floats
+    """Their standard deviation by the uncertainty of the twins (n, 3) [N]."""
+    made_from: str = ""
+    """The twins."""
+
+
+def simulated_labels(source: ArchivedSensor, target: ArchivedSensor) -> SimulatedLabels:
+    """Return the labels of a source's frames for a target, whose own labels are not read.
+
+    Frames meet at the same place and phase, and the same fraction of the phase.
+
+    Raises:
+        LearningError: A sensor has no forces of a twin.
+        SessionError: The archive is corrupt.
+    """
+    own, other = twin_forces(source), twin_forces(target)
+    shape = (len(source), 3)
+    there, off = np.full(shape, np.nan), np.full(shape, np.nan)
+    groups = _groups(target)
+    for key, (rows, fraction) in _groups(source).items():
+        if key not in groups:
+            continue
+        others, at = groups[key]
+        for axis in range(3):
+            there[rows, axis] = np.interp(fraction, at, other.force[others, axis])
+            off[rows, axis] = np.interp(fraction, at, other.spread[others, axis])
+    ratio = np.empty(shape)
+    ratio[:, 2] = _ratio(np.abs(there[:, 2]), np.abs(own.force[:, 2]), np.ones(len(source)))
+    shear = np.linalg.norm(there[:, :2], axis=1), np.linalg.norm(own.force[:, :2], axis=1)
+    ratio[:, :2] = _ratio(*shear, ratio[:, 2])[:, None]
+    force = there + ratio * (source.table["wrench"][:, :3] - own.force)
+    return SimulatedLabels(
+        force, np.hypot(off, ratio * own.spread), f"{own.made_from}; {other.made_from}"
+    )
+
+
+def simulated_r2(
+    archive: MarkerArchive, source: str, target: str, split: Path | None = None
+) -> float | None:
+    """Return R2 of simulated labels as predictions of the target's own, mean over axes.
+
+    At paired locations, of the training presses of a split or of all seen indenters. None if a
+    sensor has no forces of a twin, or the target no labels there.
+
+    Raises:
+        LearningError: The split belongs to another archive.
+        SessionError: The archive is corrupt.
+    """
+    one, other = archive[source], archive[target]
+    if one.simulated is None or other.simulated is None:
+        return None
+    pairs = location_pairs(one.table, other.table)
+    kept = learned_from(archive, one, pairs.source, split)
+    labels = simulated_labels(one, other).force[pairs.source[kept]]
+    true = other.table["wrench"][pairs.target[kept], :3]
+    fits = []
+    for axis in range(3):
+        rows = np.isfinite(labels[:, axis]) & np.isfinite(true[:, axis])
+        if rows.any():
+            fits.append(r_squared(true[rows, axis, None], labels[rows, axis, None])[0])
+    return float(np.mean(fits)) if fits and np.isfinite(fits).all() else None
+
+
+def twin_forces(sensor: ArchivedSensor) -> Simulated:
+    """Return the forces of a sensor's twin.
+
+    Raises:
+        LearningError: It has none.
+    """
+    if sensor.simulated is None:
+        raise LearningError(
+            f"{sensor.name}: found no forces of a twin; allowed: tactile sim labels ARCHIVE "
+            f"--sensor {sensor.name} --twin twin.yaml"
+        )
+    return sensor.simulated
+
+
+def _groups(sensor: ArchivedSensor) -> dict[tuple[int, int], tuple[NDArray[np.int64], Floats]]:
+    """Return rows and fraction of the phase of the frames of each location and phase."""
+    table = sensor.table
+    rows = np.flatnonzero(table["valid"] & (table["location"] >= 0))
+    location, phase = table["location"][rows], table["phase"][rows]
+    order = np.lexsort((table["frame"][rows], phase, location))
+    rows, location, phase = rows[order], location[order], phase[order]
+    ends = np.flatnonzero((np.diff(location) != 0) | (np.diff(phase) != 0)) + 1
+    return {
+        (int(location[part[0]]), int(phase[part[0]])): (
+            rows[part],
+            np.arange(1, len(part) + 1) / len(part),
+        )
+        for part in np.split(np.arange(len(rows)), ends)
+        if len(part)
+    }
+
+
+def _ratio(there: Floats, here: Floats, otherwise: Floats) -> Floats:
+    """Return limited ratios (n,) of forces; `otherwise` where the source has hardly any."""
+    known = here > KNOWN
+    found: Floats = np.clip(there / np.where(known, here, 1.0), *RATIOS)
+    return np.where(known, found, otherwise)

@@ -1,0 +1,96 @@
+"""`tactile sim labels`: forces of a sensor's twin in the presses of an archive."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from recorder.command_line.options import add_seed, whole
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Simulates every press of a sensor of an archive with the sensor's twin (tactile twin "
+        "fit), by tier layer: place, depth, direction and time are those of the archive, labels "
+        "are not read. Adds the forces, and their spread over sensors drawn from the twin's "
+        "uncertainty, to the archive. Done for two sensors, the method `simulated` of "
+        "`tactile experiment` labels the frames of one for the other by them."
+    )
+    add = parser.add_argument
+    add("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr, complete")
+    add("--sensor", required=True, metavar="NAME", help="sensor of the archive")
+    add(
+        "--twin",
+        required=True,
+        metavar="NAME",
+        help="its twin: a YAML file, or a row of sim/sensors",
+    )
+    add(
+        "--draws",
+        type=whole(0, 1000),
+        default=8,
+        metavar="N",
+        help="sensors drawn for the spread; 0: none (%(default)s)",
+    )
+    add_seed(parser)
+    add(
+        "--grid",
+        type=whole(16, 256),
+        default=64,
+        metavar="N",
+        help="pixels along the longer side (%(default)s)",
+    )
+    add("--processes", type=whole(1), default=2, metavar="N", help="processes (%(default)s)")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Simulate, add the columns, and return the exit code.
+
+    Raises:
+        SceneError: The archive or the twin cannot be used.
+        SimulationDiverged: A press has no solution.
+    """
+    from recorder import MarkerArchive, SessionError
+    from recorder.archive import write_simulated
+    from recorder.progress import Progress
+    from sim.errors import SceneError
+    from sim.sensors import read_sensor, sensor
+    from sim.twin.labels import DEEP, made_from, simulated_forces
+
+    own = options.twin.endswith((".yaml", ".yml"))
+    twin = read_sensor(Path(options.twin)) if own else sensor(options.twin)
+    told = made_from(twin, options.draws, options.seed, options.grid)
+    try:
+        archive = MarkerArchive(options.archive)
+        if options.sensor not in archive:
+            raise SceneError(f"--sensor: {options.sensor!r}; allowed: {', '.join(archive)}")
+        archived = archive[options.sensor]
+        known = archived.simulated
+        if known is not None and known.made_from == told:
+            print(f"{options.archive}: {options.sensor} has these forces already")
+            return 0
+        with Progress("labels", sys.stderr) as progress:
+            force, spread = simulated_forces(
+                archived,
+                archive.indenters,
+                twin,
+                draws=options.draws,
+                seed=options.seed,
+                grid=options.grid,
+                processes=options.processes,
+                progress=progress,
+            )
+        write_simulated(archived, force, spread, told)
+    except SessionError as error:
+        raise SceneError(str(error)) from error
+    deepest = float(archived.table["depth"].max(initial=0.0)) / twin.body.thickness
+    if deepest > DEEP:
+        print(
+            f"note: presses reach {100 * deepest:.0f} % of the thickness; from {100 * DEEP:.0f} % "
+            "on, forces of tier layer are off by 5 % and more",
+            file=sys.stderr,
+        )
+    print(f"{options.archive}: forces of {told} added to {options.sensor}")
+    return 0

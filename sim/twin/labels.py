@@ -1,0 +1,148 @@
+"""Forces of a twin in the presses of an archive."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.archive import ArchivedSensor
+from recorder.processes import Workers
+from sim.errors import SceneError
+from sim.indenters import indenter_of, is_indenter
+from sim.sensors import SimulatedSensor
+from sim.stream import LivePress
+
+Array = NDArray[np.float64]
+
+# Longest way between two solutions [m], and height from which a tip comes [m].
+WAY, ABOVE = 0.2e-3, 0.2e-3
+# Depth over thickness from which forces of tier `layer` are off by some 5 %.
+DEEP = 0.375
+# Residual of the contact.
+TOLERANCE = 5e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArchivedPress:
+    """One press of an archive: where the tip was at each of its frames."""
+
+    indenter: str
+    rows: NDArray[np.int64]
+    """Rows of the table (n,), in order of time."""
+    tip: Array
+    """Tip (n, 3) [m], z above the undeformed surface there."""
+    time: Array
+    """Time (n,) [s]."""
+
+
+def archived_presses(sensor: ArchivedSensor, indenters: Sequence[str]) -> Iterator[ArchivedPress]:
+    """Yield the presses of a sensor of an archive that have a location.
+
+    Raises:
+        SceneError: An indenter is unknown.
+        SessionError: The archive is corrupt, or still being written.
+    """
+    table = sensor.table
+    rows = np.flatnonzero(table["valid"] & (table["location"] >= 0))
+    keys = [table[name][rows].astype(np.int64) for name in ("indenter", "location", "target")]
+    order = np.lexsort((table["frame"][rows], *reversed(keys)))
+    rows, key = rows[order], np.stack(keys, axis=1)[order]
+    starts = np.flatnonzero(np.r_[True, np.any(np.diff(key, axis=0) != 0, axis=1)])
+    for part in np.split(rows, starts[1:]):
+        name = indenters[int(table["indenter"][part[0]])]
+        if not is_indenter(name):
+            raise SceneError(f"{sensor.name}: indenter {name!r}; allowed: those of sim.indenters")
+        tip = np.column_stack([table["position"][part], -table["depth"][part]])
+        yield ArchivedPress(name, part, tip, 1e-9 * (table["t_ns"][part] - table["t_ns"][part[0]]))
+
+
+def forces(
+    sensors: Sequence[SimulatedSensor], press: ArchivedPress, grid: int
+) -> NDArray[np.float64]:
+    """Return the force on each sensor at each frame of a press (k, n, 3) [N], by tier `layer`.
+
+    Raises:
+        SceneError: The tier does not support a sensor.
+        SimulationDiverged: No contact was found.
+    """
+    found = np.zeros((len(sensors), len(press.rows), 3))
+    indenter = indenter_of(press.indenter)
+    for number, sensor in enumerate(sensors):
+        live = LivePress(sensor, indenter, grid=grid, tolerance=TOLERANCE)
+        before, at = np.array([*press.tip[0, :2], ABOVE]), 0.0
+        first = (ABOVE - press.tip[0, 2]) / sensor.speed
+        for row, (tip, time) in enumerate(zip(press.tip, press.time + first, strict=True)):
+            count = max(1, int(np.ceil(np.linalg.norm(tip - before) / WAY)))
+            for part in range(1, count + 1):
+                live.move(before + (tip - before) * part / count, (time - at) / count)
+            before, at = tip, time
+            if live.touching:
+                found[number, row] = live.force
+    return found
+
+
+def simulated_forces(
+    archived: ArchivedSensor,
+    indenters: Sequence[str],
+    twin: SimulatedSensor,
+    *,
+    draws: int,
+    seed: int,
+    grid: int,
+    processes: int = 1,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> tuple[Array, Array]:
+    """Return the twin's forces at all frames (n, 3) [N], and their spread over draws (n, 3) [N].
+
+    They are NaN in frames without a location, as of force-depth presses.
+
+    Args:
+        archived: Sensor of an archive, whose presses are simulated.
+        indenters: Names of the archive's indenters, by code.
+        twin: The twin.
+        draws: Number of sensors drawn from its posterior; 0: no spread.
+        seed: Seed of the draws.
+        grid: Pixels along the body's longer side.
+        processes: Number of processes.
+        progress: Called with the fraction done.
+
+    Raises:
+        SceneError: The twin has no posterior to draw from, or an indenter is unknown.
+        SimulationDiverged: A press has no solution.
+        SessionError: The archive is corrupt, or still being written.
+    """
+    if draws and twin.posterior is None:
+        raise SceneError(
+            f"{twin.name}: no posterior; allowed: a twin (tactile twin fit), or 0 draws"
+        )
+    random = np.random.default_rng(seed)
+    sensors = [twin]
+    if twin.posterior is not None:
+        sensors += [twin.posterior.draw(twin, random) for _ in range(draws)]
+    presses = list(archived_presses(archived, indenters))
+    force, spread = (np.full((len(archived), 3), np.nan) for _ in range(2))
+    workers = Workers(processes) if processes > 1 else None
+    with workers or nullcontext():
+        if workers is None:
+            solved = (forces(sensors, press, grid) for press in presses)
+        else:
+            futures = [workers.submit(forces, sensors, press, grid) for press in presses]
+            solved = (each.result() for each in futures)
+        for done, (press, each) in enumerate(zip(presses, solved, strict=True), 1):
+            force[press.rows] = each[0]
+            spread[press.rows] = np.sqrt(
+                np.mean(np.square(each[1:] - each[0]), axis=0) if draws else 0
+            )
+            progress(done / len(presses))
+    return force, spread
+
+
+def made_from(twin: SimulatedSensor, draws: int, seed: int, grid: int) -> str:
+    """Return a line that tells forces of one twin and its settings from those of others."""
+    known = hashlib.sha256(repr(twin).encode()).hexdigest()[:16]
+    return f"twin {twin.name} {known}, draws {draws}, seed {seed}, grid {grid}"
