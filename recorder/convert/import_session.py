@@ -33,7 +33,7 @@ from recorder.convert.import_tracks import As, MissingAnswer, Numbers, Times, Tr
 from recorder.convert.import_video import Film
 from recorder.errors import SessionError
 from recorder.session.align import NS
-from recorder.session.frames import depth_in
+from recorder.session.frames import in_frame
 from recorder.session.stream_writer import StreamWriter
 from recorder.session.writer import SessionWriter
 from recorder.spec import (
@@ -494,7 +494,7 @@ def _targets(drafts: Sequence[Draft], answers: Answers) -> dict[str, Any]:
             track = _first(draft.take, "pose")
             if track is None or not isinstance(track.content, Numbers):
                 raise SessionError(f"{draft.take.name}: found no pose")
-            depths = depth_in(frame, track.content.value)
+            depths = -in_frame(frame, track.content.value)[:, 2]
             for press in draft.presses:
                 inside = _inside(track.content.t_ns, (press.start_ns, press.end_ns))
                 if inside.size:

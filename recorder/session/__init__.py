@@ -2,7 +2,7 @@
 
 from recorder.session.align import EXPOSURE, captured, linear, quaternion
 from recorder.session.clocks import clock_lines, fit_clocks
-from recorder.session.frames import surface_heights
+from recorder.session.frames import in_frame, surface_heights
 from recorder.session.loss import Account, accounts_of, loss_lines
 from recorder.session.press_curve import press_curves, save_curves
 from recorder.session.reader import Stream
@@ -21,6 +21,7 @@ __all__ = [
     "clock_lines",
     "contact_sheet",
     "fit_clocks",
+    "in_frame",
     "linear",
     "loss_lines",
     "open_tail",

@@ -119,16 +119,20 @@ def grid(anchor: int, start: int, end: int, rate_hz: float) -> Times:
     return ticks[(ticks >= start) & (ticks < end)]
 
 
-def depth_in(contact_frame: Floats, poses: Floats) -> Floats:
-    """Return the depth of each pose below the contact plane (n,) [m].
+def in_frame(frame: Floats, poses: Floats) -> Floats:
+    """Return the places of poses in a frame (n, 3) [m]; in the contact frame, depth is -z.
 
     Args:
-        contact_frame: Contact frame in the base frame (6,) [m, rad], z along the outward normal.
+        frame: Frame in the base frame (6,) [m, rad]; of the contact frame z is the outward normal.
         poses: Places, or tool poses, in the base frame (n, 3 or more) [m, rad].
     """
-    w, x, y, z = quaternion(contact_frame[3:])
-    normal = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
-    return np.asarray(-((poses[:, :3] - contact_frame[:3]) @ normal))
+    w, x, y, z = quaternion(frame[3:])
+    axes = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
+        (2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)),
+        (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return np.stack([(poses[:, :3] - frame[:3]) @ np.array(axis) for axis in axes], axis=1)
 
 
 def surface_heights(session: Session) -> Floats:
@@ -142,7 +146,7 @@ def surface_heights(session: Session) -> Floats:
     if frame is None or not isinstance(plan, dict) or plan.get("dome_radius") is None:
         return np.zeros(len(targets.get("depth", ())))
     planned = np.asarray(targets["planned"], np.float64)
-    height = np.asarray(targets["depth"]) - depth_in(np.asarray(frame, np.float64), planned)
+    height = np.asarray(targets["depth"]) + in_frame(np.asarray(frame, np.float64), planned)[:, 2]
     # Planned places went through a rotation; no surface is known to a nanometre.
     return np.asarray(height.round(9) + 0.0)
 
@@ -216,7 +220,7 @@ def _run_table(
             table[f"{column}_age"] = stream.age
     frame = session.attrs.get("contact_frame")
     if frame is not None:
-        table["depth"] = depth_in(np.asarray(frame, np.float64), table["pose"])
+        table["depth"] = -in_frame(np.asarray(frame, np.float64), table["pose"])[:, 2]
         if len(heights := surface_heights(session)):
             table["depth"] += _of_target(heights, target, 0.0)
     return table

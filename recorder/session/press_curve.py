@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from recorder.errors import SessionError
 from recorder.plot import Curve, line_plot
 from recorder.session import align
-from recorder.session.frames import surface_heights
+from recorder.session.frames import in_frame, surface_heights
 from recorder.session.reader import Session
 from recorder.spec import PHASES
 
@@ -122,9 +122,7 @@ def _samples(session: Session, row: int) -> tuple[Floats, Floats]:
     reference = np.flatnonzero(np.asarray(session.reference["run"]) == run)
     zero = float(session.reference["wrench"][reference[0]][2]) if reference.size else 0.0
     frame = np.asarray(session.attrs["contact_frame"], np.float64)
-    normal = _normal(frame[3:])
-    place = np.asarray(pose.array("value"))[poses][:, :3]
-    height = (place - frame[:3]) @ normal
+    height = in_frame(frame, np.asarray(pose.array("value"))[poses])[:, 2]
     depth = -align.linear(pose.t_ns[poses], height, times[inside]).value
     known = np.isfinite(depth)
     return depth[known], -(value[known] - zero)
@@ -141,12 +139,6 @@ def _force_and_pose(session: Session) -> tuple[str, str]:
         what = "force" if force is None else "pose"
         raise SessionError(f"{session.path}: no stream of kind {what}, so no force over depth")
     return force, pose
-
-
-def _normal(rotation: Floats) -> Floats:
-    """Return the z axis of a frame in its base (3,), from its rotation vector [rad]."""
-    w, x, y, z = align.quaternion(rotation[None])[0]
-    return np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
 
 
 def _at(grid: Floats, depth: Floats, force: Floats) -> Floats:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder import Session
+from recorder.session import in_frame
 from sim.errors import SceneError
 from trajectories import dome_height
 
@@ -96,7 +97,7 @@ def tracks_of(session: Session) -> list[Track]:
             session.path.name,
             str(session.attrs["indenter"]),
             np.asarray(1e-9 * (poses.t_ns[at] - origin), float),
-            in_frame(np.asarray(frame, float), np.asarray(poses.array("value"))[at][:, :3]),
+            in_frame(np.asarray(frame, float), np.asarray(poses.array("value"))[at]),
             np.asarray(1e-9 * (forces.t_ns[of] - origin), float),
             np.asarray(forces.array("value"), float)[of][:, :3],
             dome_radius=(session.attrs.get("plan") or {}).get("dome_radius"),
@@ -105,14 +106,6 @@ def tracks_of(session: Session) -> list[Track]:
             found.append(track)
     if not found:
         raise SceneError(f"{session.name}: the tip never went below the surface; allowed: presses")
-    return found
-
-
-def in_frame(frame: Array, places: Array) -> Array:
-    """Return places (n, 3) in a frame given as a pose (6,) in theirs [m, rad]."""
-    from scipy.spatial.transform import Rotation
-
-    found: Array = Rotation.from_rotvec(frame[3:]).inv().apply(places - frame[:3])
     return found
 
 

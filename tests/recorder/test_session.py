@@ -34,7 +34,7 @@ from recorder import (
 )
 from recorder.checks.check import check
 from recorder.findings import faults
-from recorder.session.frames import depth_in, grid, write_frames
+from recorder.session.frames import grid, in_frame, write_frames
 from recorder.store.tables import Table
 
 
@@ -460,12 +460,13 @@ def assert_reads_like_ours(read: Any, recorded: Path, portable: Path) -> None:
     np.testing.assert_array_equal(read(portable / "streams/camera/value"), pixels)
 
 
-def test_the_contact_frame_gives_depth_its_sign() -> None:
+def test_places_in_a_contact_frame_are_along_its_axes() -> None:
     frame = np.array([*CONTACT_FRAME[:3], np.pi, 0, 0])  # z points down
     above = np.array([[*CONTACT_FRAME[:2], CONTACT_FRAME[2] - 0.001, 0, 0, 0]])
-    assert depth_in(frame, above)[0] == pytest.approx(-0.001)
+    assert in_frame(frame, above)[0] == pytest.approx([0, 0, 0.001])
     tilted = np.array([0, 0, 0, 0, np.pi / 2, 0])  # z points along x
-    assert depth_in(tilted, np.array([[-0.002, 5, 7, 0, 0, 0]]))[0] == pytest.approx(0.002)
+    there = in_frame(tilted, np.array([[-0.002, 5, 7, 0, 0, 0]]))[0]
+    assert there == pytest.approx([-7, 5, -0.002])
 
 
 def test_a_session_and_a_stream_say_what_they_are(tmp_path: Path) -> None:

@@ -48,8 +48,8 @@ def test_forces_of_a_twin_are_those_of_its_presses(
     rows = sensor.table["location"] >= 0
     np.testing.assert_allclose(found.force[rows], 2 * true[rows], atol=0.06 * size)
     assert np.isnan(found.force[~rows]).all()
-    share = found.spread[rows, 2].max() / np.abs(found.force[rows, 2]).max()
-    assert 0.01 < share < 0.15
+    part = found.spread[rows, 2].max() / np.abs(found.force[rows, 2]).max()
+    assert 0.01 < part < 0.15
     assert list(check_archive(opened.files, archive)) == []
     capsys.readouterr()
     assert labels(archive, twin, "--draws", "3") == 0
