@@ -3,8 +3,8 @@
     python -m benchmarks twin --planted 6
 
 Each skin differs from the row that the fit begins with, and is pressed on a bench with errors of
-its own, by a finer grid than the fit's. Forces under a torus, which the fit does not get, are held
-out. In simulation, by tier `layer` on both sides.
+its own, by a finer grid than the fit's, or by tier `fem` (`--truth fem`), while fits are by tier
+`layer`. Forces under a torus, which the fit does not get, are held out. In simulation.
 """
 
 from __future__ import annotations
@@ -12,10 +12,11 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Sequence
+from typing import get_args
 
 import numpy as np
 
-from benchmarks.sim.twin.planted import Bench, observed, random_skin, relaxation
+from benchmarks.sim.twin.planted import Bench, Truth, observed, random_skin, relaxation
 from recorder.command_line.options import add_seed, names, positive, whole
 from sim.cli.twin_plan import CHANGE
 from sim.indenters import NAMES
@@ -48,6 +49,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=positive,
         metavar="MIN",
         help="presses that `tactile twin plan` chooses for this time, in place of --indenters",
+    )
+    parser.add_argument(
+        "--truth",
+        choices=get_args(Truth),
+        default="layer",
+        help="tier of the true forces; by fem, skins are neo-Hookean (%(default)s)",
     )
     parser.add_argument(
         "--grid", type=whole(16, 256), default=64, metavar="N", help="of the fit (%(default)s)"
@@ -92,13 +99,16 @@ def one(
     random = np.random.default_rng([options.seed, number])
     skin, bench = random_skin(random, options.sensor)
     tracks = [
-        observed(skin, each, bench, 100 * number + index) for index, each in enumerate(pressed)
+        observed(skin, each, bench, 100 * number + index, truth=options.truth)
+        for index, each in enumerate(pressed)
     ]
     began = time.perf_counter()
     fit = fitted(tracks, sensor(options.sensor), grid=options.grid)
     seconds = time.perf_counter() - began
     true = quantities(skin)
-    still = observed(skin, usual(HELD_OUT, options.sensor), Bench(noise=0.0), number)
+    still = observed(
+        skin, usual(HELD_OUT, options.sensor), Bench(noise=0.0), number, truth=options.truth
+    )
     model = Model(fit.design, [still], grid=options.grid)
     readings = model.readings({name: fit.values[name] for name in true})
     branches = range(1, 1 + sum(name.startswith("ratio") for name in true))

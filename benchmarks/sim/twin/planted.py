@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.fem import FOR_EDGES, Fem
 from sim.indenters import named
+from sim.scene import Motion
 from sim.sensors import SimulatedSensor, sensor
 from sim.sensors.posterior import with_quantities
+from sim.simulate import simulate
 from sim.stream import LivePress
 from sim.twin import Track, track_of
 from sim.twin.plan import Presses
@@ -22,6 +25,11 @@ Array = NDArray[np.float64]
 RATE, SOLVED = 200.0, 50.0
 # Solutions of one hold.
 HELD = 24
+# Tiers of true forces; by `fem` the rate of solutions and those of one hold are a quarter.
+Truth = Literal["layer", "fem"]
+FEWER = 4
+# Mesh of these, as in archives.
+FEM = Fem(spacing=0.8e-3, grading=FOR_EDGES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,9 +55,10 @@ def observed(
     seed: int,
     *,
     grid: int = 96,
+    truth: Truth = "layer",
 ) -> Track:
-    """Return the track that a bench would record of a skin, by tier `layer`."""
-    time, tip, force = recorded(skin, presses, bench, seed, grid=grid)
+    """Return the track that a bench would record of a skin."""
+    time, tip, force = recorded(skin, presses, bench, seed, grid=grid, truth=truth)
     track = track_of(presses.indenter, presses.indenter, time, tip, time, force)
     assert track is not None
     return track
@@ -62,17 +71,23 @@ def recorded(
     seed: int,
     *,
     grid: int = 96,
+    truth: Truth = "layer",
 ) -> tuple[Array, Array, Array]:
-    """Return times (n,) [s], tips (n, 3) [m] and forces (n, 3) [N] that a bench would record."""
+    """Return times (n,) [s], tips (n, 3) [m] and forces (n, 3) [N] that a bench would record.
+
+    The tip yields by the forces of tier `layer`, also where forces are those of `fem`.
+    """
     corners, tips = presses.path()
+    fewer = FEWER if truth == "fem" else 1
     press = LivePress(skin, named(presses.indenter), grid=grid, tolerance=2e-3)
     times: list[float] = [0.0]
     force: list[Any] = [np.zeros(3)]
+    places = [tips[0] - np.array([0.0, 0.0, bench.height])]
     yielded = 0.0
     for leg in range(1, len(corners)):
         start, stop = corners[leg - 1], corners[leg]
         held = not np.any(tips[leg] != tips[leg - 1])
-        count = HELD if held else max(2, round((stop - start) * SOLVED))
+        count = HELD // fewer if held else max(2, round((stop - start) * SOLVED / fewer))
         fractions = np.arange(1, count + 1) / count
         for fraction in np.square(fractions) if held else fractions:
             place = tips[leg - 1] + fraction * (tips[leg] - tips[leg - 1])
@@ -80,8 +95,12 @@ def recorded(
             now = start + fraction * (stop - start)
             press.move(place, now - times[-1])
             times.append(now)
+            places.append(place)
             force.append(press.force if press.touching else np.zeros(3))
             yielded = -bench.compliance * force[-1][2]
+    if truth == "fem":
+        motion = Motion(tuple(tuple(place.tolist()) for place in places), tuple(times))
+        force = list(simulate(skin.scene(named(presses.indenter), motion), FEM).wrench[:, :3])
     random = np.random.default_rng(seed)
     time = np.arange(0.0, corners[-1], 1 / RATE)
     late = np.stack(
