@@ -19,6 +19,7 @@ import numpy as np
 from benchmarks.sim.twin.planted import Bench, Truth, observed, random_skin, relaxation
 from recorder.command_line.options import add_seed, names, positive, whole
 from sim.cli.twin_plan import CHANGE
+from sim.errors import SimulationDiverged
 from sim.indenters import NAMES
 from sim.sensors import sensor
 from sim.sensors.posterior import quantities
@@ -64,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Fit, print one line for each skin, then medians and coverage, and return the exit code."""
+    """Fit, print one line for each skin, then medians and coverage; return 1 if none was solved."""
     print(f"{'skin':<6}" + "".join(f"{name:>12}" for name in COLUMNS) + f"{'misfit':>10}{'s':>8}")
     errors, inside = [], []
     pressed = [usual(name, options.sensor) for name in options.indenters]
@@ -76,10 +77,16 @@ def run(options: argparse.Namespace) -> int:
         for each in pressed:
             print(each, flush=True)
     for number in range(options.planted):
-        row, covered, text = one(number, pressed, options)
+        try:
+            row, covered, text = one(number, pressed, options)
+        except SimulationDiverged as error:
+            print(f"{number:<6}  no solution, left out: {error}", flush=True)
+            continue
         errors.append(row)
         inside += covered
         print(text, flush=True)
+    if not errors:
+        return 1
     median = np.median(errors, axis=0)
     print(f"{'median':<6}" + "".join(f"{100 * each:>10.1f} %" for each in median))
     print(f"{100 * np.mean(inside):.0f} % of {len(inside)} true values lie in their 90 % intervals")
