@@ -30,6 +30,8 @@ SLOW: dict[str, list[pytest.MarkDecorator]] = {
     "corner-below-the-base": [pytest.mark.slow, pytest.mark.timeout(180)],
     "corner-is-not-symmetric": [pytest.mark.slow],
     "deep-cone-leaves-the-axis": [pytest.mark.slow],
+    "first-touch-is-nothing": [pytest.mark.slow],
+    "leaves-the-skin": [pytest.mark.slow],
     "press-at-the-corner": [pytest.mark.slow],
 }
 
