@@ -5,14 +5,15 @@ from __future__ import annotations
 import itertools
 import os
 import socket
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from support.drivers import collect, opening, running
 
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError, DeviceLost
@@ -78,36 +79,19 @@ class FaultyMjpeg(MjpegEmulator):
         return tuple(part for frame in frames for part in super(FaultyMjpeg, self).parts(frame))
 
 
-@contextmanager
 def emulated(
     host: str, source: FrameSource, fault: Fault | None = None, world: Any = None
-) -> Iterator[FaultyMjpeg]:
+) -> AbstractContextManager[FaultyMjpeg]:
     device = CameraConfig("http://loopback:8090/", rate_hz=100.0)
     emulator = FaultyMjpeg(MjpegEmulatorConfig(device, host=host), source, world, CLOCK)
     emulator.fault = fault
-    emulator.start()
-    try:
-        yield emulator
-    finally:
-        emulator.close()
+    return running(emulator)
 
 
-@contextmanager
-def opened(host: str, **options: Any) -> Iterator[OpenCvDriver]:
+def opened(host: str, **options: Any) -> AbstractContextManager[OpenCvDriver]:
     config = CameraConfig(f"http://{host}:8090/", **({"silence": 20.0} | options))
     driver = OpenCvDriver(config, CLOCK)
-    driver.open(5.0)
-    try:
-        yield driver
-    finally:
-        driver.close()
-
-
-def collect(driver: OpenCvDriver, count: int) -> list[dict[str, Any]]:
-    samples: list[dict[str, Any]] = []
-    while len(samples) < count:
-        samples += driver.read(1.0)
-    return samples
+    return opening(driver)
 
 
 def test_the_cameras_own_bytes_arrive_unchanged(host: str) -> None:

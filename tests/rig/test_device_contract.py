@@ -21,6 +21,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from support.drivers import collect
 
 from rig.core.clock import SystemClock
 from rig.core.driver import Driver, Inbox, Receiver
@@ -313,13 +314,6 @@ def process_of(kind: Kind, host: str, images: Path) -> Iterator[subprocess.Popen
         finally:
             process.kill()
             link_of(host).unlink(missing_ok=True)
-
-
-def collect(driver: Driver, count: int) -> list[dict[str, Any]]:
-    samples: list[dict[str, Any]] = []
-    while len(samples) < count:
-        samples += driver.read(1.0)
-    return samples
 
 
 def read_until_lost(driver: Driver) -> str:

@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.drivers import FixedWorld, collect
 
 from rig.core import emulation
 from rig.core.clock import FakeClock, SystemClock
 from rig.core.emulation import FaultPort
 from rig.core.errors import DeviceLost
 from rig.core.fault_injection import FAULTS, FaultInjector, corrupted_bytes, corrupted_text
-from rig.core.samples import WORLD_STATE
 from rig.devices.arm import emulator_faults
 from rig.devices.arm.emulated_arm import POSTURE, flange_pose
 from rig.devices.arm.emulated_controller import Controller
@@ -207,27 +207,20 @@ def _three_lines(connection: socket.socket) -> list[bytes]:
     return received.splitlines()
 
 
-class FixedWorld:
-    """A constant state, with taxels arranged as on a pad."""
-
-    def __init__(self) -> None:
-        self.record: Any = np.zeros(1, WORLD_STATE)[0]
-        self.record["wrench"] = (1.0, -2.0, -3.5, 0.01, -0.02, 0.03)
-        self.record["taxels"] = 34000.0 + np.arange(48).reshape(16, 3)
-
-    def state(self) -> tuple[int, np.void]:
-        return 1, self.record
+def _fixed_world() -> FixedWorld:
+    taxels = 34000.0 + np.arange(48).reshape(16, 3)
+    return FixedWorld(wrench=(1.0, -2.0, -3.5, 0.01, -0.02, 0.03), taxels=taxels)
 
 
 def _netft(host: str) -> tuple[Any, Any, Callable[..., Any]]:
-    emulator = NetFtEmulator(NetFtEmulatorConfig(host=host), FixedWorld(), CLOCK)
+    emulator = NetFtEmulator(NetFtEmulatorConfig(host=host), _fixed_world(), CLOCK)
     driver = NetFtDriver(NetFtConfig(host, 8080, silence=0.3), CLOCK)
     return emulator, driver, emulator.faults.inject
 
 
 def _xela(host: str) -> tuple[Any, Any, Callable[..., Any]]:
     settings = XelaEmulatorConfig(XelaConfig(rate_hz=200.0), host=host)
-    emulator = XelaEmulator(settings, FixedWorld(), CLOCK)
+    emulator = XelaEmulator(settings, _fixed_world(), CLOCK)
     driver = XelaDriver(XelaConfig(f"ws://{host}:5000", silence=0.3), CLOCK)
     return emulator, driver, emulator.faults.inject
 
@@ -265,13 +258,6 @@ def streaming(device: str, host: str) -> Iterator[tuple[Any, Callable[..., Any]]
     finally:
         driver.close()
         emulator.close()
-
-
-def collect(driver: Any, count: int) -> list[dict[str, Any]]:
-    samples: list[dict[str, Any]] = []
-    while len(samples) < count:
-        samples += driver.read(1.0)
-    return samples
 
 
 def until_lost(driver: Any) -> list[dict[str, Any]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +14,10 @@ import pytest
 import serial
 from hypothesis import given
 from hypothesis import strategies as st
+from support.drivers import FixedWorld, collect, opening, running
 
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError, DeviceLost
-from rig.core.samples import WORLD_STATE
 from rig.devices.force.ati_serial import AtiSerialDriver
 from rig.devices.force.ati_serial_emulator import AtiSerialEmulator, AtiSerialEmulatorConfig
 from rig.devices.force.ati_serial_wire import BinaryFramer, SerialRecord, TextFramer, emit, parse
@@ -33,17 +33,6 @@ RECORDS = st.builds(
 )
 
 Fault = Callable[[int, bytes], Iterable[bytes]]
-
-
-class FixedWorld:
-    """A constant wrench, until a test changes it."""
-
-    def __init__(self) -> None:
-        self.record: Any = np.zeros(1, WORLD_STATE)[0]
-        self.record["wrench"] = WRENCH
-
-    def state(self) -> tuple[int, np.void]:
-        return 1, self.record
 
 
 class FaultyAtiSerial(AtiSerialEmulator):
@@ -66,34 +55,19 @@ def where_the_port_is(tmp_path: Path) -> Path:
     return tmp_path / "force"
 
 
-@contextmanager
-def emulated(link: Path, noise: float = 0.0, rate_hz: float = 200.0) -> Iterator[FaultyAtiSerial]:
+def emulated(
+    link: Path, noise: float = 0.0, rate_hz: float = 200.0
+) -> AbstractContextManager[FaultyAtiSerial]:
     device = AtiSerialConfig(1280.0, 256.0, str(link), rate_hz=rate_hz)
     config = AtiSerialEmulatorConfig(device=device, noise=noise)
-    emulator = FaultyAtiSerial(config, FixedWorld(), CLOCK)
-    emulator.start()
-    try:
-        yield emulator
-    finally:
-        emulator.close()
+    emulator = FaultyAtiSerial(config, FixedWorld(wrench=WRENCH), CLOCK)
+    return running(emulator)
 
 
-@contextmanager
-def opened(link: Path, **options: Any) -> Iterator[AtiSerialDriver]:
+def opened(link: Path, **options: Any) -> AbstractContextManager[AtiSerialDriver]:
     options = {"rate_hz": 80.0, "silence": 20.0, **options}
     driver = AtiSerialDriver(AtiSerialConfig(1280.0, 256.0, str(link), **options), CLOCK)
-    driver.open(5.0)
-    try:
-        yield driver
-    finally:
-        driver.close()
-
-
-def collect(driver: AtiSerialDriver, count: int) -> list[dict[str, Any]]:
-    samples: list[dict[str, Any]] = []
-    while len(samples) < count:
-        samples += driver.read(1.0)
-    return samples
+    return opening(driver)
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -271,7 +245,7 @@ def test_something_else_on_the_port_is_device_lost(link: Path) -> None:
                 return b""
 
     device = AtiSerialConfig(1280.0, 256.0, str(link))
-    emulator = Echo(AtiSerialEmulatorConfig(device=device), FixedWorld(), CLOCK)
+    emulator = Echo(AtiSerialEmulatorConfig(device=device), FixedWorld(wrench=WRENCH), CLOCK)
     emulator.start()
     try:
         driver = AtiSerialDriver(AtiSerialConfig(1280.0, 256.0, str(link)), CLOCK)

@@ -9,16 +9,16 @@ import socket
 import struct
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from support.drivers import FixedWorld, collect, opening, running
 
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError, DeviceLost
-from rig.core.samples import WORLD_STATE
 from rig.devices.force.netft import NetFtDriver
 from rig.devices.force.netft_emulator import NetFtEmulator, NetFtEmulatorConfig
 from rig.devices.force.netft_wire import Page
@@ -36,17 +36,6 @@ def own_loopback_address() -> str:
     return f"127.{1 + os.getpid() % 250}.20.{1 + next(_numbers) % 250}"
 
 
-class FixedWorld:
-    """A constant wrench."""
-
-    def __init__(self, wrench: tuple[float, ...] = WRENCH) -> None:
-        self.record: Any = np.zeros(1, WORLD_STATE)[0]
-        self.record["wrench"] = wrench
-
-    def state(self) -> tuple[int, np.void]:
-        return 1, self.record
-
-
 class FaultyNetFt(NetFtEmulator):
     """Emulator that passes each packet and its sequence number to `fault`."""
 
@@ -62,32 +51,19 @@ class FaultyNetFt(NetFtEmulator):
             super().set_rate(rate_hz)
 
 
-@contextmanager
-def emulated(host: str, page: Page | None = None, **options: Any) -> Iterator[FaultyNetFt]:
+def emulated(
+    host: str, page: Page | None = None, **options: Any
+) -> AbstractContextManager[FaultyNetFt]:
     config = NetFtEmulatorConfig(host=host, page=page or Page(), **options)
-    emulator = FaultyNetFt(config, FixedWorld(), CLOCK)
-    emulator.start()
-    try:
-        yield emulator
-    finally:
-        emulator.close()
+    emulator = FaultyNetFt(config, FixedWorld(wrench=WRENCH), CLOCK)
+    return running(emulator)
 
 
-@contextmanager
-def opened(host: str, rate_hz: float = 1000.0, silence: float = 20.0) -> Iterator[NetFtDriver]:
+def opened(
+    host: str, rate_hz: float = 1000.0, silence: float = 20.0
+) -> AbstractContextManager[NetFtDriver]:
     driver = NetFtDriver(NetFtConfig(host, 8080, rate_hz=rate_hz, silence=silence), CLOCK)
-    driver.open(5.0)
-    try:
-        yield driver
-    finally:
-        driver.close()
-
-
-def collect(driver: NetFtDriver, count: int) -> list[dict[str, Any]]:
-    samples: list[dict[str, Any]] = []
-    while len(samples) < count:
-        samples += driver.read(1.0)
-    return samples
+    return opening(driver)
 
 
 @pytest.mark.parametrize(

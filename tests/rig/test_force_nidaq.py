@@ -6,8 +6,8 @@ import itertools
 import os
 import sys
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 import pytest
 from support.cal_files import emit_calibration
+from support.drivers import FixedWorld, collect, opening, running
 
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.packaged import BENCHES
-from rig.core.samples import WORLD_STATE
 from rig.devices.force import nidaq_task
 from rig.devices.force.calibration import read_calibration
 from rig.devices.force.nidaq import NidaqDriver
@@ -41,17 +41,6 @@ def own_loopback_address() -> str:
     return f"127.{1 + os.getpid() % 250}.30.{1 + next(_numbers) % 250}"
 
 
-class FixedWorld:
-    """A constant wrench."""
-
-    def __init__(self, wrench: tuple[float, ...] = WRENCH) -> None:
-        self.record: Any = np.zeros(1, WORLD_STATE)[0]
-        self.record["wrench"] = wrench
-
-    def state(self) -> tuple[int, np.void]:
-        return 1, self.record
-
-
 class FaultyNidaq(NidaqEmulator):
     """Emulator that passes the converted samples to `fault`."""
 
@@ -61,35 +50,18 @@ class FaultyNidaq(NidaqEmulator):
         return volts if self.fault is None else self.fault(volts)
 
 
-@contextmanager
 def emulated(
     host: str, wrench: tuple[float, ...] = WRENCH, **options: Any
-) -> Iterator[FaultyNidaq]:
+) -> AbstractContextManager[FaultyNidaq]:
     config = NidaqEmulatorConfig(NidaqConfig(str(CALIBRATION)), host=host, **options)
-    emulator = FaultyNidaq(config, FixedWorld(wrench), CLOCK)
-    emulator.start()
-    try:
-        yield emulator
-    finally:
-        emulator.close()
+    emulator = FaultyNidaq(config, FixedWorld(wrench=wrench), CLOCK)
+    return running(emulator)
 
 
-@contextmanager
-def opened(host: str, **options: Any) -> Iterator[NidaqDriver]:
+def opened(host: str, **options: Any) -> AbstractContextManager[NidaqDriver]:
     options = {"grpc": f"{host}:{PORT}", "silence": 20.0, **options}
     driver = NidaqDriver(NidaqConfig(str(CALIBRATION), **options), CLOCK)
-    driver.open(5.0)
-    try:
-        yield driver
-    finally:
-        driver.close()
-
-
-def collect(driver: NidaqDriver, count: int) -> list[dict[str, Any]]:
-    samples: list[dict[str, Any]] = []
-    while len(samples) < count:
-        samples += driver.read(1.0)
-    return samples
+    return opening(driver)
 
 
 def rejected(host: str, **options: Any) -> str:
@@ -288,7 +260,7 @@ def test_a_setting_that_reads_back_otherwise_is_refused(
     host: str, setting: str, value: float, message: str
 ) -> None:
     config = NidaqEmulatorConfig(NidaqConfig(str(CALIBRATION)), host=host)
-    emulator = CoercingNidaq(config, FixedWorld(), CLOCK)
+    emulator = CoercingNidaq(config, FixedWorld(wrench=WRENCH), CLOCK)
     setattr(emulator, setting, value)
     emulator.start()
     try:

@@ -6,8 +6,8 @@ import itertools
 import json
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.drivers import FixedWorld, collect, opening, running
 
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError, DeviceLost
-from rig.core.samples import WORLD_STATE
 from rig.devices.taxels.settings import XelaConfig
 from rig.devices.taxels.xela import XelaDriver
 from rig.devices.taxels.xela_emulator import XelaEmulator, XelaEmulatorConfig, emit, load_log
@@ -35,17 +35,6 @@ def own_loopback_address() -> str:
     return f"127.{1 + os.getpid() % 250}.30.{1 + next(_numbers) % 250}"
 
 
-class FixedWorld:
-    """Constant taxels."""
-
-    def __init__(self) -> None:
-        self.record: Any = np.zeros(1, WORLD_STATE)[0]
-        self.record["taxels"] = 48000.4 + np.arange(48).reshape(16, 3)
-
-    def state(self) -> tuple[int, np.void]:
-        return 1, self.record
-
-
 class FaultyXela(XelaEmulator):
     """Emulator that passes each message and its count to `fault`."""
 
@@ -56,36 +45,23 @@ class FaultyXela(XelaEmulator):
         return (message,) if self.fault is None else self.fault(number, message)
 
 
-@contextmanager
 def emulated(
     host: str, fault: Fault | None = None, source: Any = None, **options: Any
-) -> Iterator[FaultyXela]:
+) -> AbstractContextManager[FaultyXela]:
     config = XelaEmulatorConfig(XelaConfig(rate_hz=200.0), host=host, **options)
-    emulator = FaultyXela(config, FixedWorld() if source is None else source, CLOCK)
+    emulator = FaultyXela(
+        config,
+        FixedWorld(taxels=48000.4 + np.arange(48).reshape(16, 3)) if source is None else source,
+        CLOCK,
+    )
     emulator.fault = fault
-    emulator.start()
-    try:
-        yield emulator
-    finally:
-        emulator.close()
+    return running(emulator)
 
 
-@contextmanager
-def opened(host: str, timeout: float = 5.0, **options: Any) -> Iterator[XelaDriver]:
+def opened(host: str, timeout: float = 5.0, **options: Any) -> AbstractContextManager[XelaDriver]:
     config = XelaConfig(f"ws://{host}:5000", **({"silence": 20.0} | options))
     driver = XelaDriver(config, CLOCK)
-    driver.open(timeout)
-    try:
-        yield driver
-    finally:
-        driver.close()
-
-
-def collect(driver: XelaDriver, count: int) -> list[dict[str, Any]]:
-    samples: list[dict[str, Any]] = []
-    while len(samples) < count:
-        samples += driver.read(1.0)
-    return samples
+    return opening(driver, timeout)
 
 
 @given(
