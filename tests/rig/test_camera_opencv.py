@@ -32,14 +32,8 @@ from rig.devices.camera.v4l2 import V4l2Driver
 
 CLOCK = SystemClock()
 RNG = np.random.default_rng(0)
-_numbers = itertools.count()
 
 Fault = Callable[[int, bytes], Iterable[bytes]]
-
-
-@pytest.fixture(name="host")
-def own_loopback_address() -> str:
-    return f"127.{1 + os.getpid() % 250}.40.{1 + next(_numbers) % 250}"
 
 
 def encoded(value: int, width: int = 640, height: int = 480) -> bytes:

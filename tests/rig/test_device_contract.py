@@ -48,12 +48,6 @@ from rig.devices.taxels.xela_emulator import XelaEmulator, XelaEmulatorConfig
 CLOCK = SystemClock()
 CALIBRATION = BENCHES / "mock-nano17.cal"
 OPEN_TIMEOUT = 5.0
-_numbers = itertools.count()
-
-
-@pytest.fixture(name="host")
-def own_loopback_address() -> str:
-    return f"127.{1 + os.getpid() % 250}.10.{1 + next(_numbers) % 250}"
 
 
 @pytest.fixture(name="images", scope="session")

@@ -4,7 +4,6 @@ real drivers."""
 from __future__ import annotations
 
 import itertools
-import os
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -35,12 +34,6 @@ from rig.devices.taxels.xela import XelaDriver
 from rig.devices.taxels.xela_emulator import XelaEmulator, XelaEmulatorConfig
 
 CLOCK = SystemClock()
-_numbers = itertools.count()
-
-
-@pytest.fixture(name="host")
-def own_loopback_address() -> str:
-    return f"127.{1 + os.getpid() % 250}.90.{1 + next(_numbers) % 250}"
 
 
 @pytest.fixture(name="clock")

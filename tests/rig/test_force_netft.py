@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import os
 import socket
 import struct
 import threading
@@ -26,14 +25,8 @@ from rig.devices.force.settings import NetFtConfig
 
 CLOCK = SystemClock()
 WRENCH = (1.0, -2.0, -3.5, 0.01, -0.02, 0.03)
-_numbers = itertools.count()
 
 Fault = Callable[[int, bytes], Iterable[bytes]]
-
-
-@pytest.fixture(name="host")
-def own_loopback_address() -> str:
-    return f"127.{1 + os.getpid() % 250}.20.{1 + next(_numbers) % 250}"
 
 
 class FaultyNetFt(NetFtEmulator):

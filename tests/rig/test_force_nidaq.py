@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 import sys
 import threading
 from collections.abc import Callable
@@ -31,14 +30,8 @@ CLOCK = SystemClock()
 PORT = 31763
 CALIBRATION = BENCHES / "mock-nano17.cal"
 WRENCH = (1.0, -2.0, -3.5, 0.01, -0.02, 0.03)
-_numbers = itertools.count()
 
 Fault = Callable[[np.ndarray], np.ndarray]
-
-
-@pytest.fixture(name="host")
-def own_loopback_address() -> str:
-    return f"127.{1 + os.getpid() % 250}.30.{1 + next(_numbers) % 250}"
 
 
 class FaultyNidaq(NidaqEmulator):

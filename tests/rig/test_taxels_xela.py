@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import json
 import math
-import os
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -25,14 +24,8 @@ from rig.devices.taxels.xela_emulator import XelaEmulator, XelaEmulatorConfig, e
 from rig.devices.taxels.xela_wire import parse
 
 CLOCK = SystemClock()
-_numbers = itertools.count()
 
 Fault = Callable[[int, str], Iterable[str]]
-
-
-@pytest.fixture(name="host")
-def own_loopback_address() -> str:
-    return f"127.{1 + os.getpid() % 250}.30.{1 + next(_numbers) % 250}"
 
 
 class FaultyXela(XelaEmulator):
