@@ -26,11 +26,17 @@ class WorkerLost(CommandError, RuntimeError):
     label = "cannot continue"
 
 
+def cores() -> int:
+    """Return the number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 class Workers:
     """Context manager for a pool of worker processes.
 
     Processes are spawned when there is work, not forked, because torch's threads, Warp and GPU
-    contexts do not survive a fork. They end with this process, however it ends. Workers never see
+    contexts do not survive a fork. Each has as many threads as its part of the cores, unless
+    `OMP_NUM_THREADS` is set. They end with this process, however it ends. Workers never see
     Ctrl-C: an error or Ctrl-C that leaves the block stops them at once. `patient` workers do see
     Ctrl-C, and finish their current calls before the block is left.
     """
@@ -53,6 +59,7 @@ class Workers:
             fewer: Suggested remedy if a worker was killed for lack of memory.
         """
         self._context, self._patient, self._fewer = _Spawning(), patient, fewer
+        self._threads = str(max(1, cores() // processes))
         self._executor = ProcessPoolExecutor(processes, self._context, _begin, (begin, arguments))
         self.done = "0 calls"
         """Progress such as `3 of 9 scenes`, printed when a process is lost."""
@@ -61,7 +68,8 @@ class Workers:
         self, call: Callable[Given, Answer], *args: Given.args, **kwargs: Given.kwargs
     ) -> Future[Answer]:
         """Schedule a call on the next free process."""
-        with contextlib.nullcontext() if self._patient else _interrupts_kept_off():
+        kept_off = contextlib.nullcontext() if self._patient else _interrupts_kept_off()
+        with _threads_of_processes(self._threads), kept_off:
             return self._executor.submit(call, *args, **kwargs)
 
     def __enter__(self) -> Self:
@@ -109,6 +117,19 @@ class _Spawning(SpawnContext):
         process = SpawnProcess(*args, **kwargs)
         self.started.append(process)
         return process
+
+
+@contextlib.contextmanager
+def _threads_of_processes(number: str) -> Iterator[None]:
+    """Set the number of threads of processes started inside, unless the environment has one."""
+    if "OMP_NUM_THREADS" in os.environ:
+        yield
+        return
+    os.environ["OMP_NUM_THREADS"] = number
+    try:
+        yield
+    finally:
+        del os.environ["OMP_NUM_THREADS"]
 
 
 @contextlib.contextmanager

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, replace
@@ -40,6 +39,7 @@ from learning.transfer.few_labels import error_curve, gains_of_labels, read_labe
 from learning.transfer.pairs import join_pair, split_pair
 from learning.transfer.tune import tune_by_place
 from recorder import MarkerArchive
+from recorder.processes import cores
 from recorder.store import replace_file
 
 Say = Callable[[str], None]
@@ -135,7 +135,7 @@ def run_transfer(asked: Request, say: Say = print) -> Card:
         settings,
         pairs=[f"{source}:{target}"],
         device=asked.device,
-        processes=os.cpu_count() or 1,
+        processes=cores(),
         say=say,
     )
 

@@ -35,7 +35,13 @@ STDOUT = 1
 
 
 def main(argv: Sequence[str] | None = None, package: str = "") -> int:
-    """Run one command of `tactile`, or of `python -m PACKAGE`, and return the exit code."""
+    """Run one command of `tactile`, or of `python -m PACKAGE`, and return the exit code.
+
+    Threads of torch and the like that wait for each other sleep instead of spinning, unless
+    `OMP_WAIT_POLICY` is set: where cores are shared with others, spinning takes the cores that the
+    awaited threads need.
+    """
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     words = list(sys.argv[1:] if argv is None else argv)
     known = commands_of(package)
     for count in (2, 1):

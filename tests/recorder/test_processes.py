@@ -8,6 +8,7 @@ import time
 
 import pytest
 
+from recorder.command_line.run import main
 from recorder.processes import WorkerLost, Workers
 
 
@@ -43,3 +44,26 @@ def test_patient_processes_end_what_they_are_at_when_another_call_failed(patient
 def test_every_process_begins_as_it_was_told():
     with Workers(1, os.chdir, "/") as workers:
         assert workers.submit(os.getcwd).result() == "/"
+
+
+def test_processes_divide_the_cores_unless_the_environment_has_a_number(monkeypatch):
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    monkeypatch.setattr("recorder.processes.cores", lambda: 7)
+    with Workers(2) as workers:
+        assert workers.submit(os.getenv, "OMP_NUM_THREADS").result() == "3"
+    assert "OMP_NUM_THREADS" not in os.environ
+    monkeypatch.setenv("OMP_NUM_THREADS", "5")
+    with Workers(2) as workers:
+        assert workers.submit(os.getenv, "OMP_NUM_THREADS").result() == "5"
+
+
+@pytest.mark.parametrize(("given", "found"), [(None, "PASSIVE"), ("ACTIVE", "ACTIVE")])
+def test_threads_of_a_command_wait_without_spinning_unless_told(given, found, monkeypatch):
+    monkeypatch.delenv("OMP_WAIT_POLICY", raising=False)
+    if given:
+        monkeypatch.setenv("OMP_WAIT_POLICY", given)
+    assert main(["--version"]) == 0
+    assert os.environ["OMP_WAIT_POLICY"] == found
+    # `main` has set it outside of monkeypatch's record.
+    monkeypatch.setenv("OMP_WAIT_POLICY", found)
+    monkeypatch.delenv("OMP_WAIT_POLICY")
