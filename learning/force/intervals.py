@@ -24,18 +24,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from learning.errors import LearningError
+from learning.force.learned import Learned
 from recorder.store import replace_file
 
 Floats = NDArray[np.float64]
 
 FILE = "intervals.json"
-FORMAT, FORMAT_VERSION = "tactile-rig intervals", 1
+FORMAT, FORMAT_VERSION = "tactile-rig intervals", 2
 # Fraction of the true forces that intervals shall contain.
 COVERAGE = 0.9
 # Quantile of the normal distribution at either end of such an interval.
 _NORMAL = 1.6449
-# Largest motion of a frame that counts as learned, over that of the frames learned from.
-_MOTION = 1.05
 # Fewest errors to calibrate from: below, no quantile of 90 % exists.
 FEWEST = 10
 # Fewest indenters whose errors have a quantile of 90 %; with fewer, indenters are assumed to differ
@@ -84,8 +83,8 @@ class Intervals:
     scale: Scale
     largest: tuple[float | None, float | None, float | None]
     """Largest absolute force learned from, of Fx, Fy, Fz [N]."""
-    motion_px: float
-    """Largest mean motion of the markers' edges in the target's frames learned from [px]."""
+    learned: Learned
+    """Shapes of the target's frames learned from."""
     frames: int
     """Number of frames calibrated from."""
     indenters: tuple[str, ...]
@@ -113,16 +112,16 @@ class Intervals:
         high = forces + np.where(negative, inward, outward)
         return low, high
 
-    def is_outside(self, forces: Floats, motion_px: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
+    def is_outside(self, forces: Floats, shapes: Floats) -> NDArray[np.bool_]:
         """Return True for frames (n,) outside of what the model learned from.
 
         Args:
             forces: Predicted forces (n, 3) [N].
-            motion_px: Mean motion of the markers' edges (n,) [px of 640 x 480].
+            shapes: Shapes of the frames (n, 7), of `shapes_of`.
         """
         largest = np.array([np.inf if one is None else one for one in self.largest])
         beyond = (np.abs(np.asarray(forces).reshape(-1, 3)) > largest).any(axis=1)
-        return np.asarray(beyond | (np.asarray(motion_px) > _MOTION * self.motion_px), np.bool_)
+        return np.asarray(beyond | self.learned.is_far(shapes), np.bool_)
 
     def rescaled(self, value: float | Sequence[float], scale: Scale) -> Intervals:
         """Return the intervals of a model whose forces are multiplied by a value, or one an axis.
@@ -150,7 +149,7 @@ class Intervals:
             "format": FORMAT,
             "format_version": FORMAT_VERSION,
             "coverage": COVERAGE,
-            "units": "base and largest N; slope 1; motion_px px of the 640 x 480 image",
+            "units": "base and largest N; slope 1; learned 1",
             **asdict(self),
         }
         replace_file(folder / FILE, (json.dumps(content, indent=1) + "\n").encode())
@@ -170,7 +169,8 @@ def read_intervals(folder: Path) -> Intervals | None:
         found = content["format"], content["format_version"], content["coverage"]
         if found != (FORMAT, FORMAT_VERSION, COVERAGE):
             raise LearningError(
-                f"{path}: found format {found}; allowed: {(FORMAT, FORMAT_VERSION, COVERAGE)}"
+                f"{path}: found format {found}; allowed: {(FORMAT, FORMAT_VERSION, COVERAGE)}; "
+                "repeating the `tactile transfer` that made it writes it again"
             )
         axes = [None if one is None else AxisError(**one) for one in content["axes"]]
         x, y, z = content["largest"]
@@ -178,13 +178,23 @@ def read_intervals(folder: Path) -> Intervals | None:
             axes=(axes[0], axes[1], axes[2]),
             scale=Scale(**content["scale"]),
             largest=(x, y, z),
-            motion_px=float(content["motion_px"]),
+            learned=_read_learned(content["learned"]),
             frames=int(content["frames"]),
             indenters=tuple(content["indenters"]),
             errors_from=str(content["errors_from"]),
         )
+    except LearningError:
+        raise
     except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError, ValueError) as error:
         raise LearningError(f"{path}: damaged: {error!r}") from None
+
+
+def _read_learned(content: dict[str, Any]) -> Learned:
+    return Learned(
+        units=tuple(map(tuple, content["units"])),
+        shapes=tuple(map(tuple, content["shapes"])),
+        limit=float(content["limit"]),
+    )
 
 
 # Calibration: from errors on unseen indenters to half-widths.

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from learning.data.images import shrink
 from learning.errors import LearningError
 from learning.force.intervals import Intervals, read_intervals
+from learning.force.learned import edge_length, shapes_of
 from learning.force.stream import ForceStream, open_exported
 from learning.markers.displacement import MAP_SIDE, FieldReader
 from learning.markers.frames import one_thread, taxel_masks
@@ -195,7 +196,7 @@ class Contact:
             self.reference = np.full_like(no_contact[0], SHADING_ZERO)
         else:
             self.reference = np.asarray(2 * no_contact.sum(axis=0) > len(no_contact), np.bool_)
-        self._edge = 0 if self._is_shading else _edge_length(self.reference)
+        self._edge = 0 if self._is_shading else edge_length(self.reference)
         if not (self._edge or self._is_shading):
             raise LearningError("frames without contact: found no markers; allowed: another preset")
         noise = max(self.moved(mask) for mask in no_contact)
@@ -224,28 +225,6 @@ class Contact:
         self.motion_px = self.moved(mask)
         self._still = 0 if self.motion_px > self.threshold_px else self._still + 1
         return self._still < self._rule.frames
-
-
-def motion_of(masks: NDArray[np.bool_], reference: Mask) -> NDArray[np.float64]:
-    """Return the mean motion of markers' edges in masks (n, 480, 640), as `Contact` measures it.
-
-    Args:
-        masks: Frames (n, 480, 640).
-        reference: The mask without contact (480, 640).
-
-    Returns:
-        Motions (n,) [px]; NaN for a reference without markers.
-    """
-    edge = _edge_length(reference)
-    changed = np.count_nonzero(masks != reference, axis=(1, 2))
-    return changed / edge if edge else np.full(len(masks), np.nan)
-
-
-def _edge_length(mask: Mask) -> int:
-    """Return the number of sides between marker pixels and background pixels."""
-    across = np.count_nonzero(mask[:, 1:] != mask[:, :-1])
-    down = np.count_nonzero(mask[1:] != mask[:-1])
-    return int(across + down)
 
 
 Frame = NDArray[Any]
@@ -389,7 +368,9 @@ class LivePredictor:
             predicted = np.array(forces[:1])
             low, high = self.intervals.of(predicted)
             interval = _triple(low[0]), _triple(high[0])
-            outside = bool(self.intervals.is_outside(predicted, np.array([motion]))[0])
+            if mask.dtype == np.bool_:
+                shape = shapes_of(mask[None], self._contact.reference)
+                outside = bool(self.intervals.is_outside(predicted, shape)[0])
         before = forces[1] if self.has_before else None
         return LiveForce(forces[0], contact, motion, interval, outside, before)
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from learning.data.presses import Presses, load_presses
 from learning.errors import LearningError
 from learning.force.intervals import FEWEST, AxisError, Intervals, Scale, fit_errors
-from learning.force.live import motion_of
+from learning.force.learned import SHAPE, fit_learned, shapes_of
 from learning.force.model import ForceModel
 from learning.force.train import Compensation
 from learning.transfer.pairs import labels_by_place
@@ -84,13 +84,15 @@ def calibrate(
             f"{', '.join(indenters)}: {len(used)} frames of {target}, fewer than {FEWEST} of which "
             f"match a label of {source} on any axis; allowed: more places that both were pressed at"
         )
-    learned = (its["location"] >= 0) & its["valid"] & its["seen"]
+    learned = (its["location"] >= 0) & its["valid"] & its["seen"] & ~calibrates
     known = np.isfinite(wanted[used]).any(axis=1)
     intervals = Intervals(
         axes=_three(axes),
         scale=scale,
         largest=_largest(_source_labels(archive, source, compensation)),
-        motion_px=float(motions(archive[target], np.flatnonzero(learned)).max()),
+        learned=fit_learned(
+            shapes(archive[target], np.flatnonzero(learned)), shapes(archive[target], used)
+        ),
         frames=int(known.sum()),
         indenters=indenters,
         errors_from=f"{source}'s labels at the same place, scaled between the skins",
@@ -121,13 +123,13 @@ def _source_labels(
     return labels
 
 
-def motions(sensor: ArchivedSensor, rows: NDArray[np.int64]) -> Floats:
-    """Return the mean motion of the markers' edges in frames (n,) [px].
+def shapes(sensor: ArchivedSensor, rows: NDArray[np.int64]) -> Floats:
+    """Return the shapes of frames (n, 7), as `shapes_of` does.
 
     Raises:
         SessionError: The archive is corrupt.
     """
-    found = np.zeros(len(rows))
+    found = np.zeros((len(rows), SHAPE))
     references = sensor.table["reference"]
     for first in range(0, len(rows), _AT_ONCE):
         part = rows[first : first + _AT_ONCE]
@@ -135,7 +137,7 @@ def motions(sensor: ArchivedSensor, rows: NDArray[np.int64]) -> Floats:
         for number in np.unique(references[part]).tolist():
             own = references[part] == number
             (reference,) = unpack(sensor.references[number : number + 1])
-            found[first : first + len(part)][own] = motion_of(masks[own], reference)
+            found[first : first + len(part)][own] = shapes_of(masks[own], reference)
     return found
 
 

@@ -21,7 +21,7 @@ from learning.metrics import (
     force_errors,
     spread_and_range,
 )
-from learning.transfer.calibrate import motions, presses_of_rows
+from learning.transfer.calibrate import presses_of_rows, shapes
 from learning.transfer.deliver import read_card
 
 Floats = NDArray[np.float64]
@@ -78,8 +78,8 @@ class NewFrames:
     """Predicted forces (n, 3) [N]."""
     true: Floats
     """Labels (n, 3) [N]."""
-    motion_px: Floats
-    """Mean motion of the markers' edges (n,) [px]."""
+    shapes: Floats
+    """Shapes of the frames (n, 7)."""
     indenters: tuple[str, ...]
     intervals: Intervals
     """Intervals of the model."""
@@ -112,7 +112,7 @@ def new_frames(model_folder: Path, truth: Chosen) -> NewFrames:
     return NewFrames(
         model.predict(presses),
         np.asarray(sensor.table["wrench"][rows, :3], np.float64),
-        motions(sensor, rows),
+        shapes(sensor, rows),
         tuple(np.unique(names[rows]).tolist()),
         intervals,
     )
@@ -126,14 +126,14 @@ def score(model_folder: Path, truth: Chosen) -> Score:
         SessionError: The archive is corrupt.
     """
     new = new_frames(model_folder, truth)
-    return score_of(new.predicted, new.true, new.intervals, new.motion_px, new.indenters)
+    return score_of(new.predicted, new.true, new.intervals, new.shapes, new.indenters)
 
 
 def score_of(
     predicted: Floats,
     true: Floats,
     intervals: Intervals,
-    motion_px: Floats,
+    shapes: Floats,
     indenters: tuple[str, ...],
 ) -> Score:
     """Return errors and coverage of predicted forces (n, 3) [N].
@@ -146,7 +146,7 @@ def score_of(
     low, high = intervals.of(predicted)
     known = np.isfinite(true) & np.isfinite(low)
     inside = (low <= true) & (true <= high)
-    outside = intervals.is_outside(predicted, motion_px)
+    outside = intervals.is_outside(predicted, shapes)
     return Score(
         errors=force_errors(true, predicted, spread_and_range(true)[0]),
         covered=_shares(inside, known),

@@ -25,6 +25,7 @@ from learning.force.intervals import (
     measured_scale,
     read_intervals,
 )
+from learning.force.learned import Learned
 from learning.transfer.few_labels import Labels, error_curve, gains_of_labels, read_labels
 from learning.transfer.pairs import join_pair, labels_by_place, split_pair
 from learning.transfer.score import score_of
@@ -33,11 +34,13 @@ from recorder import MarkerArchive
 
 ASSUMED = Scale(2.0, "assumed", assumed=True)
 KNOWN = Scale(1.0, "known", assumed=False)
+# Shapes up to a distance of 4 are inside.
+LEARNED = Learned(tuple(map(tuple, np.eye(7).tolist())), ((0.0,) * 7,), 4.0)
 INTERVALS = Intervals(
     axes=(AxisError(0.1, 0.0), None, AxisError(0.2, 0.1)),
     scale=KNOWN,
     largest=(1.0, None, 10.0),
-    motion_px=4.0,
+    learned=LEARNED,
     frames=100,
     indenters=("cone",),
     errors_from="made up",
@@ -51,6 +54,11 @@ SMALL = (
 
 def chosen(archive: MarkerArchive, name: str) -> Chosen:
     return Chosen(archive, name, name)
+
+
+def shapes(*distances: float) -> np.ndarray:
+    """Return shapes at some distances from the mean."""
+    return np.outer(distances, np.eye(7)[0])
 
 
 def test_ninety_percent_of_new_errors_are_within_intervals_fitted_to_old_ones() -> None:
@@ -121,7 +129,7 @@ def test_an_interval_contains_the_model_s_error_and_all_assumed_scales(tmp_path:
     assert high[1, 2] - low[1, 2] == pytest.approx(2 * (0.2 + 0.1 * 0.5))
     assert np.isnan([low[0, 1], high[0, 1]]).all()
     outside = INTERVALS.is_outside(
-        np.array([[0, 9, -9], [0, 0, -11], [1.5, 0, 0], [0, 0, 0]]), np.array([1, 1, 1, 4.3])
+        np.array([[0, 9, -9], [0, 0, -11], [1.5, 0, 0], [0, 0, 0]]), shapes(1, 1, 1, 4.3)
     )
     assert outside.tolist() == [False, True, True, True]
     twice = INTERVALS.rescaled(2.0, ASSUMED)
@@ -293,7 +301,7 @@ def test_labels_of_five_presses_give_each_measured_axis_its_own_factor() -> None
 def test_unmeasured_axes_are_neither_scored_nor_covered() -> None:
     predicted = np.array([[0.5, 0.3, -4.0], [0.1, 0.2, -1.0], [0.0, 0.0, -2.0]])
     true = np.array([[np.nan, np.nan, -4.1], [np.nan, 0.0, -9.0], [np.nan, 0.1, np.nan]])
-    found = score_of(predicted, true, INTERVALS, np.array([1.0, 1.0, 9.0]), ("cone",))
+    found = score_of(predicted, true, INTERVALS, shapes(1, 1, 9), ("cone",))
     assert found.covered[2] == 0.5
     assert np.isnan(found.covered[:2]).all()
     assert found.coverage == 0.5

@@ -125,11 +125,11 @@ def skin_of(
 ) -> Skin:
     """Return the scores on a skin whose true forces are `scaled` times the demo's."""
     true = scaled * frames.true
-    without = score_of(frames.predicted, true, frames.intervals, frames.motion_px, frames.indenters)
+    without = score_of(frames.predicted, true, frames.intervals, frames.shapes, frames.indenters)
     row = int(np.argmin(np.abs(scaled * presses.true - weight)))
     known, predicted = scaled * float(presses.true[row]), float(presses.predicted[row])
     value, intervals = weighed(frames.intervals, known, predicted)
-    found = score_of(value * frames.predicted, true, intervals, frames.motion_px, frames.indenters)
+    found = score_of(value * frames.predicted, true, intervals, frames.shapes, frames.indenters)
     return Skin(ratio, without, found, intervals.scale.factor)
 
 
