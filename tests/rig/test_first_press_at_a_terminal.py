@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import os
 import pty
+import re
 import select
 import sys
 import time
 from pathlib import Path
 
-import pytest
-
 ROOT = Path(__file__).parents[2]
-# Steps that a recorder would press; each asks on the terminal before the next.
+# First presses, one after the other; each step asks on the terminal before the next.
 STEPS = """
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -33,21 +33,24 @@ def record(name, plan, settings, after_target):
         print(f"pressed {index}", flush=True)
         after_target(SimpleNamespace(index=index), session)
 
-try:
-    press_in_steps(bench, Calibration(), 1e-3, record, confirm)
-    print("all pressed")
-except Interrupted as error:
-    print(f"stopped: {error}")
+for press in range(int(sys.argv[1])):
+    print(f"press {press}")
+    try:
+        press_in_steps(bench, Calibration(), 1e-3, record, confirm)
+        print("all pressed")
+    except Interrupted as error:
+        print(f"stopped: {error}")
 """
 
 
-def at_a_terminal(answers: list[str]) -> str:
-    """Answer each question of the first press in turn; return what the terminal showed."""
+def at_a_terminal(presses: list[list[str]]) -> list[str]:
+    """Answer the questions of first presses in turn; return what the terminal showed of each."""
+    answers = [answer for press in presses for answer in press]
     process, terminal = pty.fork()
     if process == 0:
         os.chdir(ROOT)
         os.environ["PYTHONPATH"] = str(ROOT)
-        os.execv(sys.executable, [sys.executable, "-c", STEPS])
+        os.execv(sys.executable, [sys.executable, "-c", STEPS, str(len(presses))])
     shown, left, end = "", list(answers), time.monotonic() + 120
     while time.monotonic() < end:
         if not select.select([terminal], [], [], 1.0)[0]:
@@ -63,20 +66,17 @@ def at_a_terminal(answers: list[str]) -> str:
             os.write(terminal, left.pop(0).encode())
     os.close(terminal)
     os.waitpid(process, 0)
-    return shown
+    return re.split(r"press \d\r\n", shown)[1:]
 
 
-@pytest.mark.parametrize("answer", ["q\n", " \n", "\x03", "\x04"], ids=["q", "space", "^C", "^D"])
-def test_an_answer_other_than_enter_stops_before_the_next_step(answer: str) -> None:
-    shown = at_a_terminal(["\n", answer])
-    assert "first press, air" in shown
-    assert "next: " in shown
-    assert "pressed 1" in shown
-    assert "pressed 2" not in shown
-    assert "stopped: the answer was not Enter" in shown
-
-
-def test_enter_goes_through_all_steps() -> None:
-    shown = at_a_terminal(["\n"] * 12)
-    assert "all pressed" in shown
-    assert shown.count("next: ") == shown.count("pressed ") - 1
+def test_only_enter_leads_to_the_next_step() -> None:
+    others = ["q\n", " \n", "\x03", "\x04"]
+    *stopped, whole = at_a_terminal([*(["\n", other] for other in others), ["\n"] * 12])
+    for other, shown in zip(others, stopped, strict=True):
+        assert "first press, air" in shown, other
+        assert "next: " in shown, other
+        assert "pressed 1" in shown, other
+        assert "pressed 2" not in shown, other
+        assert "stopped: the answer was not Enter" in shown, other
+    assert "all pressed" in whole
+    assert whole.count("next: ") == whole.count("pressed ") - 1
