@@ -109,6 +109,7 @@ def test_rows_and_floors_come_back_from_their_file(tmp_path):
         read(tmp_path / "other.jsonl")
 
 
+@pytest.mark.slow
 def test_the_page_names_the_cheapest_within_each_error(tmp_path):
     rows = (
         row(ladder="layer", label="", error=0.05, wall=0.01),

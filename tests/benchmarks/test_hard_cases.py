@@ -37,7 +37,13 @@ def test_quick_cases_pass(name: str) -> None:
     assert run_case(name, "cpu", None).failures == []
 
 
-@pytest.mark.parametrize("mistake", DETECTING_CASES)
+@pytest.mark.parametrize(
+    "mistake",
+    [
+        pytest.param(name, marks=pytest.mark.slow if "friction" in name else ())
+        for name in DETECTING_CASES
+    ],
+)
 def test_a_planted_mistake_is_caught_by_a_case_that_passes_without_it(mistake: str) -> None:
     name = DETECTING_CASES[mistake][0]
     assert run_case(name, "cpu", None).failures == []
@@ -117,6 +123,7 @@ def test_nodal_contact_has_its_points_on_the_corners() -> None:
     assert weight.sum() == 4.0
 
 
+@pytest.mark.slow
 def test_a_mistake_is_planted_in_worker_processes_that_report_in_the_order_of_the_cases(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

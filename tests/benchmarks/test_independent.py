@@ -67,6 +67,7 @@ def test_a_plane_presses_a_sliding_disc_uniaxially() -> None:
     assert found.balance < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("case", "force"),
     [

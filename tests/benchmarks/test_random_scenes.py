@@ -210,6 +210,7 @@ def test_scene_17_of_seed_0_is_what_it_was(tmp_path: Path) -> None:
     assert one.scene.motion.tip[1:3] == ((0.0, 0.0, -0.000584), (0.00146, 0.0, -0.000584))
 
 
+@pytest.mark.slow
 def test_what_is_drawn_is_a_scene_or_says_why_not_and_small_enough(tmp_path: Path) -> None:
     some = [drawn(1, index, tmp_path) for index in range(40)]
     for one in some:
@@ -228,6 +229,7 @@ def test_what_is_drawn_is_a_scene_or_says_why_not_and_small_enough(tmp_path: Pat
 # Twins, bounds and footprints.
 
 
+@pytest.mark.slow
 def test_twins_are_mirrored_in_geometry_too() -> None:
     scene = Scene(shapes.named("triangle").tilted(0.1, 0.2), press([0.5 * MM], at=(1 * MM, 2 * MM)))
     places = np.random.default_rng(0).uniform(-4 * MM, 4 * MM, (200, 3)) + np.array([0, 0, 4 * MM])

@@ -126,6 +126,7 @@ def test_frames_that_were_not_sealed_are_read_without_repair_and_after_it(
     assert found == {"left": [0, 1, 2, 3, 4], "error": "", "repaired": [0, 1, 2, 3, 4]}
 
 
+@pytest.mark.slow
 def test_a_real_kill_loses_at_most_one_frame_of_ours(tmp_path: Path) -> None:
     one = entry("ours-jpeg")
     found = store_benchmark.kill(sys.executable, one, tmp_path, 0)
@@ -168,6 +169,7 @@ def test_a_measuring_process_that_fails_gives_its_last_words(tmp_path: Path) -> 
 # Streams at their rates
 
 
+@pytest.mark.slow
 def test_feeds_are_recorded_whole_at_their_rates(tmp_path: Path) -> None:
     feeds = [Feed("camera", 60.0, "jpeg"), Feed("force", 1000.0), Feed("taxels", 60.0)]
     fed = record(feeds, 0.5, tmp_path / "load")

@@ -48,6 +48,7 @@ def with_found(each: SimulatedSensor, lines: list[Line]) -> SimulatedSensor:
     )
 
 
+@pytest.mark.slow
 def test_what_was_fitted_is_found_again_and_keeps_force_and_loss() -> None:
     sensors = {name: sensor(name) for name in FORCES}
     first = fitted(sensors)

@@ -189,6 +189,7 @@ def exact() -> list[Result | SimulationDiverged]:
     return simulate_many(SCENES, NUMERICS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [step.name for step in STEPS if step.where != "cpu"])
 def test_without_a_step_the_answer_is_the_same_and_the_next_run_has_it_again(
     name: str, exact: list[Result | SimulationDiverged]
@@ -245,6 +246,7 @@ def plan_of(folder: Path, parts: tuple[str, ...], *, again: bool = False) -> Spe
     )
 
 
+@pytest.mark.slow
 def test_what_is_measured_is_kept_and_not_measured_twice(tmp_path: Path) -> None:
     ready_device("cpu")
     reported: list[str] = []
@@ -350,6 +352,7 @@ def test_the_page_says_what_was_measured_and_what_was_not(tmp_path: Path) -> Non
     assert "54 presses with elements 0.33 mm high, tight, 90 s on Two Cores" in text
 
 
+@pytest.mark.slow
 def test_a_cpu_that_was_measured_with_float16_keeps_its_row_and_its_bound(tmp_path: Path) -> None:
     records = made_up(tmp_path / "speed")
     records[0].put(Run("steps", READ_HALF, 4, 21.0, against=20.0, newton=410, cg=9500))

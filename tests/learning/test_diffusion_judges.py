@@ -39,6 +39,7 @@ def test_loss_is_the_sum_over_levels_of_mean_cross_entropies() -> None:
         assert float(found) == pytest.approx(expected, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_judgements_are_a_raster_of_each_block_and_a_number() -> None:
     features = ClipFeatures(tiny_pretrained().clip)
     heads = DiscriminatorHeads(CLIP["hidden_size"], CLIP["projection_dim"], width=5)

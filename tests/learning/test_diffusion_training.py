@@ -66,6 +66,7 @@ def test_presets_are_what_paper_supplement_and_code_say() -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_resumed_run_is_the_same_run_bit_for_bit(tmp_path: Path) -> None:
     settings = replace(tiny_settings(), accumulation=2, steps=2, batch=1)
     states, logs = [], []

@@ -124,6 +124,7 @@ def test_pieces_side_by_side_give_what_they_give_one_after_the_other(
     assert np.array_equal(alone.predicted, batched.predicted)
 
 
+@pytest.mark.slow
 def test_models_trained_together_say_what_those_trained_alone_say(
     archive: MarkerArchive,
     done: tuple[Path, list[str]],

@@ -134,6 +134,7 @@ def test_a_runtime_that_is_missing_is_a_line_with_its_reason(
         open_exported(exported, runtime="openvino")
 
 
+@pytest.mark.slow
 def test_an_exported_model_of_fz_alone_gives_no_force_on_other_axes(
     model: ForceModel, tmp_path: Path
 ) -> None:

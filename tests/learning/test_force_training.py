@@ -303,6 +303,7 @@ def test_only_presses_of_the_same_sensor_are_superposed() -> None:
     assert any(joined for _, joined in added)
 
 
+@pytest.mark.slow
 def test_superposed_fields_let_a_model_predict_forces_beyond_its_training() -> None:
     weak = noise_presses(6, form="field")
     shade = -weak.wrench[:, 2] / 10

@@ -60,7 +60,7 @@ def iou(one: Any, other: Any) -> float:
     return float((one & other).sum() / (one | other).sum())
 
 
-@pytest.mark.parametrize("bright", [False, True])
+@pytest.mark.parametrize("bright", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_fitted_preset_finds_painted_markers_and_finds_them_again_under_a_contact(
     bright: bool,
 ) -> None:
@@ -76,6 +76,7 @@ def test_a_fitted_preset_finds_painted_markers_and_finds_them_again_under_a_cont
     assert (found.under_found, found.elsewhere_found) == (found.under, found.elsewhere)
 
 
+@pytest.mark.slow
 def test_shading_and_noise_without_markers_are_refused() -> None:
     pictures = [painted(1, markers=False, pressed=pressed)[0] for pressed in (False, True)]
     for picture in pictures:

@@ -97,6 +97,7 @@ def test_markers_in_dark_streaks_are_found_again_and_a_removed_one_is_not() -> N
     assert found(places[order[1:]], again) == len(places) - 1
 
 
+@pytest.mark.slow
 def test_a_picture_without_contact_and_one_whose_markers_are_seen_are_as_without() -> None:
     no_contact, _ = painted(4)
     preset, _ = fit_preset([no_contact])

@@ -145,6 +145,7 @@ def test_boxes_around_rough_centres_come_back_as_whole_markers(
     assert len(set(sam.identity.values())) == 2
 
 
+@pytest.mark.slow
 def test_an_archive_is_refined_and_keeps_to_its_weights(tmp_path: Path) -> None:
     encoder, decoder = tmp_path / "encoder.onnx", tmp_path / "decoder.onnx"
     sam = EfficientSam(small_encoder(encoder), small_decoder(decoder))

@@ -51,7 +51,7 @@ def test_a_leap_of_three_quarters_of_a_pitch_is_followed_by_their_neighbours() -
     np.testing.assert_array_equal(track.found, np.arange(len(reference)))
 
 
-@pytest.mark.parametrize("missed", [0.0, 0.05])
+@pytest.mark.parametrize("missed", [pytest.param(0.0, marks=pytest.mark.slow), 0.05])
 @pytest.mark.parametrize("kind", ["all alike", "sheared", "pressed"])
 def test_no_identity_is_wrong_after_leaps_of_half_a_pitch_there_and_back(
     kind: str, missed: float

@@ -71,6 +71,7 @@ def split(archive: MarkerArchive) -> Split:
     return make_split(archive, validation=0.3, new_press=0, held_out_sensors=("grid",))
 
 
+@pytest.mark.slow
 def test_images_that_are_learned_by_heart_are_given_back(images: torch.Tensor) -> None:
     settings = replace(TINY, steps=40, batch=8, orientation=False, validate_every=40)
     before = validate(new_autoencoder(settings), images, 8)

@@ -55,6 +55,7 @@ def aligned(archive: MarkerArchive, split: Split) -> AlignedImages:
     return coarse(align(archive, split, "train"))
 
 
+@pytest.mark.slow
 def test_a_batch_that_is_learned_by_heart_is_translated_better_than_by_the_reference(
     aligned: AlignedImages,
 ) -> None:

@@ -792,7 +792,7 @@ def test_a_file_that_the_remaining_manifest_contradicts_is_not_sealed_again(
         reseal(path)
 
 
-@pytest.mark.parametrize("act", [recover, reseal])
+@pytest.mark.parametrize("act", [pytest.param(recover, marks=pytest.mark.slow), reseal])
 def test_a_complete_session_stays_complete_if_its_repair_is_killed_at_any_point(
     act: Callable[[Path], Any], tmp_path: Path
 ) -> None:

@@ -99,6 +99,7 @@ def test_ones_own_yaml_has_precedence_and_its_keys_are_checked(tmp_path: Path) -
             find_indenter("cone", folder=tmp_path)
 
 
+@pytest.mark.slow
 def test_the_simulated_world_presses_with_ones_own_solid(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -72,6 +72,7 @@ def test_55_ms_come_back_within_a_millisecond_over_20_seeds(rate_hz: float) -> N
     assert covered >= 16
 
 
+@pytest.mark.slow
 def test_a_gel_that_relaxes_makes_the_force_early_and_the_indentation_takes_it_out() -> None:
     raw, corrected = [], []
     for seed in range(8):

@@ -128,6 +128,7 @@ def test_a_part_of_the_indenters_sensors_and_patterns_has_the_rows_of_the_whole(
                 np.testing.assert_array_equal(few.table[column][mine], whole.table[column][theirs])
 
 
+@pytest.mark.slow
 def test_patterns_of_one_gel_share_its_field(tmp_path: Path) -> None:
     plan = DatasetPlan(
         "states", (gel(("Array4", "Diamond4")),), indenters=("sphere",), solving=LAYER
@@ -144,6 +145,7 @@ def test_patterns_of_one_gel_share_its_field(tmp_path: Path) -> None:
     np.testing.assert_allclose(one.table["depth"][40:], 1e-3 * np.array([0.3, 0.6, 0.9, 1.2, 1.5]))
 
 
+@pytest.mark.slow
 def test_a_sensor_in_use_has_a_reference_for_every_contact_point(tmp_path: Path) -> None:
     make(tmp_path / "lived.markers.zarr", LIVED)
     each = MarkerArchive(tmp_path / "lived.markers.zarr")["array-i"]

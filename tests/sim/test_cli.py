@@ -57,6 +57,7 @@ def test_a_press_tells_the_force_at_the_depths_it_was_asked_for(
     assert list(Path().iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_round_body_is_said_and_softer_than_the_square_around_it(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -305,6 +306,7 @@ COMMANDS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", COMMANDS)
 def test_the_commands_of_the_documentation_run(
     command: str, capsys: pytest.CaptureFixture[str]
@@ -325,6 +327,7 @@ def test_the_commands_of_the_tutorial_are_understood() -> None:
         assert indenter_of(parser.parse_args(words)).parts
 
 
+@pytest.mark.slow
 def test_the_python_of_the_documentation_runs() -> None:
     names: dict[str, object] = {}
     source = "\n".join(_blocks("python"))

@@ -186,7 +186,10 @@ def _difference(name: str, fraction: float) -> float:
     return float(np.linalg.norm(result.wrench[-1, :3] - _plain().wrench[-1, :3]))
 
 
-@pytest.mark.parametrize("name", EFFECTS)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=() if name == "friction" else pytest.mark.slow) for name in EFFECTS],
+)
 def test_a_weak_effect_changes_the_force_in_proportion_to_its_parameter(name: str) -> None:
     fraction = WEAK[name]
     whole, half, tenth = (_difference(name, fraction * part) for part in (1.0, 0.5, 0.1))

@@ -161,6 +161,7 @@ def test_float32_is_given_up_when_a_halved_step_fails_too() -> None:
         simulate(SCENE, replace(numerics, precision="float32"))
 
 
+@pytest.mark.slow
 def test_float64_goes_on_from_the_last_state_that_float32_has_accepted(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

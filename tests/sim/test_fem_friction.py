@@ -66,6 +66,7 @@ def test_more_friction_holds_the_surface_more() -> None:
     assert slides[0] > slides[1] > slides[2] > slides[3]
 
 
+@pytest.mark.slow
 def test_what_friction_takes_is_told_the_same_by_few_and_by_many_steps() -> None:
     fine = Fem(spacing=4e-3 / 3, step_travel=4e-3 / 200, path_tolerance=1e-3)
     few, many = (

@@ -58,6 +58,7 @@ def test_a_sphere_over_the_corner_has_a_finer_meshs_force() -> None:
     assert result.record["error"]["percent"] < 10
 
 
+@pytest.mark.slow
 def test_a_plate_on_all_of_a_skin_that_keeps_its_volume_has_a_finer_meshs_force() -> None:
     """It ends at the body's rim, and the skin below flows outwards: both need elements."""
     body = Body(size_x=12e-3, size_y=12e-3, poisson=0.49)

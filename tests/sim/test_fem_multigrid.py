@@ -174,6 +174,7 @@ def test_each_grid_keeps_at_most_half_of_the_nodes_until_it_is_as_wide_as_the_bo
     assert grid_counts(np.linspace(-9, 9, 10), np.linspace(-9, 9, 10)) == []
 
 
+@pytest.mark.slow
 def test_a_blade_takes_a_fifth_of_the_iterations_of_columns_alone(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -91,6 +91,7 @@ def test_gravity_sags_a_wide_layer_by_the_closed_form() -> None:
     assert result.quality.balance[0] < 1e-4, "the base carries the weight"
 
 
+@pytest.mark.slow
 def test_a_body_let_go_swings_at_the_frequency_of_its_thickness() -> None:
     """Pressed uniformly, then released: the middle oscillates before waves from the sides arrive.
 

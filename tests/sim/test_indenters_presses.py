@@ -48,7 +48,7 @@ def test_layer_presses_a_body_from_a_file_like_the_exact_one(block: Indenter) ->
 @pytest.mark.parametrize(
     ("drawn", "declared"),
     [
-        (0.0, 0.3e-3),
+        pytest.param(0.0, 0.3e-3, marks=pytest.mark.slow),
         (0.3, 0.0),
         pytest.param(0.3, 0.3e-3, marks=pytest.mark.slow),
         pytest.param(0.0, 0.15e-3, marks=pytest.mark.slow),
@@ -88,6 +88,7 @@ def test_a_result_can_be_read_without_the_file_that_it_was_made_with(
     np.testing.assert_array_equal(kept.surface, result.surface)
 
 
+@pytest.mark.slow
 def test_the_command_line_presses_a_file_that_leans(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

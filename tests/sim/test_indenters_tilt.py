@@ -175,6 +175,7 @@ def test_a_tilt_is_from_upright_and_small_ones_change_little() -> None:
     assert np.abs(little - gap).max() < 3e-6
 
 
+@pytest.mark.slow
 def test_a_tilted_body_from_a_file_stands_like_the_exact_one(tmp_path: Path) -> None:
     path = files.write_binary(tmp_path / "block.stl", files.block(3, 4, 5))
     found = from_stl(path, edge_radius=0.4e-3, spacing=0.15e-3, reach=2.5e-3).tilted(*TILT)

@@ -151,6 +151,7 @@ def test_shear_turned_by_a_right_angle_turns_everything() -> None:
     )
 
 
+@pytest.mark.slow
 def test_long_moves_are_cut_until_friction_no_longer_depends_on_them() -> None:
     coarse, fine = _loop(0.8, steps=1, grid=96), _loop(0.8, steps=24, grid=96)
     assert coarse.quality.steps.max() > 4

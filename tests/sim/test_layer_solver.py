@@ -124,6 +124,7 @@ def test_a_flat_tip_just_touching_bears_nothing() -> None:
     np.testing.assert_array_equal(result.force[[0, 2]], 0)
 
 
+@pytest.mark.slow
 def test_the_bench_prints_error_and_rate_of_one_grid(capsys: pytest.CaptureFixture[str]) -> None:
     run_module(layer, "--grid", "32", "--repeats", "1")
     message = capsys.readouterr().out

@@ -22,7 +22,9 @@ def truth() -> np.ndarray:
     return fine + (fine - coarse) / 3
 
 
-@pytest.mark.parametrize("tier", [Fem(spacing=0.8e-3), Fem(), Layer()])
+@pytest.mark.parametrize(
+    "tier", [Fem(spacing=0.8e-3), pytest.param(Fem(), marks=pytest.mark.slow), Layer()]
+)
 def test_an_error_bar_covers_the_error(truth: np.ndarray, tier: Fem | Layer) -> None:
     result = simulate(BALL, Measured(tier))
     error = result.record["error"]

@@ -145,6 +145,7 @@ def test_under_its_weight_a_column_sags_by_the_closed_form() -> None:
     np.testing.assert_allclose(result.force, 0.0)
 
 
+@pytest.mark.slow
 def test_with_inertia_a_fast_press_is_met_by_the_bodys_mass() -> None:
     # Before a wave returns from the base, the pressure on a plane is density * c * v.
     body = replace(SMALL, poisson=0.0)
@@ -158,6 +159,7 @@ def test_with_inertia_a_fast_press_is_met_by_the_bodys_mass() -> None:
     assert np.isnan(result.quality.balance).all()
 
 
+@pytest.mark.slow
 def test_a_dome_is_pressed_with_the_force_that_elements_give_within_the_known_error() -> None:
     dome = replace(SMALL, dome_radius=12e-3)
     numerics = Mpm(cell=0.5e-3, reach=0.0, safety=0.8)

@@ -62,6 +62,7 @@ def test_what_is_said_is_what_leaving_it_out_changes_on_a_finer_mesh() -> None:
     assert 0 < true["marker"] <= found.joint.marker
 
 
+@pytest.mark.slow
 def test_effects_are_judged_together() -> None:
     worth = _by_name(plan_effects(TWO))
     each = sorted(one.change.value("fraction") for one in worth.values())

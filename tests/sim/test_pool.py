@@ -118,6 +118,7 @@ def test_meshes_of_separate_processes_cannot_be_made_to_agree() -> None:
         simulate_many(SCENES, replace(NUMERICS, one_topology=True), processes=2)
 
 
+@pytest.mark.slow
 def test_other_tiers_are_shared_too() -> None:
     alone = simulate_many(SCENES[:2], Layer())
     shared = simulate_many(SCENES[:2], Layer(), processes=2)
@@ -236,6 +237,7 @@ def test_workers_do_not_outlive_their_parent(tmp_path: Path, with_signal: signal
         assert message.rstrip().endswith("KeyboardInterrupt")
 
 
+@pytest.mark.slow
 def test_a_script_without_its_guard_is_told_so(tmp_path: Path) -> None:
     parent = script(tmp_path, "if True:")
     message = parent.communicate(timeout=40)[1]

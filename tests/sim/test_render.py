@@ -201,6 +201,7 @@ def test_masks_are_those_of_rays_and_formulas(body: str) -> None:
         assert mismatch(mask, truth) < 3e-4
 
 
+@pytest.mark.slow
 def test_one_sample_a_pixel_is_near_the_half_that_many_count_and_three_are_nearer() -> None:
     drawn = {}
     for samples in (1, 3, 7):

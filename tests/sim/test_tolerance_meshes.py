@@ -43,6 +43,7 @@ def test_states_are_as_exact_as_a_tolerance_asks(
     assert states.path_tolerance == (None if path is None else pytest.approx(path))
 
 
+@pytest.mark.slow
 def test_what_a_solution_asks_for_spares_the_next_mesh_being_made_anew() -> None:
     key = 0, len(BALL.motion)
     far_too_coarse = Span(-3e-3, 3e-3, 1.5e-3)

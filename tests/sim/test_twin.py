@@ -72,6 +72,7 @@ def test_expected_intervals_are_those_of_a_fit(fit: Fit) -> None:
         assert 0.5 < found / expected[name] < 2.0, name
 
 
+@pytest.mark.slow
 def test_a_plan_tells_more_than_sphere_and_prism_in_the_same_time() -> None:
     planner = Planner(sensor("gelsight"), grid=16)
     usual = planner.usual()
@@ -279,6 +280,7 @@ def test_presses_without_a_rest_are_refused(
     assert "no stream of kind force" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_an_archive_has_sensors_drawn_from_a_twin(fit: Fit, tmp_path: Path) -> None:
     from sim.dataset import found
 
