@@ -69,7 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--calibrate-on",
         type=names,
         metavar="NAME,...",
-        help="indenters that calibrate the intervals and are not trained on (a quarter)",
+        help="indenters that calibrate the intervals, then are trained on (a quarter)",
     )
     parser.add_argument(
         "--unseen",

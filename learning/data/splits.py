@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -64,6 +64,11 @@ class Split:
     def fingerprint(self) -> str:
         """SHA-256 of the content, 64 hexadecimal digits."""
         return hashlib.sha256(self._text().encode()).hexdigest()
+
+    def trained_on(self, indenters: Collection[str]) -> Split:
+        """Return the split in which the presses of some indenters are trained on as well."""
+        made = (replace(p, role="train") if p.indenter in indenters else p for p in self.presses)
+        return replace(self, presses=tuple(made))
 
     def locations(self, role: Role) -> NDArray[np.int64]:
         """Return the locations of a role (n,), ascending."""

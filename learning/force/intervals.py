@@ -88,7 +88,7 @@ class Intervals:
     frames: int
     """Number of frames calibrated from."""
     indenters: tuple[str, ...]
-    """Indenters calibrated from, which the model never saw."""
+    """Indenters calibrated from, which the model had not seen by then."""
     errors_from: str
     """Name of the forces that predicted ones were compared with."""
 
@@ -296,9 +296,10 @@ def measured_scale(
 ) -> tuple[float, Scale]:
     """Return the factor on predicted forces, and its remaining uncertainty.
 
-    The factor is the least-squares ratio of known over predicted forces. Prior and measurement are
-    combined by their precision (both are log-normal): weights that are too light for the model to
-    see change little.
+    The factor is the geometric mean of known over predicted forces, each with the inverse square
+    of its relative error as weight: where errors grow with the force, the strongest tells no more
+    than others. Prior and measurement are combined by their precision (both are log-normal):
+    weights that are too light for the model to see change little.
 
     Args:
         held: Known forces.
@@ -320,10 +321,10 @@ def measured_scale(
             f"{predicted[wrong]:.3f} N; allowed: forces of the same sign (pressing is negative "
             "Fz); was the weight at rest on the sensor?"
         )
-    square = float((predicted**2).sum())
-    ratio = float((known * predicted).sum()) / square
-    relative = float((np.abs(predicted) * error).sum()) / square / math.sqrt(independent)
-    own = math.log1p(relative) / _NORMAL
+    spreads = np.log1p(np.maximum(error / np.abs(predicted), 1e-9)) / _NORMAL
+    shares = spreads**-2 / (spreads**-2).sum()
+    ratio = math.exp(float((shares * np.log(known / predicted)).sum()))
+    own = float((shares * spreads).sum()) / math.sqrt(independent)
     both = prior.spread**2 + own**2
     weight = prior.spread**2 / both if both > 0 else 1.0
     value = math.exp(weight * math.log(ratio))

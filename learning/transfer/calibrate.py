@@ -1,4 +1,4 @@
-"""Next stage: intervals of the model, from its errors on indenters that it never saw.
+"""Next stage: intervals of the model, from its errors on indenters that it has not seen yet.
 
 The frames are the target's own. What the predicted forces are compared with are not labels of the
 target, but the source's at the same place, depth and direction, scaled between the skins as the

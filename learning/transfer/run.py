@@ -117,7 +117,7 @@ def run_transfer(asked: Request, say: Say = print) -> Card:
     split, calibrates = split_pair(
         archive, source, places.split, asked.calibrate_on, asked.settings.seed
     )
-    say(f"never trained on, calibrate the intervals: {', '.join(calibrates)}")
+    say(f"calibrate the intervals before the model learns them: {', '.join(calibrates)}")
 
     # Labels are scaled between the skins, if both have a force-depth curve.
     curved = _compensated(asked, archive, places, say)
@@ -156,6 +156,18 @@ def run_transfer(asked: Request, say: Say = print) -> Card:
         labels_as,
         calibrates,
         _scale(asked, curved),
+    )
+    # Its errors are measured: the delivered model learns the indenters that calibrated as well.
+    trained = tune_by_place(
+        archive,
+        source,
+        target,
+        split.trained_on(calibrates),
+        trained,
+        settings,
+        labels_as,
+        asked.device,
+        "all",
     )
     factor = 1.0 if curved or asked.ratio is None else asked.ratio
     calibration = replace(

@@ -36,6 +36,7 @@ def tune_by_place(
     settings: ExperimentSettings,
     compensation: Compensation | None,
     device: str,
+    name: str = "by-place",
 ) -> Path:
     """Fine-tune a model on the target's training presses that match; return its folder.
 
@@ -48,6 +49,7 @@ def tune_by_place(
         settings: Settings of the experiment, whose fine-tuning is repeated.
         compensation: Scaling of the labels.
         device: Device of the training.
+        name: Ending of the folder's name.
 
     Returns:
         Folder of the model; `trained` itself if no training press matches.
@@ -66,8 +68,8 @@ def tune_by_place(
     if not len(rows):
         return trained
     tuning = force_settings(settings, archive, torch.device(device), tuning=True)
-    data = f"{archive_fingerprint(archive)} {split.fingerprint} {target} by place"
-    folder = trained.with_name(f"{trained.name}.by-place")
+    data = f"{archive_fingerprint(archive)} {split.fingerprint} {target} {name}"
+    folder = trained.with_name(f"{trained.name}.{name}")
     with RunFolder.open(folder, KIND, tuning, data, True, keep=1) as run:
         if not run.finished:
             presses = load_presses(sensor, rows, device=device)

@@ -46,6 +46,14 @@ def test_unseen_indenters_are_never_trained_on(archive: MarkerArchive) -> None:
         assert cone not in codes[split.rows(sensor.table, ("train", "validation", "new_press"))]
 
 
+def test_indenters_that_calibrated_are_trained_on_and_no_others(archive: MarkerArchive) -> None:
+    held_out = make_split(archive, validation=0.0, new_press=0.0, unseen=("cone", "prism"))
+    split = held_out.trained_on(("prism",))
+    role = {(each.indenter, each.role) for each in split.presses}
+    assert role == {("sphere", "train"), ("prism", "train"), ("cone", "new_indenter")}
+    assert split.fingerprint != held_out.fingerprint
+
+
 def test_rows_are_valid_and_in_order_of_press_and_time(archive: MarkerArchive) -> None:
     split = make_split(archive)
     table = archive["dots"].table

@@ -155,6 +155,12 @@ def test_weights_fix_the_scale_as_far_as_the_model_sees_them() -> None:
     value, scale = measured_scale([Held(-0.01, -0.02, 0.5)], ASSUMED, "a feather")
     assert 0.9 < value < 1.0
     assert 1.9 < scale.factor < 2.0
+    # Where errors grow with the force, a strong weight tells as much as a light one, not all.
+    mixed = [Held(-1.0, -2.0, 0.4), Held(-4.0, -4.0, 0.8)]
+    value, scale = measured_scale(mixed, Scale(100.0, "unknown", assumed=True), "weights")
+    assert value == pytest.approx(math.sqrt(0.5), rel=0.02)
+    # Their errors are alike, so two tell no more than one.
+    assert scale.factor == pytest.approx(1.2, rel=0.02)
     with pytest.raises(LearningError, match="weight 2: its force is -1"):
         measured_scale([Held(-1.0, -1.0, 0.1), Held(-1.0, 0.1, 0.1)], ASSUMED, "a weight")
 
