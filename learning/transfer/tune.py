@@ -36,7 +36,7 @@ def tune_by_place(
     settings: ExperimentSettings,
     compensation: Compensation | None,
     device: str,
-    name: str = "by-place",
+    name: str = "by place",
 ) -> Path:
     """Fine-tune a model on the target's training presses that match; return its folder.
 
@@ -49,7 +49,7 @@ def tune_by_place(
         settings: Settings of the experiment, whose fine-tuning is repeated.
         compensation: Scaling of the labels.
         device: Device of the training.
-        name: Ending of the folder's name.
+        name: Name of this training, which ends that of its folder.
 
     Returns:
         Folder of the model; `trained` itself if no training press matches.
@@ -69,7 +69,7 @@ def tune_by_place(
         return trained
     tuning = force_settings(settings, archive, torch.device(device), tuning=True)
     data = f"{archive_fingerprint(archive)} {split.fingerprint} {target} {name}"
-    folder = trained.with_name(f"{trained.name}.{name}")
+    folder = trained.with_name(f"{trained.name}.{name.replace(' ', '-')}")
     with RunFolder.open(folder, KIND, tuning, data, True, keep=1) as run:
         if not run.finished:
             presses = load_presses(sensor, rows, device=device)
