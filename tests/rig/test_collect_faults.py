@@ -77,6 +77,7 @@ def test_a_killed_stream_process_ends_the_session_and_recover_mends_it(tmp_path:
     assert faults_of(run.session, stopped=True) == []
 
 
+@pytest.mark.slow
 def test_a_protective_stop_ends_the_session_with_4_and_is_not_reset(tmp_path: Path) -> None:
     run = pressing(tmp_path, "tacpalm")
     with socket.create_connection((run.host(), emulator_faults.PORT), 5.0) as port:

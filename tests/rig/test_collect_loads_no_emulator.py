@@ -44,8 +44,9 @@ def lab_content(content: dict[str, Any]) -> dict[str, Any]:
     return {**kept, "mock": False}
 
 
+@pytest.mark.slow
 @pytest.mark.serial
-@pytest.mark.parametrize("sensor", ["tacpalm", pytest.param("uskin", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("sensor", ["tacpalm", "uskin"])
 def test_no_process_of_a_lab_collection_loads_an_emulator(sensor: str, tmp_path: Path) -> None:
     told, hook, run = (tmp_path / name for name in ("told", "hook", "run"))
     for folder in (told, hook, run):
