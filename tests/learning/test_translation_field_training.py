@@ -85,6 +85,7 @@ def test_the_field_net_stays_as_it_is_while_the_map_learns(frames: Frames) -> No
     assert all(torch.equal(value, before[name]) for name, value in after.items())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "stopped_after",
     [

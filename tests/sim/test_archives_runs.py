@@ -116,6 +116,7 @@ def test_one_ctrl_c_waits_for_the_unit_in_flight_and_a_second_does_not() -> None
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
+@pytest.mark.slow
 def test_a_stop_that_was_asked_for_leaves_units_and_exits_with_130(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

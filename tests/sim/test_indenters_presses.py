@@ -34,6 +34,7 @@ def block(tmp_path_factory: pytest.TempPathFactory) -> Indenter:
 EXACT = box(4e-3, 5e-3, 0.4e-3)
 
 
+@pytest.mark.slow
 def _pressed(indenter: Indenter, tier: Tier) -> Result:
     scene = Scene(indenter, press([0.5e-3, 0.8e-3]), effects=Effects(friction=Friction(0.4)))
     return simulate(scene, tier)

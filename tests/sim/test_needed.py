@@ -122,6 +122,7 @@ def test_wrong_words_are_refused(tolerance: str, effects: Any, message: str) -> 
         plan_effects(RUBS, "some")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("speed", [pytest.param(1e-3, marks=pytest.mark.slow), 0.1])
 def test_a_bound_is_no_less_than_the_probe(speed: float) -> None:
     wide = Body(size_x=16e-3, size_y=16e-3, thickness=2e-3)

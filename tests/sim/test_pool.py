@@ -50,6 +50,7 @@ def command(pid: int) -> bytes:
         return b""
 
 
+@pytest.mark.slow
 def test_two_processes_give_the_same_bits_in_the_same_order_and_print_nothing(
     capfd: pytest.CaptureFixture[str],
 ) -> None:

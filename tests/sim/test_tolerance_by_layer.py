@@ -72,6 +72,7 @@ def test_its_forces_are_within_the_tolerance_of_the_truth(name: str, percent: fl
     assert (off <= percent / 100 * np.maximum(truths, 0.1 * truths.max())).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "scene",
     [
