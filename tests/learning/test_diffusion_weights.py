@@ -132,7 +132,6 @@ def test_other_networks_weights_are_refused(base: Path, tmp_path: Path) -> None:
         read_vae(str(tmp_path / "mixed"))
 
 
-@pytest.mark.slow
 def test_judges_are_read_from_their_published_layouts(tmp_path: Path) -> None:
     made = tiny_pretrained()
     made.clip.config.save_pretrained(tmp_path / "clip")

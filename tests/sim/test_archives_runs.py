@@ -116,7 +116,6 @@ def test_one_ctrl_c_waits_for_the_unit_in_flight_and_a_second_does_not() -> None
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-@pytest.mark.slow
 def test_a_stop_that_was_asked_for_leaves_units_and_exits_with_130(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -132,6 +131,7 @@ def test_a_stop_that_was_asked_for_leaves_units_and_exits_with_130(
     assert "units are missing; to continue: python -m sim archive resume" in reported.err
 
 
+@pytest.mark.slow
 def test_the_command_tells_the_cost_before_and_the_sum_after_and_draws_a_sheet(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

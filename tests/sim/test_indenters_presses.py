@@ -34,12 +34,12 @@ def block(tmp_path_factory: pytest.TempPathFactory) -> Indenter:
 EXACT = box(4e-3, 5e-3, 0.4e-3)
 
 
-@pytest.mark.slow
 def _pressed(indenter: Indenter, tier: Tier) -> Result:
     scene = Scene(indenter, press([0.5e-3, 0.8e-3]), effects=Effects(friction=Friction(0.4)))
     return simulate(scene, tier)
 
 
+@pytest.mark.slow
 def test_layer_presses_a_body_from_a_file_like_the_exact_one(block: Indenter) -> None:
     force = _pressed(block.tilted(*TILT), Layer()).force[1:, 2]
     expected = _pressed(EXACT.tilted(*TILT), Layer()).force[1:, 2]

@@ -50,7 +50,6 @@ def command(pid: int) -> bytes:
         return b""
 
 
-@pytest.mark.slow
 def test_two_processes_give_the_same_bits_in_the_same_order_and_print_nothing(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
@@ -72,6 +71,7 @@ def test_two_processes_give_the_same_bits_in_the_same_order_and_print_nothing(
     assert told == [1 / 3, 2 / 3, 1]
 
 
+@pytest.mark.slow
 def test_a_press_without_a_solution_comes_back_whole_beside_those_that_have_one() -> None:
     numerics = replace(NUMERICS, newton_max=3)
     scenes = [Scene(sphere(3e-3), press([2e-6]), BODY), Scene(sphere(3e-3), press([1e-3]), BODY)]

@@ -88,7 +88,6 @@ def test_a_plan_tells_more_than_sphere_and_prism_in_the_same_time() -> None:
         planner.best(open_, seconds=5.0, change=20.0)
 
 
-@pytest.mark.slow
 def test_a_plan_is_a_campaign_that_the_rig_takes(tmp_path: Path) -> None:
     from rig.acquire.campaign import load_campaign
 
@@ -104,6 +103,7 @@ def test_a_plan_is_a_campaign_that_the_rig_takes(tmp_path: Path) -> None:
         np.testing.assert_allclose(bottoms, [target.sheared for target in each.plan.targets()])
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_plan_and_what_to_expect(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -230,7 +230,6 @@ def _of(name: str, columns: Columns, time: Any, tip: Any, force: Any) -> Columns
     )
 
 
-@pytest.mark.slow
 def test_the_command_writes_a_row_and_a_picture(
     session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
