@@ -117,3 +117,14 @@ def add_seed(parser: argparse._ActionsContainer, default: int = 0) -> None:
     parser.add_argument(
         "--seed", type=int, default=default, metavar="N", help="seed of random draws (%(default)s)"
     )
+
+
+def add_grid(parser: argparse._ActionsContainer, default: int = 64) -> None:
+    """Add `--grid`, the number of pixels of tier `layer`."""
+    parser.add_argument(
+        "--grid",
+        type=whole(16, 256),
+        default=default,
+        metavar="N",
+        help="pixels along the longer side (%(default)s)",
+    )

@@ -377,7 +377,7 @@ def _share(text: str) -> tuple[bool, float]:
 
 
 def _chosen_sensors(options: argparse.Namespace) -> tuple[SimulatedSensor, ...]:
-    from sim.sensors import HETEROGENEOUS, HOMOGENEOUS, MATERIAL, read_sensor, sensor
+    from sim.sensors import HETEROGENEOUS, HOMOGENEOUS, MATERIAL, sensor, sensor_of
 
     if options.twin is not None:
         if options.group is not None or options.sensors is not None:
@@ -390,10 +390,7 @@ def _chosen_sensors(options: argparse.Namespace) -> tuple[SimulatedSensor, ...]:
     if options.group is not None:
         of_group = dict(zip(GROUPS, (HOMOGENEOUS, MATERIAL, HETEROGENEOUS), strict=True))
         return tuple(sensor(name) for name in of_group[options.group])
-    return tuple(
-        read_sensor(Path(name)) if name.endswith((".yaml", ".yml")) else sensor(name)
-        for name in options.sensors
-    )
+    return tuple(map(sensor_of, options.sensors))
 
 
 def _drawn_sensors(path: Path, draws: int, seed: int) -> tuple[SimulatedSensor, ...]:

@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from recorder.command_line.options import add_seed, whole
+from recorder.command_line.options import add_grid, add_seed, whole
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,13 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="sensors drawn for the spread; 0: none (%(default)s)",
     )
     add_seed(parser)
-    add(
-        "--grid",
-        type=whole(16, 256),
-        default=64,
-        metavar="N",
-        help="pixels along the longer side (%(default)s)",
-    )
+    add_grid(parser)
     add("--processes", type=whole(1), default=2, metavar="N", help="processes (%(default)s)")
 
 
@@ -56,11 +50,10 @@ def run(options: argparse.Namespace) -> int:
     from recorder.archive import write_simulated
     from recorder.progress import Progress
     from sim.errors import SceneError
-    from sim.sensors import read_sensor, sensor
+    from sim.sensors import sensor_of
     from sim.twin.labels import DEEP, made_from, simulated_forces
 
-    own = options.twin.endswith((".yaml", ".yml"))
-    twin = read_sensor(Path(options.twin)) if own else sensor(options.twin)
+    twin = sensor_of(options.twin)
     told = made_from(twin, options.draws, options.seed, options.grid)
     try:
         archive = MarkerArchive(options.archive)

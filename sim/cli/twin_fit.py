@@ -8,7 +8,7 @@ import os
 import sys
 from pathlib import Path
 
-from recorder.command_line.options import positive, whole
+from recorder.command_line.options import add_grid, positive
 from sim.errors import SceneError
 
 # Difference of forces at rest above which a twin is refused [%].
@@ -44,13 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="PERCENT",
         help="largest difference of forces at rest (%(default)g)",
     )
-    add(
-        "--grid",
-        type=whole(16, 256),
-        default=GRID,
-        metavar="N",
-        help="pixels along the longer side (%(default)s)",
-    )
+    add_grid(parser, GRID)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -62,13 +56,12 @@ def run(options: argparse.Namespace) -> int:
     """
     from recorder import Session, SessionError
     from recorder.progress import Progress
-    from sim.sensors import read_sensor, sensor
+    from sim.sensors import NAMES, sensor_of
     from sim.sensors.sensor import ROWS
     from sim.twin import fitted, tracks_of
     from sim.twin.record import draw, lines, summary, twin_yaml
 
-    own = options.sensor.endswith((".yaml", ".yml"))
-    design = read_sensor(Path(options.sensor)) if own else sensor(options.sensor)
+    design = sensor_of(options.sensor)
     tracks = []
     for path in options.sessions:
         try:
@@ -92,6 +85,7 @@ def run(options: argparse.Namespace) -> int:
             file=sys.stderr,
         )
         return 1
+    own = options.sensor not in NAMES
     extends = os.path.relpath(options.sensor, options.out.parent) if own else f"{design.name}.yaml"
     assert own or (ROWS / extends).exists()
     options.out.parent.mkdir(parents=True, exist_ok=True)

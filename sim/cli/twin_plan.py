@@ -7,7 +7,7 @@ import os
 import sys
 from pathlib import Path
 
-from recorder.command_line.options import names, positive, whole
+from recorder.command_line.options import add_grid, names, positive
 
 # Most time at the bench [min], and time to mount an indenter [s].
 MINUTES, CHANGE = 5.0, 60.0
@@ -56,13 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="MN",
         help="standard deviation of a reading of the gauge [mN] (%(default)g)",
     )
-    add(
-        "--grid",
-        type=whole(16, 256),
-        default=64,
-        metavar="N",
-        help="pixels along the longer side (%(default)s)",
-    )
+    add_grid(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -74,12 +68,11 @@ def run(options: argparse.Namespace) -> int:
     """
     from recorder.progress import Progress
     from sim.indenters import NAMES
-    from sim.sensors import read_sensor, sensor
+    from sim.sensors import sensor_of
     from sim.twin.plan import Planner, sessions
     from sim.twin.record import expected_lines, plan_files
 
-    own = options.sensor.endswith((".yaml", ".yml"))
-    design = read_sensor(Path(options.sensor)) if own else sensor(options.sensor)
+    design = sensor_of(options.sensor)
     planner = Planner(design, noise=1e-3 * options.noise, grid=options.grid)
     with Progress("plan", sys.stderr) as progress:
         chosen = planner.best(

@@ -21,6 +21,7 @@ from sim.sensors.sensor import (
     SimulatedSensor,
     read_sensor,
     sensor,
+    sensor_of,
 )
 from sim.sensors.taxels import TaxelPad, TaxelSignal
 from sim.sensors.variation import (
@@ -64,4 +65,5 @@ __all__ = [
     "read_sensor",
     "readout",
     "sensor",
+    "sensor_of",
 ]

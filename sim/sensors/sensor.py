@@ -187,6 +187,15 @@ def sensor(name: str) -> SimulatedSensor:
     return read_sensor(ROWS / f"{name}.yaml")
 
 
+def sensor_of(text: str) -> SimulatedSensor:
+    """Return the sensor of a YAML file, by its path, or of the row with that name.
+
+    Raises:
+        SceneError: The name is unknown, or the file is invalid.
+    """
+    return read_sensor(Path(text)) if text.endswith((".yaml", ".yml")) else sensor(text)
+
+
 def read_sensor(path: Path) -> SimulatedSensor:
     """Read the sensor that a YAML file describes; its name is that of the file.
 

@@ -31,9 +31,8 @@ from sim.sensors import (
     SimulatedSensor,
     SurfaceField,
     TaxelReadout,
-    read_sensor,
     readout,
-    sensor,
+    sensor_of,
 )
 from sim.stream.stream import LivePress
 
@@ -76,7 +75,7 @@ def recorded(session: Session) -> Recorded:
             "that was recorded with WORLD=sim"
         )
     name = str(world["sensor"])
-    row = read_sensor(Path(name)) if name.endswith((".yaml", ".yml")) else sensor(name)
+    row = sensor_of(name)
     pose, force = session.streams["pose"], session.streams["force"]
     frame = np.asarray(session.attrs["contact_frame"])
     place = np.asarray(pose.column("value"))[: len(pose.t_ns), :3] - frame[:3]

@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import csv
 import math
-import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
@@ -21,6 +20,7 @@ import numpy as np
 from benchmarks.sim.speed.campaign import AUGMENTATIONS, PATH_TOLERANCE, TOLERANCE
 from benchmarks.sim.speed.machine import machine_name
 from recorder.command_line.options import add_device
+from recorder.processes import cores
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem.numerics import Fem
 from sim.indenters import sphere
@@ -184,7 +184,7 @@ def run(options: argparse.Namespace, say: Callable[[str], None] = print) -> int:
     counts = _counts(options.counts)
     processes = options.processes
     if processes is None:
-        processes = len(os.sched_getaffinity(0))
+        processes = cores()
     check_processes(processes, "cpu")
     ready_device(options.device)
     began = time.perf_counter()

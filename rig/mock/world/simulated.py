@@ -238,11 +238,9 @@ def markers_of(spec: SimulatedSpec) -> tuple[LiveMarkers, tuple[int, int]]:
 
 
 def _row(spec: SimulatedSpec) -> Any:
-    from sim.sensors import read_sensor, sensor
+    from sim.sensors import sensor_of
 
-    if spec.sensor.endswith((".yaml", ".yml")):
-        return read_sensor(Path(spec.sensor))
-    return sensor(spec.sensor)
+    return sensor_of(spec.sensor)
 
 
 def _missing(error: ImportError) -> ConfigError:
