@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 
 from learning.errors import LearningError
 from recorder import MarkerArchive
-from recorder.archive import COLUMNS, ArchivePlan, ArchiveWriter, MarkerCount, SensorPlan
+from recorder.archive import (
+    COLUMNS,
+    ArchivePlan,
+    ArchiveWriter,
+    MarkerCount,
+    SensorPlan,
+    Simulated,
+    write_simulated,
+)
 from recorder.markers import MarkerCheck, find_blobs, unpack
 
 # Rows per compressed chunk, and rows per write.
@@ -54,6 +62,8 @@ def fill_archive(
     indenters: Sequence[str],
     attrs: Mapping[str, Any],
     progress: Callable[[int, int], None] = lambda done, total: None,
+    *,
+    simulated: Mapping[str, Simulated] | None = None,
 ) -> int:
     """Begin or resume an archive and return the number of frames made by this call.
 
@@ -65,6 +75,7 @@ def fill_archive(
         indenters: Names of the indenters, by code.
         attrs: Further attributes of the archive; JSON values.
         progress: Called with the number of frames that exist and the total.
+        simulated: Forces of twins, by sensor; added last.
 
     Raises:
         SessionError: Another archive is at the path, or a value cannot be stored in one.
@@ -97,6 +108,10 @@ def fill_archive(
             made += rows.stop - rows.start
             progress(total - todo + made, total)
     writer.finish()
+    for name, forces in (simulated or {}).items():
+        known = MarkerArchive(path)[name]
+        if known.simulated is None or known.simulated.made_from != forces.made_from:
+            write_simulated(known, forces.force, forces.spread, forces.made_from)
     return made
 
 

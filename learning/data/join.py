@@ -1,7 +1,8 @@
 """Joining of archives by place: `tactile archive join`.
 
-A joined archive is a copy. Matching presses share a location; the others keep one of their own.
-The presses of an indenter are numbered again, equally in all sensors.
+A joined archive is a copy, with the forces of twins that its sensors have. Matching presses share a
+location; the others keep one of their own. The presses of an indenter are numbered again, equally
+in all sensors.
 """
 
 from __future__ import annotations
@@ -74,7 +75,12 @@ class Joined:
                 {"name": Path(name).name, "sha256": digest} for name, digest in sources.items()
             ],
         }
-        return fill_archive(out, self.sensors, self.indenters, attrs, progress)
+        twins = {
+            each.chosen.name: forces
+            for each in self.sensors
+            if (forces := each.sensor.simulated) is not None
+        }
+        return fill_archive(out, self.sensors, self.indenters, attrs, progress, simulated=twins)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

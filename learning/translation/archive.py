@@ -1,15 +1,15 @@
 """Translated archives: a sensor's frames as other sensors would have shown them, with labels.
 
 The sensor `A-to-B` has the translated frames of A, the references and scale of B, and the table of
-A (indenter, location, depth, wrench). Whole presses are translated at a time so that markers
-can be tracked. An interrupted run continues where it stopped.
+A (indenter, location, depth, wrench, forces of its twin). Whole presses are translated at a time so
+that markers can be tracked. An interrupted run continues where it stopped.
 """
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +23,14 @@ from learning.errors import LearningError
 from learning.training.checkpoint import read_model_folder
 from learning.translation.translator import FLOW, SensorView, Translator, for_pair
 from recorder import MarkerArchive
-from recorder.archive import GIVEN, ArchivedSensor, MarkerCount, SensorPlan, location_pairs
+from recorder.archive import (
+    GIVEN,
+    ArchivedSensor,
+    MarkerCount,
+    SensorPlan,
+    Simulated,
+    location_pairs,
+)
 from recorder.markers import PACKED, pack, unpack
 from recorder.plot import INK, PAPER, SOFT, font
 from recorder.spec import PHASES
@@ -119,7 +126,8 @@ def translate_archive(
         TranslatedSensor(archive, pair, model, _rows_of(archive, pair, split, roles))
         for pair in pairs
     ]
-    return fill_archive(out, sensors, archive.indenters, attrs, progress)
+    twins = {each.plan.name: forces for each in sensors if (forces := each.simulated) is not None}
+    return fill_archive(out, sensors, archive.indenters, attrs, progress, simulated=twins)
 
 
 class TranslatedSensor:
@@ -163,6 +171,18 @@ class TranslatedSensor:
                 "model_sha256": model.sha256,
             },
         )
+
+    @property
+    def simulated(self) -> Simulated | None:
+        """Forces of the source's twin in its frames, None without.
+
+        Raises:
+            SessionError: The archive is damaged.
+        """
+        found = self._source.simulated
+        if found is None:
+            return None
+        return replace(found, force=found.force[self._rows], spread=found.spread[self._rows])
 
     def read(self, rows: slice) -> Frames:
         """Translate some frames.

@@ -31,7 +31,7 @@ from learning.data.splits import make_split
 from learning.errors import LearningError
 from learning.markers import archive_sessions
 from recorder import MarkerArchive, Session, check
-from recorder.archive import location_pairs
+from recorder.archive import location_pairs, write_simulated
 from recorder.command_line.run import main as main_of_all
 from recorder.session import press_curves, surface_heights
 from sim.dataset import DatasetPlan
@@ -191,6 +191,25 @@ def test_a_joined_archive_holds_all_frames_and_can_be_split(tmp_path: Path) -> N
     split = make_split(archive, validation=0.2, new_press=0.2, held_out_sensors=(), seed=0)
     split.check(archive)
     assert len(location_pairs(archive["a"].table, archive["c"].table)) == 4 * len(SMALL)
+
+
+def test_forces_of_twins_are_joined_and_those_of_another_twin_replace_them(tmp_path: Path) -> None:
+    a = planned_archive(tmp_path / "a.markers.zarr", {"a": SMALL})
+    c = planned_archive(tmp_path / "c.markers.zarr", {"c": replace(SMALL, order="quadrants")})
+    out = tmp_path / "joined.markers.zarr"
+    for told in ("a twin", "another twin"):
+        force = np.random.default_rng(len(told)).normal(size=(len(a["a"]), 3))
+        write_simulated(a["a"], force, 0.1 * force, told)
+        a = MarkerArchive(a.path)
+        join(all_of(a, c)).write(out)
+        assert check(out) == []
+        archive = MarkerArchive(out)
+        found = archive["a"].simulated
+        assert found is not None
+        np.testing.assert_array_equal(found.force, force)
+        np.testing.assert_array_equal(found.spread, 0.1 * force)
+        assert found.made_from == told
+        assert archive["c"].simulated is None
 
 
 def test_states_of_one_press_stay_together(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from learning.translation.archive import Model, Pair, dice, hash_of, translate_a
 from learning.translation.flow import FlowTranslator
 from learning.translation.translator import SensorView, for_pair
 from recorder import MarkerArchive, SessionError
-from recorder.archive import check_archive, location_pairs
+from recorder.archive import check_archive, location_pairs, write_simulated
 from recorder.store.files import LOCAL
 
 FLOW = Model(FlowTranslator(), "flow", hash_of("flow"))
@@ -130,6 +130,29 @@ def test_another_model_does_not_go_on_with_an_archive(archive, translated):
     with pytest.raises(SessionError, match="is not the archive that was planned"):
         translate_archive(archive, translated.path, [Pair("dots", "grid")], other)
     np.testing.assert_array_equal(translated["dots-to-grid"].packed([1]), before)
+
+
+def test_forces_of_a_twin_follow_the_frames_of_the_source(tmp_path):
+    archive = made_up_archive(tmp_path / "a.markers.zarr", force_depth=1)
+    force = np.random.default_rng(0).normal(size=(len(archive["dots"]), 3))
+    write_simulated(archive["dots"], force, 0.1 * force, "a twin")
+    archive, out = MarkerArchive(archive.path), tmp_path / "t.markers.zarr"
+    split = make_split(archive, validation=0.0, new_press=0.5, held_out_sensors=(), seed=0)
+    pairs = [Pair("dots", "grid"), Pair("grid", "dots")]
+    translate_archive(archive, out, pairs, FLOW, split=split, roles=["new_press"])
+    translated = MarkerArchive(out)
+    assert list(check_archive(LOCAL, translated.path)) == []
+    found, table = translated["dots-to-grid"].simulated, archive["dots"].table
+    assert found is not None
+    assert found.made_from == "a twin"
+    keys = ("indenter", "target", "frame")
+    rows = {key: row for row, key in enumerate(zip(*(table[name] for name in keys), strict=True))}
+    made = translated["dots-to-grid"].table
+    own = [rows[key] for key in zip(*(made[name] for name in keys), strict=True)]
+    assert 0 < len(own) < len(force)
+    np.testing.assert_array_equal(found.force, force[own])
+    np.testing.assert_array_equal(found.spread, 0.1 * force[own])
+    assert translated["grid-to-dots"].simulated is None
 
 
 def test_a_part_of_a_split_is_translated_alone(archive, tmp_path):
