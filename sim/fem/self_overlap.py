@@ -10,9 +10,10 @@ Lengths in thicknesses. It runs on the host in a few milliseconds, and only if a
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from sim.fem.mesh import CORNERS, Mesh
 from sim.fem.overlap import FOLDED
@@ -27,6 +28,17 @@ LOCATED = 1e-10
 # Overlaps below this are rounding.
 ON_SKIN = 1e-6
 SIGNS = 2.0 * np.array(CORNERS) - 1.0
+# Corners of the six sides of an element, each way around (4, 6).
+SIDES = np.array(
+    [
+        sorted(
+            np.flatnonzero(SIGNS[:, axis] == sign).tolist(),
+            key=lambda one: math.atan2(SIGNS[one, axis - 1], SIGNS[one, axis - 2]),
+        )
+        for axis in range(3)
+        for sign in (-1.0, 1.0)
+    ]
+).T
 
 
 def folded_faces(mesh: Mesh, places: Array) -> NDArray[np.bool_]:
@@ -49,8 +61,12 @@ def self_overlap(mesh: Mesh, u: Array) -> tuple[float, int]:
     node, element = _pairs(mesh, places, *_near(mesh, places, mesh.faces[folded]))
     if not len(node):
         return 0.0, -1
-    point = places[node]
-    local = _within(places[mesh.elements[element]], point)
+    point, corners = places[node], places[mesh.elements[element]]
+    may_be = _may_be_within(corners, point)
+    node, element, point = node[may_be], element[may_be], point[may_be]
+    if not len(node):
+        return 0.0, -1
+    local = _within(corners[may_be], point)
     inside = (np.abs(local) <= 1.0).all(axis=1)  # NaN is not
     if not inside.any():
         return 0.0, -1
@@ -104,20 +120,43 @@ def _pairs(
     mesh: Mesh, places: Array, here: NDArray[np.bool_], elements: Indices, low: Array, high: Array
 ) -> tuple[Indices, Indices]:
     """Return nodes and elements (P,) with the node in the element's box, but not its corner."""
-    nodes, none = np.flatnonzero(here), np.empty(0, np.int64)
-    if not len(nodes) or not len(elements):
-        return none, none
-    tree, middle = cKDTree(places[nodes]), (low + high) / 2
-    reach = (1 + 1e-9) * np.linalg.norm(high - low, axis=1) / 2
-    own = here[mesh.elements[elements]].sum(axis=1)
-    others = tree.query_ball_point(middle, reach, return_length=True) > own
-    elements, low, high = elements[others], low[others], high[others]
-    found = tree.query_ball_point(middle[others], reach[others])
-    row = np.repeat(np.arange(len(elements)), [len(one) for one in found])
-    node = nodes[np.concatenate([none, *found]).astype(np.int64)]
-    apart = (mesh.elements[elements[row]] != node[:, None]).all(axis=1)
-    apart &= ((places[node] >= low[row]) & (places[node] <= high[row])).all(axis=1)
-    return node[apart], elements[row[apart]]
+    nodes = np.flatnonzero(here)
+    point = places[nodes]
+    # Along the axis on which the boxes leave the fewest nodes, each box holds a range of them.
+    rows = [np.argsort(point[:, axis]) for axis in range(3)]
+    ranges = [
+        [
+            np.searchsorted(point[rows[axis], axis], ends[:, axis], side)
+            for ends, side in ((low, "left"), (high, "right"))
+        ]
+        for axis in range(3)
+    ]
+    axis = min(range(3), key=lambda one: (ranges[one][1] - ranges[one][0]).sum())
+    first, past = ranges[axis]
+    count = past - first
+    row = np.repeat(np.arange(len(elements)), count)
+    node = rows[axis][np.arange(len(row)) - np.repeat(np.cumsum(count) - count - first, count)]
+    for other in (one for one in range(3) if one != axis):
+        at = point[node, other]
+        within = (at >= low[row, other]) & (at <= high[row, other])
+        row, node = row[within], node[within]
+    apart = (mesh.elements[elements[row]] != nodes[node][:, None]).all(axis=1)
+    return nodes[node[apart]], elements[row[apart]]
+
+
+def _may_be_within(corners: Array, points: Array) -> NDArray[np.bool_]:
+    """False for points (P, 3) that lie outside of elements (P, 8, 3), for nearly all of those.
+
+    An element is within the convex hull of its corners, so it is on one side of any plane that its
+    corners are on one side of. The planes are parallel to the diagonals of one of its sides.
+    """
+    first, second, third, fourth = (corners[:, each] for each in SIDES)
+    normal = np.cross(third - first, fourth - second)
+    height = np.einsum("pai,pci->pac", normal, corners)
+    at = np.einsum("pai,pi->pa", normal, points)
+    rounding = 1e-9 * np.abs(height).max(axis=2)
+    above, below = height.max(axis=2) + rounding, height.min(axis=2) - rounding
+    return np.asarray(((at <= above) & (at >= below)).all(axis=1))
 
 
 def _within(corners: Array, points: Array) -> Array:
