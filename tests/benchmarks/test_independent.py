@@ -100,6 +100,7 @@ def test_a_punch_with_a_small_edge_nears_the_sharp_one() -> None:
     assert within < forces[0.2]
 
 
+@pytest.mark.slow
 def test_the_bench_sphere_has_its_known_forces() -> None:
     case = Case("sphere", (4,), 4, (0.5, 1, 1.5))
     found = [answer.force for answer in solved(case, case.size / 2 * MM, COARSE)]

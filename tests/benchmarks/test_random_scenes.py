@@ -143,6 +143,7 @@ def test_a_blade_between_two_rows_of_nodes_is_seen() -> None:
     assert {"no-overlap", "not-through"} <= _broken(result)
 
 
+@pytest.mark.slow
 def test_skin_that_went_through_a_wall_sideways_is_caught() -> None:
     scene = Scene(shapes.box(0.6 * MM, 12 * MM, 0.1 * MM), press([0.5 * MM, 1.0 * MM]))
     result = _made_up(scene)

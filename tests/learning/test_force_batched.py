@@ -62,6 +62,7 @@ def test_labels_by_simulation_count_by_their_certainty_alone_and_batched() -> No
     assert alone.predict(presses[0])[:, 2].mean() < equal.predict(presses[0])[:, 2].mean()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("begun", "flips"), [(False, False), (True, True)])
 def test_each_learns_what_it_would_have_learned_alone(begun: bool, flips: bool) -> None:
     """Compare predictions: a bias before a norm has no effect, and Adam moves it by round-off."""

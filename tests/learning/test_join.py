@@ -76,6 +76,7 @@ def apart(archive: MarkerArchive, one: str, other: str) -> tuple[Any, Any]:
     return np.linalg.norm(places[0] - places[1], axis=1), np.abs(turn)
 
 
+@pytest.mark.slow
 def test_recordings_in_three_orders_meet_by_place_where_numbers_would_be_off_by_6_to_13_mm(
     tmp_path: Path,
 ) -> None:

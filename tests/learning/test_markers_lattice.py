@@ -67,6 +67,7 @@ def test_dots_under_the_contact_of_a_gelslim_are_found_by_a_preset_of_its_refere
     assert without / count < 0.95 <= again / count
 
 
+@pytest.mark.slow
 def test_markers_in_dark_streaks_are_found_again_and_a_removed_one_is_not() -> None:
     no_contact, _ = painted(3)
     pressed, known = (one.copy() for one in painted(3, pressed=True))

@@ -59,6 +59,7 @@ def _tapped(
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", [40.0, 60.0])
 def test_55_ms_come_back_within_a_millisecond_over_20_seeds(rate_hz: float) -> None:
     covered = 0

@@ -174,6 +174,7 @@ def pressed_pattern(amount: float) -> np.ndarray:
     return np.repeat(np.clip(light, 0, 255).astype(np.uint8)[..., None], 3, axis=2)
 
 
+@pytest.mark.slow
 def test_the_motion_of_markers_is_read_beyond_half_a_pitch_and_back() -> None:
     level = SignalLevel(is_image=True)
     for _ in range(16):

@@ -44,6 +44,7 @@ def test_no_point_ever_carries_more_shear_than_coulomb_allows_and_the_loop_loses
     assert (quality.energy_gap > -1e-3).all()
 
 
+@pytest.mark.slow
 def test_shear_to_the_other_side_and_across_is_the_mirrored_and_the_turned_result() -> None:
     right, left, across = (
         simulate(_loop(angle, 0.2e-3, 1), COARSE) for angle in (0.0, np.pi, np.pi / 2)

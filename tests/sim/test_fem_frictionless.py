@@ -132,6 +132,7 @@ def _ripple(depth: float, element: float, numerics: Fem, most: float) -> None:
     assert same != numerics.follows
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("depth", [pytest.param(0.3e-3, marks=SLOW), 0.6e-3])
 def test_a_sphere_is_pressed_alike_wherever_it_is_in_an_element(depth: float) -> None:
     """A fixed mesh with 3 to 5 elements across the contact."""

@@ -52,6 +52,7 @@ def test_a_sphere_partly_beyond_the_rim_has_getfems_force(fem: Fem) -> None:
     assert result.record["symmetry"]["percent"] < 0.01
 
 
+@pytest.mark.slow
 def test_a_sphere_over_the_corner_has_a_finer_meshs_force() -> None:
     result = _against_finer(Scene(sphere(4e-3), press([0.4e-3], at=(9e-3, 9e-3))), 0.5, 0.75)
     assert result.record["symmetry"]["plane"] == "x = y"

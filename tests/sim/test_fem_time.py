@@ -62,6 +62,7 @@ def test_a_slow_press_feels_the_modulus_at_rest() -> None:
     assert slow.force[-1, 2] == pytest.approx(elastic.force[-1, 2], rel=5e-4)
 
 
+@pytest.mark.slow
 def test_a_shallow_ramp_and_hold_relaxes_as_lee_and_radok_say() -> None:
     """Force of the elastic press on the same mesh, passed through the hereditary integral."""
     motion = ramp_hold(0.15e-3, ramp=0.1, hold=0.4, steps=4)

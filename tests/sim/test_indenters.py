@@ -296,6 +296,7 @@ def test_rounding_a_ridge_that_is_the_tip_is_refused_because_it_would_lift_it() 
         replace(ridge, edge_radius=0.1e-3)
 
 
+@pytest.mark.slow
 def test_drawn_indenters_differ_are_the_same_by_name_and_as_large_as_the_18() -> None:
     drawn = [indenter_of(drawn_name(number)) for number in range(40)]
     assert len({each.parts for each in drawn}) == 40

@@ -40,6 +40,7 @@ def test_a_punch_held_down_relaxes_as_lee_and_radok_say() -> None:
     np.testing.assert_allclose(found.surface[4], found.surface[-1], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_sphere_loads_a_relaxing_layer_as_lee_and_radok_say() -> None:
     depth, ramp = 1e-3, 0.1
     motion = ramp_hold(depth, ramp=ramp, hold=0.4, steps=3)

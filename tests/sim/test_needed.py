@@ -34,6 +34,7 @@ def _by_name(found: EffectsPlan) -> dict[str, Any]:
     return {one.name: one for one in found.effects}
 
 
+@pytest.mark.slow
 def test_a_slow_press_needs_no_inertia_but_its_friction() -> None:
     result = sim.plan(RUBS, "6 %", effects="needed").run()
     assert result.scene.effects == Effects(friction=Friction(0.5))
