@@ -51,6 +51,7 @@ from recorder import Session, SessionWriter, StreamWriter, Window
 from recorder.command_line.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_WRONG_INPUT
 from recorder.progress import Progress
 from rig.core.clock import SECOND_NS, FakeClock
+from tests.support.few import few
 
 SECONDS = 3.0
 
@@ -91,7 +92,7 @@ def require(one: Entry) -> None:
         pytest.importorskip(name, reason=f"{name} is not installed: extra bench")
 
 
-@pytest.mark.parametrize("one", local_stores(), ids=lambda one: one.key)
+@pytest.mark.parametrize("one", few(local_stores(), 5), ids=lambda one: one.key)
 def test_a_store_gives_back_what_was_appended_and_counts_its_bytes(
     one: Entry, tmp_path: Path
 ) -> None:

@@ -34,6 +34,7 @@ from benchmarks.sim.reference_solutions import (
     sphere_contact_radius,
 )
 from benchmarks.sim.reference_solutions.layer_contact import deficit_rule
+from tests.support.few import few
 
 SOFT = (0.145e6, 0.45)
 GEL = (4e-3, *SOFT)
@@ -63,7 +64,7 @@ def test_the_surface_takes_the_shape_of_the_indenter(shape, poisson: float) -> N
 
 
 @pytest.mark.parametrize("base", ["bonded", "frictionless"])
-@pytest.mark.parametrize("shape", SHAPES, ids=_name)
+@pytest.mark.parametrize("shape", few(SHAPES, 2), ids=_name)
 def test_the_pressure_adds_up_to_the_force(shape, base) -> None:
     contact: LayerContact = shape(1e-3, SIZES[shape], *GEL, base=base)
     place, weight = leggauss(64)
@@ -76,7 +77,7 @@ def test_the_pressure_adds_up_to_the_force(shape, base) -> None:
 
 
 @pytest.mark.parametrize("poisson", [0.3, 0.45, 0.5])
-@pytest.mark.parametrize("ratio", [0.3, 2.0, 10.0, 40.0])
+@pytest.mark.parametrize("ratio", few([0.3, 2.0, 10.0, 40.0], 2))
 def test_more_points_change_nothing(ratio: float, poisson: float) -> None:
     coarse = layer_punch(1.0, ratio, 1.0, 1.0, poisson)
     fine = layer_punch(1.0, ratio, 1.0, 1.0, poisson, points=128)

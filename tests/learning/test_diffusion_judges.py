@@ -48,6 +48,7 @@ def test_judgements_are_a_raster_of_each_block_and_a_number() -> None:
     assert [tuple(each.shape) for each in heads(seen)] == [(2, 1, 2, 2), (2, 1, 2, 2), (2, 1)]
 
 
+@pytest.mark.slow
 def test_features_are_those_behind_the_fourth_and_the_eighth_block() -> None:
     clip = tiny_pretrained().clip
     images = torch.rand(1, 3, 32, 32, generator=_generator()) * 2 - 1

@@ -34,6 +34,7 @@ from learning.translation.diffusion.network import (
 )
 from learning.translation.diffusion.train import PRESETS, TranslatorSettings, train
 from learning.translation.diffusion.weights import WIDTHS, vendor
+from tests.support.few import few
 
 LEARNING = Path(__file__).parents[2] / "learning"
 
@@ -135,7 +136,7 @@ def test_grey_levels_come_back_from_either_range() -> None:
         assert (float(native.min()), float(native.max())) == (black, 1)
 
 
-@pytest.mark.parametrize("preset", ["ours", "authors_code"])
+@pytest.mark.parametrize("preset", few(["ours", "authors_code"], 1))
 def test_all_that_is_meant_to_learn_learns_and_nothing_else_moves(preset: str) -> None:
     settings = tiny_settings(preset)
     # Without weight decay, parameters without a gradient do not change. The first halves of

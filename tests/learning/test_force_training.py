@@ -33,6 +33,7 @@ from learning.force.train import (
 )
 from learning.training.checkpoint import read_model_folder
 from learning.training.run import RunFolder
+from tests.support.few import few
 
 # All state that a run has to restore.
 EVERYTHING = toy(
@@ -66,6 +67,7 @@ def test_it_overfits_a_batch() -> None:
     assert _left(train_force(presses, settings), presses) < 0.25
 
 
+@pytest.mark.slow
 def test_a_displacement_model_learns_from_marker_fields() -> None:
     presses = noise_presses(2, form="field")
     settings = toy(
@@ -84,7 +86,7 @@ def not_stopped(tmp_path_factory: pytest.TempPathFactory) -> tuple[ForceModel, s
     return model, (path / "metrics.jsonl").read_text()
 
 
-@pytest.mark.parametrize("steps", [3, 7])
+@pytest.mark.parametrize("steps", few([3, 7], 1))
 def test_a_run_that_was_stopped_ends_as_one_that_was_not(
     tmp_path: Path, steps: int, not_stopped: tuple[ForceModel, str]
 ) -> None:
@@ -345,7 +347,7 @@ def test_the_loss_is_the_mean_over_labels_and_others_add_no_gradient() -> None:
     assert error(wanted, torch.full_like(wanted, torch.nan), None).item() == 0.0
 
 
-@pytest.mark.parametrize("box", ["training", "authors"])
+@pytest.mark.parametrize("box", few(["training", "authors"], 1))
 def test_a_model_of_fz_alone_predicts_fz_alone(tmp_path: Path, box: str) -> None:
     presses = noise_presses(2)
     some = _measured(presses, 2)

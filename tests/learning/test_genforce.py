@@ -39,6 +39,7 @@ from recorder import MarkerArchive, SessionError, check
 from recorder.archive import location_pairs
 from recorder.convert import export
 from recorder.markers import count_markers, pack, unpack
+from tests.support.few import few
 from trajectories import PressShear
 
 Change = Callable[[Path], None]
@@ -410,7 +411,7 @@ def test_simulated_pictures_are_numbered_as_simulated_archives_are(tmp_path: Pat
         import_folder(root, tmp_path / "b.markers.zarr")
 
 
-@pytest.mark.parametrize("kind", ["camera", "taxels"])
+@pytest.mark.parametrize("kind", few(["camera", "taxels"], 1))
 def test_runs_as_they_were_collected_give_the_archive_of_their_session(
     kind: str, tmp_path: Path
 ) -> None:

@@ -31,6 +31,7 @@ from learning.transfer.pairs import join_pair, labels_by_place, split_pair
 from learning.transfer.score import score_of
 from learning.transfer.weigh import forces_of_holds
 from recorder import MarkerArchive
+from tests.support.few import few
 
 ASSUMED = Scale(2.0, "assumed", assumed=True)
 KNOWN = Scale(1.0, "known", assumed=False)
@@ -89,7 +90,7 @@ def test_ninety_percent_of_new_errors_are_within_intervals_fitted_to_old_ones() 
         assert 0.84 < inside[part].mean() < 0.99
 
 
-@pytest.mark.parametrize("count", [1, 2, 4, 12])
+@pytest.mark.parametrize("count", few([1, 2, 4, 12], 2))
 def test_intervals_from_few_indenters_are_wide_enough_for_a_new_one(count: int) -> None:
     random = np.random.default_rng(count)
     covered, pooled = [], []

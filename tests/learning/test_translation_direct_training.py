@@ -132,6 +132,7 @@ def test_the_adversary_learns_to_tell_real_from_made_and_the_network_to_fool_it(
         )
 
 
+@pytest.mark.slow
 def test_stopped_and_resumed_it_ends_in_the_same_weights(
     aligned: AlignedImages, tmp_path: Path
 ) -> None:

@@ -36,6 +36,7 @@ from recorder.archive import (
 from recorder.archive.check import CODES
 from recorder.markers import HEIGHT, WIDTH, Lattice, pack
 from recorder.spec import PHASES
+from tests.support.few import few
 
 get_loop()  # fsspec keeps one thread for the life of the process
 
@@ -330,9 +331,7 @@ def test_order_repetition_and_many_writers_do_not_matter(archive: Path, tmp_path
     assert digests(path) == digests(archive)
 
 
-@pytest.mark.parametrize(
-    "seed", [pytest.param(seed, marks=() if seed < 3 else pytest.mark.slow) for seed in range(30)]
-)
+@pytest.mark.parametrize("seed", few(range(30), 1))
 def test_killed_at_random_and_started_again_the_bytes_are_the_same(
     seed: int, tmp_path: Path
 ) -> None:
@@ -532,7 +531,7 @@ def group(
 @pytest.mark.parametrize(
     ("targets", "pairs"), [(240, 17_280), (48, 3_456), (160, 11_520)], ids=["homo", "mat", "hetero"]
 )
-@pytest.mark.parametrize("preset", ["supplement", "authors_code"])
+@pytest.mark.parametrize("preset", few(["supplement", "authors_code"], 1))
 def test_full_groups_have_the_papers_numbers_of_pairs(
     targets: int, pairs: int, preset: str
 ) -> None:

@@ -31,6 +31,7 @@ from recorder.session.loss import (
     other_rate,
 )
 from recorder.store.layout import merge_attrs
+from tests.support.few import few
 
 Columns = dict[str, Any]
 
@@ -201,7 +202,7 @@ PATTERNS: dict[str, Any] = {
 }
 
 
-@pytest.mark.parametrize("pattern", PATTERNS)
+@pytest.mark.parametrize("pattern", few(PATTERNS, 2))
 @pytest.mark.parametrize("name", ["camera", "force", "pose", "taxels"])
 def test_what_is_deleted_from_a_stream_is_found_in_that_stream_alone(
     name: str, pattern: str, tmp_path: Path
@@ -330,9 +331,7 @@ def test_the_pause_before_a_resume_is_neither_a_loss_nor_part_of_the_rate(tmp_pa
     assert " 200.00 " in describe(path)
 
 
-@pytest.mark.parametrize(
-    "number", [*range(12), *(pytest.param(n, marks=pytest.mark.slow) for n in range(12, 20))]
-)
+@pytest.mark.parametrize("number", few(range(20), 5))
 def test_nothing_is_found_in_healthy_sessions(number: int, tmp_path: Path) -> None:
     """Mixed kinds, codecs and lengths, delays and stalls, resumed ones and quick replays."""
     path = tmp_path / "s.zarr"

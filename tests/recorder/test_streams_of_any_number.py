@@ -35,6 +35,7 @@ from recorder import (
 from recorder.convert.export import export
 from recorder.info import describe, digests
 from recorder.spec import KINDS
+from tests.support.few import few
 
 Mixed = tuple[Path, tuple[str, ...]]
 
@@ -54,7 +55,7 @@ MIXES |= {
 }
 
 
-@pytest.fixture(scope="module", params=MIXES)
+@pytest.fixture(scope="module", params=few(MIXES, 3))
 def mixed(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Mixed:
     path, names = tmp_path_factory.mktemp("mixed") / "s.zarr", MIXES[request.param]
     return make_session(path, names=names, seconds=1.9, shape=(16, 24)), names

@@ -186,6 +186,7 @@ def _difference(name: str, fraction: float) -> float:
     return float(np.linalg.norm(result.wrench[-1, :3] - _plain().wrench[-1, :3]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [pytest.param(name, marks=() if name == "friction" else pytest.mark.slow) for name in EFFECTS],

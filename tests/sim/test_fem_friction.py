@@ -55,6 +55,7 @@ def test_shear_to_the_other_side_and_across_is_the_mirrored_and_the_turned_resul
     assert np.abs(across.force[:, [1, 0, 2]] - right.force).max() < 2e-3 * size
 
 
+@pytest.mark.slow
 def test_more_friction_holds_the_surface_more() -> None:
     """The outward slip of the surface under the sphere decreases with the coefficient."""
     slides = []

@@ -15,6 +15,7 @@ from scipy.ndimage import binary_erosion
 from sim import Body, Result, Scene, press, simulate
 from sim.fem.numerics import Fem
 from sim.indenters import Indenter, box, flat_punch, sphere
+from tests.support.few import few
 
 Array = NDArray[np.float64]
 SMALL = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
@@ -97,7 +98,10 @@ def _punch(degrees: int, shift: float, numerics: Fem) -> None:
     assert _along(traction[inner].sum(axis=0), _face(punch)) < 1e-6
 
 
-@pytest.mark.parametrize(("degrees", "shift"), [(0, 0.13e-3), (5, 0.0), (15, 0.13e-3)])
+@pytest.mark.parametrize(
+    ("degrees", "shift"),
+    few([pytest.param(15, 0.13e-3), pytest.param(0, 0.13e-3), pytest.param(5, 0.0)], 1),
+)
 def test_a_leaning_punch_is_not_pulled_aside(degrees: int, shift: float) -> None:
     _punch(degrees, shift, ROUGH)
 

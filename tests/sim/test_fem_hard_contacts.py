@@ -44,6 +44,7 @@ def _against_finer(scene: Scene, coarse: float, fine: float) -> Result:
     return results[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fem", [pytest.param(Fem(), marks=SLOW), Fem(fineness=0.4)])
 def test_a_sphere_partly_beyond_the_rim_has_getfems_force(fem: Fem) -> None:
     result = _against_getfem("sphere 4 beyond the rim", sphere(4e-3), fem)

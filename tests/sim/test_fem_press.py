@@ -9,6 +9,7 @@ from scipy.interpolate import CubicSpline
 from sim import Body, Effects, Friction, Motion, Result, Scene, press, simulate, simulate_many
 from sim.fem.numerics import Fem
 from sim.indenters import Indenter, box, cone, flat_punch, named, sphere
+from tests.support.few import few
 
 SMALL = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
 COARSE = Fem(spacing=4e-3 / 3, precision="float64")
@@ -95,7 +96,7 @@ def test_mirrored_presses_mirror() -> None:
         assert np.abs(other - surface).max() < 1e-6 * depth
 
 
-@pytest.mark.parametrize("effects", [Effects(), Effects(friction=Friction(0.5))])
+@pytest.mark.parametrize("effects", few([Effects(friction=Friction(0.5)), Effects()], 1))
 def test_a_batch_gives_what_its_scenes_give_alone_bit_for_bit(effects: Effects) -> None:
     """Different indenters, motions, lengths of motion and materials in one batch."""
     soft = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3, modulus=3e4, poisson=0.3)

@@ -21,6 +21,7 @@ def _solved(poisson: float, effects: Effects) -> Result:
     return simulate(Scene(sphere(3e-3), MOTION, body, effects), NUMERICS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("poisson", "effects"),
     [

@@ -26,6 +26,7 @@ from sim.indenters import (
     torus,
     tube,
 )
+from tests.support.few import few
 
 Array = NDArray[np.float64]
 
@@ -92,7 +93,7 @@ def test_areas_are_those_of_the_published_meshes(name: str) -> None:
     assert covered.sum() * step**2 * 1e6 == pytest.approx(area, abs=tolerance)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", few(NAMES, 6))
 def test_the_normal_is_the_unit_gradient_of_the_gap_on_the_surface(name: str) -> None:
     indenter = named(name)
     points = _on_surface(indenter)
@@ -165,7 +166,7 @@ def test_rounding_only_takes_material_away(name: str) -> None:
     assert np.all(sharp.distance(points)[0][inside] < 0)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", few(NAMES, 6))
 def test_every_named_indenter_takes_its_largest_edge_radius_and_no_more(name: str) -> None:
     limit = named(name).edge_radius_max
     largest = named(name, limit * (1 - 1e-6))

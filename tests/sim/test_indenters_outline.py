@@ -10,6 +10,7 @@ from sim.errors import SceneError
 from sim.indenters import extruded, named
 from sim.indenters.outline import OutlinePiece, distance, extent, pieces, radius_max, rows
 from sim.indenters.shapes import bulge
+from tests.support.few import few
 
 Array = NDArray[np.float64]
 
@@ -66,7 +67,7 @@ def _gap(values: tuple[float, ...], radius: float, points: Array) -> Array:
     return distance(rows(values, radius), points[:, 0], points[:, 1])[0]
 
 
-@pytest.mark.parametrize("name", OUTLINES)
+@pytest.mark.parametrize("name", few(OUTLINES, 2))
 def test_the_distance_is_that_of_a_fine_polygon(name: str) -> None:
     values = _values(name)
     points = _cloud(values, 300)

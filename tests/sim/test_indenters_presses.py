@@ -46,6 +46,7 @@ def test_layer_presses_a_body_from_a_file_like_the_exact_one(block: Indenter) ->
     np.testing.assert_allclose(force, expected, rtol=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("drawn", "declared"),
     [

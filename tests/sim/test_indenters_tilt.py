@@ -29,6 +29,7 @@ from sim.indenters import (
 )
 from sim.result import scene_from_json, scene_to_json
 from sim.scene import Scene, press
+from tests.support.few import few
 
 Array = NDArray[np.float64]
 
@@ -59,7 +60,7 @@ def test_a_tilted_sphere_is_a_sphere() -> None:
 
 
 @pytest.mark.parametrize("angle", [math.radians(15), 1e-4])
-@pytest.mark.parametrize("edge", [0.0, 0.4e-3])
+@pytest.mark.parametrize("edge", few([0.4e-3, 0.0], 1))
 def test_a_tilted_punch_stands_on_its_rim(edge: float, angle: float) -> None:
     radius = 3e-3
     punch = flat_punch(radius, edge).tilted(0.0, angle)

@@ -32,6 +32,7 @@ def labels(archive: Path, twin: Path | str, *more: str) -> int:
     return main([*words, "--grid", "48", "--processes", "1", *more])
 
 
+@pytest.mark.slow
 def test_forces_of_a_twin_are_those_of_its_presses(
     archive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -22,6 +22,7 @@ def truth() -> np.ndarray:
     return fine + (fine - coarse) / 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "tier", [Fem(spacing=0.8e-3), pytest.param(Fem(), marks=pytest.mark.slow), Layer()]
 )

@@ -166,6 +166,7 @@ def _independent(
     return AxisymmetricPress(layer, ball(radius), grid, 0.0, wide).run([depth], path)[0].force
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("radius", "body"),
     [(2, DISC)]

@@ -97,6 +97,7 @@ def test_its_estimate_covers_what_meshes_measure(scene: Scene) -> None:
     assert (off <= own + theirs).all()
 
 
+@pytest.mark.slow
 def test_meshes_go_on_where_its_estimate_is_above_and_the_look_is_counted() -> None:
     result = plan(WIDE, "5 %").run()
     told = result.record["plan"]

@@ -59,6 +59,7 @@ def test_what_a_solution_asks_for_spares_the_next_mesh_being_made_anew() -> None
     np.testing.assert_allclose(second.force, first.force, rtol=0.02, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_states_of_a_contact_far_smaller_than_the_thickness_are_balanced() -> None:
     """The force is 2 mN, a thirtieth of the least force that the thickness alone would suggest."""
     scene = Scene(sphere(0.5e-3), press([0.05e-3]), Body(80e-3, 80e-3, 20e-3))

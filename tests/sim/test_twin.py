@@ -65,6 +65,7 @@ def test_true_values_lie_in_the_intervals(fit: Fit) -> None:
         assert low <= true <= high, name
 
 
+@pytest.mark.slow
 def test_expected_intervals_are_those_of_a_fit(fit: Fit) -> None:
     planner = Planner(sensor("gelsight"), noise=0.005, grid=COARSE)
     expected = planner.expected([SHORT["sphere"], SHORT["prism"]]).spreads
