@@ -125,10 +125,10 @@ def _pairs(
     # Along the axis on which the boxes leave the fewest nodes, each box holds a range of them.
     rows = [np.argsort(point[:, axis]) for axis in range(3)]
     ranges = [
-        [
-            np.searchsorted(point[rows[axis], axis], ends[:, axis], side)
-            for ends, side in ((low, "left"), (high, "right"))
-        ]
+        (
+            np.searchsorted(point[rows[axis], axis], low[:, axis], "left"),
+            np.searchsorted(point[rows[axis], axis], high[:, axis], "right"),
+        )
         for axis in range(3)
     ]
     axis = min(range(3), key=lambda one: (ranges[one][1] - ranges[one][0]).sum())
