@@ -212,17 +212,17 @@ class ConjugateGradient:
         self._gathers = self._device.is_cuda if gather is None else gather
         self._lanes = LANES if self._device.is_cuda else 1
 
-    def solve(self, active, residual, accuracy, most: int) -> np.ndarray:
-        """Fill `solution` of active environments and return their numbers of iterations (B,).
+    def solve(self, chosen: np.ndarray, residual, accuracy, most: int) -> np.ndarray:
+        """Fill `solution` of the chosen environments and return their numbers of iterations (B,).
 
         Args:
-            active: Mask of environments, int32 (B,); not changed.
+            chosen: True for the environments to solve (B,).
             residual: Right-hand side (B, N).
             accuracy: Target of |r| / |residual|, float64 NumPy (B,).
             most: Most iterations; the graph in which this is reached is completed.
         """
         start, begin, _step_length, _change, turn = _cg_kernels(self._real, self._lanes)
-        running = np.flatnonzero(active.numpy())
+        running = np.flatnonzero(chosen)
         self._gather(running, renew=True)
         self._accuracy.assign(accuracy)
         self._count.zero_()

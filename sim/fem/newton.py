@@ -63,6 +63,8 @@ WORK_STEP, WORK_STEP_VISCOUS = 1 / 30, 1 / 12
 # Iterations in which friction's limit follows the pressure fully; later it moves by the second, a
 # fraction of the way. Otherwise the two may alternate for ever with equal and opposite changes.
 RELAX_AFTER, RELAX_SHARE = 4, 0.5
+# Masks of environments that are kept on the device.
+MASKS = 8
 
 
 class Newton:
@@ -103,6 +105,7 @@ class Newton:
         self._best_at, self._far_at = np.zeros((2, count), int)
         self._settled, self._renewed = np.zeros((2, count), int)
         self._patience = np.ones(count)
+        self._masks: dict[bytes, wp.array] = {}
 
     def begin(
         self,
@@ -178,7 +181,7 @@ class Newton:
         accuracy = np.clip(0.3 * self.residual, ACCURACY_LEAST, ACCURACY)
         accuracy[predicting] = PREDICTION
         used = self._cg.solve(
-            active,
+            running,
             assembly.residual,
             np.where(running, accuracy, 1.0),
             assembly.numerics.cg_max,
@@ -345,8 +348,17 @@ class Newton:
         return np.where(long, (work + 2 * middle) / 3, work)
 
     def mask(self, chosen: np.ndarray):
-        """Return the chosen environments (B,) as a mask for the kernels."""
-        return wp.array(chosen.astype(np.int32), dtype=wp.int32, device=self._assembly.device)
+        """Return the chosen environments (B,) as a mask for the kernels, which do not change it.
+
+        A sweep needs the same masks again and again; each is copied to a GPU once.
+        """
+        key = chosen.tobytes()
+        if key not in self._masks:
+            if len(self._masks) == MASKS:
+                del self._masks[next(iter(self._masks))]
+            found = chosen.astype(np.int32)
+            self._masks[key] = wp.array(found, dtype=wp.int32, device=self._assembly.device)
+        return self._masks[key]
 
 
 # Path of one press along its motion: the choice of steps, and the halving of failed ones.

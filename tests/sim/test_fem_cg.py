@@ -97,7 +97,7 @@ class Solved:
         both = Dense(matrices), Blocks(matrices)
         solver = ConjugateGradient(real, count, NODES, "cpu", *both, gather=gather, record=False)
         self.count = solver.solve(
-            oracle.integers(active), oracle.vectors(right, real), np.full(count, accuracy), most
+            active > 0, oracle.vectors(right, real), np.full(count, accuracy), most
         )
         self.solution = solver.solution.numpy().astype(float).reshape(count, SIZE)
         self.slope, self.concave = solver.status()
@@ -128,8 +128,8 @@ def test_a_preconditioner_that_is_not_positive_ends_as_not_convex() -> None:
     matrices = _symmetric(np.linspace(1, 50, SIZE), 1)[None]
     both = Dense(matrices), Negative(matrices)
     solver = ConjugateGradient(wp.float64, 1, NODES, "cpu", *both, record=False)
-    active, right = oracle.integers([1]), oracle.vectors(_right(1), wp.float64)
-    assert solver.solve(active, right, np.full(1, 1e-9), 400)[0] == 1
+    right = oracle.vectors(_right(1), wp.float64)
+    assert solver.solve(np.ones(1, bool), right, np.full(1, 1e-9), 400)[0] == 1
     slope, concave = solver.status()
     assert concave[0]
     found = solver.solution.numpy().ravel()
