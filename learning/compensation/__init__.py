@@ -19,6 +19,7 @@ from learning.compensation.prior import (
 )
 from learning.compensation.search import Choice, Grid, Paired, best_for_labels, best_for_priors
 from learning.compensation.simulated import (
+    SIMULATED,
     SimulatedLabels,
     simulated_labels,
     simulated_r2,
@@ -28,6 +29,7 @@ from learning.compensation.simulated import (
 __all__ = [
     "DEFAULT_D0",
     "DEFAULT_WEIGHT",
+    "SIMULATED",
     "Branch",
     "Choice",
     "ForceDepth",

@@ -24,6 +24,8 @@ from recorder.archive import ArchivedSensor, Simulated, location_pairs
 
 Floats = NDArray[np.float64]
 
+# Name of such labels among methods and choices.
+SIMULATED = "simulated"
 # Limits of ratios, as of those of priors, and the forces from which they are known [N].
 RATIOS, KNOWN = (0.1, 10.0), 0.01
 

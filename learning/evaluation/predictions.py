@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from learning.compensation.simulated import SIMULATED
 from learning.errors import LearningError
 from learning.evaluation.results_file import Results, read_results, write_results
 from learning.metrics import (
@@ -31,7 +32,6 @@ KIND = "predictions"
 # by twins of both sensors; by the choice that fits the target's labels best; the target's own
 # labels; and these by ridge regression on a few features instead of a network.
 BASELINE = "baseline"
-SIMULATED = "simulated"
 METHODS = (
     "source-only",
     "transferred",

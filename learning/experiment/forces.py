@@ -12,14 +12,18 @@ from pathlib import Path
 import torch
 
 from learning.archive_writer import archive_fingerprint
-from learning.compensation import SimulatedLabels, StoredCompensation, simulated_labels
+from learning.compensation import (
+    SIMULATED,
+    SimulatedLabels,
+    StoredCompensation,
+    simulated_labels,
+)
 from learning.config import read_settings
 from learning.data.presses import Presses
 from learning.data.splits import Split
 from learning.errors import LearningError
 from learning.evaluation.predictions import (
     CHOICES,
-    SIMULATED,
     Predictions,
     predictions_of,
     read_predictions,
@@ -172,7 +176,9 @@ class Forces:
         found = []
         for first in range(0, len(pairs), at_once):
             tunings = [
-                Tuning(pair, method, translator, _labels(self.archive, pair, method, compensation))
+                Tuning(
+                    pair, method, translator, relabelling(self.archive, pair, method, compensation)
+                )
                 for pair in pairs[first : first + at_once]
                 for method in (TRANSFERRED, *self._compensated(pair, compensation))
             ]
@@ -397,10 +403,15 @@ def _data(tuning: Tuning, shown: str) -> str:
     return f"{shown} {labels.made_from}" if isinstance(labels, SimulatedLabels) else shown
 
 
-def _labels(
+def relabelling(
     archive: MarkerArchive, pair: Pair, method: str, compensation: StoredCompensation | None
 ) -> Relabelling | None:
-    """Return the compensation of a pair's labels for a method, or None."""
+    """Return the compensation of a pair's labels for a method, or None.
+
+    Raises:
+        LearningError: A sensor has no forces of a twin that the method needs.
+        SessionError: The archive is corrupt.
+    """
     if method == SIMULATED:
         return simulated_labels(archive[pair.source], archive[pair.target])
     if compensation is None or method not in CHOICES:

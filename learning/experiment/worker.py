@@ -16,12 +16,12 @@ from pathlib import Path
 
 import torch
 
-from learning.compensation import read_stored, twin_forces
+from learning.compensation import SIMULATED, read_stored, twin_forces
 from learning.compensation.fit import Curves, gather_priors
 from learning.data.splits import read_split
 from learning.errors import LearningError
 from learning.evaluation.distribution import MarkerGrid
-from learning.evaluation.predictions import CHOICES, SIMULATED, Predictions
+from learning.evaluation.predictions import CHOICES, Predictions
 from learning.evaluation.translation import TranslationScores, read_scores, score_translation
 from learning.experiment.forces import Forces
 from learning.experiment.models import Places, open_translator, run_command, train_translator

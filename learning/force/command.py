@@ -31,13 +31,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--start-from", type=Path, metavar="MODEL", help="start from the weights of this model"
     )
     parser.add_argument(
-        "--compensation", type=Path, metavar="FILE", help="compensate labels for another material"
+        "--compensation",
+        type=Path,
+        metavar="FILE",
+        help="compensate labels for another material; with --choice simulated, the archive of the "
+        "pair's target, if it is another",
     )
     parser.add_argument(
         "--pair", metavar="A-to-B", help="the compensated pair (default: that of --sensor)"
     )
     parser.add_argument(
-        "--choice", default="default", metavar="NAME", help="its choice of d0 and lambda (default)"
+        "--choice",
+        default="default",
+        metavar="NAME",
+        help="its choice of d0 and lambda (default); simulated: by forces of twins of both sensors "
+        "(tactile sim labels)",
     )
     add_resume(parser, "continue the run in --out")
 

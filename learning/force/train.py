@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from learning.archive_writer import archive_fingerprint
-from learning.compensation import SimulatedLabels, read_stored
+from learning.compensation import SIMULATED, SimulatedLabels, read_stored, simulated_labels
 from learning.config import read_settings, require
 from learning.data.presses import AUTHORS, ForceRange, Presses, load_presses
 from learning.data.splits import Role, Split
@@ -736,12 +736,14 @@ def run(options: argparse.Namespace) -> int:
     settings = read_settings(ForceSettings, PRESETS, options.preset, options.set)
     archive, split = open_data(options)
     sensors = _sensors(options, archive, split)
-    compensation = _compensation(options, sensors)
+    compensation = _compensation(options, archive, sensors)
     start_from = None if options.start_from is None else load_force_model(options.start_from)
     data = [archive_fingerprint(archive), split.fingerprint, *sensors]
     if options.start_from is not None:
         data.append(weights_hash(options.start_from / "model.safetensors"))
-    if options.compensation is not None:
+    if isinstance(compensation, SimulatedLabels):
+        data.append(compensation.made_from)
+    elif options.compensation is not None:
         data += [weights_hash(options.compensation), options.pair or "", options.choice]
 
     def train(session: Session) -> Iterator[str]:
@@ -815,8 +817,11 @@ def _presses(
         )
 
 
-def _compensation(options: argparse.Namespace, sensors: list[str]) -> Compensation | None:
-    if options.compensation is None:
+def _compensation(
+    options: argparse.Namespace, archive: MarkerArchive, sensors: list[str]
+) -> Relabelling | None:
+    by_twins = options.choice == SIMULATED
+    if options.compensation is None and not by_twins:
         if options.pair is not None:
             raise LearningError("--pair: found without --compensation; allowed: both")
         return None
@@ -825,4 +830,30 @@ def _compensation(options: argparse.Namespace, sensors: list[str]) -> Compensati
         raise LearningError(
             f"--pair: found {options.pair or ','.join(sensors)}; allowed: A-to-B, of one pair"
         )
+    if by_twins:
+        return _by_twins(options, archive, sensors, target)
     return read_stored(options.compensation).pair(source, target, options.choice).applied
+
+
+def _by_twins(
+    options: argparse.Namespace, archive: MarkerArchive, sensors: list[str], target: str
+) -> SimulatedLabels:
+    """Return labels by simulation for a target, whose twin's forces another archive may hold."""
+    if len(sensors) > 1:
+        raise LearningError(
+            f"--sensor: found {', '.join(sensors)}; allowed with --choice {SIMULATED}: one, as "
+            "each has its own twin"
+        )
+    where = options.compensation
+    if where is not None and where.is_file():
+        raise LearningError(
+            f"--compensation: found the file {where}; allowed with --choice {SIMULATED}: the "
+            f"archive of {target}, or nothing if it is {options.archive}"
+        )
+    other = archive if where is None else MarkerArchive(where)
+    if target not in other:
+        raise LearningError(
+            f"{other.name}: has no sensor {target!r}; allowed: --compensation ARCHIVE, which holds "
+            f"{target} with forces of its twin"
+        )
+    return simulated_labels(archive[sensors[0]], other[target])

@@ -16,12 +16,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from learning.compensation import SimulatedLabels
 from learning.data.presses import Presses, load_presses
 from learning.errors import LearningError
 from learning.force.intervals import FEWEST, AxisError, Intervals, Scale, fit_errors
 from learning.force.learned import SHAPE, fit_learned, shapes_of
 from learning.force.model import ForceModel
-from learning.force.train import Compensation
+from learning.force.train import Compensation, Relabelling
 from learning.transfer.pairs import labels_by_place
 from recorder import MarkerArchive
 from recorder.archive import ArchivedSensor
@@ -51,7 +52,7 @@ def calibrate(
     source: str,
     target: str,
     model: ForceModel,
-    compensation: Compensation | None,
+    compensation: Relabelling | None,
     indenters: tuple[str, ...],
     scale: Scale,
 ) -> Calibration:
@@ -101,7 +102,7 @@ def calibrate(
 
 
 def wanted_forces(
-    archive: MarkerArchive, source: str, target: str, compensation: Compensation | None
+    archive: MarkerArchive, source: str, target: str, compensation: Relabelling | None
 ) -> Floats:
     """Return the source's labels at the target's frames (n, 3) [N], scaled; NaN without one.
 
@@ -112,13 +113,14 @@ def wanted_forces(
     return labels_by_place(archive[source].table, labels, archive[target].table)
 
 
-def _source_labels(
-    archive: MarkerArchive, source: str, compensation: Compensation | None
-) -> Floats:
+def _source_labels(archive: MarkerArchive, source: str, compensation: Relabelling | None) -> Floats:
     """Return the scaled labels of indenters that may be learned from (m, 3) [N]; NaN elsewhere."""
     table = archive[source].table
     labels = np.full((len(table["location"]), 3), np.nan)
     rows = np.flatnonzero(table["valid"] & (table["location"] >= 0) & table["seen"])
+    if isinstance(compensation, SimulatedLabels):
+        labels[rows] = compensation.force[rows]
+        return labels
     labels[rows] = _scaled(table["wrench"][rows, :3], table, rows, compensation)
     return labels
 

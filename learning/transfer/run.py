@@ -12,18 +12,19 @@ from typing import Any
 import numpy as np
 
 from learning.archive_writer import archive_fingerprint
+from learning.compensation import SIMULATED, twin_forces
 from learning.compensation.fit import Curves, gather_priors, read_stored
 from learning.data.matching import Chosen, Tolerances
 from learning.errors import LearningError
-from learning.evaluation.predictions import CHOICES, after, read_predictions
-from learning.experiment.forces import adopt_model
+from learning.evaluation.predictions import CHOICES, LABEL_FREE, after, read_predictions
+from learning.experiment.forces import adopt_model, relabelling
 from learning.experiment.models import Places, run_command
+from learning.experiment.parts import Pair
 from learning.experiment.running import run_experiment
 from learning.experiment.settings import ExperimentSettings
 from learning.force.export import export_onnx
 from learning.force.intervals import Scale
 from learning.force.model import load_force_model
-from learning.force.train import Compensation
 from learning.training.checkpoint import CONFIG, MODEL, read_model_folder
 from learning.transfer.calibrate import Calibration, calibrate, forces_at, presses_of_rows
 from learning.transfer.deliver import (
@@ -44,8 +45,11 @@ from recorder.store import replace_file
 
 Say = Callable[[str], None]
 
-# Factors of the scale that are assumed: without any force on the target; with force-depth curves.
+# Factors of the scale that are assumed: without any force on the target; with force-depth curves or
+# twins of both skins.
 NOTHING, CURVES = 2.0, 1.25
+# Method with the source's labels as they are.
+UNSCALED = LABEL_FREE[0]
 # Relative difference of two depth ranges below which forces at the same fraction compare.
 _AS_DEEP = 0.1
 
@@ -119,15 +123,16 @@ def run_transfer(asked: Request, say: Say = print) -> Card:
     )
     say(f"calibrate the intervals before the model learns them: {', '.join(calibrates)}")
 
-    # Labels are scaled between the skins, if both have a force-depth curve.
+    # Labels are scaled between the skins, if both have a force-depth curve or a twin.
     curved = _compensated(asked, archive, places, say)
-    kinds = asked.settings.compensation if curved else ()
+    kinds = tuple(one for one in asked.settings.compensation if curved or one == SIMULATED)
+    method = after(kinds)
     settings = replace(asked.settings, compensation=kinds)
     if asked.source_model is not None:
         settings = adopt_model(
             asked.source_model, archive, source, split, settings, places, asked.device
         )
-    if not curved:
+    if method == UNSCALED:
         _require_as_deep(asked, archive)
     run_experiment(
         places.archive,
@@ -141,10 +146,10 @@ def run_transfer(asked: Request, say: Say = print) -> Card:
 
     # The model of translated frames learns the target's own; errors on indenters never seen become
     # intervals; the scale is what is known of it.
-    method = after(kinds) if kinds else "transferred"
     translator = settings.translators[0]
     trained = places.model(f"force-{source}-to-{target}.{method}.{translator}")
-    labels_as = _applied(places, source, target, method)
+    stored = read_stored(places.compensation) if method in CHOICES else None
+    labels_as = relabelling(archive, Pair(source, target), method, stored)
     trained = tune_by_place(
         archive, source, target, split, trained, settings, labels_as, asked.device
     )
@@ -155,7 +160,7 @@ def run_transfer(asked: Request, say: Say = print) -> Card:
         load_force_model(trained, asked.device),
         labels_as,
         calibrates,
-        _scale(asked, curved),
+        _scale(asked, method),
     )
     # Its errors are measured: the delivered model learns the indenters that calibrated as well.
     trained = tune_by_place(
@@ -169,9 +174,9 @@ def run_transfer(asked: Request, say: Say = print) -> Card:
         asked.device,
         "all",
     )
-    factor = 1.0 if curved or asked.ratio is None else asked.ratio
+    factor = 1.0 if method != UNSCALED or asked.ratio is None else asked.ratio
     calibration = replace(
-        calibration, intervals=calibration.intervals.rescaled(factor, _scale(asked, curved))
+        calibration, intervals=calibration.intervals.rescaled(factor, _scale(asked, method))
     )
     factors = np.full(3, factor)
     history: tuple[str, ...] = ()
@@ -226,6 +231,7 @@ def _begin(asked: Request) -> None:
         "calibrate_on": asked.calibrate_on and sorted(asked.calibrate_on),
         "unseen": asked.unseen and sorted(asked.unseen),
         "tolerances": asdict(asked.tolerances),
+        "twins": _twins(asked),
     }
     path = asked.out / "transfer.json"
     if not path.exists():
@@ -238,6 +244,14 @@ def _begin(asked: Request) -> None:
                 f"{path}.{key}: found {found.get(key)!r}, asked for {value!r}; allowed: the same, "
                 "or another folder"
             )
+
+
+def _twins(asked: Request) -> list[str] | None:
+    """Return the twins of both sensors; None if labels are not scaled by them."""
+    if SIMULATED not in asked.settings.compensation:
+        return None
+    sensors = (each.archive[each.sensor] for each in (asked.source, asked.target))
+    return [twin_forces(sensor).made_from for sensor in sensors]
 
 
 def _is_same(path: Path, archive: MarkerArchive) -> bool:
@@ -274,16 +288,12 @@ def _compensated(asked: Request, archive: MarkerArchive, places: Places, say: Sa
     return True
 
 
-def _applied(places: Places, source: str, target: str, method: str) -> Compensation | None:
-    """Return the scaling of labels that a model was trained with."""
-    if method not in CHOICES:
-        return None
-    return read_stored(places.compensation).pair(source, target, CHOICES[method]).applied
-
-
-def _scale(asked: Request, curved: bool) -> Scale:
+def _scale(asked: Request, method: str) -> Scale:
     """Return what is known of the scale before any weight or label."""
-    if curved:
+    if method == SIMULATED:
+        text = "twins of both skins, which simulate every press; their ratio is assumed to hold"
+        return Scale(asked.within or CURVES, text, assumed=False)
+    if method != UNSCALED:
         text = "force-depth curves of both skins; their ratio is assumed to hold for all indenters"
         return Scale(asked.within or CURVES, text, assumed=False)
     ratio = 1.0 if asked.ratio is None else asked.ratio

@@ -15,12 +15,13 @@ import numpy as np
 import torch
 
 from learning.archive_writer import archive_fingerprint
+from learning.compensation import SimulatedLabels
 from learning.data.presses import load_presses
 from learning.data.splits import Split
 from learning.experiment.forces import force_settings
 from learning.experiment.settings import ExperimentSettings
 from learning.force.model import KIND, load_force_model
-from learning.force.train import Compensation, train_force
+from learning.force.train import Relabelling, train_force
 from learning.training.run import RunFolder, Session, Stop, accelerator
 from learning.transfer.calibrate import wanted_forces
 from recorder import MarkerArchive
@@ -34,7 +35,7 @@ def tune_by_place(
     split: Split,
     trained: Path,
     settings: ExperimentSettings,
-    compensation: Compensation | None,
+    compensation: Relabelling | None,
     device: str,
     name: str = "by place",
 ) -> Path:
@@ -69,6 +70,8 @@ def tune_by_place(
         return trained
     tuning = force_settings(settings, archive, torch.device(device), tuning=True)
     data = f"{archive_fingerprint(archive)} {split.fingerprint} {target} {name}"
+    if isinstance(compensation, SimulatedLabels):
+        data += f" {compensation.made_from}"
     folder = trained.with_name(f"{trained.name}.{name.replace(' ', '-')}")
     with RunFolder.open(folder, KIND, tuning, data, True, keep=1) as run:
         if not run.finished:

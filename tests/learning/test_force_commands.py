@@ -6,10 +6,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support.made_up_archives import made_up_archive
 
+from learning.__main__ import main
 from learning.data.splits import make_split
+from learning.force.model import load_force_model
+from recorder.archive import write_simulated
 
 SMALL = ["--preset", "tiny", "--set", "stages=[{epochs: 1, learning_rate: 0.001}]"]
 
@@ -52,6 +56,42 @@ def test_an_archive_becomes_a_model_a_file_and_a_table(tmp_path: Path) -> None:
         ("onnxruntime", "int8"),
     ]
     assert all(float(row["mae_n"]) > 0 for row in rows)
+
+
+def test_labels_by_simulation_are_learned_from_translated_frames(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    archive = made_up_archive(tmp_path / "x.markers.zarr", frames_per_phase=1)
+    make_split(archive, validation=0.0, new_press=0.0).write(tmp_path / "split.json")
+    made = made_up_archive(tmp_path / "made.markers.zarr", ("dots",), frames_per_phase=1)
+    words = ["train-force", str(archive.path), "--split", str(tmp_path / "split.json"), *SMALL]
+    words += ["--choice", "simulated", "--pair", "dots-to-grid", "--out", str(tmp_path / "run")]
+    words += ["--set", "range_margin=0"]
+    one, both = ["--sensor", "dots"], ["--sensor", "dots,grid"]
+    far = ["--compensation", str(made.path)]
+
+    def refused(*more: str) -> str:
+        assert main([*words, *more]) == 2
+        assert not (tmp_path / "run").exists()
+        return capsys.readouterr().err
+
+    assert "dots: found no forces of a twin; allowed: tactile sim labels" in refused(*one)
+    wrench = archive["dots"].table["wrench"][:, :3]
+    write_simulated(archive["dots"], 0.9 * wrench, np.full(wrench.shape, 0.1), "twin of dots")
+    assert "grid: found no forces of a twin; allowed: tactile sim labels" in refused(*one)
+    assert "--sensor: found dots, grid; allowed with --choice simulated: one" in refused(*both)
+    assert "has no sensor 'grid'; allowed: --compensation ARCHIVE" in refused(*one, *far)
+    file = ["--compensation", str(tmp_path / "split.json")]
+    assert "--compensation: found the file" in refused(*one, *file)
+    # Forces of the target's twin from another archive, at the same locations.
+    apart = made_up_archive(tmp_path / "apart.markers.zarr", ("grid",), frames_per_phase=1)
+    write_simulated(apart["grid"], 3 * wrench, np.full(wrench.shape, 0.1), "twin of grid")
+    assert main([*words, *one, "--compensation", str(apart.path)]) == 0
+    model = load_force_model(tmp_path / "run")
+    located = archive["dots"].table["location"] >= 0
+    deepest = (3 / 0.9) * wrench[located & archive["dots"].table["seen"], 2].min()
+    assert float(model.low[2]) == pytest.approx(deepest, rel=1e-3)
+    assert "twin of dots; twin of grid" in (tmp_path / "run" / "config.yaml").read_text()
 
 
 @pytest.mark.slow

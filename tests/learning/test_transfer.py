@@ -31,6 +31,7 @@ from learning.transfer.pairs import join_pair, labels_by_place, split_pair
 from learning.transfer.score import score_of
 from learning.transfer.weigh import forces_of_holds
 from recorder import MarkerArchive
+from recorder.archive import write_simulated
 from tests.support.few import few
 
 ASSUMED = Scale(2.0, "assumed", assumed=True)
@@ -381,3 +382,59 @@ def test_a_transfer_makes_a_model_that_no_label_of_the_target_has_touched(
     assert run_module(transfer, *words, "--out", out, *settings) == 0
     assert "**Scale known**: force-depth curves" in (out / "model" / "card.md").read_text()
     assert (out / "results" / "dots-to-grid.priors.flow.npz").exists()
+
+
+def with_twin(archive: MarkerArchive, name: str, factor: float) -> MarkerArchive:
+    """Add forces of a twin, which are the true ones times a factor."""
+    wrench = factor * archive[name].table["wrench"][:, :3]
+    write_simulated(archive[name], wrench, np.full(wrench.shape, 0.01), f"twin of {name}")
+    return MarkerArchive(archive.path)
+
+
+def test_a_transfer_by_twins_needs_both(tmp_path: Path) -> None:
+    made = {"targets": 1, "displacement": False, "frames_per_phase": 1}
+    one = made_up_archive(tmp_path / "a.markers.zarr", ["dots"], **made)
+    other = made_up_archive(tmp_path / "b.markers.zarr", ["grid"], **made)
+    out = tmp_path / "run"
+    words = ["--source", f"{one.path}:dots", "--target", f"{other.path}:grid", "--out", out]
+    words += ["--set", "compensation=[simulated]"]
+    with pytest.raises(LearningError, match="dots: found no forces of a twin; allowed: tactile"):
+        run_module(transfer, *words)
+    with_twin(one, "dots", 0.9)
+    with pytest.raises(LearningError, match="grid: found no forces of a twin; allowed: tactile"):
+        run_module(transfer, *words)
+    assert not any(out.glob("*"))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_a_transfer_by_twins_has_the_target_s_scale(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tqdm.tqdm.monitor_interval", 0)
+    made = {"targets": 2, "displacement": False}
+    one = made_up_archive(tmp_path / "a.markers.zarr", ["dots"], **made)
+    other = made_up_archive(tmp_path / "b.markers.zarr", ["grid"], **made)
+    one, other = with_twin(one, "dots", 0.9), with_twin(other, "grid", 0.9)
+    out = tmp_path / "run"
+    words = ["--source", f"{one.path}:dots", "--target", f"{other.path}:grid", "--out", out]
+    words += [word for each in SMALL for word in ("--set", each)]
+    words += ["--set", "compensation=[simulated]"]
+    assert run_module(transfer, *words) == 0
+    card = (out / "model" / "card.md").read_text()
+    assert "**Scale known**: twins of both skins" in card
+    assert "scaled between the skins by their twins (`simulated`)" in card
+    joined = MarkerArchive(out / "pairs.markers.zarr")
+    assert np.isnan(joined["grid"].table["wrench"]).all()
+    # The largest force learned from is the target's, of indenters that may be learned from.
+    intervals = read_intervals(out / "model")
+    assert intervals is not None
+    table = other["grid"].table
+    true = np.abs(table["wrench"][(table["location"] >= 0) & table["seen"], 2]).max()
+    assert intervals.largest[2] == pytest.approx(true, rel=1e-3)
+    with_twin(other, "grid", 0.8)
+    wrench = MarkerArchive(other.path)["grid"].simulated
+    assert wrench is not None
+    write_simulated(other["grid"], wrench.force, wrench.spread, "another twin")
+    with pytest.raises(LearningError, match=r"transfer\.json\.twins: found"):
+        run_module(transfer, *words)

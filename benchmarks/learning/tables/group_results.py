@@ -8,12 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from learning.compensation import StoredCompensation, read_stored
+from learning.compensation import SIMULATED, StoredCompensation, read_stored
 from learning.errors import LearningError
 from learning.evaluation.paper_figures import Beside, beside_the_paper
 from learning.evaluation.predictions import (
     CHOICES,
-    SIMULATED,
     UNSEEN,
     ForceRow,
     Predictions,
