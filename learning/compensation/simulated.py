@@ -20,7 +20,7 @@ from learning.compensation.search import learned_from
 from learning.errors import LearningError
 from learning.metrics import r_squared
 from recorder import MarkerArchive
-from recorder.archive import ArchivedSensor, Simulated, location_pairs
+from recorder.archive import ArchivedSensor, Simulated, location_pairs, press_rows
 
 Floats = NDArray[np.float64]
 
@@ -115,19 +115,9 @@ def twin_forces(sensor: ArchivedSensor) -> Simulated:
 
 def _groups(sensor: ArchivedSensor) -> dict[tuple[int, int], tuple[NDArray[np.int64], Floats]]:
     """Return rows and fraction of the phase of the frames of each location and phase."""
-    table = sensor.table
-    rows = np.flatnonzero(table["valid"] & (table["location"] >= 0))
-    location, phase = table["location"][rows], table["phase"][rows]
-    order = np.lexsort((table["frame"][rows], phase, location))
-    rows, location, phase = rows[order], location[order], phase[order]
-    ends = np.flatnonzero((np.diff(location) != 0) | (np.diff(phase) != 0)) + 1
     return {
-        (int(location[part[0]]), int(phase[part[0]])): (
-            rows[part],
-            np.arange(1, len(part) + 1) / len(part),
-        )
-        for part in np.split(np.arange(len(rows)), ends)
-        if len(part)
+        (location, phase): (rows, np.arange(1, len(rows) + 1) / len(rows))
+        for (location, phase), rows in press_rows(sensor.table, "phase").items()
     }
 
 

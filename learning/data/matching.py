@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from learning.errors import LearningError
 from recorder import MarkerArchive
-from recorder.archive import NO_PHASE, location_pairs
+from recorder.archive import NO_PHASE, location_pairs, press_rows
 from recorder.spec import PHASES
 
 Floats = NDArray[np.float64]
@@ -213,23 +213,18 @@ def read_presses(chosen: Chosen) -> Presses:
 
 def _ends(table: Mapping[str, NDArray[Any]]) -> dict[int, dict[int, int]]:
     """Return the row of the last valid frame of each phase, by location and phase."""
-    rows = np.flatnonzero((table["location"] >= 0) & table["valid"])
-    order = rows[np.lexsort((table["frame"][rows], table["phase"][rows], table["location"][rows]))]
-    keys = np.stack([table["location"][order], table["phase"][order]], axis=1)
-    last = np.append((np.diff(keys, axis=0) != 0).any(axis=1), True)[: len(order)]
     found: dict[int, dict[int, int]] = {}
-    for (location, phase), row in zip(keys[last].tolist(), order[last].tolist(), strict=True):
-        found.setdefault(location, {})[phase] = row
+    for (location, phase), rows in press_rows(table, "phase").items():
+        found.setdefault(location, {})[phase] = int(rows[-1])
     return found
 
 
 def _deepest(table: Mapping[str, NDArray[Any]]) -> dict[int, float]:
     """Return the largest depth of the valid frames of each location [m]."""
-    rows = np.flatnonzero((table["location"] >= 0) & table["valid"])
-    locations, which = np.unique(table["location"][rows], return_inverse=True)
-    depth = np.full(len(locations), -np.inf)
-    np.maximum.at(depth, which.reshape(-1), table["depth"][rows])
-    return dict(zip(locations.tolist(), depth.tolist(), strict=True))
+    return {
+        location: float(table["depth"][rows].max())
+        for (location,), rows in press_rows(table).items()
+    }
 
 
 def _first(table: Mapping[str, NDArray[Any]]) -> tuple[list[int], list[int]]:

@@ -15,7 +15,7 @@ from learning.data.matching import Chosen, Tolerances
 from learning.data.splits import Split, make_split, presses_of, read_split
 from learning.errors import LearningError
 from recorder import MarkerArchive
-from recorder.archive import ArchivedSensor
+from recorder.archive import ArchivedSensor, press_rows
 from recorder.progress import ItemProgress
 from recorder.spec import PHASES
 
@@ -164,13 +164,9 @@ def _phases(
         table: Table of a sensor.
         begun: True to begin each phase with the last frame of the one before.
     """
-    rows = np.flatnonzero(table["valid"] & (table["location"] >= 0))
-    rows = rows[np.lexsort((table["frame"][rows], table["location"][rows]))]
     found: dict[tuple[int, int], tuple[NDArray[np.int64], Floats]] = {}
-    for location_rows in np.split(rows, np.flatnonzero(np.diff(table["location"][rows])) + 1):
-        if not len(location_rows):
-            continue
-        location, phase = int(table["location"][location_rows[0]]), table["phase"][location_rows]
+    for (location,), location_rows in press_rows(table).items():
+        phase = table["phase"][location_rows]
         depth = np.asarray(table["depth"][location_rows], np.float64)
         place = np.asarray(table["position"][location_rows], np.float64)
         pressed = location_rows[np.isin(phase, _NORMAL)]

@@ -7,6 +7,7 @@ from recorder.archive.array import Rows
 from recorder.archive.check import check_archive, marker_flags
 from recorder.archive.pairs import PRESETS, LocationPairs, location_pairs
 from recorder.archive.plan import FORMAT, FORMAT_VERSION, ArchivePlan, MarkerCount, SensorPlan
+from recorder.archive.presses import press_rows
 from recorder.archive.reader import ArchivedSensor, MarkerArchive, Simulated, describe_archive
 from recorder.archive.representation import (
     MASKS,
@@ -46,5 +47,6 @@ __all__ = [
     "describe_archive",
     "location_pairs",
     "marker_flags",
+    "press_rows",
     "write_simulated",
 ]

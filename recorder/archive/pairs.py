@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from recorder.archive.presses import press_rows
 from recorder.errors import SessionError
 from recorder.spec import PHASES
 
@@ -70,41 +71,22 @@ def location_pairs(source: Table, target: Table, preset: str = "supplement") -> 
 def _chosen(table: Table, preset: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return unique keys of location and phase, ascending, and the row of each."""
     rows = np.flatnonzero((table["location"] >= 0) & table["valid"])
-    location = table["location"][rows].astype(np.int64)
-    phase, frame = table["phase"][rows].astype(np.int64), table["frame"][rows]
-    _require_one_press(location, table["indenter"][rows], table["target"][rows])
-    order = np.lexsort((frame, phase, location))
-    rows, location, phase = rows[order], location[order], phase[order]
-    last = _ends(location, phase)
-    keys, chosen = location[last] * _CODES + phase[last], rows[last]
+    _require_one_press(*(table[name][rows] for name in ("location", "indenter", "target")))
+    chosen = {
+        location * _CODES + phase: int(part[-1])
+        for (location, phase), part in press_rows(table, "phase").items()
+        if preset != "authors_code" or phase != _UNLOADED
+    }
     if preset == "authors_code":
-        pressed = phase[last] != _UNLOADED
-        begun, first = _first_frames(table, np.unique(location[phase >= 0]))
-        keys = np.concatenate([keys[pressed], begun * _CODES + _FIRST])
-        chosen = np.concatenate([chosen[pressed], first])
+        for (location,), part in press_rows(table).items():
+            if (table["phase"][part] >= 0).any():
+                chosen[location * _CODES + _FIRST] = int(part[0])
     # Code -1 means no phase; it also sorts before the phases of its location.
-    order = np.argsort(keys)
-    return keys[order], chosen[order].astype(np.int64)
+    keys = sorted(chosen)
+    return np.array(keys, np.int64), np.array([chosen[key] for key in keys], np.int64)
 
 
-def _first_frames(
-    table: Table, locations: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return locations and the row of the first frame at each."""
-    rows = np.flatnonzero(np.isin(table["location"], locations) & table["valid"])
-    order = np.lexsort((table["frame"][rows], table["location"][rows]))
-    found, first = np.unique(table["location"][rows][order], return_index=True)
-    return found.astype(np.int64), rows[order][first]
-
-
-def _ends(location: NDArray[np.int64], phase: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return a mask (n,) of the ends of runs of equal location and phase."""
-    ends = np.ones(len(location), np.bool_)
-    ends[:-1] = (np.diff(location) != 0) | (np.diff(phase) != 0)
-    return ends
-
-
-def _require_one_press(location: NDArray[np.int64], indenter: Array, target: Array) -> None:
+def _require_one_press(location: Array, indenter: Array, target: Array) -> None:
     order = np.argsort(location, kind="stable")
     location, indenter, target = location[order], indenter[order], target[order]
     torn = (np.diff(location) == 0) & ((np.diff(indenter) != 0) | (np.diff(target) != 0))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.archive import ArchivedSensor
+from recorder.archive import ArchivedSensor, press_rows
 from recorder.processes import Workers
 from sim.errors import SceneError
 from sim.indenters import indenter_of, is_indenter
@@ -48,12 +48,7 @@ def archived_presses(sensor: ArchivedSensor, indenters: Sequence[str]) -> Iterat
         SessionError: The archive is corrupt, or still being written.
     """
     table = sensor.table
-    rows = np.flatnonzero(table["valid"] & (table["location"] >= 0))
-    keys = [table[name][rows].astype(np.int64) for name in ("indenter", "location", "target")]
-    order = np.lexsort((table["frame"][rows], *reversed(keys)))
-    rows, key = rows[order], np.stack(keys, axis=1)[order]
-    starts = np.flatnonzero(np.r_[True, np.any(np.diff(key, axis=0) != 0, axis=1)])
-    for part in np.split(rows, starts[1:]):
+    for part in press_rows(table).values():
         name = indenters[int(table["indenter"][part[0]])]
         if not is_indenter(name):
             raise SceneError(f"{sensor.name}: indenter {name!r}; allowed: those of sim.indenters")

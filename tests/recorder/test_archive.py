@@ -32,6 +32,7 @@ from recorder.archive import (
     SensorPlan,
     location_pairs,
     marker_flags,
+    press_rows,
 )
 from recorder.archive.check import CODES
 from recorder.markers import HEIGHT, WIDTH, Lattice, pack
@@ -821,3 +822,17 @@ def test_info_of_an_archive_being_written_says_so(
     out = capsys.readouterr().out
     assert "status writing" in out
     assert "warning:" in out
+
+
+def test_rows_of_presses_are_in_order_of_frames_and_parted_by_phase() -> None:
+    table = {
+        "location": np.array([7, 3, 7, -1, 7, 3, 7]),
+        "phase": np.array([1, 0, 0, 0, 1, 0, 0]),
+        "frame": np.array([3, 1, 1, 0, 2, 0, 0]),
+        "valid": np.array([True, True, True, True, True, True, False]),
+    }
+    found = {key: rows.tolist() for key, rows in press_rows(table).items()}
+    assert found == {(3,): [5, 1], (7,): [2, 4, 0]}
+    found = {key: rows.tolist() for key, rows in press_rows(table, "phase").items()}
+    assert found == {(3, 0): [5, 1], (7, 0): [2], (7, 1): [4, 0]}
+    assert press_rows({name: values[3:4] for name, values in table.items()}) == {}
