@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -117,27 +118,42 @@ def run_command(command: Sequence[str], say: Callable[[str], None]) -> None:
         raise LearningError(f"`{message}` ended with exit code {code}")
 
 
-# Presets and settings of the trainings of each translator, by their key in the settings.
-_TRAININGS: dict[str, dict[str, tuple[Path, type]]] = {
-    "field": {"field": (field.PRESETS, field.FieldSettings)},
-    "direct": {
-        "autoencoder": (train_autoencoder.PRESETS, train_autoencoder.AutoencoderSettings),
-        "direct": (train.PRESETS, train.DirectSettings),
-    },
-}
+def _trainings(name: str) -> dict[str, tuple[Path, type]]:
+    """Return presets and settings of a translator's trainings, by their key in the settings."""
+    if name == "field":
+        return {"field": (field.PRESETS, field.FieldSettings)}
+    if name == "direct":
+        return {
+            "autoencoder": (train_autoencoder.PRESETS, train_autoencoder.AutoencoderSettings),
+            "direct": (train.PRESETS, train.DirectSettings),
+        }
+    if name == "diffusion":
+        # Needs libraries that the others do not.
+        from learning.translation.diffusion import train as translator
+        from learning.translation.diffusion import train_vae
+
+        return {
+            "marker_vae": (train_vae.PRESETS, train_vae.MarkerVaeSettings),
+            "diffusion": (translator.PRESETS, translator.TranslatorSettings),
+        }
+    return {}
 
 
 def check_translators(settings: ExperimentSettings) -> None:
     """Read the presets of all translators, which are used only hours later.
 
     Raises:
-        LearningError: A preset or value is invalid.
+        LearningError: A preset or value is invalid, or there are no weights to start from.
     """
     for name in settings.translators:
-        for key, (presets, kind) in _TRAININGS.get(name, {}).items():
+        for key, (presets, kind) in _trainings(name).items():
             choice: ModelChoice = getattr(settings, key)
             try:
-                read_settings(kind, presets, choice.preset, choice.set)
+                found: Any = read_settings(kind, presets, choice.preset, choice.set)
+                if name == "diffusion":
+                    from learning.translation.diffusion.weights import require_base_folder
+
+                    require_base_folder(found.weights.base)
             except LearningError as error:
                 raise LearningError(f"{key}: {error}") from None
 
@@ -152,6 +168,10 @@ def _commands(
         yield _training(places, "autoencoder", settings.autoencoder, device)
         begun = ["--autoencoder", str(places.model("autoencoder"))]
         yield [*_training(places, "direct", settings.direct, device), *begun]
+    if name == "diffusion":
+        yield _training(places, "marker-vae", settings.marker_vae, device)
+        begun = ["--marker-vae", str(places.model("marker-vae"))]
+        yield [*_training(places, "diffusion", settings.diffusion, device), *begun]
 
 
 def _training(places: Places, kind: str, choice: ModelChoice, device: torch.device) -> list[str]:

@@ -12,7 +12,7 @@ from learning.errors import LearningError
 # Folder of the presets of this package.
 PRESETS = Path(__file__).parent / "presets"
 
-TranslatorName = Literal["flow", "field", "direct"]
+TranslatorName = Literal["flow", "field", "direct", "diffusion"]
 # Kinds of labels: label-free by formulae, by twins, or by the target's labels.
 Compensated = Literal["compensated", "priors", "simulated", "oracle"]
 
@@ -44,6 +44,11 @@ class ExperimentSettings:
     """Marker autoencoder, from which the direct translator starts."""
     direct: ModelChoice = ModelChoice("cpu_smoke")
     """Direct translator, one model for all pairs."""
+    marker_vae: ModelChoice = ModelChoice("ours")
+    """Autoencoder from which the diffusion translator starts. Its published weights are named by
+    overrides: `weights.base=DIR`."""
+    diffusion: ModelChoice = ModelChoice("ours")
+    """The paper's translator, one model for all pairs; weights as for the autoencoder."""
     compensation: tuple[Compensated, ...] = ("compensated",)
     """Kinds of labels to train on, in addition to the source's own."""
     validation: float = 0.1
@@ -71,7 +76,8 @@ class ExperimentSettings:
         """Validate the settings."""
         if not self.translators or len(set(self.translators)) != len(self.translators):
             raise LearningError(
-                f"translators: found {self.translators}; allowed: flow, field, direct, each once"
+                f"translators: found {self.translators}; allowed: flow, field, direct, diffusion, "
+                "each once"
             )
         if not self.source_reference and self.translators != ("direct",):
             raise LearningError(

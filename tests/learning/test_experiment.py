@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -142,6 +143,34 @@ def test_models_trained_together_say_what_those_trained_alone_say(
     alone, batched = (read_predictions(place / file) for place in (done[0], tmp_path))
     assert np.abs(alone.predicted - batched.predicted).max() < 1e-3
     assert not np.array_equal(alone.predicted, batched.predicted)
+
+
+@pytest.mark.slow
+def test_the_papers_translator_is_chosen_like_any_other(
+    archive: MarkerArchive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("peft", reason="peft is not installed: extra diffusion")
+    from support.tiny_diffusion import DEEP_VAE, write_base
+
+    few = [f"weights.base={write_base(tmp_path / 'sd-turbo', DEEP_VAE)}", "steps=1", "batch=1"]
+    few += ["vae_rank=2", "launch.mixed_precision=no", "validated=1"]
+    bare = [*few, "unet_rank=2", "losses={adversarial: 0, perceptual: 0, square: 1}"]
+    chosen = [
+        "translators=[diffusion]",
+        "compensation=[compensated]",
+        "marker_vae=" + json.dumps({"preset": "paper_main", "set": few}),
+        "diffusion=" + json.dumps({"preset": "ours", "set": bare}),
+    ]
+    undrawn(monkeypatch)
+    reported = run(archive, tmp_path / "out", *chosen)
+    trained = [line for line in reported if "train-" in line]
+    assert [line.split()[3] for line in trained] == ["train-marker-vae", "train-diffusion"]
+    assert f"--marker-vae {tmp_path / 'out' / 'models' / 'marker-vae'}" in trained[1]
+    file = tmp_path / "out" / "results" / "dots-to-grid.compensated.diffusion.npz"
+    assert np.isfinite(read_predictions(file).predicted).all()
+    with pytest.raises(LearningError, match=r"marker_vae: weights\.base: found '' without unet"):
+        run(archive, tmp_path / "other", "translators=[diffusion]")
+    assert not (tmp_path / "other" / "models").exists()
 
 
 def test_a_piece_begins_when_what_it_needs_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
