@@ -95,9 +95,9 @@ calibrate-latency: $(VENV)/.rig $(WORLDDEP)  ## Measure and store the camera's l
 force-depth: $(VENV)/.rig $(WORLDDEP)  ## Press and release 3 times, write a table and the curve
 	@$(PY) -m rig force-depth $(BENCHARG) $(if $(INDENTER),--indenter $(INDENTER)) $(if $(OUT),--out $(OUT))
 
-#: FILE=campaigns/day.yaml [LIST=1] [YES=1] [KEEP_GOING=1]
-campaign: $(VENV)/.rig  ## Record the remaining sessions of a campaign file
-	@$(PY) -m rig campaign --file $(FILE) $(if $(LIST),--list) $(if $(YES),--yes) $(if $(KEEP_GOING),--keep-going)
+#: FILE=campaigns/day.yaml [LIST=1] [YES=1] [WORLD=sim] [KEEP_GOING=1]
+campaign: $(VENV)/.rig $(WORLDDEP)  ## Record the remaining sessions of a campaign file
+	@$(PY) -m rig campaign --file $(FILE) $(if $(LIST),--list) $(if $(YES),--yes) $(WORLDARG) $(if $(KEEP_GOING),--keep-going)
 
 #: SENSOR=tacpalm [BENCH=file] [WORLD=sim]
 jog: $(VENV)/.rig $(WORLDDEP)  ## Move the arm with a SpaceMouse and set the contact origin

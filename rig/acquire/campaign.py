@@ -220,7 +220,7 @@ def _progress(campaign: Campaign, item: Item, catalogue: Catalogue) -> Progress:
 
 def _mismatch(item: Item, row: Row | None) -> str:
     """Return why a session cannot be that of an entry; empty if it can."""
-    wanted = {"sensor": item.entry.sensor, "indenter": item.entry.indenter}
+    wanted = {"sensor": item.bench.sensor, "indenter": item.entry.indenter}
     for key, value in wanted.items():
         if row is not None and row.is_session and getattr(row, key) != value:
             return f"its {key} is {getattr(row, key)!r}: move it away"
@@ -266,6 +266,8 @@ class Settings:
     """Continue with the next entry after a lost device or a safety stop."""
     go_on: str = ""
     """Command that continues the campaign; empty: none is shown."""
+    world: str | None = None
+    """World of mock benches in place of that of their files: `sim`, or None."""
 
 
 def command(progress: Progress, campaign: Campaign, settings: Settings) -> list[str]:
@@ -273,6 +275,7 @@ def command(progress: Progress, campaign: Campaign, settings: Settings) -> list[
     entry, bench = progress.item.entry, str(progress.item.bench_path)
     # The technician agreed to motion when the indenter was mounted.
     kept = ["--calibrations", str(settings.calibrations), "--asked-by", str(os.getpid())]
+    kept += [] if settings.world is None else ["--world", settings.world]
     if progress.state == "to resume":
         return ["collect", "--bench", bench, "--resume", str(progress.session), *kept]
     common = ["--bench", bench, "--out", str(progress.session), "--indenter", entry.indenter]

@@ -23,6 +23,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--list", action="store_true", help="only list finished and open sessions")
     parser.add_argument("--yes", action="store_true", help="mock benches: do not ask for swaps")
     parser.add_argument(
+        "--world",
+        choices=("sim",),
+        help="mock benches: simulate the contact by `sim` in place of the bench files' formulae",
+    )
+    parser.add_argument(
         "--keep-going",
         action="store_true",
         help="continue with the next session after a lost device or a safety stop",
@@ -39,6 +44,7 @@ def run(options: argparse.Namespace) -> int:
     import dataclasses
 
     from rig.acquire.campaign import Settings, load_campaign, progress_of, run_campaign, table
+    from rig.bench.bench import load_bench, with_simulated_world
 
     campaign = load_campaign(options.file, options.benches)
     if options.out is not None:
@@ -49,8 +55,15 @@ def run(options: argparse.Namespace) -> int:
     lab = sorted({item.bench.sensor for item in campaign.items if not item.bench.mock})
     if lab and options.yes:
         raise ConfigError(f"--yes: {', '.join(lab)}: lab benches; allowed: mock benches only")
+    if options.world is not None:
+        for item in campaign.items:
+            with_simulated_world(load_bench(item.bench_path)[1], str(item.bench_path))
     settings = Settings(
-        options.benches, options.calibrations, options.keep_going, campaign_command(options)
+        options.benches,
+        options.calibrations,
+        options.keep_going,
+        campaign_command(options),
+        options.world,
     )
     ask = _agree if options.yes else _ask
     return run_campaign(campaign, settings, ask, _say, _swap)

@@ -269,13 +269,18 @@ def resume_command(options: argparse.Namespace, session: Path) -> str:
 def campaign_command(options: argparse.Namespace) -> str:
     """Return the command that continues a campaign, as the user would type it."""
     if os.environ.get(_DOOR) == "make":
-        flags = ((" YES=1", options.yes), (" KEEP_GOING=1", options.keep_going))
+        flags = (
+            (" YES=1", options.yes),
+            (" WORLD=sim", options.world is not None),
+            (" KEEP_GOING=1", options.keep_going),
+        )
         return f"make campaign FILE={options.file}" + "".join(text for text, on in flags if on)
     words = [*options.prog.split(), "--file", str(options.file)]
     for option, value, default in (
         ("--benches", options.benches, Path("benches")),
         ("--out", options.out, None),
         ("--calibrations", options.calibrations, store.FOLDER),
+        ("--world", options.world, None),
     ):
         words += [] if value == default else [option, str(value)]
     words += [

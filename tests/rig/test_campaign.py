@@ -47,10 +47,10 @@ def _campaign(folder: Path, text: str = DAY) -> Campaign:
     return load_campaign(path, BENCHES)
 
 
-def _session(path: Path, item: Item, done: int, status: str) -> None:
+def _session(path: Path, item: Item, done: int, status: str, sensor: str = "") -> None:
     """Write a session with `done` pressed targets, as a collection leaves it."""
     attrs = {
-        "sensor": item.entry.sensor,
+        "sensor": sensor or item.entry.sensor,
         "indenter": item.entry.indenter,
         "plan": plan_to_json(item.plan),
         "targets_wanted": item.total,
@@ -221,6 +221,35 @@ def test_a_session_of_another_sensor_in_its_place_is_not_touched(
     assert "move it away" in reported[0]
     code, ran, _, _ = _run(campaign, [0, 0], monkeypatch, keep_going=True)
     assert (code, len(ran)) == (2, 2)
+
+
+def test_benches_with_names_of_their_own_are_recorded_in_the_simulated_world_and_listed_as_done(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "twin-1.yaml").write_text("extends: gelsight.yaml\nindenter: line\n")
+    file = tmp_path / "plan.yaml"
+    file.write_text("sessions:\n  - {sensor: twin-1, indenter: line, targets: 1}\n")
+    campaign = dataclasses.replace(load_campaign(file, tmp_path), out=tmp_path / "out")
+    (item,) = campaign.items
+
+    def record(arguments: list[str]) -> int:
+        assert arguments[arguments.index("--world") + 1] == "sim"
+        _session(tmp_path / "out" / f"{item.name}.zarr", item, 1, "complete", item.bench.sensor)
+        return 0
+
+    monkeypatch.setattr(campaign_module, "_record", record)
+    settings = Settings(tmp_path, ROOT / "calibrations", world="sim")
+    assert run_campaign(campaign, settings, lambda _: True, lambda _: None) == 0
+    assert [progress.state for progress in progress_of(campaign)] == ["done"]
+
+
+def test_a_simulated_world_is_refused_before_anything_is_asked(tmp_path: Path) -> None:
+    (tmp_path / "bare.yaml").write_text("extends: gelsight.yaml\nsimulated: null\n")
+    file = tmp_path / "day.yaml"
+    file.write_text("sessions:\n  - {sensor: bare, indenter: line, targets: 1}\n")
+    words = ["--file", str(file), "--benches", str(tmp_path), "--out", str(tmp_path / "out")]
+    assert main(["campaign", *words, "--world", "sim", "--yes"]) == 2
+    assert not (tmp_path / "out").exists()
 
 
 def test_the_same_sensor_indenter_and_plan_are_recorded_more_than_once(
