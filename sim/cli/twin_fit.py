@@ -21,7 +21,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.description = (
         "Fits modulus, thickness, Poisson's ratio, relaxation and friction of a sensor, with the "
-        "height of its surface, compliance of the mount and axes of the gauge, to presses "
+        "height of its surface, tilt of its pad, compliance of arm and mount and axes of the "
+        "gauge, to presses "
         "that stand still for a while: see `tactile twin plan`. Writes a row that "
         "simulations and mock benches take as a sensor, with its uncertainty, and a picture. "
         "Refuses a twin that does not explain the forces."

@@ -31,11 +31,12 @@ PRIOR = {
     "height": 50e-6,
     "compliance": 5e-6,
     "turn": 0.03,
+    "tilt": 0.0175,
 }
 # Sensor without friction or viscosity in its row: these are where the fit begins.
 FRICTION, VISCOSITY = Friction(0.6), Viscosity((0.15, 0.15), (0.05, 0.5))
 # Names of what is not of the sensor.
-BENCH = ("height", "compliance", "turn_x", "turn_y", "turn_z")
+BENCH = ("height", "compliance", "turn_x", "turn_y", "turn_z", "tilt_x", "tilt_y")
 # Names in logarithms.
 LOGARITHMS = ("modulus", "thickness", "friction", "ratio", "time")
 # Most rounds of a fit, and the largest step in posterior spreads at which it has converged.

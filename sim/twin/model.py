@@ -17,8 +17,16 @@ from sim.twin.observations import Track
 
 Array = NDArray[np.float64]
 
-# Steps of the derivatives that need another solution: relative, Poisson's ratio and metres as is.
-STEPS = {"thickness": 0.03, "friction": 0.06, "poisson": 0.01, "height": 8e-6}
+# Steps of the derivatives that need another solution: relative, but of these as they are.
+STEPS = {
+    "thickness": 0.03,
+    "friction": 0.06,
+    "poisson": 0.01,
+    "height": 8e-6,
+    "tilt_x": 2e-3,
+    "tilt_y": 2e-3,
+}
+AS_THEY_ARE = ("poisson", "height", "tilt_x", "tilt_y")
 # Step of the logarithm of a relaxation time.
 STEP_TIME = 0.05
 
@@ -97,7 +105,7 @@ class Model:
             if known is not None or (name not in names and name != "height"):
                 continue
             step = STEPS[name]
-            linear = name in ("poisson", "height")
+            linear = name in AS_THEY_ARE
             moved = values[name] + step if linear else values[name] * (1 + step)
             over = step if linear else math.log1p(step)
             there = self.readings({**values, name: moved})
@@ -130,10 +138,9 @@ class Model:
         return self._solved[key]
 
     def _follow(self, sensor: SimulatedSensor, track: Track, values: Mapping[str, float]) -> Solved:
-        press = LivePress(
-            sensor, self._indenters[track.indenter], grid=self._grid, tolerance=self._tolerance
-        )
-        tip = track.tip.copy()
+        tilt = values.get("tilt_x", 0.0), values.get("tilt_y", 0.0)
+        indenter, tip = leaning(self._indenters[track.indenter], track.tip, tilt)
+        press = LivePress(sensor, indenter, grid=self._grid, tolerance=self._tolerance)
         tip[:, 2] -= values.get("height", 0.0)
         tip[:, 2] -= values.get("compliance", 0.0) * np.minimum(track.force[:, 2], 0.0)
         force, elastic = np.zeros((len(tip), 3)), np.zeros((len(tip), 3))
@@ -168,6 +175,16 @@ class Model:
             for step in (STEP_TIME, -STEP_TIME)
         )
         return ratio * (ahead - behind) / (2 * STEP_TIME)
+
+
+def leaning(indenter: Indenter, tip: Array, tilt: tuple[float, float]) -> tuple[Indenter, Array]:
+    """Return indenter and tips (n, 3) [m] as a pad sees them that is tilted about x and y [rad].
+
+    The tip's height is that of the indenter's lowest point, as a search for the surface finds it.
+    """
+    if not any(tilt):
+        return indenter, tip.copy()
+    return indenter.tilted(-tilt[0], -tilt[1]), tip - np.cross(np.array([*tilt, 0.0]), tip)
 
 
 def relaxing(time: Array, elastic: Array, relaxation: float) -> Array:

@@ -23,6 +23,7 @@ SHOWN = {
     "height": (1e6, "um"),
     "compliance": (1e6, "um/N"),
     "turn": (180 / math.pi, "deg"),
+    "tilt": (180 / math.pi, "deg"),
 }
 # Correlations from this on are listed.
 STRONG = 0.7

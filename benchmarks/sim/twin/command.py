@@ -4,20 +4,25 @@
 
 Each skin differs from the row that the fit begins with, and is pressed on a bench with errors of
 its own, by a finer grid than the fit's, or by tier `fem` (`--truth fem`), while fits are by tier
-`layer`. Forces under a torus, which the fit does not get, are held out. In simulation.
+`layer`. Forces under a torus, which the fit does not get, are held out. The page of `--out` is
+written after every skin, so that a stopped run leaves that of the skins so far. In simulation.
 """
 
 from __future__ import annotations
 
 import argparse
 import time
+from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import get_args
 
 import numpy as np
 
-from benchmarks.sim.twin.planted import Bench, Truth, observed, random_skin, relaxation
+from benchmarks.sim.twin.planted import GRID, Bench, Truth, observed, random_skin, relaxation
 from recorder.command_line.options import add_seed, names, positive, whole
+from recorder.pages import render
 from sim.cli.twin_plan import CHANGE
 from sim.errors import SimulationDiverged
 from sim.indenters import NAMES
@@ -61,13 +66,33 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--grid", type=whole(16, 256), default=64, metavar="N", help="of the fit (%(default)s)"
     )
     parser.add_argument("--sensor", default="gelsight", help="design (%(default)s)")
+    parser.add_argument("--out", type=Path, metavar="MD", help="page to write, after every skin")
     add_seed(parser)
+
+
+@dataclass(frozen=True, slots=True)
+class Identified:
+    """Errors of the twin of a known skin."""
+
+    number: int
+    errors: tuple[float, ...]
+    """As fractions, by `COLUMNS`."""
+    inside: dict[str, bool]
+    """True for a quantity whose 90 % interval has its true value."""
+    misfit: float
+    seconds: float
+    """Time of the fit."""
+
+    def line(self) -> str:
+        """Return a row of the printed table."""
+        text = f"{self.number:<6}" + "".join(f"{100 * each:>10.1f} %" for each in self.errors)
+        return f"{text}{100 * self.misfit:>8.2f} %{self.seconds:>8.0f}"
 
 
 def run(options: argparse.Namespace) -> int:
     """Fit, print one line for each skin, then medians and coverage; return 1 if none was solved."""
     print(f"{'skin':<6}" + "".join(f"{name:>12}" for name in COLUMNS) + f"{'misfit':>10}{'s':>8}")
-    errors, inside = [], []
+    found: list[Identified] = []
     pressed = [usual(name, options.sensor) for name in options.indenters]
     if options.minutes is not None:
         planner = Planner(sensor(options.sensor))
@@ -78,19 +103,54 @@ def run(options: argparse.Namespace) -> int:
             print(each, flush=True)
     for number in range(options.planted):
         try:
-            row, covered, text = one(number, pressed, options)
+            found.append(one(number, pressed, options))
         except SimulationDiverged as error:
             print(f"{number:<6}  no solution, left out: {error}", flush=True)
             continue
-        errors.append(row)
-        inside += covered
-        print(text, flush=True)
-    if not errors:
+        print(found[-1].line(), flush=True)
+        if options.out is not None:
+            options.out.write_text(page(found, pressed, options), encoding="utf-8")
+    if not found:
         return 1
-    median = np.median(errors, axis=0)
-    print(f"{'median':<6}" + "".join(f"{100 * each:>10.1f} %" for each in median))
-    print(f"{100 * np.mean(inside):.0f} % of {len(inside)} true values lie in their 90 % intervals")
+    print(f"{'median':<6}" + "".join(f"{100 * each:>10.1f} %" for each in medians(found)))
+    count = sum(coverage(found).values())
+    total = sum(len(each.inside) for each in found)
+    print(f"{100 * count / total:.0f} % of {total} true values lie in their 90 % intervals")
     return 0
+
+
+def medians(found: Sequence[Identified]) -> list[float]:
+    """Return the median of the errors of each column."""
+    return [float(each) for each in np.median([one.errors for one in found], axis=0)]
+
+
+def coverage(found: Sequence[Identified]) -> Counter[str]:
+    """Return in how many skins the interval of each quantity has its true value."""
+    return Counter({name: sum(one.inside[name] for one in found) for name in found[0].inside})
+
+
+def page(
+    found: Sequence[Identified], pressed: Sequence[Presses], options: argparse.Namespace
+) -> str:
+    """Return the results as a page of Markdown."""
+    words = [f"--planted {options.planted}", f"--truth {options.truth}", f"--grid {options.grid}"]
+    if options.minutes is None:
+        words.append(f"--indenters {','.join(options.indenters)}")
+    else:
+        words.append(f"--minutes {options.minutes:g}")
+    words += [f"--sensor {options.sensor}", f"--seed {options.seed}"]
+    return render(
+        Path(__file__).with_suffix(".md"),
+        command=f"python -m benchmarks twin {' '.join(words)}",
+        options=options,
+        found=found,
+        pressed=pressed,
+        columns=COLUMNS,
+        held_out=HELD_OUT,
+        truth_grid=GRID,
+        medians=medians(found),
+        coverage=coverage(found),
+    )
 
 
 def usual(indenter: str, name: str) -> Presses:
@@ -99,10 +159,8 @@ def usual(indenter: str, name: str) -> Presses:
     return presses(indenter, (step, 2 * step), 0.8e-3, 1.6)
 
 
-def one(
-    number: int, pressed: Sequence[Presses], options: argparse.Namespace
-) -> tuple[list[float], list[bool], str]:
-    """Return errors by column, whether each interval has its value, and a line of text."""
+def one(number: int, pressed: Sequence[Presses], options: argparse.Namespace) -> Identified:
+    """Fit a skin's twin, and compare it with the skin."""
     random = np.random.default_rng([options.seed, number])
     skin, bench = random_skin(random, options.sensor)
     tracks = [
@@ -131,9 +189,8 @@ def one(
     row.append(float(np.sqrt(np.mean(np.square(shapes[0] / shapes[1] - 1)))))
     row.append(abs(fit.values["friction"] / true["friction"] - 1))
     row.append(misfit([still], readings))
-    covered = []
+    inside = {}
     for name, value in true.items():
         low, high = fit.interval(name)
-        covered.append(low <= value <= high)
-    text = f"{number:<6}" + "".join(f"{100 * each:>10.1f} %" for each in row)
-    return row, covered, f"{text}{100 * fit.misfit:>8.2f} %{seconds:>8.0f}"
+        inside[name] = low <= value <= high
+    return Identified(number, tuple(row), inside, fit.misfit, seconds)

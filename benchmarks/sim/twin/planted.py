@@ -17,10 +17,13 @@ from sim.sensors.posterior import with_quantities
 from sim.simulate import simulate
 from sim.stream import LivePress
 from sim.twin import Track, track_of
+from sim.twin.model import leaning
 from sim.twin.plan import Presses
 
 Array = NDArray[np.float64]
 
+# Pixels of the body's longer side in presses of tier `layer`.
+GRID = 96
 # Rate of poses and forces [Hz], and of solutions while the tip moves.
 RATE, SOLVED = 200.0, 50.0
 # Solutions of one hold.
@@ -45,7 +48,9 @@ class Bench:
     latency: float = 0.0
     """Time by which forces are late [s]."""
     turn: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Rotation of the gauge [rad]."""
+    """Rotation of the gauge against the pad [rad]."""
+    tilt: tuple[float, float] = (0.0, 0.0)
+    """Tilt of the pad about x and y [rad]."""
 
 
 def observed(
@@ -54,7 +59,7 @@ def observed(
     bench: Bench,
     seed: int,
     *,
-    grid: int = 96,
+    grid: int = GRID,
     truth: Truth = "layer",
 ) -> Track:
     """Return the track that a bench would record of a skin."""
@@ -70,7 +75,7 @@ def recorded(
     bench: Bench,
     seed: int,
     *,
-    grid: int = 96,
+    grid: int = GRID,
     truth: Truth = "layer",
 ) -> tuple[Array, Array, Array]:
     """Return times (n,) [s], tips (n, 3) [m] and forces (n, 3) [N] that a bench would record.
@@ -78,11 +83,12 @@ def recorded(
     The tip yields by the forces of tier `layer`, also where forces are those of `fem`.
     """
     corners, tips = presses.path()
+    indenter, seen = leaning(named(presses.indenter), tips, bench.tilt)
     fewer = FEWER if truth == "fem" else 1
-    press = LivePress(skin, named(presses.indenter), grid=grid, tolerance=2e-3)
+    press = LivePress(skin, indenter, grid=grid, tolerance=2e-3)
     times: list[float] = [0.0]
     force: list[Any] = [np.zeros(3)]
-    places = [tips[0] - np.array([0.0, 0.0, bench.height])]
+    places = [seen[0] - np.array([0.0, 0.0, bench.height])]
     yielded = 0.0
     for leg in range(1, len(corners)):
         start, stop = corners[leg - 1], corners[leg]
@@ -90,7 +96,7 @@ def recorded(
         count = HELD // fewer if held else max(2, round((stop - start) * SOLVED / fewer))
         fractions = np.arange(1, count + 1) / count
         for fraction in np.square(fractions) if held else fractions:
-            place = tips[leg - 1] + fraction * (tips[leg] - tips[leg - 1])
+            place = seen[leg - 1] + fraction * (seen[leg] - seen[leg - 1])
             place = place - np.array([0.0, 0.0, bench.height]) + np.array([0.0, 0.0, yielded])
             now = start + fraction * (stop - start)
             press.move(place, now - times[-1])
@@ -100,7 +106,7 @@ def recorded(
             yielded = -bench.compliance * force[-1][2]
     if truth == "fem":
         motion = Motion(tuple(tuple(place.tolist()) for place in places), tuple(times))
-        force = list(simulate(skin.scene(named(presses.indenter), motion), FEM).wrench[:, :3])
+        force = list(simulate(skin.scene(indenter, motion), FEM).wrench[:, :3])
     random = np.random.default_rng(seed)
     time = np.arange(0.0, corners[-1], 1 / RATE)
     late = np.stack(
@@ -135,6 +141,7 @@ def random_skin(random: np.random.Generator, base: str) -> tuple[SimulatedSensor
         compliance=abs(random.normal(0.0, 3e-6)),
         latency=random.uniform(0.0, 8e-3),
         turn=tuple(random.normal(0.0, 0.015, 3).tolist()),
+        tilt=tuple(random.normal(0.0, 0.01, 2).tolist()),
     )
     return with_quantities(design, values), bench
 
