@@ -11,13 +11,14 @@ import io
 import math
 import tempfile
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.no_gauge.simulated_bench import SimulatedBench, Stages, Truth
+from recorder.processes import Workers
 from rig.acquire.calibration.calibration import Calibration
 from rig.acquire.no_gauge import find_surface, press_in_steps
 from rig.bench.bench import Bench, bench_from
@@ -69,15 +70,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--benches", type=int, default=300, help="number of benches (%(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="seed of the first (%(default)s)")
+    parser.add_argument(
+        "--processes", type=int, default=1, metavar="N", help="benches at once (%(default)s)"
+    )
     parser.add_argument("--out", type=Path, help="page to write")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the benches, print each and a summary; return 1 if a rating was exceeded."""
+    """Run the benches, print each and a summary; return 1 if a rating was exceeded.
+
+    Raises:
+        ConfigError: Fewer than one process.
+    """
+    if options.processes < 1:
+        raise ConfigError(f"--processes: found {options.processes}; allowed: 1 and more")
     found = []
-    for seed in range(options.seed, options.seed + options.benches):
-        outcome = collected(seed)
+    for outcome in _outcomes(range(options.seed, options.seed + options.benches), options):
         found.append(outcome)
+        seed = outcome.seed
         print(
             f"{seed:4d} {outcome.sensor:8} {outcome.fault:8} "
             f"{'wrist' if outcome.wrist else '-':5} {100 * outcome.fraction:5.1f} %  "
@@ -89,6 +99,16 @@ def run(options: argparse.Namespace) -> int:
     if options.out is not None:
         options.out.write_text(text)
     return int(any(outcome.fraction > 1 for outcome in found))
+
+
+def _outcomes(seeds: Sequence[int], options: argparse.Namespace) -> Iterator[Outcome]:
+    """Yield the outcomes in the order of their seeds."""
+    if options.processes == 1:
+        yield from map(collected, seeds)
+        return
+    with Workers(options.processes) as workers:
+        for waiting in [workers.submit(collected, seed) for seed in seeds]:
+            yield waiting.result()
 
 
 def collected(seed: int) -> Outcome:
