@@ -5,9 +5,11 @@ from __future__ import annotations
 import importlib.util
 import re
 import subprocess
+import tomllib
 from pathlib import Path
 
 import pytest
+import yaml
 
 ROOT = Path(__file__).parent.parent
 PACKAGES = "trajectories|recorder|rig|sim|learning|benchmarks"
@@ -99,3 +101,10 @@ def _is_there(dotted: str) -> bool:
             text = source.read_text() if source.is_file() else ""
             return re.search(rf"\b{re.escape(words[count])}\b", text) is not None
     return importlib.util.find_spec(words[0]) is not None and len(words) == 1
+
+
+def test_what_is_cited_is_this_version() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert (cited["title"], cited["version"]) == (project["name"], project["version"])
+    assert cited["license"] == project["license"]
