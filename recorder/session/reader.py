@@ -327,6 +327,24 @@ class Session:
         parts = [self.status, *(str(each) for each in known if each), rows or "no streams"]
         return f"<Session {self.name}: {', '.join(parts)}>"
 
+    def _repr_html_(self) -> str:
+        """Return a table of the streams and some pictures, for notebooks."""
+        from recorder.session.notebook import html_of
+
+        return html_of(self)
+
+    def to_pandas(self) -> Any:
+        """Return `frames` as a DataFrame; see `recorder.session.tables.to_pandas`."""
+        from recorder.session.tables import to_pandas
+
+        return to_pandas(self)
+
+    def to_xarray(self) -> Any:
+        """Return `frames` as a Dataset; see `recorder.session.tables.to_xarray`."""
+        from recorder.session.tables import to_xarray
+
+        return to_xarray(self)
+
     @property
     def name(self) -> str:
         """Location of the session as a path or URL."""

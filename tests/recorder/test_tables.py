@@ -1,0 +1,72 @@
+"""Frames of a session in pandas, xarray and notebooks."""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from support.sessions import make_session
+
+from recorder import Session, SessionError
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Session:
+    path = tmp_path_factory.mktemp("tables") / "s.zarr"
+    return Session(make_session(path, seconds=1.2, names=("camera", "force", "pose", "taxels")))
+
+
+def test_pandas_has_the_frames_with_a_column_for_each_component(session: Session) -> None:
+    pytest.importorskip("pandas", reason="pandas is not installed: extra tables")
+    table = session.to_pandas()
+    assert list(table.index) == session.frames["t_ns"].tolist()
+    for k, label in enumerate(("fx", "fy", "fz", "tx", "ty", "tz")):
+        np.testing.assert_array_equal(table[f"wrench_{label}"], session.frames["wrench"][:, k])
+    np.testing.assert_array_equal(table["pose_rz"], session.frames["pose"][:, 5])
+    np.testing.assert_array_equal(table["taxels_15_2"], session.frames["taxels"][:, 15, 2])
+    assert table["valid"].dtype == bool
+    assert table.attrs["units"]["depth"] == "m"
+
+
+def test_xarray_has_units_and_names_of_components(session: Session) -> None:
+    pytest.importorskip("xarray", reason="xarray is not installed: extra tables")
+    found = session.to_xarray()
+    np.testing.assert_array_equal(
+        found["wrench"].sel(wrench_axis="fz"), session.frames["wrench"][:, 2]
+    )
+    assert found["taxels"].shape == (len(session.frames["t_ns"]), 16, 3)
+    assert found["depth"].attrs["units"] == "m"
+    assert found.attrs["sensor"] == "wedge"
+
+
+def test_a_missing_library_and_missing_frames_are_said(
+    session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    live = make_session(tmp_path / "live.zarr", seconds=0.6, names=("force",), finish=False)
+    with pytest.raises(SessionError, match=r"live\.zarr: recording, so it has no frames yet"):
+        Session(live).to_pandas()
+    for name in ("pandas", "xarray"):
+        monkeypatch.setitem(sys.modules, name, None)
+        with pytest.raises(SessionError, match=rf"needs {name}: pip install 'tactile-rig\[tables"):
+            getattr(session, f"to_{name}")()
+
+
+def test_a_notebook_shows_streams_and_pictures(session: Session, tmp_path: Path) -> None:
+    text = session._repr_html_()
+    for name, stream in session.streams.items():
+        assert re.search(rf"<td>{name}</td><td>\w+</td><td [^>]*>{len(stream):,}</td>", text)
+    shown = re.findall(r"base64,([^']+)'", text)
+    assert len(shown) == 4
+    camera = session.streams["camera"]
+    picture = np.asarray(Image.open(io.BytesIO(base64.b64decode(shown[-1]))), float)
+    true = camera.images([len(camera) - 1])[0].astype(float)
+    assert np.abs(picture - true).mean() < 8  # stored as JPEG twice
+    assert "<" not in re.sub(r"<[^<>]*>", "", text)
+    odd = make_session(tmp_path / "a<b>&c.zarr", seconds=0.6, names=("force",))
+    assert "a&lt;b&gt;&amp;c.zarr" in Session(odd)._repr_html_()
