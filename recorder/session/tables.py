@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from recorder.errors import SessionError
-from recorder.session.frames import frame_units
+from recorder.store.files import read_document
 
 if TYPE_CHECKING:
     from recorder.session.reader import Session
@@ -41,7 +41,7 @@ def to_pandas(session: Session) -> Any:
         labels = components.get(name) or _numbered(values.shape[1:])
         columns |= {f"{name}_{label}": flat[:, k] for k, label in enumerate(labels)}
     table = pandas.DataFrame(columns).set_index("t_ns")
-    table.attrs["units"] = {name: unit for name, (unit, _) in frame_units(session).items()}
+    table.attrs["units"] = {name: _about(session, name)["units"] for name in frames}
     return table
 
 
@@ -52,16 +52,14 @@ def to_xarray(session: Session) -> Any:
         SessionError: xarray is not installed, the session has no frames yet, or data are corrupt.
     """
     xarray, frames = _library("xarray"), _frames(session)
-    components, told = _components(session), frame_units(session)
+    components = _components(session)
     variables: dict[str, Any] = {}
     coordinates: dict[str, Any] = {"t_ns": frames["t_ns"]}
     for name, values in frames.items():
         if name == "t_ns":
             continue
         further = [f"{name}_axis{'' if k == 1 else k}" for k in range(1, values.ndim)]
-        unit, description = told.get(name, ("1", ""))
-        about = {"units": unit, "description": description}
-        variables[name] = (("t_ns", *further), values, about)
+        variables[name] = (("t_ns", *further), values, _about(session, name))
         if name in components:
             coordinates[further[0]] = list(components[name])
     attributes = {key: session.attrs.get(key, "") for key in ("sensor", "indenter", "status")}
@@ -82,6 +80,13 @@ def _frames(session: Session) -> dict[str, np.ndarray[Any, Any]]:
             "once nothing writes to it)"
         )
     return {name: np.asarray(values) for name, values in session.frames.items()}
+
+
+def _about(session: Session, name: str) -> dict[str, str]:
+    """Return units and description of a column of `frames`, as stored."""
+    path = session.path / "frames" / name / "zarr.json"
+    found = read_document(session.files, path).get("attributes", {})
+    return {key: str(found.get(key, "")) for key in ("units", "description")}
 
 
 def _components(session: Session) -> dict[str, tuple[str, ...]]:
