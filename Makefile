@@ -49,7 +49,7 @@ $(error wrong input: $(REFUSED))
 endif
 endif
 
-.PHONY: help accuracy speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip preview compare mock replay check-session split train-field train-autoencoder train-direct train-marker-vae train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning transfer calibrate-force demo-transfer demo-twin learning-tables learning-ablations learning-on-gpus live endurance faults bench-recorder test golden test-all check format reference setup clean
+.PHONY: help accuracy speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip doctor preview compare mock replay check-session split train-field train-autoencoder train-direct train-marker-vae train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning transfer calibrate-force demo-transfer demo-twin learning-tables learning-ablations learning-on-gpus live endurance faults bench-recorder test golden test-all check format reference setup clean
 
 # Above a target: `##@` starts a group of the list, `#:` gives the options of the target.
 help:
@@ -106,6 +106,10 @@ jog: $(VENV)/.rig $(WORLDDEP)  ## Move the arm with a SpaceMouse and set the con
 #: SENSOR=tacpalm [OPEN=1] [BENCH=file] [WORLD=sim]
 grip: $(VENV)/.rig  ## Close the gripper on the indenter
 	@$(PY) -m rig grip $(BENCHARG) $(if $(OPEN),--open)
+
+#: SENSOR=tacpalm [OUT=sessions] [BENCH=file] [WORLD=sim] [FORCE=none]
+doctor: $(VENV)/.rig $(WORLDDEP)  ## Test all devices of a bench, and the computer; nothing moves
+	@$(PY) -m rig doctor $(BENCHARG) $(FORCEARG) $(if $(OUT),--out $(OUT))
 
 #: SENSOR=tacpalm [OUT=plan.png] [BENCH=file] [WORLD=sim] [FORCE=none]
 preview: $(VENV)/.rig  ## Draw the plan and check its limits

@@ -53,6 +53,7 @@ RECORD = (
         "press and release along the bench's force_depth and plot the curve",
     ),
     Command("campaign", "rig.cli.campaign", "record the remaining sessions of a campaign file"),
+    Command("doctor", "rig.cli.doctor", "test all devices of a bench, and the computer"),
     Command("indenters", "rig.cli.indenters", "list the indenters with size, tip and drawing"),
     Command("preview", "rig.cli.preview", "draw the plan and check its limits"),
     Command(

@@ -112,3 +112,8 @@ class ClockAnchor:
 def file_stamp() -> str:
     """Return the local date and time for a file name, such as 20260131-154500."""
     return time.strftime("%Y%m%d-%H%M%S")
+
+
+def utc_text() -> str:
+    """Return UTC to the minute, such as 2026-01-31 15:45 UTC."""
+    return time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime())

@@ -1,0 +1,304 @@
+"""Examination of a bench: every device at once, and the computer; nothing moves.
+
+Each part gives one finding: it is well, there is a note, or there is a fault with a cure. Devices
+are opened by the processes that would record them, so a fault here is one of a collection.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from recorder import SessionError
+from rig.acquire.control import Control
+from rig.acquire.interlocks import Interlocks
+from rig.acquire.streams import StreamHandle, Streams
+from rig.bench.bench import Bench, BenchStream
+from rig.bench.stream_kinds import expected_rate
+from rig.core.clock import SECOND_NS, Clock, utc_text
+from rig.core.errors import ConfigError, DeviceLost
+from rig.core.geometry import compose, invert
+from rig.core.realtime import RIG_PRIORITY
+
+State = Literal["well", "note", "FAULT"]
+
+# Free disk space below which a day of recording may not fit, and speed below which a camera's
+# images may not be written in time [bytes, bytes/s].
+ROOM, SPEED = 20e9, 20e6
+# Bytes written to measure the speed.
+_WRITTEN = 32 << 20
+# Share of its rating that a gauge may show at rest: less than a hand's weight on it, more than the
+# weight of indenter and mount.
+AT_REST = 0.35
+# Distance of the tip from the sensor beyond which the contact frame, or its units, is wrong [m].
+FAR = 1.5
+# A clock that is earlier was never set.
+_SET = "2024-01-01"
+
+# Cures by kind of device; `{at}` is its address.
+CURES: dict[str, tuple[str, ...]] = {
+    "ur": (
+        "switch the arm on, release its brakes, and choose remote control on the pendant",
+        "ping {at}: this computer needs an address of its own in the arm's network",
+        "let a firewall pass ports 29999, 30001 to 30004",
+    ),
+    "netft": (
+        "ping {at}; the box shows its page in a browser at that address",
+        "power of the box, cable of the sensor; UDP port 49152",
+    ),
+    "nidaq": ("the device's name as NI MAX shows it; install the NI-DAQmx driver",),
+    "ati_serial": (
+        "plug the cable in again; a name of /dev/serial/by-id stays the same",
+        "sudo usermod -a -G dialout $USER, then log in again",
+    ),
+    "scale": (
+        "plug the cable in again; a name of /dev/serial/by-id stays the same",
+        "sudo usermod -a -G dialout $USER, then log in again",
+        "baud rate and protocol as in the scale's own menu",
+    ),
+    "opencv": (
+        "v4l2-ctl --list-devices: is it there, under {at}? Close other programs that show it",
+        "sudo usermod -a -G video $USER, then log in again",
+        "a USB 3 port of its own; exposure_ms below one period, or a brighter light",
+    ),
+    "xela": ("start the vendor's server, xela_server, and open {at} in its viewer",),
+    "robotiq_2f": (
+        "24 V of the gripper, and its USB cable; sudo usermod -a -G dialout $USER",
+        "tactile grip closes it on the indenter",
+    ),
+    "hid_pedal": (
+        "plug it in; lsusb shows vendor:product; a udev rule gives access "
+        "(docs/how-to/set-up-a-bench.md)",
+    ),
+}
+CURES |= {"ur_pose": CURES["ur"], "ur_wrench": CURES["ur"]}
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """Result for one part of the bench."""
+
+    part: str
+    """Name of the stream or part."""
+    state: State
+    text: str
+    cures: tuple[str, ...] = ()
+    """Steps to try, the likeliest first."""
+
+
+def examine(
+    bench: Bench,
+    folder: Path,
+    sessions: Path,
+    clock: Clock,
+    watch: Callable[[], None] | None = None,
+) -> Iterator[Finding]:
+    """Yield a finding for each part of the computer, then for each device.
+
+    Args:
+        bench: The bench, with addresses filled in.
+        folder: Folder for records of the run.
+        sessions: Folder in which sessions would be recorded.
+        clock: Clock.
+        watch: Raises if an emulator of a mock bench is gone.
+    """
+    yield disk(sessions, clock)
+    yield realtime()
+    yield time_of_day()
+    with Streams(bench, folder, clock, watch) as streams:
+        opened: dict[str, dict[str, Any]] = {}
+        for row in bench.rows:
+            try:
+                opened[row.name] = streams[row.name].wait_opened()
+            except (ConfigError, DeviceLost, SessionError) as error:
+                yield Finding(row.name, "FAULT", f"{error}", _cures(row.config))
+        for row in bench.rows:
+            if row.name in opened:
+                yield _stream(bench, row, streams[row.name], opened[row.name])
+    yield from _interlocks(bench, clock)
+
+
+# The computer
+
+
+def disk(sessions: Path, clock: Clock) -> Finding:
+    """Examine room and speed of the disk of a folder; what is written is removed."""
+    place = sessions.absolute()
+    while not place.exists():
+        place = place.parent
+    room = shutil.disk_usage(place).free
+    written = place / f".tactile-doctor-{os.getpid()}"
+    try:
+        began_ns = clock.now_ns()
+        with written.open("wb") as file:
+            file.write(os.urandom(1 << 20) * (_WRITTEN >> 20))
+            file.flush()
+            os.fsync(file.fileno())
+        speed = _WRITTEN * SECOND_NS / max(clock.now_ns() - began_ns, 1)
+    except OSError as error:
+        cure = f"write access to {place}, or --out on another disk"
+        return Finding("disk", "FAULT", f"{place}: {error.strerror or error}", (cure,))
+    finally:
+        with contextlib.suppress(OSError):
+            written.unlink()
+    text = f"{place}: {room / 1e9:.0f} GB free, written at {speed / 1e6:.0f} MB/s"
+    if room < ROOM:
+        cure = f"free some space: a day of recording may take {ROOM / 1e9:.0f} GB"
+        return Finding("disk", "FAULT" if room < ROOM / 20 else "note", text, (cure,))
+    if speed < SPEED:
+        cure = f"a local disk that writes {SPEED / 1e6:.0f} MB/s and more; no network folder"
+        return Finding("disk", "note", text, (cure,))
+    return Finding("disk", "well", text)
+
+
+def realtime() -> Finding:
+    """Examine if this user's processes may have real-time priority; a note if not."""
+    try:
+        before = os.sched_getscheduler(0), os.sched_getparam(0)
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(RIG_PRIORITY))
+        os.sched_setscheduler(0, *before)
+    except (OSError, AttributeError):
+        return Finding(
+            "real time",
+            "note",
+            "no rights: a busy computer may delay samples (their times stay right)",
+            (
+                "a file in /etc/security/limits.d with the line `@lab - rtprio 60`, the user in "
+                "the group lab; then log in again",
+            ),
+        )
+    return Finding("real time", "well", f"priority {RIG_PRIORITY} granted")
+
+
+def time_of_day() -> Finding:
+    """Examine if the computer's clock was ever set; sessions state when they were recorded."""
+    now = utc_text()
+    if now < _SET:
+        return Finding("clock", "FAULT", now, ("timedatectl set-ntp true, or set it by hand",))
+    return Finding("clock", "well", now)
+
+
+# Devices
+
+
+def _stream(
+    bench: Bench, row: BenchStream, handle: StreamHandle, description: dict[str, Any]
+) -> Finding:
+    """Return the finding of a stream that is open: its rate, and its values at rest."""
+    expected = expected_rate(bench, row.name)
+    window = max(bench.preflight.rate_window, 4 / row.rate_hz)
+    cures = _cures(row.config)
+    try:
+        handle.start_measuring(window)
+        found = handle.measured(window)
+        handle.check()
+    except (ConfigError, DeviceLost, SessionError) as error:
+        return Finding(row.name, "FAULT", str(error), cures)
+    rate = float(found["rate_hz"])
+    text = f"{_at(row.config)}{rate:.1f} Hz, expected {expected:.0f}{_told(description)}"
+    off = rate / expected - 1
+    if abs(off) > bench.preflight.rate_tolerance:
+        text += f": {abs(off):.0%} too {'slow' if off < 0 else 'fast'}"
+        return Finding(row.name, "FAULT", text, _rate_cures(row, rate))
+    wrong = _values(bench, row, handle.latest(), found)
+    if wrong is not None:
+        return Finding(row.name, "FAULT", f"{text}; {wrong[0]}", wrong[1:])
+    return Finding(row.name, "well", text)
+
+
+def _rate_cures(row: BenchStream, rate: float) -> tuple[str, ...]:
+    stated = f"if this is its true rate: {row.key}.rate_hz: {rate:.0f} in the bench file"
+    if row.kind != "camera":
+        return (*_cures(row.config), stated)
+    return (
+        "lock the exposure below one period (exposure_ms), or use a brighter light: in the dark, "
+        "automatic exposure halves the rate of a webcam",
+        "a USB port of its own, and a smaller picture or MJPEG if the port is too slow",
+        stated,
+    )
+
+
+def _values(
+    bench: Bench, row: BenchStream, latest: Any, found: dict[str, Any]
+) -> tuple[str, ...] | None:
+    """Return what is wrong with the values at rest, and its cures; None if nothing is."""
+    if row.kind == "force" and "mean" in found:
+        rating = np.array([*bench.limits.force_rating])
+        mean, spread = np.asarray(found["mean"])[:3], np.asarray(found["std"])[:3]
+        with np.errstate(invalid="ignore"):
+            loaded = np.flatnonzero(np.abs(mean) > AT_REST * rating)
+            noisy = np.flatnonzero(spread > max(bench.preflight.tare_spread, 1e-9))
+        if len(loaded):
+            axis = "xyz"[loaded[0]]
+            return (
+                f"F{axis} is {mean[loaded[0]]:.2f} N at rest, rated {rating[loaded[0]]:g} N",
+                "take everything off the sensor, and zero the gauge on its own page or display",
+                "units of the gauge (counts per newton, N or lbf) and its calibration file",
+            )
+        if len(noisy):
+            axis = "xyz"[noisy[0]]
+            return (
+                f"F{axis} varies by {spread[noisy[0]]:.2f} N at rest, allowed "
+                f"{bench.preflight.tare_spread:g} N",
+                "keep the bench still; ground the gauge's cable, away from the arm's",
+            )
+    if row.kind == "taxels" and "std" in found and not np.asarray(found["std"]).any():
+        return ("no value changes: frozen", "restart the vendor's server, plug the sensor in again")
+    if row.name == "pose" and latest is not None:
+        tip = compose(invert(bench.contact_frame), latest["value"])[:3]
+        if np.linalg.norm(tip) > FAR:
+            return (
+                f"the tip is {np.linalg.norm(tip):.2f} m from the sensor",
+                "contact_frame and arm.tcp in the bench file: mm and degrees, in the arm's base "
+                "frame as the pendant shows it",
+            )
+    return None
+
+
+def _interlocks(bench: Bench, clock: Clock) -> Iterator[Finding]:
+    for name in ("gripper", "pedal"):
+        config = getattr(bench, name)
+        if config is None:
+            continue
+        alone = replace(bench, pedal=None) if name == "gripper" else replace(bench, gripper=None)
+        with Interlocks(alone, Control(), clock) as opened:
+            try:
+                told = opened.open()[name]
+            except (ConfigError, DeviceLost) as error:
+                yield Finding(name, "FAULT", str(error), _cures(config))
+                continue
+        yield Finding(name, "well", f"{_at(config)}answers{_told(told)}")
+
+
+def _cures(config: Any) -> tuple[str, ...]:
+    found = CURES.get(config.KIND, ())
+    return tuple(cure.replace("{at}", _address(config) or "its address") for cure in found)
+
+
+def _address(config: Any) -> str:
+    for name in ("address", "host", "port", "device"):
+        value = getattr(config, name, None)
+        if isinstance(value, str) and value:
+            return value
+    return ""
+
+
+def _at(config: Any) -> str:
+    address = _address(config)
+    return f"{address}: " if address else ""
+
+
+def _told(description: dict[str, Any]) -> str:
+    """Return model and firmware, if the device tells them."""
+    known = (
+        str(description[key]) for key in ("model", "firmware", "version") if key in description
+    )
+    text = ", ".join(known)
+    return f" ({text})" if text else ""
