@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import time
 import traceback
@@ -115,18 +114,9 @@ def side_by_side(
     if processes == 1:
         yield from map(run, items)
         return
-    # One thread per process, because NumPy's threads would compete with other processes.
-    before = os.environ.get("OMP_NUM_THREADS")
-    os.environ["OMP_NUM_THREADS"] = "1"
-    try:
-        with Workers(processes, _begin, device) as workers:
-            for task in as_completed([workers.submit(run, item) for item in items]):
-                yield task.result()
-    finally:
-        if before is None:
-            del os.environ["OMP_NUM_THREADS"]
-        else:
-            os.environ["OMP_NUM_THREADS"] = before
+    with Workers(processes, _begin, device) as workers:
+        for task in as_completed([workers.submit(run, item) for item in items]):
+            yield task.result()
 
 
 # Exit code of a run ended by Ctrl-C, as usual.
