@@ -53,6 +53,7 @@ BENCHMARKS = {
     "indenter-drawings": ("benchmarks.sim.pictures.drawings", "draw each indenter in mm"),
     # Learning
     "latency": ("benchmarks.learning.latency.command", "error against time and size"),
+    "loading": ("benchmarks.learning.loading", "windows per second that reach a training"),
     "field-speed": ("benchmarks.learning.field_rate", "field translator, frames/s"),
     "diffusion-full-size": (
         "benchmarks.learning.diffusion_full_size",
