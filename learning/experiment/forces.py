@@ -71,8 +71,11 @@ def force_settings(
     Raises:
         LearningError: A preset or value is invalid, or the model does not use images.
     """
-    changed = experiment.force.set + (experiment.fine_tuning if tuning else ())
-    changed = (*changed, f"launch.device={device.type}")
+    changed = experiment.overrides(
+        *experiment.force.set,
+        *(experiment.fine_tuning if tuning else ()),
+        f"launch.device={device.type}",
+    )
     try:
         settings = read_settings(ForceSettings, PRESETS, experiment.force.preset, changed)
     except LearningError as error:

@@ -149,7 +149,9 @@ def check_translators(settings: ExperimentSettings) -> None:
         for key, (presets, kind) in _trainings(name).items():
             choice: ModelChoice = getattr(settings, key)
             try:
-                found: Any = read_settings(kind, presets, choice.preset, choice.set)
+                found: Any = read_settings(
+                    kind, presets, choice.preset, settings.overrides(*choice.set)
+                )
                 if name == "diffusion":
                     from learning.translation.diffusion.weights import require_base_folder
 
@@ -163,21 +165,24 @@ def _commands(
 ) -> Iterator[list[str]]:
     """Yield the commands that train a translator, its own training last."""
     if name == "field":
-        yield _training(places, "field", settings.field, device)
+        yield _training(places, "field", settings, device)
     if name == "direct":
-        yield _training(places, "autoencoder", settings.autoencoder, device)
+        yield _training(places, "autoencoder", settings, device)
         begun = ["--autoencoder", str(places.model("autoencoder"))]
-        yield [*_training(places, "direct", settings.direct, device), *begun]
+        yield [*_training(places, "direct", settings, device), *begun]
     if name == "diffusion":
-        yield _training(places, "marker-vae", settings.marker_vae, device)
+        yield _training(places, "marker-vae", settings, device)
         begun = ["--marker-vae", str(places.model("marker-vae"))]
-        yield [*_training(places, "diffusion", settings.diffusion, device), *begun]
+        yield [*_training(places, "diffusion", settings, device), *begun]
 
 
-def _training(places: Places, kind: str, choice: ModelChoice, device: torch.device) -> list[str]:
+def _training(
+    places: Places, kind: str, settings: ExperimentSettings, device: torch.device
+) -> list[str]:
+    choice: ModelChoice = getattr(settings, kind.replace("-", "_"))
     command = [f"train-{kind}", str(places.archive), "--split", str(places.split)]
     command += ["--out", str(places.model(kind)), "--resume", "--preset", choice.preset]
-    for each in (*choice.set, f"launch.device={device.type}"):
+    for each in settings.overrides(*choice.set, f"launch.device={device.type}"):
         command += ["--set", each]
     return command
 

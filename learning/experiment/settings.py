@@ -71,6 +71,7 @@ class ExperimentSettings:
     source_reference: bool = True
     """False: translators get no source reference (ablation); only `direct` supports this."""
     seed: int = 0
+    """Seed of the split, of the choice of presses, and of each training whose `set` has none."""
 
     def __post_init__(self) -> None:
         """Validate the settings."""
@@ -99,3 +100,7 @@ class ExperimentSettings:
             )
         if self.scored_presses < 0:
             raise LearningError(f"scored_presses: found {self.scored_presses}; allowed: 0 and more")
+
+    def overrides(self, *changed: str) -> tuple[str, ...]:
+        """Return the overrides of a training's preset, preceded by the seed of the experiment."""
+        return (f"seed={self.seed}", *changed)

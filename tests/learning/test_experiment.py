@@ -17,8 +17,9 @@ from learning.data.images import shrink_masks
 from learning.data.splits import make_split
 from learning.errors import LearningError
 from learning.evaluation.predictions import read_predictions
-from learning.experiment import forces, running, worker
+from learning.experiment import forces, models, running, worker
 from learning.experiment.forces import force_settings
+from learning.experiment.models import Places, train_translator
 from learning.experiment.parts import (
     as_images,
     frames_of_a_press,
@@ -35,6 +36,7 @@ from learning.experiment.translating import (
     warp_presses,
 )
 from learning.experiment.worker import TaskResult
+from learning.force.train import begun_model, epoch
 from learning.metrics import force_errors
 from learning.translation.flow import FlowTranslator
 from learning.translation.translator import SensorView
@@ -274,6 +276,37 @@ def test_without_memory_every_frame_has_no_contact_before(archive: MarkerArchive
         for memory in ("true", "false")
     }
     assert batch["false"] == 9 * batch["true"]
+
+
+def test_the_seed_of_an_experiment_is_that_of_its_trainings(
+    archive: MarkerArchive, tmp_path: Path
+) -> None:
+    def begun(*changed: str) -> tuple[torch.Tensor, list[int]]:
+        chosen = force_settings(settings(*changed), archive, CPU)
+        labels = [torch.tensor([[-1.0, -1.0, -2.0], [1.0, 1.0, 0.0]])]
+        model = begun_model(labels, chosen, None, CPU)
+        passed = epoch([np.arange(0, 90, 9)], [0], chosen.sequences, chosen.seed, 0)
+        order = [int(press) for _, presses in passed.strings for press in presses]
+        return torch.cat([each.flatten() for each in model.parameters()]), order
+
+    weights, order = begun("seed=1")
+    again, same_order = begun("seed=1")
+    assert torch.equal(weights, again)
+    assert order == same_order
+    others, other_order = begun("seed=2")
+    assert not torch.equal(weights, others)
+    assert order != other_order
+    for tuning in (False, True):
+        assert force_settings(settings("seed=2"), archive, CPU, tuning=tuning).seed == 2
+    own = settings("seed=2", "fine_tuning=[seed=5]", "translators=[field, direct]")
+    assert [force_settings(own, archive, CPU, tuning=each).seed for each in (False, True)] == [2, 5]
+    trained: list[str] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(models, "run_command", lambda command, say: trained.append(" ".join(command)))
+        for name in own.translators:
+            train_translator(Places(tmp_path, archive.path), own, name, CPU, print)
+    assert len(trained) == 3
+    assert all("--set seed=2 " in command for command in trained)
 
 
 def test_a_blind_translator_is_told_nothing_of_the_source() -> None:
