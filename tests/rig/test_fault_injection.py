@@ -319,7 +319,12 @@ def test_repeated_messages_are_left_out_and_counted(device: str, host: str) -> N
 def test_three_bad_messages_are_counted_and_the_stream_goes_on(device: str, host: str) -> None:
     with streaming(device, host) as (driver, inject):
         inject("garbage", messages=3)
-        collect(driver, 20)
+        # A busy machine delivers what was sent before in bursts.
+        for _ in range(20):
+            collect(driver, 5)
+            if driver.rejected["corrupt"] >= 3:
+                break
+        collect(driver, 5)
         assert driver.rejected["corrupt"] == 3
 
 

@@ -23,6 +23,9 @@ from sim.indenters import named
 from sim.scene import through
 from sim.sensors import SurfaceField, sensor
 
+# The archive that most tests read takes 12 s of one core, and a minute on a busy machine.
+pytestmark = pytest.mark.timeout(240)
+
 __all__ = ["solved_once"]
 
 
