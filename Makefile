@@ -49,7 +49,7 @@ $(error wrong input: $(REFUSED))
 endif
 endif
 
-.PHONY: help accuracy speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip doctor preview compare mock replay check-session split train-field train-autoencoder train-direct train-marker-vae train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning transfer calibrate-force demo-transfer demo-twin learning-tables learning-ablations learning-on-gpus live endurance faults bench-recorder test golden test-all check format reference setup clean
+.PHONY: help accuracy speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip doctor preview compare mock replay check-session import split train-field train-autoencoder train-direct train-marker-vae train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning transfer calibrate-force demo-transfer demo-twin learning-tables learning-ablations learning-on-gpus live endurance faults bench-recorder test golden test-all check format reference setup clean
 
 # Above a target: `##@` starts a group of the list, `#:` gives the options of the target.
 help:
@@ -130,6 +130,10 @@ compare: $(VENV)/.rig  ## Compare a mock session with the World's ground truth
 #: SESSION=sessions/x.zarr
 check-session: $(VENV)/.rig  ## Check a session for problems
 	@$(PY) -m recorder check $(SESSION)
+
+#: PATHS="video.mp4 force.csv" [OUT=session.zarr] [ARGS="--sensor digit --yes"]
+import: $(VENV)/.markers  ## Make a session of recordings made elsewhere
+	@$(PY) -m tactile import $(PATHS) $(if $(OUT),--out $(OUT)) $(ARGS)
 
 #: MODEL=runs/x SENSOR=tacpalm [BENCH=file] [WORLD=sim] [FORCE=none] [SESSION=replayed.zarr] [ARGS="--seconds 10"]
 live: $(VENV)/.live  ## Show forces as the sensor is pressed
