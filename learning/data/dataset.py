@@ -287,7 +287,7 @@ def _found(recordings: str | Path | Iterable[str | Path]) -> list[str]:
     found = []
     for one in map(str, given):
         inside = Path(one)
-        if "://" in one or ":" in inside.name or (inside / "zarr.json").exists():
+        if "://" in one or _is_sensor(one) or (inside / "zarr.json").exists():
             found.append(one)
             continue
         if not inside.is_dir():
@@ -303,8 +303,12 @@ def _found(recordings: str | Path | Iterable[str | Path]) -> list[str]:
 
 
 def _opened(path: str, storage_options: Mapping[str, Any]) -> _Recording:
-    is_sensor = "://" not in path and ":" in Path(path).name
-    return _OfArchive(path) if is_sensor else _OfSession(path, storage_options)
+    return _OfArchive(path) if _is_sensor(path) else _OfSession(path, storage_options)
+
+
+def _is_sensor(path: str) -> bool:
+    """True for `ARCHIVE:SENSOR`; a colon may also be in the name of a session."""
+    return "://" not in path and ":" in Path(path).name and not Path(path).exists()
 
 
 def _chosen(

@@ -140,7 +140,7 @@ def test_what_makes_no_sense_is_refused(sessions: Path, tmp_path: Path) -> None:
         TactileDataset(sessions, ROWS, streams=["taxels"])[0]
     with pytest.raises(LearningError, match="size, first: found 0, 0"):
         TactileDataset(sessions, ROWS).batches(0)
-    nameless = make_session(tmp_path / "n.zarr", seconds=0.9, names=("force",))
+    nameless = make_session(tmp_path / "12:30 n.zarr", seconds=0.9, names=("force",))
     set_attrs(nameless, indenter=None)
     reseal(nameless)
     with pytest.raises(LearningError, match=r"n\.zarr: names no indenter"):
