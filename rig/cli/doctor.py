@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import argparse
+import getpass
 import logging
+import os
+import shlex
+import sys
 import tempfile
 from pathlib import Path
 
 from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE
-from rig.acquire.doctor import examine
-from rig.bench.bench import bench_from
-from rig.cli.options import bench_options, chosen_bench
+from rig.acquire.doctor import examine, missing_rights
+from rig.bench.bench import Bench, bench_from
+from rig.cli.options import bench_options, chosen_bench, confirm
 from rig.cli.recording import started_bench
 from rig.core.clock import SystemClock
+from rig.core.errors import ConfigError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,10 +38,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folder of sessions, whose disk is tested (%(default)s)",
     )
 
+    parser.add_argument(
+        "--fix",
+        action="store_true",
+        help="write what gives you real-time priority and access to pedal and SpaceMouse, after "
+        "asking (needs root); tests nothing",
+    )
+
 
 def run(options: argparse.Namespace) -> int:
-    """Print a line for each part, and its cures; return the exit code."""
+    """Print a line for each part, and its cures; return the exit code.
+
+    Raises:
+        ConfigError: See `chosen_bench`; or --fix without root, or without a terminal.
+        Interrupted: --fix was not confirmed.
+    """
     path, bench, content = chosen_bench(options)
+    if options.fix:
+        return fix(bench, os.environ.get("SUDO_USER") or getpass.getuser(), Path("/etc"))
     kind = "mock bench" if bench.mock else "LAB BENCH"
     parts = [row.name for row in bench.rows]
     print(f"{kind} {path}: {', '.join(parts)}; nothing moves", flush=True)
@@ -57,4 +76,32 @@ def run(options: argparse.Namespace) -> int:
         print(f"doctor: {faults} fault{'s' * (faults > 1)}; again: tactile doctor {name}")
         return EXIT_DEVICE_LOST
     print(f"doctor: no fault; next: tactile collect {name} --targets 2")
+    return EXIT_DONE
+
+
+def fix(bench: Bench, user: str, etc: Path) -> int:
+    """Write the files of `missing_rights` after asking; return the exit code.
+
+    Raises:
+        ConfigError: They cannot be written by this user.
+        Interrupted: It was not confirmed.
+    """
+    files = missing_rights(bench, user, etc)
+    if not files:
+        print(f"doctor: {user} has these rights already")
+        return EXIT_DONE
+    lines = [f"{path}:\n  {text}" for path, text in files.items()]
+    if not os.access(etc, os.W_OK):
+        again = shlex.join(["sudo", *sys.argv])
+        raise ConfigError(
+            f"--fix: {etc} needs root; {again} writes\n" + "".join(lines).rstrip("\n")
+        )
+    if not sys.stdin.isatty():
+        raise ConfigError("--fix: asks before it writes, and there is no terminal to ask on")
+    confirm([f"This writes for {user}:", *lines])
+    for path, text in files.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+        print(f"{path}: written")
+    print("doctor: log in again, and plug pedal and SpaceMouse in again")
     return EXIT_DONE
