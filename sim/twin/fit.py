@@ -36,7 +36,8 @@ PRIOR = {
 # Sensor without friction or viscosity in its row: these are where the fit begins.
 FRICTION, VISCOSITY = Friction(0.6), Viscosity((0.15, 0.15), (0.05, 0.5))
 # Names of what is not of the sensor.
-BENCH = ("height", "compliance", "turn_x", "turn_y", "turn_z", "tilt_x", "tilt_y")
+TILT = ("tilt_x", "tilt_y")
+BENCH = ("height", "compliance", "turn_x", "turn_y", "turn_z", *TILT)
 # Names in logarithms.
 LOGARITHMS = ("modulus", "thickness", "friction", "ratio", "time")
 # Most rounds of a fit, and the largest step in posterior spreads at which it has converged.
@@ -46,7 +47,9 @@ TIMING, LAW = (5e-4, 60e-3), 4e-3
 # Longest step of a logarithm in a round, and the longest after which derivatives are kept.
 STEP, CLOSE = 0.5, 0.1
 # Damping beyond which a step is given up.
-DAMPED = 100.0
+DAMPED, DAMPED_LITTLE = 100.0, 0.5
+# Squared residuals by which a tilt must explain presses better to be told by them.
+TOLD = 9.0
 # Spread over the prior's above which presses have told nothing.
 UNTOLD = 0.7
 
@@ -163,9 +166,74 @@ def fitted(
     names = (*quantities(design), *BENCH)
     centre = {**quantities(design), **dict.fromkeys(BENCH, 0.0)}
     prior = np.array([prior_spread(name) for name in names])
-    values, damping, timing, law = dict(centre), 1e-3, 20e-3, 0.01
+    values = dict(centre)
     values["modulus"] *= _stiffer(tracks, model.readings(values))
-    near, kept = model.linearised(values, names), False
+    plain = tuple(name for name in names if name not in TILT)
+    level = _descended(tracks, model, plain, values, centre, lambda part: progress(0.6 * part))
+    leaning = _descended(
+        tracks,
+        model,
+        names,
+        level.values,
+        centre,
+        lambda part: progress(0.6 + 0.4 * part),
+        level.near,
+    )
+    # A tilt keeps its prior unless it explains the presses clearly better.
+    sigma = _sigmas(tracks, level.near, *_errors(tracks, level.near.readings, level.near.rates))
+    tilted = _gain(tracks, sigma, level.near, leaning.near) > TOLD
+    found, known = (leaning, names) if tilted else (level, plain)
+    values, near = found.values, found.near
+    rows = [names.index(name) for name in known]
+    timing, law = _errors(tracks, near.readings, near.rates)
+    sigma = _sigmas(tracks, near, timing, law)
+    residual, _ = _stacked(tracks, near.readings, sigma)
+    excess = max(1.0, float(residual @ residual) / max(1, len(residual) - len(known)))
+    told = information(tracks, near, timing, law) / excess
+    covariance = np.diag(prior**2)
+    covariance[np.ix_(rows, rows)] = np.linalg.inv(told + np.diag(prior[rows] ** -2))
+    progress(1.0)
+    return Fit(
+        design=design,
+        names=names,
+        values=values,
+        covariance=covariance,
+        tracks=tuple(tracks),
+        readings=tuple(near.readings),
+        sigma=tuple(sigma),
+        timing=timing,
+        latency=_latency(tracks, model.solve(values)),
+        law=law,
+        misfit=misfit(tracks, near.readings),
+        rounds=level.rounds + leaning.rounds,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Descended:
+    """Values at which a descent ended, and the readings there."""
+
+    values: Mapping[str, float]
+    near: Linear
+    rounds: int
+
+
+def _descended(
+    tracks: Sequence[Track],
+    model: Model,
+    names: Sequence[str],
+    values: Mapping[str, float],
+    centre: Mapping[str, float],
+    progress: Callable[[float], None],
+    known: Linear | None = None,
+) -> Descended:
+    """Return where `names` explain the tracks best, the others as they are.
+
+    Derivatives of `known` are those at `values`.
+    """
+    prior = np.array([prior_spread(name) for name in names])
+    values, damping = dict(values), 1e-3
+    near, kept = model.linearised(values, names, known), False
     for done in range(1, ROUNDS + 1):
         progress((done - 1) / ROUNDS)
         timing, law = _errors(tracks, near.readings, near.rates)
@@ -180,13 +248,15 @@ def fitted(
             step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), slope)
             longest = max(abs(each) for name, each in zip(names, step, strict=True) if is_log(name))
             step *= min(1.0, STEP / longest)
-            moved = {name: _moved(name, values, by) for name, by in zip(names, step, strict=True)}
+            stepped = zip(names, step, strict=True)
+            moved = {**values, **{name: _moved(name, values, by) for name, by in stepped}}
             trial, _ = _stacked(tracks, model.readings(moved), sigma)
             better = _cost(trial, _offset(names, moved, centre) / prior) < cost
             if better or damping > DAMPED:
                 break
             damping = max(damping, 1e-2) * 10
-        small = float(np.max(np.abs(step) / spread)) < SMALL
+        # A damped step is short wherever it is.
+        small = damping < DAMPED_LITTLE and float(np.max(np.abs(step) / spread)) < SMALL
         if better:
             values, damping = moved, damping / 10
             kept = longest < CLOSE and done > 1
@@ -197,27 +267,13 @@ def fitted(
             # Derivatives from elsewhere may be why: take new ones before giving up.
             kept, damping = False, 1e-2
             near = model.linearised(values, names)
-    timing, law = _errors(tracks, near.readings, near.rates)
-    sigma = _sigmas(tracks, near, timing, law)
-    residual, _ = _stacked(tracks, near.readings, sigma)
-    excess = max(1.0, float(residual @ residual) / max(1, len(residual) - len(names)))
-    told = information(tracks, near, timing, law) / excess
-    covariance = np.linalg.inv(told + np.diag(prior**-2))
-    progress(1.0)
-    return Fit(
-        design=design,
-        names=names,
-        values=values,
-        covariance=np.asarray(covariance, float),
-        tracks=tuple(tracks),
-        readings=tuple(near.readings),
-        sigma=tuple(sigma),
-        timing=timing,
-        latency=_latency(tracks, model.solve(values)),
-        law=law,
-        misfit=misfit(tracks, near.readings),
-        rounds=done,
-    )
+    return Descended(values, near, done)
+
+
+def _gain(tracks: Sequence[Track], sigma: Sequence[Array], one: Linear, other: Linear) -> float:
+    """Return how much less the squared residuals of `other` are than those of `one`."""
+    first, second = (_stacked(tracks, each.readings, sigma)[0] for each in (one, other))
+    return float(first @ first - second @ second)
 
 
 def information(tracks: Sequence[Track], near: Linear, timing: float, law: float) -> Array:

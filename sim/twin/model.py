@@ -27,6 +27,8 @@ STEPS = {
     "tilt_y": 2e-3,
 }
 AS_THEY_ARE = ("poisson", "height", "tilt_x", "tilt_y")
+# Forces have a kink where nothing leans: an edge is lowest whichever way a flat face leans.
+ONE_SIDED = ("tilt_x", "tilt_y")
 # Step of the logarithm of a relaxation time.
 STEP_TIME = 0.05
 
@@ -100,15 +102,19 @@ class Model:
         """
         solved = self.solve(values)
         base = [self._read(each, values) for each in solved]
-        costly: dict[str, list[Array]] = {} if known is None else known.costly
+        costly: dict[str, list[Array]] = {} if known is None else dict(known.costly)
         for name in STEPS:
-            if known is not None or (name not in names and name != "height"):
+            if name in costly or (name not in names and name != "height"):
                 continue
             step = STEPS[name]
             linear = name in AS_THEY_ARE
             moved = values[name] + step if linear else values[name] * (1 + step)
             over = step if linear else math.log1p(step)
             there = self.readings({**values, name: moved})
+            if name in ONE_SIDED:
+                other = self.readings({**values, name: values[name] - step})
+                if self._off(other) < self._off(there):
+                    there, over = other, -step
             costly[name] = [(new - old) / over for new, old in zip(there, base, strict=True)]
         slopes = []
         for index, track in enumerate(self._tracks):
@@ -124,6 +130,10 @@ class Model:
             slopes.append(np.stack(rows, axis=-1))
         rates = [np.linalg.norm(each.rate, axis=1) for each in solved]
         return Linear(base, slopes, rates, costly)
+
+    def _off(self, readings: Sequence[Array]) -> float:
+        pairs = zip(self._tracks, readings, strict=True)
+        return sum(float(np.square(track.force - read)[track.rest].sum()) for track, read in pairs)
 
     def solve(self, values: Mapping[str, float]) -> list[Solved]:
         """Return the solution of every track."""

@@ -17,10 +17,14 @@ from sim.errors import SceneError
 from sim.sensors import Posterior, SimulatedSensor, read_sensor, sensor
 from sim.sensors.posterior import quantities, with_quantities
 from sim.twin import Fit, Track, fitted
+from sim.twin.fit import prior_spread
 from sim.twin.model import relaxing
 from sim.twin.observations import track_of
 from sim.twin.plan import Planner, cost, presses, sessions
 from sim.twin.record import lines, plan_files, twin_yaml
+
+# A fit takes some 20 s of a free core.
+pytestmark = pytest.mark.timeout(300)
 
 COARSE = 32
 SHORT = {name: presses(name, (1.0e-3,), 0.6e-3, 1.2) for name in ("sphere", "prism", "cylinder")}
@@ -36,7 +40,7 @@ def planted() -> SimulatedSensor:
 
 @pytest.fixture(scope="module")
 def tracks() -> list[Track]:
-    bench = Bench(noise=0.005, height=20e-6, turn=(0.02, -0.01, 0.01), tilt=(0.012, -0.008))
+    bench = Bench(noise=0.005, height=20e-6, turn=(0.02, -0.01, 0.01))
     return [
         observed(planted(), SHORT[name], bench, seed, grid=COARSE)
         for seed, name in enumerate(("sphere", "prism"))
@@ -50,13 +54,12 @@ def fit(tracks: list[Track]) -> Fit:
 
 def test_a_planted_skin_is_found_again(fit: Fit) -> None:
     true = quantities(planted())
-    assert fit.values["modulus"] == pytest.approx(true["modulus"], rel=0.08)
+    assert fit.values["modulus"] == pytest.approx(true["modulus"], rel=0.06)
     assert fit.values["thickness"] == pytest.approx(true["thickness"], rel=0.12)
     assert fit.values["friction"] == pytest.approx(true["friction"], rel=0.06)
     assert fit.values["ratio_2"] == pytest.approx(true["ratio_2"], rel=0.15)
-    assert fit.values["height"] == pytest.approx(20e-6, abs=25e-6)
+    assert fit.values["height"] == pytest.approx(20e-6, abs=15e-6)
     assert fit.values["turn_x"] == pytest.approx(0.02, abs=5e-3)
-    assert fit.values["tilt_x"] == pytest.approx(0.012, abs=4e-3)
     assert fit.misfit < 0.01
 
 
@@ -64,25 +67,36 @@ def test_true_values_lie_in_the_intervals(fit: Fit) -> None:
     for name, true in quantities(planted()).items():
         low, high = fit.interval(name, z=3.0)
         assert low <= true <= high, name
-    for name, angle in (("tilt_x", 0.012), ("tilt_y", -0.008)):
-        low, high = fit.interval(name, z=3.0)
-        assert low <= angle <= high, name
 
 
-def test_a_tilt_that_a_ball_does_not_tell_keeps_its_prior(tracks: list[Track], fit: Fit) -> None:
-    ball = fitted(tracks[:1], sensor("gelsight"), grid=COARSE)
-    assert "tilt_x" in ball.untold
-    assert "tilt_x" not in fit.untold
-    (line,) = (line for line in lines(ball) if line.startswith("tilt_x"))
+def test_a_tilt_that_presses_do_not_tell_keeps_its_prior_and_is_named(fit: Fit) -> None:
+    assert {"tilt_x", "tilt_y"} <= set(fit.untold)
+    assert fit.values["tilt_x"] == 0.0
+    assert fit.spreads["tilt_x"] == pytest.approx(prior_spread("tilt_x"))
+    (line,) = (line for line in lines(fit) if line.startswith("tilt_x"))
     assert line.endswith("not told by these presses, the prior's")
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_presses_at_three_places_tell_the_tilt() -> None:
+    one = presses("sphere", (1.0e-3,), 0.6e-3, 0.6)
+    apart = replace(one, plan=replace(one.plan, points=(1, 2, 3), step_x=4e-3, step_y=4e-3))
+    bench = Bench(noise=0.005, tilt=(0.02, -0.015))
+    found = fitted(
+        [observed(planted(), apart, bench, 0, grid=COARSE)], sensor("gelsight"), grid=COARSE
+    )
+    assert not {"tilt_x", "tilt_y"} & set(found.untold)
+    assert found.values["tilt_x"] == pytest.approx(0.02, abs=2e-3)
+    assert found.values["tilt_y"] == pytest.approx(-0.015, abs=2e-3)
+    assert found.values["modulus"] == pytest.approx(planted().body.modulus, rel=0.06)
+
+
 def test_expected_intervals_are_those_of_a_fit(fit: Fit) -> None:
     planner = Planner(sensor("gelsight"), noise=0.005, grid=COARSE)
     expected = planner.expected([SHORT["sphere"], SHORT["prism"]]).spreads
-    for name, found in fit.spreads.items():
-        assert 0.5 < found / expected[name] < 2.0, name
+    for name, found in expected.items():
+        assert 0.5 < fit.spreads[name] / found < 2.0, name
 
 
 @pytest.mark.slow
