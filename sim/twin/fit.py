@@ -166,8 +166,8 @@ def fitted(
     names = (*quantities(design), *BENCH)
     centre = {**quantities(design), **dict.fromkeys(BENCH, 0.0)}
     prior = np.array([prior_spread(name) for name in names])
-    values = dict(centre)
-    values["modulus"] *= _stiffer(tracks, model.readings(values))
+    stiffer = _stiffer(tracks, model.readings(centre))
+    values: Mapping[str, float] = {**centre, "modulus": stiffer * centre["modulus"]}
     plain = tuple(name for name in names if name not in TILT)
     level = _descended(tracks, model, plain, values, centre, lambda part: progress(0.6 * part))
     leaning = _descended(

@@ -1,6 +1,7 @@
 """Fit twins of random skins that are known, and compare.
 
     python -m benchmarks twin --planted 6
+    python -m benchmarks twin --planted 60 --out docs/results/twin-planted.md
 
 Each skin differs from the row that the fit begins with, and is pressed on a bench with errors of
 its own, by a finer grid than the fit's, or by tier `fem` (`--truth fem`), while fits are by tier
