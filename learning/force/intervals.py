@@ -206,10 +206,10 @@ def fit_errors(
     """Return the error of each axis that 90 % of a new indenter's frames stay below.
 
     The half-width's shape, a base and a slope, is a least-squares fit of the absolute errors over
-    the magnitude of the predicted force. Its size is split-conformal by indenter, as frames of one
-    indenter err alike: of the 90 % quantiles of n indenters (of errors over that fit) the
-    ceil(0.9 (n + 1))-th smallest. With fewer than 9 indenters there is none: it is the largest,
-    times a factor by which a new indenter exceeds it in one of ten cases (`beyond_largest`).
+    the magnitude of the predicted force. Its size is split-conformal: the 90 % quantile of the
+    errors over that fit, in which each indenter counts alike, however many frames it has. Frames of
+    one indenter err alike, so with fewer than 9 indenters it is multiplied by a factor
+    (`beyond_largest`), as a new one may err more than all of these.
 
     Args:
         predicted: Forces (n, 3) [N] on frames of indenters that the model never saw.
@@ -230,16 +230,24 @@ def fit_errors(
         error, size = error[known], magnitude[known]
         base, slope = _line(size, error)
         ratio, names = error / (base + slope * size), indenter[known]
-        each = [_conformal(ratio[names == name]) for name in np.unique(names)]
-        quantile = _conformal(np.array(each)) * beyond_largest(len(each))
+        _, place, count = np.unique(names, return_inverse=True, return_counts=True)
+        quantile = _conformal(ratio, 1.0 / count[place]) * beyond_largest(len(count))
         found.append(AxisError(quantile * base, quantile * slope))
     return tuple(found)
 
 
-def _conformal(values: Floats) -> float:
-    """Return the ceil(0.9 (n + 1))-th smallest of n values, or the largest."""
-    rank = min(len(values), math.ceil(COVERAGE * (len(values) + 1)))
-    return float(np.sort(values)[rank - 1])
+def _conformal(values: Floats, weights: Floats) -> float:
+    """Return the value below which 90 % of the weights are, counting one more that is larger.
+
+    Args:
+        values: Values (n,).
+        weights: Weight of each (n,).
+    """
+    order = np.argsort(values)
+    below = np.cumsum(weights[order])
+    wanted = COVERAGE * below[-1] * (1.0 + 1.0 / len(values))
+    rank = min(len(values) - 1, int(np.searchsorted(below, wanted * (1 - 1e-12))))
+    return float(values[order][rank])
 
 
 @functools.cache

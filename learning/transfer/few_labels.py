@@ -1,7 +1,9 @@
 """Optional stage: a few labelled presses of the target set the scale, and measure the error.
 
 The file is a CSV with the columns `indenter`, `target`, `frame` (as in the target's own archive)
-and `fx_n`, `fy_n`, `fz_n` [N]; an empty force is not measured.
+and `fx_n`, `fy_n`, `fz_n` [N]; an empty force, or a column that is not there, is not measured.
+Readings that were typed in have no frame: without one, a force is that at the end of the pressing,
+where a press is held.
 """
 
 from __future__ import annotations
@@ -18,10 +20,13 @@ from learning.errors import LearningError
 from learning.force.intervals import Held, Intervals, Scale, measured_scale
 from learning.metrics import force_errors, spread_and_range
 from recorder import MarkerArchive
+from recorder.spec import PHASES
 
 Floats = NDArray[np.float64]
 
-KEYS, FORCES = ("indenter", "target", "frame"), ("fx_n", "fy_n", "fz_n")
+KEYS, FORCES = ("indenter", "target"), ("fx_n", "fy_n", "fz_n")
+FRAME = "frame"
+_PRESSING = PHASES.index("normal_inc")
 # Numbers of labelled presses whose errors the report lists.
 COUNTS = (0, 1, 5, 20, 100)
 # Labelled presses of an axis from which it has a gain of its own, as shear and pressing may
@@ -63,40 +68,47 @@ def read_labels(path: Path, archive: MarkerArchive, sensor: str) -> Labels:
         )
         if table["valid"][row]
     }
+    held = {
+        key[:2]: key[2] for key, row in sorted(known.items()) if table["phase"][row] == _PRESSING
+    }
     try:
         with path.open(newline="", encoding="utf-8") as file:
             reader = csv.DictReader(file)
-            if missing := set(KEYS + FORCES) - set(reader.fieldnames or ()):
+            columns = set(reader.fieldnames or ())
+            if (missing := set(KEYS) - columns) or not columns & set(FORCES):
+                lacking = ", ".join(sorted(missing)) or "a column of forces"
                 raise LearningError(
-                    f"{path}: missing {', '.join(sorted(missing))}; allowed: the columns "
-                    f"{', '.join(KEYS + FORCES)}"
+                    f"{path}: missing {lacking}; allowed: the columns {', '.join(KEYS)}, "
+                    f"{FRAME} (none: where the press is held), and some of {', '.join(FORCES)}"
                 )
             lines = list(reader)
     except (OSError, UnicodeDecodeError) as error:
         raise LearningError(f"{path}: cannot be read: {error}") from None
     found: dict[int, list[float]] = {}
     pressed: dict[tuple[str, int], int] = {}
-    press: list[int] = []
+    numbers: list[int] = []
     for number, line in enumerate(lines, 2):
         where = f"{path}, line {number}"
         try:
-            key = line["indenter"], int(line["target"]), int(line["frame"])
-            forces = [float(line[name]) if line[name].strip() else math.nan for name in FORCES]
+            press = line["indenter"], int(line["target"])
+            frame = line.get(FRAME, "").strip()
+            key = *press, int(frame) if frame else held.get(press, -1)
+            texts = [line.get(name, "").strip() for name in FORCES]
+            forces = [float(text) if text else math.nan for text in texts]
         except (TypeError, ValueError, AttributeError) as error:
             raise LearningError(f"{where}: {error}; allowed: numbers, or no force") from None
         if math.inf in map(abs, forces):
             raise LearningError(f"{where}: found an infinite force; allowed: numbers, or none")
         if key not in known:
-            raise LearningError(
-                f"{where}: {sensor} has no frame {key[2]} of target {key[1]} of {key[0]}"
-            )
+            named = f"frame {frame}" if frame else "frame where it is held"
+            raise LearningError(f"{where}: {sensor} has no {named} of target {key[1]} of {key[0]}")
         if known[key] in found:
             raise LearningError(f"{where}: found frame {key} twice; allowed: once")
         found[known[key]] = forces
-        press.append(pressed.setdefault(key[:2], len(pressed)))
+        numbers.append(pressed.setdefault(press, len(pressed)))
     if not found or np.isnan(list(found.values())).all():
         raise LearningError(f"{path}: found no force; allowed: one or more")
-    return Labels(np.array(list(found)), np.array(list(found.values())), np.array(press))
+    return Labels(np.array(list(found)), np.array(list(found.values())), np.array(numbers))
 
 
 def gains_of_labels(

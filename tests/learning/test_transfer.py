@@ -32,6 +32,7 @@ from learning.transfer.score import score_of
 from learning.transfer.weigh import forces_of_holds
 from recorder import MarkerArchive
 from recorder.archive import write_simulated
+from recorder.spec import PHASES
 from tests.support.few import few
 
 ASSUMED = Scale(2.0, "assumed", assumed=True)
@@ -84,8 +85,7 @@ def test_ninety_percent_of_new_errors_are_within_intervals_fitted_to_old_ones() 
     assert np.isnan(low[:, :2]).all()
     assert np.isnan(high[:, :2]).all()
     inside = (low[:, 2] <= true[:, 2]) & (true[:, 2] <= high[:, 2])
-    # The quantiles of 12 indenters of 50 frames each vary by chance, and the largest is taken.
-    assert 0.88 < inside.mean() < 0.97
+    assert 0.87 < inside.mean() < 0.93
     # At strong and weak forces alike.
     for part in (true[:, 2] < -7, true[:, 2] > -3):
         assert 0.84 < inside[part].mean() < 0.99
@@ -98,24 +98,33 @@ def test_intervals_from_few_indenters_are_wide_enough_for_a_new_one(count: int) 
     for _ in range(200):
         names = np.repeat([f"{number}" for number in range(count)], 60)
         sizes = 0.2 * np.exp(random.normal(0, 0.2, count))
-        error = np.zeros((60 * count, 3))
+        error = np.full((60 * count, 3), np.nan)
         error[:, 2] = random.normal(size=60 * count) * np.repeat(sizes, 60)
-        axis = fit_errors(error, np.zeros_like(error), names)[2]
+        axis = fit_errors(np.zeros_like(error), error, names)[2]
         assert axis is not None
         new = random.normal(size=500) * 0.2 * np.exp(random.normal(0, 0.2))
-        predicted = np.zeros((500, 3))
-        predicted[:, 2] = new
-        low, high = replace(INTERVALS, axes=(None, None, axis)).of(predicted)
-        inside = ((low <= 0) & (high >= 0))[:, 2].mean()
+        low, high = replace(INTERVALS, axes=(None, None, axis)).of(np.zeros((500, 3)))
+        inside = ((low[:, 2] <= new) & (new <= high[:, 2])).mean()
         covered.append(inside)
         pooled.append(np.mean(np.abs(new) <= np.quantile(np.abs(error[:, 2]), 0.9)))
-    # A new indenter has 90 % of its frames within in about nine of ten cases, not in one of two.
-    kept = np.mean(np.array(covered) >= 0.89)
-    assert kept >= 0.8
-    assert np.mean(np.array(pooled) >= 0.89) < kept - 0.2
+    # A new indenter has 90 % of its frames within on average, and seldom fewer than 80 %.
+    assert 0.89 < np.mean(covered) < 0.97
+    assert np.mean(np.array(covered) >= 0.8) >= 0.85
+    if count < 4:
+        assert np.mean(pooled) < np.mean(covered) - 0.03
     assert beyond_largest(count) == pytest.approx(
         {1: 1.436, 2: 1.241, 4: 1.107, 12: 1.0}[count], abs=2e-3
     )
+
+
+def test_an_indenter_with_many_frames_counts_as_one_with_few() -> None:
+    names = np.array(["small"] * 900 + ["large"] * 100)
+    error = np.full((1000, 3), np.nan)
+    error[:900, 2], error[900:, 2] = np.linspace(0, 0.1, 900), np.linspace(0, 1.0, 100)
+    axis = fit_errors(np.zeros((1000, 3)), error, names)[2]
+    assert axis is not None
+    # 90 % of both alike: all of the small ones, and those up to 0.8 of the large ones.
+    assert axis.base == pytest.approx(0.8 * beyond_largest(2), abs=0.02)
 
 
 def test_an_interval_contains_the_model_s_error_and_all_assumed_scales(tmp_path: Path) -> None:
@@ -262,7 +271,9 @@ def test_a_few_labels_set_the_scale_and_measure_the_error(
     assert float(curve[1]["MAE Fz [N]"]) < 0.2 * float(curve[0]["MAE Fz [N]"])
     assert curve[0]["MAE Fx [N]"] == "-"
     for text, message in (
-        ("indenter,target\ncone,0", "missing frame, fx_n"),
+        ("indenter,target\ncone,0", "missing a column of forces; allowed: .* some of fx_n, fy_n"),
+        ("indenter,fz_n\ncone,1", "missing target; allowed"),
+        ("indenter,target,fz_n\nmoon,0,1", "has no frame where it is held of target 0 of moon"),
         (f"{lines[0]}\ncone,0,77,,,1", "has no frame 77 of target 0 of cone"),
         (f"{lines[0]}\ncone,0,1,,,x", "line 2: could not convert"),
         (f"{lines[1]}\n", "missing"),
@@ -272,6 +283,25 @@ def test_a_few_labels_set_the_scale_and_measure_the_error(
         path.write_text(text)
         with pytest.raises(LearningError, match=message):
             read_labels(path, other, "grid")
+
+
+def test_readings_typed_in_are_labels_where_a_press_is_held(
+    recordings: tuple[MarkerArchive, MarkerArchive], tmp_path: Path
+) -> None:
+    _, other = recordings
+    path = tmp_path / "typed.csv"
+    path.write_text("indenter,target,fz_n\nsphere,1,-1.25\nprism,0,-2.5\n")
+    labels = read_labels(path, other, "grid")
+    table = other["grid"].table
+    assert table["phase"][labels.rows].tolist() == [PHASES.index("normal_inc")] * 2
+    assert table["target"][labels.rows].tolist() == [1, 0]
+    for row in labels.rows:
+        same = (table["indenter"] == table["indenter"][row]) & (table["location"] >= 0)
+        deepest = table["depth"][same & (table["target"] == table["target"][row])].max()
+        assert table["depth"][row] == deepest
+    assert np.array_equal(labels.forces[:, 2], [-1.25, -2.5])
+    assert np.isnan(labels.forces[:, :2]).all()
+    assert labels.presses == 2
 
 
 def test_labels_of_five_presses_give_each_measured_axis_its_own_factor() -> None:
