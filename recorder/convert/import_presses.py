@@ -98,11 +98,15 @@ def force_signal(t_ns: Times, wrench: Floats, axes: Sequence[str]) -> Signal:
     return Signal("force [N]", t_ns, rows, np.asarray(pressing, np.float64))
 
 
-def find_no_contact(signal: Signal) -> Span:
+def find_no_contact(signal: Signal, recording: str) -> Span:
     """Return the span in which nothing touched the sensor [ns].
 
     With a force it is the first still span of the least pressing force; with images or taxels it is
     the beginning, if the recording returns to it.
+
+    Args:
+        signal: Signal that shows contacts.
+        recording: Name of the recording, for errors.
 
     Raises:
         MissingAnswer: The recording does not tell.
@@ -115,7 +119,7 @@ def find_no_contact(signal: Signal) -> Span:
         mean, deviation = _windows(signal.pressing, length)
         score = mean + 3 * deviation
         # Of spans that are about as free of force the first is the best: gel creeps after contact.
-        _require_ends(signal.name, mean)
+        _require_ends(f"{recording}: {signal.name}", mean)
         least = float(score.min()) + _AS_FREE * float(np.ptp(signal.pressing))
         return _span(t_ns, int(np.flatnonzero(score <= least)[0]), length)
     begin, end = signal.rows[:length], signal.rows[-length:]
@@ -125,9 +129,9 @@ def find_no_contact(signal: Signal) -> Span:
     if largest > _TOLD * _noise(change[:length]) and apart > _RETURNED * largest:
         raise MissingAnswer(
             "no_contact",
-            f"{signal.name}: the recording ends {100 * apart / largest:.0f} % of its largest "
-            "change away from its beginning, so one of them is in contact, and nothing tells which",
-            (_stated(t_ns, 0, length), _stated(t_ns, count - length, length)),
+            f"{recording}: {signal.name}: the recording ends {100 * apart / largest:.0f} % of its "
+            "largest change away from its beginning, so one of them is in contact, and nothing tells which",
+            [f"{recording}={_stated(t_ns, at, length)}" for at in (0, count - length)],
         )
     return _span(t_ns, 0, length)
 

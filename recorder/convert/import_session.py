@@ -217,7 +217,8 @@ def _on_one_clock(
         return moved, None, [f"{take.name}: lag of {answers.lag:+.3f} s by --lag"]
     if shown is None or force is None:
         raise MissingAnswer("lag", f"{take.name}: the lag between its files is unknown")
-    lag = find_lag(shown.change(_rest(shown)), force.change(find_no_contact(force)), take.name)
+    pressed = force.change(find_no_contact(force, take.name))
+    lag = find_lag(shown.change(_rest(shown)), pressed, take.name)
     if lag.low <= 0 <= lag.high:
         told = f"{take.name}: lag {lag}: its files start together, to within that"
         return take, lag, [told]
@@ -268,7 +269,7 @@ def _contacts(
     if pressed == ["none"]:
         return (0, 0), [], signal.change(_rest(signal))
     stated = [_span("--no-contact", text) for text in answers.spans("no_contact", take.name)]
-    no_contact = stated[0] if stated else find_no_contact(signal)
+    no_contact = stated[0] if stated else find_no_contact(signal, take.name)
     trace = signal.change(no_contact)
     if pressed:
         spans = sorted(_span("--press", text) for text in pressed)

@@ -194,10 +194,13 @@ def test_a_recording_that_ends_in_contact_is_refused_until_told(
 ) -> None:
     counts = uskin(2)
     counts[45:] = counts[45]
-    np.save(tmp_path / "taxels.npy", counts.reshape(-1, 48))
+    for name, rows in (("ends_in_contact", counts), ("returns", uskin(2))):
+        np.save(tmp_path / f"{name}.npy", rows.reshape(-1, 48))
     words = ["import", tmp_path, "--out", tmp_path / "x.zarr", "--taxels-hz", "60", *STATED]
-    assert "say --no-contact (0.00:" in refused(*words)
-    assert run(*words, "--no-contact", "0:0.3") == 0
+    told = refused(*words)
+    assert "ends_in_contact: change of the taxels [counts]: the recording ends" in told
+    assert "say --no-contact (ends_in_contact=0.00:" in told
+    assert run(*words, "--no-contact", "ends_in_contact=0:0.3") == 0
 
 
 def test_the_lag_of_a_force_file_is_found_with_its_interval_and_taken_out(tmp_path: Path) -> None:
