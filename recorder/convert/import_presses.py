@@ -130,7 +130,8 @@ def find_no_contact(signal: Signal, recording: str) -> Span:
         raise MissingAnswer(
             "no_contact",
             f"{recording}: {signal.name}: the recording ends {100 * apart / largest:.0f} % of its "
-            "largest change away from its beginning, so one of them is in contact, and nothing tells which",
+            "largest change away from its beginning, so one of them is in contact, and nothing "
+            "tells which",
             [f"{recording}={_stated(t_ns, at, length)}" for at in (0, count - length)],
         )
     return _span(t_ns, 0, length)
