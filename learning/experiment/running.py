@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import MISSING, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -136,7 +137,15 @@ def _begin(
         places.predictions.mkdir(parents=True, exist_ok=True)
         replace_file(path, (json.dumps(plain, indent=1) + "\n").encode())
         return
-    found = current_keys(ExperimentSettings, json.loads(path.read_text(encoding="utf-8")))
+    # A key that was not known when the experiment began has its default.
+    known = {
+        each.name: each.default
+        for each in fields(ExperimentSettings)
+        if each.default is not MISSING
+    }
+    absent = json.loads(json.dumps(settings_to_dict(replace(settings, **known))))
+    stored = current_keys(ExperimentSettings, json.loads(path.read_text(encoding="utf-8")))
+    found = {name: absent[name] for name in known} | dict(stored)
     for key in plain:
         if found.get(key) != plain[key]:
             raise LearningError(

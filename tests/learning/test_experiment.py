@@ -108,6 +108,13 @@ def test_an_experiment_goes_from_presses_to_a_report_and_makes_nothing_twice(
     assert run(archive, out) == [line for line in reported if not line.startswith("python")]
     with pytest.raises(LearningError, match=r"experiment\.json\.seed: found 0, asked for 1"):
         run(archive, out, "seed=1")
+    # An experiment that began before a key was known has its default, and no other value.
+    stored = json.loads((out / "experiment.json").read_text())
+    del stored["models_per_batch"]
+    (out / "experiment.json").write_text(json.dumps(stored))
+    running._begin(Places(out, archive.path), settings(), archive, pairs_of(archive, ["dots:grid"]))
+    with pytest.raises(LearningError, match="models_per_batch: found 1, asked for 4"):
+        run(archive, out, "models_per_batch=4")
 
 
 @pytest.mark.slow
