@@ -372,6 +372,9 @@ PATIENT_AFTER = (2, 5)
 # Determinant of the last accepted state, over the least accepted one, below which its elements are
 # all but crushed; and the number of shorter and shorter steps that may then fail by crushing them.
 NEARLY_CRUSHED, CRUSHED_MOST = 2.0, 2
+# Steps of a path that may end with the skin inside itself or its base, and be halved: a shorter one
+# may lead to a state without a fold, but a fold that grows with the depth does so in any steps.
+CROSSED_MOST = 3
 # Largest ratio of a step to the last one that was accepted.
 GROWTH = 1.5
 # Steps per shortest relaxation time, but at most `STEPS_MAX` in a segment.
@@ -421,6 +424,8 @@ class Path:
     """True if elements of the last accepted state have little volume left."""
     crushed: int = 0
     """Steps since then that failed because elements lost their volume."""
+    crossed: int = 0
+    """Steps of the whole path that ended with the skin inside itself or below its base."""
     ended: str = ""
     """Reason why shorter steps are of no use, if so."""
     tried: list[str] = field(default_factory=list)
@@ -509,10 +514,13 @@ class Path:
         self.hard = True
         self.tried.clear()
 
-    def refuse(self, fraction: float, message: str, *, crushed: bool = False) -> bool:
+    def refuse(
+        self, fraction: float, message: str, *, crushed: bool = False, crossed: str = ""
+    ) -> bool:
         """Reject the step and halve it; return True if there is a smaller one to try.
 
-        `crushed` is set if its elements have lost their volume.
+        `crushed` is set if its elements have lost their volume. `crossed` says where its skin is
+        inside itself or below its base, if it is.
         """
         step = fraction - self.fraction
         self.tried.append(f"segment {self.segment}, step of {step:.3g} of it: {message}")
@@ -521,7 +529,10 @@ class Path:
         self.halvings += 1
         self.failed += 1
         self.crushed += crushed
-        if self.nearly_crushed and self.crushed >= CRUSHED_MOST:
+        self.crossed += bool(crossed)
+        if crossed and (self.crossed == CROSSED_MOST or not self.length):
+            self.ended = crossed
+        elif self.nearly_crushed and self.crushed >= CRUSHED_MOST:
             self.ended = "elements are crushed: the skin folds there, or is pressed flat"
         elif self.patient_left <= 0 and self.failed >= PATIENT_AFTER[0]:
             self.ended = f"{PATIENT_IN_ALL} further iterations have not led past such places"

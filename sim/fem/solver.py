@@ -28,6 +28,7 @@ from sim.fem.assembly import Assembly, is_split
 from sim.fem.mesh import Mesh, meshes_of
 from sim.fem.newton import NEARLY_CRUSHED, PATIENCE, ROUNDING, Newton, Path, path_of
 from sim.fem.numerics import Fem, Precision
+from sim.fem.overlap import COLUMNS
 from sim.fem.self_overlap import self_overlap
 from sim.fem.sizing import (
     NOTHING,
@@ -378,11 +379,13 @@ class Collector:
         kept: Kept,
         residual: float,
         overlap: np.ndarray,
+        fold: tuple[float, int],
         spent: Spent,
     ) -> None:
         """Store the last evaluated state of environment `env`, `kept`, as frame `frame`.
 
-        `overlap` is that of the state, as returned by `Assembly.overlap` (4,); `spent` is its cost.
+        `overlap` is that of the state, as returned by `Assembly.overlap` (4,), and `fold` that with
+        itself, as returned by `self_overlap`; `spent` is its cost.
         """
         assembly, mesh = held.assembly, self._mesh
         u, tip, points = kept.u, self.tip, kept.points
@@ -427,11 +430,10 @@ class Collector:
         quality["overlap"][frame], quality["overlap_bound"][frame] = deepest, bound
         quality["overlap_path"][frame] = max(self._overlap_path * unit, deepest)
         self._overlap_path = 0.0
-        if overlap[3]:
-            deep, node = self_overlap(mesh, u)
-            if deep * unit > self._self_overlap.max():
-                self._self_place = mesh.nodes[node] * unit
-            self._self_overlap[frame] = deep * unit
+        deep, node = fold
+        if deep * unit > self._self_overlap.max():
+            self._self_place = mesh.nodes[node] * unit
+        self._self_overlap[frame] = deep * unit
         traction = self._traction[frame]
         x, y = mesh.x * unit, mesh.y * unit
         quality["contact_width"][frame] = width_of((traction != 0).any(axis=-1), x, y)
@@ -567,9 +569,15 @@ def _following(
     before = np.full(len(scenes), np.inf)
     for attempt in range(1, REMESHED + 1):
         wanted = {i: more_wanted(one) for i, one in enumerate(outcomes) if isinstance(one, Result)}
+        if attempt == 1:
+            crossed = {i: one for i, one in enumerate(outcomes) if isinstance(one, Crossed)}
+            wanted |= {i: one.wanted for i, one in crossed.items()}
         again = []
         for i, more in wanted.items():
             if more is None or not refines(scenes[i], numerics, sizes[i], more, outcomes[i]):
+                continue
+            if isinstance(outcomes[i], Crossed):
+                again.append(i)
                 continue
             lacking = lacks(outcomes[i])
             useless = isinstance(judged(outcomes[i]), SimulationDiverged)
@@ -580,7 +588,8 @@ def _following(
             break
         for i in again:
             sizes[i] = sizes[i].joined(wanted[i])
-            lasting[i] = lasting[i].joined(_wanted_of_overlap(outcomes[i], OVERLAP_LASTS))
+            if isinstance(outcomes[i], Result):
+                lasting[i] = lasting[i].joined(_wanted_of_overlap(outcomes[i], OVERLAP_LASTS))
         alike: dict[Precision, list[int]] = {}
         for i in again:
             alike.setdefault(precision_for_finer(outcomes[i], numerics), []).append(i)
@@ -593,11 +602,29 @@ def _following(
                 None,
             )
             for i, outcome in zip(chosen, some, strict=True):
+                if isinstance(outcomes[i], Crossed):
+                    forget_dump(outcomes[i].dump)
                 outcomes[i] = _remeshed(outcome, attempt, outcomes[i])
     return outcomes, lasting
 
 
-def refines(scene: Scene, numerics: Fem, sizes: Sizes, more: Sizes, found: Result) -> bool:
+class Crossed(SimulationDiverged):
+    """No result, because the skin passes through itself or its base.
+
+    It has what `Result` has of the mesh, and `wanted`, the elements that may avoid it.
+    """
+
+    wanted: Sizes
+    surface_x: np.ndarray
+    """Positions of the nodes of the mesh (X,) [m]."""
+    surface_y: np.ndarray
+    """The same along y (Y,) [m]."""
+    record: dict
+
+
+def refines(
+    scene: Scene, numerics: Fem, sizes: Sizes, more: Sizes, found: Result | Crossed
+) -> bool:
     """True if a mesh with `more` sizes is finer there than that of the result.
 
     At the limit on elements all of them are enlarged, so that a rebuilt mesh may not be.
@@ -608,7 +635,7 @@ def refines(scene: Scene, numerics: Fem, sizes: Sizes, more: Sizes, found: Resul
     return before > REFINED * coarser_than_asked(more, mesh.x * unit, mesh.y * unit)
 
 
-def precision_for_finer(found: Result, numerics: Fem) -> Precision:
+def precision_for_finer(found: Result | Crossed, numerics: Fem) -> Precision:
     """Return the precision for a finer mesh: float64 if `auto` already had to fall back to it."""
     double = numerics.precision == "auto" and found.record["precision"] == "float64"
     return "float64" if double else numerics.precision
@@ -659,7 +686,8 @@ LACKS_LESS = 0.9
 # rebuilt, above the second a finer mesh is built for that contact from the start.
 TOO_COARSE, COARSE = 1.6, 1.25
 # Overlap of skin and indenter over the width of the contact: above the first the mesh is refined
-# there, or a warning is issued; above the second there is no result.
+# there, or a warning is issued; above the second there is no result. The second also holds for skin
+# inside itself or below its base, after every step.
 OVERLAP_GOOD, OVERLAP_MOST = 0.04, 0.2
 # Overlap over the width above which a mesh 1.6 times as fine is expected to have one that is too
 # large as well: it falls with the square of the elements' size.
@@ -681,6 +709,10 @@ MEETS_ITSELF = (
     "the skin folds and passes through itself: {}; contact of the skin with itself is not computed "
     "(allowed: a shallower press, a shorter shear, a rounder edge)"
 )
+BELOW_BASE = (
+    "the skin passes through its base: {}; contact of the skin with its base is not computed "
+    "(allowed: a shallower press, a place further from the side)"
+)
 # Depth of the skin below the base plane, over the thickness, up to which there is no warning.
 BELOW_GOOD = 0.01
 
@@ -690,10 +722,16 @@ def overlap_shares(result: Result, overlap: np.ndarray) -> np.ndarray:
 
     Frames without a press are divided by the thickness.
     """
-    depth = np.maximum(-np.asarray(result.scene.motion.tip)[:, 2], 0.0)
-    width = result.quality.contact_width
+    tip = np.asarray(result.scene.motion.tip)
+    return _shares(overlap, result.quality.contact_width, tip, result.scene.body.thickness)
+
+
+def _shares(
+    overlap: np.ndarray, width: np.ndarray, tip: np.ndarray, thickness: float
+) -> np.ndarray:
+    """Return overlaps (F,) over the widths (F,), or over the depths of tips (F, 3) if less."""
+    depth = np.maximum(-tip[:, 2], 0.0)
     scale = np.where(width > 0, np.minimum(width, np.maximum(depth, 0.1 * width)), depth)
-    thickness = result.scene.body.thickness
     return overlap / np.where(scale > 1e-9 * thickness, scale, thickness)
 
 
@@ -745,7 +783,7 @@ def _learnt(sizes: Sizes, outcome: Outcome) -> Sizes:
     return sizes.joined(found) if "made_anew" in mesh or ratio > COARSE else sizes
 
 
-def _remeshed(outcome: Outcome, times: int, before: Result) -> Outcome:
+def _remeshed(outcome: Outcome, times: int, before: Result | Crossed) -> Outcome:
     if isinstance(outcome, SimulationDiverged):
         return outcome
     record = {**outcome.record, "mesh": {**outcome.record["mesh"], "made_anew": times}}
@@ -777,11 +815,7 @@ def judged(outcome: Outcome) -> Outcome:
         if fractions[worst] <= OVERLAP_GOOD:
             continue
         deepest = float(overlap[worst])
-        where = (
-            f"the skin that lay at ({1e3 * place[0]:.3g}, {1e3 * place[1]:.3g}) mm stands "
-            f"{deepest * 1e6:.3g} um inside {inside} at waypoint {worst}, "
-            f"{100 * fractions[worst]:.3g} % of the contact's width or depth"
-        )
+        where = _where(place, deepest, f"{inside} at waypoint {worst}", fractions[worst])
         if fractions[worst] > OVERLAP_MOST and deepest > PASSED * outcome.record["mesh"]["finest"]:
             return SimulationDiverged(rejected.format(where), tried=(), dump=None)
         warnings.append(where)
@@ -798,6 +832,14 @@ def judged(outcome: Outcome) -> Outcome:
             "with it is not computed"
         )
     return replace(outcome, record={**outcome.record, "warnings": warnings})
+
+
+def _where(place: Sequence[float], deepest: float, inside: str, fraction: float) -> str:
+    return (
+        f"the skin that lay at ({1e3 * place[0]:.3g}, {1e3 * place[1]:.3g}) mm stands "
+        f"{deepest * 1e6:.3g} um inside {inside}, {100 * fraction:.3g} % of the contact's width or "
+        "depth"
+    )
 
 
 def _lost_contact(result: Result) -> int | None:
@@ -1011,6 +1053,8 @@ class _Taken:
     """Out-of-balance force over force (B,)."""
     overlap: np.ndarray
     """Overlap of the states of the frames (B, 4)."""
+    folds: dict[int, tuple[float, int]]
+    """Results of `self_overlap` of those that have folded, by environment."""
     spent: dict[int, Spent]
     """Cost of the frames."""
 
@@ -1163,7 +1207,10 @@ class _Batch:
             assembly.state.update_multiplier(newton.mask(again))
             most = self._numerics.newton_max
             newton.resume(again, np.array([path.patience(most) for path in self._paths]))
-        self._take(good)
+        way, folds, crossed = self._look(good)
+        for i in crossed:
+            good[i], bad[i] = False, True
+        self._take(good, way, folds)
         if bad.any():
             assembly.state.rollback_step(newton.mask(bad))
         for i in np.flatnonzero(bad).tolist():
@@ -1172,11 +1219,57 @@ class _Batch:
                 f"{newton.iterations[i]} Newton iterations, residual {newton.residual[i]:.2e}"
             )
             self._last[i] = -1
+            why, wanted = crossed.get(i, ("", None))
+            if why:
+                reported += "; the skin overlaps itself or its base"
             crushed = bool(newton.crushed[i])
-            more = self._paths[i].refuse(self._share[i], reported, crushed=crushed)
+            more = self._paths[i].refuse(self._share[i], reported, crushed=crushed, crossed=why)
             if not more or self._is_rounding(i):
-                self._failed[i] = self._diverged(i)
+                self._failed[i] = self._diverged(i, wanted)
         self._busy &= ~(good | bad)
+
+    def _look(
+        self, good: np.ndarray
+    ) -> tuple[np.ndarray, dict[int, tuple[float, int]], dict[int, tuple[str, Sizes]]]:
+        """Measure the overlaps of completed steps (B,).
+
+        Returns:
+            Overlap along the steps (B, 4); results of `self_overlap`, by environment, of those that
+            have folded; where and how those whose skin is too far inside itself or below its base
+            have come there, with the element sizes that may avoid it.
+        """
+        assembly, folds, crossed = self._assembly, {}, {}
+        if not good.any():
+            return np.zeros((len(good), COLUMNS)), folds, crossed
+        way = assembly.overlap(self._newton.mask(good), samples=PATH_SAMPLES, states=PATH_STATES)
+        least = np.array([PASSED * mesh.finest for mesh in self._meshes])
+        some = np.flatnonzero(good & ((way[:, 3] > 0) | (way[:, 2] > least))).tolist()
+        if not some:
+            return way, folds, crossed
+        held = Snapshot(assembly, some)
+        for i, kept in zip(some, kept_of(held, some, self._tip[some]), strict=True):
+            mesh, unit = self._meshes[i], self._scenes[i].body.thickness
+            below = float(way[i, 2]), BELOW_BASE, "its base", None
+            found = [below]
+            if way[i, 3]:
+                folds[i] = self_overlap(mesh, kept.u)
+                found.append((folds[i][0], MEETS_ITSELF, "the skin beside it", folds[i][1]))
+            for deep, rejected, inside, node in found:
+                if deep <= least[i]:
+                    continue
+                if node is None:
+                    face = int(np.argmax(held.of(i, "face_overlap")[:, 2]))
+                    place = mesh.nodes[mesh.faces[face]].mean(axis=0) * unit
+                else:
+                    place = mesh.nodes[node] * unit
+                touched = kept.push.any(axis=-1).reshape(len(mesh.x), len(mesh.y))
+                x, y = mesh.x * unit, mesh.y * unit
+                width, tip = np.array([width_of(touched, x, y)]), self._tip[[i]] * unit
+                (share,) = _shares(np.array([deep * unit]), width, tip, unit)
+                if share > OVERLAP_MOST:
+                    where = _where(place, deep * unit, inside, share)
+                    crossed[i] = rejected.format(where), finer_at(place, x, y, mesh.fineness)
+        return way, folds, crossed
 
     def _is_rounding(self, env: int) -> bool:
         """True if a step failed so close to its tolerance that float32 rounding is the limit.
@@ -1194,7 +1287,7 @@ class _Batch:
         fades = force < FADED_BELOW * self._largest[env]
         return self._numerics.augmentations + (FADED if fades else 0)
 
-    def _take(self, good: np.ndarray) -> None:
+    def _take(self, good: np.ndarray, way: np.ndarray, folds: dict[int, tuple[float, int]]) -> None:
         if not good.any():
             return
         assembly = self._assembly
@@ -1209,7 +1302,6 @@ class _Batch:
             floor = NEARLY_CRUSHED * self._numerics.det_floor
             if path.accept(self._share[i], nearly_crushed=bool(assembly.sums.det[i] < floor)):
                 kept[i] = frame
-        way = assembly.overlap(self._newton.mask(good), samples=PATH_SAMPLES, states=PATH_STATES)
         overlap = way
         if kept:
             keeping = np.isin(np.arange(len(good)), list(kept))
@@ -1223,6 +1315,7 @@ class _Batch:
             held=Snapshot(assembly, list(kept)) if kept else None,
             residual=self._newton.residual.copy(),
             overlap=overlap,
+            folds=folds,
             spent={i: self._spent[i] for i in kept},
         )
         for i in kept:
@@ -1244,10 +1337,11 @@ class _Batch:
         tips = np.array([self._collectors[i].tip for i in taken.frames])
         found = kept_of(taken.held, list(taken.frames), tips)
         for (i, frame), kept in zip(taken.frames.items(), found, strict=True):
-            told = float(taken.residual[i]), taken.overlap[i], taken.spent[i]
+            fold = taken.folds.get(i, (0.0, -1))
+            told = float(taken.residual[i]), taken.overlap[i], fold, taken.spent[i]
             self._collectors[i].keep(frame, i, taken.held, kept, *told)
 
-    def _diverged(self, env: int) -> SimulationDiverged:
+    def _diverged(self, env: int, wanted: Sizes | None = None) -> SimulationDiverged:
         path, scene = self._paths[env], self._scenes[env]
         state = self._assembly.state
         dump = File(tempfile.mkdtemp(prefix="diverged-")) / "state.npz"
@@ -1272,7 +1366,7 @@ class _Batch:
                 "in steps (the body may be too soft to carry its weight)"
             )
         millimetres = where * scene.body.thickness * 1e3
-        return SimulationDiverged(
+        diverged = (SimulationDiverged if wanted is None else Crossed)(
             f"no converged state after the tip at ({millimetres[0]:.4g}, {millimetres[1]:.4g}, "
             f"{millimetres[2]:.4g}) mm, on the way to waypoint {path.segment}{weight}: "
             f"{path.ended + '; ' if path.ended else ''}"
@@ -1281,6 +1375,11 @@ class _Batch:
             tried=tuple(path.tried),
             dump=dump,
         )
+        if isinstance(diverged, Crossed):
+            mesh, unit = self._meshes[env], scene.body.thickness
+            diverged.wanted, diverged.record = wanted, self._record()
+            diverged.surface_x, diverged.surface_y = mesh.x * unit, mesh.y * unit
+        return diverged
 
     def _of_one(self, env: int) -> dict:
         """Return the record entries of one environment."""

@@ -140,3 +140,23 @@ def test_what_folds_is_a_warning_or_no_result(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(solver, "self_overlap", lambda *_given: (0.3 * depth, 10))
     with pytest.raises(SimulationDiverged, match=r"folds and passes through itself: .*150 um"):
         simulate(scene, numerics)
+
+
+def test_a_fold_above_the_limit_ends_the_path_where_it_grows(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The measured overlap is replaced: large in every state; shorter steps are tried first."""
+    scene = Scene(sphere(3e-3), press([0.3e-3, 0.6e-3]), SMALL)
+    overlap = Assembly.overlap
+
+    def folded(assembly: Assembly, *given: Any, **named: Any) -> Array:
+        found = overlap(assembly, *given, **named)
+        found[:, 3] = 1.0
+        return found
+
+    monkeypatch.setattr(Assembly, "overlap", folded)
+    monkeypatch.setattr(solver, "self_overlap", lambda *_given: (0.2, 10))
+    with pytest.raises(SimulationDiverged, match=r"folds and passes through itself") as told:
+        simulate(scene, Fem(spacing=4e-3 / 3))
+    assert len(told.value.tried) <= 3
+    assert all("overlaps itself" in one for one in told.value.tried)
