@@ -1265,9 +1265,9 @@ class _Batch:
                 touched = kept.push.any(axis=-1).reshape(len(mesh.x), len(mesh.y))
                 x, y = mesh.x * unit, mesh.y * unit
                 width, tip = np.array([width_of(touched, x, y)]), self._tip[[i]] * unit
-                (share,) = _shares(np.array([deep * unit]), width, tip, unit)
-                if share > OVERLAP_MOST:
-                    where = _where(place, deep * unit, inside, share)
+                (fraction,) = _shares(np.array([deep * unit]), width, tip, unit)
+                if fraction > OVERLAP_MOST:
+                    where = _where(place, deep * unit, inside, fraction)
                     crossed[i] = rejected.format(where), finer_at(place, x, y, mesh.fineness)
         return way, folds, crossed
 
