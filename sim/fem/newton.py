@@ -372,7 +372,7 @@ PATIENT_AFTER = (2, 5)
 # Determinant of the last accepted state, over the least accepted one, below which its elements are
 # all but crushed; and the number of shorter and shorter steps that may then fail by crushing them.
 NEARLY_CRUSHED, CRUSHED_MOST = 2.0, 2
-# Steps of a path that may end with the skin inside itself or its base, and be halved: a shorter one
+# Steps of a path that may end with the skin inside itself, and be halved: a shorter one
 # may lead to a state without a fold, but a fold that grows with the depth does so in any steps.
 CROSSED_MOST = 3
 # Largest ratio of a step to the last one that was accepted.
@@ -425,7 +425,7 @@ class Path:
     crushed: int = 0
     """Steps since then that failed because elements lost their volume."""
     crossed: int = 0
-    """Steps of the whole path that ended with the skin inside itself or below its base."""
+    """Steps of the whole path that ended with the skin inside itself."""
     ended: str = ""
     """Reason why shorter steps are of no use, if so."""
     tried: list[str] = field(default_factory=list)
@@ -520,7 +520,7 @@ class Path:
         """Reject the step and halve it; return True if there is a smaller one to try.
 
         `crushed` is set if its elements have lost their volume. `crossed` says where its skin is
-        inside itself or below its base, if it is.
+        inside itself, if it is.
         """
         step = fraction - self.fraction
         self.tried.append(f"segment {self.segment}, step of {step:.3g} of it: {message}")

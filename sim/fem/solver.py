@@ -609,7 +609,7 @@ def _following(
 
 
 class Crossed(SimulationDiverged):
-    """No result, because the skin passes through itself or its base.
+    """No result, because the skin passes through itself.
 
     It has what `Result` has of the mesh, and `wanted`, the elements that may avoid it.
     """
@@ -687,7 +687,7 @@ LACKS_LESS = 0.9
 TOO_COARSE, COARSE = 1.6, 1.25
 # Overlap of skin and indenter over the width of the contact: above the first the mesh is refined
 # there, or a warning is issued; above the second there is no result. The second also holds for skin
-# inside itself or below its base, after every step.
+# inside itself, after every step.
 OVERLAP_GOOD, OVERLAP_MOST = 0.04, 0.2
 # Overlap over the width above which a mesh 1.6 times as fine is expected to have one that is too
 # large as well: it falls with the square of the elements' size.
@@ -708,10 +708,6 @@ PASSES = (
 MEETS_ITSELF = (
     "the skin folds and passes through itself: {}; contact of the skin with itself is not computed "
     "(allowed: a shallower press, a shorter shear, a rounder edge)"
-)
-BELOW_BASE = (
-    "the skin passes through its base: {}; contact of the skin with its base is not computed "
-    "(allowed: a shallower press, a place further from the side)"
 )
 # Depth of the skin below the base plane, over the thickness, up to which there is no warning.
 BELOW_GOOD = 0.01
@@ -1221,7 +1217,7 @@ class _Batch:
             self._last[i] = -1
             why, wanted = crossed.get(i, ("", None))
             if why:
-                reported += "; the skin overlaps itself or its base"
+                reported += "; the skin overlaps itself"
             crushed = bool(newton.crushed[i])
             more = self._paths[i].refuse(self._share[i], reported, crushed=crushed, crossed=why)
             if not more or self._is_rounding(i):
@@ -1235,40 +1231,31 @@ class _Batch:
 
         Returns:
             Overlap along the steps (B, 4); results of `self_overlap`, by environment, of those that
-            have folded; where and how those whose skin is too far inside itself or below its base
-            have come there, with the element sizes that may avoid it.
+            have folded; where and how those whose skin is too far inside itself have come there,
+            with the element sizes that may avoid it.
         """
         assembly, folds, crossed = self._assembly, {}, {}
         if not good.any():
             return np.zeros((len(good), COLUMNS)), folds, crossed
         way = assembly.overlap(self._newton.mask(good), samples=PATH_SAMPLES, states=PATH_STATES)
         least = np.array([PASSED * mesh.finest for mesh in self._meshes])
-        some = np.flatnonzero(good & ((way[:, 3] > 0) | (way[:, 2] > least))).tolist()
+        some = np.flatnonzero(good & (way[:, 3] > 0)).tolist()
         if not some:
             return way, folds, crossed
         held = Snapshot(assembly, some)
         for i, kept in zip(some, kept_of(held, some, self._tip[some]), strict=True):
             mesh, unit = self._meshes[i], self._scenes[i].body.thickness
-            below = float(way[i, 2]), BELOW_BASE, "its base", None
-            found = [below]
-            if way[i, 3]:
-                folds[i] = self_overlap(mesh, kept.u)
-                found.append((folds[i][0], MEETS_ITSELF, "the skin beside it", folds[i][1]))
-            for deep, rejected, inside, node in found:
-                if deep <= least[i]:
-                    continue
-                if node is None:
-                    face = int(np.argmax(held.of(i, "face_overlap")[:, 2]))
-                    place = mesh.nodes[mesh.faces[face]].mean(axis=0) * unit
-                else:
-                    place = mesh.nodes[node] * unit
-                touched = kept.push.any(axis=-1).reshape(len(mesh.x), len(mesh.y))
-                x, y = mesh.x * unit, mesh.y * unit
-                width, tip = np.array([width_of(touched, x, y)]), self._tip[[i]] * unit
-                (fraction,) = _shares(np.array([deep * unit]), width, tip, unit)
-                if fraction > OVERLAP_MOST:
-                    where = _where(place, deep * unit, inside, fraction)
-                    crossed[i] = rejected.format(where), finer_at(place, x, y, mesh.fineness)
+            deep, node = folds[i] = self_overlap(mesh, kept.u)
+            if deep <= least[i]:
+                continue
+            place = mesh.nodes[node] * unit
+            touched = kept.push.any(axis=-1).reshape(len(mesh.x), len(mesh.y))
+            x, y = mesh.x * unit, mesh.y * unit
+            width, tip = np.array([width_of(touched, x, y)]), self._tip[[i]] * unit
+            (fraction,) = _shares(np.array([deep * unit]), width, tip, unit)
+            if fraction > OVERLAP_MOST:
+                where = _where(place, deep * unit, "the skin beside it", fraction)
+                crossed[i] = MEETS_ITSELF.format(where), finer_at(place, x, y, mesh.fineness)
         return way, folds, crossed
 
     def _is_rounding(self, env: int) -> bool:
