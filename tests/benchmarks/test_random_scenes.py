@@ -194,6 +194,7 @@ def test_a_warning_excuses_only_what_it_owns_up_to(good: Result) -> None:
 # Random scenes.
 
 
+@pytest.mark.slow
 def test_a_scene_is_the_same_alone_and_among_others(tmp_path: Path) -> None:
     among = [drawn(7, index, tmp_path) for index in range(12)]
     alone = drawn(7, 11, tmp_path)

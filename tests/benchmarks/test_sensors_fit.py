@@ -95,6 +95,7 @@ def test_the_sheet_has_a_tile_for_each_picture() -> None:
     assert 1.8 < rows < 2
 
 
+@pytest.mark.slow
 def test_every_stage_of_the_bench_runs() -> None:
     shapes = {name: np.shape(work()) for name, work in stages(2, "cpu")}
     assert len(shapes) == 9

@@ -66,6 +66,7 @@ def _masks(archive: MarkerArchive) -> tuple[torch.Tensor, torch.Tensor, torch.Te
     return torch.from_numpy(dots.masks([0, 1])), *references
 
 
+@pytest.mark.slow
 def test_a_loaded_translator_gives_what_the_trained_network_gives(
     finished: Path, archive: MarkerArchive
 ) -> None:

@@ -439,6 +439,7 @@ def test_learned_translators_are_trained_by_their_own_commands(
         assert (out / "results" / f"dots-to-grid.{name}.scores.npz").is_file()
 
 
+@pytest.mark.slow
 def test_an_experiment_trains_on_labels_by_simulation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

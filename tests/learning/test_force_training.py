@@ -61,6 +61,7 @@ def _left(model: ForceModel, presses: Presses) -> float:
     return float(off / np.abs(wanted - wanted.mean(axis=0)).mean())
 
 
+@pytest.mark.slow
 def test_it_overfits_a_batch() -> None:
     presses = noise_presses(2)
     settings = toy(stages=(StageSettings(epochs=60, learning_rate=1e-2, schedule="cosine"),))

@@ -361,6 +361,7 @@ def pairs_by_plan(archive: MarkerArchive, one: str, other: str) -> set[tuple[str
     }
 
 
+@pytest.mark.slow
 def test_a_shuffled_archive_joins_to_the_same_pairs(tmp_path: Path) -> None:
     a = planned_archive(tmp_path / "a.markers.zarr", {"a": replace(SMALL, order="quadrants")})
     plain = planned_archive(tmp_path / "b.markers.zarr", {"b": SMALL})

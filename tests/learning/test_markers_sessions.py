@@ -368,6 +368,7 @@ def test_a_preset_that_does_not_fit_is_refused(
     assert not (tmp_path / "a.markers.zarr").exists()
 
 
+@pytest.mark.slow
 def test_the_command_makes_an_archive_and_a_sheet(
     camera: Path, taxels: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -229,6 +229,7 @@ def run(*given: object) -> int:
     return run_module(command, *given)
 
 
+@pytest.mark.slow
 def test_the_command_translates_and_draws(tmp_path, capsys):
     small = made_up_archive(tmp_path / "a.markers.zarr", ("dots", "grid"), ("sphere",), (), 1, 1)
     out, sheet = tmp_path / "x.markers.zarr", tmp_path / "x.png"

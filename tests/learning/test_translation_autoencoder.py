@@ -87,6 +87,7 @@ def test_every_weight_learns(images: torch.Tensor) -> None:
     assert still == []
 
 
+@pytest.mark.slow
 def test_stopped_and_resumed_it_ends_in_the_same_weights(
     images: torch.Tensor, tmp_path: Path
 ) -> None:

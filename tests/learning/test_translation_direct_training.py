@@ -79,6 +79,7 @@ def test_a_batch_that_is_learned_by_heart_is_translated_better_than_by_the_refer
     assert measured["dice"] > measured["dice_of_reference"] + 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("losses", "moving"),
     [(LossWeights(), False), (ALL_LOSSES, True)],
@@ -160,6 +161,7 @@ def test_losses_without_weight_are_not_computed() -> None:
         assert float(perceptual(encoder(), targets, 1 - targets)) > 0
 
 
+@pytest.mark.slow
 def test_fine_tuning_begins_with_the_weights_it_is_given_and_leaves_the_encoder(
     archive: MarkerArchive, split: Split, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

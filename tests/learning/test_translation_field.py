@@ -155,6 +155,7 @@ def test_random_shifts_fold_nothing() -> None:
     assert float(shift.abs().amax(dim=(1, 2, 3)).median()) > 5
 
 
+@pytest.mark.slow
 def test_examples_are_the_same_for_the_same_numbers_and_show_what_they_say(
     frames: Frames,
 ) -> None:

@@ -78,6 +78,7 @@ def test_every_parameter_learns(trained: dict[str, Tensor]) -> None:
     assert trained["usual_scale"].tolist() == pytest.approx([MM_PER_PX, MM_PER_PX])
 
 
+@pytest.mark.slow
 def test_the_field_net_stays_as_it_is_while_the_map_learns(frames: Frames) -> None:
     settings = tiny(**steps(0, 2))
     before = FieldModel(settings).net.state_dict()
@@ -137,6 +138,7 @@ def test_weights_of_another_network_are_refused(frames: Frames, tmp_path: Path) 
         load_translator(tmp_path / "a")
 
 
+@pytest.mark.slow
 def test_the_command_trains_a_model_that_translates(archive: MarkerArchive, tmp_path: Path) -> None:
     make_split(archive).write(tmp_path / "split.json")
     sets = [f"--set={key}={value}" for key, value in (TINY | steps(1, 1)).items()]

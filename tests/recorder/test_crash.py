@@ -207,16 +207,15 @@ SCENARIOS = {
 
 @pytest.mark.parametrize(
     ("kind", "scenario"),
-    [("images", scenario) for scenario in SCENARIOS]
-    + [
-        ("images ahead of which the file grows", "resume a short block"),
-        pytest.param(
-            "images ahead of which the file grows",
-            "cross a block and a shard of images",
-            marks=pytest.mark.slow,
-        ),
-    ]
-    + [("numbers", "resume a short block"), ("numbers", "cross a block and a shard of images")],
+    few([pytest.param("images", scenario) for scenario in SCENARIOS], 3)
+    + few(
+        [
+            pytest.param(kind, scenario)
+            for kind in ("images ahead of which the file grows", "numbers")
+            for scenario in ("resume a short block", "cross a block and a shard of images")
+        ],
+        2,
+    ),
 )
 def test_dying_in_front_of_any_file_operation_loses_nothing(
     kind: str, scenario: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

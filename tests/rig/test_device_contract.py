@@ -44,6 +44,7 @@ from rig.devices.force.settings import AtiSerialConfig, NetFtConfig, NidaqConfig
 from rig.devices.taxels.settings import XelaConfig
 from rig.devices.taxels.xela import XelaDriver
 from rig.devices.taxels.xela_emulator import XelaEmulator, XelaEmulatorConfig
+from tests.support.few import few
 
 CLOCK = SystemClock()
 CALIBRATION = BENCHES / "mock-nano17.cal"
@@ -457,7 +458,7 @@ def test_a_device_that_hangs_is_lost_and_gives_fresh_samples_when_it_is_back(
             driver.close()
 
 
-@pytest.mark.parametrize("how", ["SIGTERM", "stdin"])
+@pytest.mark.parametrize("how", few(["stdin", "SIGTERM"], 1))
 def test_an_emulator_ends_when_told_or_left_alone(
     kind: Kind, host: str, images: Path, how: str
 ) -> None:

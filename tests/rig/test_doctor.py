@@ -87,6 +87,7 @@ def test_a_healthy_bench_is_well_and_each_wrong_device_is_named(
     assert "udev" in bad["pedal"].cures[0]
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 def test_the_command_ends_with_0_or_3_and_says_how_to_go_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

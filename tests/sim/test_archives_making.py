@@ -194,6 +194,7 @@ ONE = replace(
 )
 
 
+@pytest.mark.slow
 def test_a_press_without_a_solution_is_marked_with_its_reasons_and_in_no_pair(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -249,6 +250,7 @@ def test_another_plan_is_refused_by_its_keys_and_what_is_no_archive_by_its_name(
         found(tmp_path / "nothing.zarr")
 
 
+@pytest.mark.slow
 def test_a_tolerance_is_kept_and_said() -> None:
     down = through([(0, 0, 0), (0, 0, -5e-4)], speed=1e-2)
     scene = sensor("gelsight").scene(named("sphere"), down)

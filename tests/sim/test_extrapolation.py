@@ -59,6 +59,7 @@ def test_an_error_that_falls_as_the_square_is_taken_off_whole(
     assert found.record["extrapolated"]["force_share"] == pytest.approx(fraction)
 
 
+@pytest.mark.slow
 def test_both_meshes_are_solved_and_the_finer_ones_skin_is_kept(coarse: Result) -> None:
     numerics = Fem(spacing=1e-3, grading=FOR_EDGES)
     single = simulate(SPHERE, numerics)

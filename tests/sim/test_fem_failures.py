@@ -153,6 +153,7 @@ def test_float32_that_reaches_the_tolerance_stays_and_gives_no_reason() -> None:
     assert "precision_reason" not in record
 
 
+@pytest.mark.slow
 def test_float32_is_given_up_when_a_halved_step_fails_too() -> None:
     numerics = Fem(spacing=SPACING, tolerance=1e-9, newton_max=12)
     result = simulate(SCENE, numerics)
@@ -220,6 +221,7 @@ def test_finer_meshes_are_solved_in_float64_where_a_coarser_one_was() -> None:
     assert precision_for_finer(double, Fem(precision="float32")) == "float32"
 
 
+@pytest.mark.slow
 def test_unlike_scenes_in_one_call_get_what_they_get_alone() -> None:
     """Bodies of different size, thickness, dome and effects, batched where possible."""
     bodies = [

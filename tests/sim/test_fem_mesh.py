@@ -70,6 +70,7 @@ def test_volumes_and_areas_are_the_bodys(make: Callable[[], Mesh]) -> None:
     assert (mesh.weight > 0).all()
 
 
+@pytest.mark.slow
 def test_a_domes_volume_comes_close_to_the_integral_of_its_height() -> None:
     x, y = np.meshgrid(*[np.linspace(-3e-3, 3e-3, 400)] * 2)
     depth = DOMED.thickness + np.mean(

@@ -60,14 +60,17 @@ def test_lifting_off_returns_the_body_to_where_it_was() -> None:
 
 @pytest.mark.parametrize(
     ("indenter", "depths"),
-    [
-        (sphere(4e-3), (0.5e-3, 1.0e-3, 1.5e-3)),
-        (sphere(4e-3), (1.5e-3,)),
-        (sphere(3e-3), (1.0e-3, 0.5e-3, 0.0)),
-        (box(4e-3, 3e-3, 0.4e-3), (0.4e-3, 0.8e-3, 0.4e-3, 0.0)),
-        (box(4e-3, 3e-3, 0.4e-3), (0.8e-3,)),
-        (cone(1.0, 1e-3, 0.3e-3), (0.4e-3, 0.8e-3)),
-    ],
+    few(
+        [
+            pytest.param(sphere(3e-3), (1.0e-3, 0.5e-3, 0.0)),
+            pytest.param(sphere(4e-3), (0.5e-3, 1.0e-3, 1.5e-3)),
+            pytest.param(sphere(4e-3), (1.5e-3,)),
+            pytest.param(box(4e-3, 3e-3, 0.4e-3), (0.4e-3, 0.8e-3, 0.4e-3, 0.0)),
+            pytest.param(box(4e-3, 3e-3, 0.4e-3), (0.8e-3,)),
+            pytest.param(cone(1.0, 1e-3, 0.3e-3), (0.4e-3, 0.8e-3)),
+        ],
+        2,
+    ),
 )
 def test_an_elastic_press_stores_all_of_the_work(indenter: Indenter, depths: list[float]) -> None:
     result = simulate(Scene(indenter, press(depths), SMALL), Fem(spacing=1e-3))

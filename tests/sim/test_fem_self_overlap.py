@@ -112,6 +112,7 @@ def test_what_lies_beside_a_round_body_is_no_skin_to_overlap() -> None:
     assert self_overlap(mesh, np.where(moves[:, None], u, 0.0)) == (0.0, -1)
 
 
+@pytest.mark.slow
 def test_a_deep_press_and_shear_turns_the_skin_but_does_not_fold_it() -> None:
     motion = Motion(((0.0, 0.0, -1.5e-3), (0.8e-3, 0.0, -1.5e-3)), (0.0, 0.1))
     scene = Scene(sphere(2e-3), motion, SMALL, Effects(friction=Friction(0.8)))

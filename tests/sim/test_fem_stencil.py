@@ -146,6 +146,7 @@ def test_a_product_of_half_the_bytes_keeps_three_digits(parallel: bool) -> None:
     assert (product.numpy()[2] == FILLED).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "poisson"), [("sphere", 0.45), ("dots", 0.49)])
 def test_a_press_takes_no_more_iterations_with_it(
     monkeypatch: pytest.MonkeyPatch, name: str, poisson: float

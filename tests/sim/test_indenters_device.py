@@ -134,6 +134,7 @@ def block(tmp_path_factory: pytest.TempPathFactory) -> Indenter:
     return from_stl(path, edge_radius=0.4e-3, spacing=0.15e-3, reach=4e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize(
     ("real", "gap_error", "normal_error"),

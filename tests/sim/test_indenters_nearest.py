@@ -85,6 +85,7 @@ def test_on_the_surface_the_direction_is_the_triangles_own() -> None:
     np.testing.assert_allclose(out[0], [0, 0, -1], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_nodes_of_a_grid_have_the_signed_distance_near_the_surface_and_its_sign_afar() -> None:
     grid = Grid((-30, -29, -8), (60, 58, 43), 0.15e-3)
     assert any((count - 1) % SKIP for count in grid.shape)

@@ -59,6 +59,7 @@ def _errors(found: Indenter, exact: Indenter) -> tuple[Array, Array]:
     return np.abs(other - gap), 2 * np.arcsin(np.linalg.norm(normal - other_normal, axis=1) / 2)
 
 
+@pytest.mark.slow
 def test_a_fine_sphere_is_a_sphere(make: Make) -> None:
     gap, turn = _errors(make("ball", files.ball(1.5, 31), 0.0), sphere(1.5e-3))
     # The file's chords are up to 0.9 um inside the sphere, and tilted by up to 1.6 degrees.

@@ -167,6 +167,7 @@ def test_no_tilt_is_the_very_same_indenter() -> None:
     assert upright.tilted(0.05, 0.0) != upright
 
 
+@pytest.mark.slow
 def test_a_tilt_is_from_upright_and_small_ones_change_little() -> None:
     points = _cloud(500)
     again = named("prism").tilted(0.1, 0.1).tilted(*TILT)

@@ -52,7 +52,7 @@ def test_forces_are_exact_to_a_thousandth_wherever_the_sphere_is(
     np.testing.assert_allclose(-_pressed(radius, at).force[1:, 2], _exact(radius), rtol=1e-3)
 
 
-@pytest.mark.parametrize("poisson", [0.0, 0.3, 0.4999])
+@pytest.mark.parametrize("poisson", few([0.4999, 0.3, 0.0], 1))
 def test_forces_are_exact_for_any_poisson_ratio(poisson: float) -> None:
     exact = _exact(4e-3, poisson)
     np.testing.assert_allclose(-_pressed(4e-3, OFF_GRID, poisson).force[1:, 2], exact, rtol=1e-3)

@@ -135,6 +135,7 @@ def test_forces_of_a_press_and_shear_agree_with_an_independent_program() -> None
         assert result.force[9, 0] == pytest.approx(back, abs=0.004)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("coefficient", [0.3, 0.8])
 def test_a_loop_loses_energy_and_ends_without_force(coefficient: float) -> None:
     result = _loop(coefficient)
@@ -145,6 +146,7 @@ def test_a_loop_loses_energy_and_ends_without_force(coefficient: float) -> None:
     np.testing.assert_array_equal(result.surface[-1], 0)
 
 
+@pytest.mark.slow
 def test_shear_turned_by_a_right_angle_turns_everything() -> None:
     along, aside = _loop(0.8), _loop(0.8, angle=math.pi / 2)
     scale = np.abs(along.force).max()

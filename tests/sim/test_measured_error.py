@@ -64,6 +64,7 @@ def test_one_that_the_meshes_allowed_do_not_reach_is_refused_with_what_they_do(
         plan(BALL, "0.11 %").run()
 
 
+@pytest.mark.slow
 def test_the_limit_on_elements_leaves_a_coarser_mesh_to_measure_by(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

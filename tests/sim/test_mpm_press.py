@@ -93,6 +93,7 @@ def test_on_a_gpu_a_run_repeats_to_the_last_bit_and_is_the_cpus_to_five_digits(
     np.testing.assert_allclose(runs[0].force, small.force, atol=5e-5 * np.abs(small.force).max())
 
 
+@pytest.mark.slow
 def test_a_press_in_a_batch_is_the_press_alone_to_the_last_bit(small: Result) -> None:
     stiff = replace(SMALL, modulus=1e6, poisson=0.3)
     other = Scene(flat_punch(2e-3, 0.5e-3), press([0.9e-3], at=(1e-3, 0.0)), stiff)

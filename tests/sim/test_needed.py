@@ -166,6 +166,7 @@ def test_the_rest_of_a_tolerance_is_never_rounded_up() -> None:
             assert 0.999 * value <= rest.value <= value * (1 + 1e-12)
 
 
+@pytest.mark.slow
 def test_the_command_line_tells_what_effects_are_worth(capsys: pytest.CaptureFixture[str]) -> None:
     press = ["press", "--size", "8,8,4", "--depths", "0.4", "--inertia", "--plan-effects"]
     assert main([*press, "--tolerance", "3 %"]) == 0

@@ -146,6 +146,7 @@ def pressed_most(result: Result) -> float:
     return float(np.nanmax(-result.traction[2, :, :, 2]))
 
 
+@pytest.mark.slow
 def test_every_axis_has_its_unit_and_shear_its_own_curve(
     drawn: list[Figure], tmp_path: Path
 ) -> None:

@@ -215,6 +215,7 @@ def test_a_disc_answers_alike_whichever_way_it_is_turned() -> None:
     assert pushes[0] < 0.95 * _push(_pressed(DISC, 1 * MM))  # softer beside the rim
 
 
+@pytest.mark.slow
 def test_a_large_ellipse_answers_as_the_rectangle_around_it_does() -> None:
     large = Body(30 * MM, 24 * MM, 2 * MM)
     both = large, replace(large, footprint="ellipse")

@@ -57,6 +57,7 @@ def test_an_indenters_planes_are_those_of_its_surface(indenter: Indenter, planes
     assert set(planes_of(Scene(indenter, PRESS))) == planes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shift", [0.0, 0.05])
 def test_a_body_from_a_file_is_symmetric_where_its_surface_is(tmp_path: Path, shift: float) -> None:
     corners, faces = files.block(4, 6, 8)

@@ -201,6 +201,7 @@ def test_what_goes_with_no_tolerance_is_refused(options: dict[str, Any], reporte
         plan(WIDE, "8 %", **options).run()
 
 
+@pytest.mark.slow
 def test_a_plan_says_what_it_would_try() -> None:
     assert plan(WIDE, "8 %").tiers[0] == Layer()
     coarse, fine = plan(WIDE, "8 %", only="fem").tiers
