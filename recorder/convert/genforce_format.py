@@ -10,12 +10,14 @@ row k of a file belongs to image k of its folder, which the frames view ensures.
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from recorder.convert.export import Options, Progress, file_name
 from recorder.convert.runs import RecordedPress, need_presses, utc_offset
@@ -42,15 +44,25 @@ def write(session: Session, path: Path, options: Options, progress: Progress) ->
     folders = _folders(session)
     if not {"camera", "taxels"} & {session.streams[name].traits.kind for name in folders}:
         raise SessionError(f"{session.name}: has neither camera nor taxels")
-    found = _whole(session, need_presses(session, valid_only=options.valid_only))
+    known, missing = _known(session, folders), 0
+    presses = []
+    for press in need_presses(session, valid_only=options.valid_only):
+        rows = press.rows[known[press.rows]]
+        missing += len(press.rows) - len(rows)
+        presses.append(replace(press, rows=rows))
+    found = _whole(session, presses)
     base = path / file_name(session.attrs.get("sensor", "sensor"))
     name = f"{file_name(session.attrs.get('indenter', 'indenter'))}-{_stamp(session, found[0])}"
     for stream, folder in folders.items():
         _reference(session, stream, base / folder / name)
     _path(session, base / "path" / name, found)
+    lines = []
     if left_out := sorted(set(session.streams) - set(folders)):
-        text = "Streams of kinds that this layout has no folder for: " + ", ".join(left_out)
-        (base / "not-exported.txt").write_text(text + "\n")
+        lines.append("Streams of kinds that this layout has no folder for: " + ", ".join(left_out))
+    if missing:
+        lines.append(f"Rows in which a stream has no sample near enough: {missing}")
+    if lines:
+        (base / "not-exported.txt").write_text("\n".join(lines) + "\n")
     total, done = sum(len(press.rows) for press in found), 0
     for point, press in enumerate(found, start=1):
         for phase, rows in _phases(session, press):
@@ -70,6 +82,19 @@ def _folders(session: Session) -> dict[str, str]:
             first = name == session.first(kind)
             found[name] = _FOLDERS[kind] if first else f"{_FOLDERS[kind]}_{file_name(name)}"
     return found
+
+
+def _known(session: Session, streams: Iterable[str]) -> NDArray[np.bool_]:
+    """True for frames (n,) in which every stream has a value; axes may be declared unmeasured."""
+    known = np.ones(len(session.frames["t_ns"]), bool)
+    for name in streams:
+        values, kind = session.frames[session.columns[name]], session.streams[name].traits.kind
+        if kind == "camera":
+            known &= values >= 0
+            continue
+        unknown = np.isnan(values.reshape(len(values), int(np.prod(values.shape[1:]))))
+        known &= ~(unknown.any(axis=1) if kind == "taxels" else unknown.all(axis=1))
+    return known
 
 
 def _whole(session: Session, found: list[RecordedPress]) -> list[RecordedPress]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -98,3 +99,40 @@ def test_a_press_that_was_cut_short_is_no_point(tmp_path: Path) -> None:
     short = make_session(tmp_path / "t.zarr", seconds=1.2)
     with pytest.raises(SessionError, match="no press has all of normal_inc"):
         export(short, tmp_path / "other", "genforce")
+
+
+def test_rows_in_which_a_stream_has_no_value_are_left_out_of_all_and_counted(
+    tmp_path: Path,
+) -> None:
+    def late(name: str, columns: dict[str, Any]) -> dict[str, Any]:
+        if name != "taxels":
+            return columns
+        kept = columns["t_ns"] > columns["t_ns"][0] + 300_000_000
+        return {key: values[kept] for key, values in columns.items()}
+
+    names = ("camera", "force", "pose", "taxels")
+    path = make_session(tmp_path / "s.zarr", names=names, change=late)
+    frames = Session(path).frames
+    unknown = np.isnan(frames["taxels"]).any(axis=(1, 2))
+    assert 3 < unknown.sum() < len(unknown) / 4
+    export(path, tmp_path / "data", "genforce")
+    runs = {
+        kind: run_of(tmp_path / "data", "wedge", kind) for kind in ("force", "image", "uskin_raw")
+    }
+    seen = 0
+    for point in points(runs["force"]):
+        for code, phase in enumerate(PHASES):
+            rows = np.flatnonzero(
+                (frames["target"] == int(point.name) - 1) & (frames["phase"] == code) & ~unknown
+            )
+            forces = table(point / phase / "ft.csv", FORCE)
+            np.testing.assert_array_equal(forces[:, :3], frames["wrench"][rows, :3])
+            place = Path(point.name) / phase
+            assert len(list((runs["image"] / place).glob("*.jpg"))) == len(rows)
+            counts = [np.load(file) for file in sorted((runs["uskin_raw"] / place).glob("*.npy"))]
+            expected = np.rint(frames["taxels"][rows] - 30_000)
+            np.testing.assert_array_equal(np.array(counts), expected)
+            seen += len(rows)
+    assert seen == (~unknown).sum()
+    told = (tmp_path / "data" / "wedge" / "not-exported.txt").read_text()
+    assert told == f"Rows in which a stream has no sample near enough: {unknown.sum()}\n"
