@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.no_gauge.simulated_bench import SimulatedBench, Stages, Truth
+from recorder.command_line.options import whole
 from recorder.processes import Workers
 from rig.acquire.calibration.calibration import Calibration
 from rig.acquire.no_gauge import find_surface, press_in_steps
@@ -71,25 +72,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--benches", type=int, default=300, help="number of benches (%(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="seed of the first (%(default)s)")
     parser.add_argument(
-        "--processes", type=int, default=1, metavar="N", help="benches at once (%(default)s)"
+        "--processes", type=whole(1), default=1, metavar="N", help="benches at once (%(default)s)"
     )
     parser.add_argument("--out", type=Path, help="page to write")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the benches, print each and a summary; return 1 if a rating was exceeded.
-
-    Raises:
-        ConfigError: Fewer than one process.
-    """
-    if options.processes < 1:
-        raise ConfigError(f"--processes: found {options.processes}; allowed: 1 and more")
+    """Run the benches, print each and a summary; return 1 if a rating was exceeded."""
     found = []
     for outcome in _outcomes(range(options.seed, options.seed + options.benches), options):
         found.append(outcome)
-        seed = outcome.seed
         print(
-            f"{seed:4d} {outcome.sensor:8} {outcome.fault:8} "
+            f"{outcome.seed:4d} {outcome.sensor:8} {outcome.fault:8} "
             f"{'wrist' if outcome.wrist else '-':5} {100 * outcome.fraction:5.1f} %  "
             f"{outcome.stage:11} {outcome.reason or 'completed'}",
             flush=True,

@@ -84,12 +84,12 @@ class TactileDataset(Dataset[Sample]):
         self.window, self.storage_options = window, dict(storage_options or {})
         self.streams = tuple(streams or ())
         """Columns of every sample."""
-        self._open: OrderedDict[int, _Recording] = OrderedDict()
+        self._open: OrderedDict[str, _Recording] = OrderedDict()
         self.paths = _found(recordings)
         """Recordings with windows, in order."""
         ends = []
         for path in self.paths:
-            one = _opened(path, self.storage_options)
+            one = self._recording(path)
             self.streams = self.streams or one.columns
             ends.append(_chosen(one, path, window, stride, split, unseen))
         kept = [number for number, found in enumerate(ends) if len(found)]
@@ -121,14 +121,15 @@ class TactileDataset(Dataset[Sample]):
         of = int(np.searchsorted(self._until, number, side="right"))
         within = number - (int(self._until[of - 1]) if of else 0)
         end = int(self._ends[of][within])
-        found = self._recording(of).window(end, self.window)
+        found = self._recording(self.paths[of]).window(end, self.window)
         missing = [name for name in self.streams if f"{name}_valid" not in found]
         if missing:
             known = ", ".join(name for name in found if f"{name}_valid" in found)
             raise LearningError(f"{self.paths[of]}: no column {missing[0]!r}; known: {known}")
         valid = np.logical_and.reduce([found[f"{name}_valid"] for name in self.streams])
         names = [*self.streams, *(f"{name}_valid" for name in self.streams)]
-        names += [name for name in ("t_ns",) if name in found]
+        if "t_ns" in found:
+            names.append("t_ns")
         sample = {name: torch.from_numpy(np.ascontiguousarray(found[name])) for name in names}
         return {
             **sample,
@@ -166,14 +167,14 @@ class TactileDataset(Dataset[Sample]):
             f"recordings, {', '.join(self.streams)}>"
         )
 
-    def _recording(self, number: int) -> _Recording:
-        if number in self._open:
-            self._open.move_to_end(number)
+    def _recording(self, path: str) -> _Recording:
+        if path in self._open:
+            self._open.move_to_end(path)
         else:
-            self._open[number] = _opened(self.paths[number], self.storage_options)
+            self._open[path] = _opened(path, self.storage_options)
             if len(self._open) > OPEN:
                 self._open.popitem(last=False)
-        return self._open[number]
+        return self._open[path]
 
 
 class _Batches(IterableDataset[Sample]):
