@@ -20,13 +20,14 @@ import numpy as np
 from recorder import SessionError
 from rig.acquire.control import Control
 from rig.acquire.interlocks import Interlocks
+from rig.acquire.preflight import rate_window
 from rig.acquire.streams import StreamHandle, Streams
 from rig.bench.bench import Bench, BenchStream
 from rig.bench.stream_kinds import expected_rate
 from rig.core.clock import SECOND_NS, Clock, utc_text
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.geometry import compose, invert
-from rig.core.realtime import RIG_PRIORITY
+from rig.core.realtime import RIG_PRIORITY, may_have_priority
 
 State = Literal["well", "note", "FAULT"]
 
@@ -162,21 +163,17 @@ def disk(sessions: Path, clock: Clock) -> Finding:
 
 def realtime() -> Finding:
     """Examine if this user's processes may have real-time priority; a note if not."""
-    try:
-        before = os.sched_getscheduler(0), os.sched_getparam(0)
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(RIG_PRIORITY))
-        os.sched_setscheduler(0, *before)
-    except (OSError, AttributeError):
-        return Finding(
-            "real time",
-            "note",
-            "no rights: a busy computer may delay samples (their times stay right)",
-            (
-                "tactile doctor --fix writes a file in /etc/security/limits.d with the line "
-                "`USER - rtprio 60`; then log in again",
-            ),
-        )
-    return Finding("real time", "well", f"priority {RIG_PRIORITY} granted")
+    if may_have_priority():
+        return Finding("real time", "well", f"priority {RIG_PRIORITY} granted")
+    return Finding(
+        "real time",
+        "note",
+        "no rights: a busy computer may delay samples (their times stay right)",
+        (
+            "tactile doctor --fix writes a file in /etc/security/limits.d with the line "
+            "`USER - rtprio 60`; then log in again",
+        ),
+    )
 
 
 def time_of_day() -> Finding:
@@ -220,7 +217,7 @@ def _stream(
 ) -> Finding:
     """Return the finding of a stream that is open: its rate, and its values at rest."""
     expected = expected_rate(bench, row.name)
-    window = max(bench.preflight.rate_window, 4 / row.rate_hz)
+    window = rate_window(bench, row.rate_hz)
     cures = _cures(row.config)
     try:
         # A busy computer may delay one window; a fault shows in the next ones too.

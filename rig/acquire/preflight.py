@@ -60,8 +60,7 @@ def check_devices(bench: Bench, streams: Streams, interlocks: Interlocks | None 
             failures.append(error)
     raise_all(failures)
     rates: dict[str, float] = {}
-    slowest = min(row.rate_hz for row in bench.rows)
-    window = max(bench.preflight.rate_window, _PERIODS / slowest)
+    window = rate_window(bench, min(row.rate_hz for row in bench.rows))
     for name, found in streams.measure(window).items():
         rate, expected = found["rate_hz"], expected_rate(bench, name)
         rates[name] = rate
@@ -80,6 +79,11 @@ def check_devices(bench: Bench, streams: Streams, interlocks: Interlocks | None 
         if abs(deviation) > bench.preflight.rate_tolerance:
             logger.warning("preflight  %s is %+.0f %% off its expected rate", name, 100 * deviation)
     return Found(description, rates)
+
+
+def rate_window(bench: Bench, rate_hz: float) -> float:
+    """Return the time in which to measure the rate of a stream that states `rate_hz` [s]."""
+    return max(bench.preflight.rate_window, _PERIODS / rate_hz)
 
 
 def notes_on(

@@ -46,6 +46,18 @@ def _fifo(priority: int) -> bool:
     return True
 
 
+def may_have_priority(priority: int = RIG_PRIORITY) -> bool:
+    """Return True if real-time priority is granted; this process stays as it was."""
+    try:
+        before = os.sched_getscheduler(0), os.sched_getparam(0)
+        if not _fifo(priority):
+            return False
+        os.sched_setscheduler(0, *before)
+    except (OSError, AttributeError):
+        return False
+    return True
+
+
 def _timer_slack() -> bool:
     try:
         return bool(ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, _TIMER_SLACK_NS, 0, 0, 0) == 0)
