@@ -19,7 +19,14 @@ from PIL import Image
 
 from learning.errors import LearningError
 from learning.markers.lattice import with_reference
-from learning.markers.regular import MARKERS_LEAST, SPREAD_MOST, Spread, pitch_of, spread_of
+from learning.markers.regular import (
+    MARKERS_LEAST,
+    SPREAD_MOST,
+    Spread,
+    in_pattern,
+    pitch_of,
+    spread_of,
+)
 from learning.markers.segment import (
     CHANNELS,
     CameraPreset,
@@ -27,6 +34,7 @@ from learning.markers.segment import (
     Hat,
     Morphology,
     Picture,
+    Region,
     Segmenter,
     half_of_own,
     hat_contrast,
@@ -50,6 +58,9 @@ NEARLY, NEARLY_CHANNEL = 0.9, 0.5
 ROOM = 1.75
 # Limits of the area, over the median.
 AREA_FROM, AREA_TO = 0.35, 3.0
+# Width kept around the pattern where other patches are left out [pitches]: under a contact the
+# outermost markers move less than that.
+MARGIN = 0.75
 # Endings of pictures in a folder.
 ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 # Difference from the reference that counts as contact [grey levels], and the blur before it [px].
@@ -127,18 +138,33 @@ def fit_preset(
             f"{100 * SPREAD_MOST:.0f} % or less"
         )
     best = _steadiest(regular)
-    detector = replace(best.detector, lattice=True)
     middle = best.area_px[1]
     width = 2 * (middle / np.pi) ** 0.5
-    return CameraPreset(
-        description=description or f"fitted: {best}",
-        detectors=(detector,),
+    preset = CameraPreset(
+        description="",
+        detectors=(replace(best.detector, lattice=True),),
         mm_per_px=None if pitch_mm is None else round(pitch_mm / best.pitch_px, 6),
         smooth_px=3,
         morphology=(Morphology("open", 3),) if width >= 8 else (),
         area_px=(max(SMALLEST_PX, int(AREA_FROM * middle)), int(AREA_TO * middle) + 1),
         box_px=int(np.clip(0.75 * width, 4, 240)),
-    ), best
+    )
+    blobs = find_blobs(Segmenter(preset).mask_of_view(view)[None], SMALLEST_PX)
+    own = in_pattern(blobs, best.pitch_px)
+    if not own.all():
+        hull = cv2.convexHull(blobs.centre[own].astype(np.float32))[:, 0]
+        preset = replace(preset, region=Region(polygon=_widened(hull, MARGIN * best.pitch_px)))
+        best = replace(best, spread=replace(best.spread, count=int(own.sum())))
+    return replace(preset, description=description or f"fitted: {best}"), best
+
+
+def _widened(corners: NDArray[Any], margin: float) -> tuple[tuple[int, int], ...]:
+    """Return the corners (n, 2) [px] of a convex polygon grown by a margin [px]."""
+    angles = np.linspace(0, 2 * np.pi, 8, endpoint=False)
+    around = margin * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    grown = cv2.convexHull((corners[:, None] + around).reshape(-1, 2).astype(np.float32))
+    few = cv2.approxPolyDP(grown, 2.0, closed=True)[:, 0]
+    return tuple((round(float(x)), round(float(y))) for x, y in few)
 
 
 def _steadiest(found: Sequence[Pattern]) -> Pattern:
@@ -161,6 +187,8 @@ def as_yaml(preset: CameraPreset) -> dict[str, Any]:
     content: dict[str, Any] = {"kind": preset.KIND, "description": preset.description}
     if preset.mm_per_px is not None:
         content["mm_per_px"] = preset.mm_per_px
+    if preset.region.polygon:
+        content["region"] = {"polygon": [list(corner) for corner in preset.region.polygon]}
     return {
         **content,
         "detectors": [{"kind": one.KIND, **asdict(one)} for one in preset.detectors],

@@ -14,8 +14,11 @@ import yaml
 from learning.__main__ import main
 from learning.errors import LearningError
 from learning.markers import Segmenter, read_preset
-from learning.markers.fit import fit_preset, recalls
+from learning.markers.fit import as_yaml, fit_preset, recalls
+from learning.markers.regular import in_pattern, pitch_of
 from recorder import MarkerArchive
+from recorder.markers import Blobs, find_blobs
+from sim.markers.pattern import NAMES, hexagon, named
 
 SCALE = 2
 
@@ -74,6 +77,37 @@ def test_a_fitted_preset_finds_painted_markers_and_finds_them_again_under_a_cont
     (found,) = recalls(preset, no_contact, [pressed])
     assert found.under >= (0 if bright else 5)  # on a dark skin the light hardly changes
     assert (found.under_found, found.elsewhere_found) == (found.under, found.elsewhere)
+
+
+def test_specks_and_lamps_beside_the_pattern_are_left_out_of_the_region(tmp_path: Path) -> None:
+    picture = np.full((480, 640, 3), 30, np.uint8)
+    pins = [(round(320 + x), round(240 + y)) for x, y in hexagon(6, 26.0)]
+    false = [(60, 60), (90, 60), (120, 60), (600, 240), (570, 440), (30, 300)]
+    for place in pins + false:
+        cv2.circle(picture, place, 7, (210, 210, 210), -1)
+    picture = cv2.GaussianBlur(picture, (5, 5), 0)
+
+    preset, pattern = fit_preset([picture])
+
+    assert pattern.spread.count == len(pins) == 127
+    file = tmp_path / "mine.yaml"
+    file.write_text(yaml.safe_dump(as_yaml(preset)))
+    assert read_preset(file) == preset
+    centres = find_blobs(Segmenter(preset).mask(picture)[None], 12).centre
+    away = np.linalg.norm(centres[:, None] - np.array(pins)[None], axis=-1)
+    assert len(centres) == 127
+    assert away.min(axis=1).max() < 1
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_marker_of_every_pattern_of_the_paper_belongs_to_it(name: str) -> None:
+    places = np.asarray(named(name).places)
+    count = len(places)
+    places = np.concatenate([places, np.add(places.max(axis=0), [[6e-3] * 2, [9e-3] * 2])])
+    zeros = np.zeros(count + 2, np.int64)
+    blobs = Blobs(zeros, zeros + 50, places, zeros == 0)
+    kept = in_pattern(blobs, float(np.median(pitch_of(blobs))))
+    assert np.array_equal(np.flatnonzero(kept), np.arange(count))
 
 
 @pytest.mark.slow

@@ -10,9 +10,10 @@ import cv2
 import numpy as np
 import pytest
 
+from learning.markers import preset
 from learning.markers.fit import fit_preset, read_picture
 from learning.markers.lattice import with_reference
-from learning.markers.segment import Segmenter
+from learning.markers.segment import CameraPreset, Segmenter
 from recorder.markers import find_blobs
 from tests.learning.test_markers_fit import iou, painted
 
@@ -54,17 +55,18 @@ def test_dots_under_the_contact_of_a_gelslim_are_found_by_a_preset_of_its_refere
     if not (folder / "ref.jpg").is_file():
         pytest.skip(f"{folder}: no pictures of a GelSlim; REAL_RECORDINGS names their folder")
     reference = read_picture(folder / "ref.jpg")
-    preset, _ = fit_preset([reference])
-    segmenter = Segmenter(preset)
-    finder = with_reference(segmenter, segmenter.view(reference))
-    without, again, count = 0, 0, 0
-    for number, text in ((1, _1), (10, _10), (7, _7)):
-        view = segmenter.view(read_picture(folder / f"reconstruct_{number}.jpg"))
-        without += found(marked(text), segmenter.mask_of_view(view))
-        again += found(marked(text), finder.mask_of_view(view))
-        count += len(marked(text))
-    assert count == 99
-    assert without / count < 0.95 <= again / count
+    for chosen in (fit_preset([reference])[0], preset("gelslim")):
+        assert isinstance(chosen, CameraPreset)
+        segmenter = Segmenter(chosen)
+        finder = with_reference(segmenter, segmenter.view(reference))
+        without, again, count = 0, 0, 0
+        for number, text in ((1, _1), (10, _10), (7, _7)):
+            view = segmenter.view(read_picture(folder / f"reconstruct_{number}.jpg"))
+            without += found(marked(text), segmenter.mask_of_view(view))
+            again += found(marked(text), finder.mask_of_view(view))
+            count += len(marked(text))
+        assert count == 99
+        assert without / count < 0.95 <= again / count
 
 
 @pytest.mark.slow
@@ -107,3 +109,18 @@ def test_a_picture_without_contact_and_one_whose_markers_are_seen_are_as_without
     for picture in (no_contact, np.roll(no_contact, 9, axis=1), np.full_like(no_contact, 90)):
         view = segmenter.view(picture)
         assert np.array_equal(finder.mask_of_view(view), segmenter.mask_of_view(view))
+
+
+def test_pins_of_a_tactip_are_found_without_the_lamps_around_them() -> None:
+    folder = RECORDINGS / "tactip"
+    files = sorted(folder.glob("*.png"))
+    if not files:
+        pytest.skip(f"{folder}: no pictures of a TacTip; REAL_RECORDINGS names their folder")
+    pictures = [read_picture(path) for path in files]
+    fitted, _ = fit_preset(pictures[:1])
+    for chosen, false in ((preset("bright-markers"), 1), (fitted, 3)):
+        assert isinstance(chosen, CameraPreset)
+        segmenter = Segmenter(chosen)
+        # Counted by eye in enlarged pictures: 330 pins, and six holders of lamps around them.
+        for picture in pictures:
+            assert 329 <= len(centres(segmenter.mask(picture))) <= 330 + false

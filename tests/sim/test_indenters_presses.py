@@ -112,6 +112,19 @@ def test_the_command_line_presses_a_file_that_leans(
     np.testing.assert_allclose(force, expected, rtol=0.02)
 
 
+def test_without_an_edge_radius_a_prism_presses_alike_by_name_by_measures_and_from_a_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = files.write_binary(tmp_path / "prism.stl", files.block(5, 7, 8))
+    forces = []
+    for shape in (["prism"], ["box", "--width", "5", "--length", "7"], [str(path)]):
+        words = ["press", "--depths", "0.5", "--tier", "layer", "--json", "--shape", *shape]
+        assert main(words) == 0
+        forces.append(json.loads(capsys.readouterr().out)["force_n"][-1])
+    assert forces[1] == pytest.approx(forces[0], rel=1e-6)
+    assert forces[2] == pytest.approx(forces[0], rel=0.01)
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
