@@ -17,6 +17,7 @@ WATCHARG := $(if $(WATCH),--watch $(filter-out 1,$(WATCH))) $(if $(WATCHHOST),--
 DEMO     := examples/demo-learning
 BARE     := examples/demo-transfer
 LAUNCH   := $(if $(GPUS),$(VENV)/bin/torchrun --nproc-per-node $(GPUS),$(PY))
+MKDOCS   := NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs
 PIP      := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e
 
 # A name that no target reads would be ignored by make, and `sensor=uskin` record a tacpalm. The
@@ -49,7 +50,7 @@ $(error wrong input: $(REFUSED))
 endif
 endif
 
-.PHONY: help accuracy speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip doctor preview compare mock replay check-session import split train-field train-autoencoder train-direct train-marker-vae train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning transfer calibrate-force demo-transfer demo-twin learning-tables learning-ablations learning-on-gpus live endurance faults bench-recorder test golden test-all check format reference setup clean
+.PHONY: help accuracy speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip doctor preview compare mock replay check-session import split train-field train-autoencoder train-direct train-marker-vae train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning transfer calibrate-force demo-transfer demo-twin learning-tables learning-ablations learning-on-gpus live endurance faults bench-recorder test golden test-all check docs format reference setup clean
 
 # Above a target: `##@` starts a group of the list, `#:` gives the options of the target.
 help:
@@ -271,9 +272,13 @@ golden: $(VENV)/.dev  ## Compare every command with its recorded results (3 minu
 test-all: $(VENV)/.dev  ## Run all tests, including the slow ones
 	@RUN_SLOW=1 $(PY) -m pytest -q --durations=10
 
-check: $(VENV)/.dev  ## Check lint, format, types, layers of imports, spelling and prose
+check: $(VENV)/.dev  ## Check lint, format, types, layers of imports, spelling, prose and docs
 	@$(PY) -m ruff check . && $(PY) -m ruff format --check . && $(PY) -m mypy && $(VENV)/bin/lint-imports --no-logo
-	@$(VENV)/bin/codespell && $(PY) tests/support/prose.py
+	@$(VENV)/bin/codespell && $(PY) tests/support/prose.py && $(MKDOCS) build
+
+#: [SERVE=1]
+docs: $(VENV)/.dev  ## Build the documentation in build/docs; SERVE=1 shows it on a local page
+	@$(MKDOCS) $(if $(SERVE),serve,build)
 
 reference: $(VENV)/.rig  ## Write docs/reference from the commands and packages
 	@$(PY) tests/support/reference.py

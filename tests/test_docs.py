@@ -1,15 +1,27 @@
-"""Names in the documentation exist: files, links, modules, make targets."""
+"""Names in the documentation exist: files, links, modules, make targets, commands, options."""
 
 from __future__ import annotations
 
+import argparse
+import importlib
 import importlib.util
 import re
+import shlex
 import subprocess
+import sys
 import tomllib
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
+from support.tutorials import TUTORIALS, blocks
+
+from benchmarks.__main__ import BENCHMARKS
+from recorder.command_line.commands import COMMANDS
+from recorder.command_line.options import Parser
+from recorder.command_line.run import commands_of, joined
 
 ROOT = Path(__file__).parent.parent
 PACKAGES = "trajectories|recorder|rig|sim|learning|benchmarks"
@@ -22,6 +34,14 @@ _DOTTED = re.compile(rf"[`\"' ](?:python -m )?((?:{PACKAGES})(?:\.[A-Za-z_]\w*)+
 _LOGGER = re.compile(r"getLogger\([^)]*\)")
 _LINK = re.compile(r"\]\(([^)\s#]+)(?:#[^)]*)?\)")
 _MAKE = re.compile(r"`make ([a-z-]+)")
+_CODE = re.compile(r"^ *```(\w*)\n(.*?)^ *```|`([^`\n]+(?:\n[^`\n]+)?)`", re.M | re.S)
+_COMMAND = re.compile(
+    r"\s*(?:[A-Z]+=\S+ )*(?:\.venv/bin/)?"
+    r"(tactile|make|python -m (?:rig|recorder|sim|learning|tactile|benchmarks))((?: .*)?)$"
+)
+# Places of values, and marks of a usage.
+_USAGE = re.compile(r"\.\.\.|\[--|\[[A-Z]+=|<\w+>|COMMAND|DIR\b")
+_EITHER = re.compile(r"\\?\|[\w|\\-]+")
 
 
 def _texts() -> list[Path]:
@@ -34,6 +54,25 @@ def _texts() -> list[Path]:
         for name in listed
         if not name.startswith((*HISTORY, "tests/golden")) and (ROOT / name).is_file()
     ]
+
+
+def _slugs(page: Path) -> set[str]:
+    """Return the names of a page's headings in links, as GitHub makes them."""
+    heads = re.findall(r"^#+ +(.*)$", re.sub(r"```.*?```", "", page.read_text(), flags=re.S), re.M)
+    return {re.sub(r"[^\w -]", "", head.lower()).strip().replace(" ", "-") for head in heads}
+
+
+def _commands(page: Path) -> list[tuple[str, bool]]:
+    """Return the command lines of a page, and whether each stands in a block of shell code."""
+    found = []
+    for kind, block, inline in _CODE.findall(page.read_text()):
+        if block and kind not in ("", "sh", "bash", "console"):
+            continue
+        lines = re.sub(r"\\\n\s*", " ", block).splitlines() or [" ".join(inline.split())]
+        for line in lines:
+            if matched := _COMMAND.match(re.split(r" #|&&|;", line)[0].rstrip()):
+                found.append(("".join(matched.groups()), bool(block)))
+    return found
 
 
 TEXTS = _texts()
@@ -55,6 +94,143 @@ def test_links_lead_somewhere(page: Path) -> None:
     if page.is_relative_to(ROOT / "benchmarks"):
         dead = [link for link in dead if not (ROOT / "docs" / "results" / link).exists()]
     assert not dead
+
+
+@pytest.mark.parametrize("page", PAGES, ids=_name)
+def test_links_lead_to_headings(page: Path) -> None:
+    dead = [
+        f"{link}#{place}"
+        for link, place in re.findall(r"\]\(([^)\s#]*)#([^)]+)\)", page.read_text())
+        if not re.match(r"[a-z]+:", link)
+        and place not in _slugs(page.parent / link if link else page)
+    ]
+    assert not dead
+
+
+@cache
+def _parser(module: str) -> argparse.ArgumentParser:
+    parser = Parser(prog=module)
+    content: Any = importlib.import_module(module)
+    content.add_arguments(parser)
+    return parser
+
+
+def _module(front: str, words: list[str]) -> tuple[str, list[str]] | None:
+    """Return the module of a command and its arguments; None: the line names no command."""
+    package = front.split()[-1]
+    if package == "benchmarks":
+        assert not words or words[0] in BENCHMARKS, f"{front} {words[0]}: no such benchmark"
+        return (BENCHMARKS[words[0]][0], words[1:]) if words else None
+    known = commands_of("" if package == "tactile" else package)
+    for count in (2, 1):
+        if command := known.get(" ".join(words[:count])):
+            return command.module, words[count:]
+    only_package = not words or words[0].startswith("--") or words in (["train"], ["session"])
+    assert only_package, f"{front} {' '.join(words)}: no such command"
+    return None
+
+
+def _wrong(module: str, arguments: list[str], whole: bool) -> str:
+    """Return the complaint about the arguments of a command, empty if there is none."""
+    if "--help" in arguments:
+        return ""
+    if whole:
+        try:
+            _parser(module).parse_args(joined(arguments))
+        except (Exception, SystemExit) as error:
+            return str(error) or "refused"
+        return ""
+    known = set()
+    parsers = [_parser(module)]
+    for parser in parsers:
+        known |= set(parser._option_string_actions)
+        for action in parser._actions:
+            if isinstance(action, argparse._SubParsersAction):
+                parsers += action.choices.values()
+    stated = {word.split("=")[0] for word in arguments if word.startswith("--")}
+    return ", ".join(sorted(stated - known))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=_name)
+def test_commands_have_the_options_that_pages_give_them(page: Path) -> None:
+    """A line in a block is parsed as a whole; a mention in a sentence may leave things out."""
+    wrong = []
+    for line, block in _commands(page):
+        if line.startswith("make"):
+            continue
+        front, arguments = re.match(r"(python -m \w+|tactile)(.*)", line).groups()  # type: ignore[union-attr]
+        whole = block and not _USAGE.search(line)
+        arguments = _EITHER.sub("", arguments)
+        words = shlex.split(arguments if whole else _USAGE.sub("x", arguments))
+        if words[:1] == ["x"]:
+            continue
+        if (found := _module(front, words)) and (complaint := _wrong(*found, whole)):
+            wrong.append(f"{line}: {complaint}")
+    assert not wrong
+
+
+def test_make_targets_have_the_variables_that_pages_give_them() -> None:
+    text = (ROOT / "Makefile").read_text()
+    rules = re.findall(r"(?:^#: (.*)\n)?^([a-z][a-z -]*):.*  ## ", text, flags=re.M)
+    known = {
+        name: set(re.findall(r"\b([A-Z_]+)=", options))
+        for options, names in rules
+        for name in names.split()
+    }
+    wrong = []
+    for page in PAGES:
+        for line, _ in _commands(page):
+            if matched := re.match(r"make ([a-z][a-z-]*)(.*)", line):
+                given = set(re.findall(r" \[?([A-Z_]+)=", matched[2]))
+                if given - known.get(matched[1], given):
+                    wrong.append(f"{_name(page)}: {line}")
+    assert not wrong
+
+
+# Commands that `tests/golden` does not run, and the test that does, with a part of its text.
+TESTED = {
+    "archive join": ("tests/learning/test_join.py", "learning.data.join"),
+    "calibrate-force": ("tests/learning/test_transfer.py", "run_module(calibrate_force"),
+    "cross-validate": ("tests/tactile/test_import_recording.py", 'run("cross-validate"'),
+    "doctor": ("tests/rig/test_doctor.py", '"doctor"'),
+    "import-force-weights": ("tests/learning/test_force_authors.py", "import_force_weights("),
+    "indenters": ("tests/tactile/test_init.py", '"indenters"'),
+    "init": ("tests/tactile/test_init.py", '"init"'),
+    "markers-fit": ("tests/learning/test_markers_fit.py", '"markers-fit"'),
+    "mock": ("tests/rig/test_lab_bench.py", '"mock"'),
+    "schema": ("tests/tactile/test_schema.py", "schema"),
+    "score-transfer": ("tests/learning/test_transfer.py", "run_module(score_transfer"),
+    "session list": ("tests/recorder/test_catalogue.py", '"list"'),
+    "session seal": ("tests/recorder/test_integrity.py", '"seal"'),
+    "session view": ("tests/recorder/test_view.py", '"view"'),
+    "sim labels": ("tests/sim/test_labels.py", '"labels"'),
+    "transfer": ("tests/learning/test_transfer.py", "run_module(transfer"),
+    "twin fit": ("tests/sim/test_twin.py", '"twin-fit"'),
+    "twin plan": ("tests/sim/test_twin.py", '"twin-plan"'),
+}
+
+
+def test_every_command_is_run_by_a_test() -> None:
+    sys.path.insert(0, str(ROOT / "tests" / "golden"))
+    from cases import CASES
+
+    run = set()
+    for line in (line for case in CASES for line in case.commands if "--help" not in line):
+        package, *words = line.split()
+        known = commands_of("" if package == "tactile" else package)
+        for count in (1, 2):
+            if command := known.get(" ".join(words[:count])):
+                run.add(command.words)
+    for name, (file, part) in TESTED.items():
+        assert part in (ROOT / file).read_text(), f"{name}: not in {file}"
+    assert run | set(TESTED) == set(COMMANDS)
+    assert not run & set(TESTED)
+
+
+def test_tutorials_have_code_of_kinds_that_are_run() -> None:
+    for page in TUTORIALS:
+        kinds = {kind for kind, _ in blocks(page)}
+        assert kinds <= {"sh", "python", "text"}, page.name
 
 
 def test_files_that_are_named_are_there() -> None:
