@@ -1353,8 +1353,9 @@ class _Batch:
                 "in steps (the body may be too soft to carry its weight)"
             )
         millimetres = where * scene.body.thickness * 1e3
+        missing = "no converged state" if wanted is None else "no state without self-overlap"
         diverged = (SimulationDiverged if wanted is None else Crossed)(
-            f"no converged state after the tip at ({millimetres[0]:.4g}, {millimetres[1]:.4g}, "
+            f"{missing} after the tip at ({millimetres[0]:.4g}, {millimetres[1]:.4g}, "
             f"{millimetres[2]:.4g}) mm, on the way to waypoint {path.segment}{weight}: "
             f"{path.ended + '; ' if path.ended else ''}"
             f"{len(path.tried)} steps failed, the last: {path.tried[-1]}; "

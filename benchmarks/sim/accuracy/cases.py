@@ -34,7 +34,7 @@ def _edged(name: str) -> Indenter:
 
 _BODY = Body()
 _BALL = sphere(4 * MM)
-# Without friction the skin under an edge slides until it creases, in one of many ways, so there is
+# Without friction the skin under an edge or a tip slides until it creases, in one of many ways, so there is
 # no unique solution to compare with.
 _RUB = Effects(friction=Friction(0.5))
 # Body: the paper's gel, 20 x 20 x 4 mm, 0.145 MPa, nu 0.45.
@@ -47,8 +47,8 @@ CASES: tuple[Case, ...] = (
     ),
     Case(
         "cone",
-        "cone 45 deg, tip R 0.5 mm",
-        (Scene(rounded_cone(math.radians(45), EDGE), press(DEPTHS)),),
+        "cone 45 deg, tip R 0.5; friction",
+        (Scene(rounded_cone(math.radians(45), EDGE), press(DEPTHS), effects=_RUB),),
     ),
     Case(
         "tube",
