@@ -34,8 +34,8 @@ def _edged(name: str) -> Indenter:
 
 _BODY = Body()
 _BALL = sphere(4 * MM)
-# Without friction the skin under an edge or a tip slides until it creases, in one of many ways, so there is
-# no unique solution to compare with.
+# Without friction the skin under an edge or a tip slides until it creases, in one of many ways, so
+# there is no unique solution to compare with.
 _RUB = Effects(friction=Friction(0.5))
 # Body: the paper's gel, 20 x 20 x 4 mm, 0.145 MPa, nu 0.45.
 CASES: tuple[Case, ...] = (
