@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import re
+import shlex
 import sys
 from collections.abc import Sequence
 from dataclasses import fields
@@ -11,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from recorder import Session, SessionError
-from recorder.command_line.options import numbers
+from recorder.command_line.options import called_by_make, numbers
 from recorder.convert import (
     FORCE_UNITS,
     KINDS,
@@ -147,10 +148,44 @@ def run(options: argparse.Namespace) -> int:
     presses = sum(len(draft.presses) for draft in drafts)
     for path in written:
         print(f"{path}: imported")
-    names = " ".join(map(str, written))
     print(f"{len(drafts)} recordings, {presses} presses, {len(written)} sessions")
-    print(f"next: tactile markers {names} --out {options.out.with_suffix('')}.markers.zarr")
+    kinds = {track.kind for draft in drafts for track in draft.take.tracks}
+    if not kinds & {"video", "taxels"}:
+        print("no images or taxels: nothing to make markers of")
+        return 0
+    preset, choice = _preset_words(answers.sensor, taxels="taxels" in kinds)
+    archive = Path(f"{options.out.with_suffix('')}.markers.zarr")
+    print(f"next: {_markers_command(written, archive, preset)}")
+    if choice:
+        print(choice)
     return 0
+
+
+def _preset_words(sensor: str, *, taxels: bool) -> tuple[list[str], str]:
+    """Return the options of `markers` for the sensor, and what to choose for their values."""
+    try:
+        from learning.markers import names, preset_of_sensor
+    except ModuleNotFoundError:  # `markers` names the missing extra
+        return [], ""
+    if preset_of_sensor(sensor) is not None:
+        return [], ""
+    if taxels:
+        return ["--preset", "uskin"], ""
+    return ["--preset", "PRESET", "--mm-per-px", "MM"], (
+        "PRESET: shading for a gel without markers; else the file that `tactile markers-fit` "
+        f"writes, or one of {', '.join(names())}. MM: size of a pixel of the 640 x 480 [mm]"
+    )
+
+
+def _markers_command(sessions: Sequence[Path], out: Path, words: Sequence[str]) -> str:
+    """Return the command that makes markers of the sessions, as the user would type it."""
+    names = [str(session) for session in sessions]
+    if called_by_make():
+        given = {"SESSIONS": " ".join(names), "OUT": str(out), "ARGS": " ".join(words)}
+        return shlex.join(
+            ["make", "markers", *(f"{key}={value}" for key, value in given.items() if value)]
+        )
+    return shlex.join(["tactile", "markers", *names, *words, "--out", str(out)])
 
 
 def _grouped(lines: Sequence[str]) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 from collections.abc import Callable, Iterable
 from typing import Any, NoReturn
 
@@ -41,6 +42,11 @@ class Parser(argparse.ArgumentParser):
             CommandError: Always; the message names the option.
         """
         raise CommandError(f"{message.removeprefix('argument ')}; see {self.prog} --help")
+
+
+def called_by_make() -> bool:
+    """Return True if a target of the Makefile runs the command: what it prints is called alike."""
+    return os.environ.get("TACTILE_DOOR") == "make"
 
 
 def positive(text: str) -> float:

@@ -14,10 +14,13 @@ from pathlib import Path
 from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE
 from rig.acquire.doctor import examine, missing_rights
 from rig.bench.bench import Bench, bench_from
-from rig.cli.options import bench_options, chosen_bench, confirm
+from rig.cli.options import bench_command, bench_options, chosen_bench, confirm
 from rig.cli.recording import started_bench
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError
+
+# Default folder of sessions.
+SESSIONS = Path("sessions")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out",
         type=Path,
-        default=Path("sessions"),
+        default=SESSIONS,
         metavar="DIR",
         help="folder of sessions, whose disk is tested (%(default)s)",
     )
@@ -71,11 +74,12 @@ def run(options: argparse.Namespace) -> int:
             print(f"  {found.state:5}  {found.part:10} {found.text}", flush=True)
             for number, cure in enumerate(found.cures):
                 print(f"         {'' if number else 'cure:':10} {cure}", flush=True)
-    name = f"--sensor {options.sensor}" if options.sensor else f"--bench {path}"
     if faults:
-        print(f"doctor: {faults} fault{'s' * (faults > 1)}; again: tactile doctor {name}")
+        out = None if options.out == SESSIONS else options.out
+        again = bench_command("doctor", options, out=out)
+        print(f"doctor: {faults} fault{'s' * (faults > 1)}; again: {again}")
         return EXIT_DEVICE_LOST
-    print(f"doctor: no fault; next: tactile collect {name} --targets 2")
+    print(f"doctor: no fault; next: {bench_command('collect', options, targets=2)}")
     return EXIT_DONE
 
 

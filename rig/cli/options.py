@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from recorder import Session
-from recorder.command_line.options import whole
+from recorder.command_line.options import called_by_make, whole
 from rig.acquire.calibration import store
 from rig.acquire.calibration.calibration import Calibration
 from rig.acquire.control import Interrupted
@@ -253,14 +253,29 @@ def confirm_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--asked-by", type=int, help=argparse.SUPPRESS)
 
 
-# Front door of the commands that are printed for the user to repeat; the Makefile sets it.
-_DOOR = "TACTILE_DOOR"
+def bench_command(name: str, options: argparse.Namespace, **others: object) -> str:
+    """Return a command for the bench of these options, as the user would type it.
+
+    Args:
+        name: The command.
+        options: Those of a command with `bench_options`.
+        others: Further options of the command and their values; those of None are left out.
+    """
+    chosen = {key: getattr(options, key) for key in ("sensor", "bench", "world", "force")}
+    given = {key: value for key, value in {**chosen, **others}.items() if value is not None}
+    if called_by_make():
+        settings = [f"{key.upper()}={value}" for key, value in given.items()]
+        return shlex.join(["make", name, *settings])
+    words = [word for key, value in given.items() for word in (f"--{key}", str(value))]
+    if options.benches != Path("benches"):
+        words += ["--benches", str(options.benches)]
+    return shlex.join([*options.prog.split()[:-1], name, *words])
 
 
 def resume_command(options: argparse.Namespace, session: Path) -> str:
     """Return the command that continues a stopped session, as the user would type it."""
     bench = getattr(options, "bench", None)
-    if os.environ.get(_DOOR) == "make":
+    if called_by_make():
         return f"make resume SESSION={session}" + (f" BENCH={bench}" if bench else "")
     program = options.prog.rpartition(" ")[0]
     return f"{program} collect --resume {session}" + (f" --bench {bench}" if bench else "")
@@ -268,7 +283,7 @@ def resume_command(options: argparse.Namespace, session: Path) -> str:
 
 def campaign_command(options: argparse.Namespace) -> str:
     """Return the command that continues a campaign, as the user would type it."""
-    if os.environ.get(_DOOR) == "make":
+    if called_by_make():
         flags = (
             (" YES=1", options.yes),
             (" WORLD=sim", options.world is not None),

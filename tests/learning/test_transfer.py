@@ -373,6 +373,9 @@ def test_a_transfer_makes_a_model_that_no_label_of_the_target_has_touched(
         out = tmp_path / f"run-{archive.path.name}"
         named = ["--source", f"{one.path}:dots", "--target", f"{archive.path}:grid"]
         assert run_module(transfer, *named, "--out", out, *settings) == 0
+        assert capsys.readouterr().out.splitlines()[-1] == (
+            f"next: tactile live --sensor grid --model {out / 'model'} --before {out / 'before'}"
+        )
         found = read_predictions(out / "results" / "dots-to-grid.transferred.flow.npz")
         hashes.append((found.model, (out / "model" / "intervals.json").read_text()))
         for name in ("model/model.onnx", "before/model.onnx", "report.html"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import shutil
 from collections.abc import Iterator
@@ -18,6 +19,7 @@ from rig.acquire.control import Interrupted
 from rig.acquire.doctor import Finding, examine
 from rig.bench.bench import Bench, BenchStream, bench_from, load_bench
 from rig.cli.doctor import fix
+from rig.cli.options import bench_command, bench_options
 from rig.cli.recording import started_bench
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError
@@ -97,13 +99,33 @@ def test_the_command_ends_with_0_or_3_and_says_how_to_go_on(
     assert main(["doctor", "--sensor", "uskin", "--out", str(tmp_path / "new" / "sessions")]) == 0
     text = capsys.readouterr().out
     assert "mock bench" in text
-    assert "doctor: no fault; next: tactile collect --sensor uskin" in text
+    assert "doctor: no fault; next: python -m rig collect --sensor uskin --targets 2" in text
     assert list(tmp_path.iterdir()) == []
     (tmp_path / "a-file").touch()
     assert main(["doctor", "--sensor", "uskin", "--out", str(tmp_path / "a-file")]) == 3
     text = capsys.readouterr().out
     assert "FAULT  disk" in text
-    assert "doctor: 1 fault; again: tactile doctor --sensor uskin" in text
+    assert "doctor: 1 fault; again: python -m rig doctor --sensor uskin --out" in text
+
+
+def test_commands_to_go_on_with_keep_the_bench_and_the_front_door(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    parser = argparse.ArgumentParser()
+    bench_options(parser)
+    parser.set_defaults(prog="tactile doctor")
+    options = parser.parse_args(["--sensor", "uskin", "--world", "sim", "--force", "none"])
+    assert bench_command("collect", options, targets=2, out=None) == (
+        "tactile collect --sensor uskin --world sim --force none --targets 2"
+    )
+    elsewhere = parser.parse_args(["--bench", "my own.yaml", "--benches", "lab"])
+    assert bench_command("doctor", elsewhere) == (
+        "tactile doctor --bench 'my own.yaml' --benches lab"
+    )
+    monkeypatch.setenv("TACTILE_DOOR", "make")
+    assert bench_command("collect", options, targets=2) == (
+        "make collect SENSOR=uskin WORLD=sim FORCE=none TARGETS=2"
+    )
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -111,6 +112,9 @@ def test_from_folders_to_scores_on_the_object_left_out(
         pressed = session.frames["wrench"][:, 2].min()
         assert pressed == pytest.approx(-5.0, abs=0.1)
     archive = tmp_path / "gel.markers.zarr"
+    named = f"{sessions[0]} {sessions[1]}"
+    asked = f"markers {named} --preset PRESET --mm-per-px MM --out {archive}"
+    assert f"next: tactile {asked}\nPRESET: shading for a gel without markers" in told
     words = ["--preset", "shading", "--mm-per-px", "0.03", "--out", archive]
     assert run("markers", *sessions, *words, "--sheet", tmp_path / "s.png") == 0
     assert faults(check(archive)) == []
@@ -172,7 +176,7 @@ def test_an_answer_at_the_terminal_takes_the_place_of_the_option(
 
 @pytest.mark.parametrize("layout", ["taxel", "axis"])
 def test_taxels_come_out_in_one_order_and_their_presses_are_found(
-    layout: str, tmp_path: Path
+    layout: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     counts = uskin(1)
     flat = counts if layout == "taxel" else counts.transpose(0, 2, 1)
@@ -185,8 +189,23 @@ def test_taxels_come_out_in_one_order_and_their_presses_are_found(
     start, end = session.segments["start_ns"].min(), session.segments["end_ns"].max()
     assert start * 60e-9 == pytest.approx(30, abs=4)
     assert end * 60e-9 == pytest.approx(60, abs=4)
+    following = capsys.readouterr().out.splitlines()[-1].removeprefix("next: tactile ")
+    assert run(*shlex.split(following)) == 0
+    assert "gel" in MarkerArchive(tmp_path / "x.markers.zarr")
+
+
+def test_after_make_import_the_next_command_is_called_by_make(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TACTILE_DOOR", "make")
+    np.save(tmp_path / "taxels.npy", uskin(1).reshape(-1, 48).astype(np.float32))
+    out = tmp_path / "x.zarr"
+    assert run("import", tmp_path, "--out", out, "--taxels-hz", "60", *STATED) == 0
+    following = capsys.readouterr().out.splitlines()[-1].removeprefix("next: ")
     archive = tmp_path / "x.markers.zarr"
-    assert run("markers", out, "--preset", "uskin", "--out", archive) == 0
+    assert shlex.split(following) == [
+        "make", "markers", f"SESSIONS={out}", f"OUT={archive}", "ARGS=--preset uskin",
+    ]  # fmt: skip
 
 
 def test_a_recording_that_ends_in_contact_is_refused_until_told(
