@@ -50,7 +50,7 @@ $(error wrong input: $(REFUSED))
 endif
 endif
 
-.PHONY: help accuracy speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip doctor preview compare mock replay check-session import split train-field train-autoencoder train-direct train-marker-vae train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning transfer calibrate-force demo-transfer demo-twin learning-tables learning-ablations learning-on-gpus live endurance faults bench-recorder test golden test-all check docs format reference setup clean
+.PHONY: help accuracy speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip doctor setup-bench preview compare mock replay check-session import split train-field train-autoencoder train-direct train-marker-vae train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning transfer calibrate-force demo-transfer demo-twin learning-tables learning-ablations learning-on-gpus live endurance faults bench-recorder test golden test-all check docs format reference setup clean
 
 # Above a target: `##@` starts a group of the list, `#:` gives the options of the target.
 help:
@@ -111,6 +111,10 @@ grip: $(VENV)/.rig  ## Close the gripper on the indenter
 #: SENSOR=tacpalm [OUT=sessions] [BENCH=file] [WORLD=sim] [FORCE=none]
 doctor: $(VENV)/.rig $(WORLDDEP)  ## Test all devices of a bench, and the computer; nothing moves
 	@$(PY) -m rig doctor $(BENCHARG) $(FORCEARG) $(if $(OUT),--out $(OUT))
+
+#: SENSOR=tacpalm [INDENTER=] [YES=1] [OPERATOR=] [ONLY=gauge] [AGAIN=gauge] [OUT=sessions] [BENCH=file] [WORLD=sim] [FORCE=none]
+setup-bench: $(VENV)/.rig $(WORLDDEP)  ## Set a bench up step by step, and write its acceptance report
+	@$(PY) -m rig setup $(BENCHARG) $(FORCEARG) $(if $(INDENTER),--indenter $(INDENTER)) $(if $(YES),--yes) $(if $(OPERATOR),--operator '$(OPERATOR)') $(foreach step,$(ONLY),--only $(step)) $(foreach step,$(AGAIN),--again $(step)) $(if $(OUT),--out $(OUT))
 
 #: SENSOR=tacpalm [OUT=plan.png] [BENCH=file] [WORLD=sim] [FORCE=none]
 preview: $(VENV)/.rig  ## Draw the plan and check its limits

@@ -321,7 +321,7 @@ def run_campaign(
                 break
             mounted = (entry.sensor, entry.indenter)
         say(f"recording {progress.session}")
-        code = _record(command(progress, campaign, settings))
+        code = run_rig(command(progress, campaign, settings))
         if code == EXIT_DONE:
             if progress.state == "to resume" and entry.plan == "force_depth":
                 # It was resumed by `collect`, which draws no curve.
@@ -362,8 +362,8 @@ def _mount(
     return True
 
 
-def _record(arguments: list[str]) -> int:
-    """Run one session in its own process and return its exit code.
+def run_rig(arguments: list[str]) -> int:
+    """Run `python -m rig ARGUMENTS`, such as one session, and return its exit code.
 
     Ctrl-C and a closed terminal reach that process as well; SIGTERM, sent to this one, is passed
     on. This process waits until the session has ended in order.

@@ -59,11 +59,11 @@ CURES: dict[str, tuple[str, ...]] = {
     ),
     "nidaq": ("the device's name as NI MAX shows it; install the NI-DAQmx driver",),
     "ati_serial": (
-        "plug the cable in again; a name of /dev/serial/by-id stays the same",
+        "plug the cable in again; is {at} this device? A name of /dev/serial/by-id stays the same",
         "sudo usermod -a -G dialout $USER, then log in again",
     ),
     "scale": (
-        "plug the cable in again; a name of /dev/serial/by-id stays the same",
+        "plug the cable in again; is {at} this device? A name of /dev/serial/by-id stays the same",
         "sudo usermod -a -G dialout $USER, then log in again",
         "baud rate and protocol as in the scale's own menu",
     ),

@@ -74,6 +74,31 @@ def reading(value: Any) -> Floats:
     return grey(value) if value.ndim == 3 else value.astype(np.float32)
 
 
+def whole_grey(value: Any) -> Grey:
+    """Return the grey values (h, w) of JPEG bytes or an image (h, w, 3), at full size."""
+    import cv2
+
+    if isinstance(value, bytes):
+        found = cv2.imdecode(np.frombuffer(value, np.uint8), cv2.IMREAD_GRAYSCALE)
+    else:
+        found = cv2.cvtColor(np.asarray(value), cv2.COLOR_RGB2GRAY)
+    return np.asarray(found, np.uint8)
+
+
+def shift(before: Grey, after: Grey) -> npt.NDArray[np.float64]:
+    """Return the shift (2,) of the parts of an image that move most, to the right and up [px]."""
+    import cv2
+
+    finder: Any = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
+    flow = finder.calc(before, after, None)
+    down, across = np.gradient(before.astype(np.float32))
+    steep = np.hypot(down, across)
+    moved = flow[steep >= np.quantile(steep, 1 - _EDGES)]
+    length = np.hypot(moved[:, 0], moved[:, 1])
+    right, below = np.median(moved[length >= np.median(length)], axis=0)
+    return np.array([right, -below])
+
+
 class SignalLevel:
     """Computes the level of each sample of one stream.
 

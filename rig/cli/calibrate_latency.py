@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 from pathlib import Path
 
 from recorder import Session
 from recorder.command_line.errors import EXIT_DONE, EXIT_SAFETY_STOP
 from rig.acquire.calibration import store
-from rig.acquire.calibration.calibration import Calibration, LatencyCalibration
+from rig.acquire.calibration.calibration import LatencyCalibration
 from rig.cli.options import (
     banner,
     bench_options,
@@ -50,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
     print(banner(bench.mock, path), flush=True)
     content, indenter = with_indenter(content, bench, options.indenter)
     # Apply the surface calibration only: an old latency correction would bias the new measurement.
-    home = Calibration(calibration_of(options, bench, indenter).home)
+    home = dataclasses.replace(calibration_of(options, bench, indenter), latency=None)
     stream = latency.signal_of(bench)
     depth = None if options.depth_mm is None else to_si(options.depth_mm, "mm")
     plan = latency.plan_for(bench, depth=depth, count=options.taps)

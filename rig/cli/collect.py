@@ -123,7 +123,13 @@ def run(options: argparse.Namespace) -> int:
             try:
                 if not request.resume:
                     stages = without_gauge.StageRecorder(
-                        path, bench, content, session.parent, on, options.operator
+                        path,
+                        bench,
+                        content,
+                        session.parent,
+                        on,
+                        options.operator,
+                        calibration.acceptance,
                     )
                     calibration = without_gauge.prepare(options, stages, calibration, depth)
             except no_gauge.StageStopped as stopped:

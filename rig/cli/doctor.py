@@ -12,7 +12,7 @@ import tempfile
 from pathlib import Path
 
 from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE
-from rig.acquire.doctor import examine, missing_rights
+from rig.acquire.doctor import Finding, examine, missing_rights
 from rig.bench.bench import Bench, bench_from
 from rig.cli.options import bench_command, bench_options, chosen_bench, confirm
 from rig.cli.recording import started_bench
@@ -71,9 +71,7 @@ def run(options: argparse.Namespace) -> int:
         ready = bench_from(on.content, str(path))
         for found in examine(ready, Path(folder), options.out, SystemClock(), on.watch):
             faults += found.state == "FAULT"
-            print(f"  {found.state:5}  {found.part:10} {found.text}", flush=True)
-            for number, cure in enumerate(found.cures):
-                print(f"         {'' if number else 'cure:':10} {cure}", flush=True)
+            show(found)
     if faults:
         out = None if options.out == SESSIONS else options.out
         again = bench_command("doctor", options, out=out)
@@ -81,6 +79,13 @@ def run(options: argparse.Namespace) -> int:
         return EXIT_DEVICE_LOST
     print(f"doctor: no fault; next: {bench_command('collect', options, targets=2)}")
     return EXIT_DONE
+
+
+def show(found: Finding) -> None:
+    """Print a finding, and its cures."""
+    print(f"  {found.state:5}  {found.part:10} {found.text}", flush=True)
+    for number, cure in enumerate(found.cures):
+        print(f"         {'' if number else 'cure:':10} {cure}", flush=True)
 
 
 def fix(bench: Bench, user: str, etc: Path) -> int:

@@ -57,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
         ConfigError, DeviceLost, SafetyStop, SessionError: Nothing was stored.
     """
     from rig.acquire.calibration import home
-    from rig.acquire.calibration.calibration import require_gauge
+    from rig.acquire.calibration.calibration import Calibration, require_gauge
     from rig.acquire.request import CollectRequest, plan_of
     from rig.cli.recording import record
 
@@ -72,7 +72,8 @@ def run(options: argparse.Namespace) -> int:
     plan = home.plan_for(bench, travel=travel, repeats=options.repeats, points=points)
     touching = home.touching_bench(bench, options.force_n)
     session = options.out or free_path(home.default_path(bench.sensor, file_stamp()))
-    request = CollectRequest(path=session, operator=options.operator)
+    accepted = Calibration(acceptance=store.acceptance_of(options.calibrations, bench))
+    request = CollectRequest(path=session, operator=options.operator, calibration=accepted)
     # Checked against the bench's own limits, since each approach is ended by the lower soft limit.
     plan_of(request, bench, plan)
     code = record(
@@ -109,7 +110,10 @@ def _by_signal(
     folder = Path("sessions") if options.out is None else options.out
     folder.mkdir(parents=True, exist_ok=True)
     with started_bench(path, content) as on:
-        stages = without_gauge.StageRecorder(path, bench, content, folder, on, options.operator)
+        accepted = store.acceptance_of(options.calibrations, bench)
+        stages = without_gauge.StageRecorder(
+            path, bench, content, folder, on, options.operator, accepted
+        )
         try:
             home = no_gauge.find_surface(bench, content, stages)
         except no_gauge.StageStopped as stopped:

@@ -47,6 +47,8 @@ class StageRecorder:
     """The bench, started."""
     operator: str = ""
     """Name of the operator."""
+    acceptance: dict[str, Any] | None = None
+    """Summary of the bench's acceptance report; None: no report."""
 
     def __call__(
         self,
@@ -67,6 +69,7 @@ class StageRecorder:
         request = CollectRequest(
             path,
             operator=self.operator,
+            calibration=Calibration(acceptance=self.acceptance),
             contact_change=contact_change,
             after_target=None if after_target is None else after,
         )

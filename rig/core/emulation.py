@@ -47,6 +47,7 @@ PORTS = {
     "gripper": 31004,
     "pedal": 31005,
     "spacemouse": 31006,
+    "world": 31007,
 }
 
 # Called with the name of a fault and its values; returns the device's state.

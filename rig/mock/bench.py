@@ -112,6 +112,8 @@ class MockBench(StartedOrClosed):
             "folder": str(folder),
             "indenter": bench.indenter,
             "truth": self._truth and str(self._truth),
+            "host": self.host,
+            "fault_port": PORTS["world"],
         }
         found: dict[str, tuple[str, dict[str, Any]]] = {"world": ("world", world)}
         if isinstance(bench.world, SimulatedSpec):

@@ -108,7 +108,7 @@ def _run(
     keep_going: bool = False,
 ) -> tuple[int, list[list[str]], list[str], list[str]]:
     bench = _Bench(campaign, codes)
-    monkeypatch.setattr(campaign_module, "_record", bench)
+    monkeypatch.setattr(campaign_module, "run_rig", bench)
     asked: list[str] = []
     reported: list[str] = []
 
@@ -165,7 +165,7 @@ def test_a_technician_who_says_no_ends_it_before_anything_moves(
 ) -> None:
     campaign = _campaign(tmp_path)
     bench = _Bench(campaign, [])
-    monkeypatch.setattr(campaign_module, "_record", bench)
+    monkeypatch.setattr(campaign_module, "run_rig", bench)
     settings = Settings(BENCHES, ROOT / "calibrations")
     assert run_campaign(campaign, settings, lambda _: False, lambda _: None) == 130
     assert bench.ran == []
@@ -183,7 +183,7 @@ def test_a_gripper_is_waited_for_and_only_the_sensor_asked_for(
         for item in campaign.items
     )
     campaign = dataclasses.replace(campaign, items=items)
-    monkeypatch.setattr(campaign_module, "_record", _Bench(campaign, [0, 0, 0]))
+    monkeypatch.setattr(campaign_module, "run_rig", _Bench(campaign, [0, 0, 0]))
     events: list[str] = []
 
     def ask(question: str) -> bool:
@@ -237,7 +237,7 @@ def test_benches_with_names_of_their_own_are_recorded_in_the_simulated_world_and
         _session(tmp_path / "out" / f"{item.name}.zarr", item, 1, "complete", item.bench.sensor)
         return 0
 
-    monkeypatch.setattr(campaign_module, "_record", record)
+    monkeypatch.setattr(campaign_module, "run_rig", record)
     settings = Settings(tmp_path, ROOT / "calibrations", world="sim")
     assert run_campaign(campaign, settings, lambda _: True, lambda _: None) == 0
     assert [progress.state for progress in progress_of(campaign)] == ["done"]
@@ -281,7 +281,7 @@ def test_a_day_reads_each_session_once(
         read.append(path)
         return original(folder, path, stamp)
 
-    monkeypatch.setattr(campaign_module, "_record", record)
+    monkeypatch.setattr(campaign_module, "run_rig", record)
     monkeypatch.setattr(catalogue_module, "_read", look)
     monkeypatch.setattr(campaign_module, "Session", None)  # no session has to be opened
     settings = Settings(BENCHES, ROOT / "calibrations")
@@ -342,7 +342,7 @@ def test_a_stopped_campaign_names_the_command_that_continues_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     campaign = _campaign(tmp_path)
-    monkeypatch.setattr(campaign_module, "_record", _Bench(campaign, [3]))
+    monkeypatch.setattr(campaign_module, "run_rig", _Bench(campaign, [3]))
     told: list[str] = []
     settings = Settings(BENCHES, ROOT / "calibrations", go_on="make campaign FILE=day.yaml")
     assert run_campaign(campaign, settings, lambda _: True, told.append) == 3

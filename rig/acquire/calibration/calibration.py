@@ -86,12 +86,14 @@ class LatencyCalibration:
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """Calibration that applies to one session."""
+    """Calibration that applies to one session, and the acceptance of its bench."""
 
     home: HomeCalibration | None = None
     latency: LatencyCalibration | None = None
     file: str = ""
     """Name of the file it was loaded from."""
+    acceptance: dict[str, Any] | None = None
+    """Summary of the bench's acceptance report, see `rig.acquire.acceptance`; None: no report."""
 
     def applied(self, bench: Bench) -> Bench:
         """Return the bench with its contact frame moved to the measured surface."""
@@ -106,6 +108,8 @@ class Calibration:
         for name, part in (("home", self.home), ("latency", self.latency)):
             if part is not None:
                 attrs[name] = {**dataclasses.asdict(part), "file": self.file}
+        if self.acceptance is not None:
+            attrs["acceptance"] = self.acceptance
         return attrs
 
     def stream_attrs(self, name: str) -> dict[str, Any]:
@@ -154,7 +158,7 @@ class Calibration:
                     k: tuple(v) if isinstance(v, list) else v for k, v in stored.items()
                 }
                 parts[name] = build_part(**values)
-        return cls(**parts, file=file)
+        return cls(**parts, file=file, acceptance=attrs.get("acceptance"))
 
 
 def require_gauge(bench: Bench, what: str) -> None:

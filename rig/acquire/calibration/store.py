@@ -60,8 +60,9 @@ def load(folder: Path, bench: Bench, indenter: str) -> tuple[Calibration, list[s
         ConfigError: The file cannot be read, or belongs to another sensor, bench or device.
     """
     path = folder / f"{bench.sensor}.yaml"
+    acceptance = acceptance_of(folder, bench)
     if not path.exists():
-        return Calibration(), []
+        return Calibration(acceptance=acceptance), []
     content = read_yaml(path)
     again = "measure again, or remove the file"
     if content.get("sensor") != bench.sensor:
@@ -104,7 +105,36 @@ def load(folder: Path, bench: Bench, indenter: str) -> tuple[Calibration, list[s
                 f"{latency.stream}; {again} (make calibrate-latency SENSOR={bench.sensor})"
             )
         _warn_stale(warnings, latency.date_utc, f"{path}.latency")
-    return Calibration(home, latency, str(path)), warnings
+    return Calibration(home, latency, str(path), acceptance), warnings
+
+
+def setup_path(folder: Path, sensor: str) -> Path:
+    """Return the file of `tactile setup`, with its answers and findings."""
+    return folder / f"{sensor}.setup.json"
+
+
+def acceptance_of(folder: Path, bench: Bench) -> dict[str, Any] | None:
+    """Return the summary of a bench's acceptance report; None if it was not set up to the end.
+
+    Raises:
+        ConfigError: The file cannot be read.
+    """
+    accepted: dict[str, Any] | None = read_setup(folder, bench).get("acceptance")
+    return accepted
+
+
+def read_setup(folder: Path, bench: Bench) -> dict[str, Any]:
+    """Return the stored set-up of a bench; empty without one, or if it is of the other kind.
+
+    Raises:
+        ConfigError: The file cannot be read.
+    """
+    path = setup_path(folder, bench.sensor)
+    try:
+        found: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: {error}; remove the file, and set up again") from None
+    return found if found.get("mock") == bench.mock else {}
 
 
 def pressed_before(folder: Path, bench: Bench, indenter: str, depth: float) -> bool:

@@ -237,6 +237,8 @@ class Program:
 # PolyScope version reported everywhere: the newest whose ur_rtde recipes stay small.
 VERSION = (5, 12, 4, 1101661)
 
+_GRAVITY = 9.81
+
 # RTDE runtime_state.
 STOPPED, PLAYING = 1, 2
 
@@ -266,6 +268,9 @@ class Controller:
         self.robot = Robot(pose, tcp)
         self.payload = 0.0
         self.payload_cog = (0.0, 0.0, 0.0)
+        self.tool_mass: float | None = None
+        """True mass on the flange [kg]; None: the payload that is set."""
+        self.version = VERSION
         self.force_limit = force_limit
         self.wrench = np.zeros(6)
         """On the sensor, from the World [N, N m]; reported as actual_TCP_force unrotated."""
@@ -290,6 +295,16 @@ class Controller:
         self._watchdog_cycles: int | None = None
         self._idle_cycles = 0
         self._sources = self._make_sources()
+
+    def lead(self, pose: Array) -> None:
+        """Put the TCP at `pose` (6,) [m, rad], as a person in freedrive does.
+
+        Raises:
+            ValueError: A program runs, or the arm cannot reach the pose.
+        """
+        if self._program is not None or self.robot.solve(pose) is None:
+            raise ValueError("freedrive: allowed: without a program, to a pose in reach")
+        self.robot.pose = np.array(pose, np.float64)
 
     # Registers, as accessed by the script.
 
@@ -433,9 +448,12 @@ class Controller:
         return sources
 
     def _tcp_force(self) -> rtde.Value:
-        if self.wrist is None:
-            return tuple(self.wrench.tolist())
-        return tuple(self.wrist.reported(self.wrench, self.tick * CYCLE).tolist())
+        found = self.wrench
+        if self.wrist is not None:
+            found = self.wrist.reported(found, self.tick * CYCLE)
+        if self.tool_mass is not None:
+            found = found - (0, 0, _GRAVITY * (self.tool_mass - self.payload), 0, 0, 0)
+        return tuple(found.tolist())
 
 
 _SAFETY = {1: "NORMAL", 3: "PROTECTIVE_STOP", 7: "ROBOT_EMERGENCY_STOP"}
@@ -454,7 +472,7 @@ def dashboard_answer(controller: Controller, line: str) -> str:
             controller.reset_safety()
         return "Protective stop releasing"
     answers = {
-        "polyscopeversion": f"URSoftware {'.'.join(map(str, VERSION))} (Jan 01 2024)",
+        "polyscopeversion": f"URSoftware {'.'.join(map(str, controller.version))} (Jan 01 2024)",
         "get serial number": "20205500001",
         "get robot model": "UR5",
         "is in remote control": str(controller.remote_control).lower(),

@@ -30,7 +30,7 @@ from rig.core.samples import ARM_TRUTH
 from rig.core.shared_memory import SharedLatest
 from rig.devices.arm import dashboard, emulator_faults, rtde
 from rig.devices.arm.emulated_arm import CYCLE, POSTURE, Wrist, flange_pose
-from rig.devices.arm.emulated_controller import VERSION, Controller, dashboard_answer
+from rig.devices.arm.emulated_controller import Controller, dashboard_answer
 from rig.devices.arm.settings import ArmConfig
 
 logger = logging.getLogger(__name__)
@@ -173,7 +173,7 @@ class RtdeClient:
         elif kind == rtde.Kind.PROTOCOL:
             self._send(kind, bytes([int.from_bytes(payload, "big") == rtde.PROTOCOL]))
         elif kind == rtde.Kind.CONTROLLER:
-            self._send(kind, b"".join(part.to_bytes(4, "big") for part in VERSION))
+            self._send(kind, _version(self._controller))
         elif kind == rtde.Kind.OUTPUTS:
             self._send(kind, self._set_outputs(payload))
         elif kind == rtde.Kind.INPUTS:
@@ -240,6 +240,10 @@ class RtdeClient:
         except OSError:
             # Reading will find the connection closed and remove the client.
             self._started = False
+
+
+def _version(controller: Controller) -> bytes:
+    return b"".join(part.to_bytes(4, "big") for part in controller.version)
 
 
 SCRIPT_PORTS = (30001, 30002, 30003)
@@ -444,7 +448,7 @@ class ArmEmulatorConfig(EmulatorConfig):
     """Tool and start of the emulated arm."""
 
     device: ArmConfig = field(default=ArmConfig(host="127.0.0.1"))
-    """Its TCP is that of the installation at start."""
+    """Its TCP and payload are those of the installation at start."""
     state: Path | None = None
     """File to publish the pose in."""
     pose: Vector | None = None
@@ -469,6 +473,8 @@ def emulate(settings: ArmEmulatorConfig, clock: Clock) -> Served:
     tcp = np.array(settings.device.tcp)
     pose = settings.pose or compose(flange_pose(np.array(POSTURE)), tcp)
     controller = Controller(np.array(pose), tcp, force_limit=settings.force_limit)
+    controller.payload = settings.device.payload
+    controller.payload_cog = settings.device.payload_cog
     if settings.wrist:
         controller.wrist = Wrist(settings.seed)
     state = SharedLatest.publish(settings.state, ARM_TRUTH) if settings.state else None

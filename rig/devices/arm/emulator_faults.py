@@ -9,6 +9,9 @@ line in rig.core.fault_injection (freeze is the controller's own: it stops readi
     freeze  seconds      suspend RTDE for so long; connections stay, the arm keeps moving
     slider  fraction     speed slider
     remote_control  on   false: the pendant is in local control
+    version  parts       of PolyScope, four numbers
+    tool  mass           true mass on the flange [kg], whichever payload is set
+    freedrive  pose      a person leads the TCP to this pose [m, rad]
     state                no fault; returns the controller's state, as every answer does
 """
 
@@ -16,6 +19,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any, Protocol
+
+import numpy as np
 
 from rig.core import emulation
 from rig.core.fault_injection import FAULTS
@@ -53,6 +58,13 @@ def apply(controller: Controller, network: Network, fault: str, **values: Any) -
     def set_remote() -> None:
         controller.remote_control = bool(values["on"])
 
+    def set_version() -> None:
+        major, minor, bugfix, build = map(int, values["parts"])
+        controller.version = (major, minor, bugfix, build)
+
+    def set_tool() -> None:
+        controller.tool_mass = float(values["mass"])
+
     actions: dict[str, Callable[[], None]] = {
         "protective_stop": lambda: controller.protective_stop("injected"),
         "emergency_stop": controller.emergency_stop,
@@ -62,6 +74,9 @@ def apply(controller: Controller, network: Network, fault: str, **values: Any) -
         "freeze": lambda: network.freeze(float(values["seconds"])),
         "slider": set_slider,
         "remote_control": set_remote,
+        "version": set_version,
+        "tool": set_tool,
+        "freedrive": lambda: controller.lead(np.array(values["pose"], np.float64)),
     }
     line: dict[str, Any] = {}
     if fault in _OF_THE_LINE or fault == "state":

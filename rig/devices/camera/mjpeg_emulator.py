@@ -6,7 +6,8 @@
 Each JPEG has a comment after SOI, `tactile-rig emulator seq=<n> state_t_ns=<t>`: its number, and
 the time of the World's state it shows (of the tick, if it shows no World). A slow client gets the
 newest frame when it is ready for one; the numbers in between are skipped, never queued. Faults are
-injected through rig.core.fault_injection; `wrong_units` halves the frame size.
+injected through rig.core.fault_injection; `wrong_units` halves the frame size. `lens` sets `gain`,
+the brightness by the exposure, and `blur` of a lens out of focus [px]; by default 1 and 0.
 """
 
 from __future__ import annotations
@@ -129,10 +130,22 @@ def halved(jpeg: bytes) -> bytes:
     Raises:
         ValueError: The picture cannot be decoded.
     """
+    return _encoded(cv2.resize(_decoded(jpeg), None, fx=0.5, fy=0.5), QUALITY_RENDERED)
+
+
+def through_lens(jpeg: bytes, gain: float, blur: float) -> bytes:
+    """Return the picture at another exposure and focus: brightness, and blur [px]."""
+    image = _decoded(jpeg)
+    if blur > 0:
+        image = cv2.GaussianBlur(image, (0, 0), blur)
+    return _encoded(cv2.convertScaleAbs(image, alpha=gain), QUALITY_RENDERED)
+
+
+def _decoded(jpeg: bytes) -> npt.NDArray[Any]:
     image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
     if image is None:
         raise ValueError("no picture")
-    return _encoded(cv2.resize(image, None, fx=0.5, fy=0.5), QUALITY_RENDERED)
+    return image
 
 
 def _encoded(image: npt.NDArray[Any], quality: int) -> bytes:
@@ -251,6 +264,7 @@ class MjpegEmulator(ThreadedEmulator):
         self.faults = FaultInjector[bytes](
             clock, spoil=torn, mistake=_halved, on_change=self._on_plug
         )
+        self._lens = (1.0, 0.0)
         self._late: queue.SimpleQueue[tuple[int, tuple[bytes, ...]] | None] = queue.SimpleQueue()
         self._server: _Server | None = None
         self._threads: list[threading.Thread] = []
@@ -283,6 +297,13 @@ class MjpegEmulator(ThreadedEmulator):
         """Return the parts sent for one frame; faults and tests corrupt frames here."""
         return tuple(_part(frame) for frame in self.faults.passed(jpeg))
 
+    def apply(self, fault: str, **values: Any) -> dict[str, Any]:
+        """Change the lens, or inject a fault; see the module and `FaultInjector.inject`."""
+        if fault == "lens":
+            self._lens = (float(values.get("gain", 1.0)), float(values.get("blur", 0.0)))
+            return {}
+        return self.faults.inject(fault, **values)
+
     def _on_plug(self) -> None:
         if self.faults.unplugged and self._server is not None:
             self._server.disconnect_all()
@@ -310,7 +331,10 @@ class MjpegEmulator(ThreadedEmulator):
                 _, state = self._world.state()
                 t_ns = int(state["t_ns"])
             filmed += 1
-            parts = tuple(self.parts(stamped(self._source.jpeg(state), filmed, t_ns)))
+            jpeg = self._source.jpeg(state)
+            if self._lens != (1.0, 0.0):
+                jpeg = through_lens(jpeg, *self._lens)
+            parts = tuple(self.parts(stamped(jpeg, filmed, t_ns)))
             if delay_ns:
                 self._late.put((t_ns + delay_ns, parts))
             else:
@@ -411,4 +435,4 @@ def emulate(settings: MjpegEmulatorConfig, clock: Clock) -> Served:
         found = "both" if settings.view else "neither"
         raise ConfigError(f"view, source: found {found}; allowed: one of them")
     emulator = MjpegEmulator(settings, source, world, clock)
-    return Served("camera", emulator, emulator.faults.inject, CAMERA_PRIORITY)
+    return Served("camera", emulator, emulator.apply, CAMERA_PRIORITY)

@@ -45,6 +45,10 @@ class WorldConfig:
     """Name of the indenter on the arm."""
     truth: Path | None = None
     """File to log every state to, for tests."""
+    host: str = "127.0.0.1"
+    """Loopback address of the fault port."""
+    fault_port: int | None = None
+    """Port for the hand of an operator, see `rig.mock.world.host`; None: none."""
 
 
 def build_world(settings: WorldConfig) -> World:

@@ -8,6 +8,10 @@ cycles; the sensors' emulators only serve the published states.
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
+
 from rig.core.clock import Clock, SystemClock
 from rig.core.emulation import Served, ThreadedEmulator
 from rig.core.samples import ARM_TRUTH, WORLD_STATE
@@ -34,6 +38,8 @@ class WorldHost(ThreadedEmulator):
         self, world: World, arm: SharedLatest, states: SharedLatest, truth: TruthLog | None
     ) -> None:
         super().__init__()
+        self._hand = np.zeros(3)
+        self._mount = np.eye(3)
         self._world = world
         self._arm = arm
         self._states = states
@@ -47,6 +53,30 @@ class WorldHost(ThreadedEmulator):
     def start(self) -> None:
         """Follow the arm from now on."""
         self._run_threads(self._run)
+
+    def apply(self, fault: str, **values: Any) -> dict[str, Any]:
+        """Lay a weight on the sensor, or mount its gauge otherwise; see `FaultPort`.
+
+            hand  force    (3,) [N], added to that of the contact
+            mount  matrix  (3, 3), from a true force or torque to the one that the gauge shows
+
+        Raises:
+            ValueError: Another name.
+            KeyError: A value is missing.
+        """
+        if fault == "hand":
+            self._hand = np.reshape(values["force"], 3)
+        elif fault == "mount":
+            self._mount = np.reshape(values["matrix"], (3, 3))
+        elif fault != "state":
+            raise ValueError(f"fault: found {fault!r}; known: hand, mount, state")
+        return {"force": self._hand.tolist(), "matrix": self._mount.tolist()}
+
+    def _state(self, t_ns: int, pose: np.ndarray) -> np.void:
+        state = self._world.step(t_ns, pose)
+        state["wrench"][:3] += self._hand
+        state["wrench"] = (state["wrench"].reshape(2, 3) @ self._mount.T).ravel()
+        return state
 
     def _release(self) -> None:
         if self._truth is not None:
@@ -65,7 +95,7 @@ class WorldHost(ThreadedEmulator):
             seen = count
             if record is None:
                 continue
-            state = self._world.step(int(record["t_ns"]), record["pose"])
+            state = self._state(int(record["t_ns"]), record["pose"])
             self._states.write(state)
             if self._truth is not None:
                 self._truth.append(state)
@@ -80,4 +110,4 @@ def emulate(settings: WorldConfig, _: Clock) -> Served:
         SharedLatest.attach(folder / WORLD_FILE, WORLD_STATE, writable=True),
         TruthLog(settings.truth) if settings.truth else None,
     )
-    return Served("world", host)
+    return Served("world", host, host.apply)

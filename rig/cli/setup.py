@@ -1,0 +1,539 @@
+"""`python -m rig setup`: set a bench up step by step, and write its acceptance report."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import dataclasses
+import getpass
+import math
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE
+from rig.acquire import setup_checks as checks
+from rig.acquire.acceptance import SetupRecord
+from rig.acquire.calibration import store
+from rig.acquire.campaign import run_rig
+from rig.acquire.doctor import Finding, examine
+from rig.acquire.preflight import settling
+from rig.bench.bench import Bench, BenchStream, bench_from
+from rig.cli import doctor
+from rig.cli.options import (
+    banner,
+    bench_options,
+    calibration_options,
+    chosen_bench,
+    require_terminal,
+    with_indenter,
+)
+from rig.cli.recording import started_bench
+from rig.core import emulation
+from rig.core.clock import SystemClock, file_stamp
+from rig.core.config import from_si, to_si
+from rig.core.errors import ConfigError, DeviceLost
+from rig.core.geometry import compose
+
+Answers = dict[str, float | str]
+Point = tuple[float, float, float]
+
+# Time over which a gauge is averaged, and a signal is watched [s].
+_WINDOW = 0.5
+# On a mock bench, the tip in place of a finger: indentation as a fraction of the allowed one and at
+# most, push, and height above the sensor when it is not used [m].
+_FINGER, _FINGER_MOST, _PUSH, _CLEAR = 0.5, 6e-4, 2e-4, 0.03
+_STEPS, _STEP_NS = 6, 30_000_000
+_DEVICES = ("arm", "force", "camera", "taxels", "streams")
+
+
+class AtBench:
+    """The bench during its set-up, the person at it, and the emulators of a mock bench.
+
+    Args:
+        options: Options of the command.
+        given: Answers of `--answer`.
+    """
+
+    def __init__(self, options: argparse.Namespace, given: Answers) -> None:
+        self.options = options
+        self.given = given
+        self.path, bench, content = chosen_bench(options)
+        self.content, indenter = with_indenter(content, bench, options.indenter)
+        self.bench: Bench = dataclasses.replace(bench, indenter=indenter)
+        self.clock = SystemClock()
+        self.record = SetupRecord(options.calibrations, self.bench, content)
+        self._stack = contextlib.ExitStack()
+        self._ready: Bench | None = None
+        self._watch: Callable[[], None] | None = None
+        self._tip: Point = (0.0, 0.0, _CLEAR)
+
+    @property
+    def ready(self) -> Bench:
+        """The bench with addresses filled in; a mock bench starts its emulators."""
+        if self._ready is None:
+            on = self._stack.enter_context(started_bench(self.path, self.content))
+            self._ready = bench_from(on.content, str(self.path))
+            self._watch = on.watch
+        return self._ready
+
+    def close(self) -> None:
+        """End the emulators; the next use starts them again."""
+        self._ready = None
+        self._stack.close()
+
+    def ask(self, name: str, text: str, default: float | str) -> float | str:
+        """Return an answer: of `--answer`, of the person, or with `--yes` the default.
+
+        Raises:
+            ConfigError: There is no terminal, or the answer of `--answer` is no number.
+        """
+        if name in self.given:
+            return _as(type(default), self.given[name], f"--answer {name}")
+        while not self.options.yes:
+            found = _read(
+                f"  {text} [{default:g}]: "
+                if default != str(default)
+                else f"  {text} [{default}]: "
+            ) or str(default)
+            try:
+                return _as(type(default), found, name)
+            except ConfigError as error:
+                print(f"  {error}")
+        return default
+
+    def do(self, text: str, *places: Point, force: Point = (0.0, 0.0, 0.0)) -> None:
+        """Have the person do something at the bench; on a mock bench, its emulators do it.
+
+        Args:
+            text: Request to the person.
+            *places: Places in the contact frame to which a mock bench's tip is led [m].
+            force: Force laid on a mock bench's sensor [N].
+        """
+        if not self.bench.mock:
+            _read(f"  {text}; then Enter: ")
+            return
+        print(f"  {text} (done by the mock bench)", flush=True)
+        host, ports = self.ready.arm.host, emulation.PORTS
+        emulation.inject(host, ports["world"], "hand", force=force)
+        frame = self.bench.world_frame or self.bench.contact_frame
+        for place in places:
+            # In small steps, which a simulated World can follow.
+            for way in np.linspace(self._tip, place, _STEPS)[1:]:
+                pose = compose(frame, (*way, *self.bench.tool_rotation)).tolist()
+                emulation.inject(host, ports["arm"], "freedrive", pose=pose)
+                self.clock.sleep_until(self.clock.now_ns() + _STEP_NS)
+            self._tip = place
+        # Longer than any emulated device averages or delays.
+        self.clock.sleep_until(self.clock.now_ns() + 5 * _STEP_NS)
+
+    def free(self) -> None:
+        """Have nothing on the sensor."""
+        self.do("take everything off the sensor", (0.0, 0.0, _CLEAR))
+
+    def read(self, row: BenchStream, seconds: float = _WINDOW) -> list[Any]:
+        """Return the values of a stream for a time [s], or longer if its readings must settle.
+
+        Raises:
+            ConfigError, DeviceLost: The device, or an emulator of a mock bench, is gone.
+        """
+        if self._watch is not None:
+            self._watch()
+        return checks.read_for(self.ready, row.name, self.clock, max(seconds, 2 * settling(row)))
+
+    def command(self, name: str, *more: str) -> int:
+        """Run another command of the rig on this bench, and return its exit code."""
+        self.close()
+        mock = [
+            f"--{key}={getattr(self.options, key)}"
+            for key in ("force", "world")
+            if getattr(self.options, key)
+        ]
+        return run_rig([name, "--bench", str(self.path), *mock, *more])
+
+    def measure(self, name: str, folder: bool = False, *more: str) -> tuple[int, Path]:
+        """Run a command that records a session; return its exit code, and the session.
+
+        Args:
+            name: The command.
+            folder: True if it takes a folder of sessions.
+            *more: Further options.
+        """
+        stamp = file_stamp()
+        session = self.options.out / f"{self.bench.sensor}-setup-{name}-{stamp}.zarr"
+        out = self.options.out if folder else session
+        kept = ["--indenter", self.bench.indenter, "--calibrations", self.options.calibrations]
+        return self.command(name, *map(str, kept), "--out", str(out), *more), session
+
+
+# Steps: each returns or yields findings.
+
+
+def network(at: AtBench, _: Answers) -> Iterable[Finding]:
+    """Is every device of the network reached?"""
+    return checks.network(at.ready)
+
+
+def arm(at: AtBench, _: Answers) -> Iterable[Finding]:
+    """Is the arm ready to be moved by this computer?"""
+    return checks.arm(at.ready.arm.host, at.bench.preflight.timeout)
+
+
+def tool(at: AtBench, answers: Answers) -> Iterable[Finding]:
+    """Are TCP and payload those of the tool?"""
+    return checks.tool(at.ready, at.clock, to_si(float(answers["length_mm"]), "mm"))
+
+
+def devices(at: AtBench, _: Answers) -> Iterator[Finding]:
+    """Are all devices and the computer well?"""
+    with tempfile.TemporaryDirectory(prefix="tactile-rig-") as folder:
+        yield from examine(at.ready, Path(folder), at.options.out, at.clock)
+
+
+def gauge(at: AtBench, answers: Answers) -> Iterator[Finding]:
+    """Does each gauge show a known weight in newtons, with its sign?"""
+    mass = 1e-3 * float(answers["weight_g"])
+    # The mock bench has one weight, which may not be that of the answer.
+    own = 0.1
+    at.free()
+    before = {row.name: checks.mean_of(at.read(row)) for row in at.ready.gauges}
+    at.do(
+        f"lay {1e3 * (own if at.bench.mock else mass):g} g on the middle of the sensor",
+        force=(0.0, 0.0, -checks.GRAVITY * own),
+    )
+    after = {row.name: checks.mean_of(at.read(row)) for row in at.ready.gauges}
+    at.free()
+    for row in at.ready.gauges:
+        yield checks.weight(row, (after[row.name] - before[row.name])[:3], mass)
+
+
+def touch(at: AtBench, _: Answers) -> Iterator[Finding]:
+    """Does the signal show a light touch, which ends an approach in place of a gauge?"""
+    row = at.ready.signal
+    at.free()
+    before = [] if row is None else at.read(row, 20 / row.rate_hz)
+    at.do("touch the middle of the sensor lightly with a finger", (0.0, 0.0, -_depth(at.bench)))
+    after = [] if row is None else at.read(row)
+    at.free()
+    yield checks.touch(at.ready, before, after)
+
+
+def axes(at: AtBench, _: Answers) -> Iterator[Finding]:
+    """Do gauges, taxels and pictures show a push along +x and +y as such?"""
+    rows = [row for row in at.ready.gauges if {"Fx", "Fy"} <= set(row.config.axes_measured)]
+    rows += [row for row in at.ready.rows if row.kind in ("camera", "taxels")]
+    ways: dict[str, list[np.ndarray]] = {row.name: [] for row in rows}
+    for axis, way in (("x", (1.0, 0.0)), ("y", (0.0, 1.0))):
+        at.free()
+        depth = _depth(at.bench)
+        at.do(
+            "press a finger on the middle of the sensor; hold it",
+            (0.0, 0.0, 0.0),
+            (0.0, 0.0, -depth),
+        )
+        before = {row.name: at.read(row) for row in rows}
+        at.do(
+            f"push it along +{axis} of contact_frame, lightly; hold it",
+            (_PUSH * way[0], _PUSH * way[1], -depth),
+        )
+        for row in rows:
+            ways[row.name].append(checks.direction(row, before[row.name], at.read(row)))
+    at.free()
+    for row in rows:
+        yield checks.axes(row, *ways[row.name])
+
+
+def _depth(bench: Bench) -> float:
+    return min(_FINGER * bench.limits.depth_max, _FINGER_MOST)
+
+
+def camera(at: AtBench, _: Answers) -> Iterator[Finding]:
+    """Is each camera named for good, exposed and in focus?"""
+    for row in at.ready.of_kind("camera"):
+        picture = at.read(row, 2 / row.rate_hz)[-1]
+        if isinstance(picture, bytes):
+            at.record.keep_picture(f"{row.name}.jpeg", picture)
+        yield from checks.camera(row, picture)
+
+
+def contact(at: AtBench, answers: Answers) -> Iterator[Finding]:
+    """Is the origin of contact_frame where the tip touches the middle of the sensor?"""
+    by = answers["contact_by"]
+    if by == "jog":
+        code = at.command("jog")
+        yield _outcome("contact", code, "set by jog: is contact_frame as printed?", "tactile jog")
+        return
+    if by == "pose":
+        text = "pose at the touch, x y z [mm] rx ry rz [rad], as the pendant shows it"
+        numbers = str(at.ask("pose", text, "")).replace(",", " ").split()
+        try:
+            x, y, z, *turn = map(float, numbers)
+            pose = np.array([to_si(x, "mm"), to_si(y, "mm"), to_si(z, "mm"), *turn])
+            found = checks.contact(at.ready, pose)
+        except ValueError:
+            raise ConfigError(f"pose: found {' '.join(numbers)!r}; allowed: 6 numbers") from None
+        yield found
+        return
+    at.do(
+        "hold the freedrive button and lead the tip until it just touches the middle",
+        (0.0, 0.0, 0.0),
+    )
+    pose = np.array(at.read(at.ready.row("pose"), 0.1)[-1])
+    at.do(f"lead the tip {1e3 * _CLEAR:.0f} mm up, and let the button go", (0.0, 0.0, _CLEAR))
+    yield checks.contact(at.ready, pose)
+
+
+def home(at: AtBench, _: Answers) -> Iterator[Finding]:
+    """Where is the surface, by touch?"""
+    code, _path = at.measure("home", at.bench.no_gauge)
+    found = store.load(at.options.calibrations, at.bench, at.bench.indenter)[0]
+    text = f"surface {1e3 * found.home.shift:+.3f} mm of the bench file's" if found.home else ""
+    yield _outcome("home", code, text, "contact_frame in the bench file; tactile home says more")
+
+
+def latency(at: AtBench, _: Answers) -> Iterator[Finding]:
+    """How late is the signal?"""
+    code, _path = at.measure("calibrate-latency")
+    found = store.load(at.options.calibrations, at.bench, at.bench.indenter)[0].latency
+    text = f"{found.stream} {1e3 * found.latency:+.1f} ms late" if found else ""
+    yield _outcome("latency", code, text, "contrast and rate of the signal; --depth-mm deeper taps")
+
+
+def press(at: AtBench, _: Answers) -> Iterator[Finding]:
+    """Does the first press go well? Without a gauge it is made in steps."""
+    curve = at.bench.force_depth is not None and bool(at.bench.gauges)
+    name, more = ("force-depth", []) if curve else ("collect", ["--targets", "1"])
+    code, path = at.measure(name, False, *more)
+    picture = path.with_suffix(".curve.png")
+    if picture.exists():
+        at.record.keep_picture("press.png", picture.read_bytes())
+    yield _outcome("press", code, path.name, "its last lines name the cause; limits and plan")
+
+
+def _outcome(part: str, code: int, text: str, *cures: str) -> Finding:
+    if code == EXIT_DONE:
+        return Finding(part, "well", text)
+    return Finding(part, "FAULT", f"stopped with exit code {code}", cures)
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """A question of a step."""
+
+    name: str
+    """Key of the answer."""
+    text: str
+    default: Callable[[Bench], float | str]
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A step of the set-up."""
+
+    check: Callable[[AtBench, Answers], Iterable[Finding]]
+    """Measures; its docstring is the question that it answers, its name that of the step."""
+    keys: tuple[str, ...]
+    """Sections of the bench file that it checks: it is repeated after they change."""
+    asks: tuple[Question, ...] = ()
+    needed: Callable[[Bench], bool] = lambda bench: True
+    """False: the bench has nothing to check here."""
+
+    @property
+    def name(self) -> str:
+        """Name of the step."""
+        return self.check.__name__
+
+
+STEPS = (
+    Step(network, _DEVICES),
+    Step(arm, ("arm",)),
+    Step(
+        tool,
+        ("arm",),
+        (
+            Question(
+                "length_mm",
+                "distance from flange to tip, by a caliper [mm]",
+                lambda bench: float(from_si(bench.arm.tcp[2], "mm")),
+            ),
+        ),
+    ),
+    Step(devices, (*_DEVICES, "gripper", "pedal", "preflight")),
+    Step(
+        gauge,
+        ("force", "streams"),
+        (Question("weight_g", "mass of the known weight [g]", lambda bench: 100.0),),
+        lambda bench: bool(bench.gauges),
+    ),
+    Step(touch, ("camera", "taxels", "stand_ins"), needed=lambda bench: bench.no_gauge),
+    Step(
+        axes,
+        (*_DEVICES, "contact_frame"),
+        needed=lambda bench: bool(bench.gauges) or bench.signal is not None,
+    ),
+    Step(camera, ("camera", "streams"), needed=lambda bench: bool(bench.of_kind("camera"))),
+    Step(
+        contact,
+        ("arm", "contact_frame"),
+        (
+            Question(
+                "contact_by",
+                "how the tip comes to the surface: freedrive, jog (SpaceMouse) or pose (pendant)",
+                lambda bench: "freedrive",
+            ),
+        ),
+    ),
+    Step(home, ("arm", "contact_frame", "indenter")),
+    Step(
+        latency,
+        ("camera", "taxels"),
+        needed=lambda bench: bool(bench.gauges) and bench.signal is not None,
+    ),
+    Step(press, ("arm", "contact_frame", "limits", "stand_ins", "force_depth")),
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    bench_options(parser)
+    parser.description = (
+        "Sets a bench up: one step after the other asks, measures, and names what is wrong with "
+        "its cure. Finished steps are stored and skipped, until the part of the bench file that "
+        "they checked changes. Ends in an acceptance report, which every session of the bench "
+        "then carries. On a mock bench the emulators do what a person would. Exit code 0 at the "
+        "end, 2 wrong input, 3 a fault."
+    )
+    parser.epilog = "Steps: " + ", ".join(step.name for step in STEPS) + "."
+    parser.add_argument("--indenter", help="name of the indenter on the arm")
+    parser.add_argument(
+        "--only", action="append", choices=[step.name for step in STEPS], help="only this step"
+    )
+    parser.add_argument(
+        "--again", action="append", choices=[step.name for step in STEPS], help="repeat this step"
+    )
+    parser.add_argument(
+        "--yes", action="store_true", help="give the usual answers; on a mock bench"
+    )
+    parser.add_argument(
+        "--answer",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help=f"answer of: {', '.join(ask.name for step in STEPS for ask in step.asks)}, pose",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("sessions"),
+        metavar="DIR",
+        help="folder of sessions (%(default)s)",
+    )
+    parser.add_argument("--operator", default="", help="operator's name (default: the login name)")
+    calibration_options(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Go through the steps; return the exit code.
+
+    Raises:
+        ConfigError: See `chosen_bench`; or no terminal to ask on.
+    """
+    given: Answers = {}
+    for answer in options.answer:
+        name, equals, value = answer.partition("=")
+        known = [ask.name for step in STEPS for ask in step.asks] + ["pose"]
+        if not equals or name not in known:
+            raise ConfigError(f"--answer: found {answer!r}; allowed: {'=, '.join(known)}=")
+        given[name] = value
+    repeated = set(options.again or ())
+    while True:
+        at = AtBench(options, given)
+        if at.bench.mock:
+            print(banner(True, at.path), flush=True)
+        elif options.yes:
+            raise ConfigError("--yes: found with a lab bench; allowed on a mock bench")
+        require_terminal(at.bench)
+        try:
+            code = _steps(at, repeated)
+        finally:
+            at.close()
+        if code is not None:
+            return code
+        # The bench file may have been corrected meanwhile.
+
+
+def _steps(at: AtBench, repeated: set[str]) -> int | None:
+    """Go through the steps that are not done; return the exit code, None to begin again."""
+    needed = [step for step in STEPS if step.needed(at.bench)]
+    chosen = [step for step in needed if not at.options.only or step.name in at.options.only]
+    for step in chosen:
+        place = f"{needed.index(step) + 1}/{len(needed)} {step.name}"
+        if at.record.done(step.name, step.keys) and step.name not in repeated:
+            stored = at.record.steps[step.name]
+            print(f"{place}: done {stored['date_utc']}, {stored['state']}", flush=True)
+            continue
+        print(f"{place}: {(step.check.__doc__ or '').strip()}", flush=True)
+        answers = {ask.name: at.ask(ask.name, ask.text, ask.default(at.bench)) for ask in step.asks}
+        found = _checked(at, step, answers)
+        if any(each.state == "FAULT" for each in found):
+            order = (
+                ""
+                if at.options.yes
+                else _read(
+                    "  Enter: measure again (the bench file is read again), a: accept the fault, "
+                    "anything else: stop: "
+                )
+            )
+            if order == "" and not at.options.yes:
+                return None
+            if order != "a":
+                print(f"setup: stopped at {step.name}; the same command goes on from there")
+                return EXIT_DEVICE_LOST
+        at.record.add(step.name, step.keys, answers, found)
+        repeated.discard(step.name)
+    missing = [step.name for step in needed if not at.record.done(step.name, step.keys)]
+    if missing:
+        print(f"setup: these steps are open: {', '.join(missing)}")
+        return EXIT_DONE
+    if at.record.accepted is None:
+        operator = at.options.operator or getpass.getuser()
+        at.record.accept([step.name for step in needed], operator)
+    result = at.record.accepted and at.record.accepted["result"]
+    print(f"setup: {result}; report: {at.record.report}; next: tactile collect")
+    return EXIT_DONE
+
+
+def _checked(at: AtBench, step: Step, answers: Answers) -> list[Finding]:
+    found: list[Finding] = []
+    try:
+        for each in step.check(at, answers):
+            found.append(each)
+            doctor.show(each)
+    except (DeviceLost, OSError) as error:
+        cure = "tactile doctor tests every device, and names the cure"
+        found.append(Finding(step.name, "FAULT", str(error), (cure,)))
+        doctor.show(found[-1])
+    return found
+
+
+def _as(kind: type, text: float | str, where: str) -> float | str:
+    if kind is str:
+        return text
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise ConfigError(f"{where}: found {text!r}; allowed: a number")
+    return number
+
+
+def _read(prompt: str) -> str:
+    try:
+        return input(prompt).strip()
+    except EOFError:
+        raise ConfigError("setup: no terminal to ask on; allowed: --yes on a mock bench") from None
