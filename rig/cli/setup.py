@@ -26,6 +26,7 @@ from rig.bench.bench import Bench, BenchStream, bench_from
 from rig.cli import doctor
 from rig.cli.options import (
     banner,
+    bench_command,
     bench_options,
     calibration_options,
     chosen_bench,
@@ -503,7 +504,8 @@ def _steps(at: AtBench, repeated: set[str]) -> int | None:
         operator = at.options.operator or getpass.getuser()
         at.record.accept([step.name for step in needed], operator)
     result = at.record.accepted and at.record.accepted["result"]
-    print(f"setup: {result}; report: {at.record.report}; next: tactile collect")
+    following = bench_command("collect", at.options)
+    print(f"setup: {result}; report: {at.record.report}; next: {following}")
     return EXIT_DONE
 
 

@@ -26,7 +26,7 @@ def parsed(folder: Path, *more: str, bench: str = f"--bench={BENCH}") -> argpars
     parser = argparse.ArgumentParser()
     setup.add_arguments(parser)
     options = parser.parse_args([bench, "--calibrations", str(folder), *more])
-    options.out = folder / "sessions"
+    options.out, options.prog = folder / "sessions", "tactile setup"
     return options
 
 
@@ -76,7 +76,7 @@ def test_a_stopped_set_up_goes_on_and_ends_in_a_report_that_sessions_carry(
     report = tmp_path / "gelsight.acceptance.html"
     text = capsys.readouterr().out
     assert "1/2 first: done" in text
-    assert f"setup: accepted; report: {report}" in text
+    assert f"setup: accepted; report: {report}; next: tactile collect --bench {BENCH}" in text
     page = report.read_text()
     assert "&lt;b&gt;well&lt;/b&gt;" in page
     assert "weight_g 100.0" in page
