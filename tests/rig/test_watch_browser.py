@@ -21,7 +21,7 @@ pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="no chromium here: apt-get install chromium"),
 ]
 
-# Output path for a new picture of docs/how-to/set-up-a-bench.md.
+# Output path for a new picture of docs/how-to/record-at-the-bench.md.
 PICTURE = os.environ.get("WATCH_PICTURE")
 STATUS = "document.body.dataset.status"
 SHOWN = "Number(document.getElementById('image').dataset.shown || 0)"
