@@ -34,6 +34,7 @@ from learning.markers.segment import (
     Segmenter,
     ShadingPreset,
     TaxelPreset,
+    names,
     preset,
     preset_of_sensor,
 )
@@ -395,26 +396,38 @@ def open_live(
         model: Folder of the model; its intervals are read, if it has any.
         before: Folder of another model, whose forces are shown beside.
         runtime: One of `RUNTIMES`; `python -m learning export-onnx` exports a model.
-        sensor: Name of the sensor, which determines the preset.
+        sensor: Name of the sensor, which determines the preset of a model of markers.
         preset_name: Name or YAML file of the preset, instead of `sensor`.
         threads: Number of threads; 0: default of the runtime.
 
     Raises:
         LearningError: The model or preset does not exist, or the sensor has no preset.
     """
-    chosen = preset_name or (None if sensor is None else preset_of_sensor(sensor))
-    if chosen is None:
-        raise LearningError(
-            f"preset: none is meant for sensor {sensor}; allowed: name a preset "
-            "(docs/how-to/make-marker-archives.md)"
-        )
     one_thread()
+    network = _stream(model, runtime, threads)
     return LivePredictor(
-        _stream(model, runtime, threads),
-        preset(chosen),
+        network,
+        preset(preset_name or _preset_for(network, sensor)),
         intervals=read_intervals(Path(model)),
         before=None if before is None else _stream(before, runtime, threads),
     )
+
+
+def _preset_for(network: ForceStream, sensor: str | None) -> str:
+    """Return the name of the preset for a model and a sensor.
+
+    Raises:
+        LearningError: The sensor has no preset.
+    """
+    if network.inputs.frame[1:] == SHADING.shape:
+        return ShadingPreset.KIND
+    name = None if sensor is None else preset_of_sensor(sensor)
+    if name is None:
+        raise LearningError(
+            f"--preset: missing, none is meant for sensor {sensor}; allowed: the one that its "
+            f"archive was made with: {', '.join(names())}, or a .yaml file"
+        )
+    return name
 
 
 def _stream(model: str | os.PathLike[str], runtime: str, threads: int) -> ForceStream:

@@ -10,7 +10,7 @@ from support.marker_truth import VIEWS
 
 from learning.data.images import shrink
 from learning.errors import LearningError
-from learning.force.live import Contact, ContactRule, LivePredictor, open_live
+from learning.force.live import Contact, ContactRule, LivePredictor, _preset_for, open_live
 from learning.force.stream import FRAME, REFERENCE, STATE, ForceStream, StepInputs
 from learning.markers import Segmenter, preset, taxel_masks
 from learning.markers.displacement import FieldReader
@@ -175,10 +175,19 @@ def test_a_model_of_something_else_or_none_is_refused(tmp_path: Any) -> None:
     for runtime in ("onnx", "openvino", "openvino-bf16"):
         with pytest.raises(LearningError, match=r"model\.onnx: no such file"):
             open_live(tmp_path, sensor="uskin", runtime=runtime)
-    with pytest.raises(LearningError, match="none is meant for sensor nobody"):
-        open_live(tmp_path, sensor="nobody")
     with pytest.raises(LearningError, match="runtime: found 'paper'"):
         open_live(tmp_path, sensor="uskin", runtime="paper")
+
+
+def test_the_preset_is_that_of_the_model_s_frames_or_of_the_sensor() -> None:
+    shading, markers = (
+        ForceStream(Stub(), StepInputs((1, *shape), True, (1, 1, 1, 1), False))
+        for shape in (SHADING.shape, SHAPE[1:])
+    )
+    assert _preset_for(shading, "nobody") == "shading"
+    assert _preset_for(markers, "uskin") == "uskin"
+    with pytest.raises(LearningError, match="--preset: missing, none is meant for sensor nobody"):
+        _preset_for(markers, "nobody")
 
 
 def test_shading_is_seen_live_as_in_archives_and_its_change_is_contact() -> None:
