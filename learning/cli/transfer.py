@@ -55,6 +55,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="a few labels of the target: columns indenter, target, frame, fx_n, fy_n, fz_n [N]",
     )
     parser.add_argument(
+        "--source-labels",
+        type=Path,
+        metavar="CSV",
+        help="labels of the source, as readings typed in, in place of those of its archive",
+    )
+    parser.add_argument(
         "--force-ratio",
         type=positive,
         metavar="R",
@@ -108,6 +114,7 @@ def run(options: argparse.Namespace) -> int:
         source_model=options.source_model,
         priors=tuple(options.priors),
         labels=options.labels,
+        source_labels=options.source_labels,
         ratio=options.force_ratio,
         within=options.scale_within,
         calibrate_on=options.calibrate_on and tuple(options.calibrate_on),

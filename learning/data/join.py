@@ -98,8 +98,8 @@ class JoinedSensor:
     """Indenters that models may not be trained on; None: as in its archive."""
     fields_of: str | None
     """Name of the joined sensor that stores the displacement fields of this one too."""
-    unlabelled: NDArray[np.bool_]
-    """Rows whose forces are not copied (n,)."""
+    wrench: NDArray[np.float64]
+    """Forces and torques of each row (n, 6) [N, N m]; NaN without a label."""
 
     @property
     def sensor(self) -> ArchivedSensor:
@@ -145,7 +145,7 @@ class JoinedSensor:
         table = {name: np.asarray(sensor.table[name][rows]) for name in GIVEN}
         table["indenter"] = self.indenter[table["indenter"]]
         table["location"], table["target"] = self.location[rows], self.target[rows]
-        table["wrench"] = np.where(self.unlabelled[rows, None], np.nan, table["wrench"])
+        table["wrench"] = self.wrench[rows]
         if self.unseen is not None:
             names = np.array(self.chosen.archive.indenters)[sensor.table["indenter"][rows]]
             table["seen"] = ~np.isin(names, self.unseen)
@@ -158,7 +158,7 @@ def join(
     sensors: Sequence[Chosen],
     tolerances: Tolerances | None = None,
     unseen: tuple[str, ...] | None = None,
-    unlabelled: Mapping[str, bool] | None = None,
+    wrenches: Mapping[str, NDArray[np.float64]] | None = None,
 ) -> Joined:
     """Find which presses of some sensors match; nothing is written.
 
@@ -166,8 +166,7 @@ def join(
         sensors: Sensors of any archives, with different names.
         tolerances: Largest differences of presses that match.
         unseen: Indenters that models may not be trained on; None: as in the archives.
-        unlabelled: Sensors whose forces are not copied; True to keep those of their force-depth
-            presses, which have no location.
+        wrenches: Wrenches of all rows (n, 6) of sensors, in place of those of their archives.
 
     Raises:
         LearningError: Places are unknown, anything is ambiguous, or nothing matches.
@@ -191,7 +190,7 @@ def join(
     most = 1 + max((int(some.max()) for some in target), default=0)
     return Joined(
         tuple(
-            _joined(each, sensors, indenters, place, number, most, unseen, unlabelled or {})
+            _joined(each, sensors, indenters, place, number, most, unseen, wrenches or {})
             for each, place, number in zip(presses, location, target, strict=True)
         ),
         indenters,
@@ -290,7 +289,7 @@ def _joined(
     target: Integers,
     most: int,
     unseen: tuple[str, ...] | None,
-    unlabelled: Mapping[str, bool],
+    wrenches: Mapping[str, NDArray[np.float64]],
 ) -> JoinedSensor:
     chosen = presses.of
     sensor = chosen.archive[chosen.sensor]
@@ -312,6 +311,5 @@ def _joined(
         target=of_row,
         unseen=unseen,
         fields_of=named.get(owner) if owner is not None else None,
-        unlabelled=np.full(len(located), chosen.name in unlabelled)
-        & (located | (not unlabelled.get(chosen.name, False))),
+        wrench=np.asarray(wrenches.get(chosen.name, table["wrench"])),
     )

@@ -31,6 +31,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--start-from", type=Path, metavar="MODEL", help="start from the weights of this model"
     )
     parser.add_argument(
+        "--labels",
+        type=Path,
+        metavar="CSV",
+        help="labels in place of the archive's, as readings typed in: columns indenter, target, "
+        "frame (none: where the press is held), fx_n, fy_n, fz_n [N]",
+    )
+    parser.add_argument(
         "--compensation",
         type=Path,
         metavar="FILE",

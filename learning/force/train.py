@@ -26,7 +26,8 @@ from torch import Tensor, nn
 from learning.archive_writer import archive_fingerprint
 from learning.compensation import SIMULATED, SimulatedLabels, read_stored, simulated_labels
 from learning.config import read_settings, require
-from learning.data.presses import AUTHORS, ForceRange, Presses, load_presses
+from learning.data.labels import read_labels
+from learning.data.presses import AUTHORS, ForceRange, Presses, load_presses, press_table
 from learning.data.splits import Role, Split
 from learning.errors import LearningError
 from learning.force.model import (
@@ -738,6 +739,7 @@ def run(options: argparse.Namespace) -> int:
     sensors = _sensors(options, archive, split)
     compensation = _compensation(options, archive, sensors)
     start_from = None if options.start_from is None else load_force_model(options.start_from)
+    labels = _labels(options, archive, sensors)
     data = [archive_fingerprint(archive), split.fingerprint, *sensors]
     if options.start_from is not None:
         data.append(weights_hash(options.start_from / "model.safetensors"))
@@ -745,13 +747,20 @@ def run(options: argparse.Namespace) -> int:
         data.append(compensation.made_from)
     elif options.compensation is not None:
         data += [weights_hash(options.compensation), options.pair or "", options.choice]
+    if labels is not None:
+        data.append(weights_hash(options.labels))
+    # A run that could learn nothing is not begun.
+    for name in sensors:
+        if len(rows := split.rows(archive[name].table, "train")):
+            labels_of(_labelled(press_table(archive[name], rows), labels), compensation)
 
     def train(session: Session) -> Iterator[str]:
+        device = session.device
         presses, validation = (
             [
                 found
                 for name in sensors
-                if len(found := _presses(archive[name], split, role, settings, session.device))
+                if len(found := _presses(archive[name], split, role, settings, labels, device))
             ]
             for role in ("train", "validation")
         )
@@ -807,14 +816,41 @@ def _sensors(options: argparse.Namespace, archive: MarkerArchive, split: Split) 
     return sensors
 
 
+def _labels(
+    options: argparse.Namespace, archive: MarkerArchive, sensors: Sequence[str]
+) -> Tensor | None:
+    """Return the forces of --labels for all rows of the sensor (n, 3) [N]; None without."""
+    if options.labels is None:
+        return None
+    if len(sensors) > 1:
+        raise LearningError(
+            f"--sensor: found {', '.join(sensors)}; allowed with --labels: one, whose they are"
+        )
+    read = read_labels(options.labels, archive, sensors[0])
+    return torch.from_numpy(read.of_all(len(archive[sensors[0]])).astype(np.float32))
+
+
 def _presses(
-    sensor: ArchivedSensor, split: Split, role: Role, settings: ForceSettings, device: torch.device
+    sensor: ArchivedSensor,
+    split: Split,
+    role: Role,
+    settings: ForceSettings,
+    labels: Tensor | None,
+    device: torch.device,
 ) -> Presses:
     rows = split.rows(sensor.table, role)
     with ItemProgress("frames", sys.stderr) as frames:
-        return load_presses(
+        presses = load_presses(
             sensor, rows, device=device, form=settings.input.stored_form, progress=frames
         )
+    return _labelled(presses, labels)
+
+
+def _labelled(presses: Presses, labels: Tensor | None) -> Presses:
+    """Return presses with these labels of all rows (n, 3), in place of the archive's."""
+    if labels is None:
+        return presses
+    return replace(presses, wrench=labels[presses.rows].to(presses.wrench.device))
 
 
 def _compensation(

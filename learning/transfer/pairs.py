@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from learning.data.join import join
+from learning.data.labels import read_labels
 from learning.data.matching import Chosen, Tolerances
 from learning.data.splits import Split, make_split, presses_of, read_split
 from learning.errors import LearningError
@@ -35,6 +36,7 @@ def join_pair(
     tolerances: Tolerances,
     unseen: tuple[str, ...] | None,
     *,
+    source_labels: Path | None = None,
     keep_curve: bool,
 ) -> tuple[MarkerArchive, list[str]]:
     """Write the presses of both sensors to one archive; return it, and the table of matches.
@@ -48,16 +50,34 @@ def join_pair(
         out: Archive to write, or to continue.
         tolerances: Largest differences of presses that match.
         unseen: Indenters that models may not be trained on; None: as in the archives.
+        source_labels: CSV of labels of the source, in place of those of its archive.
         keep_curve: True to keep the forces of the target's force-depth presses.
 
     Raises:
-        LearningError: Nothing meets, or anything is ambiguous.
+        LearningError: Nothing meets, anything is ambiguous, or the CSV is invalid.
         SessionError: An archive is corrupt, or another one is at `out`.
     """
-    joined = join([source, target], tolerances, unseen, unlabelled={target.name: keep_curve})
+    wrenches = {target.name: _without_labels(target, keep_curve=keep_curve)}
+    if source_labels is not None:
+        labels = read_labels(source_labels, source.archive, source.sensor)
+        rows = len(source.archive[source.sensor])
+        wrenches[source.name] = np.pad(
+            labels.of_all(rows), ((0, 0), (0, 3)), constant_values=np.nan
+        )
+    joined = join([source, target], tolerances, unseen, wrenches=wrenches)
     with ItemProgress("frames of both sensors", sys.stderr) as progress:
         joined.write(out, progress)
     return MarkerArchive(out), list(joined.lines())
+
+
+def _without_labels(target: Chosen, *, keep_curve: bool) -> Floats:
+    """Return the wrenches of a sensor (n, 6), NaN but for force-depth presses if they are kept."""
+    table = target.archive[target.sensor].table
+    wrench = np.full(table["wrench"].shape, np.nan)
+    if keep_curve:
+        curve = table["location"] < 0
+        wrench[curve] = table["wrench"][curve]
+    return wrench
 
 
 def split_pair(

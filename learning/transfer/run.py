@@ -14,6 +14,7 @@ import numpy as np
 from learning.archive_writer import archive_fingerprint
 from learning.compensation import SIMULATED, twin_forces
 from learning.compensation.fit import Curves, gather_priors, read_stored
+from learning.data.labels import read_labels
 from learning.data.matching import Chosen, Tolerances
 from learning.errors import LearningError
 from learning.evaluation.predictions import CHOICES, LABEL_FREE, after, read_predictions
@@ -25,7 +26,7 @@ from learning.experiment.settings import ExperimentSettings
 from learning.force.export import export_onnx
 from learning.force.intervals import Scale
 from learning.force.model import load_force_model
-from learning.training.checkpoint import CONFIG, MODEL, read_model_folder
+from learning.training.checkpoint import CONFIG, MODEL, read_model_folder, weights_hash
 from learning.transfer.calibrate import Calibration, calibrate, forces_at, presses_of_rows
 from learning.transfer.deliver import (
     PRESSES,
@@ -36,7 +37,7 @@ from learning.transfer.deliver import (
     lines_of,
     write_report,
 )
-from learning.transfer.few_labels import error_curve, gains_of_labels, read_labels
+from learning.transfer.few_labels import error_curve, gains_of_labels
 from learning.transfer.pairs import join_pair, split_pair
 from learning.transfer.tune import tune_by_place
 from recorder import MarkerArchive
@@ -70,6 +71,8 @@ class Request:
     coefficients, or the target's own archive."""
     labels: Path | None = None
     """CSV of a few labels of the target."""
+    source_labels: Path | None = None
+    """CSV of labels of the source, in place of those of its archive."""
     ratio: float | None = None
     """Assumed force of the target over the source's at the same fraction of depth; None: 1."""
     within: float | None = None
@@ -114,6 +117,7 @@ def run_transfer(asked: Request, say: Say = print) -> Card:
         places.archive,
         asked.tolerances,
         asked.unseen,
+        source_labels=asked.source_labels,
         keep_curve=own_curve,
     )
     for line in matches:
@@ -226,6 +230,7 @@ def _begin(asked: Request) -> None:
             name: f"{archive_fingerprint(each.archive)} {each.sensor} as {each.name}"
             for name, each in (("source", asked.source), ("target", asked.target))
         },
+        "source_labels": asked.source_labels and weights_hash(asked.source_labels),
         "source_model": str(asked.source_model and asked.source_model.resolve()),
         "priors": sorted(str(path.resolve()) for path in asked.priors),
         "calibrate_on": asked.calibrate_on and sorted(asked.calibrate_on),

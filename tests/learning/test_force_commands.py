@@ -94,6 +94,42 @@ def test_labels_by_simulation_are_learned_from_translated_frames(
     assert "twin of dots; twin of grid" in (tmp_path / "run" / "config.yaml").read_text()
 
 
+def test_readings_typed_in_are_the_labels_of_a_sensor_without_a_gauge(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    archive = made_up_archive(
+        tmp_path / "x.markers.zarr", targets=3, frames_per_phase=2, unlabelled=("dots", "grid")
+    )
+    make_split(archive, validation=0.0, new_press=0.0).write(tmp_path / "split.json")
+    typed = tmp_path / "typed.csv"
+    lines = [
+        f"{name},{target},{-1.0 - target - place}"
+        for place, name in enumerate(archive.indenters)
+        for target in range(3)
+    ]
+    typed.write_text("\n".join(["indenter,target,fz_n", *lines]))
+    words = ["train-force", str(archive.path), "--split", str(tmp_path / "split.json"), *SMALL]
+    words += ["--out", str(tmp_path / "run"), "--set", "range_margin=0"]
+    one = ["--sensor", "dots"]
+    assert main([*words, *one]) == 2
+    assert "sensor dots: found no label of Fx, Fy or Fz" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+    assert main([*words, "--sensor", "dots,grid", "--labels", str(typed)]) == 2
+    assert "--sensor: found dots, grid; allowed with --labels: one" in capsys.readouterr().err
+
+    assert main([*words, *one, "--labels", str(typed)]) == 0
+    told = capsys.readouterr().out
+    seen = [place for place, name in enumerate(archive.indenters) if name != "cone"]
+    assert f"frames: Fx 0, Fy 0, Fz {3 * len(seen)}\n" in told
+    assert "the model predicts Fz only" in told
+    model = load_force_model(tmp_path / "run")
+    assert model.axes == ("Fz",)
+    assert float(model.low[2]) == pytest.approx(-3.0 - max(seen))
+    # Other readings are other data, which a run does not continue with.
+    typed.write_text(typed.read_text().replace("-1.0", "-1.5"))
+    assert main([*words, *one, "--labels", str(typed), "--resume"]) == 2
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(120)
 @pytest.mark.parametrize(

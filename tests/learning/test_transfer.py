@@ -12,6 +12,7 @@ from support.commands import run_module
 from support.made_up_archives import made_up_archive
 
 from learning.cli import calibrate_force, predict, score_transfer, transfer
+from learning.data.labels import Labels, read_labels
 from learning.data.matching import Chosen, Tolerances
 from learning.errors import LearningError
 from learning.evaluation.predictions import read_predictions
@@ -26,7 +27,7 @@ from learning.force.intervals import (
     read_intervals,
 )
 from learning.force.learned import Learned
-from learning.transfer.few_labels import Labels, error_curve, gains_of_labels, read_labels
+from learning.transfer.few_labels import error_curve, gains_of_labels
 from learning.transfer.pairs import join_pair, labels_by_place, split_pair
 from learning.transfer.score import score_of
 from learning.transfer.weigh import forces_of_holds
@@ -228,6 +229,21 @@ def test_labels_of_the_target_stay_behind_and_the_source_s_meet_its_frames(
         assert np.array_equal(table["wrench"][~located], kept, equal_nan=True)
         assert np.array_equal(table["frame"], own["frame"])  # row k is row k
         assert np.array_equal(archive["dots"].table["wrench"], one["dots"].table["wrench"])
+    typed = tmp_path / "typed.csv"
+    typed.write_text("indenter,target,fz_n\nsphere,1,-1.25\nprism,0,-2.5\n")
+    labelled, _ = join_pair(
+        *sensors,
+        tmp_path / "typed.markers.zarr",
+        Tolerances(),
+        None,
+        source_labels=typed,
+        keep_curve=False,
+    )
+    wrench = labelled["dots"].table["wrench"]
+    rows, axes = np.isfinite(wrench).nonzero()
+    assert axes.tolist() == [2, 2]
+    assert sorted(wrench[rows, 2]) == [-2.5, -1.25]
+    assert np.isnan(labelled["grid"].table["wrench"]).all()
     source = archive["dots"].table
     found = labels_by_place(source, source["wrench"][:, :3].astype(float), table)
     true = own["wrench"][:, :3] / 1.6  # the skins differ by this factor alone
