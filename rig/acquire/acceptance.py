@@ -40,7 +40,7 @@ class SetupRecord:
         self._content = content
         found = read_setup(folder, bench)
         self.steps: dict[str, dict[str, Any]] = found.get("steps", {})
-        """What was stored of each step, by its name."""
+        """Answers and findings of each step, by its name."""
         self.accepted: dict[str, Any] | None = found.get("acceptance")
         """Summary of the report; None before the end."""
 

@@ -297,7 +297,7 @@ def home(at: AtBench, _: Answers) -> Iterator[Finding]:
 
 
 def latency(at: AtBench, _: Answers) -> Iterator[Finding]:
-    """How late is the signal?"""
+    """Latency of the signal: how late does it show what is there?"""
     code, _path = at.measure("calibrate-latency")
     found = store.load(at.options.calibrations, at.bench, at.bench.indenter)[0].latency
     text = f"{found.stream} {1e3 * found.latency:+.1f} ms late" if found else ""

@@ -1,4 +1,4 @@
-"""The set-up goes on where it stopped, and its acceptance is carried by every session."""
+"""The set-up goes on where it stopped, and its acceptance is accepted by every session."""
 
 from __future__ import annotations
 
@@ -84,14 +84,14 @@ def test_a_stopped_set_up_goes_on_and_ends_in_a_report_that_sessions_carry(
     assert "http" not in page
 
     calibration, _ = store.load(tmp_path, bench, bench.indenter)
-    carried = calibration.attrs()["acceptance"]
-    assert carried["result"] == "accepted"
-    assert carried["operator"] == "Ada"
-    assert carried["steps"] == {"first": "well", "second": "note"}
-    assert carried["bench_sha256"] == store.bench_hash(content)
+    accepted = calibration.attrs()["acceptance"]
+    assert accepted["result"] == "accepted"
+    assert accepted["operator"] == "Ada"
+    assert accepted["steps"] == {"first": "well", "second": "note"}
+    assert accepted["bench_sha256"] == store.bench_hash(content)
     stored = json.loads((tmp_path / "gelsight.setup.json").read_text())
-    assert carried["steps_sha256"] == store.bench_hash(stored["steps"])
-    assert carried["steps_sha256"][:16] in page
+    assert accepted["steps_sha256"] == store.bench_hash(stored["steps"])
+    assert accepted["steps_sha256"][:16] in page
     assert Calibration.from_attrs(json.loads(json.dumps(calibration.attrs()))) == calibration
 
     steps.run = []
@@ -183,6 +183,6 @@ def test_a_mock_bench_is_set_up_to_the_end(
     assert main(["setup", *more, "--yes"]) == 0
     assert list(Path("calibrations").glob("*.acceptance.html"))
     assert main(["collect", *more, "--targets", "1", "--out", "x.zarr"]) == 0
-    carried = Session("x.zarr").attrs["calibration"]["acceptance"]
-    assert carried["result"] == "accepted"
-    assert set(carried["steps"].values()) <= {"well", "note"}
+    accepted = Session("x.zarr").attrs["calibration"]["acceptance"]
+    assert accepted["result"] == "accepted"
+    assert set(accepted["steps"].values()) <= {"well", "note"}
