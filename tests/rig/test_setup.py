@@ -1,4 +1,4 @@
-"""The set-up goes on where it stopped, and its acceptance is accepted by every session."""
+"""The set-up goes on where it stopped, and its acceptance goes with every session."""
 
 from __future__ import annotations
 
