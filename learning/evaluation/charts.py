@@ -80,9 +80,14 @@ def heatmaps(
     top = float(np.nanmax(values, initial=1e-9)) if good == "low" else 1.0
     # R2 below 0 is worse than the mean of the labels, and has the colour of 0.
     colours, extended = ("cividis_r", "neither") if good == "low" else ("cividis", "min")
-    wide, high = 1.4 + 0.5 * len(targets), 1.4 + 0.5 * len(lines)
+    # Widths of cells and letters [inch]; a panel is as wide as its title.
+    cell, letter = max(0.5, 1.3 / len(targets)), 0.08
+    below = letter * max(map(len, targets))
+    turned = below > cell
+    wide = cell * len(targets) * len(by_variant) + letter * max(map(len, lines)) + 1.5
+    high = 0.5 * len(lines) + (below if turned else 2 * letter) + 1.1
     png = io.BytesIO()
-    with chart(png, max(wide * len(by_variant), 3.2) + 0.8, high + 0.7) as figure:
+    with chart(png, wide, high) as figure:
         figure.set_layout_engine("compressed", h_pad=0.1)
         every = figure.subplots(1, len(by_variant), squeeze=False, sharey=True)[0]
         for axes, (variant, some) in zip(every, by_variant.items(), strict=True):
@@ -91,7 +96,7 @@ def heatmaps(
                 grid[sources.index(row.source), targets.index(row.target)] = row.value(measure)
             for row in own:
                 grid[-1, targets.index(row.target)] = row.value(measure)
-            image = axes.imshow(grid, cmap=colours, vmin=0, vmax=top)
+            image = axes.imshow(grid, cmap=colours, vmin=0, vmax=top, aspect="auto")
             for (line, column), value in np.ndenumerate(grid):
                 if np.isfinite(value):
                     dark = (value / top < 0.5) == (good == "high")
@@ -100,13 +105,13 @@ def heatmaps(
                     axes.text(column, line, text, ha="center", va="center", fontsize=7, color=ink)
             if own:
                 axes.axhline(len(sources) - 0.5, color=INK, lw=2)
-            axes.set_xticks(range(len(targets)), targets, rotation=90)
+            axes.set_xticks(range(len(targets)), targets, rotation=90 if turned else 0)
             axes.set_yticks(range(len(lines)), lines)
             axes.set(xlabel="target", title=variant_name(variant))
             axes.grid(visible=False)
         every[0].set_ylabel("source")
         figure.colorbar(image, ax=every, shrink=0.8, extend=extended)
-        figure.suptitle(title)
+        figure.suptitle(title, x=0.01, ha="left")
     return png.getvalue()
 
 

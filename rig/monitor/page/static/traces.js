@@ -28,15 +28,18 @@ export class Traces {
 
   draw() {
     const scale = devicePixelRatio || 1;
-    const { clientWidth: width, clientHeight: height } = this.canvas;
-    if (!width || !height) return;
-    if (this.canvas.width !== Math.round(width * scale) || this.canvas.height !== Math.round(height * scale)) {
-      this.canvas.width = Math.round(width * scale);
-      this.canvas.height = Math.round(height * scale);
+    const { clientWidth, clientHeight } = this.canvas;
+    if (!clientWidth || !clientHeight) return;
+    // Lines and letters grow with the letters of the page.
+    const unit = parseFloat(getComputedStyle(document.documentElement).fontSize) / 16;
+    const width = clientWidth / unit, height = clientHeight / unit;
+    if (this.canvas.width !== Math.round(clientWidth * scale) || this.canvas.height !== Math.round(clientHeight * scale)) {
+      this.canvas.width = Math.round(clientWidth * scale);
+      this.canvas.height = Math.round(clientHeight * scale);
     }
     const pen = this.canvas.getContext("2d");
     const style = getComputedStyle(this.canvas);
-    pen.setTransform(scale, 0, 0, scale, 0, 0);
+    pen.setTransform(scale * unit, 0, 0, scale * unit, 0, 0);
     pen.clearRect(0, 0, width, height);
     const values = this.points.flatMap((point) => point.slice(1)).filter((value) => value !== null);
     const low = Math.min(-0.5, ...values), high = Math.max(0.5, ...values);
