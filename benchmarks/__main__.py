@@ -61,6 +61,10 @@ BENCHMARKS = {
     ),
     "extrapolation": ("benchmarks.learning.extrapolation", "forces beyond those of the training"),
     "learning-tables": ("benchmarks.learning.tables.command", "the paper's tables"),
+    "paper-chain": (
+        "benchmarks.learning.paper_chain.command",
+        "the paper's models trained from nothing, beside simple baselines",
+    ),
     "transfer-skins": (
         "benchmarks.learning.skins.command",
         "coverage of intervals over skins of random modulus",

@@ -4,7 +4,8 @@
                                   ^ cross-attention
     target's reference --frozen reference encoder--> tokens
 
-The frozen weights are the published ones; `state_dict` returns only the others.
+The frozen weights are the published ones; `state_dict` returns only the others. Without published
+weights, all but the reference encoder's are trained, and `state_dict` returns all.
 """
 
 from __future__ import annotations
@@ -106,9 +107,10 @@ def adapter_tensors(network: nn.Module) -> dict[str, torch.Tensor]:
 
 
 def fuse(network: Any) -> None:
-    """Merge the adapters into the weights they adapt, for speed; training ends here."""
-    network.fuse_lora()
-    network.unload_lora()
+    """Merge the adapters, if any, into the weights they adapt, for speed; training ends here."""
+    if getattr(network, "peft_config", None):
+        network.fuse_lora()
+        network.unload_lora()
 
 
 def keep_in_state(module: nn.Module, kept: Callable[[str], bool]) -> None:
@@ -216,6 +218,7 @@ class MarkerToMarker(nn.Module):
         *,
         pixel_range: Range,
         train_vae: bool,
+        whole: bool = False,
     ) -> None:
         """Combine networks that have adapters; the reference encoder is a copy.
 
@@ -225,6 +228,8 @@ class MarkerToMarker(nn.Module):
             tokens: Converts references to tokens.
             pixel_range: Values of black and white for the networks.
             train_vae: True to train the autoencoder's adapter.
+            whole: True if there are no adapters, and all weights of the UNet, and of the
+                autoencoder if it is trained, are.
         """
         super().__init__()
         self.unet, self.vae, self.tokens = unet, vae, tokens
@@ -232,12 +237,14 @@ class MarkerToMarker(nn.Module):
         self.pixel_range = pixel_range
         self.scaling = float(vae.config.scaling_factor)
         for name, parameter in self.named_parameters():
+            ours = whole or is_adapter(name)
             parameter.requires_grad_(
                 name.startswith(("tokens.", "unet.conv_in."))
-                or (is_adapter(name) and name.startswith("unet."))
-                or (is_adapter(name) and name.startswith("vae.") and train_vae)
+                or (ours and name.startswith("unet."))
+                or (ours and name.startswith("vae.") and train_vae)
             )
-        keep_in_state(self, _is_ours)
+        if not whole:
+            keep_in_state(self, _is_ours)
 
     def forward(
         self,
@@ -316,14 +323,16 @@ def build(
         unet: SD-Turbo's UNet.
         vae: Its autoencoder.
         settings: Ranks, tokens, range.
-        vae_adapter: Trained adapter of the autoencoder; None: untrained.
+        vae_adapter: Trained adapter of the autoencoder, or all its weights if all are trained;
+            None: untrained.
 
     Raises:
         LearningError: The adapter belongs to another network or has another rank.
     """
-    add_adapter(unet, UNET_ADAPTER, settings.unet_rank, UNET_TARGETS, seed=settings.seed)
-    rank = settings.vae_rank if vae_adapter is None else rank_of(vae_adapter)
-    add_adapter(vae, VAE_ADAPTER, rank, VAE_TARGETS, seed=settings.seed)
+    if not settings.whole:
+        add_adapter(unet, UNET_ADAPTER, settings.unet_rank, UNET_TARGETS, seed=settings.seed)
+        rank = settings.vae_rank if vae_adapter is None else rank_of(vae_adapter)
+        add_adapter(vae, VAE_ADAPTER, rank, VAE_TARGETS, seed=settings.seed)
     if vae_adapter is not None:
         kept = {name: each for name, each in vae.state_dict().items() if not is_adapter(name)}
         load_weights(vae, {**kept, **vae_adapter}, "the autoencoder's adapter")
@@ -339,7 +348,12 @@ def build(
             source_reference=settings.source_reference,
         )
     return MarkerToMarker(
-        unet, vae, tokens, pixel_range=settings.pixel_range, train_vae=settings.train_vae
+        unet,
+        vae,
+        tokens,
+        pixel_range=settings.pixel_range,
+        train_vae=settings.train_vae,
+        whole=settings.whole,
     )
 
 

@@ -119,6 +119,8 @@ class TrainingSettings:
     """Published weights that training starts from."""
     pixel_range: Range = "minus_one_one"
     """Values of black and white for the networks, which were all trained for -1 and 1."""
+    whole: bool = False
+    """True to train all weights, for networks without published ones, in place of adapters."""
     vae_rank: int = 4
     """Rank of the autoencoder's adapter; a translator's, if no trained one is given."""
     steps: int = 100_000
@@ -173,19 +175,21 @@ class MarkerVaeSettings(TrainingSettings):
 class MarkerVae(nn.Module):
     """SD-Turbo's autoencoder with an adapter, for images (n, 1, h, w) in [0, 1].
 
-    Its state contains only the adapter.
+    Its state contains only the adapter, or all weights if all are trained.
     """
 
     def __init__(self, vae: Any, settings: MarkerVaeSettings) -> None:
-        """Add the adapter."""
+        """Add the adapter, unless all weights are trained."""
         super().__init__()
-        add_adapter(vae, VAE_ADAPTER, settings.vae_rank, VAE_TARGETS, seed=settings.seed)
+        if not settings.whole:
+            add_adapter(vae, VAE_ADAPTER, settings.vae_rank, VAE_TARGETS, seed=settings.seed)
         if settings.gradient_checkpointing:
             vae.enable_gradient_checkpointing()
         self.vae = vae
         self.zero_one = settings.pixel_range == "zero_one"
         self.decode_scaled = settings.decode_scaled
-        keep_in_state(self, is_adapter)
+        if not settings.whole:
+            keep_in_state(self, is_adapter)
 
     def forward(
         self, images: torch.Tensor, noise: torch.Tensor | None = None
@@ -358,12 +362,16 @@ def load_vae_adapter(folder: str | Path, base: str) -> dict[str, torch.Tensor]:
 
 
 def vae_adapter_of(state: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    """Return the autoencoder's adapter in the state of a translator or of an autoencoder."""
-    return {
+    """Return the autoencoder's adapter in the state of a translator or of an autoencoder.
+
+    If all weights were trained, there is no adapter, and all of the autoencoder's are returned.
+    """
+    own = {
         name.removeprefix("vae."): tensor
         for name, tensor in state.items()
-        if name.startswith("vae.") and is_adapter(name)
+        if name.startswith("vae.")
     }
+    return {name: tensor for name, tensor in own.items() if is_adapter(name)} or own
 
 
 def require_base(found: ModelFolder, base: str) -> None:

@@ -141,11 +141,10 @@ def load_network(found: ModelFolder) -> MarkerToMarker:
     settings = found.settings(TranslatorSettings)
     own = found.weights()
     base = base_of(found, settings.weights.base)
-    network = build(
-        read_unet(base),
-        read_vae(base),
-        replace(settings, vae_rank=rank_of(vae_adapter_of(own)), gradient_checkpointing=False),
-    )
+    settings = replace(settings, gradient_checkpointing=False)
+    if not settings.whole:
+        settings = replace(settings, vae_rank=rank_of(vae_adapter_of(own)))
+    network = build(read_unet(base), read_vae(base), settings)
     load_weights(network, own, str(found.file()))
     return network
 

@@ -1,0 +1,131 @@
+"""The paper's chain, trained from nothing in minutes, beside simple baselines.
+
+    python -m benchmarks paper-chain --out runs/paper --minutes 2.5 [--gpus 0,1]
+
+Simulates three sensors with different markers on one skin, and twelve patterns. Trains the marker
+autoencoder, the one-step latent translator from pattern to pattern and then from sensor to sensor,
+and the paper's force net on translated frames. Beside it: our field translator, the nearest frame,
+a net of marker displacement without a translator, the source's net as it is; and force nets of four
+sizes. The rows go to CSV files. Jobs run one at a time on each GPU; a repeated command goes on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from learning.errors import LearningError
+
+if TYPE_CHECKING:
+    from benchmarks.learning.tables.on_gpus import Task
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
+    parser.description = __doc__.split("\n\n")[0]
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="output folder")
+    parser.add_argument("--size", default="gpu", metavar="NAME", help="gpu or toy (%(default)s)")
+    parser.add_argument(
+        "--minutes",
+        type=float,
+        default=2.5,
+        metavar="N",
+        help="training time of the translator; others get parts of it (%(default)s)",
+    )
+    parser.add_argument("--gpus", metavar="N,...", help="GPU numbers, or `cpu` (all GPUs)")
+    parser.add_argument(
+        "--processes", type=int, metavar="N", help="processes that simulate or track (all cores)"
+    )
+    parser.add_argument("--only", metavar="NAME,...", help="jobs, without those they need (all)")
+    parser.add_argument(
+        "--stop-after", type=int, metavar="SECONDS", help="stop then; the same command goes on"
+    )
+    parser.add_argument("--job", metavar="NAME", help="run one job in this process")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run all jobs that are not done; return 0, or 1 if one failed."""
+    from benchmarks.learning.paper_chain import jobs, page
+    from benchmarks.learning.paper_chain.sizes import SIZES
+    from benchmarks.learning.tables.on_gpus import Machine, _gpus, run_all
+
+    if options.size not in SIZES:
+        raise LearningError(f"--size: found {options.size}; allowed: {', '.join(SIZES)}")
+    if options.minutes <= 0:
+        raise LearningError(f"--minutes: found {options.minutes:g}; allowed: above 0")
+    size, out = SIZES[options.size], options.out
+    cores = options.processes or len(os.sched_getaffinity(0))
+    if options.job is not None:
+        import torch
+
+        # A job's time is the GPU's; on a CPU it takes the cores that there are.
+        device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = True
+        torch.backends.cudnn.benchmark = device.type == "cuda"
+        chain = jobs.Chain(out, size, options.minutes, device, max(1, cores // 2))
+        jobs.run_job(chain, options.job)
+        return 0
+    gpus = options.gpus.split(",") if options.gpus else _gpus()[0]
+    done = out / "done"
+    done.mkdir(parents=True, exist_ok=True)
+    due = _tasks(options, cores, {path.name.replace("+", " ") for path in done.iterdir()})
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    if options.stop_after:
+        signal.signal(signal.SIGALRM, signal.default_int_handler)
+        signal.alarm(options.stop_after)
+
+    def tell(line: str) -> None:
+        print(line, flush=True)
+        name, found, _ = line[12:].partition(": done in ")
+        if found:
+            (done / name.strip().replace(" ", "+")).touch()
+
+    try:
+        took = run_all(due, Machine(gpus, 1), out, tell)
+    except KeyboardInterrupt:
+        print("stopped; the same command goes on", file=sys.stderr)
+        took = {}
+    finally:
+        signal.alarm(0)
+        page.write(out, size)
+    print(page.last_line(out))
+    return int(len(took) < len(due))
+
+
+def _tasks(options: argparse.Namespace, cores: int, done: set[str]) -> list[Task]:
+    from benchmarks.learning.paper_chain.jobs import names
+    from benchmarks.learning.paper_chain.sizes import SIZES
+    from benchmarks.learning.tables.on_gpus import Task
+
+    size, out = SIZES[options.size], options.out
+    made = ("--tier", "layer", "--no-check", "--processes", str(cores))
+    simulated = {
+        "archive patterns": ("states", *size.patterns, *made, "--out", "patterns.markers.zarr"),
+        "archive sensors": (
+            *("sensors", "--sensors", ",".join(size.sensors), *size.archive, *made),
+            *("--out", "sensors.markers.zarr"),
+        ),
+    }
+    wanted = {*(options.only.split(",") if options.only else (*simulated, *names(size)))}
+    if unknown := wanted - {*simulated, *names(size)}:
+        known = ", ".join((*simulated, *names(size)))
+        raise LearningError(f"--only: found {', '.join(sorted(unknown))}; allowed: {known}")
+    wanted -= done
+    found = []
+    for name, (kind, *given) in simulated.items():
+        if name in wanted:
+            *most, file = given
+            command = [sys.executable, "-m", "sim", "archive", kind, *most, str(out / file)]
+            found.append(Task(name, tuple(command), (), (("OMP_NUM_THREADS", "1"),)))
+    for name, needed in names(size).items():
+        if name in wanted:
+            command = [sys.executable, "-m", "benchmarks", "paper-chain", "--out", str(out)]
+            command += ["--size", options.size, "--minutes", str(options.minutes), "--job", name]
+            command += ["--processes", str(cores)]
+            needs = tuple(each for each in needed if each in wanted)
+            found.append(Task(name, tuple(command), needs, (), 1))
+    return found

@@ -1,0 +1,690 @@
+"""The jobs of the chain: each trains or scores one thing, and appends rows to CSV files.
+
+A job runs in its own process on one device. Trainings have a time, not a number of steps: some are
+timed first, and as many are done as fit. A job that is repeated goes on: networks are read from
+their checkpoints, and rows that exist are not computed again.
+"""
+
+from __future__ import annotations
+
+import csv
+import fcntl
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import permutations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from benchmarks.learning.paper_chain.sizes import SEED, Size, write_base
+from learning.config import read_settings
+from learning.data.images import shrink, shrink_masks, unpack_masks
+from learning.data.presses import Presses, load_presses, read_frames
+from learning.data.splits import Role, Split, make_split
+from learning.errors import LearningError
+from learning.evaluation.distribution import frechet_distance, kernel_distance
+from learning.evaluation.translation import (
+    NEAREST,
+    REFERENCE,
+    SOURCE,
+    nearest_frames,
+    overlap,
+    paired_score,
+    real_frames,
+)
+from learning.experiment.parts import look_of
+from learning.experiment.translating import translate_presses
+from learning.force.model import KIND as FORCE
+from learning.force.model import ForceModel, load_force_model
+from learning.force.train import PRESETS as NET_PRESETS
+from learning.force.train import ForceSettings, StageSettings, train_force
+from learning.metrics import r_squared
+from learning.training.checkpoint import read_model_folder
+from learning.training.run import RunFolder, Session, Stop, accelerator, generator
+from learning.translation.diffusion import train as m2m
+from learning.translation.diffusion import train_vae
+from learning.translation.diffusion.data import read_image_pairs, read_role_images, unit
+from learning.translation.diffusion.network import posterior
+from learning.translation.diffusion.weights import fingerprint, read_unet, read_vae
+from learning.translation.field import train as field
+from learning.translation.field.data import gather_role
+from learning.translation.loading import load_translator
+from learning.translation.translator import SensorView, Translator, for_pair
+from recorder import MarkerArchive
+from recorder.archive import location_pairs
+from recorder.markers import pack
+
+Floats = NDArray[np.float64]
+TRANSLATORS = ("m2m", "field")
+UNSEEN: Role = "new_indenter"
+# Steps that are timed before a training; the first are slower.
+PROBE, WARM = 12, 4
+# Resamples of the test indenters, and the interval between their quantiles.
+RESAMPLES, INTERVAL = 2000, (0.05, 0.95)
+# Side of the images that the nearest frame is searched in.
+SMALL = 64
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Surroundings of a job."""
+
+    out: Path
+    size: Size
+    minutes: float
+    device: torch.device
+    processes: int
+
+    @property
+    def base(self) -> str:
+        """Folder of the untrained networks."""
+        return str(self.out / "base")
+
+    @cached_property
+    def archive(self) -> MarkerArchive:
+        """Frames of the sensors, with labels."""
+        return MarkerArchive(self.out / "sensors.markers.zarr")
+
+    @cached_property
+    def patterns(self) -> MarkerArchive:
+        """States of one gel under many patterns."""
+        return MarkerArchive(self.out / "patterns.markers.zarr")
+
+    @cached_property
+    def split(self) -> Split:
+        """Presses of the sensors: seen indenters for training, the others for the test."""
+        return make_split(self.archive, validation=0, new_press=0)
+
+    def seconds(self, kind: str) -> float:
+        """Training time of a kind of job [s]."""
+        return 60 * self.minutes * self.size.parts[kind]
+
+    def model(self, name: str) -> Path:
+        """Folder of a trained network."""
+        return self.out / "models" / name
+
+    def presses(self, sensor: str, role: Role, form: Any = "images") -> Presses:
+        """Presses of a sensor that have a role."""
+        found = self.archive[sensor]
+        rows = self.split.rows(found.table, role)
+        options = {"form": form, "device": self.device, "processes": self.processes}
+        return load_presses(found, rows, **options)
+
+    def add(self, table: str, row: dict[str, Any]) -> None:
+        """Append a row to a CSV file; jobs in other processes append to the same."""
+        with (self.out / f"{table}.csv").open("a", newline="") as file:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            writer = csv.DictWriter(file, list(row))
+            if not file.tell():
+                writer.writeheader()
+            writer.writerow(row)
+        print(json.dumps(row), flush=True)
+
+    def rows(self, table: str) -> list[dict[str, str]]:
+        """Rows of a CSV file; none if there is no file."""
+        path = self.out / f"{table}.csv"
+        if not path.exists():
+            return []
+        with path.open(newline="") as file:
+            return list(csv.DictReader(file))
+
+    def has(self, table: str, **key: str) -> bool:
+        """Whether a row exists."""
+        return any(key.items() <= row.items() for row in self.rows(table))
+
+
+def fitting(
+    chain: Chain, name: str, part: str, launch: Any, train: Callable[[int, Session], object]
+) -> int:
+    """Return the number of steps, or epochs, that fit in a job's time; read it if it is stored.
+
+    Args:
+        chain: Surroundings.
+        name: Name of the network.
+        part: Kind of the job, which has the time.
+        launch: Device and precision.
+        train: Trains a given number of steps, in memory.
+    """
+    stored = chain.model(name).with_suffix(".json")
+    if stored.exists():
+        return int(json.loads(stored.read_text())["steps"])
+    stamps: dict[int, float] = {}
+    total = 0
+
+    def stamp(done: int, of: int) -> None:
+        nonlocal total
+        total = of
+        if chain.device.type == "cuda":
+            torch.cuda.synchronize()
+        stamps[done] = time.perf_counter()
+
+    units = PROBE if part not in ("net", "tuned") else 2
+    train(units, Session(accelerator(launch), progress=stamp))
+    first = min(WARM, total // 2)
+    per_unit = (stamps[total] - stamps[first]) / (total - first) * total / units
+    steps = max(2, int(chain.seconds(part) / per_unit))
+    stored.parent.mkdir(parents=True, exist_ok=True)
+    stored.write_text(json.dumps({"steps": steps, "seconds_a_step": per_unit}))
+    return steps
+
+
+@contextmanager
+def run_of(
+    chain: Chain, name: str, kind: str, settings: Any, data: str, facts: Any = None
+) -> Iterator[tuple[RunFolder, Session]]:
+    """Yield the folder of a training and its session; on a stop the job ends, to be repeated."""
+    began = time.perf_counter()
+    launched = accelerator(settings.launch)
+    with (
+        RunFolder.open(chain.model(name), kind, settings, data, True, metadata=facts) as run,
+        Stop(lambda line: print(line, file=sys.stderr)) as stop,
+    ):
+        yield run, Session(launched, run, stop)
+        if not run.finished:
+            raise KeyboardInterrupt
+    seconds = round(time.perf_counter() - began, 1)
+    chain.add("trainings", {"network": name, "kind": kind, "seconds": seconds, "seed": SEED})
+
+
+# Autoencoder, translators
+
+
+def _common(chain: Chain, steps: int) -> list[str]:
+    size = chain.size
+    return [
+        "whole=true",
+        f"steps={steps}",
+        f"batch={size.batch}",
+        f"seed={SEED}",
+        f"launch.mixed_precision={size.precision}",
+        f"checkpoint_every={max(1, steps // 4)}",
+        f"validate_every={steps}",
+        f"weights.base={json.dumps(chain.base)}",
+    ]
+
+
+def _rate(rate: float, steps: int) -> str:
+    warm = min(200, steps // 10)
+    return f"optimiser={{rate: {{kind: cosine, rate: {rate}, steps: {steps}, warm_up: {warm}}}}}"
+
+
+def vae(chain: Chain) -> None:
+    """Train the marker autoencoder on the frames of all sensors and patterns."""
+    write_base(Path(chain.base), chain.size)
+    if (chain.model("vae") / "model.safetensors").exists():
+        return
+    images = torch.cat(
+        [
+            read_role_images(archive, split, "train", sensors=[*archive], device=chain.device)
+            for archive, split in (
+                (chain.archive, chain.split),
+                (chain.patterns, _patterns_split(chain)),
+            )
+        ]
+    )
+
+    def settings(steps: int) -> train_vae.MarkerVaeSettings:
+        given = [*_common(chain, steps), _rate(1e-3, steps)]
+        return read_settings(train_vae.MarkerVaeSettings, train_vae.PRESETS, "ours", given)
+
+    def train(steps: int, session: Session) -> None:
+        train_vae.train_vae(images, read_vae(chain.base), settings(steps), None, session)
+
+    steps = fitting(chain, "vae", "vae", settings(PROBE).launch, train)
+    base = {train_vae.BASE: fingerprint(chain.base)}
+    with run_of(chain, "vae", train_vae.KIND, settings(steps), "frames", base) as (_, session):
+        train(steps, session)
+
+
+def m2m_patterns(chain: Chain) -> None:
+    """Train the translator on all pairs of patterns, from the autoencoder."""
+    begun = train_vae.load_vae_adapter(chain.model("vae"), fingerprint(chain.base))
+    split = _patterns_split(chain)
+    _translator(chain, "m2m-patterns", chain.patterns, split, 3e-4, vae_adapter=begun)
+
+
+def m2m_sensors(chain: Chain) -> None:
+    """Train that translator further on the location pairs of the sensors."""
+    begun = read_model_folder(chain.model("m2m-patterns"), m2m.KIND).weights()
+    _translator(chain, "m2m", chain.archive, chain.split, 2e-4, start_from=begun)
+
+
+def _translator(
+    chain: Chain, name: str, archive: MarkerArchive, split: Split, rate: float, **begun: Any
+) -> None:
+    if (chain.model(name) / "model.safetensors").exists():
+        return
+    pairs = read_image_pairs(archive, split, "train", device=chain.device)
+    print(f"{len(pairs):,} location pairs", flush=True)
+
+    def settings(steps: int) -> m2m.TranslatorSettings:
+        # The paper's inputs; its losses with published weights are left out.
+        given = [*_common(chain, steps), _rate(rate, steps), "sample_latents=false"]
+        given += ["conditioning=channel_tokens", "source_reference=false"]
+        given += ["losses={adversarial: 0, perceptual: 0, square: 1}"]
+        return read_settings(m2m.TranslatorSettings, m2m.PRESETS, "paper_main", given)
+
+    def train(steps: int, session: Session) -> None:
+        networks = m2m.Pretrained(read_unet(chain.base), read_vae(chain.base))
+        m2m.train(pairs, networks, settings(steps), None, session, **begun)
+
+    steps = fitting(chain, name, name, settings(PROBE).launch, train)
+    base = {train_vae.BASE: fingerprint(chain.base)}
+    with run_of(chain, name, m2m.KIND, settings(steps), archive.name, base) as (_, session):
+        train(steps, session)
+
+
+def field_translator(chain: Chain) -> None:
+    """Train the field translator on the same frames, without a simulator's true displacement."""
+    if (chain.model("field") / "model.safetensors").exists():
+        return
+    frames = gather_role(chain.archive, chain.split, [*chain.archive], "train", device=chain.device)
+    if frames is None:
+        raise LearningError(f"{chain.archive.name}: found no press to train on; allowed: some")
+    without = replace(frames, shift=None)
+    preset, *given = chain.size.field_preset
+
+    def settings(steps: int) -> field.FieldSettings:
+        half = [f"{stage}.steps={steps // 2}" for stage in ("field_stage", "map_stage")]
+        half += [f"seed={SEED}", f"validate_every_steps={steps}"]
+        return read_settings(field.FieldSettings, field.PRESETS, preset, [*given, *half])
+
+    def train(steps: int, session: Session) -> None:
+        field.train_field(without, settings(steps), None, session)
+
+    steps = fitting(chain, "field", "field", settings(PROBE).launch, train)
+    with run_of(chain, "field", field.KIND, settings(steps), "frames") as (_, session):
+        train(steps, session)
+
+
+# Force nets
+
+
+def net(
+    chain: Chain,
+    preset: str,
+    name: str,
+    presses: Presses,
+    start_from: ForceModel | None = None,
+) -> ForceModel:
+    """Return a force net, trained for its time if it is not there; from another's weights if given.
+
+    A preset's stages get equal parts of the time; a net that goes on has only its last.
+    """
+    part = "net" if start_from is None else "tuned"
+    folder = chain.model(name)
+
+    def settings(epochs: int) -> ForceSettings:
+        given = [f"seed={SEED}", "patience_epochs=null"]
+        found = read_settings(ForceSettings, NET_PRESETS, preset, given)
+        stages = found.stages if start_from is None else found.stages[-1:]
+        count = max(1, epochs // len(stages))
+        own = tuple(_shortened(stage, count, len(presses), found) for stage in stages)
+        return replace(found, stages=own)
+
+    def train(epochs: int, session: Session) -> None:
+        train_force(presses, settings(epochs), session, start_from=start_from)
+
+    if not (folder / "model.safetensors").exists():
+        epochs = fitting(chain, name, part, settings(PROBE).launch, train)
+        with run_of(chain, name, FORCE, settings(epochs), presses.sensor) as (_, session):
+            train(epochs, session)
+    return load_force_model(folder, chain.device)
+
+
+def _shortened(
+    stage: StageSettings, epochs: int, presses: int, settings: ForceSettings
+) -> StageSettings:
+    steps = epochs * -(-presses // settings.sequences.batch)
+    return replace(stage, epochs=epochs, warm_up_steps=min(stage.warm_up_steps, steps // 10))
+
+
+def forces(chain: Chain, method: str, preset: str, ends: tuple[str, str], found: Floats) -> None:
+    """Add the errors of forces on a target's unseen indenters, with intervals over indenters."""
+    source, target = ends
+    table = chain.archive[target].table
+    rows = _test(chain, target).rows.numpy()
+    errors = force_scores(
+        table["wrench"][rows, :3].astype(np.float64), found, table["indenter"][rows]
+    )
+    key = {"method": method, "net": preset, "source": source, "target": target}
+    chain.add("forces", {**key, **errors, "frames": len(rows), "seed": SEED})
+
+
+def force_scores(true: Floats, found: Floats, indenter: NDArray[Any]) -> dict[str, float]:
+    """Return R2 (mean of axes), and MAE [N], with their 90 % intervals over indenters.
+
+    Args:
+        true: Labels (n, 3) N.
+        found: Predictions (n, 3) N.
+        indenter: Code of the indenter of each frame (n,).
+    """
+    names, of = np.unique(indenter, return_inverse=True)
+    # Sums by indenter, from which those of a resample are sums.
+    parts = [np.ones_like(true), true, true**2, (found - true) ** 2, np.abs(found - true)]
+    sums = np.stack([np.stack([part[of == k].sum(0) for k in range(len(names))]) for part in parts])
+    chosen = generator(SEED, "indenters").integers(len(names), size=(RESAMPLES, len(names)))
+    drawn = sums[:, chosen].sum(axis=2)  # (5, resamples, 3)
+    count, one, square, missed, off = drawn
+    varied = square - one**2 / count
+    r2 = (1 - missed / np.where(varied > 0, varied, np.nan)).mean(axis=1)
+    mae = off / count
+    r2_low, r2_high = np.nanquantile(r2, INTERVAL)
+    shear, normal = mae[:, :2].mean(axis=1), mae[:, 2]
+    axes, mean_off = r_squared(true, found), np.abs(found - true).mean(axis=0)
+    result = {"r2": axes.mean(), "r2_low": r2_low, "r2_high": r2_high}
+    result |= {f"r2_{axis}": value for axis, value in zip(("fx", "fy", "fz"), axes, strict=True)}
+    result |= {"mae_shear_n": mean_off[:2].mean(), "mae_fz_n": mean_off[2]}
+    for name, values in (("mae_shear", shear), ("mae_fz", normal)):
+        low, high = np.quantile(values, INTERVAL)
+        result |= {f"{name}_low_n": low, f"{name}_high_n": high}
+    return {name: round(float(value), 4) for name, value in result.items()}
+
+
+def _test(chain: Chain, sensor: str, form: Any = "images") -> Presses:
+    return chain.presses(sensor, UNSEEN, form)
+
+
+def own(chain: Chain, sensor: str) -> None:
+    """Train the nets of a sensor that others need, and predict without a translator."""
+    targets = [name for name in chain.archive if name != sensor]
+    for preset in dict.fromkeys((chain.size.net, "displacement")):
+        form: Any = "field" if preset == "displacement" else "images"
+        model = net(chain, preset, f"{preset}-{sensor}", chain.presses(sensor, "train", form))
+        if not chain.has("forces", method="own labels", net=preset, target=sensor):
+            found = model.predict(_test(chain, sensor, form))
+            forces(chain, "own labels", preset, (sensor, sensor), found)
+        method = "displacement" if preset == "displacement" else "source-only"
+        for target in targets:
+            if not chain.has("forces", method=method, source=sensor, target=target):
+                found = model.predict(_test(chain, target, form))
+                forces(chain, method, preset, (sensor, target), found)
+    for target in targets:
+        if not chain.has("forces", method=NEAREST, source=sensor, target=target):
+            forces(chain, NEAREST, "-", (sensor, target), _nearest(chain, sensor, target))
+
+
+def _nearest(chain: Chain, source: str, target: str) -> Floats:
+    """Return for each test frame the source's label of the most similar location pair.
+
+    The pairs are those that the translators are trained on: the target's images, the source's
+    labels. Similar is by mean square of the images' change from no contact.
+    """
+    one, other = chain.archive[source], chain.archive[target]
+    pairs = location_pairs(one.table, other.table)
+    kept = np.isin(pairs.target, chain.split.rows(other.table, "train"))
+    labels = one.table["wrench"][pairs.source[kept], :3].astype(np.float64)
+    tested = _test(chain, target).rows.numpy()
+
+    def changes(rows: NDArray[np.int64]) -> torch.Tensor:
+        images = read_frames(other, rows, chain.device).float()
+        still = torch.from_numpy(shrink(other.references)).to(chain.device).float()
+        of = torch.from_numpy(other.table["reference"][rows].astype(np.int64)).to(chain.device)
+        change = (images - still[of])[:, None]
+        return torch.nn.functional.interpolate(change, (SMALL, SMALL), mode="area").flatten(1)
+
+    apart = torch.cdist(changes(tested), changes(pairs.target[kept]))
+    return np.asarray(labels[apart.argmin(dim=1).cpu().numpy()], np.float64)
+
+
+def nets(chain: Chain, sensor: str) -> None:
+    """Train the other force nets of a sensor on its own labels, for the same time."""
+    for preset in chain.size.nets:
+        if preset in (chain.size.net, "displacement"):
+            continue
+        model = net(chain, preset, f"{preset}-{sensor}", chain.presses(sensor, "train"))
+        if not chain.has("forces", method="own labels", net=preset, target=sensor):
+            found = model.predict(_test(chain, sensor))
+            forces(chain, "own labels", preset, (sensor, sensor), found)
+
+
+# Translated frames: images, and forces by nets trained on them
+
+
+def pairs(chain: Chain, translator: str, source: str) -> None:
+    """Score a translator's images of unseen indenters, and nets that are trained on its frames."""
+    size, archive = chain.size, chain.archive
+    model = load_translator(chain.model(translator), chain.device)
+    one = archive[source]
+    start = load_force_model(chain.model(f"{size.net}-{source}"), chain.device)
+    packed = chain.presses(source, "train", "packed")
+    for target in archive:
+        if target == source:
+            continue
+        ends, other = (source, target), archive[target]
+        between = for_pair(model, SensorView.of(one), SensorView.of(other))
+        if not chain.has("images", method=translator, source=source, target=target):
+            _images(chain, translator, ends, between)
+        if chain.has("forces", method=translator, source=source, target=target):
+            continue
+        began = time.perf_counter()
+        shown = translate_presses(packed, look_of(other, packed, chain.device), between)
+        seconds = time.perf_counter() - began
+        rate = {"translator": translator, "source": source, "target": target}
+        chain.add("rates", {**rate, "frames": packed.frames, "seconds": round(seconds, 2)})
+        tuned = net(chain, size.net, f"{size.net}-{source}-{target}-{translator}", shown, start)
+        forces(chain, translator, size.net, ends, tuned.predict(_test(chain, target)))
+
+
+def _images(chain: Chain, name: str, ends: tuple[str, str], translator: Translator) -> None:
+    """Add scores of translated frames and, once, of the baselines; keep the worst frames."""
+    source, target = (chain.archive[end] for end in ends)
+    found = location_pairs(source.table, target.table)
+    kept = np.flatnonzero(np.isin(found.source, chain.split.rows(source.table, UNSEEN)))
+    some = generator(SEED, "scored").permutation(len(kept))[: chain.size.scored]
+    before, after = found.source[kept[some]], found.target[kept[some]]
+    translated = _translated(chain, source, target, (before, after), translator)
+    train = chain.split.rows(target.table, "train")
+    shown = {name: translated}
+    if name == TRANSLATORS[-1]:
+        shown |= {
+            SOURCE: source.packed(before),
+            REFERENCE: target.references[target.table["reference"][after]],
+            NEAREST: target.packed(nearest_frames(target.table, after, train)),
+        }
+    real = real_frames(target, after)
+    true = _features(chain, real.packed)
+    dice = overlap(_masks(translated), _masks(real.packed)).dice
+    worst = dice.argsort()[:2]
+    frames = [source.packed(before[worst]), translated[worst], real.packed[worst]]
+    (chain.out / "worst").mkdir(exist_ok=True)
+    np.savez_compressed(
+        chain.out / "worst" / f"{name}-{ends[0]}-{ends[1]}.npz",
+        frames=np.stack([shrink(each) for each in frames]),
+        dice=dice[worst],
+    )
+    for method, packed in shown.items():
+        score = paired_score(packed, real, UNSEEN, method)
+        row = {"method": method, "source": ends[0], "target": ends[1], "frames": len(packed)}
+        for key in ("dice", "centroid_px", "centroid_p95_px", "count_mismatch", "ssim"):
+            row[key] = round(getattr(score, key), 4)
+        chain.add("images", {**row, **_distances(chain, true, _features(chain, packed))})
+
+
+def _translated(
+    chain: Chain,
+    source: Any,
+    target: Any,
+    rows: tuple[NDArray[np.int64], NDArray[np.int64]],
+    translator: Translator,
+) -> NDArray[np.uint8]:
+    """Return packed frames (n, 38400) of the source, as the target would have shown them.
+
+    Args:
+        chain: Surroundings.
+        source: Sensor to translate from.
+        target: Sensor to translate to.
+        rows: Their rows of the same moments (n,), (n,).
+        translator: Translator for this pair.
+    """
+    made = np.empty((len(rows[0]), 38400), np.uint8)
+    ends = tuple(zip((source, target), rows, strict=True))
+    stills = np.stack([end.table["reference"][own] for end, own in ends], axis=1)
+    for numbers in np.unique(stills, axis=0).tolist():
+        here = np.flatnonzero((stills == numbers).all(axis=1))
+        packed = [end.references[[number]] for (end, _), number in zip(ends, numbers, strict=True)]
+        before, after = (_masks(each).to(chain.device)[0] for each in packed)
+        masks = _masks(source.packed(rows[0][here])).to(chain.device)
+        made[here] = pack(translator.translate(masks, after, before).cpu().numpy())
+    return made
+
+
+def _masks(packed: NDArray[np.uint8]) -> torch.Tensor:
+    return unpack_masks(torch.from_numpy(packed))
+
+
+# Distances between sets of images, by features of the autoencoder of this chain
+
+
+def _features(chain: Chain, packed: NDArray[np.uint8]) -> Floats:
+    """Return 256 features (n, 256): the mean of the latent in 8 x 8 cells."""
+    network = _encoder(chain)
+    found = []
+    for part in torch.from_numpy(packed).split(64):
+        images = unit(shrink_masks(unpack_masks(part.to(chain.device)))) * 2 - 1
+        with torch.no_grad():
+            latent = posterior(network, images.expand(-1, 3, -1, -1), 1.0).mean
+        found.append(torch.nn.functional.adaptive_avg_pool2d(latent, 8).flatten(1))
+    return torch.cat(found).double().cpu().numpy()
+
+
+_encoders: dict[Path, Any] = {}
+
+
+def _encoder(chain: Chain) -> Any:
+    folder = chain.model("vae")
+    if folder not in _encoders:
+        network = read_vae(chain.base)
+        weights = train_vae.load_vae_adapter(folder, fingerprint(chain.base))
+        network.load_state_dict(weights)
+        _encoders[folder] = network.to(chain.device).eval()
+    return _encoders[folder]
+
+
+def _distances(chain: Chain, true: Floats, found: Floats) -> dict[str, Any]:
+    kernel, spread = kernel_distance(true, found, size=100, subsets=20, seed=SEED)
+    digest = read_model_folder(chain.model("vae")).hash()[:12]
+    return {
+        "frechet": round(frechet_distance(true, found), 4),
+        "kernel": round(kernel, 5),
+        "kernel_std": round(spread, 5),
+        "features": f"marker-vae@sha256:{digest}",
+    }
+
+
+def _patterns_split(chain: Chain) -> Split:
+    return make_split(chain.patterns, validation=0, new_press=0)
+
+
+def patterns(chain: Chain) -> None:
+    """Score all pairs of patterns before and after translation, under unseen indenters."""
+    model = load_translator(chain.model("m2m-patterns"), chain.device)
+    archive, split = chain.patterns, _patterns_split(chain)
+    first = archive[next(iter(archive))]
+    rows = split.rows(first.table, UNSEEN)
+    rows = rows[generator(SEED, "states").permutation(len(rows))[: chain.size.scored]]
+    location = first.table["location"][rows]
+
+    def rows_of(sensor: Any) -> NDArray[np.int64]:
+        order = np.argsort(sensor.table["location"], kind="stable")
+        return np.asarray(order[np.searchsorted(sensor.table["location"][order], location)])
+
+    real = {name: archive[name].packed(rows_of(archive[name])) for name in archive}
+    known = {name: _features(chain, packed) for name, packed in real.items()}
+    for source, target in permutations(archive, 2):
+        if chain.has("patterns", source=source, target=target):
+            continue
+        one, other = archive[source], archive[target]
+        made = _translated(chain, one, other, (rows_of(one), rows_of(other)), model)
+        row: dict[str, Any] = {"source": source, "target": target, "states": len(rows)}
+        for when, packed, features in (
+            ("before", real[source], known[source]),
+            ("after", made, _features(chain, made)),
+        ):
+            dice = overlap(_masks(packed), _masks(real[target])).dice.mean()
+            far = _distances(chain, known[target], features)
+            row |= {f"dice_{when}": round(float(dice), 4)}
+            row |= {f"{key}_{when}": far[key] for key in ("frechet", "kernel")}
+        chain.add("patterns", {**row, "features": far["features"]})
+    embedded_file = chain.out / "patterns.npz"
+    if not embedded_file.exists():
+        few = {name: features[:60] for name, features in known.items()}
+        source, *others = archive
+        for target in others:
+            ends = archive[source], archive[target]
+            made = _translated(chain, *ends, (rows_of(ends[0]), rows_of(ends[1])), model)
+            few[f"{source} to {target}"] = _features(chain, made)[:60]
+        np.savez_compressed(embedded_file, allow_pickle=False, **few)
+
+
+def latency(chain: Chain) -> None:
+    """Time the force nets frame by frame, on this device and on two threads of the CPU."""
+    from tempfile import TemporaryDirectory
+
+    from benchmarks.learning.latency.costs import Variant, costs, sample_of_noise
+
+    sensor = next(iter(chain.archive))
+    for preset in chain.size.nets:
+        if chain.has("latency", net=preset):
+            continue
+        model = load_force_model(chain.model(f"{preset}-{sensor}"), chain.device)
+        variants = (Variant("torch", "fp32"), Variant("onnxruntime", "fp32"))
+        with TemporaryDirectory() as folder:
+            found = costs(
+                preset,
+                model,
+                sample_of_noise(model, 10),
+                Path(folder),
+                threads=2,
+                variants=variants,
+            )
+        device = torch.cuda.get_device_name() if chain.device.type == "cuda" else "CPU"
+        for cost in found:
+            where = device if cost.runtime == "torch" else "CPU"
+            row = {"net": preset, "weights": cost.weights, "runtime": cost.runtime, "on": where}
+            row |= {"p50_ms": cost.p50_ms, "p99_ms": cost.p99_ms, "remark": cost.remark}
+            chain.add("latency", row)
+
+
+def names(size: Size) -> dict[str, tuple[str, ...]]:
+    """Return the names of all jobs, the most urgent first, and those that each needs."""
+    sensors = size.sensors
+    jobs: dict[str, tuple[str, ...]] = {
+        "vae": ("archive patterns", "archive sensors"),
+        "m2m-patterns": ("vae",),
+        "m2m": ("m2m-patterns", "archive sensors"),
+        "field": ("archive sensors",),
+    }
+    jobs |= {f"own {name}": ("archive sensors",) for name in sensors}
+    jobs |= {"patterns": ("m2m-patterns",)}
+    for translator in TRANSLATORS:
+        for name in sensors:
+            jobs[f"pairs {translator} {name}"] = ("vae", translator, f"own {name}")
+    jobs |= {f"nets {name}": ("archive sensors",) for name in sensors}
+    jobs["latency"] = (*(f"nets {name}" for name in sensors), *(f"own {name}" for name in sensors))
+    return jobs
+
+
+def run_job(chain: Chain, name: str) -> None:
+    """Run a job by its name."""
+    kind, *arguments = name.split()
+    found: dict[str, Callable[..., None]] = {
+        "vae": vae,
+        "m2m-patterns": m2m_patterns,
+        "m2m": m2m_sensors,
+        "field": field_translator,
+        "own": own,
+        "patterns": patterns,
+        "pairs": pairs,
+        "nets": nets,
+        "latency": latency,
+    }
+    found[kind](chain, *arguments)

@@ -1,0 +1,140 @@
+"""Sizes of the chain: data, networks, and the part of the time that each training gets."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+# The paper's force net, its smaller versions, and the net that reads marker displacement.
+NETS = ("paper", "displacement", "half", "quarter", "tiny")
+# Seed of all trainings; there is one run of each.
+SEED = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    """Data and networks of one size, and training times as parts of `--minutes`."""
+
+    sensors: tuple[str, ...]
+    """Sensors, in every direction between two of them."""
+    archive: tuple[str, ...]
+    """Options of `sim archive sensors`."""
+    patterns: tuple[str, ...]
+    """Options of `sim archive states`."""
+    vae: Mapping[str, Any]
+    """Configuration of diffusers' AutoencoderKL."""
+    unet: Mapping[str, Any]
+    """Configuration of diffusers' UNet2DConditionModel."""
+    batch: int
+    """Images, or pairs, in a step of the autoencoder and the translator."""
+    field_preset: tuple[str, ...]
+    """Preset and overrides of the field translator."""
+    net: str
+    """Force net that is trained on translated frames."""
+    nets: tuple[str, ...]
+    """Force nets that are compared on each sensor's own labels."""
+    scored: int
+    """Most frames of a pair of sensors, or of patterns, whose images are scored."""
+    precision: str
+    """Precision of the autoencoder and the translator."""
+    parts: Mapping[str, float] = field(
+        default_factory=lambda: {
+            "vae": 0.4,
+            "m2m-patterns": 1.0,
+            "m2m": 0.6,
+            "field": 0.4,
+            "net": 0.15,
+            "tuned": 0.075,
+        }
+    )
+    """Training time of each kind of job, over `--minutes`."""
+
+
+def _vae(widths: tuple[int, ...]) -> dict[str, Any]:
+    return {
+        "in_channels": 3,
+        "out_channels": 3,
+        "down_block_types": ["DownEncoderBlock2D"] * 4,
+        "up_block_types": ["UpDecoderBlock2D"] * 4,
+        "block_out_channels": list(widths),
+        "layers_per_block": 1,
+        "latent_channels": 4,
+        "norm_num_groups": 8,
+        "sample_size": 256,
+        "scaling_factor": 1.0,
+    }
+
+
+def _unet(widths: tuple[int, ...]) -> dict[str, Any]:
+    deep = len(widths) - 1
+    return {
+        "sample_size": 32,
+        "in_channels": 4,
+        "out_channels": 4,
+        "down_block_types": ["CrossAttnDownBlock2D"] * deep + ["DownBlock2D"],
+        "up_block_types": ["UpBlock2D"] + ["CrossAttnUpBlock2D"] * deep,
+        "block_out_channels": list(widths),
+        "layers_per_block": 1,
+        "attention_head_dim": 32,
+        # The pixels of a latent: the authors' code takes each of its channels as a token.
+        "cross_attention_dim": 1024,
+        "norm_num_groups": 8,
+    }
+
+
+SIZES = {
+    "gpu": Size(
+        # Three of the paper's homogeneous sensors: all pairs that its text names are among theirs.
+        sensors=("array-i", "circle-ii", "diamond-i"),
+        archive=("--scale", "0.1", "--steps", "4"),
+        patterns=(),
+        vae=_vae((32, 64, 128, 128)),
+        unet=_unet((128, 256, 256)),
+        batch=32,
+        field_preset=("ours", "field_stage.batch=96", "map_stage.batch=96"),
+        net="paper",
+        nets=NETS,
+        scored=150,
+        precision="bf16",
+    ),
+    "toy": Size(
+        sensors=("array-i", "circle-ii"),
+        archive=(
+            "--scale",
+            "smoke",
+            "--steps",
+            "2",
+            "--indenters",
+            "prism,dots,moon,sphere_s,wave",
+        ),
+        patterns=("--patterns", "Array1,Circle2,Diamond1", "--indenters", "prism,sphere_s"),
+        vae=_vae((8, 16, 16, 16)),
+        unet=_unet((32, 32)),
+        batch=4,
+        field_preset=("cpu_smoke",),
+        net="tiny",
+        nets=("tiny", "displacement"),
+        scored=12,
+        precision="no",
+    ),
+}
+
+
+def write_base(folder: Path, size: Size) -> None:
+    """Write untrained networks in the layout of the published ones, the same each time."""
+    import torch
+
+    from learning.translation.diffusion.weights import vendor
+
+    if (folder / "unet" / "config.json").exists():
+        return
+    diffusers = vendor("diffusers")
+    with torch.random.fork_rng():
+        torch.manual_seed(SEED)
+        for name, kind, config in (
+            ("vae", diffusers.AutoencoderKL, size.vae),
+            ("unet", diffusers.UNet2DConditionModel, size.unet),
+        ):
+            kind.from_config(dict(config)).save_pretrained(folder / name)
