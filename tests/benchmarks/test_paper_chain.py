@@ -1,0 +1,53 @@
+"""Scores and jobs of the paper's chain."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.learning.paper_chain.jobs import force_scores, names
+from benchmarks.learning.paper_chain.page import last_line, write
+from benchmarks.learning.paper_chain.sizes import SIZES
+from learning.metrics import r_squared
+
+
+def test_intervals_are_of_resampled_indenters() -> None:
+    chance = np.random.default_rng(0)
+    true = chance.normal(size=(600, 3))
+    indenter = np.repeat(np.arange(6), 100)
+    spread = np.where(indenter == 0, 1.0, 0.1)[:, None]
+    found = true + spread * chance.normal(size=true.shape)
+    scores = force_scores(true, found, indenter)
+    assert scores["r2"] == pytest.approx(r_squared(true, found).mean(), abs=1e-4)
+    assert scores["mae_fz_n"] == pytest.approx(np.abs(found - true)[:, 2].mean(), abs=1e-4)
+    # One resample in three lacks the bad indenter, some have it twice or more.
+    without = indenter > 0
+    assert scores["r2_high"] == pytest.approx(
+        r_squared(true[without], found[without]).mean(), abs=0.01
+    )
+    assert scores["r2_low"] < scores["r2"] - 0.1
+    alike = force_scores(true, true + 0.1, indenter)
+    assert alike["mae_fz_low_n"] == alike["mae_fz_high_n"] == 0.1
+
+
+def test_every_job_comes_after_those_it_needs() -> None:
+    for size in SIZES.values():
+        known = ["archive patterns", "archive sensors"]
+        for name, needed in names(size).items():
+            assert {*needed} <= {*known}, name
+            known.append(name)
+
+
+def test_tables_are_of_the_rows_that_there_are(tmp_path: Path) -> None:
+    write(tmp_path, SIZES["toy"])
+    assert last_line(tmp_path) == "paper chain R2 -  nearest frame R2 -  displacement R2 -"
+    head = "method,net,source,target,r2,r2_low,r2_high,mae_shear_n,mae_fz_n\n"
+    rows = "m2m,tiny,a,b,0.5,0.4,0.6,0.1,0.2\nm2m,tiny,b,a,0.7,0.6,0.8,0.1,0.4\n"
+    (tmp_path / "forces.csv").write_text(head + rows)
+    write(tmp_path, SIZES["toy"])
+    line = "| m2m | tiny | 2 | 0.600 | 0.500 to 0.700 | 0.500 (a to b) | 0.100, 0.300 |"
+    assert line in (tmp_path / "tables.md").read_text()
+    assert (tmp_path / "forces.png").exists()
+    assert last_line(tmp_path).startswith("paper chain R2 0.600  nearest")
