@@ -180,16 +180,16 @@ def fitted(
         level.near,
     )
     # A tilt keeps its prior unless it explains the presses clearly better.
-    sigma = _sigmas(tracks, level.near, *_errors(tracks, level.near.readings, level.near.rates))
-    tilted = _gain(tracks, sigma, level.near, leaning.near) > TOLD
-    found, known = (leaning, names) if tilted else (level, plain)
+    found, known = level, plain
+    timing, law, sigma = _weights(tracks, level.near)
+    if _gain(tracks, sigma, level.near, leaning.near) > TOLD:
+        found, known = leaning, names
+        timing, law, sigma = _weights(tracks, leaning.near)
     values, near = found.values, found.near
     rows = [names.index(name) for name in known]
-    timing, law = _errors(tracks, near.readings, near.rates)
-    sigma = _sigmas(tracks, near, timing, law)
-    residual, _ = _stacked(tracks, near.readings, sigma)
+    residual, jacobian = _stacked(tracks, near.readings, sigma, near.slopes)
     excess = max(1.0, float(residual @ residual) / max(1, len(residual) - len(known)))
-    told = information(tracks, near, timing, law) / excess
+    told = jacobian.T @ jacobian / excess
     covariance = np.diag(prior**2)
     covariance[np.ix_(rows, rows)] = np.linalg.inv(told + np.diag(prior[rows] ** -2))
     progress(1.0)
@@ -236,8 +236,7 @@ def _descended(
     near, kept = model.linearised(values, names, known), False
     for done in range(1, ROUNDS + 1):
         progress((done - 1) / ROUNDS)
-        timing, law = _errors(tracks, near.readings, near.rates)
-        sigma = _sigmas(tracks, near, timing, law)
+        _, _, sigma = _weights(tracks, near)
         residual, jacobian = _stacked(tracks, near.readings, sigma, near.slopes)
         offset = _offset(names, values, centre)
         normal = jacobian.T @ jacobian + np.diag(prior**-2)
@@ -356,6 +355,12 @@ def recent(time: Array, rate: Array) -> Array:
     """Return the largest rate (n,) of each point and of those up to `SETTLING` before it."""
     first = np.searchsorted(time, time - SETTLING)
     return np.array([rate[low : row + 1].max() for row, low in enumerate(first)])
+
+
+def _weights(tracks: Sequence[Track], near: Linear) -> tuple[float, float, list[Array]]:
+    """Return timing error [s], relative error at rest, and the error expected of each point [N]."""
+    timing, law = _errors(tracks, near.readings, near.rates)
+    return timing, law, _sigmas(tracks, near, timing, law)
 
 
 def _sigmas(tracks: Sequence[Track], near: Linear, timing: float, law: float) -> list[Array]:
