@@ -300,7 +300,7 @@ def run_campaign(
     """
     campaign.out.mkdir(parents=True, exist_ok=True)
     failed = EXIT_DONE
-    mounted: tuple[str, str] | None = None
+    before: Item | None = None
     catalogue = Catalogue(campaign.out)
     catalogue.refresh()
     for number, item in enumerate(campaign.items):
@@ -314,12 +314,11 @@ def run_campaign(
             if settings.keep_going:
                 continue
             break
-        if mounted != (entry.sensor, entry.indenter):
-            place = f"{number + 1} of {len(campaign.items)}"
-            if not _mount(progress.item, place, mounted, ask, swap):
-                failed = EXIT_INTERRUPTED
-                break
-            mounted = (entry.sensor, entry.indenter)
+        place = f"{number + 1} of {len(campaign.items)}"
+        if not _mount(item, place, before, ask, swap):
+            failed = EXIT_INTERRUPTED
+            break
+        before = item
         say(f"recording {progress.session}")
         code = run_rig(command(progress, campaign, settings))
         if code == EXIT_DONE:
@@ -340,21 +339,27 @@ def run_campaign(
     return failed
 
 
-def _mount(
-    item: Item, place: str, before: tuple[str, str] | None, ask: Ask, swap: Swap | None
-) -> bool:
-    """Have an item's sensor and indenter mounted; return False if the technician stops."""
+def _mount(item: Item, place: str, before: Item | None, ask: Ask, swap: Swap | None) -> bool:
+    """Have an item's sensor and indenter mounted; return False if the technician stops.
+
+    Another bench file on a lab bench is asked about even if they stay: it moves otherwise.
+    """
     entry, bench = item.entry, item.bench
     gripped = swap is not None and bench.gripper is not None and not bench.mock
-    if not gripped or before is None or before[0] != entry.sensor:
+    new_bench = before is None or before.bench_path != item.bench_path
+    new_sensor = before is None or before.bench.sensor != bench.sensor
+    new_indenter = new_sensor or before is None or before.entry.indenter != entry.indenter
+    if new_sensor or (new_bench and not bench.mock) or (new_indenter and not gripped):
+        mount = f"{'mount' if new_indenter else 'keep'} sensor {bench.sensor}"
         indenter = "" if gripped else f", indenter {entry.indenter}"
+        own = "" if entry.sensor == bench.sensor else f" (bench file {entry.sensor})"
         mock = " (mock bench: nothing to mount)" if bench.mock else ""
         pressed = replace(bench, indenter=entry.indenter)
         lines = motion_lines(pressed, deepest(item.plan, item.total))
         moves = "" if bench.mock else "\n".join(["", *lines])
-        if not ask(f"{place}: mount sensor {entry.sensor}{indenter}{mock}{moves}"):
+        if not ask(f"{place}: {mount}{indenter}{own}{mock}{moves}"):
             return False
-    if gripped and swap is not None:
+    if new_indenter and gripped and swap is not None:
         try:
             swap(item)
         except KeyboardInterrupt:

@@ -243,6 +243,51 @@ def test_benches_with_names_of_their_own_are_recorded_in_the_simulated_world_and
     assert [progress.state for progress in progress_of(campaign)] == ["done"]
 
 
+def test_benches_of_one_sensor_ask_to_mount_the_sensor_and_indenter_and_not_the_bench(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, depth in (("twin-1", 0.6), ("twin-2", 0.9), ("twin-3", 0.9)):
+        (tmp_path / f"{name}.yaml").write_text(
+            f"extends: gelsight.yaml\ntrajectory: {{depth_max_mm: {depth}}}\n"
+        )
+    file = tmp_path / "plan.yaml"
+    entries = (("twin-1", "line"), ("twin-2", "line"), ("twin-3", "sphere"))
+    file.write_text(
+        "sessions:\n"
+        + "".join(f"  - {{sensor: {one}, indenter: {other}}}\n" for one, other in entries)
+    )
+    campaign = dataclasses.replace(load_campaign(file, tmp_path), out=tmp_path / "out")
+    lab = tuple(
+        dataclasses.replace(item, bench=dataclasses.replace(item.bench, mock=False, world=None))
+        for item in campaign.items
+    )
+    monkeypatch.setattr(campaign_module, "run_rig", lambda _: 0)
+
+    def asked(items: tuple[Item, ...]) -> list[str]:
+        questions: list[str] = []
+
+        def ask(question: str) -> bool:
+            questions.append(question)
+            return True
+
+        one = dataclasses.replace(campaign, items=items)
+        run_campaign(one, Settings(tmp_path, ROOT / "calibrations"), ask, lambda _: None)
+        return questions
+
+    told = asked(lab)
+    assert [question.partition("\n")[0] for question in told] == [
+        "1 of 3: mount sensor gelsight, indenter line (bench file twin-1)",
+        "2 of 3: keep sensor gelsight, indenter line (bench file twin-2)",
+        "3 of 3: mount sensor gelsight, indenter sphere (bench file twin-3)",
+    ]
+    # The same indenter goes deeper on the second bench, which is said before it moves.
+    assert told[0].partition("\n")[2] != told[1].partition("\n")[2]
+    assert [question.partition(" (")[0] for question in asked(campaign.items)] == [
+        "1 of 3: mount sensor gelsight, indenter line",
+        "3 of 3: mount sensor gelsight, indenter sphere",
+    ]
+
+
 def test_a_simulated_world_is_refused_before_anything_is_asked(tmp_path: Path) -> None:
     (tmp_path / "bare.yaml").write_text("extends: gelsight.yaml\nsimulated: null\n")
     file = tmp_path / "day.yaml"
