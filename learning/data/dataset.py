@@ -205,12 +205,7 @@ class _OfSession:
 
     def __init__(self, path: str, storage_options: Mapping[str, Any]) -> None:
         self.session = Session(path, storage_options=storage_options or None)
-        frames = self.session.frames
-        if "t_ns" not in frames:
-            raise LearningError(
-                f"{path}: {self.session.status}, so it has no frames yet; allowed: closed sessions "
-                "(tactile session recover, once nothing writes to it)"
-            )
+        frames = self.session.require_frames()
         self._t_ns, self._run = np.asarray(frames["t_ns"]), np.asarray(frames["run"])
         self.columns = tuple(
             column

@@ -203,8 +203,7 @@ def _require_presses(session: Session, name: str) -> None:
             f"{name}: has no targets, so its frames cannot be assigned to presses; a recording "
             "made elsewhere gets those that `tactile import` finds"
         )
-    if "t_ns" not in session.frames:
-        raise LearningError(f"{name}: has no frames (python -m recorder recover builds them)")
+    session.require_frames()
     frame, imported = session.attrs.get("contact_frame"), session.attrs.get("imported")
     if isinstance(imported, dict) and imported.get("place") == "unknown":
         return

@@ -333,6 +333,20 @@ class Session:
 
         return html_of(self)
 
+    def require_frames(self) -> Table:
+        """Return `frames`.
+
+        Raises:
+            SessionError: The session has none, such as while it is recorded.
+        """
+        if "t_ns" not in self.frames:
+            live = self.status == "recording"
+            raise SessionError(
+                f"{self.name}: {'recording, so it has no frames yet' if live else 'has no frames'} "
+                "(tactile session recover builds them, once nothing writes to it)"
+            )
+        return self.frames
+
     def to_pandas(self) -> Any:
         """Return `frames` as a DataFrame; see `recorder.session.tables.to_pandas`."""
         from recorder.session.tables import to_pandas

@@ -30,7 +30,7 @@ def to_pandas(session: Session) -> Any:
     Raises:
         SessionError: pandas is not installed, the session has no frames yet, or data are corrupt.
     """
-    pandas, frames = _library("pandas"), _frames(session)
+    pandas, frames = _library("pandas"), session.require_frames()
     components = _components(session)
     columns: dict[str, Any] = {}
     for name, values in frames.items():
@@ -51,7 +51,7 @@ def to_xarray(session: Session) -> Any:
     Raises:
         SessionError: xarray is not installed, the session has no frames yet, or data are corrupt.
     """
-    xarray, frames = _library("xarray"), _frames(session)
+    xarray, frames = _library("xarray"), session.require_frames()
     components = _components(session)
     variables: dict[str, Any] = {}
     coordinates: dict[str, Any] = {"t_ns": frames["t_ns"]}
@@ -71,15 +71,6 @@ def _library(name: str) -> Any:
         return import_module(name)
     except ImportError as error:
         raise SessionError(f"to_{name} needs {name}: pip install 'tactile-rig[tables]'") from error
-
-
-def _frames(session: Session) -> dict[str, np.ndarray[Any, Any]]:
-    if "t_ns" not in session.frames:
-        raise SessionError(
-            f"{session.name}: {session.status}, so it has no frames yet (tactile session recover, "
-            "once nothing writes to it)"
-        )
-    return {name: np.asarray(values) for name, values in session.frames.items()}
 
 
 def _about(session: Session, name: str) -> dict[str, str]:

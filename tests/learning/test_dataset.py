@@ -147,7 +147,7 @@ def test_what_makes_no_sense_is_refused(sessions: Path, tmp_path: Path) -> None:
         TactileDataset(nameless, 2, split="train")
     assert len(TactileDataset(nameless, 2)) > 0
     make_session(tmp_path / "live.zarr", seconds=0.6, names=("force",), finish=False)
-    with pytest.raises(LearningError, match=r"live\.zarr: recording, so it has no frames yet"):
+    with pytest.raises(SessionError, match=r"live\.zarr: recording, so it has no frames yet"):
         TactileDataset(tmp_path, 2)
     (tmp_path / "live.zarr" / "zarr.json").write_text("{")
     with pytest.raises(SessionError, match=r"live\.zarr"):

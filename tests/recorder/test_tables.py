@@ -5,13 +5,14 @@ from __future__ import annotations
 import base64
 import io
 import re
+import shutil
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
-from support.sessions import make_session
+from support.sessions import make_session, reseal
 
 from recorder import Session, SessionError
 
@@ -51,6 +52,11 @@ def test_a_missing_library_and_missing_frames_are_said(
     live = make_session(tmp_path / "live.zarr", seconds=0.6, names=("force",), finish=False)
     with pytest.raises(SessionError, match=r"live\.zarr: recording, so it has no frames yet"):
         Session(live).to_pandas()
+    bare = make_session(tmp_path / "bare.zarr", seconds=0.6, names=("force",))
+    shutil.rmtree(bare / "frames")
+    reseal(bare)
+    with pytest.raises(SessionError, match=r"bare\.zarr: has no frames \(tactile session recover"):
+        Session(bare).to_xarray()
     for name in ("pandas", "xarray"):
         monkeypatch.setitem(sys.modules, name, None)
         with pytest.raises(SessionError, match=rf"needs {name}: pip install 'tactile-rig\[tables"):
