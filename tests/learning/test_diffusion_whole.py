@@ -19,12 +19,12 @@ FEW = ("whole=true", "steps=3", "batch=2", "launch={device: cpu, mixed_precision
 
 def test_all_weights_are_trained_and_stored(tmp_path: Path) -> None:
     base = str(write_base(tmp_path / "base"))
-    facts = {train_vae.BASE: fingerprint(base)}
+    metadata = {train_vae.BASE: fingerprint(base)}
     given = [*FEW, f"weights.base={base}", "optimiser.rate={kind: constant, rate: 0.01}"]
     settings = read_settings(train_vae.MarkerVaeSettings, train_vae.PRESETS, "ours", given)
     pairs = striped_pairs()
     with RunFolder.open(
-        tmp_path / "vae", train_vae.KIND, settings, "stripes", metadata=facts
+        tmp_path / "vae", train_vae.KIND, settings, "stripes", metadata=metadata
     ) as run:
         session = Session(accelerator(settings.launch), run)
         vae = train_vae.train_vae(pairs.images, read_vae(base), settings, None, session)
@@ -37,7 +37,7 @@ def test_all_weights_are_trained_and_stored(tmp_path: Path) -> None:
     given += ["losses={adversarial: 0, perceptual: 0, square: 1}"]
     own = read_settings(train.TranslatorSettings, train.PRESETS, "ours", given)
     networks = train.Pretrained(read_unet(base), read_vae(base))
-    with RunFolder.open(tmp_path / "m2m", train.KIND, own, "stripes", metadata=facts) as run:
+    with RunFolder.open(tmp_path / "m2m", train.KIND, own, "stripes", metadata=metadata) as run:
         session = Session(accelerator(own.launch), run)
         network = train.train(pairs, networks, own, None, session, vae_adapter=adapter)
     # The reference encoder is the trained autoencoder's, and stays as it is.

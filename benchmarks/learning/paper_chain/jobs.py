@@ -178,13 +178,13 @@ def fitting(
 
 @contextmanager
 def run_of(
-    chain: Chain, name: str, kind: str, settings: Any, data: str, facts: Any = None
+    chain: Chain, name: str, kind: str, settings: Any, data: str, metadata: Any = None
 ) -> Iterator[tuple[RunFolder, Session]]:
     """Yield the folder of a training and its session; on a stop the job ends, to be repeated."""
     began = time.perf_counter()
     launched = accelerator(settings.launch)
     with (
-        RunFolder.open(chain.model(name), kind, settings, data, True, metadata=facts) as run,
+        RunFolder.open(chain.model(name), kind, settings, data, True, metadata=metadata) as run,
         Stop(lambda line: print(line, file=sys.stderr)) as stop,
     ):
         yield run, Session(launched, run, stop)
