@@ -50,7 +50,7 @@ $(error wrong input: $(REFUSED))
 endif
 endif
 
-.PHONY: help accuracy speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip doctor setup-bench preview compare mock replay check-session import split train-field train-autoencoder train-direct train-marker-vae train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning transfer calibrate-force demo-transfer demo-twin learning-tables learning-ablations learning-on-gpus live endurance faults bench-recorder test golden test-all check docs format reference setup clean
+.PHONY: help accuracy speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip doctor setup-bench preview compare mock replay check-session import split train-field train-autoencoder train-direct train-marker-vae train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning demo-paper transfer calibrate-force demo-transfer demo-twin learning-tables learning-ablations learning-on-gpus live endurance faults bench-recorder test golden test-all check docs format reference setup clean
 
 # Above a target: `##@` starts a group of the list, `#:` gives the options of the target.
 help:
@@ -197,6 +197,10 @@ demo-learning: $(VENV)/.demo  ## Run three simulated sensors from press to repor
 	@$(PY) -m sim archive sensors --sensors $(DEMO)/array-hard.yaml,$(DEMO)/circle.yaml,$(DEMO)/diamond-soft.yaml --tier layer --scale 0.025 --steps 4 --no-check --out $(or $(OUT),runs/demo-learning)/demo.markers.zarr
 	@$(PY) -m learning experiment $(or $(OUT),runs/demo-learning)/demo.markers.zarr --out $(or $(OUT),runs/demo-learning) --preset demo --pairs array-hard:circle,array-hard:diamond-soft
 
+#: [OUT=runs/demo-paper]
+demo-paper: $(VENV)/.chain  ## Train the paper's chain at toy size on two cores (10 minutes)
+	@$(PY) -m benchmarks paper-chain --out $(or $(OUT),runs/demo-paper) --size toy --minutes 1 --gpus cpu
+
 #: [OUT=runs/twin-demo]
 demo-twin: $(VENV)/.rig $(VENV)/.sim  ## Record a mock sensor and identify its twin on two cores (10 minutes)
 	@$(PY) -m benchmarks twin-demo $(if $(OUT),--out $(OUT))
@@ -316,6 +320,9 @@ $(VENV)/.learning: pyproject.toml constraints.txt | $(VENV)/bin/python
 $(VENV)/.demo: pyproject.toml constraints.txt | $(VENV)/bin/python
 	@$(PIP) '.[learning,sim]' && touch $@ $(VENV)/.learning $(VENV)/.sim
 
+$(VENV)/.chain: pyproject.toml constraints.txt | $(VENV)/bin/python
+	@$(PIP) '.[diffusion,sim]' && touch $@ $(VENV)/.demo $(VENV)/.learning $(VENV)/.sim
+
 $(VENV)/.live: pyproject.toml constraints.txt | $(VENV)/bin/python
 	@$(PIP) '.[rig,learning]' && touch $@ $(VENV)/.rig $(VENV)/.learning
 
@@ -326,4 +333,4 @@ $(VENV)/.bench: pyproject.toml constraints.txt | $(VENV)/bin/python
 	@$(PIP) '.[rig,bench]' && touch $@ $(VENV)/.rig
 
 $(VENV)/.dev: pyproject.toml constraints.txt | $(VENV)/bin/python
-	@$(PIP) '.[rig,dev]' && touch $@ $(VENV)/.rig $(VENV)/.learning $(VENV)/.demo $(VENV)/.live
+	@$(PIP) '.[rig,dev]' && touch $@ $(VENV)/.rig $(VENV)/.learning $(VENV)/.demo $(VENV)/.chain $(VENV)/.live

@@ -668,8 +668,10 @@ def names(size: Size) -> dict[str, tuple[str, ...]]:
     for translator in TRANSLATORS:
         for name in sensors:
             jobs[f"pairs {translator} {name}"] = ("vae", translator, f"own {name}")
-    jobs |= {f"nets {name}": ("archive sensors",) for name in sensors}
-    jobs["latency"] = (*(f"nets {name}" for name in sensors), *(f"own {name}" for name in sensors))
+    if {*size.nets} - {size.net, "displacement"}:
+        jobs |= {f"nets {name}": ("archive sensors",) for name in sensors}
+    trained = (name for name in jobs if name.startswith(("own", "nets")))
+    jobs["latency"] = tuple(trained)
     return jobs
 
 
