@@ -191,6 +191,7 @@ def test_make_targets_have_the_variables_that_pages_give_them() -> None:
 TESTED = {
     "archive join": ("tests/learning/test_join.py", "learning.data.join"),
     "calibrate-force": ("tests/learning/test_transfer.py", "run_module(calibrate_force"),
+    "card": ("tests/tactile/test_card.py", '"card"'),
     "cross-validate": ("tests/tactile/test_import_recording.py", 'run("cross-validate"'),
     "doctor": ("tests/rig/test_doctor.py", '"doctor"'),
     "import-force-weights": ("tests/learning/test_force_authors.py", "import_force_weights("),
@@ -198,6 +199,7 @@ TESTED = {
     "init": ("tests/tactile/test_init.py", '"init"'),
     "markers-fit": ("tests/learning/test_markers_fit.py", '"markers-fit"'),
     "mock": ("tests/rig/test_lab_bench.py", '"mock"'),
+    "sample": ("tests/tactile/test_card.py", '"sample"'),
     "schema": ("tests/tactile/test_schema.py", "schema"),
     "score-transfer": ("tests/learning/test_transfer.py", "run_module(score_transfer"),
     "session list": ("tests/recorder/test_catalogue.py", '"list"'),
@@ -231,7 +233,7 @@ def test_every_command_is_run_by_a_test() -> None:
 def test_tutorials_have_code_of_kinds_that_are_run() -> None:
     for page in TUTORIALS:
         kinds = {kind for kind, _ in blocks(page)}
-        assert kinds <= {"sh", "python", "text"}, page.name
+        assert kinds <= {"sh", "python", "text", "console", "yaml"}, page.name
 
 
 def test_files_that_are_named_are_there() -> None:

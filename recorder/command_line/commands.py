@@ -244,6 +244,8 @@ LEARN = (
 )
 LAB = (
     Command("init", "tactile.init", "create the folder of a lab"),
+    Command("sample", "tactile.sample", "record short samples of each kind of sensor", "rig"),
+    Command("card", "tactile.card", "describe a session, marker archive or model on one page"),
     Command("schema", "tactile.schema", "write the JSON Schema of bench, campaign or sensor files"),
 )
 
