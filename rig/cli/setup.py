@@ -39,6 +39,7 @@ from rig.core.clock import SystemClock, file_stamp
 from rig.core.config import from_si, to_si
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.geometry import compose
+from rig.devices.arm.settings import ArmConfig
 
 Answers = dict[str, float | str]
 Point = tuple[float, float, float]
@@ -71,6 +72,7 @@ class AtBench:
         self._stack = contextlib.ExitStack()
         self._ready: Bench | None = None
         self._watch: Callable[[], None] | None = None
+        self._host = ""
         self._tip: Point = (0.0, 0.0, _CLEAR)
 
     @property
@@ -79,7 +81,7 @@ class AtBench:
         if self._ready is None:
             on = self._stack.enter_context(started_bench(self.path, self.content))
             self._ready = bench_from(on.content, str(self.path))
-            self._watch = on.watch
+            self._watch, self._host = on.watch, on.host
         return self._ready
 
     def close(self) -> None:
@@ -119,13 +121,14 @@ class AtBench:
             _read(f"  {text}; then Enter: ")
             return
         print(f"  {text} (done by the mock bench)", flush=True)
-        host, ports = self.ready.arm.host, emulation.PORTS
+        bench, ports = self.ready, emulation.PORTS
+        host = self._host
         emulation.inject(host, ports["world"], "hand", force=force)
-        frame = self.bench.world_frame or self.bench.contact_frame
+        frame = bench.world_frame or bench.contact_frame
         for place in places:
             # In small steps, which a simulated World can follow.
             for way in np.linspace(self._tip, place, _STEPS)[1:]:
-                pose = compose(frame, (*way, *self.bench.tool_rotation)).tolist()
+                pose = compose(frame, (*way, *bench.tool_rotation)).tolist()
                 emulation.inject(host, ports["arm"], "freedrive", pose=pose)
                 self.clock.sleep_until(self.clock.now_ns() + _STEP_NS)
             self._tip = place
@@ -349,9 +352,13 @@ class Step:
         return self.check.__name__
 
 
+def _has_pendant(bench: Bench) -> bool:
+    return isinstance(bench.arm, ArmConfig)
+
+
 STEPS = (
     Step(network, _DEVICES),
-    Step(arm, ("arm",)),
+    Step(arm, ("arm",), needed=_has_pendant),
     Step(
         tool,
         ("arm",),
@@ -362,6 +369,7 @@ STEPS = (
                 lambda bench: float(from_si(bench.arm.tcp[2], "mm")),
             ),
         ),
+        _has_pendant,
     ),
     Step(devices, (*_DEVICES, "gripper", "pedal", "preflight")),
     Step(

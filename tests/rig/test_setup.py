@@ -13,6 +13,7 @@ import pytest
 from recorder import Session
 from rig.acquire.calibration import store
 from rig.acquire.calibration.calibration import Calibration
+from rig.acquire.campaign import run_rig
 from rig.acquire.doctor import Finding
 from rig.bench.bench import load_bench
 from rig.cli import setup
@@ -177,12 +178,10 @@ def test_steps_of_benches_with_and_without_a_gauge() -> None:
 def test_a_mock_bench_is_set_up_to_the_end(
     more: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from rig.__main__ import main
-
     monkeypatch.chdir(tmp_path)
-    assert main(["setup", *more, "--yes"]) == 0
+    assert run_rig(["setup", *more, "--yes"]) == 0
     assert list(Path("calibrations").glob("*.acceptance.html"))
-    assert main(["collect", *more, "--targets", "1", "--out", "x.zarr"]) == 0
+    assert run_rig(["collect", *more, "--targets", "1", "--out", "x.zarr"]) == 0
     accepted = Session("x.zarr").attrs["calibration"]["acceptance"]
     assert accepted["result"] == "accepted"
     assert set(accepted["steps"].values()) <= {"well", "note"}

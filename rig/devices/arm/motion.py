@@ -19,6 +19,7 @@ from typing import NoReturn
 from rig.core.clock import Clock, SystemClock
 from rig.core.errors import DeviceLost, SafetyStop
 from rig.core.guard import Kind
+from rig.devices.arm.gcode import StageClient
 from rig.devices.arm.messages import (
     START,
     Alarm,
@@ -35,6 +36,7 @@ from rig.devices.arm.messages import (
 )
 from rig.devices.arm.mover import Mover, Watch
 from rig.devices.arm.reader import RtdeLink
+from rig.devices.arm.settings import ArmConfig, GcodeConfig
 from rig.devices.arm.vendor import UrControl, check_ready
 
 logger = logging.getLogger(__name__)
@@ -84,13 +86,9 @@ def _outlive_briefly() -> None:
 
 def _serve(setup: Setup, pipe: Connection) -> int:
     clock = SystemClock()
-    host = setup.config.host
     start_ns = clock.now_ns()
     try:
-        check_ready(host, _CONNECT)
-        link = RtdeLink(host, min(setup.config.rate_hz, _LINK_HZ), clock)
-        link.open(_CONNECT)
-        control = UrControl(setup.config)
+        link, control = _connected(setup.config, clock)
     except (DeviceLost, SafetyStop) as error:
         outcome: Outcome = "device_lost" if isinstance(error, DeviceLost) else "safety_stop"
         pipe.send(Reply(START, outcome, start_ns, clock.now_ns(), str(error)))
@@ -98,6 +96,24 @@ def _serve(setup: Setup, pipe: Connection) -> int:
     motion = Motion(setup, pipe, control, link, clock)
     signal.signal(signal.SIGTERM, lambda *_: motion.end())
     return motion.serve()
+
+
+def _connected(
+    config: ArmConfig | GcodeConfig, clock: Clock
+) -> tuple[RtdeLink | StageClient, UrControl | StageClient]:
+    """Return the open pose link and the running control of an arm or stage.
+
+    Raises:
+        DeviceLost, SafetyStop: It does not answer, or may not be moved.
+    """
+    if isinstance(config, GcodeConfig):
+        stage = StageClient(config, clock)
+        stage.open(_CONNECT)
+        return stage, stage
+    check_ready(config.host, _CONNECT)
+    link = RtdeLink(config.host, min(config.rate_hz, _LINK_HZ), clock)
+    link.open(_CONNECT)
+    return link, UrControl(config)
 
 
 class Motion:
@@ -112,7 +128,12 @@ class Motion:
     """
 
     def __init__(
-        self, setup: Setup, pipe: Connection, control: UrControl, link: RtdeLink, clock: Clock
+        self,
+        setup: Setup,
+        pipe: Connection,
+        control: UrControl | StageClient,
+        link: RtdeLink | StageClient,
+        clock: Clock,
     ) -> None:
         self._pipe: Connection | None = pipe
         self._control = control
