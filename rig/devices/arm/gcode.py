@@ -225,7 +225,7 @@ class StageDriver(SerialDriver):
             "robot_mode": 7,
         }
         if self._stopping and self._state in ("Idle", "Hold", "Alarm") and not speed.any():
-            # At rest: what is left of the way is cleared.
+            # At rest: the rest of the way is cleared.
             if self._state == "Hold":
                 self._write(b"\x18")
             else:
