@@ -1,14 +1,12 @@
 """Taxel counts from an .npy file, rounded to the integers that the device transmits."""
 
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.convert.import_force import load_npy, rate_of
-from recorder.convert.import_video import every
+from recorder.convert.import_force import rate_of
 from recorder.errors import SessionError
 
 _COUNT_MAX = 0xFFFF
@@ -47,33 +45,6 @@ class Counts:
         return float(self.t_ns[-1]) * 1e-9 + 1.0 / self.rate_hz
 
 
-def read_taxels(path: Path, rate_hz: float | None, order: TaxelOrder | None = None) -> Counts:
-    """Return the counts of a (n, 48), (n, 16, 3) or (n, 3, 16) .npy file.
-
-    Args:
-        path: The file.
-        rate_hz: Scans per second.
-        order: Order of the numbers in a row. None: by the resting counts, which differ more between
-            the axes of a uSkin than between its taxels.
-
-    Raises:
-        SessionError: A different shape, a row that is NaN, negative or beyond uint16, no rate, or
-            an order that cannot be told or contradicts the shape.
-        OSError: The file cannot be read.
-    """
-    array = load_npy(path)
-    if rate_hz is None:
-        _require_shape(path.name, array)
-        raise SessionError(f"{path.name}: says no times; say --taxels-hz")
-    times = every(range(len(array)), rate_hz)
-    found = counts_of(path.name, array, times, order)
-    return replace(
-        found,
-        rate_hz=rate_hz,
-        assumed=[f"{path.name}: {rate_hz:g} rows/s by --taxels-hz", *found.assumed],
-    )
-
-
 def is_taxels(shape: tuple[int, ...]) -> bool:
     """Return True if an array of that shape holds the counts of 16 taxels, row by row."""
     return shape[1:] in ((48,), *_SHAPES)
@@ -84,8 +55,16 @@ def counts_of(
 ) -> Counts:
     """Return counts (n, 48), (n, 16, 3) or (n, 3, 16) taken at times (n,) [ns].
 
+    Args:
+        name: Name of the file, for messages.
+        array: The counts.
+        t_ns: Time of each row.
+        order: Order of the numbers in a row. None: by the resting counts, which differ more between
+            the axes of a uSkin than between its taxels.
+
     Raises:
-        SessionError: As `read_taxels`.
+        SessionError: A different shape, a row that is NaN, negative or beyond uint16, or an order
+            that cannot be told or contradicts the shape.
     """
     _require_shape(name, array)
     values = array.reshape(len(array), 48).astype(np.float64)

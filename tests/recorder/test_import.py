@@ -16,8 +16,8 @@ from recorder import Session, SessionError, check, faults
 from recorder.command_line.run import main
 from recorder.convert import Answers, As, draft_recordings, write_sessions
 from recorder.convert.import_force import FORCE_UNITS, TORQUE_UNITS, parse_header, parse_unit
-from recorder.convert.import_taxels import read_taxels
-from recorder.convert.import_video import read_avi, whole_jpeg
+from recorder.convert.import_taxels import TaxelOrder, counts_of
+from recorder.convert.import_video import every, read_avi, whole_jpeg
 from recorder.session.sheet import contact_sheet
 
 SIZE = (48, 64)
@@ -215,32 +215,28 @@ def uskin_log(rng: np.random.Generator, rows: int = 120) -> np.ndarray:
     return np.rint(resting + pressed + rng.normal(0, 2, (rows, 16, 3)))
 
 
+def ordered(array: Any, order: TaxelOrder | None = None) -> Any:
+    return counts_of("t.npy", array, every(range(len(array)), 60.0), order).value
+
+
 @pytest.mark.parametrize("seed", range(8))
-def test_the_order_of_taxels_is_told_by_their_resting_counts(tmp_path: Path, seed: int) -> None:
+def test_the_order_of_taxels_is_told_by_their_resting_counts(seed: int) -> None:
     counts = uskin_log(np.random.default_rng(seed))
     by_axis = counts.transpose(0, 2, 1)
-    for name, array in {
-        "flat": counts.reshape(-1, 48),
-        "taxel": counts,
-        "axis": by_axis,
-        "flat-axis": by_axis.reshape(-1, 48),
-    }.items():
-        path = saved(tmp_path / f"{name}.npy", array)
-        assert np.array_equal(read_taxels(path, 60.0).value, counts), name
+    for array in (counts.reshape(-1, 48), counts, by_axis, by_axis.reshape(-1, 48)):
+        assert np.array_equal(ordered(array), counts)
     # A row by axis in the shape of a row by taxel, as np.reshape of a flat log gives.
-    wrong = saved(tmp_path / "wrong.npy", by_axis.reshape(-1, 16, 3))
+    wrong = by_axis.reshape(-1, 16, 3)
     with pytest.raises(SessionError, match="shape says order 'taxel', its values 'axis'"):
-        read_taxels(wrong, 60.0)
-    assert np.array_equal(read_taxels(wrong, 60.0, "axis").value, counts)
+        ordered(wrong)
+    assert np.array_equal(ordered(wrong, "axis"), counts)
 
 
-def test_an_order_that_nothing_tells_is_refused(tmp_path: Path) -> None:
+def test_an_order_that_nothing_tells_is_refused() -> None:
     tared = np.rint(np.random.default_rng(0).normal(1_000, 2, (60, 48)))
-    path = saved(tmp_path / "t.npy", tared)
     with pytest.raises(SessionError, match=r"cannot tell the order .* --taxel-order axis"):
-        read_taxels(path, 60.0)
-    shaped = saved(tmp_path / "s.npy", tared.reshape(-1, 16, 3))
-    assert np.array_equal(read_taxels(shaped, 60.0).value, tared.reshape(-1, 16, 3))
+        ordered(tared)
+    assert np.array_equal(ordered(tared.reshape(-1, 16, 3)), tared.reshape(-1, 16, 3))
 
 
 @pytest.mark.parametrize(
