@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.jpegs import stripped
+from support.jpegs import stripped, without_stamp
 
 from rig.devices.camera.jpeg import (
     HUFFMAN_SEGMENT,
@@ -16,7 +16,6 @@ from rig.devices.camera.jpeg import (
     jpeg_size,
     stamped,
     with_huffman_tables,
-    without_stamp,
 )
 
 

@@ -14,11 +14,12 @@ import cv2
 import numpy as np
 import pytest
 from support.drivers import collect, opening, running
+from support.jpegs import without_stamp
 
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.samples import WORLD_STATE
-from rig.devices.camera.jpeg import frame_stamp, jpeg_size, stamped, without_stamp
+from rig.devices.camera.jpeg import frame_stamp, jpeg_size, stamped
 from rig.devices.camera.mjpeg_emulator import (
     FrameSource,
     LoopSource,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rig.devices.camera.jpeg import segments
+from rig.devices.camera.jpeg import SOI, frame_stamp, segments
 
 
 def stripped(jpeg: bytes) -> bytes:
@@ -12,3 +12,10 @@ def stripped(jpeg: bytes) -> bytes:
         if marker == 0xC4:
             bare = bare[:at] + bare[at + 4 + len(content) :]
     return bare
+
+
+def without_stamp(jpeg: bytes) -> bytes:
+    """Return the file as it was before `stamped`."""
+    if frame_stamp(jpeg) is None:
+        return jpeg
+    return SOI + jpeg[4 + int.from_bytes(jpeg[4:6], "big") :]

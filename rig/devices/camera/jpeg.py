@@ -140,13 +140,6 @@ def frame_stamp(jpeg: bytes) -> tuple[int, int] | None:
     return None if match is None else (int(match[1]), int(match[2]))
 
 
-def without_stamp(jpeg: bytes) -> bytes:
-    """Return the file as it was before `stamped`."""
-    if frame_stamp(jpeg) is None:
-        return jpeg
-    return SOI + jpeg[4 + int.from_bytes(jpeg[4:6], "big") :]
-
-
 def torn(jpeg: bytes, rng: random.Random) -> bytes:
     """Return the frame with its middle third replaced by noise, beginning and end intact."""
     third = len(jpeg) // 3
