@@ -15,7 +15,7 @@ from learning.translation.diffusion.network import MarkerToMarker, build, fuse, 
 from learning.translation.diffusion.train import KIND, TranslatorSettings
 from learning.translation.diffusion.train_vae import BASE, require_base, vae_adapter_of
 from learning.translation.diffusion.weights import fingerprint, read_unet, read_vae
-from learning.translation.translator import require_masks
+from learning.translation.translator import require_masks, source_reference_of
 
 # Frames translated at once (the paper, Methods).
 BATCH = 8
@@ -62,16 +62,9 @@ class DiffusionTranslator:
         require_masks(source, target_reference, source_reference)
         if not len(source):
             return source.clone()
-        needed = self._network.tokens.source_reference
-        if needed and source_reference is None:
-            if not ordered:
-                raise LearningError(
-                    "source_reference: missing; this model needs it, or frames of one press in "
-                    "order (ordered=True)"
-                )
-            source_reference = source[0]
-        target = self._latent(target_reference)
-        own = self._latent(source_reference) if needed and source_reference is not None else None
+        target, own = self._latent(target_reference), None
+        if self._network.tokens.source_reference:
+            own = self._latent(source_reference_of(source, source_reference, ordered=ordered))
         parts = [self._translated(part, target, own) for part in torch.split(source, self._batch)]
         return torch.cat(parts).to(source.device)
 
