@@ -156,11 +156,6 @@ class Wrenches:
     assumed: list[str] = field(default_factory=list)
     """Messages on assumptions and changes."""
 
-    @property
-    def seconds(self) -> float:
-        """Duration [s]."""
-        return float(self.t_ns[-1]) * 1e-9 + 1.0 / self.rate_hz
-
 
 @dataclass(frozen=True, slots=True)
 class ForceUnits:

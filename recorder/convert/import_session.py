@@ -132,7 +132,7 @@ def _draft(take: Take, answers: Answers) -> Draft:
     small = _small_pictures(take)
     take, lag, told = _on_one_clock(take, small, answers)
     assumed += told
-    seconds = {track.source: track.content.seconds for track in take.tracks}
+    seconds = {track.source: track.seconds for track in take.tracks}
     end = _common_end(seconds, answers.trim)
     if end < max(seconds.values()):
         assumed.append(f"{take.name}: all cut to {end:.3f} s, the length of the shortest")

@@ -39,11 +39,6 @@ class Counts:
     assumed: list[str] = field(default_factory=list)
     """Messages on assumptions and changes."""
 
-    @property
-    def seconds(self) -> float:
-        """Duration [s]."""
-        return float(self.t_ns[-1]) * 1e-9 + 1.0 / self.rate_hz
-
 
 def is_taxels(shape: tuple[int, ...]) -> bool:
     """Return True if an array of that shape holds the counts of 16 taxels, row by row."""

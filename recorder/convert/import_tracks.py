@@ -65,11 +65,6 @@ class Numbers:
         """Usual number of rows per second."""
         return rate_of(self.t_ns)
 
-    @property
-    def seconds(self) -> float:
-        """Duration [s]."""
-        return float(self.t_ns[-1]) * NS + 1.0 / self.rate_hz
-
 
 Content = Film | Wrenches | Counts | Numbers
 
@@ -88,6 +83,11 @@ class Track:
     """File, topic or feature, for messages."""
     clock: str
     """Name of the clock of its times; tracks of one clock need no alignment."""
+
+    @property
+    def seconds(self) -> float:
+        """Duration [s]."""
+        return float(self.content.t_ns[-1]) * NS + 1.0 / self.content.rate_hz
 
 
 def kind_of_name(name: str) -> As | None:

@@ -191,11 +191,6 @@ class Film:
     names: list[str] = field(default_factory=list)
     """Names of the files of single pictures, each of a contact of its own; empty for a film."""
 
-    @property
-    def seconds(self) -> float:
-        """Duration [s]."""
-        return float(self.t_ns[-1]) * 1e-9 + 1.0 / self.rate_hz
-
 
 def every(places: ArrayLike, rate_hz: float) -> Times:
     """Return times [ns] of places counted in periods of a rate."""
