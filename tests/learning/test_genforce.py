@@ -26,7 +26,7 @@ from learning.data.genforce import (
     read_coefficients,
     read_compensation,
     read_mask,
-    write_coefficients,
+    write_numbers,
 )
 from learning.data.genforce.format import GenForcePress
 from learning.data.genforce.importing import Choices
@@ -547,7 +547,7 @@ def test_raw_runs_that_do_not_fit_are_refused_by_name(tmp_path: Path) -> None:
 
 def test_coefficients_come_back_as_they_were(tmp_path: Path) -> None:
     values = (-1.25, 0.1 + 0.2, 3e-7)
-    write_coefficients(tmp_path / "r6_down.csv", values)
+    write_numbers(tmp_path / "r6_down.csv", values)
     np.savetxt(tmp_path / "r6_up.csv", [-2.0, 0.5, 0.0], delimiter=",")
     assert read_coefficients(tmp_path / "r6_down.csv") == values
     (both,) = read_compensation(tmp_path).values()
@@ -571,7 +571,7 @@ def test_the_commands_import_and_export_with_coefficients(
     priors, out = tmp_path / "material", tmp_path / "a.markers.zarr"
     priors.mkdir()
     for half in ("down", "up"):
-        write_coefficients(priors / f"Array1_{half}.csv", (-1.0, 0.5, 0.0))
+        write_numbers(priors / f"Array1_{half}.csv", (-1.0, 0.5, 0.0))
     own = ["--compensation", str(priors), "--mm-per-px", "Array1=0.03", "--unseen", "sphere"]
     assert main(["import-genforce", str(folder), "--out", str(out), *own]) == 0
     told = capsys.readouterr().out

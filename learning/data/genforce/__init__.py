@@ -11,8 +11,8 @@ from learning.data.genforce.format import (
     read_coefficients,
     read_compensation,
     read_mask,
-    write_coefficients,
     write_mask,
+    write_numbers,
 )
 from learning.data.genforce.importing import LAYOUTS, import_folder, layout_of, read_plan
 
@@ -26,6 +26,6 @@ __all__ = [
     "read_compensation",
     "read_mask",
     "read_plan",
-    "write_coefficients",
     "write_mask",
+    "write_numbers",
 ]

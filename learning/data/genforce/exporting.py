@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from learning.data.genforce.format import (
-    write_coefficients,
-    write_depths,
     write_forces,
     write_last,
     write_mask,
+    write_numbers,
 )
 from learning.data.genforce.training import DEPTH_UNKNOWN
 from learning.errors import LearningError
@@ -108,7 +107,7 @@ def _sensor(root: Path, name: str, sensor: ArchivedSensor, omitted: list[str]) -
         folder = root / "material_compensation"
         folder.mkdir(exist_ok=True)
         for half in ("down", "up"):
-            write_coefficients(folder / f"{name}_{half}.csv", tuple(known[half]))
+            write_numbers(folder / f"{name}_{half}.csv", tuple(known[half]))
 
 
 def _press(
@@ -135,8 +134,8 @@ def _press(
         folder = root / "depth" / place
         folder.mkdir(parents=True)
         depth_mm, loading = table["depth"][rows] * 1e3, np.isin(phase, LOADING)
-        write_depths(folder / "inc_z.csv", depth_mm[loading])
-        write_depths(folder / "dec_z.csv", depth_mm[~loading])
+        write_numbers(folder / "inc_z.csv", depth_mm[loading])
+        write_numbers(folder / "dec_z.csv", depth_mm[~loading])
     known = np.isfinite(wrench)
     if known.all() or not known.any():
         return ""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path, PureWindowsPath
@@ -284,9 +284,9 @@ def read_depths(path: Path) -> Array:
     return np.array([row[0] for row in values], np.float64)
 
 
-def write_depths(path: Path, depth_mm: Array) -> None:
-    """Write depths (n,) [mm], one per line."""
-    path.write_text("".join(f"{float(value)!r}\n" for value in depth_mm))
+def write_numbers(path: Path, values: Iterable[float]) -> None:
+    """Write depths [mm] or coefficients, one per line; they are restored exactly."""
+    path.write_text("".join(f"{float(value)!r}\n" for value in values))
 
 
 def read_last(path: Path, frames: int) -> tuple[int, ...]:
@@ -389,11 +389,6 @@ def read_coefficients(path: Path) -> tuple[float, ...]:
     if not np.isfinite(values).all():
         raise LearningError(f"{path}: found NaN or infinity; expected numbers")
     return values
-
-
-def write_coefficients(path: Path, values: tuple[float, ...]) -> None:
-    """Write coefficients, one per line; they are restored exactly."""
-    path.write_text("".join(f"{float(value)!r}\n" for value in values))
 
 
 def read_compensation(folder: Path) -> dict[str, Compensation]:
