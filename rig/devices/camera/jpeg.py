@@ -140,6 +140,16 @@ def frame_stamp(jpeg: bytes) -> tuple[int, int] | None:
     return None if match is None else (int(match[1]), int(match[2]))
 
 
+# Line between the parts of an MJPEG stream over HTTP that emulators send.
+BOUNDARY = "tactile-rig-frame"
+
+
+def multipart(jpeg: bytes) -> bytes:
+    """Return the file as a part of an MJPEG stream."""
+    head = f"--{BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
+    return head.encode() + jpeg + b"\r\n"
+
+
 def torn(jpeg: bytes, rng: random.Random) -> bytes:
     """Return the frame with its middle third replaced by noise, beginning and end intact."""
     third = len(jpeg) // 3

@@ -42,7 +42,15 @@ from rig.core.emulation import (
 from rig.core.errors import ConfigError
 from rig.core.fault_injection import FaultInjector
 from rig.core.realtime import CAMERA_PRIORITY
-from rig.devices.camera.jpeg import frame_stamp, is_whole, jpeg_size, stamped, torn
+from rig.devices.camera.jpeg import (
+    BOUNDARY,
+    frame_stamp,
+    is_whole,
+    jpeg_size,
+    multipart,
+    stamped,
+    torn,
+)
 from rig.devices.camera.settings import CameraConfig
 
 # Sources of the emulated camera's pictures: the World, a folder of images, a video.
@@ -212,7 +220,6 @@ def _serves_as_it_is(content: bytes) -> bool:
 
 logger = logging.getLogger(__name__)
 
-_BOUNDARY = "tactile-rig-frame"
 # How long each image of a still source is shown [s].
 _STILL = 2.0
 # About two frames, so that a slow client does not find old ones waiting.
@@ -295,7 +302,7 @@ class MjpegEmulator(ThreadedEmulator):
 
     def parts(self, jpeg: bytes) -> Iterable[bytes]:
         """Return the parts sent for one frame; faults and tests corrupt frames here."""
-        return tuple(_part(frame) for frame in self.faults.passed(jpeg))
+        return tuple(multipart(frame) for frame in self.faults.passed(jpeg))
 
     def apply(self, fault: str, **values: Any) -> dict[str, Any]:
         """Change the lens, or inject a fault; see the module and `FaultInjector.inject`."""
@@ -353,11 +360,6 @@ class MjpegEmulator(ThreadedEmulator):
             self._changed.notify_all()
 
 
-def _part(jpeg: bytes) -> bytes:
-    head = f"--{_BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
-    return head.encode() + jpeg + b"\r\n"
-
-
 def _halved(jpeg: bytes) -> bytes:
     """Return the frame at half the size, with its stamp."""
     stamp = frame_stamp(jpeg)
@@ -405,7 +407,7 @@ class _Handler(DeviceHandler):
     def get(self, url: SplitResult) -> None:
         emulator = self.server.emulator
         self.send_response(200)
-        self.send_header("Content-Type", f"multipart/x-mixed-replace; boundary={_BOUNDARY}")
+        self.send_header("Content-Type", f"multipart/x-mixed-replace; boundary={BOUNDARY}")
         self.send_header("Cache-Control", "no-store")
         self.end_headers()
         sent = emulator.number

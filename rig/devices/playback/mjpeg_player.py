@@ -9,10 +9,10 @@ from __future__ import annotations
 import socket
 
 from recorder import SessionError
+from rig.devices.camera.jpeg import BOUNDARY, multipart
 from rig.devices.playback.wire import Listener, RecordedStream
 
 PORT = 8081
-_BOUNDARY = "tactile-rig-frame"
 _LEAD_IN = 2
 _REQUEST_BYTES_MAX = 1 << 16
 _TORN = b"\xff\xd8"
@@ -52,7 +52,7 @@ class MjpegPlayback:
         Raises:
             OSError: The client is gone.
         """
-        self._listener.send(_part(self._jpeg(self._recorded.rows[place])))
+        self._listener.send(multipart(self._jpeg(self._recorded.rows[place])))
 
     def idle(self) -> None:
         """Do nothing: a camera sends only frames."""
@@ -60,7 +60,7 @@ class MjpegPlayback:
     def wake(self) -> None:
         """Send a torn frame: OpenCV returns from its wait, and the driver drops it."""
         if self._listener.connected:
-            self._listener.send(_part(_TORN))
+            self._listener.send(multipart(_TORN))
 
     def close(self) -> None:
         """Disconnect; may be called twice."""
@@ -83,14 +83,9 @@ class MjpegPlayback:
             request += received
         client.sendall(
             b"HTTP/1.0 200 OK\r\nCache-Control: no-store\r\n"
-            b"Content-Type: multipart/x-mixed-replace; boundary=" + _BOUNDARY.encode() + b"\r\n\r\n"
+            b"Content-Type: multipart/x-mixed-replace; boundary=" + BOUNDARY.encode() + b"\r\n\r\n"
         )
         first = min(self._recorded.rows.start, len(self._recorded.stream) - 1)
         for _ in range(_LEAD_IN):
-            client.sendall(_part(self._jpeg(first)))
+            client.sendall(multipart(self._jpeg(first)))
         return True
-
-
-def _part(jpeg: bytes) -> bytes:
-    head = f"--{_BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
-    return head.encode() + jpeg + b"\r\n"
