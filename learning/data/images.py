@@ -37,6 +37,11 @@ _WHOLE = 75
 _LOBES, _BITS = 3, 22
 
 
+def unit(images: Tensor) -> Tensor:
+    """Return images (n, h, w) uint8 as (n, 1, h, w) float32 in 0 to 1."""
+    return images.unsqueeze(1).float() / 255
+
+
 def shrink(packed: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Shrink packed masks (n, 38400) to images (n, 256, 256); 255 is a pixel full of marker.
 

@@ -11,7 +11,7 @@ from support.training import session
 
 from learning.__main__ import main
 from learning.config import preset_names, read_settings
-from learning.data.images import shrink
+from learning.data.images import shrink, unit
 from learning.data.splits import Split, make_split
 from learning.errors import LearningError
 from learning.training.run import LaunchSettings, RunFolder
@@ -19,7 +19,6 @@ from learning.translation.direct.autoencoder import (
     Autoencoder,
     divergence,
     orient,
-    scaled,
     soft_dice,
 )
 from learning.translation.direct.train_autoencoder import (
@@ -219,5 +218,5 @@ def test_settings_that_cannot_be_are_refused(changed: dict[str, object], message
 
 
 def test_scaled_images_lie_between_nothing_and_one() -> None:
-    image = scaled(torch.tensor([[[0, 255]]], dtype=torch.uint8))
+    image = unit(torch.tensor([[[0, 255]]], dtype=torch.uint8))
     assert image.tolist() == [[[[0.0, 1.0]]]]

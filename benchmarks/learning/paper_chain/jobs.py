@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from benchmarks.learning.paper_chain.sizes import SEED, Size, write_base
 from learning.config import read_settings
-from learning.data.images import shrink, shrink_masks, unpack_masks
+from learning.data.images import shrink, shrink_masks, unit, unpack_masks
 from learning.data.presses import Presses, load_presses, read_frames
 from learning.data.splits import Role, Split, make_split
 from learning.errors import LearningError
@@ -51,7 +51,7 @@ from learning.training.checkpoint import read_model_folder
 from learning.training.run import RunFolder, Session, Stop, accelerator, generator
 from learning.translation.diffusion import train as m2m
 from learning.translation.diffusion import train_vae
-from learning.translation.diffusion.data import read_image_pairs, read_role_images, unit
+from learning.translation.diffusion.data import read_image_pairs, read_role_images
 from learning.translation.diffusion.network import posterior
 from learning.translation.diffusion.weights import fingerprint, read_unet, read_vae
 from learning.translation.field import train as field

@@ -14,7 +14,7 @@ from typing import Any, Self
 import numpy as np
 import torch
 
-from learning.data.images import shrink
+from learning.data.images import shrink, unit
 from learning.data.presses import Progress, read_frames_of
 from learning.data.splits import Role, Split
 from learning.errors import LearningError
@@ -81,11 +81,6 @@ class ImagePairs:
     def targets(self) -> torch.Tensor:
         """Return target images (N, 1, h, w) float32 in [0, 1]."""
         return unit(self.images[self.target])
-
-
-def unit(images: torch.Tensor) -> torch.Tensor:
-    """Return images (n, h, w) uint8 as (n, 1, h, w) float32 in [0, 1]."""
-    return images.unsqueeze(1).float() / 255
 
 
 def read_image_pairs(

@@ -27,6 +27,7 @@ from torch.nn import functional
 
 from learning.archive_writer import archive_fingerprint
 from learning.config import read_settings, require
+from learning.data.images import unit
 from learning.errors import LearningError
 from learning.train_command import open_data, run_training, trained_on
 from learning.training.checkpoint import load_weights, read_model_folder
@@ -35,7 +36,7 @@ from learning.training.run import Session, accelerator
 from learning.training.run import batch as sampled
 from learning.training.run import generator as chance
 from learning.translation.diffusion.conditioning import Conditioning
-from learning.translation.diffusion.data import ImagePairs, read_image_pairs, unit
+from learning.translation.diffusion.data import ImagePairs, read_image_pairs
 from learning.translation.diffusion.discriminator import (
     ClipFeatures,
     DiscriminatorHeads,

@@ -25,13 +25,14 @@ from torch.nn import functional
 
 from learning.archive_writer import archive_fingerprint
 from learning.config import read_settings, require
+from learning.data.images import unit
 from learning.errors import LearningError
 from learning.train_command import open_data, run_training, trained_on
 from learning.training.checkpoint import ModelFolder, read_model_folder
 from learning.training.optim import Constant, Cosine, set_rate
 from learning.training.run import LaunchSettings, Session, accelerator, generator
 from learning.training.run import batch as sampled
-from learning.translation.diffusion.data import read_role_images, unit
+from learning.translation.diffusion.data import read_role_images
 from learning.translation.diffusion.network import (
     VAE_ADAPTER,
     VAE_TARGETS,

@@ -7,10 +7,9 @@ from pathlib import Path
 
 import torch
 
-from learning.data.images import enlarge_images, shrink_masks
+from learning.data.images import enlarge_images, shrink_masks, unit
 from learning.errors import LearningError
 from learning.training.checkpoint import ModelFolder, load_weights, read_model_folder
-from learning.translation.diffusion.data import unit
 from learning.translation.diffusion.network import MarkerToMarker, build, fuse, rank_of
 from learning.translation.diffusion.train import KIND, TranslatorSettings
 from learning.translation.diffusion.train_vae import BASE, require_base, vae_adapter_of

@@ -173,11 +173,6 @@ def orient(images: list[Tensor], generator: np.random.Generator) -> list[Tensor]
     return images
 
 
-def scaled(images: Tensor) -> Tensor:
-    """Return uint8 images (n, h, w) as float32 in 0..1 (n, 1, h, w)."""
-    return images.unsqueeze(1).float() / 255
-
-
 def soft_dice(images: Tensor, targets: Tensor) -> Tensor:
     """Return the soft Dice coefficient (n,) of images (n, 1, h, w) in 0..1; 1 if both are empty."""
     both = (images * targets).sum(dim=(1, 2, 3))

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from learning.data.images import read_fields, shrink
+from learning.data.images import read_fields, shrink, unit
 from learning.data.presses import Progress, read_frames_of
 from learning.data.splits import Role, Split
 from learning.data.synthetic import before, pixel_grid, sample_patterns
 from learning.errors import LearningError
-from learning.translation.direct.autoencoder import orient, scaled
+from learning.translation.direct.autoencoder import orient
 from recorder.archive import ArchivedSensor, MarkerArchive, location_pairs
 from recorder.markers import Lattice
 
@@ -367,11 +367,11 @@ def examples_at(
     moment = torch.from_numpy(moments).to(device)
     source, target = torch.from_numpy(np.ascontiguousarray(pairs.T)).to(device)
     return Examples(
-        source=scaled(aligned.images[source, moment]),
-        source_reference=scaled(aligned.references[aligned.reference[source, moment]]),
+        source=unit(aligned.images[source, moment]),
+        source_reference=unit(aligned.references[aligned.reference[source, moment]]),
         given=torch.ones(len(moment), dtype=torch.bool, device=device),
-        reference=scaled(aligned.references[aligned.reference[target, moment]]),
-        target=scaled(aligned.images[target, moment]),
+        reference=unit(aligned.references[aligned.reference[target, moment]]),
+        target=unit(aligned.images[target, moment]),
     )
 
 

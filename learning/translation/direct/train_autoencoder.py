@@ -24,7 +24,7 @@ from torch.nn import functional
 
 from learning.archive_writer import archive_fingerprint
 from learning.config import read_settings, require
-from learning.data.images import SIDE
+from learning.data.images import SIDE, unit
 from learning.data.presses import Progress, read_frames_of
 from learning.data.splits import Role, Split, read_split
 from learning.data.synthetic import before, random_fields, sample_patterns
@@ -37,7 +37,6 @@ from learning.translation.direct.autoencoder import (
     Autoencoder,
     divergence,
     orient,
-    scaled,
     soft_dice,
 )
 from recorder import MarkerArchive
@@ -198,7 +197,7 @@ def _draw(
     parts = [deformed_patterns(made_up, chance, device, side)] if made_up else []
     if made_up < count:
         chosen = torch.from_numpy(chance.integers(len(images), size=count - made_up))
-        parts.append(scaled(images[chosen.to(images.device)].to(device)))
+        parts.append(unit(images[chosen.to(images.device)].to(device)))
     return torch.cat(parts)
 
 
@@ -309,7 +308,7 @@ def validate(network: Autoencoder, images: Tensor, batch: int) -> dict[str, floa
     network.eval()
     for first in range(0, len(images), batch):
         part = images[first : first + batch]
-        wanted = scaled(part)
+        wanted = unit(part)
         made = network(wanted)[0].float().sigmoid()
         overlap = soft_dice((made > 0.5).float(), (wanted > 0.5).float())
         errors = (made - wanted).abs().mean(), (made - wanted).square().mean()

@@ -7,9 +7,8 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from learning.data.images import enlarge_images, shrink_masks
+from learning.data.images import enlarge_images, shrink_masks, unit
 from learning.training.checkpoint import read_model_folder
-from learning.translation.direct.autoencoder import scaled
 from learning.translation.direct.network import DirectNetwork
 from learning.translation.direct.train import KIND, load_network
 from learning.translation.translator import require_masks
@@ -51,7 +50,7 @@ class DirectTranslator:
         beside = _image(target_reference if source_reference is None else source_reference, device)
         masks = torch.empty_like(source)
         for first in range(0, len(source), AT_ONCE):
-            frames = scaled(shrink_masks(source[first : first + AT_ONCE].to(device)))
+            frames = unit(shrink_masks(source[first : first + AT_ONCE].to(device)))
             given = torch.full((len(frames),), source_reference is not None, device=device)
             logits = self.network.translate(frames, reference, beside, given)
             grey = (255 * logits[:, 0].float().sigmoid()).round().to(torch.uint8)
@@ -61,7 +60,7 @@ class DirectTranslator:
 
 def _image(mask: Tensor, device: torch.device) -> Tensor:
     """Return a mask (480, 640) as the network's image (1, 1, 256, 256)."""
-    return scaled(shrink_masks(mask[None].to(device)))
+    return unit(shrink_masks(mask[None].to(device)))
 
 
 # Load a trained direct translator from its folder.
