@@ -137,6 +137,13 @@ def test_a_stage_that_nobody_follows_stops_by_itself(bench: Bench, end: str) -> 
     else:
         bench.follow(bench.ended, kick=False)
     assert bench.at_rest()[0] < START[0] + 0.09
+    bench.client.close()
+    bench.driver.close()
+    bench.samples = []
+    bench.open()
+    bench.move(START)
+    bench.follow(bench.ended)
+    np.testing.assert_allclose(bench.emulator.place, START, atol=2e-6)
 
 
 def test_an_alarm_is_a_safety_stop(bench: Bench) -> None:

@@ -32,7 +32,8 @@ from rig.devices.force.serial_driver import SerialDriver
 
 logger = logging.getLogger(__name__)
 
-_REPORT = re.compile(r"<(\w+)(?::\d)?\|([MW])Pos:([-\d.]+),([-\d.]+),([-\d.]+)")
+# `Hold:1` is still slowing down, `Hold:0` at rest.
+_REPORT = re.compile(r"<(\w+(?::1)?)(?::\d)?\|([MW])Pos:([-\d.]+),([-\d.]+),([-\d.]+)")
 # RTDE's safety status bits of a controller that is well, and in a protective stop.
 _NORMAL, _STOPPED = 0x1, 0x404
 _POLL = 0.01
@@ -106,7 +107,8 @@ class StageDriver(SerialDriver):
             with self._errors():
                 self._connect(self._config.baud, timeout=0, write_timeout=1.0).reset_input_buffer()
             self._write(b"\n$I\n")
-            while self._sample is None:
+            # A stage that was left in a hold is cleared first.
+            while self._sample is None or self._state.startswith("Hold"):
                 if self._clock.now_ns() > deadline_ns:
                     raise DeviceLost(
                         f"{self._where}: no position from a board with GRBL within {timeout:g} s; "
@@ -224,13 +226,12 @@ class StageDriver(SerialDriver):
             "safety_status": _STOPPED if self._state in ("Alarm", "Door") else _NORMAL,
             "robot_mode": 7,
         }
-        if self._stopping and self._state in ("Idle", "Hold", "Alarm") and not speed.any():
-            # At rest: the rest of the way is cleared.
-            if self._state == "Hold":
-                self._write(b"\x18")
-            else:
-                self._stopping = False
-                self._unanswered = 0
+        if self._state == "Hold":
+            # At rest: the rest of the way is cleared, which in motion would lose the position.
+            self._write(b"\x18")
+        elif self._stopping and self._state in ("Idle", "Alarm"):
+            self._stopping = False
+            self._unanswered = 0
         self._tell()
         self._inbox.put(dict(self._sample), t_ns)
 
