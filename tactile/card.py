@@ -20,7 +20,7 @@ class Card(NamedTuple):
     name: str
     kind: str
     about: list[tuple[str, str]]
-    """What it is, and where it comes from: pairs of a name and a value."""
+    """Nature and origin: pairs of a name and a value."""
     head: tuple[str, ...]
     """Names of the columns of `parts`."""
     parts: Sequence[tuple[str, ...]]
@@ -28,7 +28,7 @@ class Card(NamedTuple):
     checks: list[str]
     """Results of a check, or measured errors."""
     limits: list[str]
-    """What it must not be used for."""
+    """Uses that it does not serve."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
