@@ -103,7 +103,8 @@ def split_pair(
         if len(seen) < 2:
             raise LearningError(
                 f"{archive.name}: found {len(seen)} labelled indenters of {source} that may be "
-                "learned from; allowed: 2 or more, as one calibrates the intervals"
+                "learned from; allowed: 2 or more, as one calibrates the intervals "
+                "(--source-labels CSV: readings typed in)"
             )
         ranked = sorted(seen, key=lambda name: (seen[name], name))
         count = max(1, round(len(ranked) / _CALIBRATE))

@@ -244,6 +244,8 @@ def test_labels_of_the_target_stay_behind_and_the_source_s_meet_its_frames(
     assert axes.tolist() == [2, 2]
     assert sorted(wrench[rows, 2]) == [-2.5, -1.25]
     assert np.isnan(labelled["grid"].table["wrench"]).all()
+    with pytest.raises(LearningError, match=r"found 0 labelled indenters .*--source-labels"):
+        split_pair(labelled, "grid", tmp_path / "none.json", None, 0)
     source = archive["dots"].table
     found = labels_by_place(source, source["wrench"][:, :3].astype(float), table)
     true = own["wrench"][:, :3] / 1.6  # the skins differ by this factor alone
