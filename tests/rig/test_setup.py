@@ -87,6 +87,7 @@ def test_a_stopped_set_up_goes_on_and_ends_in_a_report_that_sessions_carry(
     calibration, _ = store.load(tmp_path, bench, bench.indenter)
     accepted = calibration.attrs()["acceptance"]
     assert accepted["result"] == "accepted"
+    assert calibration.lines()[0].startswith("bench    accepted, 20")
     assert accepted["operator"] == "Ada"
     assert accepted["steps"] == {"first": "well", "second": "note"}
     assert accepted["bench_sha256"] == store.bench_hash(content)

@@ -130,6 +130,11 @@ class Calibration:
     def lines(self) -> list[str]:
         """Return the lines printed before anything moves."""
         lines = []
+        if self.acceptance is not None:
+            lines.append(
+                f"bench    {self.acceptance['result']}, {self.acceptance['date_utc']}, "
+                f"{self.acceptance['report']}"
+            )
         if self.home is not None:
             low, high = (1e3 * value for value in self.home.interval)
             lines.append(
