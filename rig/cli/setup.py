@@ -71,7 +71,8 @@ class AtBench:
         self.record = SetupRecord(options.calibrations, self.bench, content)
         self._stack = contextlib.ExitStack()
         self._ready: Bench | None = None
-        self._watch: Callable[[], None] | None = None
+        self.watch: Callable[[], None] | None = None
+        """Raises if an emulator of a mock bench is gone."""
         self._host = ""
         self._tip: Point = (0.0, 0.0, _CLEAR)
 
@@ -81,12 +82,13 @@ class AtBench:
         if self._ready is None:
             on = self._stack.enter_context(started_bench(self.path, self.content))
             self._ready = bench_from(on.content, str(self.path))
-            self._watch, self._host = on.watch, on.host
+            self.watch, self._host = on.watch, on.host
         return self._ready
 
     def close(self) -> None:
         """End the emulators; the next use starts them again."""
         self._ready = None
+        self._tip = (0.0, 0.0, _CLEAR)
         self._stack.close()
 
     def ask(self, name: str, text: str, default: float | str) -> float | str:
@@ -145,8 +147,8 @@ class AtBench:
         Raises:
             ConfigError, DeviceLost: The device, or an emulator of a mock bench, is gone.
         """
-        if self._watch is not None:
-            self._watch()
+        if self.watch is not None:
+            self.watch()
         return checks.read_for(self.ready, row.name, self.clock, max(seconds, 2 * settling(row)))
 
     def command(self, name: str, *more: str) -> int:
@@ -195,7 +197,7 @@ def tool(at: AtBench, answers: Answers) -> Iterable[Finding]:
 def devices(at: AtBench, _: Answers) -> Iterator[Finding]:
     """Are all devices and the computer well?"""
     with tempfile.TemporaryDirectory(prefix="tactile-rig-") as folder:
-        yield from examine(at.ready, Path(folder), at.options.out, at.clock)
+        yield from examine(at.ready, Path(folder), at.options.out, at.clock, at.watch)
 
 
 def gauge(at: AtBench, answers: Answers) -> Iterator[Finding]:
@@ -283,11 +285,12 @@ def contact(at: AtBench, answers: Answers) -> Iterator[Finding]:
         yield found
         return
     at.do(
-        "hold the freedrive button and lead the tip until it just touches the middle",
+        "lead the tip until it just touches the middle (freedrive, in local mode; or the stage's "
+        "own knobs)",
         (0.0, 0.0, 0.0),
     )
     pose = np.array(at.read(at.ready.row("pose"), 0.1)[-1])
-    at.do(f"lead the tip {1e3 * _CLEAR:.0f} mm up, and let the button go", (0.0, 0.0, _CLEAR))
+    at.do(f"lead the tip {1e3 * _CLEAR:.0f} mm up; back to remote control", (0.0, 0.0, _CLEAR))
     yield checks.contact(at.ready, pose)
 
 
