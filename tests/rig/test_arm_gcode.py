@@ -64,10 +64,10 @@ class Bench:
         return not self.client.operation()[1]
 
     def at_rest(self) -> np.ndarray:
-        """Wait until the stage has stood still for 0.2 s; return its place."""
+        """Wait until the stage has stood still for 0.1 s; return its place."""
         while True:
             place = self.emulator.place
-            CLOCK.sleep_until(CLOCK.now_ns() + 200_000_000)
+            CLOCK.sleep_until(CLOCK.now_ns() + 100_000_000)
             if np.array_equal(place, self.emulator.place):
                 return place
 
@@ -191,6 +191,7 @@ def test_positions_of_the_work_are_refused(bench: Bench) -> None:
         bench.driver._take("<Idle|WPos:0.000,0.000,0.000|FS:0,0>")
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(60)
 def test_the_arm_of_a_collection_moves_halts_and_retracts_it(bench: Bench) -> None:
     bench.client.close()
