@@ -324,6 +324,10 @@ def press(at: AtBench, _: Answers) -> Iterator[Finding]:
 def _outcome(part: str, code: int, text: str, *cures: str) -> Finding:
     if code == EXIT_DONE:
         return Finding(part, "well", text)
+    if code == EXIT_DEVICE_LOST:
+        cures = (
+            "the lines above name the device: power, cable, tactile doctor; a busy computer too",
+        )
     return Finding(part, "FAULT", f"stopped with exit code {code}", cures)
 
 

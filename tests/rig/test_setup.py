@@ -172,6 +172,24 @@ def test_steps_of_benches_with_and_without_a_gauge() -> None:
     assert all((step.check.__doc__ or "").strip().endswith((".", "?")) for step in setup.STEPS)
 
 
+@pytest.mark.parametrize(("code", "cure"), [(3, "power, cable"), (4, "contact_frame")])
+def test_a_command_that_stopped_is_a_fault_with_a_cure_by_its_exit_code(
+    code: int, cure: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ran: list[list[str]] = []
+
+    def run_rig(arguments: list[str]) -> int:
+        ran.append(arguments)
+        return code
+
+    monkeypatch.setattr(setup, "run_rig", run_rig)
+    at = setup.AtBench(parsed(tmp_path, "--yes", "--indenter", "sphere"), {})
+    (found,) = setup.home(at, {})
+    assert found.state == "FAULT"
+    assert cure in found.cures[0]
+    assert ran[0][:5] == ["home", "--bench", str(BENCH), "--indenter", "sphere"]
+
+
 @pytest.mark.slow
 @pytest.mark.serial
 @pytest.mark.timeout(600)
