@@ -19,7 +19,6 @@ OUTSIDE = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md"}
 OUTSIDE["CHANGELOG.md"] = "changelog.md"
 DECISIONS = sorted((ROOT / "docs" / "decisions").glob("0*.md"))
 _LINK = re.compile(r"(?<=\]\()(?![a-z]+:|#)([^)\s#]+)")
-_FENCE = re.compile(r"^ *```", re.MULTILINE)
 _BLOCK = re.compile(r"^```(python|sh)\n(.*?)^```$\n?", re.MULTILINE | re.DOTALL)
 _BEGINS = re.compile(r" *([-*|] ?|\d+\. )")
 
@@ -76,7 +75,7 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
         markdown = _relinked(markdown, folder, folder)
     if page.file.src_uri.startswith("tutorials/"):
         name = Path(page.file.src_uri).stem
-        markdown += f"\n\n[This page as a notebook]({name}.ipynb){{ download }}\n"
+        markdown += f"\n\n[This page as a notebook]({name}.ipynb)\n"
     return "".join(
         part if number % 2 else _spaced(part)
         for number, part in enumerate(re.split(r"(^ *```.*?^ *```$)", markdown, flags=re.M | re.S))
@@ -86,11 +85,11 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 def notebook_of(text: str) -> dict[str, Any]:
     """Return a page as a Jupyter notebook: its blocks of Python and shell are the cells of code."""
     cells: list[dict[str, Any]] = []
-    for number, part in enumerate(_BLOCK.split(text)):
+    parts = _BLOCK.split(text)
+    for number, part in enumerate(parts):
         kind = ("markdown", "", "code")[number % 3]
         if kind == "code":
-            shell = _BLOCK.split(text)[number - 1] == "sh"
-            code = ("%%bash\n" if shell else "") + part.rstrip()
+            code = ("%%bash\n" if parts[number - 1] == "sh" else "") + part.rstrip()
             cells.append(
                 {"cell_type": kind, "source": code, "outputs": [], "execution_count": None}
             )
