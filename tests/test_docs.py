@@ -230,6 +230,36 @@ def test_every_command_is_run_by_a_test() -> None:
     assert not run & set(TESTED)
 
 
+# Benchmarks whose module no test names, and why.
+NOT_RUN = {
+    "blender": "needs Blender",
+    "endurance": "half an hour in real time; its report has tests",
+    "extrapolation": "hours of training",
+    "field-speed": "a timing",
+    "indenter-drawings": "overwrites packaged drawings",
+    "independent": "minutes of reference solutions, whose parts have tests",
+    "learning-on-gpus": "needs several GPUs; its plan of jobs has tests",
+    "live-forces": "minutes of solutions by fem",
+    "paper-chain": "hours on a GPU; its parts have tests",
+    "refine": "hours on a CPU",
+    "render-picture": "draws minutes of solutions by fem",
+    "transfer-skins": "needs the runs of make demo-transfer",
+    "twin-demo": "ten minutes in real time, of which a tutorial has a short form",
+}
+
+
+def test_every_benchmark_is_run_by_a_test_or_listed_with_a_reason() -> None:
+    text = "\n".join(path.read_text() for path in TEXTS if path.is_relative_to(ROOT / "tests"))
+    text = text.replace((ROOT / "tests" / "test_docs.py").read_text(), "")
+    unnamed = set()
+    for name, (module, _) in BENCHMARKS.items():
+        folder, _, last = module.rpartition(".")
+        named = (module, f"from {folder} import {last}", f'"{name}"')
+        if not any(each in text for each in named):
+            unnamed.add(name)
+    assert unnamed == set(NOT_RUN)
+
+
 def test_tutorials_have_code_of_kinds_that_are_run() -> None:
     for page in TUTORIALS:
         kinds = {kind for kind, _ in blocks(page)}
