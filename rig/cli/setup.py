@@ -325,9 +325,7 @@ def _outcome(part: str, code: int, text: str, *cures: str) -> Finding:
     if code == EXIT_DONE:
         return Finding(part, "well", text)
     if code == EXIT_DEVICE_LOST:
-        cures = (
-            "the lines above name the device: power, cable, tactile doctor; a busy computer too",
-        )
+        cures = ("the command's last lines name the device: power, cable, a busy computer",)
     return Finding(part, "FAULT", f"stopped with exit code {code}", cures)
 
 
