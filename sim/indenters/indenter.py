@@ -28,18 +28,24 @@ TOUCHING = 1e-13
 SETTLED = 1e-12
 
 
-def lower_surface(distance: Distance, count: int, reach: float) -> Array:
+# Thinnest material that is surely found, over the height that is searched.
+THINNEST = 1 / 2000
+
+
+def lower_surface(
+    distance: Distance, count: int, reach: float, thinnest: float = THINNEST
+) -> Array:
     """Return the first height (count,) [m] at which each column, going up from 0, enters the body.
 
     It is inf if the column stays outside up to `reach`. Each column is marched upwards by a
-    fraction of the gap plus 1/2000 of `reach`, until it is inside. Newton's method then finds the
-    crossing within that bracket, with bisection where a Newton step leaves it.
+    fraction of the gap plus `thinnest` of `reach`, until it is inside. Newton's method then finds
+    the crossing within that bracket, with bisection where a Newton step leaves it.
     """
-    low, high = _bracketed(distance, count, reach)
+    low, high = _bracketed(distance, count, reach, thinnest * reach)
     return _crossing(distance, low, high)
 
 
-def _bracketed(distance: Distance, count: int, reach: float) -> tuple[Array, Array]:
+def _bracketed(distance: Distance, count: int, reach: float, least: float) -> tuple[Array, Array]:
     """Return a height outside the body and one inside it; inf if no height is inside."""
     low, high, height = np.zeros(count), np.full(count, np.inf), np.zeros(count)
     going = np.arange(count)
@@ -49,7 +55,7 @@ def _bracketed(distance: Distance, count: int, reach: float) -> tuple[Array, Arr
         high[going[inside]] = height[going[inside]]
         going, gap = going[~inside], gap[~inside]
         low[going] = height[going]
-        height[going] += STRIDE * gap + reach / 2000
+        height[going] += STRIDE * gap + least
         going = going[height[going] <= reach]
     return low, high
 
@@ -341,21 +347,23 @@ class Indenter:
             return self.solid.distances(self.edge_radius).distance(points)
         return self._joined([part.distance(points, self.edge_radius) for part in self.parts])
 
-    def heights(self, x: ArrayLike, y: ArrayLike, *, reach: float = 10e-3) -> Array:
+    def heights(
+        self, x: ArrayLike, y: ArrayLike, *, reach: float = 10e-3, thinnest: float = THINNEST
+    ) -> Array:
         """Return the lower surface's height above the tip plane at x, y (broadcast together) [m].
 
         It is inf if there is no surface below `reach` [m]. It is exact to 1e-9 m; material thinner
-        than 1/2000 of `reach` may be missed.
+        than `thinnest` of `reach` may be missed.
         """
         plan = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
         columns = np.stack([axis.ravel() for axis in plan], axis=1)
         low, high = np.transpose(self.bounds_below(reach)[:2])
         inside = np.flatnonzero(((columns >= low) & (columns <= high)).all(axis=1))
         heights = np.full(len(columns), np.inf)
-        heights[inside] = self._column_heights(columns[inside], reach)
+        heights[inside] = self._column_heights(columns[inside], reach, thinnest)
         return heights.reshape(plan[0].shape)
 
-    def _column_heights(self, columns: Array, reach: float) -> Array:
+    def _column_heights(self, columns: Array, reach: float, thinnest: float) -> Array:
         """Return `heights` of columns (N, 2); upright parts are evaluated once per column."""
         ground = np.column_stack([columns, np.zeros(len(columns))])
         upright = {
@@ -378,7 +386,7 @@ class Indenter:
             gap, normal = self._joined(alone)
             return gap, normal[:, 2]
 
-        return lower_surface(distance, len(columns), reach)
+        return lower_surface(distance, len(columns), reach, thinnest)
 
     def _joined(self, alone: list[tuple[Array, Array]]) -> tuple[Array, Array]:
         """Return gap (N,) and normal (N, 3) of the whole body from those of each part."""

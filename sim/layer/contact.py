@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter
 
 from sim.indenters import Indenter
 from sim.layer.spectral import Elastic, Grid
@@ -193,6 +196,109 @@ def _within(shear: Array, bound: Array) -> Array:
 
 # Samples of the indenter's lower surface per width of a pixel.
 FINENESS = 2
+# Distance of the samples by which the covered part of a pixel is known [m]; 12 per pixel at most.
+FINE, FINEST = 25e-6, 12
+# Steepest side that is no wall, as rise over run: the skin does not follow walls.
+WALL = 8.0
+# Least covered part of a pixel that can touch, and the least that counts as all of it.
+COVERED_LEAST, COVERED_MOST = 0.1, 0.999
+# How much more a partly covered pixel yields, over the displacement by its own traction times the
+# uncovered part over the covered one. With it, forces of five flat tips on 48, 64 and 96 pixels are
+# those on 256 within 2, 1 and 1 %; without it within 12, 6 and 3 %.
+YIELDING = 0.7
+# Heights are searched up to a multiple of this [m], so that similar presses have the same samples.
+REACH = 2e-3
+# Thinnest material that is sampled, over the height that is searched.
+THIN = 1 / 200
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """Heights of an indenter at even places: origin + (first + k) * step along x and y."""
+
+    first: tuple[int, int]
+    heights: Array
+    """Heights (n, m) [m], inf where there is nothing to touch."""
+
+
+@lru_cache(maxsize=64)
+def _samples(
+    indenter: Indenter,
+    origin: tuple[float, float],
+    step: tuple[float, float],
+    span: float,
+    reach: float,
+) -> Samples:
+    """Return all samples of an indenter that lie within `span` of its axis [m]; cached."""
+    first, axes = [], []
+    for start, width, (low, high) in zip(
+        origin, step, indenter.bounds_below(reach)[:2], strict=True
+    ):
+        low, high = max(low, -span), min(high, span)
+        index = np.arange(
+            math.floor((low - start) / width) - 1, math.ceil((high - start) / width) + 2
+        )
+        first.append(int(index[0]))
+        axes.append(start + index * width)
+    heights = indenter.heights(axes[0][:, None], axes[1], reach=reach, thinnest=THIN)
+    return Samples((first[0], first[1]), heights)
+
+
+def _endless(indenter: Indenter) -> bool:
+    return not np.isfinite(indenter.bounds[:2]).all()
+
+
+class Rims:
+    """Part of each pixel that an indenter covers, and its mean height there.
+
+    Sums of samples over rectangles are differences of cumulative sums, interpolated, so that both
+    change evenly while the indenter slides over the pixels.
+    """
+
+    def __init__(self, indenter: Indenter, grid: Grid, span: float, reach: float) -> None:
+        count = [min(FINEST, math.ceil(pixel / FINE)) for pixel in grid.pixel]
+        self._step = grid.pixel[0] / count[0], grid.pixel[1] / count[1]
+        # Samples lie symmetrically about the indenter's middle.
+        (west, east), (south, north), _ = indenter.bounds_below(reach)
+        origin = (west + east) / 2, (south + north) / 2
+        samples = _samples(indenter, origin, self._step, span, reach)
+        heights = samples.heights
+        lowest = minimum_filter(heights, [many + 1 for many in count], mode="nearest")
+        with np.errstate(invalid="ignore"):
+            covered = np.isfinite(heights) & (heights - lowest < WALL / 2 * max(grid.pixel))
+        self._first = tuple(
+            start + (first - 0.5) * step
+            for start, first, step in zip(origin, samples.first, self._step, strict=True)
+        )
+        self._edges = tuple(
+            np.r_[centres - pixel / 2, centres[-1] + pixel / 2]
+            for centres, pixel in zip((grid.x, grid.y), grid.pixel, strict=True)
+        )
+        self._sums = tuple(
+            np.pad(field.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+            for field in (
+                covered / math.prod(count),
+                np.where(covered, heights, 0) / math.prod(count),
+            )
+        )
+
+    def at(self, tip: Array) -> tuple[Array, Array]:
+        """Return the covered part and the mean height of it [m], (nx, ny), tip at (3,) [m]."""
+        fields = list(self._sums)
+        for axis in range(2):
+            place = (self._edges[axis] - tip[axis] - self._first[axis]) / self._step[axis]
+            place = np.clip(place, 0.0, fields[0].shape[axis] - 1)
+            before = np.minimum(place.astype(int), fields[0].shape[axis] - 2)
+            weight = np.expand_dims(place - before, 1 - axis)
+            fields = [
+                np.diff(
+                    (1 - weight) * field.take(before, axis) + weight * field.take(before + 1, axis),
+                    axis=axis,
+                )
+                for field in fields
+            ]
+        covered, total = fields
+        return covered, total / np.maximum(covered, TINY)
 
 
 class Clearance:
@@ -200,8 +306,9 @@ class Clearance:
 
     Samples lie under the pixels when the tip is at the motion's first waypoint, so a straight press
     reads the samples themselves. In between, the height is the cubic through the surrounding 4 x 4
-    samples, limited to the range of the cell's corners. In a cell with a corner that cannot touch
-    it is the nearest sample's, which keeps the position of a wall on average.
+    samples, limited to the range of the cell's corners. Where a wall crosses a pixel, the height is
+    the mean of what covers it. There the indenter presses only the covered part, which yields more:
+    by the pixel's own displacement under a pressure that is larger as the part is smaller.
     """
 
     def __init__(self, indenter: Indenter, grid: Grid, motion: Motion) -> None:
@@ -214,27 +321,57 @@ class Clearance:
         self._on_body = body.covers(grid.x[:, None], grid.y)
         self._cap = 2 * (motion.depth_max - float(self.surface.min())) + body.thickness / 2
         far = tip[:, :2] - self._anchor[:2]
-        samples = []
+        origin, widths = [], []
         self._first: list[int] = []
         for axis, centres in enumerate((grid.x, grid.y)):
             low, high = -far[:, axis].max(), -far[:, axis].min()
             first = int(np.floor(low / self._step[axis])) - 2
             last = FINENESS * (len(centres) - 1) + int(np.ceil(high / self._step[axis])) + 3
-            offsets = np.arange(first, last + 1) * self._step[axis]
-            samples.append(centres[0] - self._anchor[axis] + offsets)
+            origin.append(float(centres[0] - self._anchor[axis]))
+            widths.append(last + 1 - first)
             self._first.append(first)
-        heights = indenter.heights(samples[0][:, None], samples[1][None, :], reach=self._cap)
-        self._heights = np.minimum(heights, self._cap)
+        span = max(
+            abs(start) + step * (abs(first) + width)
+            for start, step, first, width in zip(
+                origin, self._step, self._first, widths, strict=True
+            )
+        )
+        reach = REACH * math.ceil(self._cap / REACH)
+        found = _samples(indenter, (origin[0], origin[1]), self._step, span, reach)
+        self._heights = np.full(widths, self._cap)
+        ours, theirs = zip(
+            *(
+                _common(mine, count, its, many)
+                for mine, count, its, many in zip(
+                    self._first, widths, found.first, found.heights.shape, strict=True
+                )
+            ),
+            strict=True,
+        )
+        self._heights[ours] = np.minimum(found.heights[theirs], self._cap)
+        self._rims = None if _endless(indenter) else Rims(indenter, grid, span, reach)
 
-    def at(self, tip: Array) -> Array:
-        """Return the gap at every pixel (nx, ny) with the tip at (3,) [m]; negative: overlap."""
+    def at(self, tip: Array) -> tuple[Array, Array]:
+        """Return gaps with the tip at (3,) [m], and how much more pixels yield, both (nx, ny).
+
+        Gaps are in m, negative ones overlap. The second is in multiples of the displacement of a
+        pixel by its own traction: 0 where the indenter covers all of it.
+        """
         whole, rest = [], []
         for axis in range(2):
             place = (self._anchor[axis] - tip[axis]) / self._step[axis]
             whole.append(int(np.floor(place)) - self._first[axis])
             rest.append(place - np.floor(place))
-        gap: Array = self._read(whole, rest) + tip[2] - self.surface
-        return np.where(self._on_body, gap, self._cap)
+        height = self._read(whole, rest)
+        if self._rims is None:
+            gap = np.where(self._on_body, height + tip[2] - self.surface, self._cap)
+            return gap, np.zeros_like(gap)
+        covered, mean = self._rims.at(tip)
+        partly = (covered >= COVERED_LEAST) & (covered < COVERED_MOST)
+        height = np.where(partly, np.minimum(mean, self._cap), height)
+        height[covered < COVERED_LEAST] = self._cap
+        gap = np.where(self._on_body, height + tip[2] - self.surface, self._cap)
+        return gap, np.where(partly, YIELDING * (1 / np.where(partly, covered, 1.0) - 1), 0.0)
 
     def _read(self, whole: list[int], rest: list[float]) -> Array:
         nx, ny = self._grid.shape
@@ -252,6 +389,12 @@ class Clearance:
             cubic += weight * rows[:, _every(whole[1] + j - 1, ny)]
         nearest = sample(int(rest[0] >= 0.5), int(rest[1] >= 0.5))
         return np.where(high < self._cap, np.clip(cubic, low, high), nearest)
+
+
+def _common(first: int, count: int, other: int, many: int) -> tuple[slice, slice]:
+    """Return the slices of two runs of samples that hold the same ones."""
+    low, high = max(first, other), max(first, other, min(first + count, other + many))
+    return slice(low - first, high - first), slice(low - other, high - other)
 
 
 def _every(first: int, count: int) -> slice:

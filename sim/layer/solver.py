@@ -151,7 +151,7 @@ class LayerPress:
         self._rubs = effects.friction is not None
         self._coefficient = effects.friction.coefficient if effects.friction else 0.0
         self._clearance = Clearance(scene.indenter, grid, scene.motion)
-        self._clear = self._clearance.at(self.tip)  # above the undeformed body
+        self._clear, self._extra = self._clearance.at(self.tip)  # above the undeformed body
         self._convolutions = convolutions(grid, np.dtype(precision(tolerance)))
         self._tried: list[str] = []
         self.displacement: Array = np.zeros((3, *grid.shape), np.float32)
@@ -166,7 +166,7 @@ class LayerPress:
     @property
     def gap(self) -> Array:
         """Gap between indenter and body (nx, ny) [m]; negative: overlap."""
-        gap: Array = self._clear - self.displacement[2]
+        gap: Array = self._clear - self.displacement[2] - self._given(self.history.elastic)[2]
         return gap
 
     @property
@@ -193,9 +193,10 @@ class LayerPress:
     @property
     def energy(self) -> float:
         """Energy stored in all springs [J]."""
-        rest = _product(self.history.elastic, self.displacement)
+        elastic = self.history.elastic
+        rest = _product(elastic, self.displacement + self._given(elastic))
         branches = (
-            _product(traction, self._moved_by(traction)) / stiffness
+            _product(traction, self._moved_by(traction) + self._given(traction)) / stiffness
             for stiffness, traction in self.history.branches()
         )
         return 0.5 * self.grid.area * (rest + sum(branches))
@@ -220,7 +221,7 @@ class LayerPress:
         longest = max(TRAVEL * radius, TRAVEL_LEAST * min(self.grid.pixel))
         if radius == 0:
             here = float(self.gap.min())
-            there = float((self._clearance.at(tip) - self.displacement[2]).min())
+            there = float((self._clearance.at(tip)[0] - self.displacement[2]).min())
             free = 1.0 if there >= 0 else max(0.0, here) / (max(0.0, here) - there)
             longest = max(longest, free * float(np.linalg.norm(tip - self.tip)))
         return longest
@@ -263,13 +264,13 @@ class LayerPress:
 
     def _step(self, tip: Array, duration: float) -> bool:
         """Attempt a step and return True if it converged; if not, the state is unchanged."""
-        gap = self._clearance.at(tip)
+        gap, extra = self._clearance.at(tip)
         relaxed = self.history.after(duration)
         touching = self.history.elastic.any(axis=0)
         touching |= gap < BULGE * max(0.0, -float(gap.min()))
         while True:
             window = self._window(touching)
-            found = self._solve(window, gap, tip, relaxed)
+            found = self._solve(window, gap, extra, tip, relaxed)
             self.spent.steps += 1
             self.spent.iterations += found.iterations
             if not found.residual <= self._tolerance:
@@ -292,11 +293,12 @@ class LayerPress:
         self.traction, self.displacement = traction, displacement
         self.history.take(relaxed, elastic)
         self.work += 0.5 * float((before + self.force) @ (tip - self.tip))
-        self.tip, self.residual, self._clear = tip, found.residual, gap
+        self.tip, self.residual = tip, found.residual
+        self._clear, self._extra = gap, extra
         return True
 
     def _solve(
-        self, window: tuple[slice, ...], gap: Array, tip: Array, relaxed: Relaxed
+        self, window: tuple[slice, ...], gap: Array, extra: Array, tip: Array, relaxed: Relaxed
     ) -> Contact:
         """Solve the elastic contact problem equivalent to the step's relaxing one.
 
@@ -307,7 +309,7 @@ class LayerPress:
         elastic = self.history.elastic[window].astype(dtype)
         held = relaxed.held[window].astype(dtype)
         away = (relaxed.factor * gap[window[1:]]).astype(dtype)
-        body = self._convolutions.within(away.shape)
+        body = self._convolutions.within(away.shape).yielding(extra[window[1:]].astype(dtype))
         relief = body.answer.full(held) if held.any() else np.zeros_like(held)
         away += relief[2]
         # Initial guess: an unchanged displacement.
@@ -319,6 +321,13 @@ class LayerPress:
         return solve_frictional(
             body, away, slip, self._coefficient, start, tolerance=self._tolerance
         )
+
+    def _given(self, elastic: Array) -> Array:
+        """Return how much partly covered pixels yield more by a traction (3, nx, ny) [m]."""
+        local = self._convolutions.within((1, 1))
+        factors = np.array([local.local_shear, local.local_shear, local.local_normal])
+        given: Array = factors[:, None, None] * self._extra * elastic
+        return given
 
     def _moved_by(self, elastic: Array) -> Array:
         return self._convolutions.whole.full(elastic.astype(np.float32))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -206,15 +207,19 @@ class Convolution:
         parts = spectrum.astype(dtype)
         self._xx, self._yy, self._zz, self._xy = parts[:4]
         self._xz, self._yz = 1j * parts[4:]
+        self.own: tuple[Array | float, Array | float] = 0.0, 0.0
+        """Displacement of pixels by their own traction alone, beyond the spectrum's [m/Pa]: (X, Y)
+        in the plane, and normal to it."""
 
     def normal(self, traction: Array) -> Array:
         """Return the normal displacement (X, Y) by a normal traction (X, Y)."""
-        return self._back(self._zz * self._forward(traction))
+        return self._back(self._zz * self._forward(traction)) + self.own[1] * traction
 
     def shear(self, traction: Array) -> Array:
         """Return the in-plane displacement (2, X, Y) by an in-plane traction (2, X, Y)."""
         x, y = self._forward(traction)
-        return self._back(np.stack([self._xx * x + self._xy * y, self._xy * x + self._yy * y]))
+        moved = self._back(np.stack([self._xx * x + self._xy * y, self._xy * x + self._yy * y]))
+        return moved + self.own[0] * traction
 
     def shear_by_normal(self, traction: Array) -> Array:
         """Return the in-plane displacement (2, X, Y) by a normal traction (X, Y)."""
@@ -230,17 +235,21 @@ class Convolution:
         """Return the displacement (3, X, Y) by a traction (3, X, Y)."""
         if not traction[:2].any():
             z = self._forward(traction[2])
-            return self._back(np.stack([self._xz * z, self._yz * z, self._zz * z]))
-        x, y, z = self._forward(traction)
-        return self._back(
-            np.stack(
-                [
-                    self._xx * x + self._xy * y + self._xz * z,
-                    self._xy * x + self._yy * y + self._yz * z,
-                    self._zz * z - self._xz * x - self._yz * y,
-                ]
+            moved = self._back(np.stack([self._xz * z, self._yz * z, self._zz * z]))
+        else:
+            x, y, z = self._forward(traction)
+            moved = self._back(
+                np.stack(
+                    [
+                        self._xx * x + self._xy * y + self._xz * z,
+                        self._xy * x + self._yy * y + self._yz * z,
+                        self._zz * z - self._xz * x - self._yz * y,
+                    ]
+                )
             )
-        )
+        moved[:2] += self.own[0] * traction[:2]
+        moved[2] += self.own[1] * traction[2]
+        return moved
 
     def _forward(self, field: Array) -> Spectrum:
         # One axis at a time, so that rows of padding only are not transformed.
@@ -263,6 +272,14 @@ class Elastic:
     """Normal displacement of a pixel by a normal traction on it alone [m/Pa]."""
     local_shear: float
     """In-plane displacement of a pixel by an in-plane traction on it alone [m/Pa]."""
+
+    def yielding(self, extra: Array) -> Elastic:
+        """Return the layer whose pixels yield more by their own traction (X, Y), as a multiple."""
+        if not extra.any():
+            return self
+        answer = copy(self.answer)
+        answer.own = extra * self.local_shear, extra * self.local_normal
+        return replace(self, answer=answer)
 
 
 class Convolutions:

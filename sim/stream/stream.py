@@ -23,16 +23,25 @@ from sim.sensors.field import EVEN_STEP, cubic_weights
 Array = NDArray[np.floating[Any]]
 
 
+# Least cosine between sideways moves that follow one line.
+STRAIGHT = 0.9
+
+
 class DraggedClearance(Clearance):
     """Gap to an indenter above material that has moved sideways by `drag` (2,) [m]."""
 
     def __init__(self, indenter: Indenter, grid: Grid, motion: Motion) -> None:
         super().__init__(indenter, grid, motion)
         self.drag: Array = np.zeros(2)
+        self.start: Array = np.zeros(2)
+        """Where the tip had moved the material by `drag` (2,) [m]."""
+        self.follows = 0.0
+        """Fraction of the tip's way from there by which the material moves on."""
 
-    def at(self, tip: Array) -> Array:
-        """Return the gap at every pixel (nx, ny) with the tip at (3,) [m]."""
-        return super().at(tip - np.array([*self.drag, 0.0]))
+    def at(self, tip: Array) -> tuple[Array, Array]:
+        """Return gaps and how much more pixels yield, as `Clearance.at`, tip at (3,) [m]."""
+        drag = self.drag + self.follows * (tip[:2] - self.start)
+        return super().at(tip - np.array([*drag, 0.0]))
 
 
 class DraggedPress(LayerPress):
@@ -48,6 +57,7 @@ class DraggedPress(LayerPress):
         super().__init__(scene, grid, tolerance)
         self._dragged = DraggedClearance(scene.indenter, grid, scene.motion)
         self._clearance = self._dragged
+        self._way: Array = np.zeros(2)
 
     @property
     def shear(self) -> Array:
@@ -60,9 +70,23 @@ class DraggedPress(LayerPress):
 
     def move(self, tip: Array, duration: float) -> None:
         """Move the tip straight to `tip` (3,) [m] in `duration` [s], as `LayerPress.move`."""
+        start, before, dragged = self.tip[:2], self.shear, self._dragged
+        way = tip[:2] - start
+        length = float(np.linalg.norm(way))
+        dragged.start = start
+        if length > 0:
+            # Contacts stick after a turn, and go on as they did along a straight way.
+            straight = float(way @ self._way) > STRAIGHT * length * float(np.linalg.norm(self._way))
+            dragged.follows = dragged.follows if straight else 1.0
+            self._way = way
+        if not self.traction[2].any():
+            dragged.follows = 0.0
         super().move(tip, duration)
         limit = self.grid.body.thickness
-        self._dragged.drag = np.clip(self.shear, -limit, limit)
+        dragged.drag, dragged.start = np.clip(self.shear, -limit, limit), tip[:2]
+        if length > 0:
+            follows = float((self.shear - before) @ way) / length**2
+            dragged.follows = float(np.clip(follows, 0.0, 1.0))
 
 
 # A layer under an indenter whose tip follows commanded poses.

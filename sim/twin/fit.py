@@ -14,7 +14,7 @@ from sim.errors import SceneError
 from sim.indenters import Indenter
 from sim.sensors import SimulatedSensor
 from sim.sensors.posterior import POISSON, Posterior, quantities, with_quantities
-from sim.twin.model import Linear, Model, Solved
+from sim.twin.model import STEPS, Linear, Model, Solved
 from sim.twin.observations import SETTLING, Track
 
 Array = NDArray[np.float64]
@@ -44,10 +44,13 @@ LOGARITHMS = ("modulus", "thickness", "friction", "ratio", "time")
 ROUNDS, SMALL = 12, 0.25
 # Least and most timing error between arm and gauge [s], and the least error of the law.
 TIMING, LAW = (5e-4, 60e-3), 4e-3
-# Longest step of a logarithm in a round, and the longest after which derivatives are kept.
-STEP, CLOSE = 0.5, 0.1
+# Longest step of a logarithm in a round, and the longest after which derivatives are corrected
+# rather than taken again, in steps by which they are taken.
+STEP, CLOSE = 0.5, 6.0
 # Damping beyond which a step is given up.
 DAMPED, DAMPED_LITTLE = 100.0, 0.5
+# Decrease of the squared residuals that ends a descent.
+LITTLE = 0.1
 # Squared residuals by which a tilt must explain presses better to be told by them.
 TOLD = 9.0
 # Spread over the prior's above which presses have told nothing.
@@ -233,7 +236,7 @@ def _descended(
     """
     prior = np.array([prior_spread(name) for name in names])
     values, damping = dict(values), 1e-3
-    near, kept = model.linearised(values, names, known), False
+    near, kept = model.linearised(values, names, known), known is not None
     for done in range(1, ROUNDS + 1):
         progress((done - 1) / ROUNDS)
         _, _, sigma = _weights(tracks, near)
@@ -244,29 +247,46 @@ def _descended(
         cost = _cost(residual, offset / prior)
         spread = np.sqrt(np.diag(np.linalg.inv(normal)))
         while True:
-            step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), slope)
+            step = _step(names, values, normal + damping * np.diag(np.diag(normal)), slope)
             longest = max(abs(each) for name, each in zip(names, step, strict=True) if is_log(name))
             step *= min(1.0, STEP / longest)
             stepped = zip(names, step, strict=True)
             moved = {**values, **{name: _moved(name, values, by) for name, by in stepped}}
             trial, _ = _stacked(tracks, model.readings(moved), sigma)
-            better = _cost(trial, _offset(names, moved, centre) / prior) < cost
+            gained = cost - _cost(trial, _offset(names, moved, centre) / prior)
+            better = gained > 0
             if better or damping > DAMPED:
                 break
             damping = max(damping, 1e-2) * 10
         # A damped step is short wherever it is.
         small = damping < DAMPED_LITTLE and float(np.max(np.abs(step) / spread)) < SMALL
         if better:
+            way = {name: _way(name, values, moved) for name in names}
             values, damping = moved, damping / 10
-            kept = longest < CLOSE and done > 1
-            near = model.linearised(values, names, near if kept else None)
-        if small or (not better and not kept):
+            kept = all(abs(way.get(name, 0.0)) < CLOSE * step for name, step in STEPS.items())
+            if kept:
+                near = model.followed(values, names, near, way)
+            else:
+                near = model.linearised(values, names)
+        if small or 0 < gained < LITTLE or (not better and not kept):
             break
         if not better:
             # Derivatives from elsewhere may be why: take new ones before giving up.
             kept, damping = False, 1e-2
             near = model.linearised(values, names)
     return Descended(values, near, done)
+
+
+def _step(names: Sequence[str], values: Mapping[str, float], normal: Array, slope: Array) -> Array:
+    """Return the step (p,) to where `normal` step = `slope`; at a bound none leads beyond it."""
+    free = np.ones(len(names), bool)
+    step = np.linalg.solve(normal, slope)
+    for index, name in enumerate(names):
+        if name == "compliance" and values[name] <= 0 and step[index] < 0:
+            free[index] = False
+    step = np.zeros(len(names))
+    step[free] = np.linalg.solve(normal[np.ix_(free, free)], slope[free])
+    return step
 
 
 def _gain(tracks: Sequence[Track], sigma: Sequence[Array], one: Linear, other: Linear) -> float:
@@ -414,6 +434,10 @@ def _offset(
 
 def _coordinate(name: str, values: Mapping[str, float]) -> float:
     return math.log(values[name]) if is_log(name) else values[name]
+
+
+def _way(name: str, values: Mapping[str, float], moved: Mapping[str, float]) -> float:
+    return _coordinate(name, moved) - _coordinate(name, values)
 
 
 def _moved(name: str, values: Mapping[str, float], step: float) -> float:

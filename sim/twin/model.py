@@ -100,8 +100,7 @@ class Model:
         contact is assumed not to change with them; readings themselves are exact. The others take
         a solution each, unless they are those of `known`, not far from here.
         """
-        solved = self.solve(values)
-        base = [self._read(each, values) for each in solved]
+        base = self.readings(values)
         costly: dict[str, list[Array]] = {} if known is None else dict(known.costly)
         for name in STEPS:
             if name in costly or (name not in names and name != "height"):
@@ -116,6 +115,44 @@ class Model:
                 if self._off(other) < self._off(there):
                     there, over = other, -step
             costly[name] = [(new - old) / over for new, old in zip(there, base, strict=True)]
+        return self._linear(values, names, costly)
+
+    def followed(
+        self,
+        values: Mapping[str, float],
+        names: Sequence[str],
+        near: Linear,
+        moved: Mapping[str, float],
+    ) -> Linear:
+        """Return the readings near `values`, with derivatives of `near` corrected by the way there.
+
+        Broyden's update (Math. Comp. 19 (1965) 577) of the costly ones: by `moved`, the way from
+        `near`, derivatives foretell the change of the readings. Ways shorter than the steps by
+        which derivatives are taken correct less, for the solutions are no more exact than that.
+        """
+        base = self.readings(values)
+        steps = {name: moved.get(name, 0.0) for name in near.costly}
+        way = {name: step / STEPS[name] ** 2 for name, step in steps.items()}
+        square = 1.0 + sum(steps[name] * way[name] for name in steps)
+        along = np.array([moved.get(name, 0.0) for name in names])
+        missed = [
+            new - old - slopes @ along
+            for new, old, slopes in zip(base, near.readings, near.slopes, strict=True)
+        ]
+        costly = {
+            name: [
+                slope + (way[name] / square) * each
+                for slope, each in zip(near.costly[name], missed, strict=True)
+            ]
+            for name in near.costly
+        }
+        return self._linear(values, names, costly)
+
+    def _linear(
+        self, values: Mapping[str, float], names: Sequence[str], costly: dict[str, list[Array]]
+    ) -> Linear:
+        solved = self.solve(values)
+        base = [self._read(each, values) for each in solved]
         slopes = []
         for index, track in enumerate(self._tracks):
             rows = []
@@ -144,7 +181,7 @@ class Model:
         key = tuple(sorted(values.items()))
         if key not in self._solved:
             followed = [self._follow(sensor, track, values) for track in self._tracks]
-            self._solved = {**dict(list(self._solved.items())[-1:]), key: followed}
+            self._solved[key] = followed
         return self._solved[key]
 
     def _follow(self, sensor: SimulatedSensor, track: Track, values: Mapping[str, float]) -> Solved:

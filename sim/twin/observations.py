@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 # Tips higher than this above the surface touch nothing [m].
 FREE = 0.1e-3
 # Points per deepest press along the tip's path; sideways they are as far apart as the second says.
-POINTS, SIDEWAYS = 4, 0.3e-3
+POINTS, SIDEWAYS = 4, 0.2e-3
 # Shortest time between points of a resting tip [s], and growth of that time over the rest so far.
 SOONEST, GROWTH = 0.05, 0.8
 # Longest time between points without contact [s].

@@ -1,31 +1,46 @@
 """Fit twins of random skins that are known, and compare.
 
-    python -m benchmarks twin --planted 6
-    python -m benchmarks twin --planted 60 --out docs/results/twin-planted.md
+    python -m benchmarks twin --skins 6
+    python -m benchmarks twin --skins 200 --processes 16 --out docs/results/twin-planted.md
 
 Each skin differs from the row that the fit begins with, and is pressed on a bench with errors of
 its own, by a finer grid than the fit's, or by tier `fem` (`--truth fem`), while fits are by tier
 `layer`. Forces under a torus, which the fit does not get, are held out. The page of `--out` is
-written after every skin, so that a stopped run leaves that of the skins so far. In simulation.
+written after every skin, and the same command goes on where it stopped: its rows are beside the
+page. Forces by `fem` may be stored before (`--make`, on a GPU, and it goes on likewise) and read
+(`--truths`). In simulation.
 """
 
 from __future__ import annotations
 
 import argparse
+import functools
+import json
 import time
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
+from multiprocessing import get_context
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 
-from benchmarks.sim.twin.planted import GRID, Bench, Truth, observed, random_skin, relaxation
-from recorder.command_line.options import add_seed, names, positive, whole
+from benchmarks.sim.twin.planted import (
+    GRID,
+    Bench,
+    Forces,
+    Truth,
+    observed,
+    random_skin,
+    relaxation,
+    solved,
+)
+from recorder.command_line.options import add_device, add_seed, names, positive, whole
 from recorder.pages import render
 from sim.cli.twin_plan import CHANGE
-from sim.errors import SimulationDiverged
+from sim.errors import SceneError, SimulationDiverged
 from sim.indenters import NAMES
 from sim.sensors import sensor
 from sim.sensors.posterior import quantities
@@ -42,7 +57,7 @@ TIMES = np.geomspace(0.05, 2.0, 20)
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the benchmark."""
     parser.add_argument(
-        "--planted", type=whole(1, 1000), default=6, metavar="N", help="skins (%(default)s)"
+        "--skins", type=whole(1, 1000), default=6, metavar="N", help="(%(default)s)"
     )
     parser.add_argument(
         "--indenters",
@@ -67,7 +82,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--grid", type=whole(16, 256), default=64, metavar="N", help="of the fit (%(default)s)"
     )
     parser.add_argument("--sensor", default="gelsight", help="design (%(default)s)")
+    parser.add_argument(
+        "--depth",
+        type=positive,
+        default=0.4,
+        metavar="PART",
+        help="first of two depths, over the deepest of the design (%(default)s)",
+    )
+    parser.add_argument(
+        "--processes", type=whole(1, 256), default=1, metavar="N", help="(%(default)s)"
+    )
+    parser.add_argument(
+        "--make", type=Path, metavar="NPZ", help="store the true forces of all skins; fit nothing"
+    )
+    parser.add_argument("--truths", type=Path, metavar="NPZ", help="read them, in place of solving")
     parser.add_argument("--out", type=Path, metavar="MD", help="page to write, after every skin")
+    add_device(parser, "device of true forces by fem")
     add_seed(parser)
 
 
@@ -92,24 +122,25 @@ class Identified:
 
 def run(options: argparse.Namespace) -> int:
     """Fit, print one line for each skin, then medians and coverage; return 1 if none was solved."""
+    pressed = pressed_by(options)
+    if options.make is not None:
+        return make(pressed, options)
     print(f"{'skin':<6}" + "".join(f"{name:>12}" for name in COLUMNS) + f"{'misfit':>10}{'s':>8}")
-    found: list[Identified] = []
-    pressed = [usual(name, options.sensor) for name in options.indenters]
-    if options.minutes is not None:
-        planner = Planner(sensor(options.sensor))
-        open_ = planner.candidates([name for name in NAMES if name != HELD_OUT])
-        chosen = planner.best(open_, seconds=60 * options.minutes, change=CHANGE)
-        pressed = sessions(chosen)
-        for each in pressed:
-            print(each, flush=True)
-    for number in range(options.planted):
-        try:
-            found.append(one(number, pressed, options))
-        except SimulationDiverged as error:
-            print(f"{number:<6}  no solution, left out: {error}", flush=True)
+    path = None if options.out is None else options.out.with_suffix(".jsonl")
+    found = [] if path is None else kept(path, options)
+    for each in found:
+        print(each.line(), flush=True)
+    done = {each.number for each in found}
+    wanted = [number for number in range(options.skins) if number not in done]
+    for number, row in each_of(functools.partial(one, pressed, options), wanted, options):
+        if isinstance(row, str):
+            print(f"{number:<6}  no solution, left out: {row}", flush=True)
             continue
-        print(found[-1].line(), flush=True)
-        if options.out is not None:
+        print(row.line(), flush=True)
+        found = sorted([*found, row], key=lambda each: each.number)
+        if options.out is not None and path is not None:
+            with path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(asdict(row)) + "\n")
             options.out.write_text(page(found, pressed, options), encoding="utf-8")
     if not found:
         return 1
@@ -118,6 +149,56 @@ def run(options: argparse.Namespace) -> int:
     total = sum(len(each.inside) for each in found)
     print(f"{100 * count / total:.0f} % of {total} true values lie in their 90 % intervals")
     return 0
+
+
+def pressed_by(options: argparse.Namespace) -> list[Presses]:
+    """Return the presses that fits get."""
+    if options.minutes is None:
+        return [usual(name, options.sensor, options.depth) for name in options.indenters]
+    planner = Planner(sensor(options.sensor))
+    open_ = planner.candidates([name for name in NAMES if name != HELD_OUT])
+    chosen = planner.best(open_, seconds=60 * options.minutes, change=CHANGE)
+    for each in sessions(chosen):
+        print(each, flush=True)
+    return sessions(chosen)
+
+
+def each_of(
+    task: Callable[[int], Any], numbers: Sequence[int], options: argparse.Namespace
+) -> Iterator[tuple[int, Any]]:
+    """Yield each number with the task's result, as they come."""
+    if options.processes == 1:
+        yield from ((number, task(number)) for number in numbers)
+        return
+    context = get_context("spawn")
+    with ProcessPoolExecutor(options.processes, mp_context=context) as pool:
+        futures = {pool.submit(task, number): number for number in numbers}
+        for future in as_completed(futures):
+            yield futures[future], future.result()
+
+
+def settings(options: argparse.Namespace) -> dict[str, Any]:
+    """Return what the rows of a page must have in common."""
+    names = ("truth", "grid", "indenters", "minutes", "depth", "sensor", "seed")
+    return {name: getattr(options, name) for name in names}
+
+
+def kept(path: Path, options: argparse.Namespace) -> list[Identified]:
+    """Return the rows of an earlier run; begin the file if there is none.
+
+    Raises:
+        SceneError: They are of other settings.
+    """
+    ours = json.loads(json.dumps(settings(options)))
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(ours) + "\n", encoding="utf-8")
+        return []
+    first, *rows = path.read_text(encoding="utf-8").splitlines()
+    if json.loads(first) != ours:
+        raise SceneError(f"{path}: rows of {first}; allowed: those of {json.dumps(ours)}")
+    found = [json.loads(row) for row in rows]
+    return [Identified(**{**row, "errors": tuple(row["errors"])}) for row in found]
 
 
 def medians(found: Sequence[Identified]) -> list[float]:
@@ -134,9 +215,9 @@ def page(
     found: Sequence[Identified], pressed: Sequence[Presses], options: argparse.Namespace
 ) -> str:
     """Return the results as a page of Markdown."""
-    words = [f"--planted {options.planted}", f"--truth {options.truth}", f"--grid {options.grid}"]
+    words = [f"--skins {options.skins}", f"--truth {options.truth}", f"--grid {options.grid}"]
     if options.minutes is None:
-        words.append(f"--indenters {','.join(options.indenters)}")
+        words.append(f"--indenters {','.join(options.indenters)} --depth {options.depth:g}")
     else:
         words.append(f"--minutes {options.minutes:g}")
     words += [f"--sensor {options.sensor}", f"--seed {options.seed}"]
@@ -154,27 +235,87 @@ def page(
     )
 
 
-def usual(indenter: str, name: str) -> Presses:
+def usual(indenter: str, name: str, part: float = 0.4) -> Presses:
     """Return presses to two depths of a design, sheared and held."""
-    step = round(0.4 * sensor(name).depth_max, 5)
+    step = round(part * sensor(name).depth_max, 5)
     return presses(indenter, (step, 2 * step), 0.8e-3, 1.6)
 
 
-def one(number: int, pressed: Sequence[Presses], options: argparse.Namespace) -> Identified:
+def asked(
+    pressed: Sequence[Presses], bench: Bench, options: argparse.Namespace
+) -> list[tuple[Presses, Bench]]:
+    """Return the presses of a skin and the errors that each has, those held out last."""
+    held_out = usual(HELD_OUT, options.sensor, options.depth)
+    return [*((each, bench) for each in pressed), (held_out, Bench(noise=0.0))]
+
+
+def make(pressed: Sequence[Presses], options: argparse.Namespace) -> int:
+    """Store the true forces of all skins that are not stored yet; return the exit code."""
+    path: Path = options.make
+    stored = dict(np.load(path)) if path.exists() else {}
+    wanted = [number for number in range(options.skins) if f"{number}-0" not in stored]
+    for number, found in each_of(functools.partial(forces, pressed, options), wanted, options):
+        if isinstance(found, str):
+            print(f"{number:<6}  no solution: {found}", flush=True)
+            continue
+        for index, each in enumerate(found):
+            stored[f"{number}-{index}"] = np.column_stack([each.time, each.force])
+        part = path.with_suffix(".part.npz")
+        np.savez_compressed(part, **stored)
+        part.replace(path)
+        print(f"{number:<6}  stored", flush=True)
+    return 0
+
+
+def forces(
+    pressed: Sequence[Presses], options: argparse.Namespace, number: int
+) -> list[Forces] | str:
+    """Return the true forces of a skin, or why there are none."""
+    skin, bench = random_skin(np.random.default_rng([options.seed, number]), options.sensor)
+    try:
+        return [
+            solved(skin, each, errors, truth=options.truth, device=options.device)
+            for each, errors in asked(pressed, bench, options)
+        ]
+    except SimulationDiverged as error:
+        return str(error)
+
+
+def read_forces(path: Path, count: int, number: int) -> list[Forces] | str:
+    """Return the `count` stored forces of a skin, or why there are none."""
+    with np.load(path) as file:
+        if f"{number}-0" not in file:
+            return f"not in {path}"
+        rows = [file[f"{number}-{index}"] for index in range(count)]
+    return [Forces(row[:, 0], row[:, 1:]) for row in rows]
+
+
+def one(pressed: Sequence[Presses], options: argparse.Namespace, number: int) -> Identified | str:
+    """Fit a skin's twin, and compare it with the skin; a text if it has no solution."""
+    try:
+        return identified(pressed, options, number)
+    except SimulationDiverged as error:
+        return str(error)
+
+
+def identified(pressed: Sequence[Presses], options: argparse.Namespace, number: int) -> Identified:
     """Fit a skin's twin, and compare it with the skin."""
-    random = np.random.default_rng([options.seed, number])
-    skin, bench = random_skin(random, options.sensor)
-    tracks = [
-        observed(skin, each, bench, 100 * number + index, truth=options.truth)
-        for index, each in enumerate(pressed)
-    ]
+    skin, bench = random_skin(np.random.default_rng([options.seed, number]), options.sensor)
+    wanted = asked(pressed, bench, options)
+    if options.truths is None:
+        known = forces(pressed, options, number)
+    else:
+        known = read_forces(options.truths, len(wanted), number)
+    if isinstance(known, str):
+        return known
+    *tracks, still = (
+        observed(skin, each, errors, 100 * number + index, forces=true)
+        for index, ((each, errors), true) in enumerate(zip(wanted, known, strict=True))
+    )
     began = time.perf_counter()
     fit = fitted(tracks, sensor(options.sensor), grid=options.grid)
     seconds = time.perf_counter() - began
     true = quantities(skin)
-    still = observed(
-        skin, usual(HELD_OUT, options.sensor), Bench(noise=0.0), number, truth=options.truth
-    )
     model = Model(fit.design, [still], grid=options.grid)
     readings = model.readings({name: fit.values[name] for name in true})
     branches = range(1, 1 + sum(name.startswith("ratio") for name in true))
@@ -193,5 +334,5 @@ def one(number: int, pressed: Sequence[Presses], options: argparse.Namespace) ->
     inside = {}
     for name, value in true.items():
         low, high = fit.interval(name)
-        inside[name] = low <= value <= high
+        inside[name] = bool(low <= value <= high)
     return Identified(number, tuple(row), inside, fit.misfit, seconds)

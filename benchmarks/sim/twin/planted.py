@@ -53,6 +53,16 @@ class Bench:
     """Tilt of the pad about x and y [rad]."""
 
 
+@dataclass(frozen=True, slots=True)
+class Forces:
+    """Forces that a skin gives, without the gauge's errors."""
+
+    time: Array
+    """Times of the solutions (n,) [s]."""
+    force: Array
+    """Forces (n, 3) [N]."""
+
+
 def observed(
     skin: SimulatedSensor,
     presses: Presses,
@@ -60,10 +70,10 @@ def observed(
     seed: int,
     *,
     grid: int = GRID,
-    truth: Truth = "layer",
+    forces: Forces | None = None,
 ) -> Track:
-    """Return the track that a bench would record of a skin."""
-    time, tip, force = recorded(skin, presses, bench, seed, grid=grid, truth=truth)
+    """Return the track that a bench would record of a skin, whose forces may be known."""
+    time, tip, force = recorded(skin, presses, bench, seed, grid=grid, forces=forces)
     track = track_of(presses.indenter, presses.indenter, time, tip, time, force)
     assert track is not None
     return track
@@ -76,9 +86,31 @@ def recorded(
     seed: int,
     *,
     grid: int = GRID,
-    truth: Truth = "layer",
+    forces: Forces | None = None,
 ) -> tuple[Array, Array, Array]:
-    """Return times (n,) [s], tips (n, 3) [m] and forces (n, 3) [N] that a bench would record.
+    """Return times (n,) [s], tips (n, 3) [m] and forces (n, 3) [N] that a bench would record."""
+    true = solved(skin, presses, bench, grid=grid) if forces is None else forces
+    corners, tips = presses.path()
+    time = np.arange(0.0, corners[-1], 1 / RATE)
+    late = np.stack(
+        [np.interp(time - bench.latency, true.time, axis) for axis in true.force.T], axis=1
+    )
+    turned = late + np.cross(np.array(bench.turn), late)
+    tip = np.stack([np.interp(time, corners, axis) for axis in tips.T], axis=1)
+    random = np.random.default_rng(seed)
+    return time, tip, turned + random.normal(0.0, bench.noise, late.shape)
+
+
+def solved(
+    skin: SimulatedSensor,
+    presses: Presses,
+    bench: Bench,
+    *,
+    grid: int = GRID,
+    truth: Truth = "layer",
+    device: str = "cpu",
+) -> Forces:
+    """Return the forces of a skin by tier `truth`.
 
     The tip yields by the forces of tier `layer`, also where forces are those of `fem`.
     """
@@ -106,15 +138,9 @@ def recorded(
             yielded = -bench.compliance * force[-1][2]
     if truth == "fem":
         motion = Motion(tuple(tuple(place.tolist()) for place in places), tuple(times))
-        force = list(simulate(skin.scene(indenter, motion), FEM).wrench[:, :3])
-    random = np.random.default_rng(seed)
-    time = np.arange(0.0, corners[-1], 1 / RATE)
-    late = np.stack(
-        [np.interp(time - bench.latency, times, axis) for axis in np.array(force).T], axis=1
-    )
-    turned = late + np.cross(np.array(bench.turn), late)
-    tip = np.stack([np.interp(time, corners, axis) for axis in tips.T], axis=1)
-    return time, tip, turned + random.normal(0.0, bench.noise, late.shape)
+        found = simulate(skin.scene(indenter, motion), FEM, device=device)
+        return Forces(np.array(times), np.asarray(found.wrench[:, :3], float))
+    return Forces(np.array(times), np.array(force))
 
 
 def random_skin(random: np.random.Generator, base: str) -> tuple[SimulatedSensor, Bench]:
