@@ -263,7 +263,7 @@ class Rims:
         origin = (west + east) / 2, (south + north) / 2
         samples = _samples(indenter, origin, self._step, span, reach)
         heights = samples.heights
-        lowest = minimum_filter(heights, [many + 1 for many in count], mode="nearest")
+        lowest = minimum_filter(heights, [many // 2 * 2 + 1 for many in count], mode="nearest")
         with np.errstate(invalid="ignore"):
             covered = np.isfinite(heights) & (heights - lowest < WALL / 2 * max(grid.pixel))
         self._first = tuple(

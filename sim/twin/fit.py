@@ -189,12 +189,12 @@ def fitted(
         found, known = leaning, names
         timing, law, sigma = _weights(tracks, leaning.near)
     values, near = found.values, found.near
-    rows = [names.index(name) for name in known]
-    residual, jacobian = _stacked(tracks, near.readings, sigma, near.slopes)
+    residual, _ = _stacked(tracks, near.readings, sigma)
     excess = max(1.0, float(residual @ residual) / max(1, len(residual) - len(known)))
+    # A tilt that is not told may still be there: its prior widens the intervals of the others.
+    _, jacobian = _stacked(tracks, leaning.near.readings, sigma, leaning.near.slopes)
     told = jacobian.T @ jacobian / excess
-    covariance = np.diag(prior**2)
-    covariance[np.ix_(rows, rows)] = np.linalg.inv(told + np.diag(prior[rows] ** -2))
+    covariance = np.linalg.inv(told + np.diag(prior**-2))
     progress(1.0)
     return Fit(
         design=design,

@@ -83,7 +83,8 @@ def test_a_punch_that_sticks_moves_the_body_as_a_bonded_disc_does() -> None:
     third = len(places) // 3
     given = np.repeat([shift, 0.0, 0.0], third)
     expected = np.linalg.solve(np.array(matrix).T, given).reshape(3, third).sum(axis=1) * grid.area
-    np.testing.assert_allclose(state.force - held, expected, atol=0.01 * expected[0])
+    # The wall crosses pixels, which are here all or nothing, and moves by an eighth of one.
+    np.testing.assert_allclose(state.force - held, expected, atol=0.05 * expected[0])
 
 
 @pytest.mark.slow

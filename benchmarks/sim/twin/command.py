@@ -298,7 +298,9 @@ def one(pressed: Sequence[Presses], options: argparse.Namespace, number: int) ->
         return str(error)
 
 
-def identified(pressed: Sequence[Presses], options: argparse.Namespace, number: int) -> Identified:
+def identified(
+    pressed: Sequence[Presses], options: argparse.Namespace, number: int
+) -> Identified | str:
     """Fit a skin's twin, and compare it with the skin."""
     skin, bench = random_skin(np.random.default_rng([options.seed, number]), options.sensor)
     wanted = asked(pressed, bench, options)
