@@ -194,7 +194,7 @@ def fitted(
     # A tilt that is not told may still be there: its prior widens the intervals of the others.
     _, jacobian = _stacked(tracks, leaning.near.readings, sigma, leaning.near.slopes)
     told = jacobian.T @ jacobian / excess
-    covariance = np.linalg.inv(told + np.diag(prior**-2))
+    covariance = np.asarray(np.linalg.inv(told + np.diag(prior**-2)), float)
     progress(1.0)
     return Fit(
         design=design,
