@@ -203,8 +203,8 @@ WALL = 8.0
 # Least covered part of a pixel that can touch, and the least that counts as all of it.
 COVERED_LEAST, COVERED_MOST = 0.1, 0.999
 # How much more a partly covered pixel yields, over the displacement by its own traction times the
-# uncovered part over the covered one. With it, forces of five flat tips on 48, 64 and 96 pixels are
-# those on 256 within 2, 1 and 1 %; without it within 12, 6 and 3 %.
+# uncovered part over the covered one. With it, forces of four flat tips 1 mm deep on 48, 64 and 96
+# pixels are those on 256 within 2, 1.5 and 1 %; those of a narrow one without it 12, 6 and 3 %.
 YIELDING = 0.7
 # Heights are searched up to a multiple of this [m], so that similar presses have the same samples.
 REACH = 2e-3

@@ -44,6 +44,8 @@ LOGARITHMS = ("modulus", "thickness", "friction", "ratio", "time")
 ROUNDS, SMALL = 12, 0.25
 # Least and most timing error between arm and gauge [s], and the least error of the law.
 TIMING, LAW = (5e-4, 60e-3), 4e-3
+# Relative error that all normal forces of a press have in common, and all its shear forces.
+COMMON = 0.01
 # Longest step of a logarithm in a round, and the longest after which derivatives are corrected
 # rather than taken again, in steps by which they are taken.
 STEP, CLOSE = 0.5, 6.0
@@ -408,17 +410,40 @@ def _stacked(
 ) -> tuple[Array, Array]:
     """Return residuals (m,) in standard errors of the resting points, and slopes (m, p).
 
-    Forces of a moving tip differ by how late each stream is read, all in the same direction: they
-    would pass for relaxation.
+    Normal forces of a press have a common relative error, `COMMON`, and so have its shear forces:
+    law and grid are wrong alike in all of a press. Forces of a moving tip differ by how late each
+    stream is read, all in the same direction: they would pass for relaxation.
     """
     parts, columns = [], []
     for index, (track, read, each) in enumerate(zip(tracks, readings, sigma, strict=True)):
         used = track.contact & track.rest
-        parts.append(((track.force - read)[used] / each[used, None]).ravel())
+        freed = _freed(track, used, each)
+        parts.append(freed @ ((track.force - read)[used] / each[used, None]).ravel())
         if slopes:
             scaled = slopes[index][used] / each[used, None, None]
-            columns.append(scaled.reshape(-1, scaled.shape[-1]))
+            columns.append(freed @ scaled.reshape(-1, scaled.shape[-1]))
     return np.concatenate(parts), np.concatenate(columns) if columns else np.zeros((0, 0))
+
+
+def _freed(track: Track, used: NDArray[np.bool_], sigma: Array) -> Array:
+    """Return the matrix that whitens the used points (3 m, 3 m), in their standard errors.
+
+    With a common error along the unit vector u of variance v, it is 1 - (1 - (1 + v)^-1/2) u u^T.
+    """
+    matrix = np.eye(3 * int(used.sum()))
+    target = track.target[used]
+    scaled = COMMON * track.force[used] / sigma[used, None]
+    for press in np.unique(target):
+        for axes in ((0, 1), (2,)):
+            along = np.zeros_like(scaled)
+            rows = np.ix_(target == press, axes)
+            along[rows] = scaled[rows]
+            flat = along.ravel()
+            variance = float(flat @ flat)
+            if variance > 0:
+                fraction = 1 - 1 / math.sqrt(1 + variance)
+                matrix -= fraction / variance * np.outer(flat, flat)
+    return matrix
 
 
 def _cost(residual: Array, offset: Array) -> float:

@@ -14,7 +14,7 @@ from sim.errors import SceneError
 from sim.indenters import Indenter
 from sim.sensors import SimulatedSensor
 from sim.sensors.posterior import quantities
-from sim.twin.fit import BENCH, LAW, TILT, information, prior_spread, with_effects
+from sim.twin.fit import BENCH, LAW, information, prior_spread, with_effects
 from sim.twin.model import Model
 from sim.twin.observations import Track, track_of
 from trajectories import PressShear
@@ -133,7 +133,7 @@ class Planner:
         indenters: Mapping[str, Indenter] | None = None,
     ) -> None:
         self.design = with_effects(design)
-        self.names = (*quantities(self.design), *(name for name in BENCH if name not in TILT))
+        self.names = (*quantities(self.design), *BENCH)
         self._noise, self._law, self._grid, self._indenters = noise, law, grid, indenters
         self._known: dict[Presses, Array] = {}
 
