@@ -92,9 +92,14 @@ class Fit:
 
     @property
     def untold(self) -> tuple[str, ...]:
-        """Quantities that the presses did not tell, so that they keep their prior."""
+        """Quantities that the presses did not tell, so that they keep their prior's value."""
         spreads = self.spreads
-        return tuple(name for name in self.names if spreads[name] > UNTOLD * prior_spread(name))
+        level = TILT if not any(self.values[name] for name in TILT) else ()
+        return tuple(
+            name
+            for name in self.names
+            if name in level or spreads[name] > UNTOLD * prior_spread(name)
+        )
 
     @property
     def sensor(self) -> SimulatedSensor:
@@ -193,7 +198,7 @@ def fitted(
     values, near = found.values, found.near
     residual, _ = _stacked(tracks, near.readings, sigma)
     excess = max(1.0, float(residual @ residual) / max(1, len(residual) - len(known)))
-    # A tilt that is not told may still be there: its prior widens the intervals of the others.
+    # A tilt that is not told may still be there: it widens the intervals of the others.
     _, jacobian = _stacked(tracks, leaning.near.readings, sigma, leaning.near.slopes)
     told = jacobian.T @ jacobian / excess
     covariance = np.asarray(np.linalg.inv(told + np.diag(prior**-2)), float)
