@@ -241,6 +241,7 @@ LEARN = (
         "convert the authors' published force models",
     ),
     Command("export-onnx", "learning.cli.export_onnx", "write one step of a force model as ONNX"),
+    Command("models", "learning.cli.models", "take trained models, or publish one"),
 )
 LAB = (
     Command("init", "tactile.init", "create the folder of a lab"),

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from recorder import models
 from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE
 from recorder.command_line.options import positive, whole
 from rig.acquire.control import InterruptFlag
@@ -32,7 +33,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Start with the sensor without contact: its first frames are the reference."
     )
     parser.add_argument(
-        "--model", type=Path, required=True, metavar="DIR", help="folder of a trained force model"
+        "--model",
+        metavar="NAME",
+        help="folder of a trained force model, or a name that `tactile models list` shows, such as "
+        "demo (the one that `tactile models use` chose)",
     )
     parser.add_argument(
         "--before",
@@ -139,12 +143,15 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> None:
-    """Reject options before any library is loaded, or a device opened."""
-    if not options.model.is_dir():
+    """Reject options before any library is loaded, or a device opened; find the model."""
+    folder = models.find(options.model)
+    if folder is None:
+        found = "none" if options.model is None else f"{options.model}; no such folder"
         raise ConfigError(
-            f"MODEL, --model: found {options.model}; no such folder; allowed: the folder of a "
-            "trained force model"
+            f"MODEL, --model: found {found}; allowed: the folder of a trained force model, or a "
+            "name of `tactile models list`"
         )
+    options.model = folder
     if options.before is not None and not options.before.is_dir():
         raise ConfigError(
             f"--before: found {options.before}; no such folder; allowed: the folder of a trained "
