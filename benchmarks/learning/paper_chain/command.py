@@ -28,7 +28,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the benchmark."""
     parser.description = __doc__.split("\n\n")[0]
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="output folder")
-    parser.add_argument("--size", default="gpu", metavar="NAME", help="gpu or toy (%(default)s)")
+    parser.add_argument(
+        "--size", default="gpu", metavar="NAME", help="gpu, brief or toy (%(default)s)"
+    )
     parser.add_argument(
         "--minutes",
         type=float,
@@ -37,6 +39,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="training time of the translator; others get parts of it (%(default)s)",
     )
     parser.add_argument("--gpus", metavar="N,...", help="GPU numbers, or `cpu` (all GPUs)")
+    parser.add_argument(
+        "--per-gpu", type=int, default=1, metavar="N", help="jobs at a time on a GPU (%(default)s)"
+    )
     parser.add_argument(
         "--processes", type=int, metavar="N", help="processes that simulate or track (all cores)"
     )
@@ -65,7 +70,8 @@ def run(options: argparse.Namespace) -> int:
         # A job's time is the GPU's; on a CPU it takes the cores that there are.
         device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = True
-        torch.backends.cudnn.benchmark = device.type == "cuda"
+        # Images have one shape; sequences of force nets have many, for each of which it searches.
+        torch.backends.cudnn.benchmark = options.job.startswith(("vae", "m2m"))
         chain = jobs.Chain(out, size, options.minutes, device, max(1, cores // 2))
         jobs.run_job(chain, options.job)
         return 0
@@ -80,12 +86,12 @@ def run(options: argparse.Namespace) -> int:
 
     def tell(line: str) -> None:
         print(line, flush=True)
-        name, found, _ = line[12:].partition(": done in ")
+        name, found, _ = line[10:].partition(": done in ")
         if found:
             (done / name.strip().replace(" ", "+")).touch()
 
     try:
-        took = run_all(due, Machine(gpus, 1), out, tell)
+        took = run_all(due, Machine(gpus, options.per_gpu), out, tell)
     except KeyboardInterrupt:
         print("stopped; the same command goes on", file=sys.stderr)
         took = {}
@@ -104,12 +110,14 @@ def _tasks(options: argparse.Namespace, cores: int, done: set[str]) -> list[Task
     size, out = SIZES[options.size], options.out
     made = ("--tier", "layer", "--no-check", "--processes", str(cores))
     simulated = {
-        "archive patterns": ("states", *size.patterns, *made, "--out", "patterns.markers.zarr"),
         "archive sensors": (
             *("sensors", "--sensors", ",".join(size.sensors), *size.archive, *made),
             *("--out", "sensors.markers.zarr"),
         ),
     }
+    if size.patterns is not None:
+        states = ("states", *size.patterns, *made, "--out", "patterns.markers.zarr")
+        simulated = {"archive patterns": states, **simulated}
     wanted = {*(options.only.split(",") if options.only else (*simulated, *names(size)))}
     if unknown := wanted - {*simulated, *names(size)}:
         known = ", ".join((*simulated, *names(size)))

@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import permutations
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from benchmarks.learning.paper_chain.sizes import SEED, Size, write_base
+from benchmarks.learning.paper_chain.sizes import RECIPES, SEED, Size, write_base
 from learning.config import read_settings
 from learning.data.images import shrink, shrink_masks, unit, unpack_masks
 from learning.data.presses import Presses, load_presses, read_frames
@@ -65,15 +65,15 @@ from recorder.markers import pack
 Floats = NDArray[np.float64]
 TRANSLATORS = ("m2m", "field")
 UNSEEN: Role = "new_indenter"
-# Steps that are timed before a training; the first are slower.
-PROBE, WARM = 12, 4
+# Steps, and epochs, that are timed before a training, until they take some time [s].
+PROBE, PROBED_EPOCHS, ENOUGH_S = 12, 1, 1.5
 # Resamples of the test indenters, and the interval between their quantiles.
 RESAMPLES, INTERVAL = 2000, (0.05, 0.95)
 # Side of the images that the nearest frame is searched in.
 SMALL = 64
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Chain:
     """Surroundings of a job."""
 
@@ -157,20 +157,31 @@ def fitting(
     if stored.exists():
         return int(json.loads(stored.read_text())["steps"])
     stamps: dict[int, float] = {}
-    total = 0
 
     def stamp(done: int, of: int) -> None:
-        nonlocal total
-        total = of
         if chain.device.type == "cuda":
             torch.cuda.synchronize()
         stamps[done] = time.perf_counter()
 
-    units = PROBE if part not in ("net", "tuned") else 2
-    train(units, Session(accelerator(launch), progress=stamp))
-    first = min(WARM, total // 2)
-    per_unit = (stamps[total] - stamps[first]) / (total - first) * total / units
+    units = PROBED_EPOCHS if part == "net" else PROBE
+    while True:
+        stamps.clear()
+        train(units, Session(accelerator(launch), progress=stamp))
+        total = len(stamps)
+        if total >= 4:
+            # Medians of both halves: a start, or work between two stages, is no step.
+            halves = np.array_split(np.diff(list(stamps.values())), 2)
+            per_unit = float(np.mean([np.median(each) for each in halves])) * total / units
+            if per_unit * units > ENOUGH_S:
+                break
+        units *= 4
+    return _stored(chain, name, part, per_unit)
+
+
+def _stored(chain: Chain, name: str, part: str, per_unit: float) -> int:
+    """Return the steps that fit, and store them with their time."""
     steps = max(2, int(chain.seconds(part) / per_unit))
+    stored = chain.model(name).with_suffix(".json")
     stored.parent.mkdir(parents=True, exist_ok=True)
     stored.write_text(json.dumps({"steps": steps, "seconds_a_step": per_unit}))
     return steps
@@ -221,13 +232,13 @@ def vae(chain: Chain) -> None:
     write_base(Path(chain.base), chain.size)
     if (chain.model("vae") / "model.safetensors").exists():
         return
+    data = [(chain.archive, chain.split)]
+    if chain.size.patterns is not None:
+        data.append((chain.patterns, _patterns_split(chain)))
     images = torch.cat(
         [
             read_role_images(archive, split, "train", sensors=[*archive], device=chain.device)
-            for archive, split in (
-                (chain.archive, chain.split),
-                (chain.patterns, _patterns_split(chain)),
-            )
+            for archive, split in data
         ]
     )
 
@@ -252,7 +263,11 @@ def m2m_patterns(chain: Chain) -> None:
 
 
 def m2m_sensors(chain: Chain) -> None:
-    """Train that translator further on the location pairs of the sensors."""
+    """Train that translator further on the location pairs of the sensors, or a new one on these."""
+    if chain.size.patterns is None:
+        new = train_vae.load_vae_adapter(chain.model("vae"), fingerprint(chain.base))
+        _translator(chain, "m2m", chain.archive, chain.split, 3e-4, vae_adapter=new)
+        return
     begun = read_model_folder(chain.model("m2m-patterns"), m2m.KIND).weights()
     _translator(chain, "m2m", chain.archive, chain.split, 2e-4, start_from=begun)
 
@@ -324,6 +339,8 @@ def net(
 
     def settings(epochs: int) -> ForceSettings:
         given = [f"seed={SEED}", "patience_epochs=null"]
+        if chain.device.type == "cuda":
+            given += RECIPES.get(preset, ())
         found = read_settings(ForceSettings, NET_PRESETS, preset, given)
         stages = found.stages if start_from is None else found.stages[-1:]
         count = max(1, epochs // len(stages))
@@ -389,6 +406,7 @@ def force_scores(true: Floats, found: Floats, indenter: NDArray[Any]) -> dict[st
     return {name: round(float(value), 4) for name, value in result.items()}
 
 
+@cache
 def _test(chain: Chain, sensor: str, form: Any = "images") -> Presses:
     return chain.presses(sensor, UNSEEN, form)
 
@@ -454,7 +472,12 @@ def pairs(chain: Chain, translator: str, source: str) -> None:
     size, archive = chain.size, chain.archive
     model = load_translator(chain.model(translator), chain.device)
     one = archive[source]
-    start = load_force_model(chain.model(f"{size.net}-{source}"), chain.device)
+    begun = chain.model(f"{size.net}-{source}")
+    # It may be trained by another command, on another GPU.
+    while not (begun / "model.safetensors").exists():
+        print(f"waiting for {begun.name}", flush=True)
+        time.sleep(5)
+    start = load_force_model(begun, chain.device)
     packed = chain.presses(source, "train", "packed")
     for target in archive:
         if target == source:
@@ -470,7 +493,7 @@ def pairs(chain: Chain, translator: str, source: str) -> None:
         seconds = time.perf_counter() - began
         rate = {"translator": translator, "source": source, "target": target}
         chain.add("rates", {**rate, "frames": packed.frames, "seconds": round(seconds, 2)})
-        tuned = net(chain, size.net, f"{size.net}-{source}-{target}-{translator}", shown, start)
+        tuned = net(chain, size.net, f"{size.net}-{source}-to-{target}-{translator}", shown, start)
         forces(chain, translator, size.net, ends, tuned.predict(_test(chain, target)))
 
 
@@ -656,20 +679,19 @@ def latency(chain: Chain) -> None:
 
 def names(size: Size) -> dict[str, tuple[str, ...]]:
     """Return the names of all jobs, the most urgent first, and those that each needs."""
-    sensors = size.sensors
-    jobs: dict[str, tuple[str, ...]] = {
-        "vae": ("archive patterns", "archive sensors"),
-        "m2m-patterns": ("vae",),
-        "m2m": ("m2m-patterns", "archive sensors"),
-        "field": ("archive sensors",),
-    }
-    jobs |= {f"own {name}": ("archive sensors",) for name in sensors}
-    jobs |= {"patterns": ("m2m-patterns",)}
-    for translator in TRANSLATORS:
-        for name in sensors:
-            jobs[f"pairs {translator} {name}"] = ("vae", translator, f"own {name}")
+    jobs: dict[str, tuple[str, ...]] = {"vae": ("archive sensors",), "m2m": ("vae",)}
+    if size.patterns is not None:
+        jobs = {"vae": ("archive patterns", "archive sensors"), "m2m-patterns": ("vae",)}
+        jobs |= {"m2m": ("m2m-patterns",)}
+    jobs |= {f"own {name}": ("archive sensors",) for name in size.trained}
+    jobs |= {"field": ("archive sensors",)}
     if {*size.nets} - {size.net, "displacement"}:
-        jobs |= {f"nets {name}": ("archive sensors",) for name in sensors}
+        jobs |= {f"nets {name}": ("archive sensors",) for name in size.trained}
+    for translator in TRANSLATORS:
+        for name in size.trained:
+            jobs[f"pairs {translator} {name}"] = ("vae", translator, f"own {name}")
+    if size.patterns is not None:
+        jobs["patterns"] = ("m2m-patterns",)
     trained = (name for name in jobs if name.startswith(("own", "nets")))
     jobs["latency"] = tuple(trained)
     return jobs
