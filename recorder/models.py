@@ -178,8 +178,10 @@ def add(folder: Path, place: Path, name: str, *, licence: str, text: str) -> Pub
         for path in kept
         for data in [(folder / path).read_bytes()]
     )
-    place.mkdir(parents=True, exist_ok=True)
-    shutil.copytree(folder, place / name)
+    for path in kept:
+        copied = place / name / path
+        copied.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(folder / path, copied)
     model = PublishedModel(name, licence, text, found)
     content = {"models": [asdict(each) for each in (*models, model)]}
     replace_file(place / INDEX, json.dumps(content, indent=1).encode() + b"\n")
