@@ -51,7 +51,7 @@ class PublishedModel:
     name: str
     licence: str
     text: str
-    """What it predicts, from what, and how well."""
+    """Its output, its input and its error, in a line."""
     files: tuple[PublishedFile, ...]
 
 

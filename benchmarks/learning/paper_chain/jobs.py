@@ -137,7 +137,7 @@ class Chain:
             return list(csv.DictReader(file))
 
     def has(self, table: str, **key: str) -> bool:
-        """Whether a row exists."""
+        """Return True if a row exists."""
         return any(key.items() <= row.items() for row in self.rows(table))
 
 
@@ -483,13 +483,13 @@ def pairs(chain: Chain, translator: str, source: str) -> None:
         if target == source:
             continue
         ends, other = (source, target), archive[target]
-        between = for_pair(model, SensorView.of(one), SensorView.of(other))
+        of_pair = for_pair(model, SensorView.of(one), SensorView.of(other))
         if not chain.has("images", method=translator, source=source, target=target):
-            _images(chain, translator, ends, between)
+            _images(chain, translator, ends, of_pair)
         if chain.has("forces", method=translator, source=source, target=target):
             continue
         began = time.perf_counter()
-        shown = translate_presses(packed, look_of(other, packed, chain.device), between)
+        shown = translate_presses(packed, look_of(other, packed, chain.device), of_pair)
         seconds = time.perf_counter() - began
         rate = {"translator": translator, "source": source, "target": target}
         chain.add("rates", {**rate, "frames": packed.frames, "seconds": round(seconds, 2)})
