@@ -36,6 +36,9 @@ LAYER_PER_DEPTH = 0.7
 # Error of `layer` over the pixel's side over the contact's width. With both numbers the error
 # covers all 136 forces of `benchmarks independent --tier layer --set axisymmetric`.
 LAYER_PER_PIXEL = 1.2
+# A force is missing for the greater part if its contact is narrower than this many pixels and it is
+# below this fraction of a later one in proportion to the depth.
+NARROW, FAINT = 2.0, 0.1
 # Least error of `layer`.
 LAYER_LEAST = 0.003
 # Distance of a contact from the nearest side, in thicknesses, below which `layer` is wrong: it has
@@ -166,20 +169,29 @@ def _of_layer(result: Result) -> dict[str, Any]:
 
 
 def _missed(result: Result) -> Array:
-    """Return the force missing in frames that should touch before the first force, over the scale.
+    """Return the force missing in frames that should touch, but on too few pixels, over the scale.
 
-    The first force that follows is larger than theirs; without one, all of it is missing.
+    It is up to that of the first resolved frame after them, in proportion to the depth; without
+    one, all of it is missing.
     """
     from sim.fem.sizing import covered
 
     scene, found = result.scene, np.zeros(len(result.force))
-    force = np.linalg.norm(result.force, axis=1)
-    first = int(np.argmax(force > 0)) if force.any() else len(force)
-    lacking = force[first] / force_scale(result.force)[first] if force.any() else 1.0
+    force, tips = np.linalg.norm(result.force, axis=1), np.asarray(scene.motion.tip)
+    weak = force < WEAK * force.max(initial=0.0)
+    narrow = result.quality.contact_width < NARROW * pixel_of(result)
+    resolved = (force > 0) & ~(weak & narrow)
+    first = int(np.argmax(resolved)) if resolved.any() else len(force)
+    scale = force_scale(result.force)
     for frame in range(first):
-        tip = np.asarray(scene.motion.tip[frame])
+        tip = tips[frame]
         if tip[2] < 0 and covered(scene.indenter, scene.body, tip) is not None:
-            found[frame] = lacking
+            if first == len(force):
+                found[frame] = 1.0
+            elif not force[frame]:
+                found[frame] = force[first] / scale[first]
+            elif force[frame] < FAINT * (likely := force[first] * tip[2] / tips[first, 2]):
+                found[frame] = likely / scale[frame]
     return found
 
 

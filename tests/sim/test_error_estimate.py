@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.sim.independent.comparison import Settings, Task, compared, round_tasks
 from sim import Body, Layer, Scene, press, simulate
-from sim.indenters import sphere
+from sim.indenters import flat_punch, sphere
 from tests.support.few import few
 
 
@@ -23,6 +23,14 @@ def test_a_contact_smaller_than_a_pixel_is_no_force_without_an_error() -> None:
     result = simulate(Scene(sphere(0.5e-3), press([50e-6]), Body(60e-3, 60e-3, 20e-3)), Layer())
     assert not result.force.any()
     assert result.record["error"]["percent"] == 100.0
+
+
+def test_a_force_of_a_pixel_that_is_hardly_covered_is_off_as_a_whole() -> None:
+    body = Body(162e-3, 162e-3, 20e-3)
+    result = simulate(Scene(flat_punch(1e-3, 0.5e-3), press([1e-4, 5e-4]), body), Layer())
+    # 0.022 N by independent axisymmetric finite elements, friction 0.3.
+    assert abs(result.force[1, 2]) < 0.01
+    assert result.record["error"]["force"][1] == 1.0
 
 
 def test_what_fem_says_of_its_error_covers_the_truth_on_a_coarse_mesh() -> None:
