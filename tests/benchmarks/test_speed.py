@@ -71,6 +71,7 @@ def test_a_few_presses_stand_for_all_indenters_and_places() -> None:
     assert (one.x, one.y) == (0, 0)
 
 
+@pytest.mark.slow
 def test_forces_are_kept_to_seven_digits(tmp_path: Path) -> None:
     presses = [TimedPress("cone", -4.0, 0.0, (0.3, 0.6)), TimedPress("wave", 0.0, 4.0, (0.3,))]
     outcomes = simulate_many([one.scene() for one in presses], Layer())

@@ -62,6 +62,7 @@ def test_forces_of_a_twin_are_those_of_its_presses(
     np.testing.assert_array_equal(again.force, found.force)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_simulated_is_refused(
     archive: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
