@@ -15,6 +15,8 @@ from recorder.spec import RATE_MAX_HZ
 
 # Longest latency, exposure and interval [s]; the longest age of a valid sample and sync interval.
 SECONDS_MAX, AGE_MAX = 60.0, 1e9
+# Least latency [s]: it counts from the end of an exposure, and a picture shows its middle.
+LATENCY_LEAST = -0.5
 # Largest number of a bias, and of a contact frame [m, rad].
 BIAS_MAX, FRAME_MAX = 1e12, 1e4
 # Largest number of values of a row of attributes, of entries per run, and of knots of a clock.
@@ -117,7 +119,7 @@ def check_stream_attrs(attrs: Mapping[str, Any], where: str) -> None:
         SessionError: Names the attribute, its value and what is allowed.
     """
     stream = _Attributes(attrs, where)
-    stream.number("latency", 0, SECONDS_MAX)
+    stream.number("latency", LATENCY_LEAST, SECONDS_MAX)
     stream.number("exposure", 0, SECONDS_MAX)
     stream.number("max_age", 0, AGE_MAX)
     stream.number("sync_interval", 0, AGE_MAX)
