@@ -219,7 +219,8 @@ def test_a_time_that_alignment_reads_is_refused_by_name_if_it_is_none(
     for value in NOT_SECONDS:
         change = {key: value}
         edit(path / "streams/force/zarr.json", lambda d, c=change: d["attributes"].update(c))
-        with pytest.raises(SessionError, match=rf"streams/force: found {key} .*; allowed: (0|-0.5) to "):
+        allowed = rf"streams/force: found {key} .*; allowed: (0|-0.5) to "
+        with pytest.raises(SessionError, match=allowed):
             Session(path)
         assert next(iter(faults(check_any(path)))).code == "metadata"
 
