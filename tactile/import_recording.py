@@ -162,7 +162,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _preset_words(sensor: str, *, taxels: bool) -> tuple[list[str], str]:
-    """Return the options of `markers` for the sensor, and what to choose for their values."""
+    """Return the options of `markers` for the sensor, and hints on their values."""
     try:
         from learning.markers import names, preset_of_sensor
     except ModuleNotFoundError:  # `markers` names the missing extra

@@ -100,11 +100,8 @@ class AtBench:
         if name in self.given:
             return _as(type(default), self.given[name], f"--answer {name}")
         while not self.options.yes:
-            found = _read(
-                f"  {text} [{default:g}]: "
-                if default != str(default)
-                else f"  {text} [{default}]: "
-            ) or str(default)
+            usual = default if isinstance(default, str) else f"{default:g}"
+            found = _read(f"  {text} [{usual}]: ") or str(default)
             try:
                 return _as(type(default), found, name)
             except ConfigError as error:

@@ -280,7 +280,7 @@ def test_benches_of_one_sensor_ask_to_mount_the_sensor_and_indenter_and_not_the_
         "2 of 3: keep sensor gelsight, indenter line (bench file twin-2)",
         "3 of 3: mount sensor gelsight, indenter sphere (bench file twin-3)",
     ]
-    # The same indenter goes deeper on the second bench, which is said before it moves.
+    # The same indenter goes deeper on the second bench; the campaign asks before it moves.
     assert told[0].partition("\n")[2] != told[1].partition("\n")[2]
     assert [question.partition(" (")[0] for question in asked(campaign.items)] == [
         "1 of 3: mount sensor gelsight, indenter line",
