@@ -55,6 +55,10 @@ PORTS = {
 # Raises ValueError, KeyError or TypeError if the fault is unknown or a value is missing.
 Apply = Callable[..., dict[str, Any]]
 
+# Late records that a gauge's emulator sends at once; after a longer stop the rest is lost, as in a
+# full buffer.
+LATE_MOST = 100
+
 # Longest request line [bytes].
 _LONGEST = 1 << 16
 

@@ -212,6 +212,24 @@ def test_closing_stops_the_stream(host: str) -> None:
         assert sent.count(1) == 2
 
 
+class LateClock(SystemClock):
+    """Wakes 5 ms late, as on a machine whose cores are taken."""
+
+    def sleep_until(self, deadline_ns: int) -> None:
+        super().sleep_until(deadline_ns + 5_000_000)
+
+
+def test_records_that_the_machine_is_late_for_are_sent_all_the_same(host: str) -> None:
+    config = NetFtEmulatorConfig(host=host)
+    with (
+        running(FaultyNetFt(config, FixedWorld(wrench=WRENCH), LateClock())),
+        opened(host) as driver,
+    ):
+        samples = collect(driver, 600)
+    span = (samples[-1]["t_ns"] - samples[0]["t_ns"]) / 1e9
+    assert len(samples) / span == pytest.approx(1000.0, rel=0.1)
+
+
 def test_noise_has_the_asked_spread(host: str) -> None:
     with emulated(host, noise=0.1, seed=3), opened(host) as driver:
         values = np.array([sample["value"] for sample in collect(driver, 400)])

@@ -19,7 +19,14 @@ from pathlib import Path
 import numpy as np
 
 from rig.core.clock import Clock, Pacer
-from rig.core.emulation import EmulatorConfig, PtyEmulator, Served, SharedWorld, WorldReader
+from rig.core.emulation import (
+    LATE_MOST,
+    EmulatorConfig,
+    PtyEmulator,
+    Served,
+    SharedWorld,
+    WorldReader,
+)
 from rig.core.fault_injection import FaultInjector, corrupted_bytes
 from rig.devices.force.ati_serial_wire import PROMPT, SerialRecord, emit
 from rig.devices.force.emulated_noise import NOISE_ROWS, noise_table
@@ -87,9 +94,11 @@ class AtiSerialEmulator(PtyEmulator):
             if pacer is None:
                 pacer, missed = Pacer(self._clock, self.rate_hz), self.missed
             pacer.wait()
-            self.missed = missed + pacer.missed
+            late, self.missed = missed + pacer.missed - self.missed, missed + pacer.missed
             self._take_commands(0.0)
-            if self._streaming:
+            # The controller's clock never stands still: late records are sent all the same.
+            due = 1 + min(late, LATE_MOST) if self._streaming else 0
+            for _ in range(due):
                 for content in self.records(emit(self._record(), self._form)):
                     self._send(content)
 

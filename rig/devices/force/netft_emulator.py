@@ -2,12 +2,14 @@
 
     python -m rig.mock.emulate netft '{"host": "127.0.0.5", "device": {"http_port": 8080}}'
 
-Like the box, it streams only to the last client that requested a stream. Its bias (0x42) lasts
-until the process ends. `wrong_units` of rig.core.fault_injection sets pound-force as its unit.
+Like the box, it streams only to the last client that requested a stream, and its sample clock never
+stands still: a record that it is late for is sent with the next one. Its bias (0x42) lasts until
+the process ends. `wrong_units` of rig.core.fault_injection sets pound-force as its unit.
 """
 
 from __future__ import annotations
 
+import contextlib
 import select
 import socket
 from collections.abc import Iterable
@@ -20,6 +22,7 @@ import numpy.typing as npt
 
 from rig.core.clock import Clock, Pacer
 from rig.core.emulation import (
+    LATE_MOST,
     DeviceHandler,
     DeviceServer,
     EmulatorConfig,
@@ -43,6 +46,8 @@ from rig.devices.force.settings import NetFtConfig
 
 _INTERNAL_HZ = 7000
 _WRONG_UNITS = ("lbf", "lbf-in")
+# Counts per component, or rows of them.
+Counts = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,35 +145,38 @@ class NetFtEmulator(ThreadedEmulator):
                 stride = round(_INTERNAL_HZ / rate_hz)
                 missed = self.missed
             pacer.wait()
-            self.missed = missed + pacer.missed
+            late, self.missed = missed + pacer.missed - self.missed, missed + pacer.missed
             newest, state = self._world.state()
             if newest != number or self._scale is not scale:
                 number, scale, counts = newest, self._scale, self._counts(state)
             self._take_commands(udp, counts)
-            if self._peer is None:
-                continue
-            self._rdt_sequence = (self._rdt_sequence + 1) & 0xFFFFFFFF
-            self._ft_sequence = (self._ft_sequence + stride) & 0xFFFFFFFF
-            row = noise[self._ft_sequence % NOISE_ROWS]
-            shown = np.rint(counts - self._bias + row).clip(-(2**31), 2**31 - 1).astype(np.int64)
-            packet = RECORD.pack(
-                self._rdt_sequence, self._ft_sequence, self.page.runstat, *shown.tolist()
-            )
-            for sent in self.packets(packet):
-                try:
-                    udp.sendto(sent, self._peer)
-                except OSError:
-                    # The client has gone; like the box, continue to send to nobody.
-                    continue
-            self._left -= 1
-            if self._left == 0:
-                self._peer = None
+            for _ in range(1 + min(late, LATE_MOST)):
+                self._send_record(udp, counts, noise, stride)
 
-    def _counts(self, state: np.void) -> npt.NDArray[np.float64]:
-        counts: npt.NDArray[np.float64] = state["wrench"] / self._scale
+    def _send_record(self, udp: socket.socket, counts: Counts, noise: Counts, stride: int) -> None:
+        """Send one record to the client, if one is listening."""
+        if self._peer is None:
+            return
+        self._rdt_sequence = (self._rdt_sequence + 1) & 0xFFFFFFFF
+        self._ft_sequence = (self._ft_sequence + stride) & 0xFFFFFFFF
+        row = noise[self._ft_sequence % NOISE_ROWS]
+        shown = np.rint(counts - self._bias + row).clip(-(2**31), 2**31 - 1).astype(np.int64)
+        packet = RECORD.pack(
+            self._rdt_sequence, self._ft_sequence, self.page.runstat, *shown.tolist()
+        )
+        for sent in self.packets(packet):
+            # If the client has gone, the box continues to send to nobody.
+            with contextlib.suppress(OSError):
+                udp.sendto(sent, self._peer)
+        self._left -= 1
+        if self._left == 0:
+            self._peer = None
+
+    def _counts(self, state: np.void) -> Counts:
+        counts: Counts = state["wrench"] / self._scale
         return counts
 
-    def _take_commands(self, udp: socket.socket, counts: npt.NDArray[np.float64]) -> None:
+    def _take_commands(self, udp: socket.socket, counts: Counts) -> None:
         while True:
             try:
                 packet, peer = udp.recvfrom(64)
