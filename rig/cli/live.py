@@ -16,7 +16,7 @@ from recorder import models
 from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE
 from recorder.command_line.options import positive, whole
 from rig.acquire.control import InterruptFlag
-from rig.cli.options import bench_options, chosen_bench
+from rig.cli.options import bench_options, chosen_bench, with_indenter
 from rig.core.clock import Clock, SystemClock
 from rig.core.errors import ConfigError, DeviceLost
 
@@ -48,6 +48,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=positive, help="duration [s] (default: until Ctrl-C)")
     parser.add_argument(
         "--rate-hz", type=positive, help="mock bench: frames per second (default: the bench file's)"
+    )
+    parser.add_argument(
+        "--indenter",
+        metavar="NAME",
+        help="mock bench: indenter of the emulated finger (default: the bench file's)",
     )
     parser.add_argument(
         "--runtime",
@@ -159,8 +164,9 @@ def _check(options: argparse.Namespace) -> None:
         )
     if options.page is not None and not options.page.parent.is_dir():
         raise ConfigError(f"--page: found {options.page}, in no folder; allowed: an existing one")
-    if options.session is not None and (options.sensor or options.bench or options.world):
-        raise ConfigError("--session: goes without --sensor, --bench and --world")
+    bench = (options.sensor, options.bench, options.world, options.indenter)
+    if options.session is not None and any(bench):
+        raise ConfigError("--session: goes without --sensor, --bench, --world and --indenter")
     if options.out is not None and options.out.exists():
         raise ConfigError(f"{options.out}: exists; allowed: a new file")
 
@@ -186,12 +192,14 @@ def _opened(options: argparse.Namespace, folder: Path, clock: Clock) -> Iterator
         return
     path, bench, content = chosen_bench(options)
     if bench.mock:
+        content, _ = with_indenter(content, bench, options.indenter)
         print(f"MOCK BENCH ({path}): an emulated finger presses an emulated sensor", flush=True)
         with mock_bench(content, str(path), folder, clock, rate_hz=options.rate_hz) as watched:
             yield watched
         return
-    if options.rate_hz is not None:
-        raise ConfigError(f"--rate-hz: {path} is a lab bench; allowed: a mock bench")
+    for name, given in (("--rate-hz", options.rate_hz), ("--indenter", options.indenter)):
+        if given is not None:
+            raise ConfigError(f"{name}: {path} is a lab bench; allowed: a mock bench")
     print(f"LAB BENCH ({path}): nothing moves", flush=True)
     with lab_bench(bench, clock, say=lambda line: print(line, flush=True)) as watched:
         yield watched

@@ -286,13 +286,14 @@ def _descended(
 
 def _step(names: Sequence[str], values: Mapping[str, float], normal: Array, slope: Array) -> Array:
     """Return the step (p,) to where `normal` step = `slope`; at a bound none leads beyond it."""
-    free = np.ones(len(names), bool)
-    step = np.linalg.solve(normal, slope)
-    for index, name in enumerate(names):
-        if name == "compliance" and values[name] <= 0 and step[index] < 0:
-            free[index] = False
     step = np.zeros(len(names))
-    step[free] = np.linalg.solve(normal[np.ix_(free, free)], slope[free])
+    step[:] = np.linalg.solve(normal, slope)
+    free = np.array(
+        [name != "compliance" or values[name] > 0 or step[k] >= 0 for k, name in enumerate(names)]
+    )
+    if not free.all():
+        step[~free] = 0.0
+        step[free] = np.linalg.solve(normal[np.ix_(free, free)], slope[free])
     return step
 
 

@@ -299,6 +299,7 @@ def test_pictures_stored_as_pixels_cannot_be_watched(tmp_path: Path) -> None:
         ),
         (["--sensor", "uskin"], "no such file"),
         (["--sensor", "nothing"], "SENSOR: found 'nothing'"),
+        (["--session", "x.zarr", "--indenter", "cone"], "--session: goes without"),
         ([], "--sensor, --bench: both missing"),
     ],
 )
