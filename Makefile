@@ -50,7 +50,7 @@ $(error wrong input: $(REFUSED))
 endif
 endif
 
-.PHONY: help accuracy speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip doctor setup-bench preview compare mock replay check-session import split train-field train-autoencoder train-direct train-marker-vae train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning demo-paper transfer calibrate-force demo-transfer demo-twin learning-tables learning-ablations learning-on-gpus live endurance faults bench-recorder test golden test-all check docs format reference setup clean
+.PHONY: help accuracy speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip doctor setup-bench preview compare mock replay check-session import split train-field train-autoencoder train-direct train-marker-vae train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning demo-paper transfer calibrate-force demo-transfer demo-twin first-hour learning-tables learning-ablations learning-on-gpus live endurance faults bench-recorder test golden test-all check docs format reference setup clean
 
 # Above a target: `##@` starts a group of the list, `#:` gives the options of the target.
 help:
@@ -80,9 +80,9 @@ collect: $(VENV)/.rig $(WORLDDEP)  ## Record one session
 	@$(PY) -m rig collect $(BENCHARG) $(FORCEARG) $(SOURCES) $(if $(TARGETS),--targets $(TARGETS)) \
 	  $(if $(INDENTER),--indenter $(INDENTER)) $(if $(OUT),--out $(OUT)) $(if $(TRUTH),--truth $(TRUTH)) $(if $(OPERATOR),--operator '$(OPERATOR)') $(WATCHARG)
 
-#: SESSION=sessions/x.zarr [BENCH=file] [WORLD=sim] [CAMERA=path [STILL=1]] [TAXELS=path] [WATCH=1 [WATCHHOST=0.0.0.0]]
+#: SESSION=sessions/x.zarr [AGAIN=3,7] [BENCH=file] [WORLD=sim] [CAMERA=path [STILL=1]] [TAXELS=path] [WATCH=1 [WATCHHOST=0.0.0.0]]
 resume: $(VENV)/.rig $(WORLDDEP)  ## Continue a stopped session
-	@$(PY) -m rig collect $(if $(BENCH),--bench $(BENCH)) $(WORLDARG) $(SOURCES) --resume $(SESSION) $(WATCHARG)
+	@$(PY) -m rig collect $(if $(BENCH),--bench $(BENCH)) $(WORLDARG) $(SOURCES) --resume $(SESSION) $(if $(AGAIN),--again $(AGAIN)) $(WATCHARG)
 
 #: SENSOR=tacpalm [INDENTER=] [CORNERS=1] [BENCH=file] [WORLD=sim] [FORCE=none]
 home: $(VENV)/.rig $(WORLDDEP)  ## Find the surface by touch and store it in calibrations/
@@ -191,6 +191,10 @@ evaluate: $(VENV)/.learning  ## Write the report of predictions and translations
 #: ARCHIVE= OUT=dir [PRESET=demo] [ARGS="--pairs a:b --device cuda:0"]
 experiment: $(VENV)/.learning  ## Translate, train, compensate and evaluate all pairs
 	@$(PY) -m learning experiment $(ARCHIVE) --out $(OUT) $(if $(PRESET),--preset $(PRESET)) $(ARGS)
+
+#: [OUT=folder] [ARGS="--venv DIR"]
+first-hour: $(VENV)/.rig  ## Run every command from the wheel to live forces, on a mock bench (15 minutes)
+	@$(PY) -m benchmarks first-hour $(if $(OUT),--out $(OUT)) $(ARGS)
 
 #: [OUT=runs/demo-learning]
 demo-learning: $(VENV)/.demo  ## Run three simulated sensors from press to report on two cores (10 minutes)

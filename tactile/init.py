@@ -33,7 +33,7 @@ def run(options: argparse.Namespace) -> int:
         raise CommandError(f"{folder}: holds {listed}{more}; allowed: a new or empty folder")
     lay_out(folder)
     print(f"{folder}: created; README.md describes the folders; next:")
-    print(f"  cd {folder} && tactile collect --sensor tacpalm --targets 2")
+    print(f"  cd {folder} && tactile doctor --sensor tacpalm")
     return 0
 
 

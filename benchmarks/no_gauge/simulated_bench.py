@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import itertools
 import math
 import types
 from collections import deque
@@ -529,7 +530,7 @@ class Stages:
             )
             require_arrival(result, pressing=False)
             zero_stand_ins(bench, streams, streams.measure(window, *names))
-            runner.press(plan, 0, len(plan) if total is None else total)
+            runner.press(plan, itertools.islice(plan.targets(), total))
         finally:
             with contextlib.suppress(SafetyStop, DeviceLost):
                 arm.retract()

@@ -34,11 +34,13 @@ from learning.markers.segment import (
     Segmenter,
     ShadingPreset,
     TaxelPreset,
+    built_preset,
     names,
     preset,
     preset_of_sensor,
 )
 from learning.markers.shading import cells_of, change_of, shading_of
+from learning.training.checkpoint import CONFIG, read_config
 from recorder.archive import SHADING, SHADING_ZERO
 from recorder.markers import pack
 
@@ -407,27 +409,41 @@ def open_live(
     network = _stream(model, runtime, threads)
     return LivePredictor(
         network,
-        preset(preset_name or _preset_for(network, sensor)),
+        preset(preset_name) if preset_name else _preset_for(network, sensor, Path(model)),
         intervals=read_intervals(Path(model)),
         before=None if before is None else _stream(before, runtime, threads),
     )
 
 
-def _preset_for(network: ForceStream, sensor: str | None) -> str:
-    """Return the name of the preset for a model and a sensor.
+def _preset_for(network: ForceStream, sensor: str | None, model: Path) -> Preset:
+    """Return the preset for a model and a sensor.
+
+    It is the one by which the model's own markers of this sensor were found, else that of the
+    sensor's name, else the only one by which all markers of the model were found.
 
     Raises:
-        LearningError: The sensor has no preset.
+        LearningError: None of them is known.
     """
     if network.inputs.frame[1:] == SHADING.shape:
-        return ShadingPreset.KIND
-    name = None if sensor is None else preset_of_sensor(sensor)
+        return preset(ShadingPreset.KIND)
+    written = (model / CONFIG).is_file()
+    kept: dict[str, Any] = read_config(model).metadata.get("presets", {}) if written else {}
+    name = None
+    if sensor is not None:
+        name = kept.get(sensor) or preset_of_sensor(sensor)
+    if name is None and kept:
+        first, *others = kept.values()
+        name = None if any(other != first for other in others) else first
     if name is None:
-        raise LearningError(
-            f"--preset: missing, none is meant for sensor {sensor}; allowed: the one that its "
-            f"archive was made with: {', '.join(names())}, or a .yaml file"
+        found = f"sensor {sensor!r} has none, and the model " + (
+            f"knows several: {', '.join(sorted(kept))}" if kept else "knows none"
         )
-    return name
+        raise LearningError(
+            f"--preset: missing: {found}; allowed: the one that the sensor's markers were found "
+            f"with: {', '.join(names())}, or a .yaml file"
+        )
+    where = f"{model / CONFIG}.metadata.presets"
+    return preset(name) if isinstance(name, str) else built_preset(name, where)
 
 
 def _stream(model: str | os.PathLike[str], runtime: str, threads: int) -> ForceStream:

@@ -40,6 +40,7 @@ from learning.force.model import (
     prepared_rows,
     require_form,
 )
+from learning.markers.segment import kept_preset
 from learning.metrics import axis_means
 from learning.train_command import open_data, run_training
 from learning.training.checkpoint import load_weights, read_weights, weights_hash
@@ -790,7 +791,11 @@ def run(options: argparse.Namespace) -> int:
             )
             yield f"{each.sensor}: off in validation by {by} N"
 
-    return run_training(options, KIND, settings, data, train, metadata={"sensors": sensors})
+    # By these, a live stream is read as the pictures were from which the model learned.
+    made_by = {name: str(archive[name].attrs.get("preset", "")) for name in sensors}
+    presets = {name: kept for name, each in made_by.items() if each and (kept := kept_preset(each))}
+    metadata = {"sensors": sensors, **({"presets": presets} if presets else {})}
+    return run_training(options, KIND, settings, data, train, metadata=metadata)
 
 
 def _partly_labelled(model: ForceModel, presses: Sequence[Presses]) -> Iterator[str]:

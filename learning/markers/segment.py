@@ -533,8 +533,28 @@ def read_preset(path: Path) -> Preset:
     Raises:
         LearningError: The file is missing, is not YAML, or has an invalid key or value.
     """
-    made: Preset = READER.build_one_of(get_args(Preset), READER.read(path), str(path))
+    return built_preset(READER.read(path), str(path))
+
+
+def built_preset(content: Any, where: str) -> Preset:
+    """Return the preset of a file's content.
+
+    Raises:
+        LearningError: A key or value is invalid.
+    """
+    made: Preset = READER.build_one_of(get_args(Preset), content, where)
     return made
+
+
+def kept_preset(name: str) -> str | dict[str, Any] | None:
+    """Return a preset as plain values that a model keeps: its name, or the content of the file.
+
+    None: the file is not there any more.
+    """
+    if name in names():
+        return name
+    path = Path(name)
+    return dict(READER.read(path)) if path.is_file() else None
 
 
 # Subpixel positions of markers: centroids weighted by the darkness of each pixel.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import os
+import shlex
 from collections.abc import Callable, Iterable
 from typing import Any, NoReturn
 
@@ -47,6 +48,26 @@ class Parser(argparse.ArgumentParser):
 def called_by_make() -> bool:
     """Return True if a target of the Makefile runs the command: what it prints is called alike."""
     return os.environ.get("TACTILE_DOOR") == "make"
+
+
+# Targets of the Makefile that are called otherwise than their command.
+_TARGETS = {"setup": "setup-bench"}
+
+
+def as_typed(command: str, program: str = "tactile", **settings: object) -> str:
+    """Return a command as the user would type it: by `make`, if a target of it runs this one.
+
+    Args:
+        command: Name of the command.
+        program: Its program, without `make`.
+        **settings: Its options and their values; those of None are left out.
+    """
+    given = {key: str(value) for key, value in settings.items() if value is not None}
+    if called_by_make():
+        words = [f"{key.upper()}={value}" for key, value in given.items()]
+        return shlex.join(["make", _TARGETS.get(command, command), *words])
+    words = [word for key, value in given.items() for word in (f"--{key}", value)]
+    return shlex.join([*program.split(), command, *words])
 
 
 def positive(text: str) -> float:

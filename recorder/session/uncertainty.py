@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from recorder.command_line.options import as_typed
 from recorder.session.align import EXPOSURE, Source, StreamLike
 from recorder.session.loss import is_regular, lateness, witnesses
 from recorder.session.window import Window
@@ -160,7 +161,7 @@ def uncalibrated(stream: StreamLike) -> str | None:
     own = f"; its driver stamps its frames{moment}" if stamped else ""
     return (
         f"{stream.name} latency not calibrated: 0 to {1e3 * prior:.0f} ms assumed{own} "
-        "(make calibrate-latency)"
+        f"({as_typed('calibrate-latency')})"
     )
 
 

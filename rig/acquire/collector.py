@@ -37,7 +37,7 @@ from rig.acquire.preflight import (
     tip_position,
 )
 from rig.acquire.progress_line import LiveLine
-from rig.acquire.request import CollectRequest, first_open_target
+from rig.acquire.request import CollectRequest, first_open_target, targets_to_press
 from rig.acquire.streams import Streams
 from rig.bench.bench import Bench
 from rig.bench.indenter import find_indenter
@@ -128,7 +128,9 @@ class Collector:
             interrupt.check()
             writer, first, run = self._open_session(request, plan, total, found, tares, notes)
             planned = seconds_per_target(self._bench, plan)
-            live = LiveLine(streams, total, self._clock, planned=planned, first=first)
+            targets = targets_to_press(request, plan, first, total)
+            order = [target.index for target in targets]
+            live = LiveLine(streams, total, self._clock, planned=planned, pressing=order)
             if self._page is not None:
                 self._page.begin(self._control, live.progress, request.path, first)
             runner = PlanRunner(
@@ -151,7 +153,7 @@ class Collector:
                     streams[name].set_bias(bias)
                 for handle in streams:
                     handle.record(writer.stream_path(handle.name))
-                runner.press(plan, first, total)
+                runner.press(plan, targets)
             except BaseException as error:
                 # On any error, the arm retracts and the session is closed before anything else.
                 stop = _first_cause(error, interrupt)
@@ -178,7 +180,7 @@ class Collector:
             status,
             reason,
             request.path,
-            done=first + runner.done,
+            done=first + sum(target.index >= first for target in targets[: runner.done]),
             limited=runner.limited,
             total=total,
             seconds=seconds,

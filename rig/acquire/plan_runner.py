@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from typing import Any
 
@@ -100,16 +100,14 @@ class PlanRunner:
         self.limited = 0
         """Targets among those that ended at the soft force limit."""
 
-    def press(self, plan: Plan, first: int, total: int) -> None:
-        """Press targets `first` to `total` - 1.
+    def press(self, plan: Plan, targets: Iterable[Target]) -> None:
+        """Press targets of a plan, one after the other.
 
         Raises:
             SafetyStop, DeviceLost, SessionError: The run was stopped; the arm stands still.
             Interrupted: The operator requested a stop.
         """
-        for target in plan.targets():
-            if not first <= target.index < total:
-                continue
+        for target in targets:
             self._live.at(target, None)
             limited = self.limited
             while not self._attempt(plan, target):

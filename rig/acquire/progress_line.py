@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import sys
+from collections.abc import Iterable
 from typing import Any, TextIO
 
 from recorder.progress import duration
@@ -31,7 +32,7 @@ class LiveLine:
         clock: Clock.
         planned: Predicted duration of a target [s]; it counts like one target that was measured,
             so that the remaining time is known from the beginning.
-        first: First target of this run.
+        pressing: Indices of the targets of this run, in order; None: all.
         out: Output.
     """
 
@@ -42,7 +43,7 @@ class LiveLine:
         clock: Clock,
         *,
         planned: float,
-        first: int = 0,
+        pressing: Iterable[int] | None = None,
         out: TextIO | None = None,
     ) -> None:
         self._streams = streams
@@ -52,7 +53,8 @@ class LiveLine:
         self._out = out or sys.stdout
         self._terminal = self._out.isatty()
         self._due_ns = 0
-        self._first = first
+        order = range(total) if pressing is None else pressing
+        self._place = {index: place for place, index in enumerate(order)}
         # Beginning of the first target of this run and of the current one, moved by pauses.
         self._start_ns = self._target_ns = clock.now_ns()
         self._target: Target | None = None
@@ -141,9 +143,8 @@ class LiveLine:
 
     def _seconds_left(self, now_ns: int) -> float:
         """Return the remaining time [s], by the plan and the targets pressed in this run."""
-        index = self._first if self._target is None else self._target.index
-        done = index - self._first
+        done = 0 if self._target is None else self._place[self._target.index]
         per_target_ns = (self._planned_ns + self._target_ns - self._start_ns) / (1 + done)
         begun_ns = 0 if self._target is None else now_ns - self._target_ns
         current_ns = max(per_target_ns - begun_ns, 0)
-        return (current_ns + per_target_ns * (self._total - index - 1)) / SECOND_NS
+        return (current_ns + per_target_ns * (len(self._place) - done - 1)) / SECOND_NS

@@ -28,6 +28,8 @@ class CollectRequest:
     """The session: a new one, or with `resume` a stopped one."""
     resume: bool = False
     """Continue with the first incomplete target."""
+    again: tuple[int, ...] = ()
+    """With `resume`, indices of targets to press again, done or not; readers use the last press."""
     targets: int | None = None
     """Press only this many targets of the plan; None for all."""
     operator: str = ""
@@ -54,7 +56,8 @@ def plan_of(request: CollectRequest, bench: Bench, plan: Plan | None = None) -> 
         plan: Replaces the bench's trajectory.
 
     Raises:
-        ConfigError: Another sensor's session, an invalid `targets`, or a plan that breaks a limit.
+        ConfigError: Another sensor's session, an invalid `targets` or `again`, or a plan that
+            breaks a limit.
         SessionError: The session to resume cannot be read, or the new one exists.
     """
     if not request.resume and request.path.exists():
@@ -83,12 +86,32 @@ def plan_of(request: CollectRequest, bench: Bench, plan: Plan | None = None) -> 
         total = int(attrs["targets_wanted"])
     if not 1 <= total <= len(plan):
         raise ConfigError(f"TARGETS: found {total}; allowed: 1 to {len(plan)}")
+    if unknown := [index + 1 for index in request.again if not 0 <= index < total]:
+        raise ConfigError(f"AGAIN, --again: found {unknown[0]}; allowed: targets 1 to {total}")
     walked = dry_run(
         plan, bench.plan_limits, speed=bench.arm.speed, acceleration=bench.arm.acceleration
     )
     if walked.broken:
         raise ConfigError(f"{bench.sensor}: the plan breaks a limit: {'; '.join(walked.broken)}")
     return plan, total
+
+
+def targets_to_press(
+    request: CollectRequest, plan: Plan, first: int, total: int
+) -> tuple[Target, ...]:
+    """Return the targets of this run in order: those to press again, and those not done.
+
+    Args:
+        request: Request of the operator.
+        plan: The session's plan.
+        first: Index of its first target that is not done.
+        total: Number of the plan's targets in the session.
+    """
+    return tuple(
+        target
+        for target in plan.targets()
+        if first <= target.index < total or target.index in request.again
+    )
 
 
 def is_complete(path: Path, plan: Plan, total: int) -> bool:

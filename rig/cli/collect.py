@@ -57,6 +57,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="PATH",
         help="continue this stopped session (which names its sensor)",
     )
+    group.add_argument(
+        "--again",
+        type=target_numbers,
+        default=(),
+        metavar="N,N,...",
+        help="with --resume: press these targets again, numbered from 1 as on the page; the last "
+        "press counts",
+    )
     group.add_argument("--targets", type=int, metavar="N", help="press only the first N targets")
     group.add_argument("--indenter", metavar="NAME", help="name of the indenter on the arm")
     group.add_argument(
@@ -65,6 +73,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     watch_options(parser)
     calibration_options(parser)
     confirm_options(parser)
+
+
+def target_numbers(text: str) -> tuple[int, ...]:
+    """Read numbers of targets from 1, as `3,7`, and return their indices from 0.
+
+    Raises:
+        argparse.ArgumentTypeError: The text is no such list.
+    """
+    try:
+        numbers = [int(word) for word in text.split(",")]
+    except ValueError:
+        numbers = [0]
+    if min(numbers) < 1:
+        raise argparse.ArgumentTypeError(f"found {text!r}; allowed: numbers from 1, as 3,7")
+    return tuple(number - 1 for number in numbers)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -84,6 +107,8 @@ def run(options: argparse.Namespace) -> int:
         raise ConfigError(
             "--resume: neither --out, --targets nor --indenter go with it: the session has them"
         )
+    if options.again and not options.resume:
+        raise ConfigError("AGAIN, --again: goes with RESUME, --resume, only")
     content, indenter = with_indenter(content, bench, options.indenter or resumed_indenter(options))
     sources = sources_of(options, path, bench)
     if not bench.mock and options.truth:
@@ -98,6 +123,7 @@ def run(options: argparse.Namespace) -> int:
     request = CollectRequest(
         path=session,
         resume=options.resume is not None,
+        again=options.again,
         targets=options.targets,
         operator=options.operator,
         mock_sources=sources.description() if bench.mock else None,
@@ -105,7 +131,7 @@ def run(options: argparse.Namespace) -> int:
         go_on=resume_command(options, session),
     )
     plan, total = plan_of(request, calibration.applied(bench))
-    if request.resume and is_complete(session, plan, total):
+    if request.resume and not request.again and is_complete(session, plan, total):
         print(f"complete: all {total} targets are done; {session} is left as it is")
         return EXIT_DONE
     depth = planned_depth(bench, plan, total)

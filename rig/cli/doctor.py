@@ -12,9 +12,16 @@ import tempfile
 from pathlib import Path
 
 from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE
+from rig.acquire.calibration import store
 from rig.acquire.doctor import Finding, examine, missing_rights
 from rig.bench.bench import Bench, bench_from
-from rig.cli.options import bench_command, bench_options, chosen_bench, confirm
+from rig.cli.options import (
+    bench_command,
+    bench_options,
+    calibration_options,
+    chosen_bench,
+    confirm,
+)
 from rig.cli.recording import started_bench
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError
@@ -40,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="folder of sessions, whose disk is tested (%(default)s)",
     )
-
+    calibration_options(parser)
     parser.add_argument(
         "--fix",
         action="store_true",
@@ -77,7 +84,13 @@ def run(options: argparse.Namespace) -> int:
         again = bench_command("doctor", options, out=out)
         print(f"doctor: {faults} fault{'s' * (faults > 1)}; again: {again}")
         return EXIT_DEVICE_LOST
-    print(f"doctor: no fault; next: {bench_command('collect', options, targets=2)}")
+    if store.acceptance_of(options.calibrations, bench) is None:
+        elsewhere = options.calibrations != store.FOLDER
+        kept = options.calibrations if elsewhere else None
+        following = bench_command("setup", options, calibrations=kept)
+    else:
+        following = bench_command("collect", options, targets=2)
+    print(f"doctor: no fault; next: {following}")
     return EXIT_DONE
 
 

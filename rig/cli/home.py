@@ -64,16 +64,19 @@ def run(options: argparse.Namespace) -> int:
     path, bench, content = chosen_bench(options)
     print(banner(bench.mock, path), flush=True)
     content, indenter = with_indenter(content, bench, options.indenter)
+    acceptance = store.acceptance_of(options.calibrations, bench)
     if bench.no_gauge:
-        return _by_signal(options, path, dataclasses.replace(bench, indenter=indenter), content)
+        pressed = dataclasses.replace(bench, indenter=indenter)
+        return _by_signal(options, path, pressed, content, acceptance)
     require_gauge(bench, "home")
     points = (1, 2, 3, 4, 5) if options.corners else (1,)
     travel = None if options.travel_mm is None else to_si(options.travel_mm, "mm")
     plan = home.plan_for(bench, travel=travel, repeats=options.repeats, points=points)
     touching = home.touching_bench(bench, options.force_n)
     session = options.out or free_path(home.default_path(bench.sensor, file_stamp()))
-    accepted = Calibration(acceptance=store.acceptance_of(options.calibrations, bench))
-    request = CollectRequest(path=session, operator=options.operator, calibration=accepted)
+    request = CollectRequest(
+        path=session, operator=options.operator, calibration=Calibration(acceptance=acceptance)
+    )
     # Checked against the bench's own limits, since each approach is ended by the lower soft limit.
     plan_of(request, bench, plan)
     code = record(
@@ -99,7 +102,11 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _by_signal(
-    options: argparse.Namespace, path: Path, bench: Bench, content: dict[str, Any]
+    options: argparse.Namespace,
+    path: Path,
+    bench: Bench,
+    content: dict[str, Any],
+    acceptance: dict[str, Any] | None,
 ) -> int:
     """Find the surface without a gauge, and store it; return the exit code."""
     from rig.acquire import no_gauge
@@ -110,9 +117,8 @@ def _by_signal(
     folder = Path("sessions") if options.out is None else options.out
     folder.mkdir(parents=True, exist_ok=True)
     with started_bench(path, content) as on:
-        accepted = store.acceptance_of(options.calibrations, bench)
         stages = without_gauge.StageRecorder(
-            path, bench, content, folder, on, options.operator, accepted
+            path, bench, content, folder, on, options.operator, acceptance
         )
         try:
             home = no_gauge.find_surface(bench, content, stages)

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from recorder import Session
-from recorder.command_line.options import called_by_make, whole
+from recorder.command_line.options import as_typed, called_by_make, whole
 from rig.acquire.calibration import store
 from rig.acquire.calibration.calibration import Calibration
 from rig.acquire.control import Interrupted
@@ -262,14 +262,9 @@ def bench_command(name: str, options: argparse.Namespace, **others: object) -> s
         others: Further options of the command and their values; those of None are left out.
     """
     chosen = {key: getattr(options, key) for key in ("sensor", "bench", "world", "force")}
-    given = {key: value for key, value in {**chosen, **others}.items() if value is not None}
-    if called_by_make():
-        settings = [f"{key.upper()}={value}" for key, value in given.items()]
-        return shlex.join(["make", name, *settings])
-    words = [word for key, value in given.items() for word in (f"--{key}", str(value))]
-    if options.benches != Path("benches"):
-        words += ["--benches", str(options.benches)]
-    return shlex.join([*options.prog.split()[:-1], name, *words])
+    if options.benches != Path("benches") and not called_by_make():
+        others["benches"] = options.benches
+    return as_typed(name, options.prog.rpartition(" ")[0], **chosen, **others)
 
 
 def resume_command(options: argparse.Namespace, session: Path) -> str:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE
+from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE, EXIT_SAFETY_STOP
 from rig.acquire import setup_checks as checks
 from rig.acquire.acceptance import SetupRecord
 from rig.acquire.calibration import store
@@ -50,6 +50,8 @@ _WINDOW = 0.5
 # most, push, and height above the sensor when it is not used [m].
 _FINGER, _FINGER_MOST, _PUSH, _CLEAR = 0.5, 6e-4, 2e-4, 0.03
 _STEPS, _STEP_NS = 6, 30_000_000
+# Taps of a second measurement of the latency, after one whose interval was too wide.
+_MORE_TAPS = 48
 _DEVICES = ("arm", "force", "camera", "taxels", "streams")
 
 
@@ -302,6 +304,10 @@ def home(at: AtBench, _: Answers) -> Iterator[Finding]:
 def latency(at: AtBench, _: Answers) -> Iterator[Finding]:
     """Latency of the signal: how late does it show what is there?"""
     code, _path = at.measure("calibrate-latency")
+    # On a busy computer the interval of a mock bench may be too wide; a person decides at a lab's.
+    if code == EXIT_SAFETY_STOP and at.bench.mock:
+        print(f"  again, with {_MORE_TAPS} taps, which narrow the interval", flush=True)
+        code, _path = at.measure("calibrate-latency", False, "--taps", str(_MORE_TAPS))
     found = store.load(at.options.calibrations, at.bench, at.bench.indenter)[0].latency
     text = f"{found.stream} {1e3 * found.latency:+.1f} ms late" if found else ""
     yield _outcome("latency", code, text, "contrast and rate of the signal; --depth-mm deeper taps")

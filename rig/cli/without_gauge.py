@@ -19,16 +19,10 @@ from rig.acquire.request import CollectRequest, plan_of
 from rig.acquire.streams import Streams
 from rig.bench.bench import Bench
 from rig.bench.no_gauge import check_plan, lines
-from rig.cli.options import confirm, free_path
+from rig.cli.options import bench_command, confirm, free_path
 from rig.cli.recording import StartedBench, record
 from rig.core.clock import file_stamp
 from trajectories import Plan, Target
-
-
-def home_command(options: argparse.Namespace, bench: Bench) -> str:
-    """Return the command that finds the surface of a lab bench."""
-    where = f"--bench {options.bench}" if options.bench else f"--sensor {bench.sensor}"
-    return f"tactile home {where} --indenter {bench.indenter}"
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -91,7 +85,8 @@ def check_before(
     check_plan(bench, depth)
     print("\n".join(lines(bench, depth)), flush=True)
     if not bench.mock:
-        no_gauge.check_home(bench, calibration, home_command(options, bench))
+        hint = bench_command("home", options, indenter=bench.indenter)
+        no_gauge.check_home(bench, calibration, hint)
 
 
 def prepare(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,8 +15,10 @@ from learning.force.live import Contact, ContactRule, LivePredictor, _preset_for
 from learning.force.stream import FRAME, REFERENCE, STATE, ForceStream, StepInputs
 from learning.markers import Segmenter, preset, taxel_masks
 from learning.markers.displacement import FieldReader
-from learning.markers.segment import CameraPreset, ShadingPreset, TaxelPreset
+from learning.markers.segment import FOLDER as PRESETS
+from learning.markers.segment import CameraPreset, ShadingPreset, TaxelPreset, kept_preset
 from learning.markers.shading import cells_of, shading_of
+from learning.training.checkpoint import Config
 from recorder.archive import SHADING, SHADING_ZERO
 from recorder.markers import pack
 from rig.mock.world.picture import MarkerCamera, Surface
@@ -179,15 +182,30 @@ def test_a_model_of_something_else_or_none_is_refused(tmp_path: Any) -> None:
         open_live(tmp_path, sensor="uskin", runtime="paper")
 
 
-def test_the_preset_is_that_of_the_model_s_frames_or_of_the_sensor() -> None:
+def test_the_preset_is_that_of_the_model_s_markers_or_of_the_sensor(tmp_path: Path) -> None:
     shading, markers = (
         ForceStream(Stub(), StepInputs((1, *shape), True, (1, 1, 1, 1), False))
         for shape in (SHADING.shape, SHAPE[1:])
     )
-    assert _preset_for(shading, "nobody") == "shading"
-    assert _preset_for(markers, "uskin") == "uskin"
-    with pytest.raises(LearningError, match="--preset: missing, none is meant for sensor nobody"):
-        _preset_for(markers, "nobody")
+    nothing = tmp_path / "nothing"
+    assert _preset_for(shading, "nobody", nothing) == preset("shading")
+    assert _preset_for(markers, "uskin", nothing) == preset("uskin")
+    with pytest.raises(LearningError, match=r"'nobody' has none, and the model knows none; allow"):
+        _preset_for(markers, "nobody", nothing)
+
+    # A preset of the user's own is kept as the content of its file, which may be gone.
+    own = tmp_path / "own.yaml"
+    own.write_text((PRESETS / "gelslim.yaml").read_text())
+    kept = {"gelslim": kept_preset(str(own)), "uskin": kept_preset("uskin-from-top")}
+    assert kept_preset("gone.yaml") is None
+    Config("force", {}, "data", "1", {"presets": kept}).write(tmp_path)
+    own.unlink()
+    assert _preset_for(markers, "gelslim", tmp_path) == preset("gelslim")
+    assert _preset_for(markers, "uskin", tmp_path) == preset("uskin-from-top")
+    with pytest.raises(LearningError, match="the model knows several: gelslim, uskin; allowed: "):
+        _preset_for(markers, "nobody", tmp_path)
+    Config("force", {}, "data", "1", {"presets": {"a-to-b": "gelslim"}}).write(tmp_path)
+    assert _preset_for(markers, "nobody", tmp_path) == preset("gelslim")
 
 
 def test_shading_is_seen_live_as_in_archives_and_its_change_is_contact() -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from support.collecting import Collection, faults_of, quick_bench
 
+from learning.markers.recording import read_recording
 from recorder import OUTCOMES, Session
 
 pytestmark = [pytest.mark.serial, pytest.mark.timeout(120)]
@@ -123,6 +124,7 @@ def test_the_table_names_every_stream(collected: tuple[Session, Collection, Path
     assert collected[1].session.with_suffix(".png").exists()
 
 
+@pytest.mark.timeout(240)
 def test_ctrl_c_finishes_the_row_retracts_and_a_resume_completes_it(tmp_path: Path) -> None:
     bench = quick_bench(tmp_path, "tacpalm")
     run = Collection.start(tmp_path / "s.zarr", "--targets", "1", "--bench", str(bench))
@@ -159,3 +161,17 @@ def test_ctrl_c_finishes_the_row_retracts_and_a_resume_completes_it(tmp_path: Pa
     assert "complete: all 1 targets are done" in third.lines[-1]
     after = {path: path.read_bytes() for path in run.session.rglob("*") if path.is_file()}
     assert after == before
+
+    # Unless its targets are to be pressed again: the press of the last run is the one that counts.
+    more = ("--resume", str(run.session), "--bench", str(bench), "--again")
+    wrong = Collection.start(run.session, *more, "2")
+    assert wrong.wait() == 2, wrong.text
+    assert "--again: found 2; allowed: targets 1 to 1" in wrong.text
+    fourth = Collection.start(run.session, *more, "1")
+    assert fourth.wait() == 0, fourth.text
+    assert "complete: 1 of 1 targets" in fourth.lines[-1]
+    session = Session(run.session)
+    assert len(session.runs) == 3
+    assert list(session.segments["run"]).count(2) == 4
+    used = read_recording(run.session)
+    assert set(used.column("run").tolist()) == {2}

@@ -92,8 +92,13 @@ def test_the_remaining_time_is_known_from_the_first_second_and_falls() -> None:
 def test_a_resumed_run_counts_its_own_targets_only() -> None:
     clock = FakeClock()
     streams: Any = FakeStreams()
-    line = LiveLine(streams, len(PLAN), clock, planned=2.0, first=200, out=Terminal())
-    assert line.progress() == {"left": 80.0}
+    order = [3, *range(200, len(PLAN))]
+    line = LiveLine(streams, len(PLAN), clock, planned=2.0, pressing=order, out=Terminal())
+    assert line.progress() == {"left": 82.0}
+    line.at(list(PLAN.targets())[200], None)
+    clock.advance(1.0)
+    # One of the 41 targets is done, in no time: 1 s each.
+    assert line.progress()["left"] == 39.0
 
 
 def test_a_terminal_that_is_gone_does_not_stop_the_arm(caplog: pytest.LogCaptureFixture) -> None:

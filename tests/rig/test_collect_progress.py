@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
 from recorder import OUTCOMES
-from rig.acquire.request import first_open_target
+from rig.acquire.request import CollectRequest, first_open_target, targets_to_press
 from trajectories import PressShear
 
 PLAN = PressShear(3e-3, 4e-3, 0.3e-3, 1.2e-3, math.radians(30), 1e-3, points=(1,))
@@ -56,3 +57,9 @@ def test_a_force_limited_target_is_done() -> None:
 def test_only_the_wanted_targets_count() -> None:
     rows = [row for target in range(8) for row in whole(target)]
     assert first_open_target(PLAN, table(rows), 8) == 8
+
+
+def test_targets_are_pressed_again_in_order_before_those_that_are_open() -> None:
+    request = CollectRequest(Path("s.zarr"), resume=True, again=(5, 2, 9))
+    found = targets_to_press(request, PLAN, 8, 12)
+    assert [target.index for target in found] == [2, 5, 8, 9, 10, 11]

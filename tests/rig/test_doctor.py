@@ -96,11 +96,20 @@ def test_the_command_ends_with_0_or_3_and_says_how_to_go_on(
 ) -> None:
     from rig.__main__ import main
 
-    assert main(["doctor", "--sensor", "uskin", "--out", str(tmp_path / "new" / "sessions")]) == 0
+    kept = tmp_path / "new" / "calibrations"
+    words = ["doctor", "--sensor", "uskin", "--calibrations", str(kept)]
+    assert main([*words, "--out", str(tmp_path / "new" / "sessions")]) == 0
     text = capsys.readouterr().out
     assert "mock bench" in text
-    assert "doctor: no fault; next: python -m rig collect --sensor uskin --targets 2" in text
+    following = f"python -m rig setup --sensor uskin --calibrations {kept}"
+    assert f"doctor: no fault; next: {following}" in text
     assert list(tmp_path.iterdir()) == []
+    # Once the bench was set up, it can record.
+    kept.mkdir(parents=True)
+    (kept / "uskin.setup.json").write_text('{"mock": true, "acceptance": {"result": "accepted"}}')
+    assert main([*words, "--out", str(tmp_path / "new" / "sessions")]) == 0
+    text = capsys.readouterr().out
+    assert "doctor: no fault; next: python -m rig collect --sensor uskin --targets 2" in text
     (tmp_path / "a-file").touch()
     assert main(["doctor", "--sensor", "uskin", "--out", str(tmp_path / "a-file")]) == 3
     text = capsys.readouterr().out
@@ -126,6 +135,7 @@ def test_commands_to_go_on_with_keep_the_bench_and_the_front_door(
     assert bench_command("collect", options, targets=2) == (
         "make collect SENSOR=uskin WORLD=sim FORCE=none TARGETS=2"
     )
+    assert bench_command("setup", elsewhere) == "make setup-bench 'BENCH=my own.yaml'"
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ def lab(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> Path:
     assert main(["init", str(tmp_path / "lab")]) == 0
-    assert "tactile collect --sensor tacpalm" in capsys.readouterr().out
+    assert "tactile doctor --sensor tacpalm" in capsys.readouterr().out
     monkeypatch.chdir(tmp_path / "lab")
     return tmp_path / "lab"
 

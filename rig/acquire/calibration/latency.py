@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder import Session, Stream
+from recorder.command_line.options import as_typed
 from recorder.session import EXPOSURE, captured
 from rig.acquire.calibration.calibration import force_and_pose, require_gauge
 from rig.bench.bench import Bench
@@ -337,7 +338,8 @@ def refusal(found: Latency) -> str | None:
     if abs(found.disagreement) > WIDTH_MAX:
         return (
             f"measured by the force it is {1e3 * found.disagreement:+.2f} ms later than by the "
-            f"robot's pose; allowed: {1e3 * WIDTH_MAX:.1f} ms; find the surface first (make home)"
+            f"robot's pose; allowed: {1e3 * WIDTH_MAX:.1f} ms; find the surface first "
+            f"({as_typed('home')})"
         )
     return None
 

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from recorder.command_line.options import as_typed
 from recorder.store import replace_file
 from recorder.strict_yaml import describe, yaml_text
 from rig.acquire.calibration.calibration import (
@@ -32,7 +33,7 @@ from rig.core.errors import ConfigError
 FOLDER = Path("calibrations")
 # An older calibration is used with a warning.
 STALE_DAYS = 7.0
-_NOTE = "# Measured, not written by hand: make home, make calibrate-latency.\n"
+_NOTE = "# Measured, not written by hand: tactile home, tactile calibrate-latency.\n"
 # Frames that differ by less are the same [m, rad]: YAML keeps mm to nine digits.
 _SAME_PLACE, _SAME_ANGLE = 1e-6, 1e-6
 
@@ -87,13 +88,14 @@ def load(folder: Path, bench: Bench, indenter: str) -> tuple[Calibration, list[s
             if not _same(found, wanted):
                 raise ConfigError(
                     f"{path}.home.{indenter}.{name}: it was measured with another {name} than the "
-                    f"bench file's; {again} (make home SENSOR={bench.sensor})"
+                    f"bench file's; {again} ({as_typed('home', sensor=bench.sensor)})"
                 )
         _warn_stale(warnings, home.date_utc, f"{path}.home.{indenter}")
     elif homes:
         warnings.append(
             f"{path}.home: known for {', '.join(sorted(homes))}, not for {indenter}: the bench "
-            f"file's contact frame is used (make home SENSOR={bench.sensor} INDENTER={indenter})"
+            "file's contact frame is used ("
+            f"{as_typed('home', sensor=bench.sensor, indenter=indenter)})"
         )
     if content.get("latency"):
         latency = build(LatencyCalibration, content["latency"], f"{path}.latency")
@@ -102,7 +104,8 @@ def load(folder: Path, bench: Bench, indenter: str) -> tuple[Calibration, list[s
         if latency.stream not in known or latency.device != device_name(bench, latency.stream):
             raise ConfigError(
                 f"{path}.latency.device: found {latency.device!r}; the bench file has another "
-                f"{latency.stream}; {again} (make calibrate-latency SENSOR={bench.sensor})"
+                f"{latency.stream}; {again} ("
+                f"{as_typed('calibrate-latency', sensor=bench.sensor)})"
             )
         _warn_stale(warnings, latency.date_utc, f"{path}.latency")
     return Calibration(home, latency, str(path), acceptance), warnings
