@@ -50,7 +50,7 @@ $(error wrong input: $(REFUSED))
 endif
 endif
 
-.PHONY: help accuracy speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip doctor setup-bench preview compare mock replay check-session import split train-field train-autoencoder train-direct train-marker-vae train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning demo-paper transfer calibrate-force demo-transfer demo-twin first-hour learning-tables learning-ablations learning-on-gpus live endurance faults bench-recorder test golden test-all check docs format reference setup clean
+.PHONY: help accuracy speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip doctor setup-bench page preview compare mock replay check-session import split train-field train-autoencoder train-direct train-marker-vae train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning demo-paper transfer calibrate-force demo-transfer demo-twin first-hour learning-tables learning-ablations learning-on-gpus live endurance faults bench-recorder test golden test-all check docs format reference setup clean
 
 # Above a target: `##@` starts a group of the list, `#:` gives the options of the target.
 help:
@@ -83,6 +83,10 @@ collect: $(VENV)/.rig $(WORLDDEP)  ## Record one session
 #: SESSION=sessions/x.zarr [AGAIN=3,7] [BENCH=file] [WORLD=sim] [CAMERA=path [STILL=1]] [TAXELS=path] [WATCH=1 [WATCHHOST=0.0.0.0]]
 resume: $(VENV)/.rig $(WORLDDEP)  ## Continue a stopped session
 	@$(PY) -m rig collect $(if $(BENCH),--bench $(BENCH)) $(WORLDARG) $(SOURCES) --resume $(SESSION) $(if $(AGAIN),--again $(AGAIN)) $(WATCHARG)
+
+#: [SESSIONS=sessions] [PORT=8766] [HOST=0.0.0.0]
+page: $(VENV)/.rig  ## Sessions, replay, campaigns and set-up of the lab in the browser; nothing moves
+	@$(PY) -m rig page $(SESSIONS) $(if $(PORT),--port $(PORT)) $(if $(HOST),--host $(HOST))
 
 #: SENSOR=tacpalm [INDENTER=] [CORNERS=1] [BENCH=file] [WORLD=sim] [FORCE=none]
 home: $(VENV)/.rig $(WORLDDEP)  ## Find the surface by touch and store it in calibrations/

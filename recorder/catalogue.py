@@ -91,6 +91,8 @@ class Query:
     """Last day, included [UTC]."""
     faults: bool | None = None
     """True for sessions with faults, False for those without."""
+    text: str = ""
+    """Words that path, sensor, indenter, operator or plan contain, in any case of letters."""
 
     def accepts(self, row: Row) -> bool:
         """Return True if a session meets all conditions."""
@@ -98,6 +100,9 @@ class Query:
             wanted = getattr(self, name)
             if wanted and getattr(row, name) != wanted:
                 return False
+        known = " ".join((row.path, row.sensor, row.indenter, row.operator, row.plan)).lower()
+        if not all(word in known for word in self.text.lower().split()):
+            return False
         day = row.started_utc[:10]
         if self.since is not None and not day >= self.since.isoformat():
             return False

@@ -200,6 +200,7 @@ TESTED = {
     "markers-fit": ("tests/learning/test_markers_fit.py", '"markers-fit"'),
     "mock": ("tests/rig/test_lab_bench.py", '"mock"'),
     "models": ("tests/learning/test_models_command.py", "run_module(command"),
+    "page": ("tests/support/workbench.py", '"page"'),
     "sample": ("tests/tactile/test_card.py", '"sample"'),
     "schema": ("tests/tactile/test_schema.py", "schema"),
     "score-transfer": ("tests/learning/test_transfer.py", "run_module(score_transfer"),

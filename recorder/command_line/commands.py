@@ -55,6 +55,11 @@ RECORD = (
     Command("campaign", "rig.cli.campaign", "record the remaining sessions of a campaign file"),
     Command("doctor", "rig.cli.doctor", "test all devices of a bench, and the computer"),
     Command("setup", "rig.cli.setup", "set a bench up step by step, and write its acceptance"),
+    Command(
+        "page",
+        "rig.cli.page",
+        "serve the workbench: sessions, replay, campaigns and set-up in the browser",
+    ),
     Command("indenters", "rig.cli.indenters", "list the indenters with size, tip and drawing"),
     Command("preview", "rig.cli.preview", "draw the plan and check its limits"),
     Command(

@@ -6,7 +6,7 @@ from recorder.session.frames import in_frame, surface_heights
 from recorder.session.loss import Account, accounts_of, loss_lines
 from recorder.session.press_curve import press_curves, save_curves
 from recorder.session.reader import Stream
-from recorder.session.sheet import contact_sheet
+from recorder.session.sheet import contact_sheet, thumbnails
 from recorder.session.tail import ImageTail, open_tail
 from recorder.session.uncertainty import PRIOR, sigmas_of, time_lines
 
@@ -30,5 +30,6 @@ __all__ = [
     "save_curves",
     "sigmas_of",
     "surface_heights",
+    "thumbnails",
     "time_lines",
 ]

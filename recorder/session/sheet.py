@@ -48,7 +48,7 @@ def contact_sheet(
     chosen = candidates[
         np.linspace(0, candidates.size - 1, min(count, candidates.size)).astype(int)
     ]
-    pictures = _pictures(session, chosen)
+    pictures = thumbnails(session, chosen)
     rows = -(-len(chosen) // _COLUMNS)
     width = _SPACE + _COLUMNS * (_THUMB[0] + _SPACE)
     grid_height = rows * (_THUMB[1] + _CAPTION + _SPACE)
@@ -84,8 +84,12 @@ def contact_sheet(
     sheet.save(png_path, "PNG")
 
 
-def _pictures(session: Session, chosen: NDArray[np.intp]) -> list[Image.Image]:
-    """Return one thumbnail per chosen row of `frames`: the image, or a picture of the taxels."""
+def thumbnails(session: Session, chosen: NDArray[np.intp]) -> list[Image.Image]:
+    """Return a thumbnail of each chosen row of `frames`: images side by side, or the taxels.
+
+    Raises:
+        SessionError: An image is corrupt.
+    """
     frames, columns = session.frames, session.columns
     if cameras := [name for name in session.of_kind("camera") if columns.get(name) in frames]:
         size = (_THUMB[0] // len(cameras), _THUMB[1])

@@ -18,7 +18,7 @@ from recorder.command_line.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_WRONG
 from recorder.progress import duration
 from rig.acquire.control import InterruptFlag
 from rig.acquire.motion_notice import deepest, motion_lines
-from rig.acquire.request import first_open_target
+from rig.acquire.request import finished_targets, first_open_target
 from rig.acquire.summary import show_curve
 from rig.bench.bench import Bench, find_bench, load_bench
 from rig.bench.indenter import find_indenter
@@ -42,19 +42,29 @@ class Entry:
     """The bench's trajectory, or its force_depth."""
     targets: int | None = None
     """Press only this many targets; None for all."""
+    session: str = ""
+    """Recorded session of which targets are pressed again; empty: a new session."""
+    again: tuple[int, ...] = ()
+    """Its targets to press again, numbered from 1; the new presses become another run."""
+    runs: int = 0
+    """Number of runs that it had when they were chosen: what later runs finished is done."""
 
     def __post_init__(self) -> None:
-        """Reject names that are not valid file names, and an invalid number of targets."""
+        """Reject names that are not valid file names, and invalid targets."""
         for key in ("sensor", "indenter"):
             value = getattr(self, key)
             if not _NAME.fullmatch(value):
                 raise ValueError(f"{key}: {value!r}; allowed: letters, digits, - and _")
         if self.targets is not None and (self.targets < 1 or self.plan != "press_shear"):
             raise ValueError(f"targets: {self.targets!r}; allowed: 1 or more, for press_shear")
+        if bool(self.session) != bool(self.again) or any(target < 1 for target in self.again):
+            raise ValueError(f"again: {self.again!r}; allowed: numbers from 1, with `session`")
 
     @property
     def name(self) -> str:
         """Name of its session; an entry that is listed again gets a number after it."""
+        if self.session:
+            return Path(self.session).stem
         targets = "" if self.targets is None else f"-{self.targets}"
         return f"{self.sensor}-{self.indenter}-{self.plan.replace('_', '-')}{targets}"
 
@@ -121,6 +131,9 @@ def load_campaign(path: Path, benches: Path) -> Campaign:
         where, key = f"{path}.sessions[{number}]", (entry.sensor, entry.plan)
         if key not in walked:
             walked[key] = _walk(entry, where, benches)
+        if entry.session:
+            items.append(_again(entry, where, walked[key]))
+            continue
         times[entry.name] += 1
         again = f"-again-{times[entry.name]}" if times[entry.name] > 1 else ""
         items.append(_item(entry, entry.name + again, where, walked[key]))
@@ -155,6 +168,19 @@ def _item(entry: Entry, name: str, where: str, walked: _Walked) -> Item:
     return Item(entry, bench_path, bench, plan, total, duration * total / len(plan), name)
 
 
+def _again(entry: Entry, where: str, walked: _Walked) -> Item:
+    find_indenter(entry.indenter, f"{where}.indenter")
+    bench_path, bench, plan, duration = walked
+    try:
+        plan = plan_from_json(Session(entry.session).attrs["plan"])
+    except (SessionError, KeyError, TypeError, ValueError) as error:
+        raise ConfigError(f"{where}.session: {error}") from None
+    if max(entry.again) > len(plan):
+        raise ConfigError(f"{where}.again: found {max(entry.again)}; allowed: 1 to {len(plan)}")
+    count = len(entry.again)
+    return Item(entry, bench_path, bench, plan, count, duration * count / len(plan), entry.name)
+
+
 # Progress of a campaign, read from its sessions only.
 
 # Time for preflight, tare, sealing and a smooth swap of the indenter [s].
@@ -185,10 +211,10 @@ class Progress:
 
 def progress_of(campaign: Campaign) -> list[Progress]:
     """Return the state of every entry's session, in order."""
-    if not campaign.out.is_dir():
-        return [_open(campaign, item) for item in campaign.items]
-    catalogue = Catalogue(campaign.out)
-    catalogue.refresh()
+    catalogue = None
+    if campaign.out.is_dir():
+        catalogue = Catalogue(campaign.out)
+        catalogue.refresh()
     return [_progress(campaign, item, catalogue) for item in campaign.items]
 
 
@@ -196,9 +222,13 @@ def _open(campaign: Campaign, item: Item) -> Progress:
     return Progress(item, campaign.out / f"{item.name}.zarr", "open", 0)
 
 
-def _progress(campaign: Campaign, item: Item, catalogue: Catalogue) -> Progress:
+def _progress(campaign: Campaign, item: Item, catalogue: Catalogue | None) -> Progress:
     """Return the state of one entry's session; it is opened only if it is not complete."""
+    if item.entry.session:
+        return _progress_again(item)
     initial = _open(campaign, item)
+    if catalogue is None:
+        return initial
     path = initial.session
     row = catalogue.look(path.name)
     if row is None and not path.exists():
@@ -216,6 +246,29 @@ def _progress(campaign: Campaign, item: Item, catalogue: Catalogue) -> Progress:
     except (SessionError, OSError, ValueError, KeyError) as error:
         note = str(error)
     return Progress(item, path, "unreadable", 0, note)
+
+
+def _progress_again(item: Item) -> Progress:
+    path = Path(item.entry.session)
+    try:
+        left = targets_left(item.entry)
+    except (SessionError, OSError, ValueError, KeyError) as error:
+        return Progress(item, path, "unreadable", 0, str(error))
+    return Progress(item, path, "to resume" if left else "done", item.total - len(left))
+
+
+def targets_left(entry: Entry) -> list[int]:
+    """Return the targets to press again that no run since has finished, numbered from 1.
+
+    Raises:
+        SessionError, OSError, KeyError, ValueError: Its session cannot be read.
+    """
+    session = Session(entry.session)
+    plan = plan_from_json(session.attrs["plan"])
+    later = session.segments["run"] >= entry.runs
+    segments = {key: session.segments[key][later] for key in ("target", "phase", "outcome", "run")}
+    done = finished_targets(plan, segments, int(session.attrs["targets_wanted"]))
+    return [target for target in entry.again if target - 1 not in done]
 
 
 def _mismatch(item: Item, row: Row | None) -> str:
@@ -277,7 +330,10 @@ def command(progress: Progress, campaign: Campaign, settings: Settings) -> list[
     kept = ["--calibrations", str(settings.calibrations), "--asked-by", str(os.getpid())]
     kept += [] if settings.world is None else ["--world", settings.world]
     if progress.state == "to resume":
-        return ["collect", "--bench", bench, "--resume", str(progress.session), *kept]
+        resumed = ["collect", "--bench", bench, "--resume", str(progress.session), *kept]
+        if not entry.again:
+            return resumed
+        return [*resumed, "--again", ",".join(map(str, targets_left(entry)))]
     common = ["--bench", bench, "--out", str(progress.session), "--indenter", entry.indenter]
     common += [*kept, *(("--operator", campaign.operator) if campaign.operator else ())]
     if entry.plan == "force_depth":

@@ -128,7 +128,13 @@ _FORCE_LIMITED = OUTCOMES.index("force_limited")
 
 
 def first_open_target(plan: Plan, segments: Mapping[str, np.ndarray], total: int) -> int:
-    """Return the index of the first of `total` targets that is not done; `total` if all are.
+    """Return the index of the first of `total` targets that is not done; `total` if all are."""
+    done = finished_targets(plan, segments, total)
+    return next((index for index in range(total) if index not in done), total)
+
+
+def finished_targets(plan: Plan, segments: Mapping[str, np.ndarray], total: int) -> set[int]:
+    """Return the indices of those of `total` targets that are done.
 
     A target is done when all its phases were completed in the same attempt, or when it ended at the
     force limit (pressing it again would end there again). A run may hold several attempts at a
@@ -156,11 +162,9 @@ def first_open_target(plan: Plan, segments: Mapping[str, np.ndarray], total: int
             limited.add(int(target))
         else:
             complete.pop(key, None)
+    found = {index for index in limited if index < total}
     for target in plan.targets():
-        if target.index >= total:
-            break
         wanted = {move.phase for move in plan.moves(target)}
-        done = any(wanted <= attempt for attempt in attempts.get(target.index, ()))
-        if not done and target.index not in limited:
-            return target.index
-    return total
+        if target.index < total and any(wanted <= a for a in attempts.get(target.index, ())):
+            found.add(target.index)
+    return found

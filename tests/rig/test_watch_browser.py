@@ -27,7 +27,7 @@ STATUS = "document.body.dataset.status"
 SHOWN = "Number(document.getElementById('image').dataset.shown || 0)"
 # Elements with more than their box holds, and texts that lie on one another; the log scrolls.
 OVERFLOW = """(() => {
-  const seen = (e) => e.checkVisibility() && !e.closest('svg, dialog, pre');
+  const seen = (e) => e.checkVisibility() && !e.closest('svg, dialog, pre, .unseen');
   const name = (e) => `${e.tagName}.${e.id || e.className}`;
   const wrong = [...document.querySelectorAll('body *')].filter(seen)
     .filter((e) => e.getBoundingClientRect().right > innerWidth + 1

@@ -148,6 +148,16 @@ class AccessPolicy:
         return hmac.compare_digest(found.encode("utf-8", "replace"), self.token.encode())
 
 
+def urls_of(access: AccessPolicy, port: int) -> list[str]:
+    """Return the addresses of a page, with the token if it is required.
+
+    There is one for each network of this machine if the page serves all of them.
+    """
+    token = "" if is_loopback(access.host) else f"?token={access.token}"
+    hosts = own_addresses(access.host) if access.host in ANY_HOST else [access.host]
+    return [f"http://{f'[{host}]' if ':' in host else host}:{port}/{token}" for host in hosts]
+
+
 def _query_token(path: str) -> str:
     try:
         return parse_qs(urlsplit(path).query).get("token", [""])[0]

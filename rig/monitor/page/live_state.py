@@ -50,7 +50,7 @@ class Trace:
         if t_ns == self._newest_ns:
             return
         self._newest_ns = t_ns
-        x, y, z = (_number(value) for value in record["value"][:3])
+        x, y, z = (number(value) for value in record["value"][:3])
         self._points.append((round((t_ns - start_ns) / SECOND_NS, 3), x, y, z))
         self.total += 1
 
@@ -152,10 +152,10 @@ class LiveState:
             row: dict[str, Any] = {"expected": expected_rate(self._bench, name)}
             if counters is not None:
                 row |= {
-                    "rate": _number(counters["rate_hz"], 1),
+                    "rate": number(counters["rate_hz"], 1),
                     "rows": int(counters["rows"]),
                     "dropped": int(counters["dropped"]),
-                    "gap": _number(1e3 * counters["longest_gap"], 1),
+                    "gap": number(1e3 * counters["longest_gap"], 1),
                 }
             if newest is not None:
                 row["age"] = max(round((now_ns - int(newest["t_ns"])) / 1e6), 0)
@@ -175,8 +175,8 @@ class LiveState:
             shown = (*wrench[:3], *(from_si(value, "n_mm") for value in wrench[3:]))
             pairs = zip(wrench, ratings, strict=True)
             found[name] = {
-                "wrench": [_number(value) for value in shown],
-                "load": [_number(abs(value) / rating) for value, rating in pairs],
+                "wrench": [number(value) for value in shown],
+                "load": [number(abs(value) / rating) for value, rating in pairs],
                 "guards": any(gauge.name == name for gauge in self._bench.gauges),
             }
         return found
@@ -192,7 +192,7 @@ class LiveState:
             if record is not None:
                 place = transform(self._to_contact, record["value"][:3])
                 place[2] -= dome_height(self._dome_radius, *place[:2].tolist())
-                found[name] = [_number(from_si(float(value), "mm")) for value in place]
+                found[name] = [number(from_si(float(value), "mm")) for value in place]
         return found
 
     def taxels(self) -> dict[str, list[list[int]]]:
@@ -236,7 +236,7 @@ class LiveState:
             picture.close()
 
 
-def _number(value: Any, digits: int = 3) -> float | None:
+def number(value: Any, digits: int = 3) -> float | None:
     """Return a rounded float for JSON; None if it is not finite."""
     number = float(value)
     return round(number, digits) if math.isfinite(number) else None

@@ -7,9 +7,12 @@ affected.
 
 from __future__ import annotations
 
+import contextlib
 import http.client
+import json
 import logging
 import multiprocessing
+import os
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -24,7 +27,7 @@ from recorder import OUTCOMES, Session
 from rig.acquire.control import Control
 from rig.core.clock import SECOND_NS, Clock, SystemClock
 from rig.core.errors import ConfigError
-from rig.monitor.page.access import ANY_HOST, LOOPBACK_HOST, is_loopback, own_addresses
+from rig.monitor.page.access import LOOPBACK_HOST, urls_of
 from rig.monitor.page.messages import COMMANDS, ENDED, LETTERS, PageJob, Snapshot
 from rig.monitor.page.server import LINGER, run_page
 
@@ -35,6 +38,8 @@ _PERIOD = 0.2
 # Longest start of an interpreter on a busy machine [s].
 _START_TIMEOUT = 30.0
 _WHO = "page"
+# File beside the session with the port of its page, as long as the page is served.
+ADDRESS = ".tactile-page.json"
 _LIMITED = OUTCOMES.index("force_limited")
 
 
@@ -87,12 +92,7 @@ class Page:
         One for each network of this machine if the page serves all of them. They are numbers,
         since a tablet need not know this machine's name.
         """
-        access = self._job.access
-        token = "" if is_loopback(access.host) else f"?token={access.token}"
-        hosts = own_addresses(access.host) if access.host in ANY_HOST else [access.host]
-        return [
-            f"http://{f'[{host}]' if ':' in host else host}:{self.port}/{token}" for host in hosts
-        ]
+        return urls_of(self._job.access, self.port)
 
     def __enter__(self) -> Page:
         self._process.start()
@@ -109,6 +109,7 @@ class Page:
             raise ConfigError(f"--watch: found {value}; allowed: a free port of this machine")
         self.port = value
         self._await_answer()
+        self._publish(True)
         logging.getLogger().addHandler(self._log)
         self._thread.start()
         return self
@@ -137,6 +138,17 @@ class Page:
             raise ConfigError(f"--watch: {at}:{self.port} does not answer: {error}") from error
         finally:
             client.close()
+
+    def _publish(self, serving: bool) -> None:
+        """Write or remove the file by which the workbench finds this page."""
+        path = self._job.session.parent / ADDRESS
+        content = {"port": self.port, "session": self._job.session.name, "pid": os.getpid()}
+        # The collection does not depend on it.
+        with contextlib.suppress(OSError):
+            if serving:
+                path.write_text(json.dumps(content))
+            else:
+                path.unlink(missing_ok=True)
 
     def begin(
         self,
@@ -172,6 +184,7 @@ class Page:
     def close(self) -> None:
         """Send the final state, wait until it arrives, end the process; may be called twice."""
         logging.getLogger().removeHandler(self._log)
+        self._publish(False)
         self._ending.set()
         if self._thread.is_alive():
             self._thread.join(_PERIOD + 1.0)

@@ -15,6 +15,7 @@ import logging
 import os
 import signal
 import socket
+from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from functools import partial
 from importlib import resources
@@ -37,12 +38,14 @@ from rig.monitor.page.messages import COMMANDS, ENDED, LETTERS, PageJob, Snapsho
 # Path of the WebSocket.
 LIVE = "/live"
 
-_FILES = {
+FILES = {
     "/": ("page.html", "text/html; charset=utf-8"),
     "/page.css": ("page.css", "text/css; charset=utf-8"),
     "/page.js": ("page.js", "text/javascript; charset=utf-8"),
     "/traces.js": ("traces.js", "text/javascript; charset=utf-8"),
     "/map.js": ("map.js", "text/javascript; charset=utf-8"),
+    "/taxels.js": ("taxels.js", "text/javascript; charset=utf-8"),
+    "/theme.js": ("theme.js", "text/javascript; charset=utf-8"),
     "/icon.svg": ("icon.svg", "image/svg+xml"),
 }
 
@@ -54,13 +57,14 @@ class Site:
 
     Args:
         access: Access policy.
+        files: File and type of content of each path.
     """
 
-    def __init__(self, access: AccessPolicy) -> None:
+    def __init__(self, access: AccessPolicy, files: dict[str, tuple[str, str]] = FILES) -> None:
         self._access = access
         folder = resources.files("rig.monitor.page") / "static"
         self._files = {
-            path: ((folder / name).read_bytes(), kind) for path, (name, kind) in _FILES.items()
+            path: ((folder / name).read_bytes(), kind) for path, (name, kind) in files.items()
         }
 
     def answer(self, request: Request, *, full: bool) -> Response | None:
@@ -70,25 +74,25 @@ class Site:
             request: Request of the client.
             full: True if the limit of watchers is reached.
         """
-        host = _single(request.headers, "Host")
+        host = single_header(request.headers, "Host")
         if not self._access.knows_host(host):
-            return _text(http.HTTPStatus.FORBIDDEN, "This name is not one of this bench's.\n")
-        cookies = _single(request.headers, "Cookie")
+            return text_of(http.HTTPStatus.FORBIDDEN, "This name is not one of this bench's.\n")
+        cookies = single_header(request.headers, "Cookie")
         try:
             path = unquote(urlsplit(request.path).path)
         except ValueError:
-            return _text(http.HTTPStatus.BAD_REQUEST, "This is not a valid address.\n")
+            return text_of(http.HTTPStatus.BAD_REQUEST, "This is not a valid address.\n")
         if path == LIVE:
             return self._refuse_live(request, host, cookies, full=full)
         if not self._access.may_open(request.path, cookies):
-            return _text(
+            return text_of(
                 http.HTTPStatus.FORBIDDEN,
                 "This page requires the token in the address that the collection printed.\n",
             )
         if path not in self._files:
-            return _text(http.HTTPStatus.NOT_FOUND, "There is no such page.\n")
+            return text_of(http.HTTPStatus.NOT_FOUND, "There is no such page.\n")
         body, kind = self._files[path]
-        headers = _headers(kind, len(body), host or "")
+        headers = headers_of(kind, len(body), host or "")
         if path == "/":
             headers["Set-Cookie"] = self._access.set_cookie
         return Response(http.HTTPStatus.OK, "OK", headers, body)
@@ -96,28 +100,30 @@ class Site:
     def _refuse_live(
         self, request: Request, host: str | None, cookies: str | None, *, full: bool
     ) -> Response | None:
-        if not self._access.same_origin(_single(request.headers, "Origin"), host):
-            return _text(http.HTTPStatus.FORBIDDEN, "Another site's page may not watch.\n")
+        if not self._access.same_origin(single_header(request.headers, "Origin"), host):
+            return text_of(http.HTTPStatus.FORBIDDEN, "Another site's page may not watch.\n")
         if not self._access.has_cookie(cookies):
-            return _text(http.HTTPStatus.FORBIDDEN, "Open the page first; it brings the token.\n")
+            return text_of(http.HTTPStatus.FORBIDDEN, "Open the page first; it brings the token.\n")
         if full:
-            return _text(http.HTTPStatus.SERVICE_UNAVAILABLE, "Enough people are watching.\n")
+            return text_of(http.HTTPStatus.SERVICE_UNAVAILABLE, "Enough people are watching.\n")
         return None
 
 
-def _single(headers: Headers, name: str) -> str | None:
+def single_header(headers: Headers, name: str) -> str | None:
     """Return a header that was sent once, else None."""
     values = headers.get_all(name)
     return values[0] if len(values) == 1 else None
 
 
-def _text(status: http.HTTPStatus, text: str) -> Response:
+def text_of(status: http.HTTPStatus, text: str) -> Response:
+    """Return a response of plain text."""
     body = text.encode()
-    headers = _headers("text/plain; charset=utf-8", len(body), "")
+    headers = headers_of("text/plain; charset=utf-8", len(body), "")
     return Response(status, status.phrase, headers, body)
 
 
-def _headers(kind: str, length: int, host: str) -> Headers:
+def headers_of(kind: str, length: int, host: str) -> Headers:
+    """Return the headers of a response, which keep other sites out."""
     # Older tablets do not count ws: as 'self'. The host was checked before it is repeated here.
     live = f" ws://{host}" if host else ""
     return Headers(
@@ -205,6 +211,52 @@ class _Connection(ServerConnection):
             self._silent[self] = False
 
 
+def spoke(connection: ServerConnection) -> None:
+    """Note that the request of a client has arrived."""
+    if isinstance(connection, _Connection):
+        connection.spoke()
+
+
+async def listen(
+    access: AccessPolicy,
+    serve_client: Callable[[ServerConnection], Awaitable[None]],
+    on_request: Callable[[ServerConnection, Request], Any],
+    *,
+    handshake_timeout: float = HANDSHAKE_TIMEOUT,
+    max_size: int = MAX_MESSAGE,
+) -> Server:
+    """Return a server with the limits of this module.
+
+    Args:
+        access: Address to listen on.
+        serve_client: Serves an open WebSocket.
+        on_request: Answers a request, or returns None to open a WebSocket.
+        handshake_timeout: Longest time from connection to answer [s].
+        max_size: Longest message of a client [bytes].
+
+    Raises:
+        OSError: The address cannot be used.
+    """
+    connection: Any = partial(_Connection, silent={})
+    return await serve(
+        serve_client,
+        access.host,
+        access.port,
+        process_request=on_request,
+        create_connection=connection,
+        compression=None,
+        server_header=None,
+        open_timeout=handshake_timeout,
+        ping_interval=5.0,
+        ping_timeout=10.0,
+        close_timeout=1.0,
+        max_size=max_size,
+        max_queue=4,
+        write_limit=_BUFFER,
+        logger=_quiet,
+    )
+
+
 class PageServer:
     """State and clients of the page.
 
@@ -231,7 +283,7 @@ class PageServer:
         """Serve until the collection has ended and all clients have the final state."""
         access = self._job.access
         try:
-            server = await self._listen()
+            server = await listen(access, self._serve, self._on_request)
         except OSError as error:
             self._pipe.send(("failed", f"{access.host}:{access.port}: {error.strerror or error}"))
             return
@@ -254,26 +306,6 @@ class PageServer:
             server.close()
             await server.wait_closed()
             self._look.close()
-
-    async def _listen(self) -> Server:
-        connection: Any = partial(_Connection, silent={})
-        return await serve(
-            self._serve,
-            self._job.access.host,
-            self._job.access.port,
-            process_request=self._on_request,
-            create_connection=connection,
-            compression=None,
-            server_header=None,
-            open_timeout=HANDSHAKE_TIMEOUT,
-            ping_interval=5.0,
-            ping_timeout=10.0,
-            close_timeout=1.0,
-            max_size=MAX_MESSAGE,
-            max_queue=4,
-            write_limit=_BUFFER,
-            logger=_quiet,
-        )
 
     def _hear(self) -> None:
         """Receive snapshots of the collecting process; only the newest counts."""
@@ -302,8 +334,7 @@ class PageServer:
             await asyncio.sleep(1 / TRACE_RATE_HZ)
 
     def _on_request(self, connection: ServerConnection, request: Request) -> Response | None:
-        if isinstance(connection, _Connection):
-            connection.spoke()
+        spoke(connection)
         full = len(self._watchers) >= MAX_WATCHERS
         response = self._site.answer(request, full=full)
         if response is not None and response.status_code in (403, 503):

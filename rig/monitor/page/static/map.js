@@ -1,4 +1,5 @@
 // The map of targets: a rose per contact point, a ring per depth, a sector per shear direction.
+// `onPick` gets the index of a target that a person chose; `marks` are outlined.
 
 const NAMES = { d: "done", l: "limited", ".": "open" };
 const WORDS = { done: "done", limited: "force-limited", current: "under way", open: "open" };
@@ -10,7 +11,9 @@ export class TargetMap {
     this.line = line;
     this.cells = [];
     this.picked = -1;
-    svg.addEventListener("pointerover", (event) => this.pickCell(event.target));
+    this.marks = new Set();
+    this.onPick = null;
+    svg.addEventListener("pointerover", (event) => this.onPick || this.pickCell(event.target));
     svg.addEventListener("pointerdown", (event) => this.pickCell(event.target));
     svg.addEventListener("keydown", (event) => this.onKey(event));
   }
@@ -55,9 +58,10 @@ export class TargetMap {
       const outcome = NAMES[outcomes[index]] ?? "open";
       counts[outcome] += 1;
       const name = index === current ? "current" : outcome;
-      if (cell.dataset.is !== name) {
+      const shown = name + (index === this.picked ? " picked" : "") + (this.marks.has(index) ? " marked" : "");
+      if (cell.dataset.is !== name || cell.getAttribute("class") !== shown) {
         cell.dataset.is = name;
-        cell.setAttribute("class", name + (index === this.picked ? " picked" : ""));
+        cell.setAttribute("class", shown);
         cell.firstChild.textContent = this.text(index);
       }
     });
@@ -69,7 +73,8 @@ export class TargetMap {
     const [point, depth, direction] = this.targets[index];
     const angle = direction >= 0 ? `, ${Math.round((360 * direction) / this.directions)}°` : "";
     const state = WORDS[this.cells[index].dataset.is] ?? "open";
-    return `Target ${index + 1}: point ${point}, ${depth.toFixed(2)} mm${angle}: ${state}`;
+    const marked = this.marks.has(index) ? ", to record again" : "";
+    return `Target ${index + 1}: point ${point}, ${depth.toFixed(2)} mm${angle}: ${state}${marked}`;
   }
 
   tell(text) {
@@ -77,7 +82,12 @@ export class TargetMap {
   }
 
   pickCell(target) {
-    if (target.dataset?.index !== undefined) this.pick(Number(target.dataset.index));
+    if (target.dataset?.index !== undefined) this.choose(Number(target.dataset.index));
+  }
+
+  choose(index) {
+    this.pick(index);
+    if (this.onPick) this.onPick(index);
   }
 
   pick(index) {
@@ -91,7 +101,7 @@ export class TargetMap {
     const step = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 }[event.key];
     if (!step || !this.cells.length) return;
     event.preventDefault();
-    this.pick((Math.max(this.picked, step > 0 ? -1 : 0) + step + this.cells.length) % this.cells.length);
+    this.choose((Math.max(this.picked, step > 0 ? -1 : 0) + step + this.cells.length) % this.cells.length);
   }
 }
 

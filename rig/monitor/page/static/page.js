@@ -1,6 +1,7 @@
 // Connects, displays the server's messages and sends commands. The server pushes all data.
 
 import { TargetMap } from "./map.js";
+import { taxels } from "./taxels.js";
 import { Traces } from "./traces.js";
 
 const $ = (id) => document.getElementById(id);
@@ -222,7 +223,11 @@ function show(next) {
   forces(state.forces);
   places(state.tips);
   streams(state.streams);
-  for (const { name, canvas } of pictures) if (state.taxels[name]) taxels(canvas, state.taxels[name]);
+  for (const { name, canvas } of pictures) {
+    if (!state.taxels[name]) continue;
+    if (canvas === $("image")) $("image-waiting").hidden = true;
+    taxels(canvas, state.taxels[name]);
+  }
   log(state.log);
   if (asked === "pause" && who) asked = "";
   if (asked === "resume" && !state.paused_by.includes("page")) asked = "";
@@ -339,33 +344,6 @@ async function picture(data) {
   } finally {
     shown.busy = false;
   }
-}
-
-// 4 x 4 taxels as the server counts them: a disc for the normal force, a line for the shear.
-function taxels(canvas, values) {
-  const pen = canvas.getContext("2d"), style = getComputedStyle(canvas);
-  if (canvas === $("image")) $("image-waiting").hidden = true;
-  pen.setTransform(canvas.width / 640, 0, 0, canvas.height / 480, 0, 0);
-  pen.clearRect(0, 0, 640, 480);
-  values.forEach(([x, y, z], k) => {
-    const u = 320 + 115 * ((k % 4) - 1.5), v = 240 + 115 * (Math.floor(k / 4) - 1.5);
-    pen.fillStyle = style.getPropertyValue("--open");
-    disc(pen, u, v, 50);
-    pen.fillStyle = style.getPropertyValue("--done");
-    disc(pen, u, v, Math.min(50, Math.sqrt(Math.abs(z)) * 0.9));
-    pen.strokeStyle = style.getPropertyValue("--limited");
-    pen.lineWidth = 4;
-    pen.beginPath();
-    pen.moveTo(u, v);
-    pen.lineTo(u + x / 40, v - y / 40);
-    pen.stroke();
-  });
-}
-
-function disc(pen, x, y, radius) {
-  pen.beginPath();
-  pen.arc(x, y, radius, 0, 2 * Math.PI);
-  pen.fill();
 }
 
 $("pause").addEventListener("click", () => ask(state.paused_by.includes("page") ? "resume" : "pause"));

@@ -9,7 +9,7 @@ export class Traces {
     this.points = [];
     this.seconds = 20;
     new ResizeObserver(() => this.draw()).observe(canvas);
-    matchMedia("(prefers-color-scheme: light)").addEventListener("change", () => this.draw());
+    addEventListener("theme", () => this.draw());
   }
 
   clear(seconds) {
@@ -89,7 +89,7 @@ export class Traces {
   }
 }
 
-function niceStep(rough) {
+export function niceStep(rough) {
   const power = 10 ** Math.floor(Math.log10(rough));
   return [1, 2, 5, 10].map((k) => k * power).find((step) => step >= rough) ?? power;
 }

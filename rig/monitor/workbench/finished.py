@@ -1,0 +1,313 @@
+"""Finished sessions of a folder: search, and one frame at a time.
+
+A session is named by its path in the catalogue, so no path sent by a client reaches the disk. Only
+small columns of `frames` are read whole; images are read one by one.
+"""
+
+from __future__ import annotations
+
+import io
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import asdict
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from recorder import OUTCOMES, PHASES, Session, SessionError
+from recorder.catalogue import Catalogue, Query, Row
+from recorder.session import thumbnails
+from rig.acquire.request import finished_targets
+from rig.core.clock import SECOND_NS, Clock
+from rig.core.config import from_si
+from rig.monitor.page.live_state import number
+from rig.monitor.page.messages import LETTERS
+from trajectories import Plan, PressShear, plan_from_json
+
+# Sessions of one answer to a search, frames of a session that is shown, points of its curves.
+MOST_ROWS, MOST_FRAMES, MOST_POINTS = 300, 4_000_000, 700
+# Sessions kept open, and the time after which the folder is looked at again [s].
+_OPEN, _FRESH = 2, 1.0
+_THUMBNAILS = 400
+_FORCE_LIMITED = OUTCOMES.index("force_limited")
+_CHOICES = ("sensor", "indenter", "status")
+
+
+class Finished:
+    """The sessions below a folder.
+
+    Args:
+        folder: The folder.
+        clock: Clock.
+
+    Raises:
+        SessionError: No such folder.
+    """
+
+    def __init__(self, folder: Path, clock: Clock) -> None:
+        self.folder = folder
+        self._clock = clock
+        self._catalogue = Catalogue(folder)
+        self._looked_ns = 0
+        self._thumbnails: OrderedDict[tuple[str, tuple[int, int, int]], bytes] = OrderedDict()
+        self._opened: OrderedDict[tuple[str, tuple[int, int, int]], Session] = OrderedDict()
+
+    def rows(self) -> list[Row]:
+        """Return all sessions, the oldest first."""
+        now_ns = self._clock.now_ns()
+        if now_ns - self._looked_ns > _FRESH * SECOND_NS:
+            self._catalogue.refresh()
+            self._looked_ns = now_ns
+        return list(self._catalogue)
+
+    def search(self, given: Mapping[str, str]) -> dict[str, Any]:
+        """Return the newest sessions that meet the conditions, and the choices for each of them.
+
+        Args:
+            given: Fields of `Query` as text; an empty one is no condition.
+
+        Raises:
+            ValueError: A day or `faults` that is neither.
+        """
+        since = date.fromisoformat(given["since"]) if given.get("since") else None
+        faults = {"": None, "yes": True, "no": False}
+        if given.get("faults", "") not in faults:
+            raise ValueError(f"faults: found {given['faults']!r}; allowed: yes, no")
+        query = Query(
+            sensor=given.get("sensor", ""),
+            indenter=given.get("indenter", ""),
+            status=given.get("status", ""),
+            text=given.get("text", ""),
+            since=since,
+            faults=faults[given.get("faults", "")],
+        )
+        rows = self.rows()
+        found = [row for row in rows if query.accepts(row)]
+        newest = found[: -MOST_ROWS - 1 : -1]
+        return {
+            "rows": [{**asdict(row), "faults": row.faults} for row in newest],
+            "found": len(found),
+            "total": len(rows),
+            "choices": {
+                key: sorted({getattr(row, key) for row in rows} - {""}) for key in _CHOICES
+            },
+        }
+
+    def row(self, path: str) -> Row:
+        """Return the row of a session.
+
+        Raises:
+            KeyError: No session of the catalogue has that path.
+        """
+        for row in self.rows():
+            if row.path == path:
+                return row
+        raise KeyError(f"no session {path[:200]!r}")
+
+    def session(self, path: str) -> Session:
+        """Return a session that is not being recorded.
+
+        Raises:
+            KeyError: No session of the catalogue has that path.
+            SessionError: It cannot be read, is being recorded or has too many frames.
+        """
+        row = self.row(path)
+        key = (row.path, row.stamp)
+        if key not in self._opened:
+            if row.status == "recording":
+                raise SessionError(f"{path}: is being recorded, or was killed while it was")
+            session = Session(self.folder / row.path)
+            if (count := len(session.require_frames()["t_ns"])) > MOST_FRAMES:
+                raise SessionError(f"{path}: found {count} frames; shown: up to {MOST_FRAMES}")
+            self._opened[key] = session
+            while len(self._opened) > _OPEN:
+                self._opened.popitem(last=False)
+        self._opened.move_to_end(key)
+        return self._opened[key]
+
+    def about(self, path: str) -> dict[str, Any]:
+        """Return what is constant about a session, its targets and its curves.
+
+        Raises:
+            KeyError, SessionError: See `session`.
+        """
+        session, row = self.session(path), self.row(path)
+        frames, targets = session.frames, session.targets
+        count, summary = len(frames["t_ns"]), session.attrs.get("summary") or {}
+        plan = _plan(session)
+        places = _places(session, plan)
+        return {
+            **asdict(row),
+            "faults": row.faults,
+            "command": f"tactile collect --resume {self.folder / row.path} --again",
+            "frames": count,
+            "rate": session.rate_hz,
+            "cameras": session.of_kind("camera"),
+            "taxels": "taxels" in frames,
+            "streams": [
+                {
+                    "name": name,
+                    "kind": session.streams[name].traits.kind,
+                    "rows": len(session.streams[name]),
+                    "rate": number(session.streams[name].rate_hz, 1),
+                    "dropped": int((summary.get(name) or {}).get("dropped", 0)),
+                }
+                for name in session.order
+            ],
+            "points": [{"point": point, "at": at} for point, at in places.items()],
+            "map": [
+                [int(point), round(from_si(float(depth), "mm"), 4), int(direction)]
+                for point, depth, direction in zip(
+                    *(targets.get(key, ()) for key in ("point", "depth", "direction")), strict=True
+                )
+            ],
+            "directions": plan.direction_count if isinstance(plan, PressShear) else 1,
+            "outcomes": _outcomes(session, plan),
+            "starts": _starts(session),
+            "curves": _curves(session),
+        }
+
+    def frame(self, path: str, k: int) -> dict[str, Any]:
+        """Return the values of a frame.
+
+        Raises:
+            KeyError, SessionError: See `session`.
+            IndexError: No such frame.
+        """
+        session = self.session(path)
+        frames = session.frames
+        if not 0 <= k < len(frames["t_ns"]):
+            raise IndexError(f"no frame {k}; allowed: 0 to {len(frames['t_ns']) - 1}")
+        wrench = [float(value) for value in frames["wrench"][k]]
+        phase, target = int(frames["phase"][k]), int(frames["target"][k])
+        found: dict[str, Any] = {
+            "frame": k,
+            "t": round((int(frames["t_ns"][k]) - int(frames["t_ns"][0])) / SECOND_NS, 3),
+            "run": int(frames["run"][k]),
+            "target": target,
+            "phase": PHASES[phase] if phase >= 0 else "",
+            "depth": number(from_si(float(frames["depth"][k]), "mm")),
+            "wrench": [number(each) for each in wrench[:3]]
+            + [number(from_si(each, "n_mm")) for each in wrench[3:]],
+            "valid": bool(frames["valid"][k]),
+            "skew": number(1e3 * float(frames["skew"][k]), 1),
+            "images": {
+                name: int(frames[session.columns[name]][k]) for name in session.of_kind("camera")
+            },
+        }
+        if "taxels" in frames:
+            rest = session.reference["taxels"]
+            known = np.flatnonzero(np.isfinite(rest).all(axis=(1, 2)))
+            zero = rest[known[0]] if known.size else frames["taxels"][0]
+            change = np.nan_to_num(frames["taxels"][k] - zero)
+            found["taxels"] = np.round(change).astype(int).tolist()
+        return found
+
+    def image(self, path: str, k: int, camera: str) -> bytes:
+        """Return the image of a frame as JPEG: the camera's own bytes, if they were kept.
+
+        Args:
+            path: The session.
+            k: Frame.
+            camera: Name of the camera.
+
+        Raises:
+            KeyError: No such session, or it has no such camera.
+            IndexError: No such frame, or it has no image.
+            SessionError: See `session`; or the image is corrupt.
+        """
+        session = self.session(path)
+        if camera not in session.of_kind("camera"):
+            raise KeyError(f"no camera {camera[:200]!r}")
+        rows, stream = session.frames[session.columns[camera]], session.streams[camera]
+        if not 0 <= k < len(rows) or rows[k] < 0:
+            raise IndexError(f"frame {k} has no image of {camera}")
+        original = stream.jpeg(int(rows[k]))
+        if original is not None:
+            return original
+        pixels: Any = stream.images([int(rows[k])])[0]
+        return _jpeg(Image.fromarray(pixels[..., 0] if pixels.shape[-1] == 1 else pixels))
+
+    def thumbnail(self, path: str) -> bytes:
+        """Return a small picture of the frame with the largest force as JPEG.
+
+        Raises:
+            KeyError, SessionError: See `session`; or the image is corrupt.
+            IndexError: It has no frames.
+        """
+        row = self.row(path)
+        key = (row.path, row.stamp)
+        if key not in self._thumbnails:
+            session = self.session(path)
+            load = np.nan_to_num(np.abs(session.frames["wrench"][:, 2]))
+            if not load.size:
+                raise IndexError(f"{path}: has no frames")
+            shown = int(load.argmax()) if load.any() else len(load) // 2
+            self._thumbnails[key] = _jpeg(thumbnails(session, np.array([shown]))[0])
+            while len(self._thumbnails) > _THUMBNAILS:
+                self._thumbnails.popitem(last=False)
+        return self._thumbnails[key]
+
+
+def _jpeg(picture: Image.Image) -> bytes:
+    held = io.BytesIO()
+    picture.save(held, "JPEG", quality=85)
+    return held.getvalue()
+
+
+def _plan(session: Session) -> Plan | None:
+    try:
+        return plan_from_json(session.attrs["plan"])
+    except (KeyError, TypeError, ValueError, AttributeError):
+        # A recording made elsewhere has presses that were found, without a plan.
+        return None
+
+
+def _places(session: Session, plan: Plan | None) -> dict[int, list[float]]:
+    """Return x and y of each contact point in the contact frame [mm]; without a plan, in a row."""
+    if plan is None:
+        points = np.unique(session.targets.get("point", ())).tolist()
+        return {int(point): [float(k), 0.0] for k, point in enumerate(points)}
+    count = len(session.targets["point"])
+    return {
+        target.point: [from_si(value, "mm") for value in target.origin[:2]]
+        for target in plan.targets()
+        if target.index < count
+    }
+
+
+def _outcomes(session: Session, plan: Plan | None) -> str:
+    """Return one of LETTERS for each target."""
+    count, segments = len(session.targets.get("point", ())), session.segments
+    limited = set(segments["target"][segments["outcome"] == _FORCE_LIMITED].tolist())
+    found = {int(target) for target in np.unique(segments["target"])}
+    done = found if plan is None else finished_targets(plan, segments, count)
+    return "".join(
+        LETTERS["limited" if k in limited else "done" if k in done else "open"]
+        for k in range(count)
+    )
+
+
+def _starts(session: Session) -> dict[int, int]:
+    """Return the first frame of the last press of each target."""
+    target, run = session.frames["target"], session.frames["run"]
+    another = (np.diff(target) != 0) | (np.diff(run) != 0)
+    begins = np.concatenate([[0], np.flatnonzero(another) + 1])[: len(target)]
+    return {int(target[k]): int(k) for k in begins if target[k] >= 0}
+
+
+def _curves(session: Session) -> dict[str, Any]:
+    """Return the least and the largest value of each curve in equal parts of the frames."""
+    frames = session.frames
+    count = len(frames["t_ns"])
+    edges = np.unique(np.linspace(0, count, min(count, MOST_POINTS) + 1).astype(int))[:-1]
+    found: dict[str, Any] = {"at": edges.tolist()}
+    columns = {name: frames["wrench"][:, axis] for axis, name in enumerate(("fx", "fy", "fz"))}
+    columns["depth"] = frames["depth"] * 1e3
+    for name, values in columns.items():
+        ends = [each.reduceat(values, edges) for each in (np.fmin, np.fmax) if count]
+        found[name] = [[number(a), number(b)] for a, b in zip(*ends, strict=True)]
+    return found

@@ -1,0 +1,282 @@
+"""State of a lab for the workbench: sessions, campaigns, benches with their set-up, indenters."""
+
+from __future__ import annotations
+
+import functools
+import io
+import json
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from recorder import SessionError
+from recorder.catalogue import Row
+from rig.acquire.again import marked, write_marks
+from rig.acquire.campaign import Campaign, load_campaign, progress_of
+from rig.acquire.preview import draw, summary
+from rig.bench.bench import Bench, load_bench
+from rig.bench.indenter import find_indenter, indenter_names
+from rig.core.clock import Clock
+from rig.core.config import from_si
+from rig.core.errors import ConfigError
+from rig.core.packaged import BENCHES, CAMPAIGNS
+from rig.monitor.page.page import ADDRESS
+from rig.monitor.workbench.finished import Finished
+from trajectories import dry_run
+
+# Most campaign files and benches that are shown.
+_MOST = 40
+
+
+@dataclass(frozen=True, slots=True)
+class Places:
+    """Folders of a lab."""
+
+    sessions: Path
+    campaigns: Path
+    benches: Path
+    calibrations: Path
+
+    @property
+    def again(self) -> Path:
+        """Campaign file of the targets to record again."""
+        return self.campaigns / "again.yaml"
+
+
+class Lab:
+    """The lab. Its methods are called by one thread.
+
+    Args:
+        places: Its folders.
+        clock: Clock.
+
+    Raises:
+        SessionError: No folder of sessions.
+    """
+
+    def __init__(self, places: Places, clock: Clock) -> None:
+        self._places = places
+        self.finished = Finished(places.sessions, clock)
+        # Read again when the file has changed; changes of other files that it names are missed.
+        self._bench = functools.lru_cache(maxsize=_MOST)(_load)
+        self._loaded = functools.lru_cache(maxsize=_MOST)(_load_campaign)
+
+    def state(self) -> dict[str, Any]:
+        """Return campaigns, benches, set-ups, indenters and a running collection's page."""
+        return {
+            "campaigns": self._campaigns(),
+            "benches": self._benches(),
+            "setups": self._setups(),
+            "indenters": _indenters(tuple(indenter_names())),
+            "running": self._running(),
+        }
+
+    def session(self, path: str) -> dict[str, Any]:
+        """Return what is constant about a session, with the targets marked in it.
+
+        Raises:
+            KeyError, SessionError: See `Finished.session`.
+        """
+        about = self.finished.about(path)
+        marks = marked(self._places.again, self._places.sessions / path)
+        return {**about, "again": list(marks), "queue": self._command(self._places.again)}
+
+    def mark(self, path: str, targets: tuple[int, ...]) -> dict[str, Any]:
+        """Mark targets of a session, numbered from 1, for recording again; none removes the marks.
+
+        Raises:
+            KeyError, SessionError: See `Finished.session`.
+            ConfigError: No such target; or the file of marks cannot be read or written.
+        """
+        session, row = self.finished.session(path), self.finished.row(path)
+        if row.plan not in ("press_shear", "force_depth"):
+            raise ConfigError(f"{path}: found plan {row.plan!r}; allowed: press_shear, force_depth")
+        count = int(session.attrs["targets_wanted"])
+        if targets and targets[-1] > count:
+            raise ConfigError(f"again: found {targets[-1]}; allowed: 1 to {count}")
+        write_marks(self._places.again, self._places.sessions / path, session, targets)
+        return {"again": list(targets), "queue": self._command(self._places.again)}
+
+    def plan_picture(self, sensor: str) -> bytes:
+        """Return the drawing of a bench's plan as PNG.
+
+        Raises:
+            KeyError: No bench of `state` has that name.
+            ConfigError: The bench file is wrong.
+        """
+        bench = self._named(sensor)
+        arm = bench.arm
+        walked = dry_run(
+            bench.trajectory, bench.plan_limits, speed=arm.speed, acceleration=arm.acceleration
+        )
+        lines = summary(bench, walked)
+        held = io.BytesIO()
+        draw(bench, list(bench.trajectory.targets()), lines, bool(walked.broken)).save(held, "PNG")
+        return held.getvalue()
+
+    def indenter_picture(self, name: str) -> bytes:
+        """Return the drawing of an indenter as PNG.
+
+        Raises:
+            KeyError: No indenter has that name, or it has no drawing.
+        """
+        drawing = find_indenter(name).drawing if name in indenter_names() else None
+        if drawing is None:
+            raise KeyError(f"no drawing of {name!r}")
+        return drawing.read_bytes()
+
+    def report(self, sensor: str) -> bytes:
+        """Return the acceptance report of a bench as HTML.
+
+        Raises:
+            KeyError: No set-up of that sensor, or without a report.
+        """
+        if sensor not in [found["sensor"] for found in self._setups()]:
+            raise KeyError(f"no report of {sensor!r}")
+        return self._report(sensor).read_bytes()
+
+    def _report(self, sensor: str) -> Path:
+        return self._places.calibrations / f"{sensor}.acceptance.html"
+
+    def _command(self, file: Path) -> str:
+        return shlex.join(["tactile", "campaign", "--file", str(file)])
+
+    def _campaigns(self) -> list[dict[str, Any]]:
+        found = {path.name: path for path in sorted(self._places.campaigns.glob("*.yaml"))[:_MOST]}
+        names = found or {path.name: path for path in CAMPAIGNS.glob("*.yaml")}
+        return [self._campaign(path, packaged=not found) for path in names.values()]
+
+    def _campaign(self, path: Path, *, packaged: bool) -> dict[str, Any]:
+        file = Path("campaigns") / path.name if packaged else path
+        shown: dict[str, Any] = {"name": path.stem, "command": self._command(file)}
+        try:
+            loaded = self._loaded(path, path.stat().st_mtime_ns, self._places.benches)
+            progress = progress_of(loaded)
+        except (ConfigError, SessionError, OSError) as error:
+            return {**shown, "error": str(error), "items": []}
+        items = [
+            {
+                "sensor": each.item.entry.sensor,
+                "indenter": each.item.entry.indenter,
+                "plan": each.item.entry.plan,
+                "again": list(each.item.entry.again),
+                "session": self._inside(each.session),
+                "state": each.state,
+                "done": each.done,
+                "total": each.item.total,
+                "left": round(each.left),
+                "note": each.note,
+            }
+            for each in progress
+        ]
+        return {**shown, "error": "", "items": items}
+
+    def _inside(self, session: Path) -> str:
+        """Return the path of a session in the folder that is shown; empty if it is elsewhere."""
+        try:
+            path = session.resolve().relative_to(self._places.sessions.resolve())
+        except ValueError:
+            return ""
+        return str(path) if session.exists() else ""
+
+    def _bench_files(self) -> dict[str, Path]:
+        folder = self._places.benches
+        found: dict[str, Path] = {}
+        for place in (BENCHES, folder, folder / "lab"):
+            found |= {path.stem: path for path in place.glob("*.yaml") if path.stem != "mock"}
+        return dict(sorted(found.items())[:_MOST])
+
+    def _named(self, name: str) -> Bench:
+        path = self._bench_files()[name]
+        return self._bench(path, path.stat().st_mtime_ns)
+
+    def _benches(self) -> list[dict[str, Any]]:
+        rows = self.finished.rows()
+        found = []
+        for name in self._bench_files():
+            shown: dict[str, Any] = {"name": name, "error": "", "mock": False}
+            try:
+                bench = self._named(name)
+            except (ConfigError, OSError) as error:
+                found.append({**shown, "error": str(error)})
+                continue
+            newest = next((row for row in reversed(rows) if _is_of(row, bench)), None)
+            found.append(
+                {
+                    **shown,
+                    "sensor": bench.sensor,
+                    "description": bench.description,
+                    "mock": bench.mock,
+                    "targets": len(bench.trajectory),
+                    "streams": [row.name for row in bench.rows],
+                    "newest": newest.path if newest else "",
+                }
+            )
+        return found
+
+    def _setups(self) -> list[dict[str, Any]]:
+        found: list[dict[str, Any]] = []
+        for path in sorted(self._places.calibrations.glob("*.setup.json"))[:_MOST]:
+            sensor = path.name.removesuffix(".setup.json")
+            try:
+                stored = json.loads(path.read_text())
+                steps = [{"name": name, **step} for name, step in stored["steps"].items()]
+                accepted, running = stored.get("acceptance"), stored.get("running")
+            except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+                found.append({"sensor": sensor, "error": f"{path}: {error}", "steps": []})
+                continue
+            if running and not Path(f"/proc/{int(running['pid'])}").exists():
+                running = None
+            found.append(
+                {
+                    "sensor": sensor,
+                    "mock": bool(stored.get("mock")),
+                    "error": "",
+                    "steps": steps,
+                    "running": running,
+                    "result": (accepted or {}).get("result", ""),
+                    "report": accepted is not None and self._report(sensor).is_file(),
+                }
+            )
+        return found
+
+    def _running(self) -> dict[str, Any] | None:
+        """Return port and session of a running collection's page; None if there is none."""
+        for folder in {Path(row.path).parent for row in self.finished.rows()} | {Path()}:
+            try:
+                found = json.loads((self.finished.folder / folder / ADDRESS).read_text())
+                if Path(f"/proc/{int(found['pid'])}").exists():
+                    return {"port": int(found["port"]), "session": str(found["session"])}
+            except (OSError, ValueError, KeyError, TypeError):
+                continue
+        return None
+
+
+def _is_of(row: Row, bench: Bench) -> bool:
+    """Return True for a finished session of a bench."""
+    finished = row.is_session and row.status != "recording"
+    return finished and row.sensor == bench.sensor and row.mock == bench.mock
+
+
+def _load(path: Path, stamp: int) -> Bench:
+    return load_bench(path)[0]
+
+
+def _load_campaign(path: Path, stamp: int, benches: Path) -> Campaign:
+    return load_campaign(path, benches)
+
+
+@functools.cache
+def _indenters(names: tuple[str, ...]) -> list[dict[str, Any]]:
+    found = []
+    for name in names:
+        try:
+            indenter = find_indenter(name)
+        except (ConfigError, OSError) as error:
+            found.append({"name": name, "tip": str(error), "size": "", "drawing": False})
+            continue
+        size = " x ".join(f"{from_si(width, 'mm'):g}" for width in indenter.size)
+        drawing = indenter.drawing is not None
+        found.append({"name": name, "tip": indenter.tip, "size": f"{size} mm", "drawing": drawing})
+    return found
