@@ -28,7 +28,6 @@ BENCHMARKS = {
     "frames": ("benchmarks.sim.speed.frames", "frames per second, one press or many at once"),
     "effects": ("benchmarks.sim.effects.command", "cost of each effect, on and off"),
     "needed": ("benchmarks.sim.needed", "insignificant effects, left out of random scenes"),
-    "layer": ("benchmarks.sim.tiers.layer", "the `layer` tier, error and time"),
     "mpm": ("benchmarks.sim.tiers.mpm", "the `mpm` tier compared with `fem`"),
     "independent": (
         "benchmarks.sim.independent.command",
@@ -55,7 +54,6 @@ BENCHMARKS = {
     # Learning
     "latency": ("benchmarks.learning.latency.command", "error against time and size"),
     "loading": ("benchmarks.learning.loading", "windows per second that reach a training"),
-    "field-speed": ("benchmarks.learning.field_rate", "field translator, frames/s"),
     "diffusion-full-size": (
         "benchmarks.learning.diffusion_full_size",
         "diffusion at the paper's size, on a GPU",

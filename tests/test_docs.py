@@ -237,7 +237,6 @@ NOT_RUN = {
     "blender": "needs Blender",
     "endurance": "half an hour in real time; its report has tests",
     "extrapolation": "hours of training",
-    "field-speed": "a timing",
     "indenter-drawings": "overwrites packaged drawings",
     "independent": "minutes of reference solutions, whose parts have tests",
     "learning-on-gpus": "needs several GPUs; its plan of jobs has tests",

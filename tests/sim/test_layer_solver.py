@@ -6,9 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from support.commands import run_module
 
-from benchmarks.sim.tiers import layer
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError
 from sim.indenters import named, sphere
@@ -122,12 +120,3 @@ def test_a_flat_tip_just_touching_bears_nothing() -> None:
     result = simulate_layer(Scene(named("cylinder"), motion, effects=effects), Layer(grid=48))
     assert result.force[1, 2] < -0.5
     np.testing.assert_array_equal(result.force[[0, 2]], 0)
-
-
-@pytest.mark.slow
-def test_the_bench_prints_error_and_rate_of_one_grid(capsys: pytest.CaptureFixture[str]) -> None:
-    run_module(layer, "--grid", "32", "--repeats", "1")
-    message = capsys.readouterr().out
-    assert "grid 32" in message
-    assert "worst error" in message
-    assert "friction 0.8, viscous" in message

@@ -1,1 +1,1 @@
-"""The `layer` and `mpm` tiers compared with closed forms and finite elements."""
+"""The `mpm` tier compared with finite elements."""
