@@ -20,6 +20,7 @@ BENCHMARKS = {
     "no-gauge": ("benchmarks.no_gauge.command", "wrong benches without a force gauge"),
     "endurance": ("benchmarks.endurance.command", "half an hour on the mock bench"),
     "first-hour": ("benchmarks.first_hour", "every command from the wheel to live forces"),
+    "bench-drawings": ("benchmarks.bench_drawings", "draw wiring, mounting and frames of a bench"),
     # The simulator
     "hard-cases": ("benchmarks.sim.stability.command", "cases that break simulators"),
     "refine": ("benchmarks.sim.refinement.command", "force from coarse to fine meshes"),

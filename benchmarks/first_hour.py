@@ -1,6 +1,6 @@
 """From the wheel to live forces: every command of a user's first hour, in an empty folder.
 
-    python -m benchmarks first-hour
+    python -m benchmarks first-hour --page docs/results/first-hour.md
 
 Builds the wheel and installs it into a new environment. In a lab outside of the repository it tests
 and sets up a mock bench, records three sessions, looks at one and records two of its targets again.
@@ -18,11 +18,12 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE
+from recorder.processes import cores
 from recorder.progress import duration
 
 ROOT = Path(__file__).parents[1]
@@ -35,8 +36,9 @@ AGAIN = "3,7"
 TRIES = 3
 # What a stopped collection prints before the command that goes on with it.
 CONTINUE = "to continue: "
-# Lines of a command's output that are shown, and duration of the live prediction [s].
-SHOWN = 3
+# Lines of a command's output that are shown, and of one that failed.
+SHOWN, SHOWN_FAILED = 3, 20
+# Duration of the live prediction [s].
 LIVE_S = 20
 
 
@@ -47,6 +49,19 @@ class Step:
     words: tuple[str, ...]
     at_bench: bool = False
     """On the mock bench, whose emulators run in real time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ran:
+    """A command that ended."""
+
+    command: str
+    code: int
+    lines: list[str]
+    """Its output."""
+    seconds: float
+    """Its time, with those of earlier tries [s]."""
+    tries: int
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -64,31 +79,37 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="new folder that is kept (default: a temporary one)"
     )
+    parser.add_argument("--page", type=Path, metavar="FILE", help="page of the times to write")
 
 
 def run(options: argparse.Namespace) -> int:
     """Run all steps; return the exit code of the one that failed, or 0."""
-    began = time.monotonic()
+    done: list[Ran] = []
     with tempfile.TemporaryDirectory(prefix="first-hour-") as name:
         folder = Path(name) if options.out is None else options.out.resolve()
         folder.mkdir(parents=True, exist_ok=True)
-        environment = options.venv
-        if environment is None:
-            environment, code = installed(folder)
-            if code != EXIT_DONE:
-                return code
-        tactile = environment.resolve() / "bin" / "tactile"
-        count, last = 0, ""
-        for number, step in enumerate(steps()):
-            place = folder if number == 0 else folder / "lab"
-            code, last = ran([str(tactile), *step.words], place, step.at_bench)
-            if code != EXIT_DONE:
-                print(f"first hour: stopped by tactile {shlex.join(step.words)}, exit code {code}")
-                return code
-            count += 1
-    took = duration(time.monotonic() - began)
-    print(f"first hour: {count} commands in {took}, from the wheel to live forces: {last}")
+        for each in commands(folder, options.venv):
+            done.append(each)
+            if each.code != EXIT_DONE:
+                print(f"first hour: stopped by {each.command}, exit code {each.code}")
+                return each.code
+    took = duration(sum(each.seconds for each in done))
+    last = done[-1].lines[-1] if done[-1].lines else ""
+    print(f"first hour: {len(done)} commands in {took}, from the wheel to live forces: {last}")
+    if options.page is not None:
+        options.page.write_text(page(done))
     return EXIT_DONE
+
+
+def commands(folder: Path, environment: Path | None) -> Iterator[Ran]:
+    """Run the commands one after the other, in a new environment if there is none."""
+    if environment is None:
+        environment = folder / "venv"
+        yield from installed(folder, environment)
+    tactile = environment.resolve() / "bin" / "tactile"
+    for number, step in enumerate(steps()):
+        place = folder if number == 0 else folder / "lab"
+        yield ran([str(tactile), *step.words], place, step.at_bench)
 
 
 def steps() -> Iterator[Step]:
@@ -115,10 +136,10 @@ def steps() -> Iterator[Step]:
     yield Step(("live", *live, "--out", "forces.csv"), at_bench=True)
 
 
-def installed(folder: Path) -> tuple[Path, int]:
-    """Build the wheel of this checkout, and install it; return the environment and an exit code."""
+def installed(folder: Path, environment: Path) -> Iterator[Ran]:
+    """Build the wheel of this checkout, and install it into a new environment."""
     # A copy: a build in the checkout would pack what an earlier one left there.
-    source, wheels, environment = (folder / name for name in ("source", "wheels", "venv"))
+    source, wheels = folder / "source", folder / "wheels"
     listed = subprocess.run(
         ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
         cwd=ROOT,
@@ -130,37 +151,30 @@ def installed(folder: Path) -> tuple[Path, int]:
         if (ROOT / name).is_file():
             (source / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(ROOT / name, source / name)
-    python = str(environment / "bin" / "python")
-    constraints = ("-c", str(ROOT / "constraints.txt"))
-    build = ("wheel", "--quiet", "--no-deps", "--wheel-dir", str(wheels), str(source))
-    for words in (
-        [sys.executable, "-m", "pip", *build],
-        [sys.executable, "-m", "venv", str(environment)],
-        [python, "-m", "pip", "install", "--quiet", *constraints, "{wheel}[rig,learning]"],
-    ):
-        found = next(wheels.glob("*.whl"), None)
-        code, _last = ran([word.replace("{wheel}", str(found)) for word in words], folder)
-        if code != EXIT_DONE:
-            break
-    return environment, code
+    pip = ["-m", "pip", "--quiet", "--disable-pip-version-check"]
+    build = ["wheel", "--no-deps", "--wheel-dir", str(wheels), str(source)]
+    yield ran([sys.executable, *pip, *build], folder)
+    yield ran([sys.executable, "-m", "venv", str(environment)], folder)
+    (wheel,) = wheels.glob("*.whl")
+    install = ["install", "-c", str(ROOT / "constraints.txt"), f"{wheel}[rig,learning]"]
+    yield ran([str(environment / "bin" / "python"), *pip, *install], folder)
 
 
-def ran(words: list[str], place: Path, at_bench: bool = False) -> tuple[int, str]:
+def ran(words: Sequence[str], place: Path, at_bench: bool = False) -> Ran:
     """Run one command in a folder; print it, its last lines and its time.
 
     Args:
         words: The command.
         place: Folder.
         at_bench: Try it again, or continue, when a device of the mock bench was lost.
-
-    Returns:
-        Its exit code, and its last line.
     """
     # As for a user without the repository, who came by no make.
     kept = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
     kept.pop("TACTILE_DOOR", None)
-    for _attempt in range(TRIES if at_bench else 1):
-        print(f"$ {shlex.join([Path(words[0]).name, *words[1:]])}", flush=True)
+    first, code, lines, seconds, tries = shown(words), EXIT_DEVICE_LOST, [""], 0.0, 0
+    while code == EXIT_DEVICE_LOST and tries < (TRIES if at_bench else 1):
+        tries += 1
+        print(f"$ {shown(words)}", flush=True)
         began = time.monotonic()
         done = subprocess.run(
             words,
@@ -173,16 +187,49 @@ def ran(words: list[str], place: Path, at_bench: bool = False) -> tuple[int, str
             check=False,
         )
         took = time.monotonic() - began
+        code, seconds = done.returncode, seconds + took
         # Progress is rewritten in place.
         lines = [line.rpartition("\r")[2].rstrip() for line in done.stdout.splitlines()]
         lines = [line for line in lines if line]
-        for line in lines[-SHOWN if done.returncode == EXIT_DONE else -20 :]:
+        for line in lines[-(SHOWN if code == EXIT_DONE else SHOWN_FAILED) :]:
             print(f"  {line}", flush=True)
         print(f"  {took:.1f} s", flush=True)
-        if done.returncode != EXIT_DEVICE_LOST:
-            break
         # Again, or as the command itself said.
         for line in lines:
             if line.startswith(CONTINUE):
                 words = [words[0], *shlex.split(line.removeprefix(CONTINUE))[1:]]
-    return done.returncode, lines[-1] if lines else ""
+    return Ran(first, code, lines, seconds, tries)
+
+
+def shown(words: Sequence[str]) -> str:
+    """Return a command as text, without the folders of files outside of the lab."""
+    return shlex.join([Path(word).name if word.startswith("/") else word for word in words])
+
+
+def page(done: Sequence[Ran]) -> str:
+    """Return the page of results."""
+    rows = "\n".join(
+        f"| `{each.command}` | {each.seconds:.0f} | {each.tries if each.tries > 1 else ''} |"
+        for each in done
+    )
+    took = duration(sum(each.seconds for each in done))
+    last = "\n".join(done[-1].lines[-SHOWN:])
+    return f"""# A user's first hour
+
+Every command from the wheel to live forces, in a new environment and an empty folder, on the mock
+bench: {len(done)} commands in {took}. One run on
+{cores()} cores that other programs used too, made by
+`python -m benchmarks first-hour --page docs/results/first-hour.md` (`make first-hour` runs it).
+
+| command | time [s] | tries |
+|---|---|---|
+{rows}
+
+The last one ended with:
+
+```text
+{last}
+```
+
+A command on the mock bench is tried again when an emulator answered too late (a busy computer).
+"""

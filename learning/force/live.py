@@ -232,8 +232,9 @@ class Contact:
 
 Frame = NDArray[Any]
 
-# Runtimes: ONNX Runtime and OpenVINO run the exported model, torch the trained one.
-RUNTIMES = ("onnx", "openvino", "openvino-bf16", "torch")
+# Runtimes: ONNX Runtime and OpenVINO run the exported model, torch the trained one; `auto` is ONNX
+# Runtime if the model was exported, else torch.
+RUNTIMES = ("auto", "onnx", "openvino", "openvino-bf16", "torch")
 # Number of frames without contact for the reference.
 START_FRAMES = 10
 _TAXELS = (16, 3)
@@ -397,7 +398,7 @@ def open_live(
     Args:
         model: Folder of the model; its intervals are read, if it has any.
         before: Folder of another model, whose forces are shown beside.
-        runtime: One of `RUNTIMES`; `python -m learning export-onnx` exports a model.
+        runtime: One of `RUNTIMES`; `tactile export-onnx` exports a model.
         sensor: Name of the sensor, which determines the preset of a model of markers.
         preset_name: Name or YAML file of the preset, instead of `sensor`.
         threads: Number of threads; 0: default of the runtime.
@@ -447,6 +448,8 @@ def _preset_for(network: ForceStream, sensor: str | None, model: Path) -> Preset
 
 
 def _stream(model: str | os.PathLike[str], runtime: str, threads: int) -> ForceStream:
+    if runtime == "auto":
+        runtime = "onnx" if (Path(model) / "model.onnx").is_file() else "torch"
     if runtime == "onnx":
         return open_exported(model, threads=threads)
     if runtime in ("openvino", "openvino-bf16"):

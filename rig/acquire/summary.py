@@ -55,12 +55,13 @@ def omitted(rejected: Mapping[str, int]) -> str:
 
 def frames_per_target(session: Session) -> str:
     """Return the frames per target, next to the paper's 20 to 60, as text."""
-    targets = np.asarray(session.frames["target"])
-    counts = np.bincount(targets[targets >= 0])
-    counts = counts[counts > 0]
-    fresh = ~np.asarray(session.frames["is_duplicate"], dtype=bool)
-    fresh_counts = np.bincount(targets[(targets >= 0) & fresh])
-    fresh_counts = fresh_counts[fresh_counts > 0]
+    frames = session.frames
+    pressed = np.asarray(frames["target"]) >= 0
+    # A target that was pressed again in another run counts for itself.
+    presses = np.stack([np.asarray(frames[name])[pressed] for name in ("target", "run")], axis=1)
+    fresh = ~np.asarray(frames["is_duplicate"], dtype=bool)[pressed]
+    counts = np.unique(presses, axis=0, return_counts=True)[1]
+    fresh_counts = np.unique(presses[fresh], axis=0, return_counts=True)[1]
     if not len(counts) or not len(fresh_counts):
         return "no frames in any target"
     return (

@@ -56,10 +56,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--runtime",
-        choices=("onnx", "openvino", "openvino-bf16", "torch"),
-        default="onnx",
-        help="runtime of the model (%(default)s; onnx and openvino need the exported model: "
-        "python -m learning export-onnx; openvino-bf16 is the fastest on CPUs that support it)",
+        choices=("auto", "onnx", "openvino", "openvino-bf16", "torch"),
+        default="auto",
+        help="runtime of the model (%(default)s: onnx if the model was exported by `tactile "
+        "export-onnx`, which openvino needs too, else torch; openvino-bf16 is the fastest on CPUs "
+        "that support it)",
     )
     parser.add_argument(
         "--threads", type=whole(0), default=0, help="model threads (default: the runtime's choice)"

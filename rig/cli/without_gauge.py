@@ -22,6 +22,7 @@ from rig.bench.no_gauge import check_plan, lines
 from rig.cli.options import bench_command, confirm, free_path
 from rig.cli.recording import StartedBench, record
 from rig.core.clock import file_stamp
+from rig.core.errors import ConfigError
 from trajectories import Plan, Target
 
 
@@ -94,8 +95,9 @@ def prepare(
 ) -> Calibration:
     """Run the stages that must precede a collection, and return its calibration.
 
-    A mock bench finds its surface now and asks nothing. A lab bench was measured by `tactile home`,
-    and asks at every step of the first press.
+    A lab bench was measured by `tactile home`, and asks at every step of the first press. A mock
+    bench asks nothing, and finds its surface now unless `tactile home` or `tactile setup` has found
+    that of the same bench file and indenter as lately as a lab's must be.
 
     Args:
         options: Options of the command.
@@ -108,14 +110,26 @@ def prepare(
         SafetyStop, ConfigError, DeviceLost, SessionError, Interrupted: Nothing may be pressed.
     """
     bench = stages.bench
-    if bench.mock:
+    if bench.mock and not _is_found(bench, calibration, stages.content):
         home = no_gauge.find_surface(bench, stages.content, stages)
         calibration = dataclasses.replace(calibration, home=home, file="found in the same run")
         no_gauge.press_in_steps(bench, calibration, depth, stages, _show)
     elif not store.pressed_before(options.calibrations, bench, bench.indenter, depth):
-        made = no_gauge.press_in_steps(bench, calibration, depth, stages, confirm)
+        ask = _show if bench.mock else confirm
+        made = no_gauge.press_in_steps(bench, calibration, depth, stages, ask)
         store.store(options.calibrations, bench.sensor, first_press={bench.indenter: made})
     return calibration
+
+
+def _is_found(bench: Bench, calibration: Calibration, content: dict[str, Any]) -> bool:
+    """Return True if the surface of this very mock bench was found lately and well enough."""
+    if calibration.home is None or calibration.home.bench_sha256 != store.bench_hash(content):
+        return False
+    try:
+        no_gauge.check_home(bench, calibration, "")
+    except ConfigError:
+        return False
+    return True
 
 
 def _show(texts: list[str]) -> None:

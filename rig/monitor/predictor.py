@@ -66,7 +66,7 @@ def open_predictor(
     Args:
         model: Folder of the model.
         before: Folder of the source's model, whose forces are shown beside.
-        runtime: onnx, openvino, openvino-bf16 or torch.
+        runtime: auto, onnx, openvino, openvino-bf16 or torch.
         sensor: Name of the sensor, which selects the marker detection preset.
         preset: Name or file of a preset to use instead.
         threads: Threads per step; 0: the runtime's choice.

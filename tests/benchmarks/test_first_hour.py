@@ -28,7 +28,24 @@ def test_a_lost_device_continues_by_the_command_that_was_printed(
     )
     tactile.chmod(0o755)
     words = [str(tactile), "collect", "--out", "s.zarr"]
-    assert first_hour.ran(words, tmp_path, at_bench=True) == (0, "complete")
+    done = first_hour.ran(words, tmp_path, at_bench=True)
+    assert (done.code, done.lines, done.tries) == (0, ["complete"], 2)
     assert "$ tactile collect --resume s.zarr\n  complete" in capsys.readouterr().out
-    code, last = first_hour.ran(words, tmp_path)
-    assert (code, last) == (EXIT_DEVICE_LOST, "to continue: tactile collect --resume s.zarr")
+    assert "| `tactile collect --out s.zarr` | 0 | 2 |" in first_hour.page([done])
+    once = first_hour.ran(words, tmp_path)
+    assert (once.code, once.tries) == (EXIT_DEVICE_LOST, 1)
+
+
+def test_it_stops_at_the_first_command_that_fails(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "bin").mkdir()
+    tactile = tmp_path / "bin" / "tactile"
+    tactile.write_text('#!/bin/sh\n[ "$1" = init ] && mkdir lab && exit 0\necho broken\nexit 2\n')
+    tactile.chmod(0o755)
+    words = ["first-hour", "--venv", str(tmp_path), "--out", str(tmp_path / "new")]
+    from benchmarks.__main__ import main
+
+    assert main(words) == 2
+    text = capsys.readouterr().out
+    assert text.endswith("stopped by tactile doctor --sensor gelsight, exit code 2\n")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import math
 import multiprocessing
@@ -17,13 +18,14 @@ import pytest
 from benchmarks.no_gauge import command
 from benchmarks.no_gauge.simulated_bench import SimulatedBench, Stages, Truth
 from rig.acquire import no_gauge
-from rig.acquire.calibration.calibration import Calibration, HomeCalibration
+from rig.acquire.calibration.calibration import Calibration, FirstPressRecord, HomeCalibration
 from rig.acquire.calibration.onset import Onset
 from rig.acquire.calibration.signal_onset import Way, onset_of, surface_of
-from rig.acquire.calibration.store import now_utc
+from rig.acquire.calibration.store import bench_hash, now_utc
 from rig.acquire.signal_level import SignalLevel, grey
 from rig.acquire.stream_process import COUNTERS, StreamJob, _StreamLoop
 from rig.bench.bench import Bench, bench_from
+<<<<<<< HEAD
 from rig.bench.no_gauge import (
     SURFACE_WIDTH,
     check_plan,
@@ -32,6 +34,10 @@ from rig.bench.no_gauge import (
     slowed,
     without_gauge,
 )
+=======
+from rig.bench.no_gauge import check_plan, guards_of, planned_depth, slowed, without_gauge
+from rig.cli.without_gauge import prepare
+>>>>>>> 1756f682 (Drawings of a bench for its guide, loaders beside LeRobot's, live forces of models that were not exported, no second search of a surface just found)
 from rig.core.clock import SECOND_NS, FakeClock
 from rig.core.config import read_yaml
 from rig.core.errors import ConfigError, SafetyStop
@@ -282,6 +288,39 @@ def test_a_lab_bench_needs_a_fresh_and_narrow_surface(
         return
     with pytest.raises(ConfigError, match=text):
         no_gauge.check_home(bench, calibration, "tactile home")
+
+
+@pytest.mark.parametrize(
+    ("hours", "of_this_file", "searched"),
+    [(1.0, True, False), (25.0, True, True), (1.0, False, True)],
+)
+def test_a_mock_bench_searches_its_surface_unless_it_was_found_lately(
+    hours: float,
+    of_this_file: bool,
+    searched: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    content = content_of("gelsight")
+    bench = bench_from(content, "bench.yaml")
+    frame, tcp = tuple(bench.contact_frame), tuple(bench.arm.tcp)
+    date = str(np.datetime64(now_utc()[:-1]) - np.timedelta64(int(3600 * hours), "s")) + "Z"
+    digest = bench_hash(content if of_this_file else {})
+    home = HomeCalibration(date, "touch", True, digest, frame, tcp, 1e-4, (0.9e-4, 1.1e-4), (1e-4,))
+    fresh = dataclasses.replace(home, date_utc=now_utc(), shift=2e-4)
+    pressed = FirstPressRecord(now_utc(), True, tcp, 1e-3, (1.0,))
+    asked: list[str] = []
+    monkeypatch.setattr(no_gauge, "find_surface", lambda *_: asked.append("search") or fresh)
+    monkeypatch.setattr(no_gauge, "press_in_steps", lambda *_: asked.append("press") or pressed)
+    options = argparse.Namespace(calibrations=tmp_path)
+    stages: Any = SimpleNamespace(bench=bench, content=content)
+    found = prepare(options, stages, Calibration(home=home), 1e-3)
+    assert asked == (["search", "press"] if searched else ["press"])
+    assert found.home == (fresh if searched else home)
+    # The first press of a bench that was set up is remembered, as that of a lab's.
+    asked.clear()
+    prepare(options, stages, Calibration(home=home), 1e-3)
+    assert asked == (["search", "press"] if searched else [])
 
 
 def test_a_zero_is_for_the_guard_and_not_for_what_is_averaged(tmp_path: Path) -> None:

@@ -24,7 +24,8 @@ _EPISODE = 60
 _WRITER_THREADS = 4
 
 
-def _dataset_class() -> Any:
+def dataset_class() -> Any:
+    """Return LeRobot's class of data sets."""
     try:
         import torchvision  # noqa: F401
     except RuntimeError:
@@ -96,7 +97,7 @@ class LeRobot:
 
     def __init__(self, profile: str) -> None:
         self._profile = profile
-        self._dataset = _dataset_class()
+        self._dataset = dataset_class()
 
     def create(self, path: Path) -> _Appender:
         """Create a new dataset."""
