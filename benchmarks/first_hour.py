@@ -1,6 +1,6 @@
 """From the wheel to live forces: every command of a user's first hour, in an empty folder.
 
-    python -m benchmarks first-hour --page docs/results/first-hour.md
+    python -m benchmarks first-hour --page times.md
 
 Builds the wheel and installs it into a new environment. In a lab outside of the repository it tests
 and sets up a mock bench, records three sessions, looks at one and records two of its targets again.
@@ -219,7 +219,7 @@ def page(done: Sequence[Ran]) -> str:
 Every command from the wheel to live forces, in a new environment and an empty folder, on the mock
 bench: {len(done)} commands in {took}. One run on
 {cores()} cores that other programs used too, made by
-`python -m benchmarks first-hour --page docs/results/first-hour.md` (`make first-hour` runs it).
+`python -m benchmarks first-hour --page FILE` (`make first-hour` runs it).
 
 | command | time [s] | tries |
 |---|---|---|

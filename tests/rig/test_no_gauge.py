@@ -25,7 +25,6 @@ from rig.acquire.calibration.store import bench_hash, now_utc
 from rig.acquire.signal_level import SignalLevel, grey
 from rig.acquire.stream_process import COUNTERS, StreamJob, _StreamLoop
 from rig.bench.bench import Bench, bench_from
-<<<<<<< HEAD
 from rig.bench.no_gauge import (
     SURFACE_WIDTH,
     check_plan,
@@ -34,10 +33,7 @@ from rig.bench.no_gauge import (
     slowed,
     without_gauge,
 )
-=======
-from rig.bench.no_gauge import check_plan, guards_of, planned_depth, slowed, without_gauge
 from rig.cli.without_gauge import prepare
->>>>>>> 1756f682 (Drawings of a bench for its guide, loaders beside LeRobot's, live forces of models that were not exported, no second search of a surface just found)
 from rig.core.clock import SECOND_NS, FakeClock
 from rig.core.config import read_yaml
 from rig.core.errors import ConfigError, SafetyStop
