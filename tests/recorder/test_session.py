@@ -15,6 +15,7 @@ from support.sessions import (
     DEPTH,
     T0,
     append_all,
+    as_it_is,
     depth_at,
     make_session,
     reseal,
@@ -56,7 +57,7 @@ def test_files_are_durable_before_the_manifest_names_them_and_it_before_the_stat
         orders[found.st_ino, found.st_mtime_ns] = next(numbers)
 
     monkeypatch.setattr(os, "fsync", noted)
-    path = make_session(tmp_path / "s.zarr")
+    path = make_session(tmp_path / "s.zarr", change=as_it_is)
 
     def order(entry: Path) -> float:
         """Return when the present content of a file or directory was made durable."""

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.simulated_archives import LAYER, LIVED, SKINS, digests, make, solved_once
+from support.simulated_archives import COARSE, LAYER, LIVED, SKINS, digests, make, solved_once
 
 from recorder import MarkerArchive, check
 from recorder.archive import ArchivedSensor, location_pairs
-from sim import Layer, Result, Scene, SceneError, SimulationDiverged, simulate
+from sim import Result, Scene, SceneError, SimulationDiverged, simulate
 from sim.dataset import DatasetPlan, Solving, begin, families, found, gel
 from sim.dataset import plan as solving
 from sim.dataset.generate import crept, reader
@@ -81,7 +81,7 @@ def test_a_skin_of_twice_the_modulus_takes_twice_the_force_of_a_solution_of_its_
     press = families(SKINS)[0].presses[0]
     for name in ("r6", "r18"):
         rows = press_rows(archive[name], press.indenter, press.recordings[0].target)
-        own = simulate(sensor(name).placed(named("sphere"), press.motion, seed=0), Layer())
+        own = simulate(sensor(name).placed(named("sphere"), press.motion, seed=0), COARSE)
         scale = np.abs(own.wrench[:, :3]).max()
         assert scale > 0.1
         np.testing.assert_allclose(
@@ -180,7 +180,7 @@ def diverging(times: int) -> Any:
     left = [times]
 
     def simulate_many(scenes: Sequence[Scene], *_: Any, **_options: Any) -> list[Any]:
-        outcomes: list[Result | SimulationDiverged] = list(real(scenes, Layer()))
+        outcomes: list[Result | SimulationDiverged] = list(real(scenes, COARSE))
         if left[0] > 0:
             left[0] -= 1
             outcomes[0] = SimulationDiverged("no converged state; state: /tmp/x/state.npz")

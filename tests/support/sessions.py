@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import simplejpeg
 from numpy.typing import NDArray
+from support.copies import copied
 
 from recorder import (
     SessionWriter,
@@ -150,13 +151,37 @@ def make_session(
     names: tuple[str, ...] = ("camera", "force", "pose"),
     codec: str = "jpeg",
     shape: tuple[int, int] = (48, 64),
-    change: Change = lambda name, columns: columns,
+    change: Change | None = None,
     finish: bool = True,
 ) -> Path:
     """Record a session of consecutive presses.
 
     `change` may plant a fault: it is called with every stream and table before it is written.
+    Without it a session that this process has recorded before is copied; with `as_it_is` it is
+    recorded in any case.
     """
+    if change is None:
+        key = (seconds, names, codec, shape, finish)
+        copied(path, ("session", *key), lambda made: _record(made, *key, as_it_is))
+    else:
+        _record(path, seconds, names, codec, shape, finish, change)
+    return path
+
+
+def as_it_is(name: str, columns: Columns) -> Columns:
+    """Return a stream or table unchanged."""
+    return columns
+
+
+def _record(
+    path: Path,
+    seconds: float,
+    names: tuple[str, ...],
+    codec: str,
+    shape: tuple[int, int],
+    finish: bool,
+    change: Change,
+) -> None:
     targets = {
         "point": np.arange(50, dtype=np.int16),
         "depth": np.full(50, DEPTH),
@@ -203,7 +228,6 @@ def make_session(
         session.reference.append(**row)
         if finish:
             session.finish("complete", rate_hz=40)
-    return path
 
 
 def set_attrs(path: Path, **attrs: Any) -> None:

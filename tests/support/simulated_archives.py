@@ -14,11 +14,13 @@ import pytest
 from sim.dataset import DatasetPlan, OpenArchive, RunSummary, Solving, Stop, Unit, begin, fill, run
 from sim.dataset import plan as solving
 from sim.dataset.run import make_here
+from sim.layer import Layer
 from sim.scene import Scene
 from sim.sensors import sensor
 from sim.simulate import Tier, simulate_many
 
 LAYER = Solving(tier="layer")
+COARSE = Layer(grid=48)
 # A family of two skins and one of taxels: 5 units, two of them force-depth.
 SKINS = DatasetPlan(
     "targets",
@@ -65,7 +67,7 @@ def make(
 
 @pytest.fixture(scope="module", autouse=True)
 def solved_once() -> Iterator[None]:
-    """Solve every press of these tests once, and predict costs from one press per family."""
+    """Solve presses once, those of tier `layer` on a coarse grid; predict costs from one each."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(solving, "simulate_many", _known)
         patch.setattr(run, "SAMPLES", 1)
@@ -74,6 +76,7 @@ def solved_once() -> Iterator[None]:
 
 def _known(scenes: Sequence[Scene], tier: Tier, **options: Any) -> list[Any]:
     options.pop("progress", None)
+    tier = COARSE if isinstance(tier, Layer) else tier
     return [_simulated(scene, tier, tuple(sorted(options.items()))) for scene in scenes]
 
 
