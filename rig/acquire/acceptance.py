@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import base64
 import json
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -43,6 +44,7 @@ class SetupRecord:
         """Answers and findings of each step, by its name."""
         self.accepted: dict[str, Any] | None = found.get("acceptance")
         """Summary of the report; None before the end."""
+        self._running: dict[str, Any] | None = None
 
     @property
     def report(self) -> Path:
@@ -58,6 +60,22 @@ class SetupRecord:
         """
         step = self.steps.get(name)
         return step is not None and step["keys_sha256"] == self._digest(keys)
+
+    def show(self, name: str, number: int, count: int, findings: Sequence[Finding] = ()) -> None:
+        """Store the step that is under way, for the page, until it is added.
+
+        Args:
+            name: Name of the step.
+            number: Its number, from 1.
+            count: Number of steps.
+            findings: Its findings, before a person decides on them.
+
+        Raises:
+            ConfigError: The file cannot be written.
+        """
+        step = {"step": name, "number": number, "count": count, "pid": os.getpid()}
+        self._running = {**step, "findings": [asdict(each) for each in findings]}
+        self._write()
 
     def add(
         self,
@@ -79,7 +97,7 @@ class SetupRecord:
             "findings": [asdict(each) for each in findings],
             "keys_sha256": self._digest(keys),
         }
-        self.accepted = None
+        self.accepted = self._running = None
         self._write()
 
     def keep_picture(self, name: str, content: bytes) -> None:
@@ -136,6 +154,7 @@ class SetupRecord:
             "mock": self._bench.mock,
             "steps": self.steps,
             "acceptance": self.accepted,
+            **({"running": self._running} if self._running else {}),
         }
         self._replace(self.path, json.dumps(found, indent=1).encode())
 

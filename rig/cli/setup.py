@@ -488,14 +488,17 @@ def _steps(at: AtBench, repeated: set[str]) -> int | None:
     needed = [step for step in STEPS if step.needed(at.bench)]
     chosen = [step for step in needed if not at.options.only or step.name in at.options.only]
     for step in chosen:
-        place = f"{needed.index(step) + 1}/{len(needed)} {step.name}"
+        number = needed.index(step) + 1
+        place = f"{number}/{len(needed)} {step.name}"
         if at.record.done(step.name, step.keys) and step.name not in repeated:
             stored = at.record.steps[step.name]
             print(f"{place}: done {stored['date_utc']}, {stored['state']}", flush=True)
             continue
         print(f"{place}: {(step.check.__doc__ or '').strip()}", flush=True)
+        at.record.show(step.name, number, len(needed))
         answers = {ask.name: at.ask(ask.name, ask.text, ask.default(at.bench)) for ask in step.asks}
         found = _checked(at, step, answers)
+        at.record.show(step.name, number, len(needed), found)
         if any(each.state == "FAULT" for each in found):
             order = (
                 ""

@@ -117,7 +117,7 @@ def test_steps_of_a_set_up_and_its_report_are_shown(bench: Workbench) -> None:
     folder = bench.folder / "calibrations"
     folder.mkdir()
     step = {"date_utc": "2026-11-24T08:00:00Z", "state": "well", "answers": {}, "findings": []}
-    running_now = {"step": "home", "number": 2, "count": 9, "pid": 1}
+    running_now = {"step": "home", "number": 2, "count": 9, "pid": 1, "findings": []}
     stored = {"mock": True, "steps": {"arm": step}, "acceptance": None, "running": running_now}
     (folder / "gelsight.setup.json").write_text(json.dumps(stored))
     (folder / "broken.setup.json").write_text("{")

@@ -153,18 +153,19 @@ def make_session(
     shape: tuple[int, int] = (48, 64),
     change: Change | None = None,
     finish: bool = True,
+    targets: Columns | None = None,
 ) -> Path:
     """Record a session of consecutive presses.
 
     `change` may plant a fault: it is called with every stream and table before it is written.
-    Without it a session that this process has recorded before is copied; with `as_it_is` it is
+    Without it and `targets` a session that this process has recorded before is copied; with `as_it_is` it is
     recorded in any case.
     """
-    if change is None:
+    if change is None and targets is None:
         key = (seconds, names, codec, shape, finish)
         copied(path, ("session", *key), lambda made: _record(made, *key, as_it_is))
     else:
-        _record(path, seconds, names, codec, shape, finish, change)
+        _record(path, seconds, names, codec, shape, finish, change or as_it_is, targets)
     return path
 
 
@@ -181,8 +182,9 @@ def _record(
     shape: tuple[int, int],
     finish: bool,
     change: Change,
+    targets: Columns | None = None,
 ) -> None:
-    targets = {
+    targets = targets or {
         "point": np.arange(50, dtype=np.int16),
         "depth": np.full(50, DEPTH),
         "direction": np.zeros(50, np.int16),

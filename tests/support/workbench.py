@@ -17,11 +17,13 @@ from support.collecting import ROOT
 from support.sessions import make_session, set_attrs
 from websockets.sync.client import connect
 
+from rig.acquire.collector import target_table
 from rig.bench.bench import load_bench
 from rig.core.packaged import BENCHES
 from trajectories import plan_to_json
 
-PLAN = load_bench(BENCHES / "gelsight.yaml")[0].trajectory
+BENCH, _ = load_bench(BENCHES / "gelsight.yaml")
+PLAN = BENCH.trajectory
 TARGETS = 50
 
 
@@ -30,7 +32,9 @@ def make_lab(folder: Path) -> Path:
     known = {"plan": plan_to_json(PLAN), "targets_wanted": TARGETS, "indenter": "moon"}
     day = folder / "sessions" / "day"
     day.mkdir(parents=True)
-    camera = make_session(day / "moon.zarr", shape=(480, 640))
+    camera = make_session(
+        day / "moon.zarr", shape=(480, 640), targets=target_table(PLAN, TARGETS, BENCH)
+    )
     started = {"started_utc": "2026-11-24T08:00:00Z"}
     set_attrs(camera, **known, **started, sensor="gelsight", operator="Ada")
     taxels = make_session(folder / "sessions" / "u.zarr", names=("taxels", "force", "pose"))

@@ -267,16 +267,13 @@ def _plan(session: Session) -> Plan | None:
 
 
 def _places(session: Session, plan: Plan | None) -> dict[int, list[float]]:
-    """Return x and y of each contact point in the contact frame [mm]; without a plan, in a row."""
-    if plan is None:
-        points = np.unique(session.targets.get("point", ())).tolist()
-        return {int(point): [float(k), 0.0] for k, point in enumerate(points)}
-    count = len(session.targets["point"])
-    return {
-        target.point: [from_si(value, "mm") for value in target.origin[:2]]
-        for target in plan.targets()
-        if target.index < count
-    }
+    """Return x and y of each contact point in the contact frame [mm]; unknown ones in a row."""
+    points = np.unique(session.targets.get("point", ())).tolist()
+    found = {int(point): [float(k), 0.0] for k, point in enumerate(points)}
+    planned = {} if plan is None else {each.point: each.origin for each in plan.targets()}
+    if set(found) <= set(planned):
+        return {point: [from_si(v, "mm") for v in planned[point][:2]] for point in found}
+    return found
 
 
 def _outcomes(session: Session, plan: Plan | None) -> str:

@@ -154,7 +154,7 @@ function setups(setup, bench) {
   const rows = setup.steps.map((step) => [step.name, h("span", { class: `state-${step.state}` }, step.state),
     step.findings.filter((each) => each.state !== "well").map((each) => `${each.part}: ${each.text}`).join("; ") || step.date_utc.slice(0, 16).replace("T", " ")]);
   const now = setup.running;
-  if (now) rows.push([now.step, h("span", { class: "state-now" }, "now"), `step ${now.number} of ${now.count}`]);
+  if (now) rows.push([now.step, h("span", { class: "state-now" }, "now"), [`step ${now.number} of ${now.count}`, ...now.findings.map((each) => `${each.state}: ${each.part}: ${each.text}`)].join("; ")]);
   const report = url("report", { sensor: setup.sensor });
   return [h("p", {}, "Set-up: ", h("b", {}, now ? "under way" : setup.result || "not finished"), ...(setup.report ? [" · ", h("a", { href: report, target: "_blank", rel: "noopener" }, "acceptance report")] : [])),
     h("details", now ? { open: "" } : {}, h("summary", {}, "Steps"), table(["step", "state", "found"], rows))];
