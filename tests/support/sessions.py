@@ -158,8 +158,8 @@ def make_session(
     """Record a session of consecutive presses.
 
     `change` may plant a fault: it is called with every stream and table before it is written.
-    Without it and `targets` a session that this process has recorded before is copied; with `as_it_is` it is
-    recorded in any case.
+    Without it and `targets`, a session that this process has recorded before is copied; with
+    `as_it_is` it is recorded in any case.
     """
     if change is None and targets is None:
         key = (seconds, names, codec, shape, finish)
