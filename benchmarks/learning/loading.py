@@ -182,7 +182,8 @@ LeRobot reads the export of the same sessions (`tactile session export --to lero
 the JPEG bytes, by its own `delta_timestamps`; its images are float32, four times as large. A plain
 loader reads the same JPEGs as files, and forces that were aligned before. Neither checks anything.
 Each row is a process of its own. CPU-seconds include the start of workers, and memory is that of
-the process or one of its workers, whichever is larger.
+the process or one of its workers, whichever is larger. The load average at the end was
+{os.getloadavg()[1]:.0f}: where it exceeds the cores, compare rates per CPU-second only.
 
 | reader | workers | images/s | windows/s | images per CPU-second | memory [MB] |
 |---|---|---|---|---|---|
