@@ -85,7 +85,7 @@ resume: $(VENV)/.rig $(WORLDDEP)  ## Continue a stopped session
 	@$(PY) -m rig collect $(if $(BENCH),--bench $(BENCH)) $(WORLDARG) $(SOURCES) --resume $(SESSION) $(if $(AGAIN),--again $(AGAIN)) $(WATCHARG)
 
 #: [SESSIONS=sessions] [PORT=8766] [HOST=0.0.0.0]
-page: $(VENV)/.rig  ## Sessions, replay, campaigns and set-up of the lab in the browser; nothing moves
+page: $(VENV)/.rig  ## Sessions, replay, campaigns and set-up in the browser; nothing moves
 	@$(PY) -m rig page $(SESSIONS) $(if $(PORT),--port $(PORT)) $(if $(HOST),--host $(HOST))
 
 #: SENSOR=tacpalm [INDENTER=] [CORNERS=1] [BENCH=file] [WORLD=sim] [FORCE=none]
@@ -197,7 +197,7 @@ experiment: $(VENV)/.learning  ## Translate, train, compensate and evaluate all 
 	@$(PY) -m learning experiment $(ARCHIVE) --out $(OUT) $(if $(PRESET),--preset $(PRESET)) $(ARGS)
 
 #: [OUT=folder] [ARGS="--venv DIR"]
-first-hour: $(VENV)/.rig  ## Run every command from the wheel to live forces, on a mock bench (15 minutes)
+first-hour: $(VENV)/.rig  ## Run all commands from wheel to live forces on a mock bench (15 minutes)
 	@$(PY) -m benchmarks first-hour $(if $(OUT),--out $(OUT)) $(ARGS)
 
 #: [OUT=runs/demo-learning]

@@ -297,7 +297,7 @@ def test_pictures_stored_as_pixels_cannot_be_watched(tmp_path: Path) -> None:
             ["--sensor", "uskin", "--threads", "-1"],
             "--threads: found '-1'; allowed: whole",
         ),
-        (["--sensor", "uskin"], "no such file"),
+        (["--sensor", "uskin"], "found no config.yaml; allowed: the folder of a training run"),
         (["--sensor", "nothing"], "SENSOR: found 'nothing'"),
         (["--session", "x.zarr", "--indenter", "cone"], "--session: goes without"),
         ([], "--sensor, --bench: both missing"),

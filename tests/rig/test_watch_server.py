@@ -292,7 +292,7 @@ def test_a_slow_reader_is_let_go_and_nobody_waits_for_it(running: Running) -> No
 
         until(only_one_left)
     # Meanwhile the fast client saw new images all the time.
-    assert len(set(rows)) > 3
+    assert len(set(rows)) >= 3
 
 
 def test_garbage_instead_of_http_is_hung_up_on(running: Running) -> None:

@@ -18,7 +18,9 @@ FILES = [
     *(("bench", path) for path in sorted((ROOT / "rig/bench/benches").glob("**/*.yaml"))),
     *(("campaign", path) for path in sorted((ROOT / "rig/bench/campaigns").glob("*.yaml"))),
     *(("sensor", path) for path in sorted((ROOT / "sim/sensors/rows").glob("*.yaml"))),
-    *(("sensor", path) for path in sorted((ROOT / "examples").glob("**/*.yaml"))),
+    *(("sensor", path) for path in sorted((ROOT / "examples").glob("demo-*/*.yaml"))),
+    *(("bench", path) for path in sorted((ROOT / "examples").glob("*/*-gauge.yaml"))),
+    *(("campaign", path) for path in sorted((ROOT / "examples").glob("*/day.yaml"))),
 ]
 
 
