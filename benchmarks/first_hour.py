@@ -217,8 +217,7 @@ def page(done: Sequence[Ran]) -> str:
     return f"""# A user's first hour
 
 Every command from the wheel to live forces, in a new environment and an empty folder, on the mock
-bench: {len(done)} commands in {took}. One run on
-{cores()} cores that other programs used too, made by
+bench: {len(done)} commands in {took}. One run on {cores()} cores, made by
 `python -m benchmarks first-hour --page FILE` (`make first-hour` runs it).
 
 | command | time [s] | tries |
