@@ -71,6 +71,8 @@ class Pacer:
         self._tick = 0
         self.missed = 0
         """Ticks whose time passed before `wait` was called for them."""
+        self.late = 0
+        """Those of them that the last `wait` skipped."""
 
     def deadline_ns(self, tick: int) -> int:
         """Return the time at which `tick` is due [ns]."""
@@ -80,7 +82,8 @@ class Pacer:
         """Sleep until the next tick still ahead and return its deadline [ns]."""
         elapsed_ns = self._clock.now_ns() - self._origin_ns
         due = max(self._tick + 1, int(elapsed_ns * self._rate_hz // SECOND_NS))
-        self.missed += due - self._tick - 1
+        self.late = due - self._tick - 1
+        self.missed += self.late
         self._tick = due
         deadline_ns = self.deadline_ns(due)
         self._clock.sleep_until(deadline_ns)

@@ -92,12 +92,12 @@ class AtiSerialEmulator(PtyEmulator):
                 self._take_commands(0.05)
                 continue
             if pacer is None:
-                pacer, missed = Pacer(self._clock, self.rate_hz), self.missed
+                pacer = Pacer(self._clock, self.rate_hz)
             pacer.wait()
-            late, self.missed = missed + pacer.missed - self.missed, missed + pacer.missed
+            self.missed += pacer.late
             self._take_commands(0.0)
             # The controller's clock never stands still: late records are sent all the same.
-            due = 1 + min(late, LATE_MOST) if self._streaming else 0
+            due = 1 + min(pacer.late, LATE_MOST) if self._streaming else 0
             for _ in range(due):
                 for content in self.records(emit(self._record(), self._form)):
                     self._send(content)

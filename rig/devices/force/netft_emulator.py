@@ -143,14 +143,13 @@ class NetFtEmulator(ThreadedEmulator):
                 rate_hz = self.page.rate_hz
                 pacer = Pacer(self._clock, rate_hz)
                 stride = round(_INTERNAL_HZ / rate_hz)
-                missed = self.missed
             pacer.wait()
-            late, self.missed = missed + pacer.missed - self.missed, missed + pacer.missed
+            self.missed += pacer.late
             newest, state = self._world.state()
             if newest != number or self._scale is not scale:
                 number, scale, counts = newest, self._scale, self._counts(state)
             self._take_commands(udp, counts)
-            for _ in range(1 + min(late, LATE_MOST)):
+            for _ in range(1 + min(pacer.late, LATE_MOST)):
                 self._send_record(udp, counts, noise, stride)
 
     def _send_record(self, udp: socket.socket, counts: Counts, noise: Counts, stride: int) -> None:

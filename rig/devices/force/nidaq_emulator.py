@@ -450,13 +450,11 @@ class NidaqEmulator:
     def run_clock(self, rate_hz: float, channels: Sequence[Channel], buffer: Buffer) -> None:
         """Run the sample clock of one task: fill `buffer` until it is stopped."""
         pacer = Pacer(self._clock, rate_hz)
-        missed = 0
         while not buffer.stopped.is_set():
             pacer.wait()
-            late, missed = pacer.missed - missed, pacer.missed
-            self.missed += late
+            self.missed += pacer.late
             # The card's clock never stands still: late samples are added all the same.
-            rows = self.samples(np.repeat(self.converted(channels), 1 + late, axis=0))
+            rows = self.samples(np.repeat(self.converted(channels), 1 + pacer.late, axis=0))
             if len(rows):
                 buffer.put(rows)
 
