@@ -107,21 +107,23 @@ def surface_of(
         float(np.sum([(each.z - heights[point]) ** 2 for each in found]))
         for point, found in groups.items()
     )
-    surface = combine(groups[first])
-    if freedom:
-        spread = float(np.sqrt(squares / freedom))
+    spread = float(np.sqrt(squares / freedom)) if freedom else float("nan")
+    slopes = None
+    if len(groups) >= 3:
+        where = np.array([places[point] for point in groups], np.float64)
+        slopes = tilt(where, np.array([heights[point] for point in groups]))[:2]
+        surface = _on_plane(groups, places, spread)
+    elif freedom:
         half = _t_95(freedom) * spread / np.sqrt(len(groups[first]))
         within = np.sqrt(
             np.mean([(np.diff(each.interval)[0] / 2) ** 2 for each in groups[first]])
             / len(groups[first])
         )
         half = float(np.hypot(np.hypot(half, within), _MODEL))
-        surface = Surface(surface.z, (surface.z - half, surface.z + half), spread)
-    slopes = None
-    if len(groups) >= 3:
-        where = np.array([places[point] for point in groups], np.float64)
-        slopes = tilt(where, np.array([heights[point] for point in groups]))[:2]
-        surface = _on_plane(groups, places, surface.spread)
+        z = heights[first]
+        surface = Surface(z, (z - half, z + half), spread)
+    else:
+        surface = combine(groups[first])
     delays = [delay for found in approaches.values() for _, delay in found]
     return FoundSurface(surface, tuple(groups[first]), float(np.mean(delays)), heights, slopes)
 
