@@ -17,7 +17,7 @@ from typing import Any
 
 from recorder.pages import render
 from recorder.store import replace_file
-from rig.acquire.calibration.store import bench_hash, now_utc, read_setup, setup_path
+from rig.acquire.calibration.store import bench_hash, now_utc, read_setup, report_path, setup_path
 from rig.acquire.doctor import Finding
 from rig.bench.bench import Bench
 from rig.core.errors import ConfigError
@@ -49,7 +49,7 @@ class SetupRecord:
     @property
     def report(self) -> Path:
         """Path of the report."""
-        return self.path.with_name(f"{self._bench.sensor}.acceptance.html")
+        return report_path(self.path.parent, self._bench.sensor)
 
     def done(self, name: str, keys: Sequence[str]) -> bool:
         """Return True if a step is finished, and the sections of the file it checked are as then.

@@ -31,6 +31,8 @@ from rig.core.errors import ConfigError
 
 # Default folder.
 FOLDER = Path("calibrations")
+# Ending of the name of a set-up's file, after that of the sensor.
+SETUP = ".setup.json"
 # An older calibration is used with a warning.
 STALE_DAYS = 7.0
 _NOTE = "# Measured, not written by hand: tactile home, tactile calibrate-latency.\n"
@@ -113,7 +115,12 @@ def load(folder: Path, bench: Bench, indenter: str) -> tuple[Calibration, list[s
 
 def setup_path(folder: Path, sensor: str) -> Path:
     """Return the file of `tactile setup`, with its answers and findings."""
-    return folder / f"{sensor}.setup.json"
+    return folder / f"{sensor}{SETUP}"
+
+
+def report_path(folder: Path, sensor: str) -> Path:
+    """Return the file of the acceptance report."""
+    return folder / f"{sensor}.acceptance.html"
 
 
 def acceptance_of(folder: Path, bench: Bench) -> dict[str, Any] | None:

@@ -13,6 +13,7 @@ from typing import Any
 from recorder import SessionError
 from recorder.catalogue import Row
 from rig.acquire.again import marked, write_marks
+from rig.acquire.calibration.store import SETUP, report_path
 from rig.acquire.campaign import Campaign, load_campaign, progress_of
 from rig.acquire.preview import draw, summary
 from rig.bench.bench import Bench, load_bench
@@ -137,7 +138,7 @@ class Lab:
         return self._report(sensor).read_bytes()
 
     def _report(self, sensor: str) -> Path:
-        return self._places.calibrations / f"{sensor}.acceptance.html"
+        return report_path(self._places.calibrations, sensor)
 
     def _command(self, file: Path) -> str:
         return shlex.join(["tactile", "campaign", "--file", str(file)])
@@ -217,8 +218,8 @@ class Lab:
 
     def _setups(self) -> list[dict[str, Any]]:
         found: list[dict[str, Any]] = []
-        for path in sorted(self._places.calibrations.glob("*.setup.json"))[:_MOST]:
-            sensor = path.name.removesuffix(".setup.json")
+        for path in sorted(self._places.calibrations.glob(f"*{SETUP}"))[:_MOST]:
+            sensor = path.name.removesuffix(SETUP)
             try:
                 stored = json.loads(path.read_text())
                 steps = [{"name": name, **step} for name, step in stored["steps"].items()]
@@ -226,7 +227,7 @@ class Lab:
             except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
                 found.append({"sensor": sensor, "error": f"{path}: {error}", "steps": []})
                 continue
-            if running and not Path(f"/proc/{int(running['pid'])}").exists():
+            if running and not _lives(running):
                 running = None
             found.append(
                 {
@@ -246,11 +247,16 @@ class Lab:
         for folder in {Path(row.path).parent for row in self.finished.rows()} | {Path()}:
             try:
                 found = json.loads((self.finished.folder / folder / ADDRESS).read_text())
-                if Path(f"/proc/{int(found['pid'])}").exists():
+                if _lives(found):
                     return {"port": int(found["port"]), "session": str(found["session"])}
             except (OSError, ValueError, KeyError, TypeError):
                 continue
         return None
+
+
+def _lives(stored: dict[str, Any]) -> bool:
+    """Return True if the process that stored this under `pid` has not ended."""
+    return Path(f"/proc/{int(stored['pid'])}").exists()
 
 
 def _is_of(row: Row, bench: Bench) -> bool:
