@@ -144,9 +144,9 @@ check-session: $(VENV)/.rig  ## Check a session for problems
 import: $(VENV)/.markers  ## Make a session of recordings made elsewhere
 	@$(PY) -m tactile import $(PATHS) $(if $(OUT),--out $(OUT)) $(ARGS)
 
-#: MODEL=runs/x SENSOR=tacpalm [BENCH=file] [WORLD=sim] [FORCE=none] [SESSION=replayed.zarr] [ARGS="--seconds 10"]
+#: MODEL=runs/x SENSOR=tacpalm [BENCH=file] [WORLD=sim] [FORCE=none] [SESSION=replayed.zarr] [BEFORE=runs/y] [ARGS="--seconds 10"]
 live: $(VENV)/.live  ## Show forces as the sensor is pressed
-	@$(PY) -m rig live --model $(MODEL) $(if $(SESSION),--session $(SESSION),$(BENCHARG) $(FORCEARG)) $(ARGS)
+	@$(PY) -m rig live --model $(MODEL) $(if $(SESSION),--session $(SESSION),$(BENCHARG) $(FORCEARG)) $(if $(BEFORE),--before $(BEFORE)) $(ARGS)
 
 ##@ Simulate
 

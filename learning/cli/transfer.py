@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import argparse
 import math
-import shlex
 from pathlib import Path
 
 from learning.cli.archive_join import add_tolerances, chosen_sensors, tolerances_of
 from learning.command import add_settings
 from learning.errors import LearningError
-from recorder.command_line.options import add_device, called_by_make, names, positive
+from recorder.command_line.options import add_device, as_typed, names, positive
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -124,10 +123,6 @@ def run(options: argparse.Namespace) -> int:
     )
     run_transfer(asked, lambda line: print(line, flush=True))
     print(f"{asked.out / 'report.html'}: report; {asked.model / 'card.md'}: card")
-    model, before, sensor = map(str, (asked.model, asked.before, asked.target.sensor))
-    words = ["tactile", "live", "--sensor", sensor, "--model", model, "--before", before]
-    if called_by_make():
-        more = shlex.join(["--before", before])
-        words = ["make", "live", f"SENSOR={sensor}", f"MODEL={model}", f"ARGS={more}"]
-    print(f"next: {shlex.join(words)}")
+    sensor = asked.target.sensor
+    print(f"next: {as_typed('live', sensor=sensor, model=asked.model, before=asked.before)}")
     return 0

@@ -200,6 +200,8 @@ class Progress:
     """Number of finished targets."""
     note: str = ""
     """Reason why it was stopped or cannot be read."""
+    again: tuple[int, ...] = ()
+    """Targets that are still to be pressed again, numbered from 1."""
 
     @property
     def left(self) -> float:
@@ -251,13 +253,14 @@ def _progress(campaign: Campaign, item: Item, catalogue: Catalogue | None) -> Pr
 def _progress_again(item: Item) -> Progress:
     path = Path(item.entry.session)
     try:
-        left = targets_left(item.entry)
+        left = _targets_left(item.entry)
     except (SessionError, OSError, ValueError, KeyError) as error:
         return Progress(item, path, "unreadable", 0, str(error))
-    return Progress(item, path, "to resume" if left else "done", item.total - len(left))
+    state: ItemState = "to resume" if left else "done"
+    return Progress(item, path, state, item.total - len(left), again=left)
 
 
-def targets_left(entry: Entry) -> list[int]:
+def _targets_left(entry: Entry) -> tuple[int, ...]:
     """Return the targets to press again that no run since has finished, numbered from 1.
 
     Raises:
@@ -268,7 +271,7 @@ def targets_left(entry: Entry) -> list[int]:
     later = session.segments["run"] >= entry.runs
     segments = {key: session.segments[key][later] for key in ("target", "phase", "outcome", "run")}
     done = finished_targets(plan, segments, int(session.attrs["targets_wanted"]))
-    return [target for target in entry.again if target - 1 not in done]
+    return tuple(target for target in entry.again if target - 1 not in done)
 
 
 def _mismatch(item: Item, row: Row | None) -> str:
@@ -333,7 +336,7 @@ def command(progress: Progress, campaign: Campaign, settings: Settings) -> list[
         resumed = ["collect", "--bench", bench, "--resume", str(progress.session), *kept]
         if not entry.again:
             return resumed
-        return [*resumed, "--again", ",".join(map(str, targets_left(entry)))]
+        return [*resumed, "--again", ",".join(map(str, progress.again))]
     common = ["--bench", bench, "--out", str(progress.session), "--indenter", entry.indenter]
     common += [*kept, *(("--operator", campaign.operator) if campaign.operator else ())]
     if entry.plan == "force_depth":

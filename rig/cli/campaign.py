@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from recorder.command_line.errors import EXIT_DONE
-from rig.cli.options import calibration_options, campaign_command
+from rig.cli.options import benches_option, calibration_options, campaign_command
 from rig.core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.add_argument("--file", type=Path, required=True, help="YAML like campaigns/day.yaml")
-    parser.add_argument("--benches", type=Path, default=Path("benches"), help="folder of benches")
+    benches_option(parser)
     parser.add_argument("--out", type=Path, help="folder of the sessions (default: the file's)")
     parser.add_argument("--list", action="store_true", help="only list finished and open sessions")
     parser.add_argument("--yes", action="store_true", help="mock benches: do not ask for swaps")

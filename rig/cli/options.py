@@ -51,13 +51,7 @@ def bench_options(
         help="name of a bench file, searched in benches/lab/, benches/ and the package",
     )
     chosen.add_argument("--bench", type=Path, metavar="FILE", help="path of a bench file")
-    bench.add_argument(
-        "--benches",
-        type=Path,
-        default=Path("benches"),
-        metavar="DIR",
-        help="folder of bench files (%(default)s)",
-    )
+    benches_option(bench)
     group = parser.add_argument_group("mock bench only")
     group.add_argument(
         "--world",
@@ -85,6 +79,17 @@ def bench_options(
             "--taxels", type=Path, metavar="FILE", help="play this .npy file of raw counts (T, 48)"
         )
     return group
+
+
+def benches_option(parser: argparse._ActionsContainer) -> None:
+    """Add --benches."""
+    parser.add_argument(
+        "--benches",
+        type=Path,
+        default=Path("benches"),
+        metavar="DIR",
+        help="folder of bench files (%(default)s)",
+    )
 
 
 def bench_path(options: argparse.Namespace) -> Path:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from recorder.command_line.errors import EXIT_DONE
 from recorder.command_line.options import whole
-from rig.cli.options import calibration_options
+from rig.cli.options import benches_option, calibration_options
 from rig.monitor.page.access import DEFAULT_PORT, LOOPBACK_HOST
 
 # Default folder of sessions, which is made if it is missing.
@@ -51,13 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="folder of campaign files (%(default)s)",
     )
-    parser.add_argument(
-        "--benches",
-        type=Path,
-        default=Path("benches"),
-        metavar="DIR",
-        help="folder of bench files (%(default)s)",
-    )
+    benches_option(parser)
     calibration_options(parser)
 
 

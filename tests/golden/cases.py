@@ -28,7 +28,7 @@ def _copied(source: str, name: str = "x.zarr", *steps: tuple[object, ...]) -> tu
 
 RIG = (
     *("collect", "home", "calibrate-latency", "force-depth", "campaign", "jog", "live", "grip"),
-    *("preview", "compare", "mock", "replay"),
+    *("preview", "compare", "mock", "replay", "page", "doctor", "setup"),
 )
 RECORDER = ("list", "info", "check", "recover", "repack", "export", "view", "sheet")
 SIM = ("press", "loop", "hold", "archive", "archive states", "archive sensors")
