@@ -126,16 +126,17 @@ def _stream_line(session: Session, stream: Stream, account: Account, width: int)
 def _frame_lines(session: Session) -> list[str]:
     if "target" not in session.frames:
         return ["frames       none yet"]
-    target = session.frames["target"]
-    count = np.bincount(target[target >= 0]) if (target >= 0).any() else np.zeros(0)
-    count = count[count > 0]
+    # A target that was pressed again in another run has two presses.
+    pressed = np.stack([session.frames["target"], session.frames["run"]], axis=1)
+    presses, count = np.unique(pressed[pressed[:, 0] >= 0], axis=0, return_counts=True)
+    targets = len(np.unique(presses[:, 0]))
     valid = int(session.frames["valid"].sum())
     line = f"frames       {len(session.frames['t_ns'])} at {session.rate_hz:g} Hz, {valid} valid"
     if count.size:
-        line += (
-            f", {count.min()} to {count.max()} (median {np.median(count):g}) "
-            f"on each of {count.size} targets"
-        )
+        of = f"{targets} targets"
+        if count.size > targets:
+            of = f"{count.size} presses of {of}"
+        line += f", {count.min()} to {count.max()} (median {np.median(count):g}) on each of {of}"
     return [line]
 
 

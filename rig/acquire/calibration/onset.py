@@ -27,8 +27,8 @@ _COARSE, _FINE = 100, 81
 _TIMING = 3e-6
 # The 95 % interval holds the heights whose likelihood ratio is below this (Wilks, one parameter).
 _CHI2_95 = 3.841
-# Student's t for 95 % at 0 to 9 degrees of freedom; beyond, 2.
-_T_95 = (np.inf, 12.71, 4.30, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.26)
+# Student's t for 95 % at 1 to 14 degrees of freedom.
+_T_95 = (12.71, 4.30, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.26, 2.23, 2.20, 2.18, 2.16, 2.14)
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,9 +125,14 @@ def combine(onsets: Sequence[Onset]) -> Surface:
     if count == 1:
         return Surface(mean, onsets[0].interval, float("nan"))
     spread = float(places.std(ddof=1))
-    across = (_T_95[count - 1] if count <= len(_T_95) else 2.0) * spread / np.sqrt(count)
+    across = student_t(count - 1) * spread / np.sqrt(count)
     half = float(np.hypot(max(within, float(across)), _TIMING))
     return Surface(mean, (mean - half, mean + half), spread)
+
+
+def student_t(freedom: int) -> float:
+    """Return Student's t for 95 % at 1 or more degrees of freedom; from 14 on, 2.14."""
+    return _T_95[min(freedom, len(_T_95)) - 1]
 
 
 def tilt(places: Floats, heights: Floats) -> tuple[float, float, float]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from recorder import Session, Stream
 from recorder.session import linear
-from rig.acquire.calibration.onset import Onset, Surface, combine, find_onset, tilt
+from rig.acquire.calibration.onset import Onset, Surface, combine, find_onset, student_t, tilt
 from rig.acquire.signal_level import Level, SignalLevel, reading
 from rig.core.errors import SafetyStop
 from rig.core.geometry import invert, transform
@@ -30,8 +30,6 @@ _REST, _DEEPEST = 12, 4
 # Error of the model of the onset: half of an interval [m]. On simulated contacts it stands 0 to
 # 12 um too high under a cone, a sphere, a prism and a disc.
 _MODEL = 12e-6
-# Student's t for 95 %, by degrees of freedom from 1; beyond, 2.1.
-_T_95 = (12.71, 4.30, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.26, 2.23)
 # Standard deviations in half of a 95 % interval.
 _SIGMAS_95 = 1.96
 
@@ -114,7 +112,7 @@ def surface_of(
         slopes = tilt(where, np.array([heights[point] for point in groups]))[:2]
         surface = _on_plane(groups, places, spread)
     elif freedom:
-        half = _t_95(freedom) * spread / np.sqrt(len(groups[first]))
+        half = student_t(freedom) * spread / np.sqrt(len(groups[first]))
         within = np.sqrt(
             np.mean([(np.diff(each.interval)[0] / 2) ** 2 for each in groups[first]])
             / len(groups[first])
@@ -147,12 +145,8 @@ def _on_plane(
     freedom = len(onsets) - 3
     excess = max(1.0, float(residual @ residual) / freedom) if freedom else 1.0
     error = float(np.sqrt(excess * np.linalg.inv(matrix.T @ matrix)[0, 0]))
-    half = float(np.hypot((_t_95(freedom) if freedom else _SIGMAS_95) * error, _MODEL))
+    half = float(np.hypot((student_t(freedom) if freedom else _SIGMAS_95) * error, _MODEL))
     return Surface(float(found[0]), (float(found[0]) - half, float(found[0]) + half), spread)
-
-
-def _t_95(freedom: int) -> float:
-    return _T_95[freedom - 1] if freedom <= len(_T_95) else 2.1
 
 
 def evaluate(session: Session, plan: Plan) -> FoundSurface:

@@ -43,6 +43,8 @@ _PIECE, _AHEAD = 0.1, 0.2
 _UNANSWERED = 3
 # Distance from the goal that counts as there [m], and the time for it once the stage is idle [s].
 _THERE, _IDLE = 2e-5, 0.3
+# Time after which the version is asked for again [s].
+_ASKED = 0.5
 # Without a report for this long the stage is lost [s].
 _SILENCE = 1.0
 # Largest angle of a pose from that of the tip [rad].
@@ -85,10 +87,10 @@ class StageDriver(SerialDriver):
         self._listener: socket.socket | None = None
         self._client: socket.socket | None = None
         self._orders = b""
-        self._version = ""
+        self._state = self._version = ""
 
     def open(self, timeout: float) -> None:
-        """Open the port and wait for the first position.
+        """Open the port and wait for the first position and the firmware's version.
 
         Raises:
             DeviceLost: No such port, no GRBL answers within `timeout` [s], or it is in alarm.
@@ -99,22 +101,21 @@ class StageDriver(SerialDriver):
         self._way: _Way | None = None
         self._stopping = False
         self._sample: dict[str, Any] | None = None
-        self._state = ""
-        self._due_ns = self._kicked_ns = 0
+        self._state = self._version = ""
+        self._due_ns = self._kicked_ns = asked_ns = 0
         self._heard_ns = self._clock.now_ns()
         deadline_ns = self._heard_ns + round(timeout * SECOND_NS)
         try:
             with self._errors():
                 self._connect(self._config.baud, timeout=0, write_timeout=1.0).reset_input_buffer()
-            self._write(b"\n$I\n")
-            # A stage that was left in a hold is cleared first.
-            while self._sample is None or self._state.startswith("Hold"):
-                if self._clock.now_ns() > deadline_ns:
-                    raise DeviceLost(
-                        f"{self._where}: no position from a board with GRBL within {timeout:g} s; "
-                        f"check its power, and its baud rate against {self._config.baud}"
-                    )
-                self._heard_ns = self._clock.now_ns()
+            # A stage that was left in a hold is cleared first; GRBL takes `$I` only when idle.
+            while self._state != "Alarm" and not (self._state == "Idle" and self._version):
+                now_ns = self._heard_ns = self._clock.now_ns()
+                if now_ns > deadline_ns:
+                    raise DeviceLost(self._unready(timeout))
+                if self._state == "Idle" and now_ns - asked_ns > _ASKED * SECOND_NS:
+                    self._write(b"\n$I\n")
+                    asked_ns = now_ns
                 self._receive()
             if self._state == "Alarm":
                 raise DeviceLost(
@@ -128,6 +129,20 @@ class StageDriver(SerialDriver):
             self.close()
             raise
         self._start_receiving(f"stage-{self._where}")
+
+    def _unready(self, timeout: float) -> str:
+        """Return the message about a stage that did not become ready within `timeout` [s]."""
+        if self._sample is None:
+            return (
+                f"{self._where}: no position from a board with GRBL within {timeout:g} s; "
+                f"check its power, and its baud rate against {self._config.baud}"
+            )
+        if self._state != "Idle":
+            return f"{self._where}: the stage is still in state {self._state} after {timeout:g} s"
+        return (
+            f"{self._where}: positions, but no version ([VER:...] in answer to $I) within "
+            f"{timeout:g} s; allowed: a board with GRBL 1.1 or newer"
+        )
 
     def _listening(self) -> socket.socket:
         listener = socket.socket(socket.AF_UNIX)
@@ -197,7 +212,7 @@ class StageDriver(SerialDriver):
         if line == "ok":
             self._unanswered = max(self._unanswered - 1, 0)
         elif line.startswith("[VER:"):
-            self._version = line[5:].rstrip("]")
+            self._version = line[5:].rstrip(":]")
         elif line.startswith(("error:", "ALARM:")):
             logger.warning("%s: %s", self._where, line)
             self._unanswered = max(self._unanswered - 1, 0)

@@ -132,7 +132,7 @@ class GrblEmulator(PtyEmulator):
         self.received.append(line)
         words = {letter: float(number) for letter, number in _WORD.findall(line)}
         if line == "$I":
-            self._answer(VERSION)
+            self._answer(VERSION if self.state in ("Idle", "Alarm") else b"error:8\r\n")
         elif line == "$H":
             self.state = "Idle"
             self._answer(b"ok\r\n")
