@@ -42,10 +42,14 @@ BENCH = ("height", "compliance", "turn_x", "turn_y", "turn_z", *TILT)
 LOGARITHMS = ("modulus", "thickness", "friction", "ratio", "time")
 # Most rounds of a fit, and the largest step in posterior spreads at which it has converged.
 ROUNDS, SMALL = 12, 0.25
+# Standard deviations from the middle of an interval of 90 % to its ends.
+Z = 1.645
 # Least and most timing error between arm and gauge [s], and the least error of the law.
 TIMING, LAW = (5e-4, 60e-3), 4e-3
 # Relative error that all normal forces of a press have in common, and all its shear forces.
 COMMON = 0.01
+# Grid beside the fit's, over its pixels: their forces differ by about the error of the fit's.
+COARSER = 0.7
 # Longest step of a logarithm in a round, and the longest after which derivatives are corrected
 # rather than taken again, in steps by which they are taken.
 STEP, CLOSE = 0.5, 6.0
@@ -120,7 +124,11 @@ class Fit:
             ),
         )
 
-    def interval(self, name: str, z: float = 1.645) -> tuple[float, float]:
+    def distance(self, name: str, value: float) -> float:
+        """Return the distance from a value to that of a quantity, in its standard deviations."""
+        return _way(name, {name: value}, self.values) / self.spreads[name]
+
+    def interval(self, name: str, z: float = Z) -> tuple[float, float]:
         """Return the interval of a quantity, 90 % by default."""
         value, spread = self.values[name], z * self.spreads[name]
         if is_log(name):
@@ -176,12 +184,15 @@ def fitted(
     names = (*quantities(design), *BENCH)
     centre = {**quantities(design), **dict.fromkeys(BENCH, 0.0)}
     prior = np.array([prior_spread(name) for name in names])
-    stiffer = _stiffer(tracks, model.readings(centre))
+    fine = model.readings(centre)
+    stiffer = _stiffer(tracks, fine)
+    coarse = Model(design, tracks, grid=round(COARSER * grid), indenters=indenters).readings(centre)
+    data = Data(tracks, [stiffer * (one - other) for one, other in zip(fine, coarse, strict=True)])
     values: Mapping[str, float] = {**centre, "modulus": stiffer * centre["modulus"]}
     plain = tuple(name for name in names if name not in TILT)
-    level = _descended(tracks, model, plain, values, centre, lambda part: progress(0.6 * part))
+    level = _descended(data, model, plain, values, centre, lambda part: progress(0.6 * part))
     leaning = _descended(
-        tracks,
+        data,
         model,
         names,
         level.values,
@@ -192,14 +203,14 @@ def fitted(
     # A tilt keeps its prior unless it explains the presses clearly better.
     found, known = level, plain
     timing, law, sigma = _weights(tracks, level.near)
-    if _gain(tracks, sigma, level.near, leaning.near) > TOLD:
+    if _gain(data, sigma, level.near, leaning.near) > TOLD:
         found, known = leaning, names
         timing, law, sigma = _weights(tracks, leaning.near)
     values, near = found.values, found.near
-    residual, _ = _stacked(tracks, near.readings, sigma)
+    residual, _ = _stacked(data, near.readings, sigma)
     excess = max(1.0, float(residual @ residual) / max(1, len(residual) - len(known)))
     # A tilt that is not told may still be there: it widens the intervals of the others.
-    _, jacobian = _stacked(tracks, leaning.near.readings, sigma, leaning.near.slopes)
+    _, jacobian = _stacked(data, leaning.near.readings, sigma, leaning.near.slopes)
     told = jacobian.T @ jacobian / excess
     covariance = np.asarray(np.linalg.inv(told + np.diag(prior**-2)), float)
     progress(1.0)
@@ -220,6 +231,15 @@ def fitted(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Data:
+    """Tracks, and the error that the grid's size makes of their readings."""
+
+    tracks: Sequence[Track]
+    grid_errors: Sequence[Array]
+    """Of each track (n, 3) [N], up to a factor."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Descended:
     """Values at which a descent ended, and the readings there."""
 
@@ -229,7 +249,7 @@ class Descended:
 
 
 def _descended(
-    tracks: Sequence[Track],
+    data: Data,
     model: Model,
     names: Sequence[str],
     values: Mapping[str, float],
@@ -246,8 +266,8 @@ def _descended(
     near, kept = model.linearised(values, names, known), known is not None
     for done in range(1, ROUNDS + 1):
         progress((done - 1) / ROUNDS)
-        _, _, sigma = _weights(tracks, near)
-        residual, jacobian = _stacked(tracks, near.readings, sigma, near.slopes)
+        _, _, sigma = _weights(data.tracks, near)
+        residual, jacobian = _stacked(data, near.readings, sigma, near.slopes)
         offset = _offset(names, values, centre)
         normal = jacobian.T @ jacobian + np.diag(prior**-2)
         slope = jacobian.T @ residual - offset / prior**2
@@ -259,7 +279,7 @@ def _descended(
             step *= min(1.0, STEP / longest)
             stepped = zip(names, step, strict=True)
             moved = {**values, **{name: _moved(name, values, by) for name, by in stepped}}
-            trial, _ = _stacked(tracks, model.readings(moved), sigma)
+            trial, _ = _stacked(data, model.readings(moved), sigma)
             gained = cost - _cost(trial, _offset(names, moved, centre) / prior)
             better = gained > 0
             if better or damping > DAMPED:
@@ -297,9 +317,9 @@ def _step(names: Sequence[str], values: Mapping[str, float], normal: Array, slop
     return step
 
 
-def _gain(tracks: Sequence[Track], sigma: Sequence[Array], one: Linear, other: Linear) -> float:
+def _gain(data: Data, sigma: Sequence[Array], one: Linear, other: Linear) -> float:
     """Return how much less the squared residuals of `other` are than those of `one`."""
-    first, second = (_stacked(tracks, each.readings, sigma)[0] for each in (one, other))
+    first, second = (_stacked(data, each.readings, sigma)[0] for each in (one, other))
     return float(first @ first - second @ second)
 
 
@@ -313,7 +333,8 @@ def information(tracks: Sequence[Track], near: Linear, timing: float, law: float
         law: Relative error of the law at rest.
     """
     sigma = _sigmas(tracks, near, timing, law)
-    _, jacobian = _stacked(tracks, near.readings, sigma, near.slopes)
+    exact = Data(tracks, [np.zeros_like(track.force) for track in tracks])
+    _, jacobian = _stacked(exact, near.readings, sigma, near.slopes)
     told: Array = jacobian.T @ jacobian
     return told
 
@@ -409,7 +430,7 @@ def _sigmas(tracks: Sequence[Track], near: Linear, timing: float, law: float) ->
 
 
 def _stacked(
-    tracks: Sequence[Track],
+    data: Data,
     readings: Sequence[Array],
     sigma: Sequence[Array],
     slopes: Sequence[Array] = (),
@@ -417,39 +438,54 @@ def _stacked(
     """Return residuals (m,) in standard errors of the resting points, and slopes (m, p).
 
     Normal forces of a press have a common relative error, `COMMON`, and so have its shear forces:
-    law and grid are wrong alike in all of a press. Forces of a moving tip differ by how late each
-    stream is read, all in the same direction: they would pass for relaxation.
+    law and grid are wrong alike in all of a press. All forces of a track have a part of its grid's
+    error in common. Forces of a moving tip differ by how late each stream is read, all in the same
+    direction: they would pass for relaxation.
     """
     parts, columns = [], []
-    for index, (track, read, each) in enumerate(zip(tracks, readings, sigma, strict=True)):
+    for index, (track, off, read, each) in enumerate(
+        zip(data.tracks, data.grid_errors, readings, sigma, strict=True)
+    ):
         used = track.contact & track.rest
-        freed = _freed(track, used, each)
-        parts.append(freed @ ((track.force - read)[used] / each[used, None]).ravel())
+        common = _common(track.force[used], track.target[used], off[used]) / each[used, None, None]
+        rows = [(track.force - read)[used, :, None]]
         if slopes:
-            scaled = slopes[index][used] / each[used, None, None]
-            columns.append(freed @ scaled.reshape(-1, scaled.shape[-1]))
-    return np.concatenate(parts), np.concatenate(columns) if columns else np.zeros((0, 0))
+            rows.append(slopes[index][used])
+        scaled = np.concatenate([row / each[used, None, None] for row in rows], axis=-1)
+        white = _whitened(_flat(scaled), _flat(common))
+        parts.append(white[:, 0])
+        columns.append(white[:, 1:])
+    return np.concatenate(parts), np.concatenate(columns)
 
 
-def _freed(track: Track, used: NDArray[np.bool_], sigma: Array) -> Array:
-    """Return the matrix that whitens the used points (3 m, 3 m), in their standard errors.
+def _flat(points: Array) -> Array:
+    return points.reshape(-1, points.shape[-1])
 
-    With a common error along the unit vector u of variance v, it is 1 - (1 - (1 + v)^-1/2) u u^T.
+
+def _common(force: Array, target: NDArray[np.int64], off: Array) -> Array:
+    """Return the errors that points have in common (m, 3, k) [N], each of one standard deviation.
+
+    Args:
+        force: Forces (m, 3) [N].
+        target: Press of each point (m,).
+        off: Error of the grid (m, 3) [N].
     """
-    matrix = np.eye(3 * int(used.sum()))
-    target = track.target[used]
-    scaled = COMMON * track.force[used] / sigma[used, None]
+    found = [off]
     for press in np.unique(target):
         for axes in ((0, 1), (2,)):
-            along = np.zeros_like(scaled)
+            error = np.zeros_like(force)
             rows = np.ix_(target == press, axes)
-            along[rows] = scaled[rows]
-            flat = along.ravel()
-            variance = float(flat @ flat)
-            if variance > 0:
-                fraction = 1 - 1 / math.sqrt(1 + variance)
-                matrix -= fraction / variance * np.outer(flat, flat)
-    return matrix
+            error[rows] = COMMON * force[rows]
+            found.append(error)
+    return np.stack(found, axis=-1)
+
+
+def _whitened(values: Array, common: Array) -> Array:
+    """Return C^-1/2 `values` (m, p), where C = 1 + `common` `common`^T, (m, k)."""
+    basis, spread, _ = np.linalg.svd(common, full_matrices=False)
+    lost = 1 - 1 / np.sqrt(1 + spread**2)
+    whitened: Array = values - basis @ (lost[:, None] * (basis.T @ values))
+    return whitened
 
 
 def _cost(residual: Array, offset: Array) -> float:

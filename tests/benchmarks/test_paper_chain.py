@@ -47,7 +47,7 @@ def test_tables_are_of_the_rows_that_there_are(tmp_path: Path) -> None:
     rows = "m2m,tiny,a,b,0.5,0.4,0.6,0.1,0.2\nm2m,tiny,b,a,0.7,0.6,0.8,0.1,0.4\n"
     (tmp_path / "forces.csv").write_text(head + rows)
     write(tmp_path, SIZES["toy"])
-    line = "| m2m | tiny | 2 | 0.600 | 0.500 to 0.700 | 0.500 (a to b) | 0.100, 0.300 |"
+    line = "| m2m | tiny | 2 | 0.600 | 0.500 to 0.700 | 0.500 (a to b) | 0.100, 0.300 | - |"
     assert line in (tmp_path / "tables.md").read_text()
     assert (tmp_path / "forces.png").exists()
     assert last_line(tmp_path).startswith("paper chain R2 0.600  nearest")

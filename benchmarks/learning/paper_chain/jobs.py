@@ -25,6 +25,8 @@ import torch
 from numpy.typing import NDArray
 
 from benchmarks.learning.paper_chain.sizes import RECIPES, SEED, Size, write_base
+from learning.compensation import StoredCompensation
+from learning.compensation.fit import find_compensation
 from learning.config import read_settings
 from learning.data.images import shrink, shrink_masks, unit, unpack_masks
 from learning.data.presses import Presses, load_presses, read_frames
@@ -45,7 +47,7 @@ from learning.experiment.translating import translate_presses
 from learning.force.model import KIND as FORCE
 from learning.force.model import ForceModel, load_force_model
 from learning.force.train import PRESETS as NET_PRESETS
-from learning.force.train import ForceSettings, StageSettings, train_force
+from learning.force.train import Compensation, ForceSettings, StageSettings, train_force
 from learning.metrics import r_squared
 from learning.training.checkpoint import read_model_folder
 from learning.training.run import RunFolder, Session, Stop, accelerator, generator
@@ -101,7 +103,19 @@ class Chain:
     @cached_property
     def split(self) -> Split:
         """Presses of the sensors: seen indenters for training, the others for the test."""
-        return make_split(self.archive, validation=0, new_press=0)
+        out = self.size.held_out
+        return make_split(self.archive, validation=0, new_press=0, held_out_sensors=out)
+
+    @cached_property
+    def compensation(self) -> StoredCompensation | None:
+        """Compensation of labels between skins; None: all skins are alike."""
+        return find_compensation(self.archive)[0] if self.size.compensated else None
+
+    def relabelling(self, source: str, target: str) -> Compensation | None:
+        """Return what compensates a source's labels for a target, or None."""
+        if self.compensation is None:
+            return None
+        return self.compensation.pair(source, target, "priors").applied
 
     def seconds(self, kind: str) -> float:
         """Training time of a kind of job [s]."""
@@ -237,7 +251,9 @@ def vae(chain: Chain) -> None:
         data.append((chain.patterns, _patterns_split(chain)))
     images = torch.cat(
         [
-            read_role_images(archive, split, "train", sensors=[*archive], device=chain.device)
+            read_role_images(
+                archive, split, "train", sensors=split.trained_sensors(archive), device=chain.device
+            )
             for archive, split in data
         ]
     )
@@ -301,7 +317,8 @@ def field_translator(chain: Chain) -> None:
     """Train the field translator on the same frames, without a simulator's true displacement."""
     if (chain.model("field") / "model.safetensors").exists():
         return
-    frames = gather_role(chain.archive, chain.split, [*chain.archive], "train", device=chain.device)
+    sensors = chain.split.trained_sensors(chain.archive)
+    frames = gather_role(chain.archive, chain.split, sensors, "train", device=chain.device)
     if frames is None:
         raise LearningError(f"{chain.archive.name}: found no press to train on; allowed: some")
     without = replace(frames, shift=None)
@@ -329,6 +346,7 @@ def net(
     name: str,
     presses: Presses,
     start_from: ForceModel | None = None,
+    compensation: Compensation | None = None,
 ) -> ForceModel:
     """Return a force net, trained for its time if it is not there; from another's weights if given.
 
@@ -348,7 +366,8 @@ def net(
         return replace(found, stages=own)
 
     def train(epochs: int, session: Session) -> None:
-        train_force(presses, settings(epochs), session, start_from=start_from)
+        own = settings(epochs)
+        train_force(presses, own, session, start_from=start_from, compensation=compensation)
 
     if not (folder / "model.safetensors").exists():
         epochs = fitting(chain, name, part, settings(PROBE).launch, train)
@@ -416,15 +435,22 @@ def own(chain: Chain, sensor: str) -> None:
     targets = [name for name in chain.archive if name != sensor]
     for preset in dict.fromkeys((chain.size.net, "displacement")):
         form: Any = "field" if preset == "displacement" else "images"
-        model = net(chain, preset, f"{preset}-{sensor}", chain.presses(sensor, "train", form))
+        presses = chain.presses(sensor, "train", form)
+        model = net(chain, preset, f"{preset}-{sensor}", presses)
         if not chain.has("forces", method="own labels", net=preset, target=sensor):
             found = model.predict(_test(chain, sensor, form))
             forces(chain, "own labels", preset, (sensor, sensor), found)
         method = "displacement" if preset == "displacement" else "source-only"
         for target in targets:
-            if not chain.has("forces", method=method, source=sensor, target=target):
-                found = model.predict(_test(chain, target, form))
-                forces(chain, method, preset, (sensor, target), found)
+            if chain.has("forces", method=method, source=sensor, target=target):
+                continue
+            used, changed = model, chain.relabelling(sensor, target)
+            if method == "displacement" and changed is not None:
+                used = net(
+                    chain, preset, f"{preset}-{sensor}-for-{target}", presses, model, changed
+                )
+            found = used.predict(_test(chain, target, form))
+            forces(chain, method, preset, (sensor, target), found)
     for target in targets:
         if not chain.has("forces", method=NEAREST, source=sensor, target=target):
             forces(chain, NEAREST, "-", (sensor, target), _nearest(chain, sensor, target))
@@ -439,7 +465,12 @@ def _nearest(chain: Chain, source: str, target: str) -> Floats:
     one, other = chain.archive[source], chain.archive[target]
     pairs = location_pairs(one.table, other.table)
     kept = np.isin(pairs.target, chain.split.rows(other.table, "train"))
-    labels = one.table["wrench"][pairs.source[kept], :3].astype(np.float64)
+    rows = pairs.source[kept]
+    labels = one.table["wrench"][rows, :3].astype(np.float64)
+    changed = chain.relabelling(source, target)
+    if changed is not None:
+        depth, phase = one.table["depth"][rows], one.table["phase"][rows]
+        labels, _ = changed(labels, depth.astype(np.float64), phase.astype(np.int64))
     tested = _test(chain, target).rows.numpy()
 
     def changes(rows: NDArray[np.int64]) -> torch.Tensor:
@@ -493,7 +524,8 @@ def pairs(chain: Chain, translator: str, source: str) -> None:
         seconds = time.perf_counter() - began
         rate = {"translator": translator, "source": source, "target": target}
         chain.add("rates", {**rate, "frames": packed.frames, "seconds": round(seconds, 2)})
-        tuned = net(chain, size.net, f"{size.net}-{source}-to-{target}-{translator}", shown, start)
+        name = f"{size.net}-{source}-to-{target}-{translator}"
+        tuned = net(chain, size.net, name, shown, start, chain.relabelling(source, target))
         forces(chain, translator, size.net, ends, tuned.predict(_test(chain, target)))
 
 
@@ -604,7 +636,8 @@ def _distances(chain: Chain, true: Floats, found: Floats) -> dict[str, Any]:
 
 
 def _patterns_split(chain: Chain) -> Split:
-    return make_split(chain.patterns, validation=0, new_press=0)
+    out = chain.size.held_out_patterns
+    return make_split(chain.patterns, validation=0, new_press=0, held_out_sensors=out)
 
 
 def patterns(chain: Chain) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,12 +20,20 @@ METHODS = ("source-only", NEAREST, "displacement", "field", "m2m", "own labels")
 
 def write(out: Path, size: Size) -> None:
     """Write tables.md and the charts of the rows that there are."""
-    forces, images = _read(out, "forces"), _read(out, "images")
+    forces, images, patterns = (_read(out, name) for name in ("forces", "images", "patterns"))
+    (forces, new_forces), (images, new_images) = (
+        _parted(rows, ("target",), size.held_out) for rows in (forces, images)
+    )
+    known, new = _parted(patterns, ("source", "target"), size.held_out_patterns)
+    held_out = f"; held out: {', '.join(size.held_out)}"
     parts = [
         _table("Forces on unseen indenters, means over pairs", _of_forces(forces, size)),
+        _table(f"The same{held_out}", _of_forces(new_forces, size)),
         _table("Images of unseen indenters, means over pairs", _of_images(images)),
+        _table(f"The same{held_out}", _of_images(new_images)),
         _table("Force nets on their own labels", _of_nets(forces, _read(out, "latency"))),
-        _table("Patterns, means over pairs", _of_patterns(_read(out, "patterns"))),
+        _table("Patterns, means over pairs", _of_patterns(known)),
+        _table("The same; a pattern of the two is held out", _of_patterns(new)),
         _table("Trainings", [list(row.values()) for row in _with_head(_read(out, "trainings"))]),
     ]
     replace_file(out / "tables.md", "\n".join(parts).encode())
@@ -33,7 +41,7 @@ def write(out: Path, size: Size) -> None:
         _draw_forces(forces, size, out / "forces.png")
     if latency := _read(out, "latency"):
         _draw_nets(forces, latency, out / "nets.png")
-    if patterns := _read(out, "patterns"):
+    if patterns:
         _draw_patterns(patterns, out / "patterns.png")
     if (out / "patterns.npz").exists():
         _draw_embedded(out / "patterns.npz", out / "patterns-tsne.png")
@@ -61,6 +69,17 @@ def _read(out: Path, name: str) -> list[Row]:
         return list(csv.DictReader(file))
 
 
+def _parted(
+    rows: Sequence[Row], keys: Sequence[str], held_out: Sequence[str]
+) -> tuple[list[Row], list[Row]]:
+    """Return the rows of known sensors or patterns, and those with one that was held out."""
+    new = [any(row[key] in held_out for key in keys) for row in rows]
+    return (
+        [row for row, out in zip(rows, new, strict=True) if not out],
+        [row for row, out in zip(rows, new, strict=True) if out],
+    )
+
+
 def _table(title: str, lines: Sequence[Sequence[str]]) -> str:
     if len(lines) < 2:
         return ""
@@ -80,9 +99,9 @@ def _mean(rows: Iterable[Row], key: str, digits: int = 3) -> str:
 
 
 def _of_forces(rows: Sequence[Row], size: Size) -> list[list[str]]:
-    lines = [
-        ["method", "net", "pairs", "R2", "R2, 90 % interval", "worst pair", "MAE shear, Fz [N]"]
-    ]
+    head = ["method", "net", "pairs", "R2", "R2, 90 % interval", "worst pair", "MAE shear, Fz [N]"]
+    lines = [[*head, "better than source-only by R2, MAE of Fz"]]
+    before = {(row["source"], row["target"]): row for row in rows if row["method"] == "source-only"}
     for method in METHODS:
         for net in dict.fromkeys(row["net"] for row in rows if row["method"] == method):
             own = [row for row in rows if (row["method"], row["net"]) == (method, net)]
@@ -92,8 +111,21 @@ def _of_forces(rows: Sequence[Row], size: Size) -> list[list[str]]:
             pair = f"{float(worst['r2']):.3f} ({worst['source']} to {worst['target']})"
             interval = f"{_mean(own, 'r2_low')} to {_mean(own, 'r2_high')}"
             off = f"{_mean(own, 'mae_shear_n')}, {_mean(own, 'mae_fz_n')}"
-            lines.append([method, net, str(len(own)), _mean(own, "r2"), interval, pair, off])
+            line = [method, net, str(len(own)), _mean(own, "r2"), interval, pair, off]
+            lines.append([*line, _better(own, before)])
     return lines
+
+
+def _better(rows: Sequence[Row], before: Mapping[tuple[str, str], Row]) -> str:
+    """Return in how many pairs rows are better than those of the source's net as it is."""
+    both = [
+        (row, other)
+        for row in rows
+        if (other := before.get((row["source"], row["target"]))) is not None and row is not other
+    ]
+    by_r2 = sum(float(one["r2"]) > float(other["r2"]) for one, other in both)
+    by_mae = sum(float(one["mae_fz_n"]) < float(other["mae_fz_n"]) for one, other in both)
+    return f"{by_r2}, {by_mae} of {len(both)}" if both else "-"
 
 
 def _of_images(rows: Sequence[Row]) -> list[list[str]]:

@@ -45,6 +45,7 @@ from sim.indenters import NAMES
 from sim.sensors import sensor
 from sim.sensors.posterior import quantities
 from sim.twin import Model, fitted, misfit
+from sim.twin.fit import Z
 from sim.twin.plan import Planner, Presses, presses, sessions
 
 # Indenter whose forces are foretold; no fit gets its presses.
@@ -108,8 +109,8 @@ class Identified:
     number: int
     errors: tuple[float, ...]
     """As fractions, by `COLUMNS`."""
-    inside: dict[str, bool]
-    """True for a quantity whose 90 % interval has its true value."""
+    off: dict[str, float]
+    """Distance of each quantity from its true value, in its posterior's spread."""
     misfit: float
     seconds: float
     """Time of the fit."""
@@ -146,7 +147,7 @@ def run(options: argparse.Namespace) -> int:
         return 1
     print(f"{'median':<6}" + "".join(f"{100 * each:>10.1f} %" for each in medians(found)))
     count = sum(coverage(found).values())
-    total = sum(len(each.inside) for each in found)
+    total = sum(len(each.off) for each in found)
     print(f"{100 * count / total:.0f} % of {total} true values lie in their 90 % intervals")
     return 0
 
@@ -208,7 +209,15 @@ def medians(found: Sequence[Identified]) -> list[float]:
 
 def coverage(found: Sequence[Identified]) -> Counter[str]:
     """Return in how many skins the interval of each quantity has its true value."""
-    return Counter({name: sum(one.inside[name] for one in found) for name in found[0].inside})
+    return Counter({name: sum(abs(one.off[name]) <= Z for one in found) for name in found[0].off})
+
+
+def needed(found: Sequence[Identified]) -> dict[str, float]:
+    """Return by which factor the spread of each quantity must be wider to cover 90 %."""
+    return {
+        name: float(np.quantile([abs(one.off[name]) for one in found], 0.9)) / Z
+        for name in found[0].off
+    }
 
 
 def page(
@@ -232,6 +241,7 @@ def page(
         truth_grid=GRID,
         medians=medians(found),
         coverage=coverage(found),
+        needed=needed(found),
     )
 
 
@@ -333,8 +343,5 @@ def identified(
     row.append(float(np.sqrt(np.mean(np.square(shapes[0] / shapes[1] - 1)))))
     row.append(abs(fit.values["friction"] / true["friction"] - 1))
     row.append(misfit([still], readings))
-    inside = {}
-    for name, value in true.items():
-        low, high = fit.interval(name)
-        inside[name] = bool(low <= value <= high)
-    return Identified(number, tuple(row), inside, fit.misfit, seconds)
+    off = {name: fit.distance(name, value) for name, value in true.items()}
+    return Identified(number, tuple(row), off, fit.misfit, seconds)
