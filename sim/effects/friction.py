@@ -26,6 +26,7 @@ class Friction:
     KERNELS: ClassVar[tuple[Snippet, ...]] = (
         Snippet("sim.fem.contact", "contact_kernels", "friction"),
         Snippet("sim.fem.vectors", "work_kernel", "friction"),
+        Snippet("sim.fem.reading", "reading_kernels", "friction"),
     )
     LIMIT: ClassVar[str] = "coefficient -> 0: frictionless contact"
 

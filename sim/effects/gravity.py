@@ -20,6 +20,7 @@ class Gravity:
     STATE: ClassVar[tuple[Memory, ...]] = (Memory("weight", "environment", 3),)
     KERNELS: ClassVar[tuple[Snippet, ...]] = (
         Snippet("sim.fem.vectors", "residual_kernel", "gravity"),
+        Snippet("sim.fem.reading", "reading_kernels", "gravity"),
     )
     LIMIT: ClassVar[str] = "acceleration -> 0: a weightless body"
 

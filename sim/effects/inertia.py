@@ -23,6 +23,7 @@ class Inertia:
     )
     KERNELS: ClassVar[tuple[Snippet, ...]] = (
         Snippet("sim.fem.vectors", "residual_kernel", "inertia"),
+        Snippet("sim.fem.reading", "reading_kernels", "inertia"),
     )
     LIMIT: ClassVar[str] = "scale -> 0: a massless body"
 

@@ -22,6 +22,8 @@ from sim.fem.mesh import Mesh
 from sim.fem.multigrid import Multigrid
 from sim.fem.numerics import Fem
 from sim.fem.overlap import COLUMNS, overlap_kernel
+from sim.fem.reading import COLUMNS as READ_COLUMNS
+from sim.fem.reading import LANES, READ, TOP, reading_kernels
 from sim.fem.vectors import (
     RUN,
     SUMS,
@@ -148,7 +150,10 @@ class SolverState:
         self.limit = zeros(rubbing, real)
         """Pressure that limits friction (B, S, P)."""
         self._limit_relaxed = zeros(rubbing, real)
-        self._coefficient = self._array(assembly.coefficients, real)
+        frictions = [scene.effects.friction for scene in scenes]
+        self._coefficient = self._array(
+            [getattr(friction, "coefficient", 0.0) for friction in frictions], real
+        )
 
         self._branches = Branches(real, scenes, elements, device) if "viscosity" in on else None
         self.volume = None
@@ -440,8 +445,6 @@ class Assembly:
         self._weight = self._array([each.weight for each in variants], real)
         self._faces = self._array(mesh.faces, wp.int32)
         self._face_area = self._array([each.face_area for each in variants], real)
-        self.face_rule = shape, rule
-        """Shape functions of a face's corners at its contact points (P, 4), their weights (P,)."""
         self.shape = self._array(shape, real)
         self.rule = self._array(rule, real)
         self._nodes = self._array([each.nodes for each in variants], vec3)
@@ -504,9 +507,29 @@ class Assembly:
             variants, [places[id(each)] for each in meshes], real, device
         )
         """Preconditioner of the tangent."""
-        self.coefficients = [getattr(s.effects.friction, "coefficient", 0.0) for s in scenes]
         self.state = SolverState(self, scenes)
         """State of the batch."""
+        self._lanes = LANES if wp.get_device(device).is_cuda else 1
+        on = (name in self.effects for name in ("friction", "inertia", "gravity"))
+        self._read, self._read_top = reading_kernels(real, *on, lanes=self._lanes)
+        self._read_inputs = [
+            self._faces,
+            self._array([each.face_area for each in variants], wp.float64),
+            self._array(shape, wp.float64),
+            self._array(rule, wp.float64),
+            self._array([each.nodes for each in variants], wp.vec3d),
+            self._array([each.node_volume for each in variants], wp.float64),
+            self._variant,
+            numerics.penalty,
+            numerics.stick * numerics.penalty,
+            self._array(
+                [getattr(scene.effects.friction, "coefficient", 0.0) for scene in scenes],
+                wp.float64,
+            ),
+        ]
+        self._rows = wp.zeros(
+            (environments, READ_COLUMNS + TOP * mesh.top.size), dtype=wp.float64, device=device
+        )
 
     def evaluate(self, active, u, direction) -> Sums:
         """Compute forces at `u` and return their sums; the slope is along `direction` (B, N)."""
@@ -599,6 +622,11 @@ class Assembly:
             samples: Samples along each side of a face.
             states: Number of states from the last accepted one to the current one, which counts.
         """
+        self.measure_overlap(active, samples=samples, states=states)
+        return self._most_overlap.numpy().astype(float)
+
+    def measure_overlap(self, active, *, samples: int, states: int = 1) -> None:
+        """Measure what `overlap` returns, for `read`."""
         state = self.state
         self._most_overlap.zero_()
         wp.launch(
@@ -621,7 +649,69 @@ class Assembly:
             outputs=[self.face_overlap, self._most_overlap],
             device=self.device,
         )
-        return self._most_overlap.numpy().astype(float)
+
+    def read(self, environments: Sequence[int], tip: Array) -> tuple[NDArray, Array]:
+        """Return what frames of the last evaluated state are made of, for K environments.
+
+        Overlaps are those that were measured last.
+
+        Args:
+            environments: Their indices.
+            tip: Tip of every environment (B, 3).
+
+        Returns:
+            A row for each (K,), of type `READ`; displacement and force of the nodes of the top
+            (K, X, Y, `TOP`).
+        """
+        state, count, top = self.state, len(environments), self.mesh.top
+        which = self._array(list(environments), wp.int32)
+        wp.launch(
+            self._read,
+            dim=(count, self._lanes),
+            inputs=[
+                *self._read_inputs,
+                state.multiplier,
+                self._array(state.rates, wp.float64),
+                state.predicted,
+                state.weight,
+                which,
+                self._array(tip, wp.vec3d),
+                state.u,
+                self.touched,
+                state.pressure,
+                state.normal,
+                state.traction,
+                self.element_energy,
+                self.face_overlap,
+                self._most_overlap,
+            ],
+            outputs=[self._rows],
+            device=self.device,
+            block_dim=LANES,
+        )
+        wp.launch(
+            self._read_top,
+            dim=(count, top.size),
+            inputs=[
+                self.mesh.cells[2] + 1,
+                self.mesh.cells[0] * self.mesh.cells[1],
+                self._node_faces,
+                which,
+                state.u,
+                self.touched,
+                self.face_force,
+            ],
+            outputs=[self._rows],
+            device=self.device,
+        )
+        rows = self._rows[:count].numpy().copy()
+        read = rows[:, :READ_COLUMNS].copy().view(READ)[:, 0]
+        return read, rows[:, READ_COLUMNS:].reshape(count, *top.shape, TOP)
+
+    def rows(self, array, environments: Sequence[int]) -> np.ndarray:
+        """Return the rows of a device array that belong to environments (K, ...)."""
+        which = self._array(list(environments), wp.int32)
+        return wp.indexedarray(array, [which, *[None] * (array.ndim - 1)]).numpy()
 
     def work(self, chosen: np.ndarray) -> np.ndarray:
         """Return the indenter's work over the step to the last evaluated state (B,) [E T^3].
@@ -740,7 +830,8 @@ class Assembly:
         )
 
     def _array(self, values, dtype):
-        scalar = {wp.int32: np.int32}.get(dtype, numpy_of(self.real))
+        double = dict.fromkeys((wp.float64, wp.vec3d), np.float64)
+        scalar = {wp.int32: np.int32, **double}.get(dtype, numpy_of(self.real))
         return wp.array(
             np.ascontiguousarray(np.asarray(values, dtype=scalar)), dtype=dtype, device=self.device
         )

@@ -120,6 +120,13 @@ class Mesh:
         return self.faces[: nx * ny] // (nz + 1)
 
     @property
+    def top_area(self) -> Array:
+        """Area of the nodes of the top (X, Y); inf outside a round body."""
+        corners, each = self.top_faces, np.repeat(self.face_area[: len(self.top_faces)], 4)
+        area = np.bincount(corners.ravel(), each, len(self.x) * len(self.y))
+        return np.where(area > 0, area, np.inf).reshape(len(self.x), len(self.y))
+
+    @property
     def base(self) -> NDArray[np.int64]:
         """Node numbers of the bonded base, in no particular order."""
         return np.flatnonzero(~self.free)

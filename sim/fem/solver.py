@@ -5,26 +5,20 @@
 from __future__ import annotations
 
 import json
-import sys
 import tempfile
 import time
-from collections import deque
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path as File
-from typing import Self
 
 import numpy as np
 import warp as wp
-from scipy.interpolate import RegularGridInterpolator
-from scipy.spatial import KDTree
 
 from sim.contact_size import touched_by, width_of
 from sim.device import check_device
 from sim.errors import SimulationDiverged
 from sim.fem.assembly import Assembly, is_split
+from sim.fem.frames import Collector, Spent
 from sim.fem.mesh import Mesh, meshes_of
 from sim.fem.newton import NEARLY_CRUSHED, PATIENCE, ROUNDING, Newton, Path, path_of
 from sim.fem.numerics import Fem, Precision
@@ -36,442 +30,13 @@ from sim.fem.sizing import (
     coarser_than_asked,
     covered,
     finer_at,
-    resolved,
     sizes_of,
     stages_of,
 )
 from sim.indenters.device import traits_of
 from sim.metrics import WEAK
-from sim.result import SIDES, Outcome, Quality, Result, no_quality, with_beginning
+from sim.result import SIDES, Outcome, Result, with_beginning
 from sim.scene import Body, Motion, Scene
-
-# Results per environment from the last evaluated state: contact, traction, energy, weight.
-
-
-@dataclass(frozen=True, slots=True)
-class ContactPoints:
-    """Contact points of one environment's T touched faces, in units of thickness and modulus."""
-
-    pressure: np.ndarray
-    """Contact pressure (T, P)."""
-    penetration: np.ndarray
-    """Depth inside the indenter (T, P); negative in a gap that the pressure bridges."""
-    traction: np.ndarray
-    """Shear traction on the body (T, P, 3)."""
-    force: np.ndarray
-    """Force on the body (T, P, 3)."""
-    place: np.ndarray
-    """Positions (T, P, 3)."""
-    area: np.ndarray
-    """Undeformed area of each point (T, P)."""
-    slip_excess: float
-    """Largest |shear| - coefficient * pressure, over the largest pressure; NaN without friction."""
-
-
-class Snapshot:
-    """Host arrays of the last evaluated state, for some of the environments.
-
-    From a GPU they are copies, unaffected by later changes of the state; a CPU copies nothing.
-
-    Args:
-        assembly: Assembly that holds the state.
-        environments: Indices of the environments.
-        gather: Copy the arrays; by default only on a GPU.
-    """
-
-    def __init__(
-        self, assembly: Assembly, environments: Sequence[int], *, gather: bool | None = None
-    ) -> None:
-        self.assembly = assembly
-        gathers = wp.get_device(assembly.device).is_cuda if gather is None else gather
-        self._row = {env: row if gathers else env for row, env in enumerate(environments)}
-        state = assembly.state
-        arrays = {
-            "u": state.u,
-            "touched": assembly.touched,
-            "pressure": state.pressure,
-            "multiplier": state.multiplier,
-            "normal": state.normal,
-            "face_force": assembly.face_force,
-            "face_overlap": assembly.face_overlap,
-            "element_energy": assembly.element_energy,
-        }
-        if "friction" in assembly.effects:
-            arrays["traction"] = state.traction
-        if "inertia" in assembly.effects:
-            arrays["predicted"] = state.predicted
-        if "gravity" in assembly.effects:
-            arrays["weight"] = state.weight
-        self._arrays: dict[str, np.ndarray] = {}
-        indices = wp.array(list(self._row), dtype=wp.int32, device=assembly.device)
-        for name, array in arrays.items():
-            part = wp.indexedarray(array, [indices, *[None] * (array.ndim - 1)])
-            self._arrays[name] = part.numpy() if gathers else array.numpy()
-        self._base, self._det = assembly.sums.base, assembly.sums.det
-        self._rates = state.rates if "inertia" in assembly.effects else None
-        if gathers:
-            self._base, self._det = self._base.copy(), self._det.copy()
-            self._rates = None if self._rates is None else np.copy(self._rates)
-
-    def all(self, name: str, environments: Sequence[int]) -> np.ndarray:
-        """Return the parts of an array that belong to `environments` (K, ...)."""
-        return self._arrays[name][[self._row[env] for env in environments]]
-
-    def at(
-        self, name: str, environments: Sequence[int], one: np.ndarray, rows: np.ndarray
-    ) -> np.ndarray:
-        """Return rows (T,) of an array; `one` (T,) is the index of their environment."""
-        return self._arrays[name][np.array([self._row[env] for env in environments])[one], rows]
-
-    def of(self, env: int, name: str) -> np.ndarray:
-        """Return the part of an array that belongs to environment `env`."""
-        return self._arrays[name][self._row[env]]
-
-    def base(self, env: int) -> np.ndarray:
-        """Return the force on the base of environment `env` (3,)."""
-        return self._base[env]
-
-    def det(self, env: int) -> float:
-        """Return the least determinant of the deformation gradient of environment `env`."""
-        return self._det[env]
-
-    def rate(self, env: int) -> float:
-        """Return the acceleration of `env` per unit displacement beyond the predicted one."""
-        return self._rates[env]
-
-
-@dataclass(frozen=True, slots=True)
-class Kept:
-    """One environment's part of a snapshot, in units of thickness and modulus."""
-
-    u: np.ndarray
-    """Displacements (N, 3)."""
-    points: ContactPoints
-    moment: np.ndarray
-    """Moments of the points' forces about the tip (T, P, 3)."""
-    push: np.ndarray
-    """Forces on the nodes of the top (X Y, 3)."""
-
-
-def kept_of(held: Snapshot, environments: Sequence[int], tips: np.ndarray) -> list[Kept]:
-    """Return the parts of environments whose tips are at `tips` (K, 3), in their order.
-
-    All are read and computed at once; each has the same bits as alone.
-    """
-    assembly = held.assembly
-    u = held.all("u", environments).astype(float)
-    one, rows = np.nonzero(held.all("touched", environments))
-    cuts = np.searchsorted(one, np.arange(len(environments) + 1))
-    parts = [slice(*pair) for pair in pairwise(cuts.tolist())]
-    pressure = held.at("pressure", environments, one, rows).astype(float)
-    multiplier = held.at("multiplier", environments, one, rows)
-    deep = (pressure - multiplier) / assembly.numerics.penalty
-    push = held.at("normal", environments, one, rows) * pressure[:, :, None]
-    traction = np.zeros_like(push)
-    has_friction = "friction" in assembly.effects
-    if has_friction:
-        traction = held.at("traction", environments, one, rows).astype(float)
-        over = np.linalg.norm(traction, axis=2)
-        over -= np.asarray(assembly.coefficients)[list(environments)][one, None] * pressure
-    meshes = [assembly.meshes[env] for env in environments]
-    top, faces = meshes[0].top_faces, meshes[0].faces[rows]
-    corner, area = u[one[:, None], faces], np.empty((len(rows), 1))
-    for mesh, part in zip(meshes, parts, strict=True):
-        corner[part] = mesh.nodes[faces[part]] + corner[part]
-        area[part, 0] = mesh.face_area[rows[part]]
-    shape, rule = assembly.face_rule
-    area = rule * area
-    force, place = (push + traction) * area[:, :, None], shape @ corner
-    moment = _moments(place - tips[one, None], force)
-    penetration = np.where(pressure > 0, deep, 0.0)
-    nodal = _nodal(held, environments, one[rows < len(top)], rows[rows < len(top)], top)
-    found = []
-    for index, part in enumerate(parts):
-        excess = np.nan
-        if has_friction:
-            excess = float(over[part].max(initial=0.0) / pressure[part].max(initial=1e-30))
-        points = ContactPoints(
-            pressure=pressure[part],
-            penetration=penetration[part],
-            traction=traction[part],
-            force=force[part],
-            place=place[part],
-            area=area[part],
-            slip_excess=excess,
-        )
-        found.append(Kept(u[index], points, moment[part], nodal[index]))
-    return found
-
-
-def _nodal(
-    held: Snapshot, environments: Sequence[int], one: np.ndarray, rows: np.ndarray, top: np.ndarray
-) -> np.ndarray:
-    """Return forces on the nodes of the top (K, X Y, 3) of touched faces (T,) of environments."""
-    force = held.at("face_force", environments, one, rows).astype(float).reshape(-1, 3)
-    count = int(top.max()) + 1
-    touched = (top[rows] + one[:, None] * count).ravel()
-    nodal = np.empty((len(environments) * count, 3))
-    for axis in range(3):
-        nodal[:, axis] = np.bincount(touched, force[:, axis], len(nodal))
-    return nodal.reshape(len(environments), count, 3)
-
-
-def stored_energy(held: Snapshot, env: int, points: ContactPoints, u: np.ndarray) -> float:
-    """Return the energy of the material at rest modulus, sticking springs and height [E T^3].
-
-    Energy in penetration is left out: penetration is an error, reported as `contact`.
-    """
-    assembly = held.assembly
-    spring = assembly.numerics.stick * assembly.numerics.penalty
-    springs = ((points.traction**2).sum(axis=2) * points.area).sum() / (2 * spring)
-    if "gravity" in assembly.effects:
-        weight = held.of(env, "weight").astype(float)
-        springs -= (assembly.meshes[env].node_volume[:, None] * u * weight).sum()
-    return float(held.of(env, "element_energy").sum(dtype=float) + springs)
-
-
-def body_force(held: Snapshot, env: int, u: np.ndarray) -> np.ndarray:
-    """Return the weight less inertia of one environment (3,) [E T^2]."""
-    assembly = held.assembly
-    total = np.zeros(3)
-    if "gravity" in assembly.effects:
-        total += held.of(env, "weight").astype(float) * assembly.meshes[env].node_volume.sum()
-    if "inertia" in assembly.effects:
-        rate = held.rate(env)
-        ahead = u - held.of(env, "predicted")
-        free = assembly.meshes[env].node_volume[:, None] * ahead
-        total -= rate * free.sum(axis=0)
-    return total
-
-
-def _moments(lever: np.ndarray, force: np.ndarray) -> np.ndarray:
-    """Return the cross products (..., 3), as `np.cross` does in several times the time."""
-    (x, y, z), (fx, fy, fz) = np.moveaxis(lever, -1, 0), np.moveaxis(force, -1, 0)
-    moment = np.empty_like(lever)
-    moment[..., 0] = y * fz - z * fy
-    moment[..., 1] = z * fx - x * fz
-    moment[..., 2] = x * fy - y * fx
-    return moment
-
-
-# A round body on a grid: values at nodes outside it, and contact at its side wall.
-
-
-class Round:
-    """Side wall of a round body, which cuts through elements and is no contact face.
-
-    Args:
-        scene: Scene with the body.
-        mesh: Mesh of the body.
-    """
-
-    def __init__(self, scene: Scene, mesh: Mesh) -> None:
-        self._scene, self._mesh = scene, mesh
-        unit, body = scene.body.thickness, scene.body
-        beside = mesh.beside
-        places = np.stack(np.meshgrid(mesh.x, mesh.y, indexing="ij"), axis=-1)
-        self._nearest = KDTree(places[~beside]).query(places)[1]
-        """Index of the body's nearest column of nodes, for each column (X, Y)."""
-        self._of_body = np.flatnonzero(~beside)
-        self._cut = ((mesh.fraction > 0) & (mesh.fraction < 1)).ravel()
-        angle = np.linspace(0.0, 2 * np.pi, AROUND, endpoint=False)
-        self._wall = np.stack([np.cos(angle), np.sin(angle)], axis=1) / (2 * unit)
-        self._wall *= body.size_x, body.size_y
-        ends = [[mesh.x[0], mesh.y[0]], [mesh.x[-1], mesh.y[-1]]]
-        self._wall = np.clip(self._wall, *ends)  # rounding may put them outside
-        rim = np.array([body.height(*place) for place in self._wall * unit]) / unit
-        fraction = 1.0 + mesh.nodes[mesh.top[0, 0] - mesh.cells[2] : mesh.top[0, 0] + 1, 2]
-        self._levels = -1.0 + (1.0 + rim)[:, None] * (fraction / fraction[-1])
-
-    def continued(self, u: np.ndarray) -> np.ndarray:
-        """Return displacements (N, 3) by column (X, Y, Z, 3), extended beyond the body's edge.
-
-        Nodes without material have no displacement; a curve through zeros there would bend on the
-        gel.
-        """
-        columns = u.reshape(self._nearest.size, -1, 3)
-        return columns[self._of_body[self._nearest]].reshape(*self._nearest.shape, -1, 3)
-
-    def touched(self, faces: np.ndarray) -> bool:
-        """True if a touched face of the top (T,) is in a column that the side cuts through."""
-        return bool(self._cut[faces[faces < len(self._cut)]].any())
-
-    def wall(self, columns: np.ndarray) -> np.ndarray:
-        """Return points (W, Z, 3) of the side wall, displaced by `continued` (X, Y, Z, 3)."""
-        moved = RegularGridInterpolator((self._mesh.x, self._mesh.y), columns)(self._wall)
-        moved[..., :2] += self._wall[:, None]
-        moved[..., 2] += self._levels
-        return moved
-
-    def overlapped(self, wall: np.ndarray, tip: np.ndarray) -> bool:
-        """True if the indenter overlaps the side wall (W, Z, 3), whose upper edge is the top's."""
-        under = (wall[:, :-1] - tip) * self._scene.body.thickness
-        return bool((self._scene.indenter.distance(under)[0] < 0).any())
-
-
-# Points around a round side wall that are tested for overlap with the indenter.
-AROUND = 256
-
-
-# Values kept from an accepted state: force, surface, and quality measures.
-
-
-@dataclass(slots=True)
-class Spent:
-    """Cost of the steps to the next frame of one press."""
-
-    newton: int = 0
-    cg: int = 0
-    steps: int = 0
-
-
-class Collector:
-    """Frames of one press, filled as they are reached; results are in SI units."""
-
-    def __init__(self, scene: Scene, mesh: Mesh, assembly: Assembly) -> None:
-        self._scene, self._mesh = scene, mesh
-        self._unit = scene.body.thickness
-        self._stress = scene.body.modulus
-        nx, ny, _nz = mesh.cells
-        frames = len(scene.motion)
-        self._wrench = np.full((frames, 6), np.nan)
-        self._surface = np.full((frames, nx + 1, ny + 1, 3), np.nan, np.float32)
-        self._traction = np.full((frames, nx + 1, ny + 1, 3), np.nan, np.float32)
-        self._quality = no_quality(frames)
-        self._overlap_path = 0.0
-        self.below_base = 0.0
-        """Largest depth of the skin below the base plane [m]."""
-        self.worst = np.full(3, np.nan)
-        """Material point of the skin that was deepest inside the indenter [m]."""
-        top = nx * ny
-        count = (nx + 1) * (ny + 1)
-        area = np.bincount(mesh.top_faces.ravel(), np.repeat(mesh.face_area[:top], 4), count)
-        self._area = np.where(area > 0, area, np.inf).reshape(nx + 1, ny + 1, 1)
-        """Area of the nodes of the top (X, Y, 1) [T^2]; inf outside a round body."""
-        self._resolved = np.full(frames, np.inf)
-        self._touched: np.ndarray | None = None
-        self._self_overlap, self._self_place = np.zeros(frames), np.zeros(3)
-        self._counts = {name: np.zeros(frames, np.int64) for name in ("newton", "cg", "steps")}
-        self._work, self._work_most = 0.0, 0.0
-        self.tip = np.zeros(3)
-        """Position of the tip at the end of the last step (3,) [T]."""
-        self._start: float | None = None
-        self._round = None if mesh.fraction is None else Round(scene, mesh)
-        self.at_side: dict[str, list[int]] = {"rim": [], "wall": []}
-        """Waypoints at which the rim or the side wall of a round body is touched."""
-
-    def moved(self, tip: np.ndarray, work: float) -> None:
-        """Add the work [E T^3] of a step that ended with the tip at `tip` (3,)."""
-        self._work += work
-        self._work_most = max(self._work_most, self._work)
-        self.tip = tip
-
-    def passed(self, overlap: np.ndarray) -> None:
-        """Record the overlap along a step, as returned by `Assembly.overlap` (4,)."""
-        self._overlap_path = max(self._overlap_path, float(overlap[0]))
-        self.below_base = max(self.below_base, float(overlap[2]) * self._unit)
-
-    def keep(
-        self,
-        frame: int,
-        env: int,
-        held: Snapshot,
-        kept: Kept,
-        residual: float,
-        overlap: np.ndarray,
-        fold: tuple[float, int],
-        spent: Spent,
-    ) -> None:
-        """Store the last evaluated state of environment `env`, `kept`, as frame `frame`.
-
-        `overlap` is that of the state, as returned by `Assembly.overlap` (4,), and `fold` that with
-        itself, as returned by `self_overlap`; `spent` is its cost.
-        """
-        assembly, mesh = held.assembly, self._mesh
-        u, tip, points = kept.u, self.tip, kept.points
-        force, torque = points.force.sum(axis=(0, 1)), kept.moment.sum(axis=(0, 1))
-        unit, push = self._unit, self._stress * self._unit**2
-        self._wrench[frame, :3] = force * push
-        self._wrench[frame, 3:] = torque * push * unit
-        if self._round is None:
-            nx, ny, nz = mesh.cells
-            self._surface[frame] = u.reshape(nx + 1, ny + 1, nz + 1, 3)[:, :, -1] * unit
-        else:
-            columns = self._round.continued(u)
-            self._surface[frame] = columns[:, :, -1] * unit
-            if self._round.touched(np.flatnonzero(held.of(env, "touched"))):
-                self.at_side["rim"].append(frame)
-            wall = self._round.wall(columns)
-            if self._round.overlapped(wall, tip):
-                self.at_side["wall"].append(frame)
-            self.below_base = max(self.below_base, -(1.0 + float(wall[..., 2].min())) * unit)
-        self._traction[frame] = (
-            kept.push.reshape(self._surface[frame].shape) / self._area * self._stress
-        )
-        depth = max(-float(tip[2]), 1e-6)
-        size = float(np.linalg.norm(force))
-        external = force + body_force(held, env, u)
-        quality = self._quality
-        quality["residual"][frame] = residual
-        quality["contact"][frame] = points.penetration.max(initial=0.0) / depth
-        scale = max(size, float(np.linalg.norm(external)), float(assembly.min_force_scale[env]))
-        quality["balance"][frame] = float(np.linalg.norm(external + held.base(env))) / scale
-        stored = stored_energy(held, env, points, u)
-        if self._start is None:
-            self._start, self._work, self._work_most = stored, 0.0, 0.0
-        lost = self._work - (stored - self._start)
-        quality["energy_gap"][frame] = lost / self._work_most if self._work_most > 1e-9 else 0.0
-        quality["det_f_min"][frame] = held.det(env)
-        quality["slip_excess"][frame] = points.slip_excess
-        deepest, bound = overlap[:2] * self._unit
-        if not frame or deepest > np.nanmax(quality["overlap"][:frame]):
-            face = int(np.argmax(held.of(env, "face_overlap")[:, 0]))
-            self.worst = mesh.nodes[mesh.faces[face]].mean(axis=0) * unit
-        quality["overlap"][frame], quality["overlap_bound"][frame] = deepest, bound
-        quality["overlap_path"][frame] = max(self._overlap_path * unit, deepest)
-        self._overlap_path = 0.0
-        deep, node = fold
-        if deep * unit > self._self_overlap.max():
-            self._self_place = mesh.nodes[node] * unit
-        self._self_overlap[frame] = deep * unit
-        traction = self._traction[frame]
-        x, y = mesh.x * unit, mesh.y * unit
-        quality["contact_width"][frame] = width_of((traction != 0).any(axis=-1), x, y)
-        touched = touched_by(traction)
-        if frame and np.array_equal(touched, self._touched):
-            self._resolved[frame] = self._resolved[frame - 1]
-        else:
-            body, top = self._scene.body, mesh.topmost * unit
-            self._resolved[frame] = resolved(touched, x, y, body=body, top=top)
-        self._touched = touched
-        for name in self._counts:
-            self._counts[name][frame] = getattr(spent, name)
-
-    def resolved(self) -> list[float | None]:
-        """Return the contact resolution of each frame, 1 for 12 elements; None without contact."""
-        return [float(one) if np.isfinite(one) else None for one in self._resolved]
-
-    def self_overlap(self) -> dict:
-        """Return the depth of the skin inside itself per frame, and the deepest point [m]."""
-        found = {"metres": [float(f"{one:.4g}") for one in self._self_overlap]}
-        if self._self_overlap.any():
-            found["place"] = [float(one) for one in self._self_place]
-        return found
-
-    def result(self, record: dict) -> Result:
-        """Return the result; every frame must have been kept."""
-        return Result(
-            scene=self._scene,
-            tier="fem",
-            wrench=self._wrench,
-            surface_x=self._mesh.x * self._unit,
-            surface_y=self._mesh.y * self._unit,
-            surface=self._surface,
-            traction=self._traction,
-            quality=Quality(**self._quality, **self._counts),
-            record=record,
-        )
-
 
 # Batches of a call, the precision of each, and the steps of one batch.
 
@@ -984,75 +549,9 @@ def forget_dump(dump: File | None) -> None:
         dump.parent.rmdir()
 
 
-# Most calls waiting for the thread: frames that wait to be kept take memory.
-AHEAD = 32
 # Further updates of the multipliers where an indenter has all but left the skin: they remember the
 # press before, and each leaves a tenth of it or less. Below this fraction of the largest force.
 FADED, FADED_BELOW = 3, 0.01
-# Longest time [s] that this thread may hold the GIL while the GPU waits for its next launch. With
-# Python's default of 5 ms, 162 presses on an H200 were 7 to 9 % slower.
-TURN = 2e-4
-
-
-class Aside:
-    """Context manager that runs calls in order, on a background thread or immediately.
-
-    On exit it waits for all of them; an error in one is raised there or by a later `do`.
-    """
-
-    def __init__(self, *, thread: bool) -> None:
-        self._executor = ThreadPoolExecutor(1) if thread else None
-        self._waiting: deque[Future[object]] = deque()
-
-    def do(self, call: Callable[..., object], *arguments: object) -> None:
-        """Run a call, or queue it for the thread."""
-        if self._executor is None:
-            call(*arguments)
-            return
-        self._waiting.append(self._executor.submit(call, *arguments))
-        while len(self._waiting) > AHEAD:
-            self._waiting.popleft().result()
-
-    def __enter__(self) -> Self:
-        self._turn = sys.getswitchinterval()
-        if self._executor is not None:
-            sys.setswitchinterval(TURN)
-        return self
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        if self._executor is None:
-            return
-        sys.setswitchinterval(self._turn)
-        self._executor.shutdown(wait=True, cancel_futures=error is not None)
-        if error is None:
-            for call in self._waiting:
-                call.result()
-
-
-@dataclass(frozen=True, slots=True)
-class _Taken:
-    """Steps that some environments completed in one sweep, and the states at their ends."""
-
-    steps: list[int]
-    """Environments that completed a step."""
-    tip: np.ndarray
-    """Tip positions (B, 3) [T]."""
-    work: np.ndarray
-    """Work of the steps (B,) [E T^3]."""
-    way: np.ndarray
-    """Overlap along the steps, as returned by `Assembly.overlap` (B, 4)."""
-    frames: dict[int, int]
-    """Frames that some of them reached, by environment."""
-    held: Snapshot | None
-    """States of those frames; None if no frame was reached."""
-    residual: np.ndarray
-    """Out-of-balance force over force (B,)."""
-    overlap: np.ndarray
-    """Overlap of the states of the frames (B, 4)."""
-    folds: dict[int, tuple[float, int]]
-    """Results of `self_overlap` of those that have folded, by environment."""
-    spent: dict[int, Spent]
-    """Cost of the frames."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -1083,10 +582,9 @@ class _Batch:
         began = time.perf_counter()
         self._assembly = Assembly(meshes, scenes, numerics, precision, device)
         self._newton = Newton(self._assembly)
-        self._collectors = [
-            Collector(scene, mesh, self._assembly)
-            for scene, mesh in zip(scenes, meshes, strict=True)
-        ]
+        self._collectors = list(map(Collector, scenes, meshes))
+        self._area = np.array([mesh.top_area for mesh in meshes])[..., None]
+        self._stress = np.array([scene.body.modulus for scene in scenes])[:, None, None, None]
         self._paths: list[Path] = [
             path_of(scene, numerics, *([mesh.finest] if numerics.follows else []))
             for scene, mesh in zip(scenes, meshes, strict=True)
@@ -1094,7 +592,6 @@ class _Batch:
         self._seconds = {"mesh": meshed, "build": time.perf_counter() - began}
         self._failed: dict[int, SimulationDiverged] = {}
         count = len(scenes)
-        self._aside = Aside(thread=wp.get_device(device).is_cuda)
         self._spent = [Spent() for _scene in scenes]
         self._busy = np.zeros(count, bool)
         self._augmented = np.zeros(count, int)
@@ -1129,17 +626,16 @@ class _Batch:
     def run(self) -> list[Outcome]:
         began = time.perf_counter()
         newton = self._newton
-        with self._aside:
-            while True:
-                paths = enumerate(self._paths)
-                open_ = np.array([not p.finished and i not in self._failed for i, p in paths])
-                if not open_.any():
-                    break
-                self._begin(open_ & ~self._busy)
-                running = self._busy & ~newton.converged & ~newton.failed
-                if running.any():
-                    newton.sweep(running)
-                self._finish(self._busy & (newton.converged | newton.failed))
+        while True:
+            paths = enumerate(self._paths)
+            open_ = np.array([not p.finished and i not in self._failed for i, p in paths])
+            if not open_.any():
+                break
+            self._begin(open_ & ~self._busy)
+            running = self._busy & ~newton.converged & ~newton.failed
+            if running.any():
+                newton.sweep(running)
+            self._finish(self._busy & (newton.converged | newton.failed))
         self._seconds["solve"] = self._before + time.perf_counter() - began
         record = self._record()
         return [
@@ -1242,14 +738,15 @@ class _Batch:
         some = np.flatnonzero(good & (way[:, 3] > 0)).tolist()
         if not some:
             return way, folds, crossed
-        held = Snapshot(assembly, some)
-        for i, kept in zip(some, kept_of(held, some, self._tip[some]), strict=True):
+        top = assembly.read(some, self._tip)[1]
+        displaced = assembly.rows(assembly.state.u, some).astype(float)
+        for i, u, force in zip(some, displaced, top[..., 3:], strict=True):
             mesh, unit = self._meshes[i], self._scenes[i].body.thickness
-            deep, node = folds[i] = self_overlap(mesh, kept.u)
+            deep, node = folds[i] = self_overlap(mesh, u)
             if deep <= least[i]:
                 continue
             place = mesh.nodes[node] * unit
-            touched = kept.push.any(axis=-1).reshape(len(mesh.x), len(mesh.y))
+            touched = force.any(axis=-1)
             x, y = mesh.x * unit, mesh.y * unit
             width, tip = np.array([width_of(touched, x, y)]), self._tip[[i]] * unit
             (fraction,) = _shares(np.array([deep * unit]), width, tip, unit)
@@ -1280,53 +777,46 @@ class _Batch:
         assembly = self._assembly
         kept: dict[int, int] = {}
         work = self._newton.work(good, self._duration)
-        steps = np.flatnonzero(good).tolist()
-        for i in steps:
+        for i in np.flatnonzero(good).tolist():
             path = self._paths[i]
             self._spent[i].steps += 1
             self._last[i] = path.segment, self._share[i] - path.fraction
+            self._collectors[i].moved(float(work[i]), way[i])
             frame = path.segment
             floor = NEARLY_CRUSHED * self._numerics.det_floor
             if path.accept(self._share[i], nearly_crushed=bool(assembly.sums.det[i] < floor)):
                 kept[i] = frame
-        overlap = way
         if kept:
-            keeping = np.isin(np.arange(len(good)), list(kept))
-            overlap = assembly.overlap(self._newton.mask(keeping), samples=FRAME_SAMPLES)
-        taken = _Taken(
-            steps=steps,
-            tip=self._tip.copy(),
-            work=work,
-            way=way,
-            frames=kept,
-            held=Snapshot(assembly, list(kept)) if kept else None,
-            residual=self._newton.residual.copy(),
-            overlap=overlap,
-            folds=folds,
-            spent={i: self._spent[i] for i in kept},
-        )
-        for i in kept:
-            self._spent[i] = Spent()
-        self._aside.do(self._collect, taken)
+            self._keep(kept, folds)
         assembly.accept(good, self._duration)
         if self._progress is not None:
             done = sum(path.segment + path.fraction - 1 for path in self._paths)
             whole = sum(max(len(path.corners) - 2, 1) for path in self._paths)
             self._progress(max(done, 0.0) / whole)
 
-    def _collect(self, taken: _Taken) -> None:
-        """Count the accepted steps, and keep the frames that they reached."""
-        for i in taken.steps:
-            self._collectors[i].moved(taken.tip[i], float(taken.work[i]))
-            self._collectors[i].passed(taken.way[i])
-        if taken.held is None:
-            return
-        tips = np.array([self._collectors[i].tip for i in taken.frames])
-        found = kept_of(taken.held, list(taken.frames), tips)
-        for (i, frame), kept in zip(taken.frames.items(), found, strict=True):
-            fold = taken.folds.get(i, (0.0, -1))
-            told = float(taken.residual[i]), taken.overlap[i], fold, taken.spent[i]
-            self._collectors[i].keep(frame, i, taken.held, kept, *told)
+    def _keep(self, kept: dict[int, int], folds: dict[int, tuple[float, int]]) -> None:
+        """Keep current states as frames, given by environment."""
+        assembly, some, unit = self._assembly, list(kept), self._scenes[0].body.thickness
+        keeping = np.isin(np.arange(len(self._paths)), some)
+        assembly.measure_overlap(self._newton.mask(keeping), samples=FRAME_SAMPLES)
+        read, top = assembly.read(some, self._tip)
+        surface = top[..., :3] * unit
+        traction = top[..., 3:] / self._area[some] * self._stress[some]
+        sums, residual, depth = assembly.sums, self._newton.residual, -self._tip[:, 2]
+        for row, (i, frame) in enumerate(kept.items()):
+            deep, node = folds.get(i, (0.0, -1))
+            told = (
+                *(depth[i], residual[i], sums.base[i], sums.det[i], assembly.min_force_scale[i]),
+                *(deep, node, self._spent[i]),
+            )
+            self._collectors[i].keep(frame, read[row], surface[row], traction[row], told)
+            self._spent[i] = Spent()
+        rounds = [i for i in kept if self._collectors[i].round is not None]
+        if rounds:
+            columns = assembly.rows(assembly.state.u, rounds).astype(float)
+            faces = assembly.rows(assembly.touched, rounds)
+            for i, u, touched in zip(rounds, columns, faces, strict=True):
+                self._collectors[i].keep_round(kept[i], u, touched, self._tip[i])
 
     def _diverged(self, env: int, wanted: Sizes | None = None) -> SimulationDiverged:
         path, scene = self._paths[env], self._scenes[env]
@@ -1380,17 +870,12 @@ class _Batch:
             shape["fineness"] = round(mesh.fineness, 4)
         return {
             "mesh": shape,
-            "overlap": {
-                "place": [float(one) for one in collector.worst],
-                "below_base": collector.below_base,
-            },
-            "self_overlap": collector.self_overlap(),
-            **{name: frames for name, frames in collector.at_side.items() if frames},
-            "warnings": self._warnings(env),
+            **(told := collector.record()),
+            "warnings": self._warnings(env, told),
         }
 
-    def _warnings(self, env: int) -> list[str]:
-        """Return warnings about errors of this result beyond its tolerances."""
+    def _warnings(self, env: int, told: dict) -> list[str]:
+        """Return warnings about errors of this result, `told` by its frames, beyond tolerances."""
         scene, mesh, asked = self._scenes[env], self._meshes[env], self._numerics.fineness
         radius = scene.indenter.sharpest
         element = mesh.finest * scene.body.thickness
@@ -1406,11 +891,8 @@ class _Batch:
                 "the force depends on the mesh and on the path; allowed without this warning: a "
                 "finer mesh or a rounder edge"
             )
-        reported += [
-            f"{SIDES[name]}, at waypoints {frames}"
-            for name, frames in self._collectors[env].at_side.items()
-            if frames
-        ]
+        sides = ((SIDES[name], frames) for name, frames in told.items() if name in SIDES)
+        reported += [f"{what}, at waypoints {frames}" for what, frames in sides]
         return reported
 
     def _record(self) -> dict:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,8 @@ from numpy.typing import NDArray
 
 from sim.effects import Effects, Friction
 from sim.errors import SceneError
+from sim.fem.assembly import Assembly
 from sim.fem.numerics import Fem
-from sim.fem.solver import Collector, Snapshot
 from sim.indenters import named
 from sim.scene import Body, Scene, press_shear_return
 from sim.sensors.field import SurfaceField
@@ -104,14 +105,14 @@ def test_it_agrees_with_the_inside_that_fem_solves(
     Linear interpolation of the same displacement to the base is at least 3.5 times as far off.
     """
     inside: list[tuple[Array, Array]] = []
-    keep = Collector.keep
+    read = Assembly.read
 
-    def keep_all(self: Collector, frame: int, env: int, held: Snapshot, *told: Any) -> None:
-        keep(self, frame, env, held, *told)
-        mesh, unit = self._mesh, BODY.thickness
-        inside.append((mesh.nodes * unit, held.of(env, "u") * unit))
+    def read_all(self: Any, environments: Sequence[int], tip: Array) -> Any:
+        unit = BODY.thickness
+        inside.append((self.mesh.nodes * unit, self.rows(self.state.u, environments)[0] * unit))
+        return read(self, environments, tip)
 
-    monkeypatch.setattr(Collector, "keep", keep_all)
+    monkeypatch.setattr(Assembly, "read", read_all)
     scene = Scene(
         named(name),
         press_shear_return(1e-3, 0.5e-3, steps=1),
