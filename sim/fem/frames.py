@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial import KDTree
 
-from sim.contact_size import touched_by, width_of
+from sim.contact_size import touched_by, widths_of
 from sim.fem.mesh import Mesh
 from sim.fem.reading import READ
 from sim.fem.sizing import resolved
@@ -206,22 +206,10 @@ class Collector:
 
     def resolved(self) -> list[float | None]:
         """Return the contact resolution of each frame, 1 for 12 elements; None without contact."""
-        mesh, unit = self._mesh, self._scene.body.thickness
-        found, last, before = [], None, None
-        for traction in self._traction:
-            touched = touched_by(traction)
-            if before is None or not np.array_equal(touched, before):
-                fine = resolved(
-                    touched,
-                    mesh.x * unit,
-                    mesh.y * unit,
-                    body=self._scene.body,
-                    top=mesh.topmost * unit,
-                )
-                last = fine if np.isfinite(fine) else None
-            before = touched
-            found.append(last)
-        return found
+        mesh, body, unit = self._mesh, self._scene.body, self._scene.body.thickness
+        touched, top = touched_by(self._traction), mesh.topmost * unit
+        found = resolved(touched, mesh.x * unit, mesh.y * unit, body=body, top=top)
+        return [float(one) if np.isfinite(one) else None for one in found]
 
     def result(self, record: dict[str, Any]) -> Result:
         """Return the result; every frame must have been kept."""
@@ -245,9 +233,7 @@ class Collector:
             overlap=overlap[:, 0].copy(),
             overlap_bound=overlap[:, 1].copy(),
             overlap_path=np.maximum(told["overlap_path"] * unit, overlap[:, 0]),
-            contact_width=np.array(
-                [width_of(touched, x, y) for touched in (self._traction != 0).any(axis=-1)]
-            ),
+            contact_width=widths_of((self._traction != 0).any(axis=-1), x, y),
             **{name: told[name].copy() for name in ("newton", "cg", "steps")},
         )
         return Result(

@@ -11,7 +11,7 @@ Lengths in metres, in the contact frame.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -20,12 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from sim.contact_size import half_width, pixel_edges
+from sim.contact_size import PIXELS_MOST, half_widths, pixel_edges
 from sim.indenters import Indenter
 from sim.scene import Body, Scene
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Indices = NDArray[np.int64]
 
 # Elements from one side of a contact to the other, at fineness 1.
 ACROSS = 12
@@ -53,6 +54,9 @@ ASIDE = 2
 # Weights of a normal distribution of 1.5 pixels, which smooths masks before normals are taken.
 SMOOTH = np.exp(-0.5 / 1.5**2 * np.arange(-6, 7) ** 2)
 SMOOTH /= SMOOTH.sum()
+# Neighbours of a pixel (F, X, Y): those of the same frame.
+BESIDE = np.zeros((3, 3, 3), bool)
+BESIDE[1] = True
 # Points along an axis at which sizes are evaluated; the contacts add about as many.
 SITES = 2001
 
@@ -109,27 +113,65 @@ def sizes_of(
     """
     if not touched.any():
         return NOTHING
-    on_body = np.ones_like(touched) if on_body is None else on_body
+    pieces = _pieces_of(touched[None], x, y, thickness, edge_radius, on_body)
+    x_spans, y_spans = (
+        _least([Span(*row) for row in table[:, 1:].tolist()]) for table in pieces.spans
+    )
+    return Sizes(x_spans, y_spans, float(pieces.top.min()), float(pieces.width.max()))
+
+
+class _Pieces(NamedTuple):
+    """P pieces of the contacts of frames, and the element sizes that they require."""
+
+    frame: Indices
+    """Frame of each piece (P,)."""
+    width: Array
+    """Width (P,)."""
+    top: Array
+    """Height of the topmost elements (P,)."""
+    spans: tuple[Array, Array]
+    """Spans along x, and y: frame, low, high, size (N, 4)."""
+
+
+def _pieces_of(
+    touched: Mask,
+    x: Array,
+    y: Array,
+    thickness: float,
+    edge_radius: float = math.inf,
+    on_body: Mask | None = None,
+) -> _Pieces:
+    """Return the pieces of contacts (F, X, Y); further arguments as in `sizes_of`."""
+    on_body = np.ones(touched.shape[1:], bool) if on_body is None else on_body
     edges_x, edges_y = pixel_edges(x), pixel_edges(y)
-    pieces, _count = ndimage.label(touched, structure=np.ones((3, 3)))
-    spans: tuple[list[Span], list[Span]] = ([], [])
-    top, widest = math.inf, 0.0
-    for piece, found in enumerate(ndimage.find_objects(pieces), start=1):
-        of_x, of_y = (slice(max(one.start - ASIDE, 0), one.stop + ASIDE) for one in found)
-        mask, body_here = pieces[of_x, of_y] == piece, on_body[of_x, of_y]
-        edges = tuple(
-            all_of[one.start : one.stop + 1] for all_of, one in ((edges_x, of_x), (edges_y, of_y))
+    numbered, count = ndimage.label(touched, structure=BESIDE)
+    places = ndimage.find_objects(numbered)
+    frame = np.array([place[0].start for place in places], int)
+    width, top = np.empty((2, count))
+    spans = [np.empty((0, 4))], [np.empty((0, 4))]
+    some = max(1, PIXELS_MOST // touched[0].size)
+    for first in range(0, count, some):
+        here = slice(first, first + some)
+        of_x, of_y = (
+            slice(
+                max(min(place[axis].start for place in places[here]) - ASIDE, 0),
+                max(place[axis].stop for place in places[here]) + ASIDE,
+            )
+            for axis in (1, 2)
         )
-        width = 2 * half_width(mask, *edges)
-        widest = max(widest, width)
-        size = min(width / ACROSS, LAYER_SHARE * thickness)
-        normal = _normals(mask)
-        edge = min(size, max(EDGE_SHARE * edge_radius, EDGE_LEAST * size))
-        across, asked = np.maximum(np.abs(normal), OBLIQUE), (width, size, edge)
-        spans[0].extend(_runs(mask, body_here, across[0], edges[0], asked))
-        spans[1].extend(_runs(mask.T, body_here.T, across[1].T, edges[1], asked))
-        top = min(top, OVER_DEPTH * size, edge)
-    return Sizes(_least(spans[0]), _least(spans[1]), top, widest)
+        number = np.arange(1, count + 1)[here, None, None]
+        mask, body = numbered[frame[here], of_x, of_y] == number, on_body[of_x, of_y]
+        edges = (edges_x[of_x.start : of_x.stop + 1], edges_y[of_y.start : of_y.stop + 1])
+        width[here] = 2 * half_widths(mask, *edges)
+        size = np.minimum(width[here] / ACROSS, LAYER_SHARE * thickness)
+        edge = np.minimum(size, np.maximum(EDGE_SHARE * edge_radius, EDGE_LEAST * size))
+        across = np.maximum(np.abs(_normals(mask)), OBLIQUE)
+        asked = np.stack([frame[here], width[here], size, edge])
+        spans[0].extend(_runs(mask, body, across[0], edges[0], asked))
+        turned = mask.transpose(0, 2, 1), body.T, across[1].transpose(0, 2, 1)
+        spans[1].extend(_runs(*turned, edges[1], asked))
+        top[here] = np.minimum(OVER_DEPTH * size, edge)
+    return _Pieces(frame, width, top, (np.concatenate(spans[0]), np.concatenate(spans[1])))
 
 
 # Error of the force times the square of the layers of elements, where a wide contact squeezes a
@@ -159,74 +201,66 @@ def squeeze(scene: Scene, width: Array | float) -> Array:
 
 
 def _normals(mask: Mask) -> Array:
-    """Return unit normals of a piece's outline, at its pixels (2, X, Y); in pixels, not metres.
+    """Return unit normals of outlines at the pixels of masks (P, X, Y), as (2, P, X, Y).
 
-    The ends of the grid count as outline: they are the ends of the body, if a contact reaches them.
+    They are in pixels, not metres. The ends of the grid count as outline: they are the ends of the
+    body, if a contact reaches them.
     """
-    if min(mask.shape) == 1:
+    if 1 in mask.shape[1:]:
         slope = np.ones((2, *mask.shape))
     else:
         soft = mask.astype(float)
-        for axis in (0, 1):
+        for axis in (1, 2):
             soft = ndimage.correlate1d(soft, SMOOTH, axis, mode="constant")
-        slope = np.stack([_slopes(soft), _slopes(soft.T).T])
+        slope = np.stack([_slopes(soft, 1), _slopes(soft, 2)])
     length = np.maximum(np.sqrt(slope[0] ** 2 + slope[1] ** 2), 1e-12)
     return np.asarray(slope / length)
 
 
-def _slopes(values: Array) -> Array:
-    """Return differences along the first axis, as `np.gradient` does, in a tenth of its time."""
+def _slopes(values: Array, axis: int) -> Array:
+    """Return differences along an axis, as `np.gradient` does, in a tenth of its time."""
+    values = np.moveaxis(values, axis, 0)
     slope = np.empty_like(values)
     slope[1:-1] = (values[2:] - values[:-2]) / 2
     slope[0], slope[-1] = values[1] - values[0], values[-1] - values[-2]
-    return slope
+    return np.moveaxis(slope, 0, axis)
 
 
-def _runs(
-    mask: Mask,
-    on_body: Mask,
-    across: Array,
-    edges: Array,
-    asked: tuple[float, float, float],
-) -> Iterable[Span]:
-    """Return spans of the runs of touched pixels along the first axis, and of their end edges.
+def _runs(mask: Mask, on_body: Mask, across: Array, edges: Array, asked: Array) -> list[Array]:
+    """Return spans of the runs of touched pixels along x, and of their end edges.
 
     Args:
-        mask: Pixels that touch (X, Y).
+        mask: Pixels that touch, of each piece (P, X, Y).
         on_body: Pixels on the body (X, Y): a contact that ends at the body's rim has an edge there.
-        across: Cosine between the first axis and the outline's normal (X, Y).
+        across: Cosine between x and the outline's normal (P, X, Y).
         edges: Boundaries between the pixels (X + 1,).
-        asked: Width of the piece, size across it, and size at its outline. A run much longer than
-            the piece is wide is refined to that only at its ends.
+        asked: Of each piece its frame, width, size across it, and size at its outline (4, P). A run
+            much longer than the piece is wide is refined to that only at its ends.
+
+    Returns:
+        Tables of spans: frame, low, high, size (N, 4).
     """
-    width, size, edge = asked
-    framed = np.zeros((len(mask) + 2, mask.shape[1]), np.int8)
-    framed[1:-1] = mask
-    change = np.diff(framed, axis=0).T
-    column, first = np.nonzero(change == 1)
-    past = np.nonzero(change == -1)[1]
+    framed = np.zeros((len(mask), mask.shape[1] + 2, mask.shape[2]), np.int8)
+    framed[:, 1:-1] = mask
+    change = np.diff(framed, axis=1).transpose(0, 2, 1)
+    piece, column, first = np.nonzero(change == 1)
+    past = np.nonzero(change == -1)[2]
+    frame, width, size, edge = asked[:, piece]
     low, high = edges[first], edges[past]
-    begin, end = across[first, column], across[past - 1, column]
+    begin, end = across[piece, first, column], across[piece, past - 1, column]
     within = size / np.maximum(begin, end)
-    tables = []
     long = high - low > LONG * width
-    if long.any():
-        tables.append((low[long], low[long] + width, within[long]))
-        tables.append((high[long] - width, high[long], within[long]))
-        tables.append((low[~long], high[~long], within[~long]))
-    else:
-        tables.append((low, high, within))
-    framed[1:-1] = on_body
-    beside = framed == 0
-    for at, way, rim in (
-        (low, begin, beside[first, column]),
-        (high, end, beside[past + 1, column]),
-    ):
-        here = np.where(rim, EDGE_LEAST * size, edge)
+    tables = [
+        (frame, low, np.where(long, low + width, high), within),
+        (frame[long], high[long] - width[long], high[long], within[long]),
+    ]
+    body = np.zeros((mask.shape[1] + 2, mask.shape[2]), bool)
+    body[1:-1] = on_body
+    for at, way, on in ((low, begin, body[first, column]), (high, end, body[past + 1, column])):
+        here = np.where(on, edge, EDGE_LEAST * size)
         fine = here < size
-        if fine.any():
-            tables.append(((at - here)[fine], (at + here)[fine], (here / way)[fine]))
-    return {Span(*row) for each in tables for row in np.stack(each, axis=1).tolist()}
+        tables.append((frame[fine], (at - here)[fine], (at + here)[fine], (here / way)[fine]))
+    return [np.stack(each, axis=1) for each in tables]
 
 
 def _least(spans: Sequence[Span]) -> tuple[Span, ...]:
@@ -279,22 +313,31 @@ def places_of(
     return counted, place
 
 
-def resolved(touched: Mask, x: Array, y: Array, *, body: Body, top: float) -> float:
-    """Return how finely a mesh resolves the contact solved on it; inf if nothing touches.
+def resolved(touched: Mask, x: Array, y: Array, *, body: Body, top: float) -> Array:
+    """Return how finely a mesh resolves contacts solved on it (F,); inf if nothing touches.
 
     1 corresponds to 12 elements from one side of the contact to the other.
 
     Args:
-        touched: Nodes of the top that touch (X, Y).
+        touched: Nodes of the top that touch, of each frame (F, X, Y).
         x: Positions of the nodes (X,) [m].
         y: The same along y (Y,) [m].
         body: Meshed body.
         top: Height of the topmost elements [m].
     """
-    if not touched.any():
-        return math.inf
-    asked = sizes_of(touched, x, y, body.thickness)
-    return 1.0 / max(coarser_than_asked(asked, x, y), top / (FLATTER * asked.top), 1e-6)
+    anew = np.ones(len(touched), bool)
+    anew[1:] = (touched[1:] != touched[:-1]).any(axis=(1, 2))
+    found = touched[anew]
+    pieces = _pieces_of(found, x, y, body.thickness)
+    coarser = np.where(found.any(axis=(1, 2)), 1e-6, 0.0)
+    np.maximum.at(coarser, pieces.frame, top / (FLATTER * pieces.top))
+    for spans, nodes in zip(pieces.spans, (x, y), strict=True):
+        length, (frame, low, high, size) = np.diff(nodes), spans.T
+        here = (nodes[1:] > low[:, None]) & (nodes[:-1] < high[:, None])
+        ratio = np.where(here, length, 0.0).max(axis=1) / size
+        np.maximum.at(coarser, frame.astype(int), ratio)
+    with np.errstate(divide="ignore"):
+        return np.asarray((1.0 / coarser)[np.cumsum(anew) - 1])
 
 
 # Height of the topmost elements, over that of a mesh that follows the contact, at which it limits

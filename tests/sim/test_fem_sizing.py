@@ -7,9 +7,18 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from sim.contact_size import half_widths
 from sim.fem import solver
 from sim.fem.numerics import Fem
-from sim.fem.sizing import NOTHING, Span, sizes_of, stages_of
+from sim.fem.sizing import (
+    FLATTER,
+    NOTHING,
+    Span,
+    coarser_than_asked,
+    resolved,
+    sizes_of,
+    stages_of,
+)
 from sim.fem.solver import refines, simulate_fem
 from sim.indenters import sphere
 from sim.indenters.shapes import bar
@@ -32,6 +41,45 @@ def test_a_piece_asks_for_the_same_sizes_alone_and_beside_others() -> None:
         spans = {span for one in alone for span in one.x}
         assert set(whole.x) <= spans
         assert min(span.size for span in whole.x) == min(span.size for span in spans)
+
+
+def test_contacts_of_many_frames_are_measured_as_each_alone() -> None:
+    random = np.random.default_rng(4)
+    soft = ndimage.gaussian_filter(random.normal(size=(12, 40, 30)), (0.0, 3.0, 3.0))
+    touched = soft > 0.08
+    touched[3], touched[7] = False, touched[6]
+    x, y = (np.cumsum(random.uniform(0.2e-3, 1e-3, count)) for count in touched.shape[1:])
+    body = Body(thickness=4e-3)
+    found = resolved(touched, x, y, body=body, top=2e-4)
+    alone = [resolved(one[None], x, y, body=body, top=2e-4)[0] for one in touched]
+    np.testing.assert_array_equal(found, alone)
+    sizes = [sizes_of(one, x, y, 4e-3) for one in touched]
+    worst = [coarser_than_asked(one, x, y) for one in sizes]
+    worst = [max(one, 2e-4 / (FLATTER * of.top)) for one, of in zip(worst, sizes, strict=True)]
+    np.testing.assert_array_equal(np.isinf(found), ~touched.any(axis=(1, 2)))
+    np.testing.assert_allclose(1 / found, worst, rtol=1e-15)
+
+
+def test_the_largest_disc_is_that_of_a_distance_transform() -> None:
+    """Of pieces of any shape, among them one along a diagonal, on pixels of different sizes."""
+    random = np.random.default_rng(5)
+    soft = ndimage.gaussian_filter(random.normal(size=(20, 40, 60)), (0.0, 2.0, 2.0))
+    masks = soft > random.uniform(-0.1, 0.1, (20, 1, 1))
+    across = np.arange(40)[:, None] - np.arange(60)
+    masks[0], masks[1], masks[2] = np.abs(across) < 3, across == 0, True
+    edges = [np.cumsum(random.uniform(0.2, 1.0, count)) for count in (41, 61)]
+    for mask, found in zip(masks, half_widths(masks, *edges), strict=True):
+        rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+        even, steps = [], []
+        for of, on in zip(edges, (rows, columns), strict=True):
+            ends = of[on[0] : on[-1] + 2]
+            count = int(min(max(np.ceil(2 * (ends[-1] - ends[0]) / np.diff(ends).min()), 8), 192))
+            steps.append((ends[-1] - ends[0]) / count)
+            places = ends[0] + steps[-1] * (np.arange(count) + 0.5)
+            even.append(np.searchsorted(of, places) - 1)
+        inside = np.pad(mask[np.ix_(*even)], 1)
+        reach = ndimage.distance_transform_edt(inside, sampling=steps).max()
+        assert found == pytest.approx(max(reach - min(steps) / 2, min(steps) / 2), rel=1e-14)
 
 
 def test_a_mesh_is_rebuilt_only_if_the_limit_on_elements_leaves_it_finer() -> None:
