@@ -1,9 +1,13 @@
-"""Access of the bench to force models; `learning` is imported only when a model is opened."""
+"""Access of the bench to `learning`, which is imported only when it is used."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+import simplejpeg
 
 from rig.core.errors import ConfigError
 
@@ -94,6 +98,51 @@ def open_predictor(
     except LearningError as error:
         raise ConfigError(str(error)) from error
     return _Careful(predictor, LearningError, predictor.intervals is not None, predictor.has_before)
+
+
+class MarkerFinder:
+    """Finds the markers in a sensor's images.
+
+    Args:
+        segmenter: Segmenter of `learning.markers`.
+        error: Class of its errors.
+    """
+
+    def __init__(self, segmenter: Any, error: type[Exception]) -> None:
+        self._segmenter, self._error = segmenter, error
+        self.tolerance = int(segmenter.preset.tolerance)
+        """Number of missing or new markers that is no fault."""
+
+    def mask(self, jpeg: bytes) -> npt.NDArray[np.bool_]:
+        """Return the mask (480, 640) of a JPEG.
+
+        Raises:
+            ConfigError: It cannot be decoded, or does not fit the preset.
+        """
+        try:
+            found = simplejpeg.decode_jpeg(jpeg)
+        except ValueError as error:
+            raise ConfigError(f"an image that cannot be decoded: {error}") from error
+        try:
+            return np.asarray(self._segmenter.mask(found))
+        except self._error as error:
+            raise ConfigError(str(error)) from error
+
+
+def open_marker_finder(sensor: str) -> MarkerFinder:
+    """Open the marker detection of a sensor, with the preset of its name.
+
+    Raises:
+        ConfigError: It has no preset, or one without markers.
+    """
+    from learning.errors import LearningError
+    from learning.markers import CameraPreset, Segmenter, preset, preset_of_sensor
+
+    name = preset_of_sensor(sensor)
+    found = None if name is None else preset(name)
+    if not isinstance(found, CameraPreset):
+        raise ConfigError(f"no preset detects markers of {sensor}")
+    return MarkerFinder(Segmenter(found), LearningError)
 
 
 class _Careful:

@@ -12,8 +12,14 @@ import pytest
 from support.chromium import CHROMIUM, Chromium
 from support.collecting import Collection
 from support.layout import OVERFLOW
+from support.live_quality import GELSIGHT, PLACES, picture, recording
 
+from rig.acquire.control import Control
+from rig.acquire.request import CollectRequest
 from rig.core.packaged import BENCHES
+from rig.monitor.page.access import AccessPolicy
+from rig.monitor.page.messages import page_job
+from rig.monitor.page.page import Page
 
 pytestmark = [
     pytest.mark.serial,
@@ -24,10 +30,14 @@ pytestmark = [
 
 # Output path for a new picture of docs/how-to/record-at-the-bench.md.
 PICTURE = os.environ.get("WATCH_PICTURE")
+QUALITY_PICTURE = os.environ.get("QUALITY_PICTURE")
+# Colour of the text of each judgement, and of its ground.
+COLOURS = """[...document.querySelectorAll('#quality .state')]
+  .map((e) => getComputedStyle(e).color + getComputedStyle(e).backgroundColor)"""
 STATUS = "document.body.dataset.status"
 SHOWN = "Number(document.getElementById('image').dataset.shown || 0)"
 # A phone upright and on its side, a tablet, the smallest screen of a bench, and a large one.
-SIZES = ((390, 844), (844, 390), (768, 1024), (1280, 800), (3840, 2160))
+SIZES = ((390, 844), (844, 390), (768, 1024), (1280, 800), (1920, 1080), (3840, 2160))
 INK = """(() => {
   const canvas = document.getElementById('%s'), pen = canvas.getContext('2d');
   const data = pen.getImageData(0, 0, canvas.width, canvas.height).data, colours = new Set();
@@ -79,6 +89,10 @@ def watched(folder: Path, *arguments: str) -> Iterator[tuple[Collection, Chromiu
             collection.end()
 
 
+def text(name: str) -> str:
+    return f"document.getElementById('{name}').textContent"
+
+
 def count(name: str) -> str:
     return f"Number(document.getElementById('n-{name}').textContent)"
 
@@ -107,6 +121,9 @@ def test_a_collection_can_be_watched_paused_and_resumed(tmp_path: Path) -> None:
         browser.click("#pause")
         browser.until(f"{STATUS} == 'collecting'", 30)
 
+        judged = "[...document.querySelectorAll('#quality li')].map((row) => row.innerText)"
+        browser.until(f"{judged}.every((row) => row.startsWith('good'))", 30)
+        assert len(browser.eval(judged)) == 4
         browser.until(f"{count('limited')} >= 1", 90)
         browser.until(f"{STATUS} == 'complete'", 120)
         assert "11 of 11 targets" in browser.eval("document.getElementById('reason').textContent")
@@ -124,6 +141,46 @@ def test_a_collection_can_be_watched_paused_and_resumed(tmp_path: Path) -> None:
                 assert high <= height, f"{high} px high on a screen of {height} px"
         complaints = [line for line in browser.console if "ERR_CONNECTION_REFUSED" not in line]
         assert complaints == []
+
+
+def test_a_fault_of_the_recording_is_seen_by_words_and_colour(tmp_path: Path) -> None:
+    with recording(GELSIGHT, tmp_path) as made, Chromium() as browser:
+        job = page_job(
+            AccessPolicy(port=0),
+            GELSIGHT,
+            tmp_path,
+            CollectRequest(made.path, targets=48),
+            GELSIGHT.trajectory,
+            48,
+        )
+        with Page(job) as page:
+            page.begin(Control(), dict, made.path, 0)
+            browser.resize(1280, 800)
+            browser.open(page.urls[0])
+            for _ in range(2):
+                made.second()
+            browser.until("document.querySelectorAll('#quality .good').length == 4")
+            calm = browser.eval(COLOURS)
+            for _ in range(2):
+                made.second(
+                    image=lambda load: picture(missing=2),
+                    force=lambda ms, load: (1.5 * (ms == 300), 0.0, 0.0),
+                )
+            browser.until("document.querySelectorAll('#quality .good').length == 2")
+            browser.until(f"{text('quality-all')} == '1 at fault, 1 to look at'")
+            words = browser.eval("document.getElementById('quality').innerText")
+            assert f"{len(PLACES) - 2} of {len(PLACES)} seen at rest" in words
+            assert "x spike" in words
+            assert browser.eval(COLOURS)[0] != calm[0]
+            assert browser.eval(COLOURS)[1] == calm[1]
+            for width, height in SIZES:
+                browser.resize(width, height, dark=width > 800)
+                assert browser.eval(OVERFLOW) == [], f"at {width} x {height}"
+                if width == 1280:
+                    assert browser.eval("document.documentElement.scrollHeight") <= height
+            if QUALITY_PICTURE is not None:
+                browser.resize(1280, 800)
+                browser.screenshot(Path(QUALITY_PICTURE))
 
 
 def test_abort_asks_first_and_then_ends_the_collection(tmp_path: Path) -> None:

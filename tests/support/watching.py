@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -69,16 +69,7 @@ class WatchedBench:
         request = CollectRequest(self.session, targets=TARGETS)
         access = access or AccessPolicy(port=0)
         job = page_job(access, BENCH, self.folder, request, BENCH.trajectory, TARGETS)
-        return PageJob(
-            job.access,
-            job.bench,
-            job.folder,
-            job.session,
-            job.spots,
-            job.directions,
-            job.indenter,
-            **fields,
-        )
+        return replace(job, **fields)
 
     def writer(self) -> SessionWriter:
         """Return a writer of the session, to add segments."""

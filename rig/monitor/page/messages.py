@@ -9,7 +9,7 @@ from typing import Literal
 from rig.acquire.request import CollectRequest
 from rig.bench.bench import Bench
 from rig.monitor.page.access import AccessPolicy
-from trajectories import Plan, PressShear
+from trajectories import Plan, PressShear, dome_height
 
 Outcome = Literal["open", "done", "limited"]
 
@@ -55,6 +55,8 @@ class PageJob:
     """Shear directions of the plan; 1 without shear."""
     indenter: str
     """Name of the indenter on the arm."""
+    clearance: float
+    """Height above the surface at which the tip waits before a press [m]."""
     patience: float = 5.0
     """Time after which a client that reads nothing is disconnected [s]."""
 
@@ -92,10 +94,12 @@ def page_job(
     total: int,
 ) -> PageJob:
     """Return the page's settings for a collection of the first `total` targets of `plan`."""
+    targets = [target for target in plan.targets() if target.index < total]
     spots = tuple(
-        Spot(target.point, *target.origin[:2], target.depth, target.direction)
-        for target in plan.targets()
-        if target.index < total
+        Spot(target.point, *target.origin[:2], target.depth, target.direction) for target in targets
     )
+    radius = bench.dome_radius
+    heights = [t.origin[2] - dome_height(radius, *t.origin[:2]) for t in targets]
     directions = plan.direction_count if isinstance(plan, PressShear) else 1
-    return PageJob(access, bench, folder, request.path, spots, directions, bench.indenter)
+    indenter, clearance = bench.indenter, min(heights, default=0.0)
+    return PageJob(access, bench, folder, request.path, spots, directions, indenter, clearance)

@@ -15,8 +15,9 @@ import logging
 import os
 import signal
 import socket
+import threading
 from collections.abc import Awaitable, Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from importlib import resources
 from multiprocessing.connection import Connection
@@ -32,6 +33,7 @@ from rig.core.clock import SECOND_NS, Clock, SystemClock
 from rig.monitor.page.access import AccessPolicy
 from rig.monitor.page.live_state import TRACE_RATE_HZ, TRACE_SECONDS, LiveState
 from rig.monitor.page.messages import COMMANDS, ENDED, LETTERS, PageJob, Snapshot
+from rig.monitor.page.quality import LiveQuality, Quality
 
 # HTTP part: a few known files, and the headers that protect them from other sites.
 
@@ -159,6 +161,8 @@ MESSAGE_WINDOW = 5.0
 MAX_NONSENSE = 5
 HANDSHAKE_TIMEOUT = 5.0
 STATE_PERIOD = 0.1
+# Interval between judgements of the quality [s].
+QUALITY_PERIOD = 0.5
 # Time for delivering the final state [s]; the process ends sooner if all clients have it.
 LINGER = 3.0
 # Send buffer of the kernel per client [bytes]; small, because its content is outdated on arrival.
@@ -273,6 +277,7 @@ class PageServer:
         self._look = LiveState(job.bench, job.folder, job.session, clock.now_ns())
         self._site = Site(job.access)
         self._snapshot = Snapshot(outcomes=LETTERS["open"] * len(job.spots))
+        self._quality: list[Quality] = []
         self._log: list[str] = []
         self._logged = 0
         self._watchers: set[ServerConnection] = set()
@@ -292,6 +297,7 @@ class PageServer:
         loop = asyncio.get_running_loop()
         loop.add_reader(self._pipe.fileno(), self._hear)
         self._pipe.send(("ready", port))
+        threading.Thread(target=self._judge, name="quality", daemon=True).start()
         sampling = asyncio.create_task(self._sample())
         try:
             await self._ended.wait()
@@ -332,6 +338,20 @@ class PageServer:
         while True:
             self._look.sample()
             await asyncio.sleep(1 / TRACE_RATE_HZ)
+
+    def _judge(self) -> None:
+        """Judge the quality until the process ends, in a thread: clients need not wait for it."""
+        job = self._job
+        try:
+            live = LiveQuality(job.bench, job.session, job.clearance, self._clock.now_ns())
+            while True:
+                self._quality = live.look()
+                self._clock.sleep_until(self._clock.now_ns() + round(QUALITY_PERIOD * SECOND_NS))
+        except Exception as error:
+            # A list that no longer changes would look like that of a healthy recording.
+            text = f"not judged any more: {type(error).__name__}: {error}"
+            self._quality = [Quality("quality", "fault", text)]
+            raise
 
     def _on_request(self, connection: ServerConnection, request: Request) -> Response | None:
         spoke(connection)
@@ -450,6 +470,7 @@ class PageServer:
             "forces": self._look.forces(),
             "tips": self._look.tips(),
             "taxels": self._look.taxels(),
+            "quality": [asdict(each) for each in self._quality],
             "traces": {name: t.since(traced[name]) for name, t in self._look.traces.items()},
             "log": self._log[len(self._log) - new :],
             "watchers": len(self._watchers),

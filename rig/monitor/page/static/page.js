@@ -12,6 +12,7 @@ const STATUS = {
 const PHASES = {
   normal_inc: "pressing", shear_inc: "shearing", shear_dec: "shearing back", normal_dec: "releasing", "to point": "to the point",
 };
+const QUALITY = { good: "good", watch: "look", fault: "fault", unknown: "unknown" };
 const ENDED = new Set(["complete", "stopped", "gone"]);
 const SILENT = 2000;
 const RETRY = 1500;
@@ -222,6 +223,7 @@ function show(next) {
   for (const [name, points] of Object.entries(state.traces)) traces[name].add(points);
   forces(state.forces);
   places(state.tips);
+  quality(state.quality);
   streams(state.streams);
   for (const { name, canvas } of pictures) {
     if (!state.taxels[name]) continue;
@@ -281,6 +283,29 @@ function places(tips) {
     const level = fraction < 0 || fraction > 1 ? "over" : fraction < 0.05 || fraction > 0.95 ? "near" : "";
     setGauge(row, fraction, `${signed(tip[k], 1)} mm`, level);
   });
+}
+
+function quality(rows) {
+  const list = $("quality");
+  while (list.children.length > rows.length) list.lastChild.remove();
+  while (list.children.length < rows.length) {
+    const row = document.createElement("li");
+    const said = document.createElement("p");
+    said.append(document.createElement("b"), " ", document.createElement("span"));
+    row.append(document.createElement("span"), said);
+    list.append(row);
+  }
+  rows.forEach(({ name, state, text: why }, k) => {
+    const [judged, said] = list.children[k].children, [title, reason] = said.children;
+    judged.className = `state ${state}`;
+    text(judged, QUALITY[state]);
+    text(title, name);
+    text(reason, why);
+  });
+  const count = (wanted) => rows.filter(({ state }) => state === wanted).length;
+  const found = [["fault", "at fault"], ["watch", "to look at"], ["unknown", "unknown"]]
+    .filter(([wanted]) => count(wanted)).map(([wanted, said]) => `${count(wanted)} ${said}`).join(", ");
+  text("quality-all", found || (rows.length ? "all good" : ""));
 }
 
 function streams(rows) {

@@ -1,0 +1,181 @@
+"""Quality of a running collection: a planted fault of each kind is found, and only that one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.live_quality import CLEARANCE, GELSIGHT, PLACES, USKIN, Part, picture, recording
+
+from rig.bench.bench import Bench, bench_from
+from rig.core.config import read_yaml
+from rig.core.packaged import BENCHES
+from rig.monitor.page.quality import LiveQuality, Quality
+
+
+def wrong(judged: dict[str, Quality]) -> dict[str, tuple[str, str]]:
+    return {name: (row.state, row.text) for name, row in judged.items() if row.state != "good"}
+
+
+@pytest.mark.parametrize("bench", [GELSIGHT, USKIN], ids=lambda bench: bench.sensor)
+def test_a_healthy_recording_is_good_in_everything(bench: Bench, tmp_path: Path) -> None:
+    with recording(bench, tmp_path) as made:
+        assert {row.state for row in made.quality.look()} == {"unknown"}
+        for _ in range(4):
+            made.second()
+            judged = made.judged()
+        assert wrong(judged) == {}
+        signal = ["markers", "camera drift"] if bench.camera else ["taxels drift"]
+        assert list(judged) == [*signal, "force drift", "force"]
+        # The last samples come when it is known where the tip was.
+        assert judged["force"].text == "no anomaly in 3,993 samples"
+
+
+def test_rows_of_earlier_runs_are_left_out(tmp_path: Path) -> None:
+    with recording(USKIN, tmp_path) as made:
+        made.second(force=lambda ms, load: (2.0, 0.0, 0.0))
+        made.quality = LiveQuality(USKIN, made.path, CLEARANCE, 0)
+        for _ in range(2):
+            made.second()
+        assert wrong(made.judged()) == {}
+
+
+RATING = USKIN.limits.force_rating[2]
+
+
+def pressed(most: float, limit: float = 1.0) -> Part:
+    """Return a force that reaches a fraction of the rating, and is cut off at another one."""
+    return lambda ms, load: (0.0, 0.0, -RATING * min(most * load, limit))
+
+
+@pytest.mark.parametrize(
+    ("fault", "state", "text"),
+    [
+        (
+            {"force": lambda ms, load: (1.5 * (ms == 300), 0.0, -3.0 * load)},
+            "watch",
+            "1 x spike, the last at 0:02, Fx by +1.5",
+        ),
+        ({"force": pressed(0.95)}, "watch", "x sample near the rating, the last at 0:02, Fz of -"),
+        ({"force": pressed(1.1)}, "fault", "x sample beyond the rating, the last at 0:02, Fz of -"),
+        (
+            {"force": pressed(1.5, limit=0.9), "noise": 0.0},
+            "fault",
+            f"1 x saturation, the last at 0:02, Fz stays at {-0.9 * RATING:+.3f} N",
+        ),
+        (
+            {"force": lambda ms, load: (0.0, 1.0 - load, 0.0)},
+            "fault",
+            "1 x force without contact, the last at 0:02, Fy of 1.0",
+        ),
+        ({"status": -1}, "fault", "1000 x invalid sample, the last at 0:02, status 0x"),
+        (
+            {
+                "force": lambda ms, load: (0.9, 0.0, 0.0),
+                "tip": lambda ms, load: (1.01 * USKIN.limits.box_x[1], 0.0),
+            },
+            "fault",
+            "N with the tip outside of the box",
+        ),
+    ],
+    ids=["spike", "near", "beyond", "saturation", "no-contact", "status", "outside"],
+)
+def test_an_odd_force_is_found(
+    fault: dict[str, Any], state: str, text: str, tmp_path: Path
+) -> None:
+    with recording(USKIN, tmp_path) as made:
+        made.second()
+        made.second()
+        assert wrong(made.judged()) == {}
+        made.second(**fault)
+        for _ in range(2):
+            made.second()
+        judged = made.judged()
+        assert wrong(judged).keys() == {"force"}
+        assert judged["force"].state == state
+        assert text in judged["force"].text
+        # It is recorded, so it stays on the page.
+        made.second()
+        assert text in made.judged()["force"].text
+
+
+@pytest.mark.parametrize(
+    ("offset", "state", "text"),
+    [(0.2, "watch", "0.20 of 0.30 N (Fx)"), (-0.4, "fault", "0.40 of 0.30 N (Fx)")],
+)
+def test_a_gauge_that_drifts_is_found(offset: float, state: str, text: str, tmp_path: Path) -> None:
+    with recording(USKIN, tmp_path) as made:
+        made.second()
+        made.second(force=lambda ms, load: (offset, 0.0, -3.0 * load))
+        made.second(force=lambda ms, load: (offset, 0.0, -3.0 * load))
+        judged = made.judged()
+        assert judged["force drift"].state == state
+        assert judged["force drift"].text.startswith(text)
+        assert ("force" in wrong(judged)) == (state == "fault")
+
+
+def test_taxels_that_drift_are_found(tmp_path: Path) -> None:
+    assert USKIN.stand_ins is not None
+    allowed = 0.1 * USKIN.stand_ins.signal_max
+    with recording(USKIN, tmp_path) as made:
+        made.second()
+        made.judged()
+        for drift, faulty in ((0.9 * allowed, set()), (1.1 * allowed, {"taxels drift"})):
+            for _ in range(2):
+                made.second(counts=lambda load, drift=drift: 5000.0 * load + drift)
+            assert wrong(made.judged()).keys() == faulty
+
+
+def test_an_image_that_drifts_is_found(tmp_path: Path) -> None:
+    with recording(GELSIGHT, tmp_path) as made:
+        made.second()
+        made.judged()
+        for _ in range(2):
+            made.second(image=lambda load: picture(light=0.95))
+        judged = made.judged()
+        assert wrong(judged).keys() == {"camera drift"}
+        assert "the light, the focus or the gel changed" in judged["camera drift"].text
+
+
+def test_markers_that_are_lost_are_found_and_a_contact_may_hide_a_few(tmp_path: Path) -> None:
+    with recording(GELSIGHT, tmp_path) as made:
+        made.second()
+        made.judged()
+        made.second(image=lambda load: picture(missing=2 * (load > 0)))
+        made.judged()
+        for _ in range(2):
+            made.second(image=lambda load: picture(missing=2))
+            judged = made.judged()
+        assert wrong(judged).keys() == {"markers"}
+        assert judged["markers"].state == "fault"
+        assert judged["markers"].text.startswith(
+            f"{len(PLACES) - 2} of {len(PLACES)} seen at rest (image "
+        )
+        # Seen again, but some of the images before have lost them.
+        for _ in range(2):
+            made.second()
+            judged = made.judged()
+        assert judged["markers"].state == "good"
+        assert "missing in " in judged["markers"].text
+
+
+def test_a_sensor_without_a_preset_has_no_count(tmp_path: Path) -> None:
+    content = {**read_yaml(BENCHES / "gelsight.yaml", BENCHES), "sensor": "nosuch"}
+    with recording(bench_from(content, "b.yaml"), tmp_path) as made:
+        for _ in range(2):
+            made.second()
+            judged = made.judged()
+        assert wrong(judged) == {
+            "markers": ("unknown", "not counted: no preset detects markers of nosuch")
+        }
+
+
+def test_what_cannot_be_read_is_said(tmp_path: Path) -> None:
+    quality = LiveQuality(USKIN, tmp_path / "s.zarr", CLEARANCE, 0)
+    pose = tmp_path / "s.zarr" / "streams" / "pose"
+    pose.mkdir(parents=True)
+    (pose / "zarr.json").write_text("{")
+    (row,) = quality.look()
+    assert (row.name, row.state) == ("session", "fault")
+    assert row.text.startswith(f"cannot be read: {pose}")
