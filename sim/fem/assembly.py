@@ -472,6 +472,7 @@ class Assembly:
         elements, faces = len(mesh.elements), len(mesh.faces)
         self._runs = -(-count // RUN)
         self._shift = wp.zeros(environments, dtype=real, device=device)
+        self._shift_now = np.zeros(environments)
         self._element_force = wp.zeros((environments, elements, 8), dtype=vec3, device=device)
         self.element_energy = wp.zeros((environments, elements), dtype=real, device=device)
         # Elements outside a round body keep this value.
@@ -788,7 +789,10 @@ class Assembly:
         `damping` (B,) [E / T^2] stiffens the tangent against any motion, but not the residual. The
         elastic part is updated to `u` where `renew` (B,) is set, or everywhere; else it is kept.
         """
-        self._shift.assign((self.state.rates + damping).astype(numpy_of(self.real)))
+        shift = (self.state.rates + damping).astype(numpy_of(self.real))
+        if not np.array_equal(shift, self._shift_now):
+            self._shift.assign(shift)
+            self._shift_now = shift
         self.block_matrix.assemble(
             active,
             u,

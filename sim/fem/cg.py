@@ -3,11 +3,11 @@
 """Preconditioned conjugate gradients on all environments at once, each stopping independently.
 
 The only data read back from the device are the indices of running environments, every `LOOK`
-iterations. The iterations in between are one graph of five kernels each, recorded once per number
-of launched rows, so Python need not launch every kernel. A row holds the index of an environment,
-or -1. When half of the environments have finished, the others move together and half as many rows
-are launched, since idle threads take time as well. Dot products are float64 whichever precision the
-vectors have.
+iterations, and one array of `SCALARS` at the end. The iterations in between are one graph of five
+kernels each, recorded once per number of launched rows, so Python need not launch every kernel. A
+row holds the index of an environment, or -1. When half of the environments have finished, the
+others move together and half as many rows are launched, since idle threads take time as well. Dot
+products are float64 whichever precision the vectors have.
 """
 
 import functools
@@ -25,8 +25,9 @@ LOOK, LOOK_GRIDS = {"cpu": 1, "cuda": 8}, {"cpu": 1, "cuda": 2}
 CONCAVE = 1e300
 # GPU threads that add up the partial sums of one environment.
 LANES = 128
-# Scalars per environment: r.z, target of r.r, step length, direction update (beta), slope.
-SCALARS = 5
+# Scalars per environment: r.z, target of r.r, step length, direction update (beta), slope, number
+# of iterations.
+SCALARS = 6
 
 
 @functools.cache
@@ -54,11 +55,15 @@ def _cg_kernels(real, lanes: int):
         r_out: wp.array2d(dtype=vec3),
         p_out: wp.array2d(dtype=vec3),
         product_out: wp.array2d(dtype=vec3),
+        scalars_out: wp.array2d(dtype=wp.float64),
     ):
         row, n = wp.tid()
         env = which[row]
         if env < 0:
             return
+        if n == 0:
+            for column in range(SCALARS):
+                scalars_out[env, column] = wp.float64(0.0)
         solution_out[env, n] = vec3()
         p_out[env, n] = vec3()
         product_out[env, n] = vec3()
@@ -82,8 +87,6 @@ def _cg_kernels(real, lanes: int):
         if lane == 0:
             scalars_out[env, 0] = rz
             scalars_out[env, 1] = rr * accuracy[env] * accuracy[env]
-            scalars_out[env, 3] = wp.float64(0.0)
-            scalars_out[env, 4] = wp.float64(0.0)
             if rr == wp.float64(0.0):
                 which[row] = -1
             elif not (rz > wp.float64(0.0)):
@@ -97,7 +100,6 @@ def _cg_kernels(real, lanes: int):
         sums: wp.array3d(dtype=wp.float64),
         # In and out:
         which: wp.array(dtype=wp.int32),
-        count_out: wp.array(dtype=wp.int32),
         scalars_out: wp.array2d(dtype=wp.float64),
     ):
         row, lane = wp.tid()
@@ -111,12 +113,12 @@ def _cg_kernels(real, lanes: int):
             else:
                 # Not convex along p: keep the solution so far; in the first iteration step along p.
                 scalars_out[env, 2] = wp.float64(0.0)
-                if count_out[env] == 0:
+                if scalars_out[env, 5] == wp.float64(0.0):
                     scalars_out[env, 2] = wp.float64(1.0)
                 scalars_out[env, 1] = wp.float64(CONCAVE)
             # The right-hand side times p is r.z: all later residuals are orthogonal to it.
             scalars_out[env, 4] = scalars_out[env, 4] - scalars_out[env, 2] * scalars_out[env, 0]
-            count_out[env] = count_out[env] + 1
+            scalars_out[env, 5] = scalars_out[env, 5] + wp.float64(1.0)
 
     @wp.kernel(enable_backward=False, module="unique")
     def change(
@@ -205,9 +207,9 @@ class ConjugateGradient:
         parts = environments, preconditioner.parts, 2
         self._sums = wp.zeros(parts, dtype=wp.float64, device=device)
         self._which = self._all_rows = wp.zeros(environments, dtype=wp.int32, device=device)
-        self._count = wp.zeros(environments, dtype=wp.int32, device=device)
         self._accuracy = wp.zeros(environments, dtype=wp.float64, device=device)
         self._scalars = wp.zeros((environments, SCALARS), dtype=wp.float64, device=device)
+        self._ended = np.zeros((environments, SCALARS))
         self._records, self._graphs = record, {}
         self._gathers = self._device.is_cuda if gather is None else gather
         self._lanes = LANES if self._device.is_cuda else 1
@@ -225,32 +227,32 @@ class ConjugateGradient:
         running = np.flatnonzero(chosen)
         self._gather(running, renew=True)
         self._accuracy.assign(accuracy)
-        self._count.zero_()
-        self._scalars.zero_()
-        self._launch(start, [residual], [self.solution, self._r, self._p, self._product])
-        self._preconditioner.choose(running)
+        vectors = [self.solution, self._r, self._p, self._product]
+        self._launch(start, [residual], [*vectors, self._scalars])
+        grids = self._preconditioner.choose(running)
         self._advance()
         self._total(begin, [self._sums, self._accuracy], [self._which, self._scalars])
         self._launch(turn, [self._scalars, self._z], [self._p])
         kind, done = "cuda" if self._device.is_cuda else "cpu", 0
-        while done < most:
-            rows = self._which.numpy()
-            running = rows[rows >= 0]
-            if not len(running):
-                break
-            self._gather(running)
-            look = (LOOK if self._preconditioner.choose(running) == 1 else LOOK_GRIDS)[kind]
+        while len(running) and done < most:
+            look = (LOOK if grids == 1 else LOOK_GRIDS)[kind]
             self._iterate(look)
             done += look
-        return self._count.numpy().copy()
+            rows = self._which.numpy()
+            running = rows[rows >= 0]
+            if len(running):
+                self._gather(running)
+                grids = self._preconditioner.choose(running)
+        self._ended = self._scalars.numpy().copy()
+        return np.where(chosen, self._ended[:, 5], 0.0).astype(int)
 
     def status(self) -> tuple[np.ndarray, np.ndarray]:
         """Return -(right-hand side) . solution, and True for solves that ended concave (B,).
 
-        Those met a direction along which the tangent is not convex.
+        Those met a direction along which the tangent is not convex. It is that of the last solve of
+        each environment.
         """
-        scalars = self._scalars.numpy()
-        return scalars[:, 4].copy(), scalars[:, 1] >= CONCAVE
+        return self._ended[:, 4], self._ended[:, 1] >= CONCAVE
 
     def _gather(self, running: np.ndarray, *, renew: bool = False) -> None:
         """Launch at most twice as many rows as are running, if rows are gathered at all.
@@ -286,7 +288,7 @@ class ConjugateGradient:
     def _once(self) -> None:
         _start, _begin, step_length, change, turn = _cg_kernels(self._real, self._lanes)
         self._matrix.product(self._which, self._p, self._product, self._along)
-        self._total(step_length, [self._along], [self._which, self._count, self._scalars])
+        self._total(step_length, [self._along], [self._which, self._scalars])
         self._advance()
         self._total(change, [self._sums], [self._which, self._scalars])
         self._launch(turn, [self._scalars, self._z], [self._p])

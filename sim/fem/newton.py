@@ -106,6 +106,7 @@ class Newton:
         self._settled, self._renewed = np.zeros((2, count), int)
         self._patience = np.ones(count)
         self._masks: dict[bytes, wp.array] = {}
+        self._whole = wp.ones(count, dtype=assembly.real, device=assembly.device)
 
     def begin(
         self,
@@ -314,8 +315,10 @@ class Newton:
         axpy(trying, self._lengths(length), self._start, self._cg.solution, assembly.state.u)
 
     def _lengths(self, length: np.ndarray):
-        """Return lengths (B,) as an array for the kernels."""
+        """Return lengths (B,) as an array for the kernels; most steps are whole."""
         assembly = self._assembly
+        if (length == 1.0).all():
+            return self._whole
         return wp.array(
             length.astype(numpy_of(assembly.real)), dtype=assembly.real, device=assembly.device
         )

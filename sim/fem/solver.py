@@ -734,7 +734,6 @@ class _Batch:
         if not good.any():
             return np.zeros((len(good), COLUMNS)), folds, crossed
         way = assembly.overlap(self._newton.mask(good), samples=PATH_SAMPLES, states=PATH_STATES)
-        least = np.array([PASSED * mesh.finest for mesh in self._meshes])
         some = np.flatnonzero(good & (way[:, 3] > 0)).tolist()
         if not some:
             return way, folds, crossed
@@ -743,7 +742,7 @@ class _Batch:
         for i, u, force in zip(some, displaced, top[..., 3:], strict=True):
             mesh, unit = self._meshes[i], self._scenes[i].body.thickness
             deep, node = folds[i] = self_overlap(mesh, u)
-            if deep <= least[i]:
+            if deep <= PASSED * mesh.finest:
                 continue
             place = mesh.nodes[node] * unit
             touched = force.any(axis=-1)
