@@ -3,17 +3,20 @@
     python -m benchmarks first-hour --page times.md
 
 Builds the wheel and installs it into a new environment. In a lab outside of the repository it tests
-and sets up a mock bench, records three sessions, looks at one and records two of its targets again.
-It trains the smallest force model and predicts forces as the mock bench is touched. Every command
-is printed with its time. Only the dependencies of the wheel come from the network.
+and sets up a mock bench, and records three sessions. It looks at one on the page by clicks in a
+browser, marks two targets there, and records these again. It trains the smallest force model and
+predicts forces as the mock bench is touched. Every command is printed with its time. Only the
+dependencies of the wheel come from the network.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import re
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -22,6 +25,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from benchmarks.chromium import CHROMIUM, Chromium
 from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE
 from recorder.processes import cores
 from recorder.progress import duration
@@ -31,7 +35,7 @@ SENSOR = "gelsight"
 # Cone is one of the paper's six indenters that no training uses.
 INDENTERS = ("sphere", "cylinder", "cone")
 TARGETS = 8
-AGAIN = "3,7"
+AGAIN = (3, 7)
 # Times that a step on the mock bench is tried: on a busy machine an emulator may answer late.
 TRIES = 3
 # What a stopped collection prints before the command that goes on with it.
@@ -49,6 +53,8 @@ class Step:
     words: tuple[str, ...]
     at_bench: bool = False
     """On the mock bench, whose emulators run in real time."""
+    by_clicks: bool = False
+    """Serves the page, which is used by clicks until it is closed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,15 +86,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out", type=Path, metavar="DIR", help="new folder that is kept (default: a temporary one)"
     )
     parser.add_argument("--page", type=Path, metavar="FILE", help="page of the times to write")
+    parser.add_argument(
+        "--picture", type=Path, metavar="FILE", help="picture (PNG) of the workbench to write"
+    )
 
 
 def run(options: argparse.Namespace) -> int:
     """Run all steps; return the exit code of the one that failed, or 0."""
     done: list[Ran] = []
+    if CHROMIUM is None:
+        print("first hour: found no chromium: the page is not opened, targets are named by hand")
     with tempfile.TemporaryDirectory(prefix="first-hour-") as name:
         folder = Path(name) if options.out is None else options.out.resolve()
         folder.mkdir(parents=True, exist_ok=True)
-        for each in commands(folder, options.venv):
+        for each in commands(folder, options.venv, options.picture):
             done.append(each)
             if each.code != EXIT_DONE:
                 print(f"first hour: stopped by {each.command}, exit code {each.code}")
@@ -101,19 +112,24 @@ def run(options: argparse.Namespace) -> int:
     return EXIT_DONE
 
 
-def commands(folder: Path, environment: Path | None) -> Iterator[Ran]:
+def commands(folder: Path, environment: Path | None, picture: Path | None) -> Iterator[Ran]:
     """Run the commands one after the other, in a new environment if there is none."""
     if environment is None:
         environment = folder / "venv"
         yield from installed(folder, environment)
     tactile = environment.resolve() / "bin" / "tactile"
-    for number, step in enumerate(steps()):
+    for number, step in enumerate(steps(clicks=CHROMIUM is not None)):
         place = folder if number == 0 else folder / "lab"
-        yield ran([str(tactile), *step.words], place, step.at_bench)
+        words = [str(tactile), *step.words]
+        yield clicked(words, place, picture) if step.by_clicks else ran(words, place, step.at_bench)
 
 
-def steps() -> Iterator[Step]:
-    """Yield the commands of `tactile`, the first in the folder that gets the lab."""
+def steps(*, clicks: bool) -> Iterator[Step]:
+    """Yield the commands of `tactile`, the first in the folder that gets the lab.
+
+    Args:
+        clicks: Mark the targets to record again on the page; else they are named in a command.
+    """
     yield Step(("init", "lab"))
     yield Step(("doctor", "--sensor", SENSOR), at_bench=True)
     yield Step(("setup", "--sensor", SENSOR, "--yes"), at_bench=True)
@@ -123,7 +139,12 @@ def steps() -> Iterator[Step]:
         yield Step(("collect", *chosen, "--out", session), at_bench=True)
     yield Step(("session", "info", sessions[0]))
     yield Step(("session", "sheet", sessions[0], "--output", "sphere.png"))
-    yield Step(("collect", "--resume", sessions[0], "--again", AGAIN), at_bench=True)
+    if clicks:
+        yield Step(("page", "--port", "0"), by_clicks=True)
+        yield Step(("campaign", "--file", "campaigns/again.yaml", "--yes"), at_bench=True)
+    else:
+        again = ",".join(map(str, AGAIN))
+        yield Step(("collect", "--resume", sessions[0], "--again", again), at_bench=True)
     yield Step(("session", "check", sessions[0]))
     yield Step(("markers", *sessions, "--out", "gel.markers.zarr", "--sheet", "gel.png"))
     yield Step(("split", "gel.markers.zarr", "--out", "split.json"))
@@ -168,9 +189,6 @@ def ran(words: Sequence[str], place: Path, at_bench: bool = False) -> Ran:
         place: Folder.
         at_bench: Try it again, or continue, when a device of the mock bench was lost.
     """
-    # As for a user without the repository, who came by no make.
-    kept = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
-    kept.pop("TACTILE_DOOR", None)
     first, code, lines, seconds, tries = shown(words), EXIT_DEVICE_LOST, [""], 0.0, 0
     while code == EXIT_DEVICE_LOST and tries < (TRIES if at_bench else 1):
         tries += 1
@@ -179,7 +197,7 @@ def ran(words: Sequence[str], place: Path, at_bench: bool = False) -> Ran:
         done = subprocess.run(
             words,
             cwd=place,
-            env=kept,
+            env=_environment(),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -199,6 +217,86 @@ def ran(words: Sequence[str], place: Path, at_bench: bool = False) -> Ran:
             if line.startswith(CONTINUE):
                 words = [words[0], *shlex.split(line.removeprefix(CONTINUE))[1:]]
     return Ran(first, code, lines, seconds, tries)
+
+
+def clicked(words: Sequence[str], place: Path, picture: Path | None) -> Ran:
+    """Serve the page and use it in a browser as a user does: look at a session, mark two targets.
+
+    Args:
+        words: The command that serves it.
+        place: Folder.
+        picture: File for a picture of the workbench (PNG); None: none.
+    """
+    print(f"$ {shown(words)}", flush=True)
+    began = time.monotonic()
+    served = subprocess.Popen(
+        words,
+        cwd=place,
+        env=_environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    assert served.stdout is not None
+    lines = [served.stdout.readline().rstrip()]
+    failed = False
+    try:
+        address = re.search(r"open (http\S+);", lines[0])
+        with Chromium() as browser:
+            if address is None:
+                raise RuntimeError("no address was printed")
+            for line in look(browser, address[1], picture):
+                lines.append(line)
+                print(f"  {line}", flush=True)
+    except (AssertionError, RuntimeError) as error:
+        failed = True
+        lines += str(error).splitlines()
+    finally:
+        served.send_signal(signal.SIGINT)
+        rest, _ = served.communicate()
+    lines += rest.splitlines()
+    code = 1 if failed else served.returncode
+    if code != EXIT_DONE:
+        print("\n".join(f"  {line}" for line in lines[-SHOWN_FAILED:]), flush=True)
+    took = time.monotonic() - began
+    print(f"  {took:.1f} s", flush=True)
+    return Ran(shown(words), code, lines, took, 1)
+
+
+def look(browser: Chromium, address: str, picture: Path | None) -> Iterator[str]:
+    """Look at the first session of the lab on the page and mark `AGAIN`; yield the visible results.
+
+    Raises:
+        AssertionError: Something does not appear.
+    """
+    text = "document.getElementById('{}').textContent".format
+    frame = "Number(document.getElementById('view').dataset.frame)"
+    browser.resize(1440, 900)
+    browser.open(address)
+    browser.until(f"document.querySelectorAll('#list li').length == {len(INDENTERS)}")
+    yield f"sessions: {browser.eval(text('found'))}"
+    browser.click(f"#list a[href$='{INDENTERS[0]}.zarr']")
+    browser.until(f"{frame} >= 0 && document.querySelector('#pictures img').naturalWidth > 0")
+    before = browser.eval(frame)
+    browser.click("#slider")
+    browser.until(f"{frame} > {before}")
+    yield f"replay: {browser.eval(text('place'))}"
+    for target in AGAIN:
+        browser.click(f"#map [data-index='{target - 1}']")
+        browser.until(f"{text('cell')}.startsWith('Target {target}:')")
+        browser.click("#mark")
+        browser.until(f"{text('marked')}.endsWith('{target}')")
+    yield browser.eval(text("marked"))
+    yield f"at the bench: {browser.eval(text('command'))}"
+    if picture is not None:
+        browser.screenshot(picture)
+
+
+def _environment() -> dict[str, str]:
+    """Return the environment of a user without the repository, who came by no make."""
+    kept = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+    kept.pop("TACTILE_DOOR", None)
+    return kept
 
 
 def shown(words: Sequence[str]) -> str:

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
+from support.collecting import ROOT
+from support.sessions import make_session, set_attrs
+from support.workbench import BENCH, PLAN, TARGETS
 
 from benchmarks import first_hour
+from benchmarks.chromium import CHROMIUM
 from recorder.command_line.commands import COMMANDS
 from recorder.command_line.errors import EXIT_DEVICE_LOST
+from rig.acquire.collector import target_table
+from trajectories import plan_to_json
 
 
 def test_every_step_is_a_command_and_the_live_one_is_the_last() -> None:
-    steps = list(first_hour.steps())
-    for step in steps:
-        assert step.words[0] in COMMANDS or " ".join(step.words[:2]) in COMMANDS
-    assert [steps[0].words[0], steps[-1].words[0]] == ["init", "live"]
+    for clicks in (True, False):
+        steps = list(first_hour.steps(clicks=clicks))
+        for step in steps:
+            assert step.words[0] in COMMANDS or " ".join(step.words[:2]) in COMMANDS
+        assert [steps[0].words[0], steps[-1].words[0]] == ["init", "live"]
+        assert sum(step.by_clicks for step in steps) == clicks
 
 
 def test_a_lost_device_continues_by_the_command_that_was_printed(
@@ -49,3 +58,36 @@ def test_it_stops_at_the_first_command_that_fails(
     assert main(words) == 2
     text = capsys.readouterr().out
     assert text.endswith("stopped by tactile doctor --sensor gelsight, exit code 2\n")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium here: apt-get install chromium")
+def test_targets_are_marked_on_the_page_by_clicks(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "sessions").mkdir()
+    known = {"plan": plan_to_json(PLAN), "targets_wanted": TARGETS, "sensor": "gelsight"}
+    for name in first_hour.INDENTERS:
+        path = tmp_path / "sessions" / f"{name}.zarr"
+        made = make_session(path, shape=(48, 64), targets=target_table(PLAN, TARGETS, BENCH))
+        set_attrs(made, **known, indenter=name)
+    tactile = tmp_path / "tactile"
+    tactile.write_text(f'#!/bin/sh\nPYTHONPATH={ROOT} exec {sys.executable} -m rig "$@"\n')
+    tactile.chmod(0o755)
+    words = [str(tactile), "page", "--port", "0"]
+    picture = tmp_path / "workbench.png"
+    done = first_hour.clicked(words, tmp_path, picture)
+    assert done.code == 0, done.lines
+    assert done.lines[1] == "sessions: 3 of 3 sessions"
+    assert done.lines[2].startswith("replay: ")
+    assert done.lines[3:5] == [
+        "Marked: 3, 7",
+        "at the bench: tactile campaign --file campaigns/again.yaml",
+    ]
+    assert "again: [3, 7]" in (tmp_path / "campaigns" / "again.yaml").read_text()
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    # A page that lacks a session is a failure, and is said.
+    capsys.readouterr()
+    (tmp_path / "empty").mkdir()
+    assert first_hour.clicked(words, tmp_path / "empty", None).code == 1
+    assert "never true" in capsys.readouterr().out

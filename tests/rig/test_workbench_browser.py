@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
-from support.chromium import CHROMIUM, Chromium
 from support.layout import OVERFLOW
 from support.workbench import Workbench, make_lab, running
+
+from benchmarks.chromium import CHROMIUM, Chromium
 
 pytestmark = [
     pytest.mark.slow,
@@ -17,8 +16,6 @@ pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="no chromium here: apt-get install chromium"),
 ]
 
-# Output path for a new picture of docs/how-to/record-at-the-bench.md.
-PICTURE = os.environ.get("WORKBENCH_PICTURE")
 # A phone, the smallest screen of a bench, a usual one, and a large one.
 SIZES = ((390, 844), (1280, 800), (1920, 1080), (3840, 2160))
 SHOWN = "Number(document.getElementById('view').dataset.frame)"
@@ -66,8 +63,6 @@ def test_a_session_is_found_replayed_and_marked(bench: Workbench) -> None:
         browser.until(f"{text('marked')} == 'Marked: 2'")
         assert browser.eval(text("command")) == "tactile campaign --file campaigns/again.yaml"
         assert "again: [2]" in (bench.folder / "campaigns" / "again.yaml").read_text()
-        if PICTURE is not None:
-            browser.screenshot(Path(PICTURE))
         browser.click("nav a[href='#campaigns']")
         browser.until("document.getElementById('campaigns').innerText.includes('again 2')")
         browser.eval("history.back()")

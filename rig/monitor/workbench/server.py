@@ -44,7 +44,6 @@ PAGES = FILES | {
     "/workbench.js": ("workbench.js", _SCRIPT),
     "/replay.js": ("replay.js", _SCRIPT),
     "/curves.js": ("curves.js", _SCRIPT),
-    "/tools.js": ("tools.js", _SCRIPT),
 }
 DATA = "/data/"
 # Longest message [bytes], longest value of a query and most values of it.

@@ -44,10 +44,10 @@ export class Curves {
     const pen = this.canvas.getContext("2d"), style = getComputedStyle(this.canvas);
     pen.setTransform(scale * unit, 0, 0, scale * unit, 0, 0);
     const x = (frame) => LEFT + ((width - LEFT - RIGHT) * frame) / Math.max(this.session.frames - 1, 1);
-    const split = 0.62 * (height - BELOW);
+    const split = 0.56 * (height - BELOW);
     this.panel(pen, style, x, width, ABOVE, split, FORCES, 0.5);
     this.panel(pen, style, x, width, split + ABOVE, height - BELOW, [["depth", "--done", "depth"]], 0.1);
-    this.times(pen, style, x, height);
+    this.frames(pen, style, x, height);
     pen.strokeStyle = style.getPropertyValue("--current");
     pen.lineWidth = 1.5;
     pen.beginPath();
@@ -64,7 +64,7 @@ export class Curves {
       if (b !== null && b > high) high = b;
     }
     const pad = 0.06 * (high - low), y = (value) => top + ((high + pad - value) / (high - low + 2 * pad)) * (bottom - top);
-    const step = niceStep((high - low) / Math.max((bottom - top) / 34, 2));
+    const step = niceStep((13 * (high - low)) / (bottom - top));
     pen.font = "13px system-ui, sans-serif";
     pen.textAlign = "right";
     pen.textBaseline = "middle";
@@ -104,11 +104,12 @@ export class Curves {
     }
   }
 
-  times(pen, style, x, height) {
-    const { frames, rate } = this.session, seconds = frames / rate, step = niceStep(seconds / 6);
+  // Frames, not seconds: between targets there are none.
+  frames(pen, style, x, height) {
+    const { frames } = this.session, step = Math.max(niceStep(frames / 6), 1);
     pen.fillStyle = style.getPropertyValue("--muted");
     pen.textAlign = "center";
     pen.textBaseline = "alphabetic";
-    for (let t = 0; t < seconds * 0.97; t += step) pen.fillText(t ? `${+t.toFixed(1)} s` : "0", x(t * rate), height - 6);
+    for (let k = 0; k < frames * 0.97; k += step) pen.fillText(k ? String(k) : "frame", x(Math.max(k - 1, 0)), height - 6);
   }
 }

@@ -62,6 +62,8 @@ export class TargetMap {
       if (cell.dataset.is !== name || cell.getAttribute("class") !== shown) {
         cell.dataset.is = name;
         cell.setAttribute("class", shown);
+        // Those drawn later would cover a part of its outline.
+        if (shown !== name) this.svg.append(cell);
         cell.firstChild.textContent = this.text(index);
       }
     });
@@ -94,6 +96,7 @@ export class TargetMap {
     this.cells[this.picked]?.classList.remove("picked");
     this.picked = index;
     this.cells[index].classList.add("picked");
+    if (this.svg.lastChild !== this.cells[index]) this.svg.append(this.cells[index]);
     this.tell(this.text(index));
   }
 

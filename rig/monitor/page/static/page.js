@@ -2,15 +2,12 @@
 
 import { TargetMap } from "./map.js";
 import { taxels } from "./taxels.js";
+import { $, PHASES, signed, text } from "./tools.js";
 import { Traces } from "./traces.js";
 
-const $ = (id) => document.getElementById(id);
 const STATUS = {
   preparing: "Preparing", collecting: "Collecting", pausing: "Pausing", paused: "Paused", ending: "Ending",
   complete: "Complete", stopped: "Stopped", gone: "Gone",
-};
-const PHASES = {
-  normal_inc: "pressing", shear_inc: "shearing", shear_dec: "shearing back", normal_dec: "releasing", "to point": "to the point",
 };
 const QUALITY = { good: "good", watch: "look", fault: "fault", unknown: "unknown" };
 const ENDED = new Set(["complete", "stopped", "gone"]);
@@ -21,17 +18,6 @@ const map = new TargetMap($("map"), $("cell"));
 const first = new Traces($("traces"));
 let traces = {}, pictures = [], captions = {};
 let hello = null, state = null, socket = null, heard = 0, asked = "";
-
-function text(id, value) {
-  const node = typeof id === "string" ? $(id) : id;
-  if (node.textContent !== value) node.textContent = value;
-}
-
-function signed(value, digits = 2) {
-  if (value === null || value === undefined) return "–";
-  const shown = value.toFixed(digits);
-  return Number(shown) === 0 ? shown.replace("-", "") : shown.replace("-", "−");
-}
 
 function clock(seconds) {
   if (seconds === null || seconds === undefined) return "–";

@@ -1,18 +1,13 @@
 // Shows one session: a frame at a time, its curves, its map of targets, and marks for recording again.
 
 import { Curves } from "./curves.js";
-import { $, get, h, image, send, tag, text, url } from "./tools.js";
+import { $, PHASES, get, h, image, send, signed, tag, text, url } from "./tools.js";
 import { TargetMap } from "./map.js";
 import { taxels } from "./taxels.js";
 
 const map = new TargetMap($("map"), $("cell"));
 const curves = new Curves($("curves"));
 let session = null, path = "", frame = 0, wanted = 0, busy = false, timer = null, views = [];
-
-function signed(value) {
-  const shown = value === null ? "–" : value.toFixed(2);
-  return shown.replace("-", Number(shown) === 0 ? "" : "−");
-}
 
 export async function open(name) {
   stop();
@@ -22,6 +17,9 @@ export async function open(name) {
   text("s-about", "");
   $("s-error").hidden = true;
   $("replay").hidden = true;
+  $("values").replaceChildren();
+  text("place", "");
+  delete $("view").dataset.frame;
   let found;
   try {
     found = await get(url("session", { session: name }));
@@ -44,6 +42,9 @@ export async function open(name) {
   $("streams").replaceChildren(...session.streams.map((row) => h("tr", {},
     h("th", { scope: "row" }, row.name), h("td", {}, row.rows.toLocaleString("en")), h("td", {}, `${row.rate} Hz`),
     h("td", { class: row.dropped ? "wrong" : "" }, String(row.dropped)))));
+  const dropped = session.streams.filter((row) => row.dropped).map((row) => `${row.name} dropped ${row.dropped}`);
+  text("dropped", dropped.join(", ") || "no drop noticed while recording");
+  $("dropped").className = dropped.length ? "wrong" : "note";
   map.build({ targets: session.map, points: session.points, directions: session.directions });
   map.marks = new Set(session.again.map((target) => target - 1));
   curves.show(session);
@@ -88,7 +89,7 @@ function show(found) {
   const [fx, fy, fz] = found.wrench, part = (name, value) => h("span", {}, `${name} `, h("b", {}, value));
   $("values").replaceChildren(
     part("depth", `${signed(found.depth)} mm`), part("Fx", `${signed(fx)} N`), part("Fy", `${signed(fy)} N`), part("Fz", `${signed(fz)} N`),
-    part("", found.phase.replace("_", " ")), ...(found.valid ? [] : [h("b", { class: "wrong" }, "a stream has no sample near")]));
+    part("", PHASES[found.phase] ?? found.phase), ...(found.valid ? [] : [h("b", { class: "wrong" }, "a stream has no sample near")]));
   text("place", `${found.t.toFixed(2)} s · frame ${found.frame + 1} of ${session.frames}`);
   const counts = map.show(session.outcomes, -1);
   for (const name of ["done", "limited", "open"]) text(`n-${name}`, String(counts[name]));

@@ -1,10 +1,20 @@
-// What the views of the workbench have in common. Text of a lab is only ever set as text.
+// Common parts of the pages. Text of a lab is only ever set as text.
 
 export const $ = (id) => document.getElementById(id);
 
 export function text(id, value) {
   const node = typeof id === "string" ? $(id) : id;
   if (node.textContent !== value) node.textContent = value;
+}
+
+export const PHASES = {
+  normal_inc: "pressing", shear_inc: "shearing", shear_dec: "shearing back", normal_dec: "releasing", "to point": "to the point",
+};
+
+export function signed(value, digits = 2) {
+  if (value === null || value === undefined) return "–";
+  const shown = value.toFixed(digits);
+  return Number(shown) === 0 ? shown.replace("-", "") : shown.replace("-", "−");
 }
 
 export function h(name, attributes, ...children) {

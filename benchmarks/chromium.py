@@ -1,4 +1,4 @@
-"""Control of a real headless Chromium over its DevTools protocol, for tests of the page."""
+"""Control of a real headless Chromium over its DevTools protocol: pages are used by clicks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from typing import Any
 
 from websockets.sync.client import connect
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+# Path of the browser; None: there is none.
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
 _FLAGS = (
     "--headless",
     "--no-sandbox",
@@ -34,7 +35,8 @@ class Chromium:
     """One browser with one tab, as a context manager."""
 
     def __enter__(self) -> Chromium:
-        assert CHROMIUM is not None
+        if CHROMIUM is None:
+            raise RuntimeError("found no chromium; allowed: chromium or chromium-browser on PATH")
         self._profile = tempfile.TemporaryDirectory(
             prefix="tactile-rig-chromium-", ignore_cleanup_errors=True
         )
@@ -128,6 +130,7 @@ class Chromium:
         self._ask("Emulation.setEmulatedMedia", features=features)
 
     def open(self, url: str) -> None:
+        """Open an address and wait until it is loaded."""
         answer = self._ask("Page.navigate", url=url)
         if "errorText" in answer:
             raise RuntimeError(f"{url}: {answer['errorText']}")
@@ -154,6 +157,7 @@ class Chromium:
 
     def click(self, selector: str) -> None:
         """Perform a real mouse click in the middle of an element."""
+        self.until(f"document.querySelector({json.dumps(selector)})?.checkVisibility()")
         box = self.eval(
             f"(() => {{ const e = document.querySelector({json.dumps(selector)});"
             " e.scrollIntoView({block: 'center'}); const r = e.getBoundingClientRect();"
@@ -170,5 +174,6 @@ class Chromium:
             )
 
     def screenshot(self, path: Path, *, whole: bool = False) -> None:
+        """Write a picture (PNG) of the window, or of the whole page."""
         answer = self._ask("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
         path.write_bytes(base64.b64decode(answer["data"]))
