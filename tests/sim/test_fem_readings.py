@@ -7,11 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+import warp as wp
 
 from sim import Body, Effects, Friction, Gravity, Inertia, Scene, press, simulate_many
 from sim.fem.assembly import Assembly
 from sim.fem.contact import face_rule
 from sim.fem.numerics import Fem
+from sim.fem.reading import LANES, reading_kernels
 from sim.indenters import named
 from sim.result import Result
 
@@ -60,14 +62,21 @@ def _alone(assembly: Any, env: int, tip: np.ndarray) -> tuple[dict[str, Any], np
     }, top.reshape(len(mesh.x), len(mesh.y), 6)
 
 
+@pytest.mark.parametrize("lanes", [1, LANES])
 def test_what_is_read_for_all_environments_is_that_of_each_alone(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, lanes: int
 ) -> None:
-    """Of two presses at waypoints that both reach in one sweep, and of one alone."""
+    """Of two presses at waypoints that both reach in one sweep, and of one alone.
+
+    By one thread each, and by a block of threads as on a GPU.
+    """
     read, numbers, touching = Assembly.read, [], []
 
     def compared(self: Any, environments: Sequence[int], tip: np.ndarray) -> Any:
+        self._lanes, self._read = lanes, reading_kernels(self.real, *[True] * 3, lanes=lanes)[0]
+        monkeypatch.setattr(wp.config, "enable_cpu_blocks", lanes > 1)
         found = read(self, environments, tip)
+        monkeypatch.setattr(wp.config, "enable_cpu_blocks", False)
         for env, row, top in zip(environments, *found, strict=True):
             numbers.append(len(environments))
             expected, nodes = _alone(self, env, tip[env])
