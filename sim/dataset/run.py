@@ -17,7 +17,7 @@ from typing import Any, Self
 from uuid import uuid4
 
 import numpy as np
-from scipy.stats import poisson
+from scipy.special import gammainc
 
 from recorder import SessionError
 from recorder.archive import ArchivePlan, ArchiveWriter, MarkerArchive, MarkerCount, SensorPlan
@@ -188,7 +188,14 @@ def _marker_count(each: SimulatedSensor, references: Packed) -> MarkerCount | No
         return MarkerCount()
     # An upper bound: every marker counts as lying in the rim as well.
     missed = count_markers(unpack(references[0])) * (errors.missing + errors.rim_missing)
-    return MarkerCount(tolerance=int(poisson.isf(LEAST_LIKELY, missed)) if missed > 0 else 0)
+    return MarkerCount(tolerance=most_of_poisson(LEAST_LIKELY, missed))
+
+
+def most_of_poisson(chance: float, mean: float) -> int:
+    """Return the least number that a Poisson variable exceeds with at most this chance."""
+    # The chance of more than k is the regularised incomplete gamma function of k + 1.
+    above = gammainc(np.arange(1.0, 2 * mean + 50), mean)
+    return int(np.argmax(above <= chance))
 
 
 # Ctrl-C while an archive is made: the first ends after the units in flight, the second at once.

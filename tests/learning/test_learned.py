@@ -22,7 +22,7 @@ def frames(
     *,
     seed: int,
     sensor: str = "dots",
-    count: int = 60,
+    count: int = 40,
     depth: tuple[float, float] = (0.0, DEEPEST_MM),
 ) -> NDArray[np.float64]:
     """Return shapes of frames at random places, depths and shears of an indenter."""

@@ -12,6 +12,7 @@ from support.collecting import Collection, faults_of, quick_bench
 
 from learning.markers.recording import read_recording
 from recorder import OUTCOMES, Session
+from rig.__main__ import main
 
 pytestmark = [pytest.mark.serial, pytest.mark.timeout(120)]
 
@@ -125,7 +126,9 @@ def test_the_table_names_every_stream(collected: tuple[Session, Collection, Path
 
 
 @pytest.mark.timeout(240)
-def test_ctrl_c_finishes_the_row_retracts_and_a_resume_completes_it(tmp_path: Path) -> None:
+def test_ctrl_c_finishes_the_row_retracts_and_a_resume_completes_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     bench = quick_bench(tmp_path, "tacpalm")
     run = Collection.start(tmp_path / "s.zarr", "--targets", "1", "--bench", str(bench))
     run.until(run.recording)
@@ -156,18 +159,16 @@ def test_ctrl_c_finishes_the_row_retracts_and_a_resume_completes_it(tmp_path: Pa
 
     # A complete session is left as it is, to the last byte, and no emulator starts.
     before = {path: path.read_bytes() for path in run.session.rglob("*") if path.is_file()}
-    third = Collection.start(run.session, "--resume", str(run.session), "--bench", str(bench))
-    assert third.wait() == 0, third.text
-    assert "complete: all 1 targets are done" in third.lines[-1]
+    more = ("--resume", str(run.session), "--bench", str(bench))
+    assert main(["collect", *more]) == 0
+    assert "complete: all 1 targets are done" in capsys.readouterr().out.splitlines()[-1]
     after = {path: path.read_bytes() for path in run.session.rglob("*") if path.is_file()}
     assert after == before
 
     # Unless its targets are to be pressed again: the press of the last run is the one that counts.
-    more = ("--resume", str(run.session), "--bench", str(bench), "--again")
-    wrong = Collection.start(run.session, *more, "2")
-    assert wrong.wait() == 2, wrong.text
-    assert "--again: found 2; allowed: targets 1 to 1" in wrong.text
-    fourth = Collection.start(run.session, *more, "1")
+    assert main(["collect", *more, "--again", "2"]) == 2
+    assert "--again: found 2; allowed: targets 1 to 1" in capsys.readouterr().err
+    fourth = Collection.start(run.session, *more, "--again", "1")
     assert fourth.wait() == 0, fourth.text
     assert "complete: 1 of 1 targets" in fourth.lines[-1]
     session = Session(run.session)

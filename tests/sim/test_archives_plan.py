@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections import Counter
 from dataclasses import replace
 from itertools import combinations
@@ -16,6 +17,7 @@ from sim import SceneError
 from sim.dataset import DatasetPlan, Solving, chosen_targets, families, gel, units
 from sim.dataset.generate import creep
 from sim.dataset.plan import STATES, code, differing, force_scale, indenter_names, names, scenes
+from sim.dataset.run import most_of_poisson
 from sim.indenters import NAMES
 from sim.sensors import HETEROGENEOUS, HOMOGENEOUS, MATERIAL, sensor
 from tests.support.few import few
@@ -278,3 +280,13 @@ def test_ways_to_solve_that_mean_nothing_are_refused(
 ) -> None:
     with pytest.raises(SceneError, match=message):
         Solving(**options)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("mean", "most"), [(0.0, 0), (0.5, 6), (10.0, 26)])
+def test_a_number_is_hardly_ever_beyond_the_most_of_its_distribution(
+    mean: float, most: int
+) -> None:
+    chances = [math.exp(-mean) * mean**k / math.factorial(k) for k in range(100)]
+    assert most_of_poisson(1e-5, mean) == most
+    assert sum(chances[most + 1 :]) <= 1e-5
+    assert most == 0 or sum(chances[most:]) > 1e-5
