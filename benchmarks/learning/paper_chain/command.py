@@ -123,6 +123,8 @@ def _tasks(options: argparse.Namespace, cores: int, done: set[str]) -> list[Task
         known = ", ".join((*simulated, *names(size)))
         raise LearningError(f"--only: found {', '.join(sorted(unknown))}; allowed: {known}")
     wanted -= done
+    # Jobs share a GPU's machine; on a CPU a job takes what it finds.
+    few = () if options.gpus == "cpu" else (("OMP_NUM_THREADS", str(max(1, cores // 8))),)
     found = []
     for name, (kind, *given) in simulated.items():
         if name in wanted:
@@ -135,5 +137,5 @@ def _tasks(options: argparse.Namespace, cores: int, done: set[str]) -> list[Task
             command += ["--size", options.size, "--minutes", str(options.minutes), "--job", name]
             command += ["--processes", str(cores)]
             needs = tuple(each for each in needed if each in wanted)
-            found.append(Task(name, tuple(command), needs, (), 1))
+            found.append(Task(name, tuple(command), needs, few, 1))
     return found

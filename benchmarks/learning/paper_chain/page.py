@@ -16,6 +16,8 @@ from recorder.store.durable import replace_file
 Row = dict[str, str]
 # Rows of the table of forces, in its order.
 METHODS = ("source-only", NEAREST, "displacement", "field", "m2m", "own labels")
+# Most pairs of sensors and translators in the picture of the worst frames.
+WORST = 6
 
 
 def write(out: Path, size: Size) -> None:
@@ -238,17 +240,21 @@ def _draw_embedded(stored: Path, path: Path) -> None:
 
 
 def _draw_worst(stored: Sequence[Path], path: Path) -> None:
-    with chart(path, 6.5, 1.5 * len(stored)) as figure:
-        every = figure.subplots(len(stored), 6, squeeze=False)
-        for line, file in zip(every, stored, strict=True):
-            with np.load(file) as found:
-                frames, dice = found["frames"], found["dice"]
-            for number in range(2):
+    """Draw the two worst frames of the pairs whose worst frame is worst."""
+    found = []
+    for file in stored:
+        with np.load(file) as one:
+            found.append((file.stem, one["frames"], one["dice"]))
+    found = sorted(found, key=lambda each: float(each[2].min()))[:WORST]
+    with chart(path, 6.5, 1.5 * len(found)) as figure:
+        every = figure.subplots(len(found), 6, squeeze=False)
+        for line, (pair, frames, dice) in zip(every, found, strict=True):
+            for axes in line:
+                axes.set_axis_off()
+            for number in range(frames.shape[1]):
                 for part, name in enumerate(("source", "translated", "real")):
                     axes = line[3 * number + part]
-                    axes.set_axis_off()
-                    if number < frames.shape[1]:
-                        axes.imshow(frames[part, number], cmap="gray", vmin=0, vmax=255)
-                        score = f" {dice[number]:.2f}" if name == "translated" else ""
-                        axes.set_title(f"{name}{score}", fontsize=6)
-            line[0].text(0, -8, file.stem, fontsize=6)
+                    axes.imshow(frames[part, number], cmap="gray", vmin=0, vmax=255)
+                    score = f" {dice[number]:.2f}" if name == "translated" else ""
+                    above = f"{pair}\n" if (number, part) == (0, 0) else ""
+                    axes.set_title(f"{above}{name}{score}", fontsize=6, loc="left")
