@@ -236,7 +236,7 @@ class Data:
 
     tracks: Sequence[Track]
     grid_errors: Sequence[Array]
-    """Of each track (n, 3) [N]."""
+    """Of each track (n, 3) [N], up to a factor."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -437,10 +437,10 @@ def _stacked(
 ) -> tuple[Array, Array]:
     """Return residuals (m,) in standard errors of the resting points, and slopes (m, p).
 
-    Normal forces of a press have a common relative error, `COMMON` and what the grid makes of
-    them, and so have its shear forces: law and grid are wrong alike in all of a press. Forces of a
-    moving tip differ by how late each stream is read, all in the same direction: they would pass
-    for relaxation.
+    Normal forces of a press have a common relative error, `COMMON`, and so have its shear forces:
+    law and grid are wrong alike in all of a press. All forces of a track have a part of its grid's
+    error in common. Forces of a moving tip differ by how late each stream is read, all in the same
+    direction: they would pass for relaxation.
     """
     parts, columns = [], []
     for index, (track, off, read, each) in enumerate(
@@ -470,14 +470,12 @@ def _common(force: Array, target: NDArray[np.int64], off: Array) -> Array:
         target: Press of each point (m,).
         off: Error of the grid (m, 3) [N].
     """
-    found = []
+    found = [off]
     for press in np.unique(target):
         for axes in ((0, 1), (2,)):
-            rows = np.ix_(target == press, axes)
-            size = float(np.linalg.norm(force[rows]))
-            grid = float(np.linalg.norm(off[rows])) / size if size > 0 else 0.0
             error = np.zeros_like(force)
-            error[rows] = math.hypot(COMMON, grid) * force[rows]
+            rows = np.ix_(target == press, axes)
+            error[rows] = COMMON * force[rows]
             found.append(error)
     return np.stack(found, axis=-1)
 
