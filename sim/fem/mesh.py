@@ -21,7 +21,6 @@ from sim.fem.sizing import (
     DEEPEST,
     GROWTH,
     GROWTH_DOWN,
-    LEVELS,
     SQUEEZE_ERROR,
     Sizes,
     Span,
@@ -581,10 +580,10 @@ def _sides(indenter: Indenter, depth: float, reach: float) -> Window:
 def _footprint(indenter: Indenter, depth: float, sides: Window) -> tuple[Array, Array]:
     """Return least and greatest (x, y) [m] of an indenter's lowest `depth`, inside a box."""
     low, high = np.transpose(sides)
-    heights = np.linspace(0.0, depth, LEVELS)
 
-    def outside(x: Array, y: Array) -> Array:
-        places = np.stack(np.meshgrid(x, y, heights, indexing="ij"), axis=-1)
-        return np.asarray(indenter.distance(places)[0].min(axis=2))
+    def outside(x: Array, y: Array, level: float, columns: NDArray[np.bool_]) -> Array:
+        at_x, at_y = (at[columns] for at in np.meshgrid(x, y, indexing="ij"))
+        places = np.stack([at_x, at_y, np.full(len(at_x), level * depth)], axis=1)
+        return np.asarray(indenter.distance(places)[0])
 
     return extent_of(outside, low, high) or (np.zeros(2), np.zeros(2))

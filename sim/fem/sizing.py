@@ -572,21 +572,20 @@ def covered(indenter: Indenter, body: Body, tip: Array) -> tuple[Any, Any] | Non
     if (low >= high).any():
         return None
 
-    def outside(x: Array, y: Array) -> Array:
+    def outside(x: Array, y: Array, level: float, columns: Mask) -> Array:
         top = _heights(body, x, y)
-        under = np.linspace(0.0, 1.0, LEVELS) * np.maximum(top - tip[2], 0.0)[..., None]
-        places = np.empty((SAMPLES, SAMPLES, LEVELS, 3))
-        places[..., 0] = x[:, None, None] - tip[0]
-        places[..., 1] = y[None, :, None] - tip[1]
-        places[..., 2] = under
-        there = (top >= tip[2]) & body.covers(x[:, None], y)
-        return np.where(there, indenter.distance(places)[0].min(axis=2), np.inf)
+        there = ((top >= tip[2]) & body.covers(x[:, None], y))[columns]
+        places = np.empty((len(there), 3))
+        for axis, at in enumerate(np.broadcast_arrays(x[:, None] - tip[0], y - tip[1])):
+            places[:, axis] = at[columns]
+        places[:, 2] = level * np.maximum(top - tip[2], 0.0)[columns]
+        return np.where(there, indenter.distance(places)[0], np.inf)
 
     return extent_of(outside, low, high)
 
 
 def extent_of(
-    outside: Callable[[Array, Array], Array], low: Array, high: Array
+    outside: Callable[[Array, Array, float, Mask], Array], low: Array, high: Array
 ) -> tuple[Array, Array] | None:
     """Return least and greatest (x, y) inside a shape within a box; None if nowhere.
 
@@ -594,18 +593,24 @@ def extent_of(
     points, such as a corner that has just touched, is looked for where they are closest to it.
 
     Args:
-        outside: Maps x (X,) and y (Y,) to signed distances from the shape (X, Y), inf where there
-            is no point.
+        outside: Maps x (X,), y (Y,), a level, 0 (lowest) to 1, and columns (X, Y) to the columns'
+            signed distances from the shape at the level (N,), inf where there is no point.
         low: Least x and y of the box (2,).
         high: Greatest x and y (2,).
     """
     closer, passes = CLOSER, PASSES
     while True:
         x, y = (np.linspace(low[axis], high[axis], SAMPLES) for axis in (0, 1))
-        distance, spacing = outside(x, y), (high - low) / (SAMPLES - 1)
-        found = distance <= 0
+        distance, spacing = np.full((SAMPLES, SAMPLES), np.inf), (high - low) / (SAMPLES - 1)
+        columns = np.ones_like(distance, bool)
+        for level in np.linspace(0.0, 1.0, LEVELS)[::-1].tolist():
+            if columns.any():
+                distance[columns] = np.minimum(distance[columns], outside(x, y, level, columns))
+            found = distance <= 0
+            if found.any():  # columns within the extent so far add nothing to it
+                in_x, in_y = (np.flatnonzero(found.any(axis=axis)) for axis in (1, 0))
+                columns[in_x[0] : in_x[-1] + 1, in_y[0] : in_y[-1] + 1] = False
         if found.any():
-            in_x, in_y = (np.unique(place) for place in np.nonzero(found))
             passes -= 1
         elif closer and distance.min() <= np.linalg.norm(spacing):
             in_x, in_y = (np.array([at]) for at in np.unravel_index(distance.argmin(), found.shape))
