@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from support.direct_translators import TINY, coarse, encoder, finished_run, tiny_network
+from support.direct_translators import PLAIN, TINY, coarse, encoder, finished_run, tiny_network
 from support.made_up_archives import made_up_archive
 
 from learning.data.images import shrink
@@ -28,19 +28,6 @@ from learning.translation.direct.network import DirectNetwork, fetched
 from learning.translation.direct.train import Augmentation
 from recorder import MarkerArchive
 from recorder.archive import location_pairs
-
-PLAIN = Augmentation(
-    procedural_source=0,
-    procedural_target=0,
-    no_source_reference=0,
-    orientation=False,
-    edge=0,
-    edge_frame=0,
-    drop=0,
-    mount_shift=0,
-    mount_angle=0,
-    mount_scale=0,
-)
 
 
 @pytest.fixture(scope="module")

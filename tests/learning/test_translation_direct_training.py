@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from support.direct_translators import TINY, coarse, encoder, finished_run, tiny_network
+from support.direct_translators import PLAIN, TINY, coarse, encoder, finished_run, tiny_network
 from support.made_up_archives import made_up_archive
 from support.training import session
 
@@ -59,20 +59,8 @@ def aligned(archive: MarkerArchive, split: Split) -> AlignedImages:
 def test_a_batch_that_is_learned_by_heart_is_translated_better_than_by_the_reference(
     aligned: AlignedImages,
 ) -> None:
-    still = Augmentation(
-        procedural_source=0,
-        procedural_target=0,
-        no_source_reference=0,
-        orientation=False,
-        edge=0,
-        edge_frame=0,
-        drop=0,
-        mount_shift=0,
-        mount_angle=0,
-        mount_scale=0,
-    )
     settings = replace(
-        TINY, steps=45, batch=8, augmentation=still, average=0.9, validation_images=8
+        TINY, steps=45, batch=8, augmentation=PLAIN, average=0.9, validation_images=8
     )
     network = train(tiny_network(), aligned, None, settings)
     measured = validate(network, aligned, ((0, 1), (1, 0)), settings)

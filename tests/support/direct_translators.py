@@ -12,7 +12,7 @@ from learning.training.run import LaunchSettings, RunFolder
 from learning.translation.direct import KIND, DirectNetwork
 from learning.translation.direct.autoencoder import Autoencoder, Encoder
 from learning.translation.direct.data import AlignedImages
-from learning.translation.direct.train import DirectSettings, new_network
+from learning.translation.direct.train import Augmentation, DirectSettings, new_network
 
 TINY = DirectSettings(
     description="of tests",
@@ -30,6 +30,19 @@ TINY = DirectSettings(
     validation_images=4,
     save_every=2,
 )
+PLAIN = Augmentation(
+    procedural_source=0,
+    procedural_target=0,
+    no_source_reference=0,
+    orientation=False,
+    edge=0,
+    edge_frame=0,
+    drop=0,
+    mount_shift=0,
+    mount_angle=0,
+    mount_scale=0,
+)
+"""Nothing is changed in the images of a training."""
 
 
 def encoder(widths: tuple[int, int, int] = (8, 8, 16)) -> Encoder:
