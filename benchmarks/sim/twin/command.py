@@ -51,6 +51,8 @@ from sim.twin.plan import Planner, Presses, presses, sessions
 # Indenter whose forces are foretold; no fit gets its presses.
 HELD_OUT = "torus"
 COLUMNS = ("modulus", "thickness", "relaxation", "friction", "held-out")
+# Most skins of which a page shows each.
+ROWS_SHOWN = 20
 # Times at which relaxation is compared [s].
 TIMES = np.geomspace(0.05, 2.0, 20)
 
@@ -240,6 +242,8 @@ def page(
         held_out=HELD_OUT,
         truth_grid=GRID,
         medians=medians(found),
+        most=[float(each) for each in np.quantile([one.errors for one in found], 0.9, axis=0)],
+        rows_shown=ROWS_SHOWN,
         coverage=coverage(found),
         needed=needed(found),
     )
