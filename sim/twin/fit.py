@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -184,22 +185,24 @@ def fitted(
     names = (*quantities(design), *BENCH)
     centre = {**quantities(design), **dict.fromkeys(BENCH, 0.0)}
     prior = np.array([prior_spread(name) for name in names])
-    fine = model.readings(centre)
-    stiffer = _stiffer(tracks, fine)
-    coarse = Model(design, tracks, grid=round(COARSER * grid), indenters=indenters).readings(centre)
-    data = Data(tracks, [stiffer * (one - other) for one, other in zip(fine, coarse, strict=True)])
+    rougher = Model(design, tracks, grid=round(COARSER * grid), indenters=indenters)
+
+    def seen_at(values: Mapping[str, float]) -> Data:
+        fine, coarse = model.readings(values), rougher.readings(values)
+        return Data(tracks, [one - other for one, other in zip(fine, coarse, strict=True)])
+
+    stiffer = _stiffer(tracks, model.readings(centre))
     values: Mapping[str, float] = {**centre, "modulus": stiffer * centre["modulus"]}
     plain = tuple(name for name in names if name not in TILT)
-    level = _descended(data, model, plain, values, centre, lambda part: progress(0.6 * part))
-    leaning = _descended(
-        data,
-        model,
-        names,
-        level.values,
-        centre,
-        lambda part: progress(0.6 + 0.4 * part),
-        level.near,
-    )
+    data = seen_at(values)
+    level = _descended(data, model, plain, values, centre, lambda part: progress(0.4 * part))
+    leaning, rounds = level, level.rounds
+    # The grid's error depends on the tilt: it is taken where the first descent ends, and again.
+    for begun in (0.4, 0.7):
+        data = seen_at(leaning.values)
+        further = functools.partial(_further, progress, begun)
+        leaning = _descended(data, model, names, leaning.values, centre, further, leaning.near)
+        rounds += leaning.rounds
     # A tilt keeps its prior unless it explains the presses clearly better.
     found, known = level, plain
     timing, law, sigma = _weights(tracks, level.near)
@@ -226,8 +229,12 @@ def fitted(
         latency=_latency(tracks, model.solve(values)),
         law=law,
         misfit=misfit(tracks, near.readings),
-        rounds=level.rounds + leaning.rounds,
+        rounds=rounds,
     )
+
+
+def _further(progress: Callable[[float], None], begun: float, part: float) -> None:
+    progress(begun + 0.3 * part)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -236,7 +243,7 @@ class Data:
 
     tracks: Sequence[Track]
     grid_errors: Sequence[Array]
-    """Of each track (n, 3) [N], up to a factor."""
+    """Of each track (n, 3) [N]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -437,10 +444,10 @@ def _stacked(
 ) -> tuple[Array, Array]:
     """Return residuals (m,) in standard errors of the resting points, and slopes (m, p).
 
-    Normal forces of a press have a common relative error, `COMMON`, and so have its shear forces:
-    law and grid are wrong alike in all of a press. All forces of a track have a part of its grid's
-    error in common. Forces of a moving tip differ by how late each stream is read, all in the same
-    direction: they would pass for relaxation.
+    Normal forces of a press have a common relative error, `COMMON` and that of the grid, and so
+    have its shear forces: law and grid are wrong alike in all of a press. Forces of a moving tip
+    differ by how late each stream is read, all in the same direction: they would pass for
+    relaxation.
     """
     parts, columns = [], []
     for index, (track, off, read, each) in enumerate(
@@ -470,12 +477,14 @@ def _common(force: Array, target: NDArray[np.int64], off: Array) -> Array:
         target: Press of each point (m,).
         off: Error of the grid (m, 3) [N].
     """
-    found = [off]
+    found = []
     for press in np.unique(target):
         for axes in ((0, 1), (2,)):
-            error = np.zeros_like(force)
             rows = np.ix_(target == press, axes)
-            error[rows] = COMMON * force[rows]
+            size = float(np.linalg.norm(force[rows]))
+            grid = float(np.linalg.norm(off[rows])) / size if size > 0 else 0.0
+            error = np.zeros_like(force)
+            error[rows] = math.hypot(COMMON, grid) * force[rows]
             found.append(error)
     return np.stack(found, axis=-1)
 

@@ -19,7 +19,7 @@ from sim.errors import SceneError
 from sim.sensors import Posterior, SimulatedSensor, read_sensor, sensor
 from sim.sensors.posterior import quantities, with_quantities
 from sim.twin import Fit, fitted
-from sim.twin.fit import prior_spread
+from sim.twin.fit import _common, _whitened, prior_spread
 from sim.twin.model import relaxing
 from sim.twin.observations import track_of
 from sim.twin.plan import Planner, cost, presses, sessions
@@ -371,3 +371,21 @@ def test_true_forces_may_be_those_of_another_tier() -> None:
     lows = [each.force[:, 2].min() for each in found]
     assert lows[1] == pytest.approx(lows[0], rel=0.1)
     assert lows[1] != lows[0]
+
+
+def test_errors_that_points_have_in_common_are_taken_out_of_residuals() -> None:
+    chance = np.random.default_rng(0)
+    force = chance.normal(size=(5, 3))
+    press = np.array([0, 0, 1, 1, 1])
+    off = 0.03 * force * np.array([1, 1, 0])
+    common = _common(force, press, off)
+    # Both axes of shear and the normal force, of two presses.
+    sizes = np.linalg.norm(common, axis=(0, 1)) / np.array(
+        [np.linalg.norm(force[press == one][:, axes]) for one in (0, 1) for axes in ((0, 1), (2,))]
+    )
+    assert sizes == pytest.approx([np.hypot(0.01, 0.03), 0.01] * 2)
+    flat = 30 * common.reshape(15, -1)
+    values = chance.normal(size=(15, 2))
+    white = _whitened(values, flat)
+    wanted = values.T @ np.linalg.solve(np.eye(15) + flat @ flat.T, values)
+    assert white.T @ white == pytest.approx(wanted)
