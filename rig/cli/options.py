@@ -240,9 +240,9 @@ def confirm(lines: list[str]) -> None:
     print("\n".join(lines), flush=True)
     if not sys.stdin.isatty():
         raise _no_terminal()
-    print("Enter to start, anything else to stop: ", end="", flush=True)
     try:
-        # `input` misses a Ctrl-C that comes just before it begins to read.
+        # Ctrl-C may come as soon as the question is shown; `input` misses one just before it reads.
+        print("Enter to start, anything else to stop: ", end="", flush=True)
         while not select.select([sys.stdin], [], [], 0.2)[0]:
             pass
         answer = sys.stdin.readline()
