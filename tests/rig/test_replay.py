@@ -66,12 +66,12 @@ class Replays(NamedTuple):
 
 @pytest.fixture(scope="module")
 def replays(tmp_path_factory: pytest.TempPathFactory) -> Replays:
-    """Replays at maximum speed and at eight times the recorded speed."""
+    """Replays at maximum speed and at four times the recorded speed."""
     folder = tmp_path_factory.mktemp("replays")
     source = small_session(folder / "s.zarr", seconds=1.0)
     with contextlib.redirect_stdout(io.StringIO()) as printed:
         replayed(source, folder / "fast.zarr")
-        replayed(source, folder / "quick.zarr", 8.0)
+        replayed(source, folder / "quick.zarr", 4.0)
     return Replays(source, folder / "fast.zarr", folder / "quick.zarr", printed.getvalue())
 
 
@@ -101,7 +101,7 @@ def test_a_replay_says_what_it_is_of_and_keeps_what_was_planned_and_pressed(
 ) -> None:
     session, replay = Session(replays.source), Session(replays.quick)
     origin = replay.attrs["replay_of"]
-    assert (origin["name"], origin["speed"]) == ("s.zarr", 8.0)
+    assert (origin["name"], origin["speed"]) == ("s.zarr", 4.0)
     assert origin["streams"] == digests(session)
     assert replay.attrs["mock"] is True
     assert replay.attrs["sensor"] == "wedge"
@@ -110,7 +110,7 @@ def test_a_replay_says_what_it_is_of_and_keeps_what_was_planned_and_pressed(
     for name in ("target", "phase", "outcome"):
         assert np.array_equal(replay.segments[name], session.segments[name])
     lengths = [s.segments["end_ns"] - s.segments["start_ns"] for s in (session, replay)]
-    assert np.abs(lengths[0] / 8 - lengths[1]).max() <= 1
+    assert np.abs(lengths[0] / 4 - lengths[1]).max() <= 1
     assert np.array_equal(replay.reference["wrench"], session.reference["wrench"])
     assert len(replay.frames["t_ns"]) == len(session.frames["t_ns"])
     excused = {"gap", "clock-step"}
