@@ -8,6 +8,7 @@ from pathlib import Path
 
 from recorder import Session
 from recorder.command_line.errors import EXIT_DONE, EXIT_SAFETY_STOP
+from recorder.command_line.options import positive
 from rig.acquire.calibration import store
 from rig.acquire.calibration.calibration import LatencyCalibration
 from rig.cli.options import (
@@ -29,6 +30,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     bench_options(parser)
     parser.add_argument("--indenter", help="name of the indenter on the arm")
     parser.add_argument("--taps", type=int, default=16, help="number of taps (%(default)s)")
+    parser.add_argument(
+        "--width-ms",
+        type=positive,
+        default=2.0,
+        metavar="MS",
+        help="allowed width of the 95 %% interval [ms] (%(default)s)",
+    )
     parser.add_argument(
         "--depth-mm", type=float, help="deepest tap [mm] (default: the depth of 1 N, at most 1.0)"
     )
@@ -72,7 +80,7 @@ def run(options: argparse.Namespace) -> int:
         print(f"{error}; nothing is stored; the taps are in {session_path}")
         return EXIT_SAFETY_STOP
     print("\n".join(latency.lines_of(found, session)))
-    rejected = latency.refusal(found)
+    rejected = latency.refusal(found, width_max=1e-3 * options.width_ms)
     if rejected is not None:
         print(f"calibrate-latency: refused, nothing is stored: {rejected}")
         return EXIT_SAFETY_STOP

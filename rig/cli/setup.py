@@ -50,8 +50,9 @@ _WINDOW = 0.5
 # most, push, and height above the sensor when it is not used [m].
 _FINGER, _FINGER_MOST, _PUSH, _CLEAR = 0.5, 6e-4, 2e-4, 0.03
 _STEPS, _STEP_NS = 6, 30_000_000
-# Taps of a second measurement of the latency, after one whose interval was too wide.
-_MORE_TAPS = 48
+# Taps of a second measurement of the latency, after one whose interval was too wide, and the width
+# that it may have [ms]: known that well is better than unknown.
+_MORE_TAPS, _WIDE_MS = 48, 5
 _DEVICES = ("arm", "force", "camera", "taxels", "streams")
 
 
@@ -307,9 +308,14 @@ def latency(at: AtBench, _: Answers) -> Iterator[Finding]:
     # On a busy computer the interval of a mock bench may be too wide; a person decides at a lab's.
     if code == EXIT_SAFETY_STOP and at.bench.mock:
         print(f"  again, with {_MORE_TAPS} taps, which narrow the interval", flush=True)
-        code, _path = at.measure("calibrate-latency", False, "--taps", str(_MORE_TAPS))
+        more = ("--taps", str(_MORE_TAPS), "--width-ms", str(_WIDE_MS))
+        code, _path = at.measure("calibrate-latency", False, *more)
     found = store.load(at.options.calibrations, at.bench, at.bench.indenter)[0].latency
-    text = f"{found.stream} {1e3 * found.latency:+.1f} ms late" if found else ""
+    text = ""
+    if found:
+        low, high = found.interval
+        late = f"{found.stream} {1e3 * found.latency:+.1f} ms late"
+        text = f"{late} (95 % in {1e3 * (high - low):.1f} ms)"
     yield _outcome("latency", code, text, "contrast and rate of the signal; --depth-mm deeper taps")
 
 

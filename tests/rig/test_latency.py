@@ -100,6 +100,8 @@ def test_images_that_show_something_else_are_refused_by_number() -> None:
     lag = find_lag(t_ns, force, arrived, noise)
     found = latency.Latency("camera", lag, _still(), lag, 0.0)
     assert "ms wide; allowed: 2.0 ms" in str(latency.refusal(found))
+    wide = latency.refusal(found, width_max=2 * found.half)
+    assert "ms wide" not in str(wide)
 
 
 def _still() -> Lag:

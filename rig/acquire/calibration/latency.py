@@ -322,11 +322,16 @@ def evaluate(session: Session, stream: str, exposure: float) -> Latency:
     return Latency(stream, image, gel, shown, exposure)
 
 
-def refusal(found: Latency) -> str | None:
-    """Return the reason, with its number, to reject a result, or None."""
-    if 2 * found.half > WIDTH_MAX:
+def refusal(found: Latency, *, width_max: float = WIDTH_MAX) -> str | None:
+    """Return the reason, with its number, to reject a result, or None.
+
+    Args:
+        found: The result.
+        width_max: Allowed width of its interval [s].
+    """
+    if 2 * found.half > width_max:
         return (
-            f"the interval is {2e3 * found.half:.2f} ms wide; allowed: {1e3 * WIDTH_MAX:.1f} ms; "
+            f"the interval is {2e3 * found.half:.2f} ms wide; allowed: {1e3 * width_max:.1f} ms; "
             "more --taps or a larger --depth-mm narrow it"
         )
     if found.image.ratio < RATIO_MIN:
