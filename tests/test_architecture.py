@@ -129,7 +129,7 @@ def test_only_the_clock_touches_time() -> None:
     assert not wrong, "use rig.core.clock"
 
 
-@pytest.mark.parametrize("package", ["recorder", "learning.force"])
+@pytest.mark.parametrize("package", ["recorder", "learning.force", "learning.markers"])
 def test_names_imported_on_demand_exist_and_are_no_submodules(package: str) -> None:
     module = import_module(package)
     for name in module.__all__:

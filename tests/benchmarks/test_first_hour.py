@@ -86,7 +86,7 @@ def test_targets_are_marked_on_the_page_by_clicks(
     ]
     assert "again: [3, 7]" in (tmp_path / "campaigns" / "again.yaml").read_text()
     assert picture.read_bytes().startswith(b"\x89PNG")
-    # A page that lacks a session is a failure, and is said.
+    # The step fails, with a message, if the page lacks a session.
     capsys.readouterr()
     (tmp_path / "empty").mkdir()
     assert first_hour.clicked(words, tmp_path / "empty", None).code == 1

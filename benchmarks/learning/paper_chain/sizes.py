@@ -111,14 +111,11 @@ def _unet(widths: tuple[int, ...]) -> dict[str, Any]:
     }
 
 
+# One skin, no stage on patterns; sizes of a GPU differ from it.
 _GPU = Size(
-    # Three of the paper's homogeneous sensors: all pairs that its text names are among theirs. The
-    # fourth has a pattern that no network sees.
-    sensors=("array-i", "circle-ii", "diamond-i", "circle-i"),
-    held_out=("circle-i",),
-    held_out_patterns=("Circle1", "Diamond4"),
+    sensors=("array-i", "circle-ii"),
     archive=("--scale", "0.1", "--steps", "4"),
-    patterns=(),
+    patterns=None,
     vae=_vae((32, 64, 128, 128)),
     unet=_unet((128, 256, 256)),
     batch=32,
@@ -128,40 +125,30 @@ _GPU = Size(
     scored=150,
     precision="bf16",
 )
-
-_WITHOUT_PATTERNS = {"vae": 0.3, "m2m": 1.2, "field": 0.4, "net": 0.3, "tuned": 0.12}
+_SKINS = replace(
+    _GPU,
+    compensated=True,
+    nets=("paper", "displacement"),
+    parts={"vae": 0.3, "m2m": 1.2, "field": 0.4, "net": 0.3, "tuned": 0.12},
+)
 
 SIZES = {
-    "gpu": _GPU,
-    "heterogeneous": replace(
+    # Three of the paper's homogeneous sensors: all pairs that its text names are among theirs. The
+    # fourth has a pattern that no network sees.
+    "gpu": replace(
         _GPU,
-        sensors=("gelsight", "tacpalm", "uskin"),
-        patterns=None,
-        held_out=(),
-        held_out_patterns=(),
-        compensated=True,
-        nets=("paper", "displacement"),
-        parts=_WITHOUT_PATTERNS,
+        sensors=("array-i", "circle-ii", "diamond-i", "circle-i"),
+        held_out=("circle-i",),
+        patterns=(),
+        held_out_patterns=("Circle1", "Diamond4"),
     ),
+    "heterogeneous": replace(_SKINS, sensors=("gelsight", "tacpalm", "uskin")),
     # Three of the seven skins, and one that no network sees.
-    "material": replace(
-        _GPU,
-        sensors=("r6", "r10", "r18", "r14"),
-        patterns=None,
-        held_out=("r14",),
-        held_out_patterns=(),
-        compensated=True,
-        nets=("paper", "displacement"),
-        parts=_WITHOUT_PATTERNS,
-    ),
+    "material": replace(_SKINS, sensors=("r6", "r10", "r18", "r14"), held_out=("r14",)),
     # One pair, in 5 minutes of two GPUs; `--minutes 1`.
     "brief": replace(
         _GPU,
-        sensors=("array-i", "circle-ii"),
         archive=("--scale", "0.0625", "--steps", "4"),
-        patterns=None,
-        held_out=(),
-        held_out_patterns=(),
         scored=80,
         sources=("array-i",),
         parts={"vae": 0.65, "m2m": 1.8, "field": 0.5, "net": 0.75, "tuned": 1.0},
