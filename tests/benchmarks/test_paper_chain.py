@@ -42,7 +42,10 @@ def test_every_job_comes_after_those_it_needs() -> None:
 
 def test_tables_are_of_the_rows_that_there_are(tmp_path: Path) -> None:
     write(tmp_path, SIZES["toy"])
-    assert last_line(tmp_path) == "paper chain R2 -  nearest frame R2 -  displacement R2 -"
+    assert (
+        last_line(tmp_path, SIZES["toy"])
+        == "paper chain R2 -  nearest frame R2 -  displacement R2 -"
+    )
     head = "method,net,source,target,r2,r2_low,r2_high,mae_shear_n,mae_fz_n\n"
     rows = "m2m,tiny,a,b,0.5,0.4,0.6,0.1,0.2\nm2m,tiny,b,a,0.7,0.6,0.8,0.1,0.4\n"
     (tmp_path / "forces.csv").write_text(head + rows)
@@ -50,4 +53,11 @@ def test_tables_are_of_the_rows_that_there_are(tmp_path: Path) -> None:
     line = "| m2m | tiny | 2 | 0.600 | 0.500 to 0.700 | 0.500 (a to b) | 0.100, 0.300 | - |"
     assert line in (tmp_path / "tables.md").read_text()
     assert (tmp_path / "forces.png").exists()
-    assert last_line(tmp_path).startswith("paper chain R2 0.600  nearest")
+    assert last_line(tmp_path, SIZES["toy"]).startswith("paper chain R2 0.600  nearest")
+
+
+def test_held_out_sensors_are_not_in_the_last_line(tmp_path: Path) -> None:
+    head = "method,net,source,target,r2\n"
+    rows = "m2m,tiny,r6,r10,0.5\nm2m,tiny,r6,r14,-9\n"
+    (tmp_path / "forces.csv").write_text(head + rows)
+    assert last_line(tmp_path, SIZES["material"]).startswith("paper chain R2 0.500  nearest")

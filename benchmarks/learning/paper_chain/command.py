@@ -98,7 +98,7 @@ def run(options: argparse.Namespace) -> int:
     finally:
         signal.alarm(0)
         page.write(out, size)
-    print(page.last_line(out))
+    print(page.last_line(out, size))
     return int(len(took) < len(due))
 
 

@@ -51,9 +51,12 @@ def write(out: Path, size: Size) -> None:
         _draw_worst(sorted((out / "worst").glob("*.npz")), out / "worst.png")
 
 
-def last_line(out: Path) -> str:
-    """Return the line with the mean R2 of the chain, the nearest frame and the displacement."""
-    forces = _read(out, "forces")
+def last_line(out: Path, size: Size) -> str:
+    """Return the line with the mean R2 of the chain, the nearest frame and the displacement.
+
+    Sensors that were held out are not in the means.
+    """
+    forces, _ = _parted(_read(out, "forces"), ("target",), size.held_out)
 
     def r2(method: str) -> str:
         found = [float(row["r2"]) for row in forces if row["method"] == method]

@@ -163,7 +163,7 @@ SIZES = {
             "--indenters",
             "prism,dots,moon,sphere_s,wave",
         ),
-        patterns=("--patterns", "Array1,Circle2,Diamond1", "--indenters", "prism,sphere_s"),
+        patterns=("--patterns", "Array1,Circle2,Diamond1,Circle1", "--indenters", "prism,sphere_s"),
         vae=_vae((8, 16, 16, 16)),
         unet=_unet((32, 32)),
         batch=4,
@@ -172,6 +172,7 @@ SIZES = {
         nets=("tiny", "displacement"),
         scored=12,
         precision="no",
+        held_out_patterns=("Circle1",),
     ),
 }
 
