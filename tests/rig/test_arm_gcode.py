@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +50,12 @@ class Bench:
         self.driver.open(5.0)
         self.client.open(1.0)
 
+    def close(self) -> None:
+        self.client.close()
+        self.driver.close()
+        self.driver.close()
+        self.emulator.close()
+
     def move(self, goal: np.ndarray, speed: float = 0.02) -> None:
         self.follow(lambda: bool(self.samples))
         before, _ = self.client.operation()
@@ -80,12 +87,8 @@ def read_until_lost(driver: StageDriver) -> None:
 
 @pytest.fixture
 def unopened(tmp_path: Path) -> Iterator[Bench]:
-    bench = Bench(tmp_path)
-    yield bench
-    bench.client.close()
-    bench.driver.close()
-    bench.driver.close()
-    bench.emulator.close()
+    with closing(Bench(tmp_path)) as bench:
+        yield bench
 
 
 @pytest.fixture
@@ -181,23 +184,20 @@ def test_a_stage_that_is_not_ready_is_named(tmp_path: Path) -> None:
         StageClient(GcodeConfig(port=str(tmp_path / "none")), CLOCK).open(0.1)
     with pytest.raises(DeviceLost, match="group dialout"):
         StageDriver(GcodeConfig(port=str(tmp_path / "none")), CLOCK).open(0.1)
-    bench = Bench(tmp_path, homed=False)
-    with pytest.raises(DeviceLost, match=r"not homed.*\$H"):
-        bench.driver.open(5.0)
-    bench.emulator.apply("unlock")
-    bench.emulator.apply("freeze", seconds=60)
-    with pytest.raises(DeviceLost, match="no position from a board with GRBL within"):
-        bench.driver.open(0.3)
-    bench.emulator.apply("clear")
-    bench.open()
-    with pytest.raises(DeviceLost, match="moved by another collection"):
-        bench.driver._listening()
-    bench.emulator.apply("freeze", seconds=60)
-    with pytest.raises(DeviceLost, match="no position for 1 s"):
-        read_until_lost(bench.driver)
-    bench.client.close()
-    bench.driver.close()
-    bench.emulator.close()
+    with closing(Bench(tmp_path, homed=False)) as bench:
+        with pytest.raises(DeviceLost, match=r"not homed.*\$H"):
+            bench.driver.open(5.0)
+        bench.emulator.apply("unlock")
+        bench.emulator.apply("freeze", seconds=60)
+        with pytest.raises(DeviceLost, match="no position from a board with GRBL within"):
+            bench.driver.open(0.3)
+        bench.emulator.apply("clear")
+        bench.open()
+        with pytest.raises(DeviceLost, match="moved by another collection"):
+            bench.driver._listening()
+        bench.emulator.apply("freeze", seconds=60)
+        with pytest.raises(DeviceLost, match="no position for 1 s"):
+            read_until_lost(bench.driver)
 
 
 def test_a_board_without_a_version_or_in_motion_is_refused(

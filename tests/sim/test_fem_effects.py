@@ -94,7 +94,13 @@ def test_every_effect_is_declared_under_its_own_name() -> None:
         assert isinstance(ALL[name], effect)
 
 
-@pytest.mark.parametrize("name", EFFECTS)
+# Compiling takes seconds a kernel; the effect with the fewest stands for the others.
+ONE_QUICK = [
+    pytest.param(name, marks=() if name == "gravity" else pytest.mark.slow) for name in EFFECTS
+]
+
+
+@pytest.mark.parametrize("name", ONE_QUICK)
 def test_an_effect_that_is_off_compiles_to_the_machine_code_of_a_source_without_it(
     name: str,
 ) -> None:
@@ -110,7 +116,7 @@ def test_an_effect_that_is_off_compiles_to_the_machine_code_of_a_source_without_
         assert plain != on
 
 
-@pytest.mark.parametrize("name", EFFECTS)
+@pytest.mark.parametrize("name", ONE_QUICK)
 def test_an_effect_that_is_off_gives_the_results_of_a_build_without_it_bit_for_bit(
     name: str,
 ) -> None:
@@ -187,10 +193,7 @@ def _difference(name: str, fraction: float) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=() if name == "friction" else pytest.mark.slow) for name in EFFECTS],
-)
+@pytest.mark.parametrize("name", EFFECTS)
 def test_a_weak_effect_changes_the_force_in_proportion_to_its_parameter(name: str) -> None:
     fraction = WEAK[name]
     whole, half, tenth = (_difference(name, fraction * part) for part in (1.0, 0.5, 0.1))
