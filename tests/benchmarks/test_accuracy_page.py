@@ -147,6 +147,7 @@ def test_a_chart_has_units_a_legend_and_the_band_of_the_reference(tmp_path):
     assert "below the reference's" not in path.read_text()
 
 
+@pytest.mark.slow
 def test_a_measurement_says_what_it_took_and_missed():
     case = replace(SPHERE, scenes=(replace(SPHERE.scenes[0], motion=press([0.4e-3])),))
     true = solve_references(case.scenes, 0.5, "cpu")[0]

@@ -41,7 +41,7 @@ def test_quick_cases_pass(name: str) -> None:
 @pytest.mark.parametrize(
     "mistake",
     [
-        pytest.param(name, marks=pytest.mark.slow if "friction" in name else ())
+        pytest.param(name, marks=() if name == "nodal-contact" else pytest.mark.slow)
         for name in DETECTING_CASES
     ],
 )

@@ -15,6 +15,7 @@ from benchmarks.learning.loading import make
 from benchmarks.learning.loading_child import IMAGE, WINDOW, opened
 
 
+@pytest.mark.slow
 def test_all_ways_read_the_same_images(tmp_path: Path) -> None:
     make(tmp_path, 0, 0.6)
     (windows, key), (files, _) = opened("ours", tmp_path), opened("plain", tmp_path)

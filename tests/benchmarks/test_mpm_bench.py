@@ -61,6 +61,7 @@ def test_a_row_is_measured_and_not_measured_again(
     assert printed.count("cell 0.5 mm, reach 0.25") == 2
 
 
+@pytest.mark.slow
 def test_a_measured_row_is_a_press_of_the_shared_sphere() -> None:
     row = measure("coarse", sphere_scene(), Mpm(cell=2e-3))
     assert row.particles == 20 * 20 * 4

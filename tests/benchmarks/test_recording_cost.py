@@ -455,6 +455,7 @@ def test_charts_draw_what_is_known_and_say_what_is_not(tmp_path: Path) -> None:
 # The command
 
 
+@pytest.mark.slow
 def test_one_quick_part_from_the_command_line_writes_its_page(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -490,6 +491,7 @@ def test_too_little_room_is_refused_before_anything_is_written(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_ctrl_c_leaves_nothing_on_the_disk_and_no_process(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "benchmarks", "recording", "--quick", "--only", "stores"]
     process = subprocess.Popen(

@@ -61,6 +61,7 @@ def test_features_are_those_behind_the_fourth_and_the_eighth_block() -> None:
     assert not torch.equal(before[1], after[1])
 
 
+@pytest.mark.slow
 def test_heads_cannot_grow_without_bound_and_clip_stays_in_evaluation() -> None:
     heads = DiscriminatorHeads(8, 6, width=5)
     for _ in range(20):

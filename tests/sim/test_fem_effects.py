@@ -230,6 +230,7 @@ def test_the_cost_of_an_effect_is_measured_and_told(monkeypatch: pytest.MonkeyPa
     assert not replace(found, numbers_off=3).proven
 
 
+@pytest.mark.slow
 def test_launches_name_the_kernels_of_a_run_and_end_with_their_block() -> None:
     launch = wp.launch
     compiled: dict[str, float] = {}

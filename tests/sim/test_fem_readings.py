@@ -62,7 +62,7 @@ def _alone(assembly: Any, env: int, tip: np.ndarray) -> tuple[dict[str, Any], np
     }, top.reshape(len(mesh.x), len(mesh.y), 6)
 
 
-@pytest.mark.parametrize("lanes", [1, LANES])
+@pytest.mark.parametrize("lanes", [1, pytest.param(LANES, marks=pytest.mark.slow)])
 def test_what_is_read_for_all_environments_is_that_of_each_alone(
     monkeypatch: pytest.MonkeyPatch, lanes: int
 ) -> None:

@@ -113,6 +113,7 @@ def test_force_scales_with_the_modulus_and_with_nothing_else(small: Result) -> N
     np.testing.assert_allclose(soft.force / 1e4, small.force / 0.145e6, rtol=2e-5, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_float32_is_float64_to_five_digits(small: Result) -> None:
     exact = _one(SCENE, replace(COARSE, precision="float64"))
     np.testing.assert_allclose(exact.force, small.force, atol=2e-5 * np.abs(small.force).max())
