@@ -58,7 +58,7 @@ STEP, CLOSE = 0.5, 6.0
 DAMPED, DAMPED_LITTLE = 100.0, 0.5
 # Decrease of the squared residuals that ends a descent.
 LITTLE = 0.1
-# Squared residuals by which a tilt must explain presses better to be told by them.
+# Cost above the least, from which an explanation counts no more (its odds are 1 in 90).
 TOLD = 9.0
 # Spread over the prior's above which presses have told nothing.
 UNTOLD = 0.7
@@ -184,7 +184,6 @@ def fitted(
     model = Model(design, tracks, grid=grid, indenters=indenters)
     names = (*quantities(design), *BENCH)
     centre = {**quantities(design), **dict.fromkeys(BENCH, 0.0)}
-    prior = np.array([prior_spread(name) for name in names])
     rougher = Model(design, tracks, grid=round(COARSER * grid), indenters=indenters)
 
     def seen_at(values: Mapping[str, float]) -> Data:
@@ -195,42 +194,33 @@ def fitted(
     values: Mapping[str, float] = {**centre, "modulus": stiffer * centre["modulus"]}
     plain = tuple(name for name in names if name not in TILT)
     data = seen_at(values)
-    level = _descended(data, model, plain, values, centre, lambda part: progress(0.4 * part))
-    leaning, rounds = level, level.rounds
-    # The grid's error depends on the tilt: it is taken where the first descent ends, and again.
-    for begun in (0.4, 0.7):
-        data = seen_at(leaning.values)
+    level = _descended(data, model, plain, values, centre, lambda part: progress(0.3 * part))
+    # A level pad is one explanation, a tilted one another, with a skin that may be quite different:
+    # a descent from the one need not find the other.
+    values, near, rounds = _tilted(data, model, level), None, level.rounds
+    for begun in (0.3, 0.6):
+        # The grid's error depends on the tilt.
+        data = seen_at(values)
         further = functools.partial(_further, progress, begun)
-        leaning = _descended(data, model, names, leaning.values, centre, further, leaning.near)
-        rounds += leaning.rounds
-    # A tilt keeps its prior unless it explains the presses clearly better.
-    found, known = level, plain
-    timing, law, sigma = _weights(tracks, level.near)
-    if _gain(data, sigma, level.near, leaning.near) > TOLD:
-        found, known = leaning, names
-        timing, law, sigma = _weights(tracks, leaning.near)
-    # Derivatives that a descent corrected on its way can be off where it ends, by enough to make the
-    # intervals two to three times too narrow. A tilt that is not told may still be there: it widens
-    # the intervals of the others.
-    values = found.values
-    near = model.linearised(values, names)
-    residual, jacobian = _stacked(data, near.readings, sigma, near.slopes)
-    excess = max(1.0, float(residual @ residual) / max(1, len(residual) - len(known)))
-    told = jacobian.T @ jacobian / excess
-    covariance = np.asarray(np.linalg.inv(told + np.diag(prior**-2)), float)
+        tilted = _descended(data, model, names, values, centre, further, near)
+        values, near, rounds = tilted.values, tilted.near, rounds + tilted.rounds
+    timing, law, sigma = _weights(tracks, tilted.near)
+    ends = (level.values, tilted.values)
+    found = _explanations(data, model, names, ends, centre, sigma)
+    best = found[0]
     progress(1.0)
     return Fit(
         design=design,
         names=names,
-        values=values,
-        covariance=covariance,
+        values=best.values,
+        covariance=_mixed(names, found),
         tracks=tuple(tracks),
-        readings=tuple(near.readings),
+        readings=tuple(best.near.readings),
         sigma=tuple(sigma),
         timing=timing,
-        latency=_latency(tracks, model.solve(values)),
+        latency=_latency(tracks, model.solve(best.values)),
         law=law,
-        misfit=misfit(tracks, near.readings),
+        misfit=misfit(tracks, best.near.readings),
         rounds=rounds,
     )
 
@@ -255,6 +245,76 @@ class Descended:
     values: Mapping[str, float]
     near: Linear
     rounds: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Explanation:
+    """Values that explain the tracks, and how well."""
+
+    values: Mapping[str, float]
+    near: Linear
+    cost: float
+    """Squared residuals, and squared distances from the prior's centre."""
+    covariance: Array
+    """(p, p)."""
+
+
+def _explanations(
+    data: Data,
+    model: Model,
+    names: Sequence[str],
+    ends: Sequence[Mapping[str, float]],
+    centre: Mapping[str, float],
+    sigma: Sequence[Array],
+) -> list[Explanation]:
+    """Return the ends of descents, the best first, without those that are clearly worse.
+
+    Their covariances come from derivatives taken where they are: those that a descent corrected on
+    its way can be off by enough to make intervals two to three times too narrow.
+    """
+    prior = np.array([prior_spread(name) for name in names])
+    offsets = [_offset(names, values, centre) / prior for values in ends]
+    residuals = [_stacked(data, model.readings(values), sigma)[0] for values in ends]
+    costs = [_cost(*each) for each in zip(residuals, offsets, strict=True)]
+    found = []
+    for index in np.argsort(costs):
+        if costs[index] > min(costs) + TOLD:
+            continue
+        near = model.linearised(ends[index], names)
+        residual, jacobian = _stacked(data, near.readings, sigma, near.slopes)
+        excess = max(1.0, float(residual @ residual) / max(1, len(residual) - len(names)))
+        inverse = jacobian.T @ jacobian / excess + np.diag(prior**-2)
+        covariance = np.asarray(np.linalg.inv(inverse), float)
+        found.append(Explanation(ends[index], near, costs[index], covariance))
+    return found
+
+
+def _mixed(names: Sequence[str], found: Sequence[Explanation]) -> Array:
+    """Return the covariance (p, p) about the first explanation, each as likely as its cost says."""
+    weights = np.exp([(found[0].cost - each.cost) / 2 for each in found])
+    ways = [
+        np.array([_way(name, found[0].values, each.values) for name in names]) for each in found
+    ]
+    mixed = np.zeros_like(found[0].covariance)
+    for weight, each, way in zip(weights / weights.sum(), found, ways, strict=True):
+        mixed += weight * (each.covariance + np.outer(way, way))
+    return mixed
+
+
+def _tilted(data: Data, model: Model, level: Descended) -> Mapping[str, float]:
+    """Return the values of a level pad, tilted to the side that explains the tracks best."""
+    _, _, sigma = _weights(data.tracks, level.near)
+    leaning = [
+        {**level.values, "tilt_x": x * PRIOR["tilt"] / 2, "tilt_y": y * PRIOR["tilt"] / 2}
+        for x in (-1, 1)
+        for y in (-1, 1)
+    ]
+
+    def missed(values: Mapping[str, float]) -> float:
+        residual, _ = _stacked(data, model.readings(values), sigma)
+        return float(residual @ residual)
+
+    return min(leaning, key=missed)
 
 
 def _descended(
@@ -324,12 +384,6 @@ def _step(names: Sequence[str], values: Mapping[str, float], normal: Array, slop
         step[~free] = 0.0
         step[free] = np.linalg.solve(normal[np.ix_(free, free)], slope[free])
     return step
-
-
-def _gain(data: Data, sigma: Sequence[Array], one: Linear, other: Linear) -> float:
-    """Return how much less the squared residuals of `other` are than those of `one`."""
-    first, second = (_stacked(data, each.readings, sigma)[0] for each in (one, other))
-    return float(first @ first - second @ second)
 
 
 def information(tracks: Sequence[Track], near: Linear, timing: float, law: float) -> Array:
