@@ -48,6 +48,10 @@ BENCHMARKS = {
     ),
     "live-session": ("benchmarks.sim.sensors.stream_accuracy", "a session solved again"),
     "twin": ("benchmarks.sim.twin.command", "fit twins of random skins that are known"),
+    "twin-labels": (
+        "benchmarks.sim.twin.labels",
+        "labels by twins under the errors of a bench, compared with the target's own",
+    ),
     "twin-demo": ("benchmarks.sim.twin.demo", "record a mock sensor and identify its twin"),
     "patterns": ("benchmarks.sim.pictures.patterns", "draw all marker patterns"),
     "indenters": ("benchmarks.sim.pictures.indenters", "draw all indenters"),

@@ -18,7 +18,7 @@ import functools
 import json
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from multiprocessing import get_context
@@ -187,12 +187,18 @@ def settings(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def kept(path: Path, options: argparse.Namespace) -> list[Identified]:
-    """Return the rows of an earlier run; begin the file if there is none.
+    """Return the rows of an earlier run, as `stored`."""
+    found = stored(path, settings(options))
+    return [Identified(**{**row, "errors": tuple(row["errors"])}) for row in found]
+
+
+def stored(path: Path, settings: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the rows of a file of an earlier run; begin the file if there is none.
 
     Raises:
         SceneError: They are of other settings.
     """
-    ours = json.loads(json.dumps(settings(options)))
+    ours = json.loads(json.dumps(settings))
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(json.dumps(ours) + "\n", encoding="utf-8")
@@ -200,8 +206,7 @@ def kept(path: Path, options: argparse.Namespace) -> list[Identified]:
     first, *rows = path.read_text(encoding="utf-8").splitlines()
     if json.loads(first) != ours:
         raise SceneError(f"{path}: rows of {first}; allowed: those of {json.dumps(ours)}")
-    found = [json.loads(row) for row in rows]
-    return [Identified(**{**row, "errors": tuple(row["errors"])}) for row in found]
+    return [json.loads(row) for row in rows]
 
 
 def medians(found: Sequence[Identified]) -> list[float]:

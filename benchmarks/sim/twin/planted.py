@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.fem import FOR_EDGES, Fem
-from sim.indenters import named
+from sim.indenters import Indenter, Part, named
 from sim.scene import Motion
 from sim.sensors import SimulatedSensor, sensor
 from sim.sensors.posterior import with_quantities
@@ -28,9 +28,11 @@ GRID = 96
 RATE, SOLVED = 200.0, 50.0
 # Solutions of one hold.
 HELD = 24
-# Tiers of true forces; by `fem` the rate of solutions and those of one hold are a quarter.
+# Tiers of true forces; by `fem` the rate of solutions and those of one hold are a sixth.
 Truth = Literal["layer", "fem"]
-FEWER = 4
+FEWER = 6
+# Width of an indenter without sides, such as a cone [m].
+WIDTH = 7e-3
 # Mesh of these, as in archives.
 FEM = Fem(spacing=0.8e-3, grading=FOR_EDGES)
 
@@ -51,6 +53,10 @@ class Bench:
     """Rotation of the gauge against the pad [rad]."""
     tilt: tuple[float, float] = (0.0, 0.0)
     """Tilt of the pad about x and y [rad]."""
+    place: tuple[float, float] = (0.0, 0.0)
+    """Place of the tip from where the bench takes it to be [m]."""
+    size: float = 0.0
+    """Width of the indenter over that of its drawing [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +114,7 @@ def solved(
     *,
     grid: int = GRID,
     truth: Truth = "layer",
+    fem: Fem = FEM,
     device: str = "cpu",
 ) -> Forces:
     """Return the forces of a skin by tier `truth`.
@@ -115,32 +122,90 @@ def solved(
     The tip yields by the forces of tier `layer`, also where forces are those of `fem`.
     """
     corners, tips = presses.path()
-    indenter, seen = leaning(named(presses.indenter), tips, bench.tilt)
     fewer = FEWER if truth == "fem" else 1
-    press = LivePress(skin, indenter, grid=grid, tolerance=2e-3)
-    times: list[float] = [0.0]
-    force: list[Any] = [np.zeros(3)]
-    places = [seen[0] - np.array([0.0, 0.0, bench.height])]
-    yielded = 0.0
+    times, places = [0.0], [tips[0]]
     for leg in range(1, len(corners)):
         start, stop = corners[leg - 1], corners[leg]
         held = not np.any(tips[leg] != tips[leg - 1])
         count = HELD // fewer if held else max(2, round((stop - start) * SOLVED / fewer))
         fractions = np.arange(1, count + 1) / count
         for fraction in np.square(fractions) if held else fractions:
-            place = seen[leg - 1] + fraction * (seen[leg] - seen[leg - 1])
-            place = place - np.array([0.0, 0.0, bench.height]) + np.array([0.0, 0.0, yielded])
-            now = start + fraction * (stop - start)
-            press.move(place, now - times[-1])
-            times.append(now)
-            places.append(place)
-            force.append(press.force if press.touching else np.zeros(3))
-            yielded = -bench.compliance * force[-1][2]
-    if truth == "fem":
-        motion = Motion(tuple(tuple(place.tolist()) for place in places), tuple(times))
-        found = simulate(skin.scene(indenter, motion), FEM, device=device)
-        return Forces(np.array(times), np.asarray(found.wrench[:, :3], float))
-    return Forces(np.array(times), np.array(force))
+            places.append(tips[leg - 1] + fraction * (tips[leg] - tips[leg - 1]))
+            times.append(start + fraction * (stop - start))
+    time, tip = np.array(times), np.array(places)
+    how: dict[str, Any] = {"grid": grid, "truth": truth, "fem": fem, "device": device}
+    return Forces(time, felt(skin, named(presses.indenter), time, tip, bench, **how))
+
+
+def felt(
+    skin: SimulatedSensor,
+    indenter: Indenter,
+    time: Array,
+    tip: Array,
+    bench: Bench,
+    *,
+    grid: int = GRID,
+    truth: Truth = "layer",
+    fem: Fem = FEM,
+    kept: Sequence[int] | None = None,
+    device: str = "cpu",
+) -> Array:
+    """Return the forces on a skin (n, 3) [N], by tier `truth`, where a bench takes the tip to be.
+
+    Args:
+        skin: The skin.
+        indenter: The indenter as drawn.
+        time: Times (n,) [s]; steps between them are short, for the mount yields by the last force.
+        tip: Tip as the bench knows it (n, 3) [m].
+        bench: Its errors. The tip yields by forces of tier `layer`, also in tier `fem`.
+        grid: Pixels along the body's longer side, of tier `layer`.
+        truth: Tier of the forces.
+        fem: Mesh and tolerances of tier `fem`.
+        kept: Points whose forces are returned, the first among them; None: all.
+        device: Device of tier `fem`.
+    """
+    chosen = np.arange(len(time)) if kept is None else np.asarray(kept)
+    indenter, seen = leaning(
+        printed(indenter, bench.size), tip + np.array([*bench.place, 0.0]), bench.tilt
+    )
+    seen[:, 2] -= bench.height
+    force = np.zeros_like(seen)
+    if truth == "layer" or bench.compliance:
+        press = LivePress(skin, indenter, grid=grid, tolerance=2e-3)
+        for row in range(1, len(time)):
+            seen[row, 2] -= bench.compliance * force[row - 1, 2]
+            press.move(seen[row], time[row] - time[row - 1])
+            if press.touching:
+                force[row] = press.force
+    if truth == "layer":
+        return force[chosen]
+    places = tuple(tuple(place) for place in seen[chosen].tolist())
+    motion = Motion(places, tuple(time[chosen].tolist()))
+    found = simulate(skin.scene(indenter, motion), fem, device=device)
+    return np.asarray(found.wrench[:, :3], float)
+
+
+def printed(indenter: Indenter, size: float) -> Indenter:
+    """Return an indenter whose width, of `WIDTH` if it has none, is greater by `size` [m]."""
+    width = float(np.diff(indenter.bounds[0])[0])
+    scale = 1 + size / (width if np.isfinite(width) else WIDTH)
+    if scale == 1:
+        return indenter
+    return replace(
+        indenter,
+        parts=tuple(_scaled(part, scale) for part in indenter.parts),
+        edge_radius=indenter.edge_radius * scale,
+        narrowest=indenter.narrowest * scale,
+    )
+
+
+def _scaled(part: Part, scale: float) -> Part:
+    angles = {"half_plane": (0, 1), "band": (0, 1), "circle": (), "path": range(2, 10**6, 3)}
+    values = tuple(
+        value if place in angles[part.figure] else value * scale
+        for place, value in enumerate(part.values)
+    )
+    return replace(part, values=values, axis=(part.axis[0] * scale, part.axis[1] * scale))
 
 
 def random_skin(random: np.random.Generator, base: str) -> tuple[SimulatedSensor, Bench]:

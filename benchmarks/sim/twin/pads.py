@@ -1,0 +1,173 @@
+"""Pads of two kinds with planted skins, pressed at the same places on a bench with errors."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.sim.twin.command import usual
+from benchmarks.sim.twin.planted import Bench, felt, observed, random_skin, solved
+from recorder.archive import ArchivedSensor, Simulated
+from sim.dataset import DatasetPlan
+from sim.dataset.plan import PlannedPress, code, target_presses
+from sim.fem import Fem
+from sim.indenters import NAMES, indenter_of
+from sim.sensors import SimulatedSensor, sensor
+from sim.twin import fitted
+from sim.twin.labels import made_from, simulated_forces
+
+Array = NDArray[np.float64]
+
+SENSORS = ("gelsight", "tacpalm")
+GAUGE = ("sphere", "prism")
+# Fields of `Bench` that each error sets.
+ALL = ("place", "tilt", "height", "size", "compliance")
+ERRORS = {"none": (), **{error: (error,) for error in ALL}, "all": ALL}
+# Largest place [m], tilt [rad], height [m], size [m] and the compliance [m/N].
+PLACE, TILT, HEIGHT, SIZE, COMPLIANCE = 0.3e-3, math.radians(1.0), 30e-6, 0.1e-3, 20e-6
+# Frames per phase, and steps of the arm from frame to frame while its mount yields.
+STEPS, BETWEEN = 2, 10
+# Fraction of a plan's targets among which those of a draw are chosen.
+TARGETS = 1 / 8
+# Deepest press of each sensor [m], and the first of two depths of its gauge presses, over the
+# deepest of its row.
+DEEPEST, PARTS = {"gelsight": 1.0e-3, "tacpalm": 2.25e-3}, {"gelsight": 0.4, "tacpalm": 0.24}
+# Coarse elements and tolerances, for many presses.
+FEM = Fem(elements_max=2500, augmentations=1, tolerance=1e-3, path_tolerance=1e-2)
+
+
+@dataclass(frozen=True, slots=True)
+class Pad:
+    """Sensor with the skin of a draw, on a bench."""
+
+    name: str
+    draw: int
+    options: argparse.Namespace
+
+    @property
+    def skin(self) -> SimulatedSensor:
+        """The skin, which differs from its row."""
+        seed = [self.options.seed, self.draw, SENSORS.index(self.name)]
+        return random_skin(np.random.default_rng(seed), self.name)[0]
+
+    @property
+    def how(self) -> dict[str, Any]:
+        """Settings of its true forces."""
+        step = self.skin.body.thickness / 20
+        fem = replace(FEM, fineness=self.options.fineness, step_travel=step)
+        how = {"truth": self.options.tier, "fem": fem, "device": self.options.device}
+        # Tier `layer` has a finer grid than the twins.
+        return {**how, "grid": 2 * self.options.grid}
+
+    def bench(self, indenter: str, error: str) -> Bench:
+        """Return the bench with one error or all: in a draw, each is the same alone or not."""
+        seed = [self.options.seed, self.draw]
+        mounted = np.random.default_rng([*seed, SENSORS.index(self.name), code(indenter)])
+        printed = np.random.default_rng([*seed, len(SENSORS), code(indenter)])
+        most: dict[str, Any] = {
+            "place": tuple((PLACE * mounted.uniform(-1, 1, 2)).tolist()),
+            "tilt": tuple((TILT * mounted.uniform(-1, 1, 2)).tolist()),
+            "height": HEIGHT * mounted.uniform(-1, 1),
+            "size": SIZE * printed.uniform(-1, 1),
+            "compliance": COMPLIANCE,
+        }
+        return Bench(**{field: most[field] for field in ERRORS[error]})
+
+    def twin(self, error: str) -> SimulatedSensor:
+        """Return the twin that is fitted to presses of `GAUGE`.
+
+        Raises:
+            SimulationDiverged: A press has no solution.
+        """
+        tracks = []
+        for number, indenter in enumerate(GAUGE, 100 * self.draw):
+            presses = usual(indenter, self.name, PARTS[self.name])
+            bench = self.bench(indenter, error)
+            forces = solved(self.skin, presses, bench, **self.how)
+            tracks.append(observed(self.skin, presses, bench, number, forces=forces))
+        return fitted(tracks, sensor(self.name), grid=self.options.grid).sensor
+
+    def planned(self) -> list[PlannedPress]:
+        """Return a press of each indenter, at places of both sensors, and a force-depth press."""
+        design, deepest = sensor(self.name), DEEPEST[self.name]
+        assert design.force_depth is not None
+        assert design.trajectory is not None
+        step = deepest / design.trajectory.depth_count
+        design = replace(
+            design,
+            trajectory=replace(design.trajectory, depth_max=deepest, depth_step=step),
+            force_depth=replace(design.force_depth, depth_max=deepest, repeats=1),
+        )
+        indenters = tuple(sorted(self.options.indenters, key=code))
+        plan = DatasetPlan("targets", (design,), indenters, steps=STEPS, fraction=TARGETS)
+        *presses, force_depth = target_presses(plan, design)
+        each = len(presses) // len(indenters)
+        chosen = np.random.default_rng([self.options.seed, self.draw]).permutation(each)
+        some = (presses[index * each + chosen[index % each]] for index in range(len(indenters)))
+        return [*some, force_depth]
+
+    def force(self, press: PlannedPress, error: str) -> Array:
+        """Return the true force at each frame of a press (n, 3) [N].
+
+        Raises:
+            SimulationDiverged: There is no solution.
+        """
+        count = len(press.motion)
+        fine = np.arange((count - 1) * BETWEEN + 1) / BETWEEN
+        frames = np.column_stack([press.motion.time, press.motion.tip])
+        path = np.stack([np.interp(fine, np.arange(count), axis) for axis in frames.T], axis=1)
+        return felt(
+            self.skin,
+            indenter_of(press.indenter),
+            path[:, 0],
+            path[:, 1:],
+            self.bench(press.indenter, error),
+            kept=range(0, len(path), BETWEEN),
+            **self.how,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pressed:
+    """Presses of a sensor as in an archive, without its images."""
+
+    name: str
+    table: Mapping[str, np.ndarray[Any, Any]]
+    simulated: Simulated | None = None
+
+    def __len__(self) -> int:
+        return len(self.table["location"])
+
+    @property
+    def archived(self) -> ArchivedSensor:
+        """The presses as functions of archives take them."""
+        return cast("ArchivedSensor", self)
+
+    def beside(self, twin: SimulatedSensor, grid: int) -> Pressed:
+        """Return the presses with a twin's forces, as `tactile sim labels` adds them."""
+        force, spread = simulated_forces(self.archived, NAMES, twin, draws=0, seed=0, grid=grid)
+        return replace(self, simulated=Simulated(force, spread, made_from(twin, 0, 0, grid)))
+
+
+def table(press: PlannedPress, force: Array) -> dict[str, np.ndarray[Any, Any]]:
+    """Return a press as rows of an archive: they are not valid without a force."""
+    (recording,), count = press.recordings, len(force)
+    tip = np.array(press.motion.tip)
+    return {
+        "indenter": np.full(count, code(press.indenter)),
+        "location": np.array(recording.locations),
+        "target": np.full(count, recording.target),
+        "phase": np.array(recording.phases),
+        "depth": np.maximum(-tip[:, 2], 0.0),
+        "position": tip[:, :2],
+        "wrench": np.column_stack([force, np.zeros((count, 3))]),
+        "frame": np.arange(count),
+        "t_ns": np.round(1e9 * np.array(press.motion.time)).astype(np.int64),
+        "valid": np.isfinite(force).all(axis=1),
+    }
