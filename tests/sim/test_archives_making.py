@@ -10,7 +10,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.simulated_archives import COARSE, LAYER, LIVED, SKINS, digests, make, solved_once
+from support.simulated_archives import (
+    COARSE,
+    LAYER,
+    LIVED,
+    SKINS,
+    digests,
+    make,
+    own_grid,
+    solved_once,
+)
 
 from recorder import MarkerArchive, check
 from recorder.archive import ArchivedSensor, location_pairs
@@ -26,7 +35,7 @@ from sim.sensors import SurfaceField, sensor
 # The archive that most tests read takes 12 s of one core, and a minute on a busy machine.
 pytestmark = pytest.mark.timeout(240)
 
-__all__ = ["solved_once"]
+__all__ = ["own_grid", "solved_once"]
 
 
 @pytest.fixture(scope="module")
@@ -149,6 +158,7 @@ def test_patterns_of_one_gel_share_its_field(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("own_grid")
 def test_a_sensor_in_use_has_a_reference_for_every_contact_point(tmp_path: Path) -> None:
     make(tmp_path / "lived.markers.zarr", LIVED)
     each = MarkerArchive(tmp_path / "lived.markers.zarr")["array-i"]

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from support.simulated_archives import SKINS, UNITS, digests, make, solved_once
+from support.simulated_archives import SKINS, UNITS, digests, make, own_grid, solved_once
 
 from recorder import MarkerArchive, check
 from recorder.processes import WorkerLost
@@ -28,7 +28,7 @@ from sim.dataset import DatasetPlan, Stop, Unit, begin, fill, found
 from sim.dataset.plan import UNIT_PRESSES
 from sim.dataset.run import make_here, make_in_processes
 
-__all__ = ["solved_once"]
+__all__ = ["own_grid", "solved_once"]
 
 ROOT = Path(__file__).parents[2]
 OPTIONS = ("--sensors", "r6,r18,uskin", "--indenters", "sphere,cone", "--scale", "0.01", "--steps",
@@ -195,10 +195,16 @@ def test_wrong_options_are_refused_before_anything_is_written(
 # ------------------------------------------------------------------------------- slow: processes
 
 
+@pytest.fixture
+def in_one_process(own_grid: None, tmp_path: Path) -> dict[str, str]:
+    make(tmp_path / "one.markers.zarr", SKINS)
+    return digests(tmp_path / "one.markers.zarr")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("processes", [1, 2])
 def test_processes_give_the_bytes_of_one(
-    tmp_path: Path, undisturbed: dict[str, str], processes: int
+    tmp_path: Path, in_one_process: dict[str, str], processes: int
 ) -> None:
     begun, stop = begin(tmp_path / "a.markers.zarr", SKINS), Stop()
     filled = fill(
@@ -210,12 +216,12 @@ def test_processes_give_the_bytes_of_one(
         lambda fraction: None,
     )
     assert filled.complete
-    assert digests(begun.path) == undisturbed
+    assert digests(begun.path) == in_one_process
 
 
 @pytest.mark.slow
 def test_a_process_that_is_killed_is_told_of_and_loses_its_unit_alone(
-    tmp_path: Path, undisturbed: dict[str, str]
+    tmp_path: Path, in_one_process: dict[str, str]
 ) -> None:
     begun, stop = begin(tmp_path / "a.markers.zarr", SKINS), Stop()
     making = make_in_processes(begun, begun.missing(), processes=1, stop=stop)
@@ -228,7 +234,7 @@ def test_a_process_that_is_killed_is_told_of_and_loses_its_unit_alone(
         list(making)
     assert len(begun.missing()) == UNITS - 1
     make(begun.path, SKINS)
-    assert digests(begun.path) == undisturbed
+    assert digests(begun.path) == in_one_process
 
 
 def _verb(path: Path) -> subprocess.Popen[str]:

@@ -74,6 +74,12 @@ def solved_once() -> Iterator[None]:
         yield
 
 
+@pytest.fixture
+def own_grid(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Solve presses on the grid of the product, as worker processes do."""
+    monkeypatch.setattr(solving, "simulate_many", simulate_many)
+
+
 def _known(scenes: Sequence[Scene], tier: Tier, **options: Any) -> list[Any]:
     options.pop("progress", None)
     tier = COARSE if isinstance(tier, Layer) else tier
