@@ -13,6 +13,8 @@ from sim.errors import SceneError
 
 # Difference of forces at rest above which a twin is refused [%].
 REFUSED = 5.0
+# Difference of markers at rest over their motion from which a twin is refused [%].
+REFUSED_MARKERS = 25.0
 # Pixels of the fit.
 GRID = 96
 
@@ -25,7 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "gauge, to presses "
         "that stand still for a while: see `tactile twin plan`. Writes a row that "
         "simulations and mock benches take as a sensor, with its uncertainty, and a picture. "
-        "Refuses a twin that does not explain the forces."
+        "Refuses a twin that does not explain the forces. With the marker archive of the "
+        "sessions, also the camera and the layout of its markers."
     )
     add = parser.add_argument
     add("sessions", nargs="+", type=Path, metavar="SESSION", help="sessions of one sensor")
@@ -34,6 +37,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         required=True,
         metavar="NAME",
         help="design to begin with: a row of sim/sensors, or a YAML file",
+    )
+    add(
+        "--markers",
+        nargs="+",
+        type=Path,
+        default=[],
+        metavar="ARCHIVE",
+        help="marker archives of these sessions (tactile markers), for camera and layout",
+    )
+    add(
+        "--held-out",
+        nargs="+",
+        type=Path,
+        default=[],
+        metavar="SESSION",
+        help="sessions that are not fitted but foretold",
     )
     add("--out", type=Path, default=Path("twin.yaml"), metavar="PATH", help="row (%(default)s)")
     add("--picture", type=Path, metavar="PATH", help="picture (beside --out, .png)")
@@ -45,6 +64,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="PERCENT",
         help="largest difference of forces at rest (%(default)g)",
     )
+    add(
+        "--misfit-markers",
+        type=positive,
+        default=REFUSED_MARKERS,
+        metavar="PERCENT",
+        help="largest difference of markers at rest, over how far they moved (%(default)g)",
+    )
     add_grid(parser, GRID)
 
 
@@ -55,42 +81,71 @@ def run(options: argparse.Namespace) -> int:
         SceneError: A session or the sensor cannot be used.
         SimulationDiverged: A candidate has no solution.
     """
-    from recorder import Session, SessionError
+    from recorder import MarkerArchive, Session, SessionError
     from recorder.progress import Progress
     from sim.sensors import NAMES, sensor_of
     from sim.sensors.sensor import ROWS
-    from sim.twin import fitted, tracks_of
+    from sim.twin import fitted, foretold, sights_of, tracks_of, viewed
+    from sim.twin.camera import differences
     from sim.twin.record import draw, lines, summary, twin_yaml
 
     design = sensor_of(options.sensor)
-    tracks = []
-    for path in options.sessions:
-        try:
-            tracks += tracks_of(Session(path))
-        except SessionError as error:
-            raise SceneError(str(error)) from error
+    if both := [path.name for path in options.held_out if path in options.sessions]:
+        raise SceneError(f"--held-out: {', '.join(both)}, fitted as well; allowed: other sessions")
+    try:
+        tracks, others = (
+            [track for path in paths for track in tracks_of(Session(path))]
+            for paths in (options.sessions, options.held_out)
+        )
+        sights = sights_of([*tracks, *others], [MarkerArchive(path) for path in options.markers])
+    except SessionError as error:
+        raise SceneError(str(error)) from error
+    of_fit = [sight for sight in sights if sight.track in tracks]
+    if options.markers and not of_fit:
+        raise SceneError("--markers: of held-out sessions alone; allowed: of fitted ones as well")
+    grid, view, held_out = options.grid, None, None
     with Progress("twin", sys.stderr) as progress:
-        fit = fitted(tracks, design, grid=options.grid, progress=progress)
+        part = 0.8 if of_fit else 1.0
+        fit = fitted(tracks, design, grid=grid, progress=lambda done: progress(part * done))
+        if of_fit:
+            name = options.out.stem
+            view = viewed(
+                fit, of_fit, name=name, grid=grid, progress=lambda done: progress(0.8 + 0.2 * done)
+            )
+        if others:
+            rest = [sight for sight in sights if sight.track in others]
+            held_out = foretold(fit, view, others, rest, grid)
     picture = options.picture or options.out.with_suffix(".png")
     names = [path.name for path in options.sessions]
-    draw(fit, picture, f"Twin of {design.name}: misfit {100 * fit.misfit:.2f} %")
-    refused = 100 * fit.misfit > options.misfit
-    if options.json:
-        print(json.dumps({**summary(fit), "refused": refused}, indent=1))
-    else:
-        print("\n".join(lines(fit)))
-    if refused:
-        print(
-            f"refused: forces at rest differ by {100 * fit.misfit:.1f} %; allowed: up to "
-            f"{options.misfit:g} % (--misfit); see {picture}",
-            file=sys.stderr,
+    title = f"Twin of {design.name}: misfit {100 * fit.misfit:.2f} %"
+    draw(fit, picture, title, view, held_out)
+    refused = []
+    if 100 * fit.misfit > options.misfit:
+        refused.append(
+            f"forces at rest differ by {100 * fit.misfit:.1f} %; allowed: up to "
+            f"{options.misfit:g} % (--misfit)"
         )
+    if view is not None:
+        off, way = differences(view.sights, view.predicted)
+        if 100 * off > options.misfit_markers * way:
+            refused.append(
+                f"markers at rest differ by {off:.2f} px, {100 * off / way:.0f} % of the "
+                f"{way:.2f} px that they moved; allowed: up to {options.misfit_markers:g} % "
+                "(--misfit-markers)"
+            )
+    if options.json:
+        print(json.dumps({**summary(fit, view, held_out), "refused": bool(refused)}, indent=1))
+    else:
+        print("\n".join(lines(fit, view, held_out)))
+    if refused:
+        print(f"refused: {'; '.join(refused)}; see {picture}", file=sys.stderr)
         return 1
     own = options.sensor not in NAMES
     extends = os.path.relpath(options.sensor, options.out.parent) if own else f"{design.name}.yaml"
     assert own or (ROWS / extends).exists()
     options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(twin_yaml(fit, extends, names), encoding="utf-8")
+    row = twin_yaml(fit.sensor if view is None else view.sensor, extends, names)
+    options.out.write_text(row, encoding="utf-8")
     if not options.json:
         print(f"{options.out}\n{picture}")
     return 0

@@ -134,7 +134,7 @@ def archive_plan(plan: DatasetPlan, device: str = "cpu") -> ArchivePlan:
         {
             name
             for each in plan.sensors
-            if isinstance(each.signal, CameraSignal)
+            if isinstance(each.signal, CameraSignal) and each.signal.layout is None
             for name in each.signal.patterns
         }
     )

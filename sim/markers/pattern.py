@@ -110,6 +110,16 @@ class Pattern:
             found[rows, columns] = np.minimum(found[rows, columns], distance)
         return found
 
+    def within(self, body: Body) -> Pattern:
+        """Return the markers that lie wholly on a gel.
+
+        Raises:
+            SceneError: None do.
+        """
+        room = body.from_side(*self.centres.T) - self.reach
+        kept = (place for place, on in zip(self.places, room >= 0, strict=True) if on)
+        return replace(self, places=tuple(kept))
+
     def check_within(self, body: Body) -> None:
         """Check that all markers lie wholly on a gel.
 

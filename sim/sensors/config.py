@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from recorder.settings import Reader
 from sim.effects import Viscosity
 from sim.errors import SceneError
+from sim.markers import Pattern
 from sim.scene import Body
 
 UNITS: Mapping[type, Mapping[str, str]] = {
@@ -22,6 +23,7 @@ UNITS: Mapping[type, Mapping[str, str]] = {
         "modulus": "kpa",
     },
     Viscosity: {"times": "s"},
+    Pattern: {"size": "mm", "places": "mm", "angle": "deg"},
 }
 
 READER = Reader(SceneError, UNITS)

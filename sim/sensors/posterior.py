@@ -4,21 +4,28 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sim.effects import Friction, Viscosity
-from sim.errors import SceneError
+from sim.errors import SceneError, check_range
+from sim.markers import Camera
 from sim.scene import Body
+from sim.sensors.taxels import TaxelSignal
 
 if TYPE_CHECKING:
     from sim.sensors.sensor import SimulatedSensor
 
 # Quantities of a sensor that presses may identify; branches of viscosity are numbered from 1.
 _NAMES = re.compile(r"modulus|thickness|poisson|friction|ratio_[1-4]|time_[1-4]")
+# Quantities of a camera that images may identify.
+CAMERA = ("scale", "distance", "shift_x", "shift_y", "rotation")
+# Quantities that are distributed as they are; all others are by their logarithms.
+AS_THEY_ARE = ("poisson", "shift_x", "shift_y", "rotation")
 # Poisson's ratios that a draw may have: near 0.5 the layer becomes rigid.
 POISSON = (0.3, 0.4995)
 # Greatest depth of a sensor's presses over its thickness.
@@ -29,25 +36,27 @@ DEEPEST = 0.9
 class Posterior:
     """Normal distribution of a sensor's quantities about the values of its row.
 
-    All are in logarithms, so that a spread of 0.02 is 2 %, but Poisson's ratio is as it is.
+    All are in logarithms, so that a spread of 0.02 is 2 %, but Poisson's ratio and the shift [px]
+    and rotation [rad] of the image are as they are.
 
     Raises:
         SceneError: A name is unknown or repeated, or a shape or a value does not fit.
     """
 
     names: tuple[str, ...]
-    """modulus, thickness, poisson, friction, ratio_1, time_1 and so on."""
+    """modulus, thickness, poisson, friction, ratio_1, time_1 and so on, and those of `CAMERA`."""
     spreads: tuple[float, ...]
     """Standard deviation of each."""
     correlations: tuple[tuple[float, ...], ...]
     """Matrix of correlations, -1 to 1, with ones on its diagonal."""
 
     def __post_init__(self) -> None:
-        unknown = [name for name in self.names if not _NAMES.fullmatch(name)]
+        unknown = [name for name in self.names if name not in CAMERA and not _NAMES.fullmatch(name)]
         if unknown or len(set(self.names)) != len(self.names):
             raise SceneError(
                 f"posterior.names: {', '.join(unknown or self.names)}; allowed: modulus, "
-                "thickness, poisson, friction, ratio_1 to ratio_4, time_1 to time_4, each once"
+                "thickness, poisson, friction, ratio_1 to ratio_4, time_1 to time_4, "
+                f"{', '.join(CAMERA)}, each once"
             )
         count = len(self.names)
         matrix = np.array(self.correlations, float)
@@ -56,10 +65,20 @@ class Posterior:
                 f"posterior: {count} names, {len(self.spreads)} spreads, correlations of shape "
                 f"{matrix.shape}; allowed: one spread for each name, and a square of that size"
             )
-        if not all(0 <= spread <= 3 for spread in self.spreads):
-            raise SceneError(f"posterior.spreads: {self.spreads}; allowed: 0 to 3")
+        for name, spread in zip(self.names, self.spreads, strict=True):
+            most = 100.0 if name.startswith("shift") else 3.0
+            check_range("posterior.spreads", name, spread, 0.0, most)
         if not np.allclose(matrix, matrix.T, atol=1e-6) or np.abs(matrix).max(initial=0) > 1.000001:
             raise SceneError("posterior.correlations: allowed: a symmetric matrix, -1 to 1")
+
+    @classmethod
+    def of(cls, names: Sequence[str], covariance: NDArray[np.float64]) -> Posterior:
+        """Return the distribution with a covariance (p, p)."""
+        spread = np.sqrt(np.diag(covariance))
+        matrix = np.clip(covariance / np.outer(spread, spread), -1.0, 1.0)
+        np.fill_diagonal(matrix, 1.0)
+        correlations = tuple(map(tuple, matrix.tolist()))
+        return cls(tuple(names), tuple(spread.tolist()), correlations)
 
     def draw(self, centre: SimulatedSensor, random: np.random.Generator) -> SimulatedSensor:
         """Return a sensor drawn about `centre`, which itself keeps no posterior."""
@@ -67,12 +86,48 @@ class Posterior:
         matrix = np.array(self.correlations) * np.outer(spread, spread)
         values, axes = np.linalg.eigh((matrix + matrix.T) / 2)
         moved = axes @ (np.sqrt(np.maximum(values, 0.0)) * random.standard_normal(len(spread)))
-        known = quantities(centre)
+        known = {**quantities(centre), **camera_quantities(centre)}
+        if missing := [name for name in self.names if name not in known]:
+            raise SceneError(f"{centre.name}: {', '.join(missing)}; allowed: {', '.join(known)}")
         drawn = {
-            name: known[name] + step if name == "poisson" else known[name] * math.exp(step)
+            name: known[name] + step if name in AS_THEY_ARE else known[name] * math.exp(step)
             for name, step in zip(self.names, moved, strict=True)
         }
-        return replace(with_quantities(centre, drawn), posterior=None)
+        seen = {name: drawn.pop(name) for name in CAMERA if name in drawn}
+        found = with_quantities(centre, drawn)
+        return replace(with_camera(found, seen) if seen else found, posterior=None)
+
+
+def camera_quantities(sensor: SimulatedSensor) -> dict[str, float]:
+    """Return those of `CAMERA` by name, in SI, shifts in px; none of a sensor of taxels."""
+    if isinstance(sensor.signal, TaxelSignal):
+        return {}
+    camera = sensor.signal.camera()
+    return {
+        "scale": 1e-3 * camera.mm_per_px,
+        "distance": camera.distance,
+        "shift_x": camera.shift[0],
+        "shift_y": camera.shift[1],
+        "rotation": camera.rotation,
+    }
+
+
+def with_camera(sensor: SimulatedSensor, values: Mapping[str, float]) -> SimulatedSensor:
+    """Return a sensor with some of `CAMERA` replaced, whose layout looks the same.
+
+    Raises:
+        SceneError: A value is out of range, no marker is on the body, or there is no camera.
+    """
+    if isinstance(sensor.signal, TaxelSignal):
+        raise SceneError(f"{sensor.name}.signal: taxels; allowed: a camera")
+    known = {**camera_quantities(sensor), **values}
+    camera = Camera(
+        known["distance"] / known["scale"],
+        known["distance"],
+        (known["shift_x"], known["shift_y"]),
+        known["rotation"],
+    )
+    return replace(sensor, signal=sensor.signal.by(camera, sensor.body))
 
 
 def quantities(sensor: SimulatedSensor) -> dict[str, float]:

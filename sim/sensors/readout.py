@@ -201,4 +201,5 @@ def _framed(sensor: SimulatedSensor, signal: CameraSignal, seed: int | None) -> 
     if framing is None or seed is None:
         return camera
     column, row, turn = framing.drawn(seed, sensor.name)
-    return replace(camera, shift=(column, row), rotation=turn)
+    shift = camera.shift[0] + column, camera.shift[1] + row
+    return replace(camera, shift=shift, rotation=camera.rotation + turn)

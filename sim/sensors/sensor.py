@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import ClassVar
+
+import numpy as np
 
 from sim.effects import Effects
 from sim.errors import SceneError, check_range
@@ -24,7 +27,8 @@ class CameraSignal:
     """Camera below the gel that images markers.
 
     Raises:
-        SceneError: There is no pattern or an unknown one, or not exactly one of scale and distance.
+        SceneError: There is no pattern, an unknown one or one besides `layout`, or neither scale
+            nor distance.
     """
 
     KIND: ClassVar[str] = "camera"
@@ -32,36 +36,84 @@ class CameraSignal:
     patterns: tuple[str, ...]
     """Names of marker patterns (`sim.markers`); each of several gives separate images."""
     scale: float | None = field(default=None, metadata={"unit": "mm_per_px"})
-    """Size of a pixel on the undeformed top [m/px], in place of `distance`."""
+    """Size of a pixel on the undeformed top [m/px]; without it that of the paper's lens at
+    `distance`."""
     distance: float | None = field(default=None, metadata={"unit": "mm"})
-    """Distance from the pinhole to the undeformed top, or to the undeformed tips of pins [m]."""
+    """Distance from the pinhole to the undeformed top, or to the undeformed tips of pins [m];
+    without it that at which the paper's lens has the scale."""
     pins: Pins | None = None
     """Pins under the skin, whose tips are the markers; None: markers are on the skin."""
     shading: Shading | None = None
     """Lamps, for colour pictures; None gives marker images only."""
+    layout: Pattern | None = field(default=None, metadata={"stored": "unless default"})
+    """Markers of a sensor whose pattern has no name in `sim.markers`; `patterns` has its name."""
+    shift_px: tuple[float, float] = field(default=(0.0, 0.0), metadata={"stored": "unless default"})
+    """Shift of the image, to the right and downwards [px]: where the camera sees the middle."""
+    rotation: float = field(default=0.0, metadata={"unit": "deg", "stored": "unless default"})
+    """Rotation of the image before the shift, anticlockwise about its middle [rad]."""
 
     def __post_init__(self) -> None:
         if not self.patterns:
             raise SceneError("signal.patterns: none; allowed: one or more names")
-        for name in self.patterns:
-            named(name)
-        if (self.scale is None) == (self.distance is None):
+        if self.layout is None:
+            for name in self.patterns:
+                named(name)
+        elif self.patterns != (self.layout.name,):
             raise SceneError(
-                f"signal: scale {self.scale!r} and distance {self.distance!r}; allowed: one of both"
+                f"signal.patterns: {', '.join(self.patterns)}; allowed: {self.layout.name}, the "
+                "name of the layout"
             )
+        if self.scale is None and self.distance is None:
+            raise SceneError("signal: neither scale nor distance; allowed: one, or both")
         if self.pins is not None and self.shading is not None:
             raise SceneError("signal.shading: lamps with pins; allowed: lamps on a bare skin")
         self.camera()
 
     def camera(self) -> Camera:
         """Return the camera in its nominal mounting."""
-        if self.distance is not None:
-            return Camera(distance=self.distance)
-        return Camera.of_scale((self.scale or 0.0) * 1e3)
+        if self.distance is None:
+            lens = Camera.of_scale((self.scale or 0.0) * 1e3)
+        elif self.scale is None:
+            lens = Camera(distance=self.distance)
+        else:
+            check_range("signal", "scale", self.scale, 1e-7, 1e-2, unit="m/px")
+            lens = Camera(self.distance / self.scale, self.distance)
+        return replace(lens, shift=self.shift_px, rotation=self.rotation)
 
     def drawn(self) -> tuple[Pattern, ...]:
         """Return the patterns."""
+        if self.layout is not None:
+            return (self.layout,)
         return tuple(named(name) for name in self.patterns)
+
+    def mounted(self, camera: Camera) -> CameraSignal:
+        """Return the signal of another camera; markers stay on the body."""
+        return replace(
+            self,
+            scale=1e-3 * camera.mm_per_px,
+            distance=camera.distance,
+            shift_px=camera.shift,
+            rotation=camera.rotation,
+        )
+
+    def by(self, camera: Camera, body: Body) -> CameraSignal:
+        """Return the signal of another camera that sees the same image without contact.
+
+        A layout moves on the body, since its markers are known by their places in that image;
+        those that end beyond the body are dropped. Named patterns stay where they are.
+        """
+        signal, layout = self.mounted(camera), self.layout
+        if layout is None:
+            return signal
+        heights = body.heights_at(*layout.centres.T)
+        seen = self.camera().project(np.column_stack([layout.centres, heights]))
+        moved = replace(
+            layout,
+            size=layout.size * camera.mm_per_px / self.camera().mm_per_px,
+            places=tuple(map(tuple, camera.places(seen, body).tolist())),
+            angle=math.remainder(layout.angle + self.rotation - camera.rotation, math.tau),
+        )
+        return replace(signal, layout=moved.within(body))
 
 
 @dataclass(frozen=True, slots=True)

@@ -111,23 +111,13 @@ class Fit:
         """The twin: the design with the fitted quantities and their posterior."""
         known = quantities(self.design)
         rows = [index for index, name in enumerate(self.names) if name in known]
-        part = self.covariance[np.ix_(rows, rows)]
-        spread = np.sqrt(np.diag(part))
-        correlations = np.clip(part / np.outer(spread, spread), -1.0, 1.0)
-        np.fill_diagonal(correlations, 1.0)
         twin = with_quantities(self.design, {name: self.values[name] for name in known})
-        return replace(
-            twin,
-            posterior=Posterior(
-                tuple(self.names[row] for row in rows),
-                tuple(spread.tolist()),
-                tuple(tuple(row) for row in correlations.tolist()),
-            ),
-        )
+        names = [self.names[row] for row in rows]
+        return replace(twin, posterior=Posterior.of(names, self.covariance[np.ix_(rows, rows)]))
 
     def distance(self, name: str, value: float) -> float:
         """Return the distance from a value to that of a quantity, in its standard deviations."""
-        return _way(name, {name: value}, self.values) / self.spreads[name]
+        return way_of(name, {name: value}, self.values) / self.spreads[name]
 
     def interval(self, name: str, z: float = Z) -> tuple[float, float]:
         """Return the interval of a quantity, 90 % by default."""
@@ -293,7 +283,7 @@ def _mixed(names: Sequence[str], found: Sequence[Explanation]) -> Array:
     """Return the covariance (p, p) about the first explanation, each as likely as its cost says."""
     weights = np.exp([(found[0].cost - each.cost) / 2 for each in found])
     ways = [
-        np.array([_way(name, found[0].values, each.values) for name in names]) for each in found
+        np.array([way_of(name, found[0].values, each.values) for name in names]) for each in found
     ]
     mixed = np.zeros_like(found[0].covariance)
     for weight, each, way in zip(weights / weights.sum(), found, ways, strict=True):
@@ -347,7 +337,7 @@ def _descended(
             longest = max(abs(each) for name, each in zip(names, step, strict=True) if is_log(name))
             step *= min(1.0, STEP / longest)
             stepped = zip(names, step, strict=True)
-            moved = {**values, **{name: _moved(name, values, by) for name, by in stepped}}
+            moved = {**values, **{name: moved_by(name, values, by) for name, by in stepped}}
             trial, _ = _stacked(data, model.readings(moved), sigma)
             gained = cost - _cost(trial, _offset(names, moved, centre) / prior)
             better = gained > 0
@@ -357,7 +347,7 @@ def _descended(
         # A damped step is short wherever it is.
         small = damping < DAMPED_LITTLE and float(np.max(np.abs(step) / spread)) < SMALL
         if better:
-            way = {name: _way(name, values, moved) for name in names}
+            way = {name: way_of(name, values, moved) for name in names}
             values, damping = moved, damping / 10
             kept = all(abs(way.get(name, 0.0)) < CLOSE * step for name, step in STEPS.items())
             if kept:
@@ -568,11 +558,13 @@ def _coordinate(name: str, values: Mapping[str, float]) -> float:
     return math.log(values[name]) if is_log(name) else values[name]
 
 
-def _way(name: str, values: Mapping[str, float], moved: Mapping[str, float]) -> float:
+def way_of(name: str, values: Mapping[str, float], moved: Mapping[str, float]) -> float:
+    """Return the way of a quantity, or of its logarithm, from some values to others."""
     return _coordinate(name, moved) - _coordinate(name, values)
 
 
-def _moved(name: str, values: Mapping[str, float], step: float) -> float:
+def moved_by(name: str, values: Mapping[str, float], step: float) -> float:
+    """Return a quantity after a step, of its logarithm if it has one, within its bounds."""
     if is_log(name):
         return values[name] * math.exp(step)
     moved = values[name] + step

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.indenters import Indenter, named
-from sim.sensors import SimulatedSensor
+from sim.sensors import SimulatedSensor, SurfaceField
 from sim.sensors.posterior import quantities, with_quantities
 from sim.stream import LivePress
 from sim.twin.observations import Track
@@ -174,27 +174,57 @@ class Model:
 
     def solve(self, values: Mapping[str, float]) -> list[Solved]:
         """Return the solution of every track."""
-        known = quantities(self._design)
-        sensor = with_quantities(
-            self._design, {name: value for name, value in values.items() if name in known}
-        )
+        sensor = self._sensor(values)
         key = tuple(sorted(values.items()))
         if key not in self._solved:
             followed = [self._follow(sensor, track, values) for track in self._tracks]
             self._solved[key] = followed
         return self._solved[key]
 
-    def _follow(self, sensor: SimulatedSensor, track: Track, values: Mapping[str, float]) -> Solved:
+    def surfaces(
+        self, values: Mapping[str, float], rows: Sequence[NDArray[np.int64]]
+    ) -> list[SurfaceField]:
+        """Return the displacement of the top at some points of every track, as one field each."""
+        sensor, found = self._sensor(values), []
+        for track, wanted in zip(self._tracks, rows, strict=True):
+            shapes = {
+                row: press.field
+                for row, press in enumerate(self._pressed(sensor, track, values))
+                if row in wanted
+            }
+            fields = [shapes[int(row)] for row in wanted]
+            found.append(
+                replace(
+                    fields[0], displacement=np.concatenate([each.displacement for each in fields])
+                )
+            )
+        return found
+
+    def _sensor(self, values: Mapping[str, float]) -> SimulatedSensor:
+        known = quantities(self._design)
+        return with_quantities(
+            self._design, {name: value for name, value in values.items() if name in known}
+        )
+
+    def _pressed(
+        self, sensor: SimulatedSensor, track: Track, values: Mapping[str, float]
+    ) -> Iterator[LivePress]:
+        """Yield the press at each point of a track; it is the same object each time."""
         tilt = values.get("tilt_x", 0.0), values.get("tilt_y", 0.0)
         indenter, tip = leaning(self._indenters[track.indenter], track.tip, tilt)
         press = LivePress(sensor, indenter, grid=self._grid, tolerance=self._tolerance)
         tip[:, 2] -= values.get("height", 0.0)
         tip[:, 2] -= values.get("compliance", 0.0) * np.minimum(track.force[:, 2], 0.0)
-        force, elastic = np.zeros((len(tip), 3)), np.zeros((len(tip), 3))
         before = track.time[0]
-        for row, (time, place) in enumerate(zip(track.time, tip, strict=True)):
+        for time, place in zip(track.time, tip, strict=True):
             press.move(place, time - before)
             before = time
+            yield press
+
+    def _follow(self, sensor: SimulatedSensor, track: Track, values: Mapping[str, float]) -> Solved:
+        count = len(track.time)
+        force, elastic = np.zeros((count, 3)), np.zeros((count, 3))
+        for row, press in enumerate(self._pressed(sensor, track, values)):
             if press.touching:
                 force[row], elastic[row] = press.force, press.relaxed_force
         return Solved(force, elastic, _rates(track.time, force))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +49,10 @@ class Track:
     """Standard deviation of that mean by the gauge's noise (n,) [N]."""
     target: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
     """Press that each point belongs to (n,), -1 in between."""
+    run: int = 0
+    """Run of the session."""
+    origin_ns: int = 0
+    """Time 0 on the clock of that run [ns]."""
 
     @property
     def rest(self) -> NDArray[np.bool_]:
@@ -103,7 +107,7 @@ def tracks_of(session: Session) -> list[Track]:
             dome_radius=(session.attrs.get("plan") or {}).get("dome_radius"),
         )
         if track is not None:
-            found.append(track)
+            found.append(replace(track, run=run, origin_ns=origin))
     if not found:
         raise SceneError(f"{session.name}: the tip never went below the surface; allowed: presses")
     return found

@@ -5,15 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from recorder.charts import BLUE, INK, ORANGE, RED, SOFT, chart
+from recorder.charts import BAND, BLUE, INK, ORANGE, RED, SOFT, chart
 from recorder.strict_yaml import yaml_text
-from sim.twin.fit import Fit, is_log
+from sim.markers import HEIGHT, WIDTH, Pattern
+from sim.sensors import CameraSignal, SimulatedSensor
+from sim.twin.camera import HeldOut, View, differences
+from sim.twin.fit import Fit, is_log, misfit
+from sim.twin.markers import Sight
 from sim.twin.observations import Track
 from sim.twin.plan import Planner, Presses, cost
+
+if TYPE_CHECKING:
+    from recorder.charts import Axes
+
+Array = NDArray[np.float64]
 
 # Quantities as people write them: factor from SI, and unit.
 SHOWN = {
@@ -24,16 +34,19 @@ SHOWN = {
     "compliance": (1e6, "um/N"),
     "turn": (180 / math.pi, "deg"),
     "tilt": (180 / math.pi, "deg"),
+    "scale": (1e3, "mm/px"),
+    "distance": (1e3, "mm"),
+    "shift": (1.0, "px"),
+    "rotation": (180 / math.pi, "deg"),
 }
 # Correlations from this on are listed.
 STRONG = 0.7
-# Most tracks that are drawn.
-DRAWN = 4
+# Most tracks that are drawn, and room for a legend above an image [px].
+DRAWN, LEGEND = 4, 60
 
 
-def twin_yaml(fit: Fit, design: str, sessions: Sequence[str]) -> str:
+def twin_yaml(sensor: SimulatedSensor, design: str, sessions: Sequence[str]) -> str:
     """Return the row of a twin, which extends the design's file or row `design`."""
-    sensor = fit.sensor
     body, effects, posterior = sensor.body, sensor.effects, sensor.posterior
     assert posterior is not None
     assert effects.viscosity is not None
@@ -61,6 +74,9 @@ def twin_yaml(fit: Fit, design: str, sessions: Sequence[str]) -> str:
             "correlations": [[round(each, 4) for each in row] for row in posterior.correlations],
         },
     }
+    signal = sensor.signal
+    if isinstance(signal, CameraSignal) and signal.layout is not None:
+        content["signal"] = _signal(signal, signal.layout)
     if sensor.trajectory is None:
         content["trajectory"] = None
     if sensor.force_depth is None:
@@ -68,19 +84,44 @@ def twin_yaml(fit: Fit, design: str, sessions: Sequence[str]) -> str:
     return yaml_text(content)
 
 
-def lines(fit: Fit) -> list[str]:
+def _signal(signal: CameraSignal, layout: Pattern) -> dict[str, Any]:
+    """Return the camera and layout of a row as it is written."""
+    camera = signal.camera()
+    return {
+        "patterns": [layout.name],
+        "layout": {
+            "name": layout.name,
+            "shape": layout.shape,
+            "size_mm": _round(1e3 * layout.size),
+            "angle_deg": _round(math.degrees(layout.angle)),
+            "places_mm": [[round(1e3 * each, 4) for each in place] for place in layout.places],
+        },
+        "scale_mm_per_px": _round(camera.mm_per_px),
+        "distance_mm": _round(1e3 * camera.distance),
+        "shift_px": [_round(each) for each in camera.shift],
+        "rotation_deg": _round(math.degrees(camera.rotation)),
+    }
+
+
+def _line(name: str, value: float, interval: tuple[float, float], note: str) -> str:
+    factor, unit = SHOWN.get(name.partition("_")[0], (1.0, ""))
+    span = " to ".join(f"{factor * end:.4g}" for end in interval)
+    return f"{name:<12}{factor * value:>10.4g}  {span:<15} {unit:<5}{note}"
+
+
+def lines(fit: Fit, view: View | None = None, held_out: HeldOut | None = None) -> list[str]:
     """Return the fitted values with 90 % intervals, strong correlations, and errors of the fit."""
     found = [f"{'quantity':<12}{'value':>10}  {'90 % interval':<22}"]
     for name in fit.names:
-        factor, unit = SHOWN.get(name.partition("_")[0], (1.0, ""))
-        low, high = fit.interval(name)
         note = "  not told by these presses, the prior's" if name in fit.untold else ""
         if name == "friction" and note:
             note = f"  at least {least_friction(fit.tracks):.2f}: it hardly slipped"
-        found.append(
-            f"{name:<12}{factor * fit.values[name]:>10.4g}  "
-            f"{f'{factor * low:.4g} to {factor * high:.4g}':<15} {unit:<5}{note}"
-        )
+        found.append(_line(name, fit.values[name], fit.interval(name), note))
+    if view is not None:
+        for name, value in view.values.items():
+            note = "  not told by these images, the row's" if name in view.untold else ""
+            found.append(_line(name, value, view.interval(name), note))
+        found.append("tilt of the camera: not fitted, rows have none")
     spread = np.sqrt(np.diag(fit.covariance))
     matrix = fit.covariance / np.outer(spread, spread)
     pairs = [
@@ -95,7 +136,27 @@ def lines(fit: Fit) -> list[str]:
         f"{100 * fit.law:.2f} %; moving forces are {1e3 * fit.latency:.0f} ms late, timing "
         f"{1e3 * fit.timing:.0f} ms"
     )
+    if view is not None:
+        layout = view.signal.drawn()[0]
+        found.append(
+            f"{_marker_line(view.sights, view.predicted)}; layout: {len(layout)} markers "
+            f"({layout.shape}, {1e3 * layout.size:.3g} mm), image without contact overlaps "
+            f"{100 * view.overlap:.0f} %"
+        )
+        if view.either_way:
+            found.append("mirrored images would fit as well: shear in two directions tells")
+    if held_out is not None:
+        off = misfit(held_out.tracks, held_out.readings)
+        line = f"held out: misfit {100 * off:.2f} % of the forces at rest"
+        if held_out.predicted:
+            line += f"; {_marker_line(held_out.sights, held_out.predicted)}"
+        found.append(line)
     return found
+
+
+def _marker_line(sights: Sequence[Sight], places: Sequence[Array]) -> str:
+    off, way = differences(sights, places)
+    return f"markers differ by {off:.2f} px of {way:.2f} px ({100 * off / way:.1f} %)"
 
 
 def plan_files(planned: Sequence[Presses], bench: str) -> dict[str, str]:
@@ -168,9 +229,9 @@ def least_friction(tracks: Sequence[Track]) -> float:
     return most
 
 
-def summary(fit: Fit) -> dict[str, Any]:
-    """Return the result as plain values in SI, for programs."""
-    return {
+def summary(fit: Fit, view: View | None = None, held_out: HeldOut | None = None) -> dict[str, Any]:
+    """Return the result as plain values in SI, pixels in px, for programs."""
+    found: dict[str, Any] = {
         "values": {name: fit.values[name] for name in fit.names},
         "intervals_90": {name: list(fit.interval(name)) for name in fit.names},
         "spreads": fit.spreads,
@@ -182,22 +243,63 @@ def summary(fit: Fit) -> dict[str, Any]:
         "latency": fit.latency,
         "rounds": fit.rounds,
     }
+    if view is not None:
+        off, way = differences(view.sights, view.predicted)
+        found["view"] = {
+            "values": view.values,
+            "intervals_90": {name: list(view.interval(name)) for name in view.values},
+            "untold": list(view.untold),
+            "markers": len(view.signal.drawn()[0]),
+            "overlap": view.overlap,
+            "mirrored_as_well": view.either_way,
+            "off_px": off,
+            "moved_px": way,
+        }
+    if held_out is not None:
+        found["held_out"] = {"misfit": misfit(held_out.tracks, held_out.readings)}
+        if held_out.predicted:
+            found["held_out"]["off_px"] = differences(held_out.sights, held_out.predicted)[0]
+    return found
 
 
-def draw(fit: Fit, path: Path, title: str) -> None:
-    """Draw the forces of each track beside the twin's, and their differences, as a picture."""
-    drawn = fit.tracks[:DRAWN]
-    with chart(path, 11.0, 2.6 * len(drawn) + 0.8) as figure:
-        axes = figure.subplots(len(drawn), 2, squeeze=False, width_ratios=(2, 1))
-        for row, track in enumerate(drawn):
-            left, right = axes[row]
+def draw(
+    fit: Fit,
+    path: Path,
+    title: str,
+    view: View | None = None,
+    held_out: HeldOut | None = None,
+) -> None:
+    """Draw forces and markers of tracks beside the twin's, and differences, as a picture."""
+    drawn = [(each, read, "") for each, read in zip(fit.tracks, fit.readings, strict=True)][:DRAWN]
+    pictures = [] if view is None else [(view.sights, view.predicted, "")]
+    if held_out is not None:
+        pairs = zip(held_out.tracks, held_out.readings, strict=True)
+        drawn += [(each, read, ", held out") for each, read in pairs][:DRAWN]
+        pictures += [(held_out.sights, held_out.predicted, ", held out")]
+    pictures = [each for each in pictures if each[1]]
+    count = len(drawn) + bool(pictures)
+    heights = [1.0] * len(drawn) + [1.9] * bool(pictures)
+    with chart(path, 11.0, 2.6 * sum(heights) + 0.8) as figure:
+        grid = figure.add_gridspec(count, 1, height_ratios=heights)
+        for place, (sights, places, kind) in enumerate(pictures):
+            within = grid[-1].subgridspec(1, 2)
+            _draw_markers(figure.add_subplot(within[place]), sights, places, kind)
+        axes = np.array(
+            [
+                grid[row].subgridspec(1, 2, width_ratios=(2, 1)).subplots()
+                for row in range(len(drawn))
+            ]
+        )
+        for (left, right), (track, reading, kind) in zip(axes, drawn, strict=True):
             used = track.contact
             order = np.arange(int(used.sum()))
-            force, read = track.force[used], fit.readings[row][used]
+            force, read = track.force[used], reading[used]
             for axis, colour in zip((0, 1, 2), (ORANGE, RED, BLUE), strict=True):
                 left.plot(order, force[:, axis], ".", color=colour, markersize=3)
                 left.plot(order, read[:, axis], "-", color=colour, label=f"F{'xyz'[axis]}")
-            left.set_title(f"{track.name}, {track.indenter}: measured (dots) and twin (lines)")
+            left.set_title(
+                f"{track.name}, {track.indenter}{kind}: measured (dots) and twin (lines)"
+            )
             left.set_ylabel("force [N]")
             rest = track.rest[used]
             off = np.linalg.norm(force - read, axis=1)
@@ -210,6 +312,24 @@ def draw(fit: Fit, path: Path, title: str) -> None:
         axes[-1, 0].set_xlabel("points in contact, in order")
         axes[-1, 1].set_xlabel("depth [mm]")
         figure.suptitle(title)
+
+
+def _draw_markers(axes: Axes, sights: Sequence[Sight], places: Sequence[Array], kind: str) -> None:
+    """Draw the markers at the point of some sights where they have moved farthest."""
+    ways = [np.nanmean(np.square(s.seen - s.markers[None]), axis=(1, 2)) for s in sights]
+    best = max(range(len(sights)), key=lambda each: float(ways[each].max()))
+    sight, point = sights[best], int(ways[best].argmax())
+    seen, place = sight.seen[point], places[best][point]
+    for (x, y), (column, row) in zip(sight.markers, seen, strict=True):
+        axes.plot([x, column], [y, row], "-", color=BAND, linewidth=1.0)
+    axes.plot(*sight.markers.T, ".", color=SOFT, markersize=3, label="without contact")
+    axes.plot(*seen.T, "o", color=INK, fillstyle="none", markersize=6, label="seen")
+    axes.plot(*place.T, "x", color=RED, markersize=5, label="twin")
+    axes.set(xlim=(0, WIDTH), ylim=(HEIGHT, -LEGEND), aspect="equal", ylabel="row [px]")
+    off = math.sqrt(np.nanmean(np.square(seen - place).sum(axis=1)))
+    axes.set_title(f"{sight.track.name}, {sight.track.indenter}{kind}: {off:.2f} px")
+    axes.set_xlabel("column [px]")
+    axes.legend(loc="upper right", ncols=3)
 
 
 def _round(value: float) -> float:

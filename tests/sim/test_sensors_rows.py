@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pytest
@@ -103,6 +104,24 @@ def test_a_row_says_only_what_differs(tmp_path: Path) -> None:
     assert mine.body.thickness == sensor("gelsight").body.thickness
 
 
+def test_a_row_with_scale_and_distance_has_the_lens_of_both(tmp_path: Path) -> None:
+    signal = read(tmp_path, BASE + "signal: {distance_mm: 20.0, rotation_deg: 90}\n").signal
+    assert isinstance(signal, CameraSignal)
+    camera = signal.camera()
+    assert camera.mm_per_px == pytest.approx(0.0249)
+    assert camera.distance == pytest.approx(20e-3)
+    assert camera.rotation == pytest.approx(math.pi / 2)
+
+
+def test_a_layout_has_the_name_in_patterns(tmp_path: Path) -> None:
+    layout = "layout: {name: b, shape: disc, size_mm: 1, places_mm: [[0, 1]]}"
+    with pytest.raises(SceneError, match=r"signal\.patterns: GelSight; allowed: b, the name"):
+        read(tmp_path, BASE + f"signal: {{{layout}}}\n")
+    signal = read(tmp_path, BASE + f"signal: {{patterns: [b], {layout}}}\n").signal
+    assert isinstance(signal, CameraSignal)
+    assert signal.drawn()[0].places == ((0.0, 1e-3),)
+
+
 def test_a_row_may_be_round(tmp_path: Path) -> None:
     mine = read(tmp_path, BASE + "body: {footprint: ellipse}\n")
     assert mine.body.footprint == "ellipse"
@@ -141,7 +160,15 @@ def test_a_signal_of_another_kind_replaces_the_whole(tmp_path: Path) -> None:
         ("effects: {viscosity: {ratios: 0.1}}\n", r"\.viscosity\.ratios: found 0\.1.*list"),
         ("signal: {patterns: [Array-IX]}\n", r"\.signal: pattern: 'Array-IX'; allowed: .*Array-I"),
         ("signal: {patterns: []}\n", r"\.signal: signal\.patterns: none"),
-        ("signal: {distance_mm: 20.0}\n", r"\.signal: signal: scale .* allowed: one of both"),
+        (
+            "signal: {patterns: [a], layout: {name: b, shape: disc, size_mm: 1, places_mm: []}}\n",
+            r"\.signal\.layout: pattern\.places: none; allowed: at least one",
+        ),
+        (
+            "signal: {patterns: [b], layout: {name: b, shape: disc, size_mm: 1, places_mm: [4]}}\n",
+            r"\.layout\.places_mm\[0\]: found 4; allowed: a list",
+        ),
+        ("signal: {shift_px: [2000, 0]}\n", r"\.signal: camera\.shift\[0\]: 2000\.0 px; allowed"),
         ("signal: {kind: sonar}\n", r"\.signal\.kind: found 'sonar'; allowed: camera, taxels"),
         ("signal: {patterns: [TacPalm]}\n", r"mine\.yaml: pattern 'TacPalm': .* beyond the gel"),
         ("trajectory: {points: [7]}\n", r"mine\.yaml\.trajectory: points: \(7,\)"),

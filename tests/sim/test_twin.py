@@ -5,6 +5,9 @@ from __future__ import annotations
 import io
 import json
 import math
+import re
+import shutil
+from collections.abc import Sequence
 from contextlib import redirect_stdout
 from dataclasses import replace
 from pathlib import Path
@@ -12,14 +15,26 @@ from typing import Any, get_args
 
 import numpy as np
 import pytest
+from support.marker_rows import write_rows
 from support.sessions import CONTACT_FRAME, T0, Columns, make_session
 
-from benchmarks.sim.twin.planted import Bench, Truth, observed, recorded, solved
+from benchmarks.sim.twin.planted import Bench, Forces, Truth, observed, recorded, solved
 from sim.__main__ import main
 from sim.errors import SceneError
-from sim.sensors import Posterior, SimulatedSensor, read_sensor, sensor
-from sim.sensors.posterior import quantities, with_quantities
-from sim.twin import Fit, fitted
+from sim.markers import Camera
+from sim.markers import named as pattern_of
+from sim.sensors import (
+    CameraReadout,
+    CameraSignal,
+    Posterior,
+    SimulatedSensor,
+    SurfaceField,
+    read_sensor,
+    readout,
+    sensor,
+)
+from sim.sensors.posterior import CAMERA, camera_quantities, quantities, with_quantities
+from sim.twin import Fit, Track, fitted
 from sim.twin.fit import Explanation, _common, _mixed, _whitened, prior_spread
 from sim.twin.model import Linear, relaxing
 from sim.twin.observations import track_of
@@ -45,9 +60,38 @@ BENCH = Bench(noise=0.005, height=20e-6, turn=(0.02, -0.01, 0.01))
 
 
 @pytest.fixture(scope="module")
-def press() -> tuple[Any, Any, Any]:
-    """Return times, tips and forces of one planted press."""
-    return recorded(planted(), SHORT["sphere"], BENCH, 0, grid=COARSE)
+def true() -> Forces:
+    """Return forces and tops of one planted press."""
+    return solved(planted(), SHORT["sphere"], BENCH, grid=COARSE)
+
+
+@pytest.fixture(scope="module")
+def press(true: Forces) -> tuple[Any, Any, Any]:
+    """Return times, tips and forces that a bench records of it."""
+    return recorded(planted(), SHORT["sphere"], BENCH, 0, forces=true)
+
+
+def seen() -> SimulatedSensor:
+    """Return the planted skin with other markers under another camera."""
+    skin = planted()
+    assert isinstance(skin.signal, CameraSignal)
+    camera = Camera.of_scale(1.05 * 0.0249)
+    # Seen 0.4 mm and -0.2 mm from the middle.
+    camera = replace(camera, shift=(15.3, -7.6), rotation=np.radians(2.0))
+    layout = pattern_of("Array-II").moved((0.3e-3, -0.2e-3), name="true")
+    signal = replace(skin.signal.mounted(camera), layout=layout, patterns=("true",))
+    return replace(skin, signal=signal)
+
+
+def pictures(path: Path, session: str, forces: Forces) -> Path:
+    """Write the marker archive of a press, ten frames a second."""
+    reader = readout(seen())
+    assert isinstance(reader, CameraReadout)
+    time = np.arange(0.0, forces.time[-1], 0.1)
+    reference = reader.packed(SurfaceField.undeformed(planted().body))[0, 0]
+    frames = reader.packed(forces.at(time))[:, 0]
+    write_rows(path, session, T0 + np.round(1e9 * time).astype(np.int64), frames, reference)
+    return path
 
 
 def _of(name: str, columns: Columns, time: Any, tip: Any, force: Any) -> Columns:
@@ -69,7 +113,7 @@ def _of(name: str, columns: Columns, time: Any, tip: Any, force: Any) -> Columns
 
 @pytest.fixture(scope="module")
 def command(
-    press: tuple[Any, Any, Any], tmp_path_factory: pytest.TempPathFactory
+    press: tuple[Any, Any, Any], true: Forces, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[Fit, dict[str, Any], Path]:
     """Fit the session of a press by the command; return the fit, what it printed, and the row."""
     folder = tmp_path_factory.mktemp("twin")
@@ -79,6 +123,10 @@ def command(
         names=("force", "pose"),
         change=lambda name, columns: _of(name, columns, *press),
     )
+    copy = shutil.copytree(session, folder / "copy.zarr")
+    marked = [
+        pictures(folder / f"{each.stem}.markers.zarr", each.name, true) for each in (session, copy)
+    ]
     out, fits = folder / "mine.yaml", []
 
     def kept(*arguments: Any, **options: Any) -> Fit:
@@ -86,6 +134,7 @@ def command(
         return fits[-1]
 
     words = ["twin-fit", str(session), "--sensor", "gelsight", "--out", str(out), "--json"]
+    words += ["--markers", *map(str, marked), "--held-out", str(copy)]
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(io.StringIO()) as printed:
         patch.setattr("sim.twin.fitted", kept)
         assert main([*words, "--grid", str(COARSE)]) == 0
@@ -133,6 +182,66 @@ def test_another_explanation_widens_the_intervals_by_its_odds() -> None:
         mixed = _mixed(names, [one, replace(other, cost=20.0 + worse)])
         assert mixed[0, 0] == pytest.approx(0.01 + odds * math.log(1.5) ** 2)
         assert mixed[1, 1] == pytest.approx(1e-12)
+
+
+def test_a_planted_camera_and_its_markers_are_found(
+    command: tuple[Fit, dict[str, Any], Path],
+) -> None:
+    _, found, out = command
+    view, true = found["view"], camera_quantities(seen())
+    assert view["values"]["scale"] == pytest.approx(true["scale"], rel=0.03)
+    assert view["values"]["shift_x"] == pytest.approx(true["shift_x"], abs=4.0)
+    assert view["values"]["shift_y"] == pytest.approx(true["shift_y"], abs=4.0)
+    assert view["values"]["rotation"] == pytest.approx(true["rotation"], abs=0.01)
+    for name, (low, high) in view["intervals_90"].items():
+        # Twice the interval: all of these come from one press.
+        middle, half = (low + high) / 2, high - low
+        assert middle - half <= true[name] <= middle + half, name
+    assert view["off_px"] < 0.1 * view["moved_px"]
+    assert view["overlap"] > 0.95
+    assert view["mirrored_as_well"] is True
+    twin = read_sensor(out)
+    assert camera_quantities(twin) == pytest.approx(view["values"], rel=1e-4)
+    layouts = [each.signal.drawn()[0] for each in (twin, seen())]  # type: ignore[union-attr]
+    near = np.linalg.norm(layouts[0].centres[:, None] - layouts[1].centres, axis=-1).min(axis=1)
+    assert near.max() < 0.3e-3
+    assert len(layouts[0]) == view["markers"]
+    assert twin.posterior is not None
+    assert set(CAMERA) < set(twin.posterior.names)
+
+
+def test_held_out_presses_are_foretold_in_newtons_and_pixels(
+    command: tuple[Fit, dict[str, Any], Path],
+) -> None:
+    # The same press again, so that the twin says the same of it.
+    _, found, _ = command
+    assert found["held_out"]["misfit"] == pytest.approx(found["misfit"], rel=1e-3)
+    assert found["held_out"]["off_px"] == pytest.approx(found["view"]["off_px"], rel=0.02)
+
+
+def test_images_of_another_sensor_are_refused_in_pixels(
+    command: tuple[Fit, dict[str, Any], Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    fit, _, made = command
+    thick = with_quantities(planted(), {"thickness": 8e-3})
+    other = solved(thick, SHORT["sphere"], BENCH, grid=COARSE)
+    marked = pictures(tmp_path / "other.markers.zarr", "press.zarr", other)
+    out, session = tmp_path / "mine.yaml", made.with_name("press.zarr")
+
+    def known(tracks: Sequence[Track], *_: Any, **__: Any) -> Fit:
+        return replace(fit, tracks=tuple(tracks))
+
+    monkeypatch.setattr("sim.twin.fitted", known)
+    words = ["twin-fit", str(session), "--sensor", "gelsight", "--out", str(out)]
+    words += ["--grid", str(COARSE), "--markers", str(marked)]
+    assert main(words) == 1
+    printed = capsys.readouterr().err
+    assert re.search(r"refused: markers at rest differ by \d\.\d\d px, \d\d % of the", printed)
+    assert not out.exists()
+    assert out.with_suffix(".png").stat().st_size > 10_000
 
 
 @pytest.mark.slow
@@ -230,7 +339,7 @@ def test_another_shape_is_foretold(fit: Fit) -> None:
 
 def test_a_row_of_a_twin_is_read_back_and_drawn_from(fit: Fit, tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
-    path.write_text(twin_yaml(fit, "gelsight.yaml", ["a.zarr"]))
+    path.write_text(twin_yaml(fit.sensor, "gelsight.yaml", ["a.zarr"]))
     twin = read_sensor(path)
     assert twin.name == "mine"
     assert twin.signal == sensor("gelsight").signal
@@ -355,7 +464,7 @@ def test_an_archive_has_sensors_drawn_from_a_twin(fit: Fit, tmp_path: Path) -> N
     from sim.dataset import found
 
     twin, out = tmp_path / "mine.yaml", tmp_path / "drawn.markers.zarr"
-    twin.write_text(twin_yaml(fit, "gelsight.yaml", ["a.zarr"]))
+    twin.write_text(twin_yaml(fit.sensor, "gelsight.yaml", ["a.zarr"]))
     words = ["archive", "sensors", "--twin", str(twin), "--draws", "2", "--indenters", "sphere"]
     words += ["--tier", "layer", "--scale", "smoke", "--out", str(out), "--processes", "1"]
     assert main(words) == 0

@@ -69,7 +69,8 @@ def run(options: argparse.Namespace) -> int:
         fit = fitted(tracks, sensor("gelsight"), grid=64, progress=progress)
     print("\n".join(lines(fit)))
     (folder / "twin.yaml").write_text(
-        twin_yaml(fit, "gelsight.yaml", [found[name].name for name in PRESSED]), encoding="utf-8"
+        twin_yaml(fit.sensor, "gelsight.yaml", [found[name].name for name in PRESSED]),
+        encoding="utf-8",
     )
     draw(fit, folder / "twin.png", f"Twin of a mock sensor: misfit {100 * fit.misfit:.2f} %")
     print(summary(fit, tracks_of(Session(found[HELD_OUT])), skin))

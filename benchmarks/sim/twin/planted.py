@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sim.fem import FOR_EDGES, Fem
 from sim.indenters import Indenter, Part, named
 from sim.scene import Motion
-from sim.sensors import SimulatedSensor, sensor
+from sim.sensors import SimulatedSensor, SurfaceField, sensor
 from sim.sensors.posterior import with_quantities
 from sim.simulate import simulate
 from sim.stream import LivePress
@@ -67,6 +67,14 @@ class Forces:
     """Times of the solutions (n,) [s]."""
     force: Array
     """Forces (n, 3) [N]."""
+    top: SurfaceField | None = None
+    """Displacement of the top (n frames); None of stored forces and of tier `fem`."""
+
+    def at(self, time: Array) -> SurfaceField:
+        """Return the top at times (m,) [s], each that of the last solution."""
+        assert self.top is not None
+        last = np.searchsorted(self.time, time, side="right") - 1
+        return replace(self.top, displacement=self.top.displacement[last])
 
 
 def observed(
@@ -134,7 +142,12 @@ def solved(
             times.append(start + fraction * (stop - start))
     time, tip = np.array(times), np.array(places)
     how: dict[str, Any] = {"grid": grid, "truth": truth, "fem": fem, "device": device}
-    return Forces(time, felt(skin, named(presses.indenter), time, tip, bench, **how))
+    tops: list[SurfaceField] = []
+    force = felt(skin, named(presses.indenter), time, tip, bench, tops=tops, **how)
+    if truth == "fem":
+        return Forces(time, force)
+    shapes = np.concatenate([each.displacement for each in tops])
+    return Forces(time, force, replace(tops[0], displacement=shapes))
 
 
 def felt(
@@ -148,6 +161,7 @@ def felt(
     truth: Truth = "layer",
     fem: Fem = FEM,
     kept: Sequence[int] | None = None,
+    tops: list[SurfaceField] | None = None,
     device: str = "cpu",
 ) -> Array:
     """Return the forces on a skin (n, 3) [N], by tier `truth`, where a bench takes the tip to be.
@@ -162,6 +176,7 @@ def felt(
         truth: Tier of the forces.
         fem: Mesh and tolerances of tier `fem`.
         kept: Points whose forces are returned, the first among them; None: all.
+        tops: Filled with the top's displacement at all points, of tier `layer`.
         device: Device of tier `fem`.
     """
     chosen = np.arange(len(time)) if kept is None else np.asarray(kept)
@@ -172,11 +187,14 @@ def felt(
     force = np.zeros_like(seen)
     if truth == "layer" or bench.compliance:
         press = LivePress(skin, indenter, grid=grid, tolerance=2e-3)
-        for row in range(1, len(time)):
-            seen[row, 2] -= bench.compliance * force[row - 1, 2]
-            press.move(seen[row], time[row] - time[row - 1])
+        for row in range(len(time)):
+            if row:
+                seen[row, 2] -= bench.compliance * force[row - 1, 2]
+                press.move(seen[row], time[row] - time[row - 1])
             if press.touching:
                 force[row] = press.force
+            if tops is not None:
+                tops.append(press.field)
     if truth == "layer":
         return force[chosen]
     places = tuple(tuple(place) for place in seen[chosen].tolist())

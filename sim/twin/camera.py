@@ -1,0 +1,359 @@
+"""Fit of a twin's camera and marker layout to the markers seen under its presses.
+
+The image without contact shows markers at pixels; a camera says where on the skin they are, and so
+how they move under a press. Scale, distance, shift and rotation of the camera are those that move
+them as they were seen to move. A camera's tilt is not fitted: rows have none.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+from typing import Any, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import center_of_mass, find_objects, label
+from scipy.optimize import least_squares
+
+from recorder.markers import smallest_marker
+from sim.errors import SceneError
+from sim.markers import WIDTH, Camera, Pattern
+from sim.markers.pattern import Shape
+from sim.scene import Body
+from sim.sensors import CameraSignal, Posterior, SimulatedSensor, SurfaceField, readout
+from sim.sensors.posterior import AS_THEY_ARE, CAMERA, camera_quantities
+from sim.twin.fit import COARSER, UNTOLD, Fit, Z, moved_by, way_of
+from sim.twin.markers import Masks, Sight
+from sim.twin.model import STEPS, Model
+from sim.twin.observations import Track
+
+Array = NDArray[np.float64]
+
+# Prior spread of the logarithm of the lens, distance over scale, about the row's.
+LENS = 0.3
+# Derivative of that logarithm by the unknowns, in the order of `CAMERA`.
+OF_LENS = np.array([-1.0, 1.0, 0.0, 0.0, 0.0])
+# Rotations from which a fit begins [rad], that of the row first.
+BEGINNINGS = (0.0, math.pi / 2, -math.pi / 2, math.pi)
+# Typical steps of the unknowns, and their prior spread about where a fit begins.
+SIZES, WIDE = np.array([0.02, 0.1, 5.0, 5.0, 0.02]), np.array([0.5, 0.5, 200.0, 200.0, 0.6])
+# Residuals that are of priors, at the end of all.
+PRIORS = 1 + len(WIDE)
+# Times by which mirrored images must fit better to be taken for mirrored.
+MIRRORED = 2.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """Camera and markers fitted to sights, and how well they explain them."""
+
+    sensor: SimulatedSensor
+    """The twin with this camera and layout; its posterior has both skin and camera."""
+    covariance: Array
+    """(5, 5) of `CAMERA`: logarithms of scale and distance, px and rad."""
+    overlap: float
+    """Pixels of markers that the twin's image without contact shares with the real one, over all
+    of both."""
+    either_way: bool
+    """True if images mirrored from left to right would fit as well."""
+    sights: tuple[Sight, ...]
+    predicted: tuple[Array, ...]
+    """Markers of the twin (f, m, 2) [px], of each sight."""
+
+    @property
+    def signal(self) -> CameraSignal:
+        """Camera and layout."""
+        return _signal(self.sensor)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Quantities of the camera by their names in `CAMERA`."""
+        return camera_quantities(self.sensor)
+
+    @property
+    def untold(self) -> tuple[str, ...]:
+        """Quantities that images did not tell; a distance that is only the scale's by the lens."""
+        untold = np.sqrt(np.diag(self.covariance)) > UNTOLD * WIDE
+        untold[1] |= math.sqrt(OF_LENS @ self.covariance @ OF_LENS) > UNTOLD * LENS
+        return tuple(name for name, is_untold in zip(CAMERA, untold, strict=True) if is_untold)
+
+    def interval(self, name: str, z: float = Z) -> tuple[float, float]:
+        """Return the interval of a quantity, 90 % by default."""
+        index = CAMERA.index(name)
+        value, spread = self.values[name], z * math.sqrt(self.covariance[index, index])
+        if name in AS_THEY_ARE:
+            return value - spread, value + spread
+        return value * math.exp(-spread), value * math.exp(spread)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldOut:
+    """Presses that the fits did not get, and what the twin says of them."""
+
+    tracks: tuple[Track, ...]
+    readings: tuple[Array, ...]
+    """Forces that the twin gives (n, 3) [N], of each track."""
+    sights: tuple[Sight, ...]
+    predicted: tuple[Array, ...]
+    """Markers of the twin (f, m, 2) [px], of each sight."""
+
+
+def foretold(
+    fit: Fit, view: View | None, tracks: Sequence[Track], sights: Sequence[Sight], grid: int
+) -> HeldOut:
+    """Return what a twin says of tracks, and of sights of them if it has a view.
+
+    Raises:
+        SimulationDiverged: No contact was found.
+    """
+    readings = Model(fit.design, tracks, grid=grid).readings(fit.values)
+    places: tuple[Array, ...] = ()
+    if view is not None and sights:
+        places = Scenery.of(fit, sights, grid).seen_by(view.signal.camera())
+    return HeldOut(tuple(tracks), tuple(readings), tuple(sights), places)
+
+
+def differences(sights: Sequence[Sight], places: Sequence[Array]) -> tuple[float, float]:
+    """Return the RMS distance of markers from `places`, and their RMS way under presses [px]."""
+    pairs = list(zip(sights, places, strict=True))
+    off = np.concatenate([(sight.seen - place).reshape(-1, 2) for sight, place in pairs])
+    way = np.concatenate([(sight.seen - sight.markers).reshape(-1, 2) for sight, _ in pairs])
+    rms_off, rms_way = (float(np.nanmean(np.square(each).sum(axis=1))) for each in (off, way))
+    return math.sqrt(rms_off), math.sqrt(rms_way)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scenery:
+    """Skin of a twin under presses, whose markers cameras see."""
+
+    body: Body
+    sights: Sequence[Sight]
+    tops: Sequence[SurfaceField]
+    """Displacement of what carries the markers, at the points of each sight."""
+
+    @classmethod
+    def of(
+        cls,
+        fit: Fit,
+        sights: Sequence[Sight],
+        grid: int,
+        changed: Mapping[str, float] | None = None,
+    ) -> Scenery:
+        """Return the skin of a fit, with some quantities changed.
+
+        Raises:
+            SceneError: Its design has no camera.
+            SimulationDiverged: No contact was found.
+        """
+        pins, values = _signal(fit.design).pins, {**fit.values, **(changed or {})}
+        of_tracks = [list(own) for _, own in groupby(sights, key=lambda each: id(each.track))]
+        model = Model(fit.design, [own[0].track for own in of_tracks], grid=grid)
+        rows = [np.concatenate([each.rows for each in own]) for own in of_tracks]
+        tops = []
+        for own, top in zip(of_tracks, model.surfaces(values, rows), strict=True):
+            seen = top if pins is None else pins.tips(top)
+            ends = np.cumsum([len(each.rows) for each in own])[:-1]
+            parts = np.split(seen.displacement, ends)
+            tops += [replace(seen, displacement=part) for part in parts]
+        return cls(fit.design.body, sights, tops)
+
+    def seen_by(self, camera: Camera) -> tuple[Array, ...]:
+        """Return the markers at each point (f, m, 2) [px], of every sight."""
+        found = []
+        for sight, top in zip(self.sights, self.tops, strict=True):
+            flat = camera.places(sight.markers, self.body)
+            points = np.column_stack([flat, self.body.heights_at(*flat.T)])
+            found.append(camera.project(points + top.at(flat)))
+        return tuple(found)
+
+    def residuals(self, camera: Camera) -> Array:
+        """Return what was seen less what a camera sees (r,) [px], 0 for markers not found."""
+        pairs = zip(self.sights, self.seen_by(camera), strict=True)
+        return np.concatenate([np.nan_to_num(sight.seen - place).ravel() for sight, place in pairs])
+
+    @property
+    def points(self) -> NDArray[np.int64]:
+        """Number of the point that each residual is of (r,)."""
+        sizes = [place.size for sight in self.sights for place in sight.seen]
+        return np.repeat(np.arange(len(sizes)), sizes)
+
+    def mirrored(self) -> Scenery:
+        """Return the same with images mirrored from left to right."""
+        flip, width = np.array([-1.0, 1.0]), np.array([WIDTH - 1.0, 0.0])
+        flipped = [
+            replace(each, markers=flip * each.markers + width, seen=flip * each.seen + width)
+            for each in self.sights
+        ]
+        return replace(self, sights=flipped)
+
+
+def viewed(
+    fit: Fit,
+    sights: Sequence[Sight],
+    *,
+    name: str,
+    grid: int = 96,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> View:
+    """Return the camera and layout that explain sights, however badly.
+
+    Args:
+        fit: Fit of the skin to the same presses.
+        sights: What was seen of them.
+        name: Name of the layout.
+        grid: Pixels along the body's longer side.
+        progress: Called with the fraction done.
+
+    Raises:
+        SceneError: The design has no camera, or images are mirrored.
+        SimulationDiverged: The contact of a candidate did not converge.
+    """
+    scenery = Scenery.of(fit, sights, grid)
+    design = _signal(fit.design).camera()
+    best, either = unmirrored(scenery, design)
+    # Markers at one point are wrong alike, so that many of them count as one.
+    sigma = _rms(best) * math.sqrt(_alike(best, scenery.points))
+    best = _nearest(scenery, _camera(best.x), design, sigma)
+    camera, slopes = _camera(best.x), best.jac[:-PRIORS]
+    told = np.linalg.inv(best.jac.T @ best.jac)
+    # Errors of the skin and of its grid move the camera as well.
+    base, gains = scenery.residuals(camera), []
+    coarser = Scenery.of(fit, sights, round(COARSER * grid))
+    shifted = {name: moved_by(name, fit.values, step) for name, step in STEPS.items()}
+    for done, (name, value) in enumerate(shifted.items()):
+        progress(done / len(shifted))
+        changed = Scenery.of(fit, sights, grid, {name: value})
+        off = (changed.residuals(camera) - base) / way_of(name, fit.values, {name: value})
+        gains.append(-told @ slopes.T @ off / sigma)
+    gain = np.stack(gains, axis=1)
+    grid_error = told @ slopes.T @ (coarser.residuals(camera) - base) / sigma
+    rows = [fit.names.index(name) for name in shifted]
+    covariance = told + gain @ fit.covariance[np.ix_(rows, rows)] @ gain.T
+    covariance += np.outer(grid_error, grid_error)
+    progress(1.0)
+    sensor, overlap = _with_layout(fit.sensor, camera, sights[0].reference, name)
+    assert sensor.posterior is not None
+    skin = [fit.names.index(each) for each in sensor.posterior.names]
+    both = fit.covariance[np.ix_(skin, rows)] @ gain.T
+    matrix = np.block([[fit.covariance[np.ix_(skin, skin)], both], [both.T, covariance]])
+    posterior = Posterior.of((*sensor.posterior.names, *CAMERA), matrix)
+    return View(
+        sensor=replace(sensor, posterior=posterior),
+        covariance=covariance,
+        overlap=overlap,
+        either_way=either,
+        sights=tuple(sights),
+        predicted=scenery.seen_by(camera),
+    )
+
+
+def unmirrored(scenery: Scenery, design: Camera) -> tuple[Any, bool]:
+    """Return SciPy's result of the best camera, and whether mirrored images would fit as well.
+
+    Raises:
+        SceneError: Mirrored images fit far better.
+    """
+    best, other = _best(scenery, design), _best(scenery.mirrored(), design)
+    if best.cost > MIRRORED**2 * other.cost:
+        raise SceneError(
+            f"{scenery.sights[0].track.name}: images are mirrored against the arm's x and y: "
+            f"markers differ by {_rms(best):.2f} px, mirrored by {_rms(other):.2f} px; allowed: "
+            "images as seen from the touched side"
+        )
+    return best, bool(other.cost < MIRRORED**2 * best.cost)
+
+
+def _with_layout(
+    twin: SimulatedSensor, camera: Camera, mask: Masks, name: str
+) -> tuple[SimulatedSensor, float]:
+    """Return a twin with camera and layout, of the shape that overlaps most with an image."""
+    signal, found = _signal(twin).mounted(camera), []
+    for layout in layouts(mask, camera, twin.body, name):
+        if signal.pins is None or layout.shape == "disc":
+            own = replace(twin, signal=replace(signal, layout=layout, patterns=(name,)))
+            seen = readout(own).masks(SurfaceField.undeformed(own.body))[0, 0]
+            found.append((own, float((seen & mask).sum() / (seen | mask).sum())))
+    return max(found, key=lambda each: each[1])
+
+
+def layouts(mask: Masks, camera: Camera, body: Body, name: str) -> list[Pattern]:
+    """Return the markers of an image without contact (480, 640) as patterns of each shape.
+
+    Markers that the image's border cuts are as large as the others.
+    """
+    patches, count = label(mask)
+    boxes, middles = find_objects(patches), center_of_mass(mask, patches, range(1, count + 1))
+    area = np.bincount(patches.ravel(), minlength=count + 1)[1:]
+    edges = np.array([[(side.start, side.stop) for side in box] for box in boxes])  # (n, 2, 2)
+    cut_low, cut_high = edges[..., 0] == 0, edges[..., 1] == mask.shape
+    whole = ~(cut_low | cut_high).any(axis=1)
+    half = np.median(np.diff(edges[whole], axis=-1)[..., 0], axis=0) / 2
+    middle = np.where(cut_low, edges[..., 1] - 0.5 - half, np.array(middles))
+    middle = np.where(cut_high, edges[..., 0] - 0.5 + half, middle)
+    kept = area >= smallest_marker(mask)
+    places = camera.places(middle[kept, ::-1], body)
+    size = 1e-3 * camera.mm_per_px * math.sqrt(float(np.median(area[whole & kept])))
+    widths = {"disc": 2 / math.sqrt(math.pi), "square": 1.0, "diamond": math.sqrt(2)}
+    return [
+        Pattern(name, shape, widths[shape] * size, tuple(map(tuple, places.tolist()))).within(body)
+        for shape in get_args(Shape)
+    ]
+
+
+def _signal(sensor: SimulatedSensor) -> CameraSignal:
+    if not isinstance(sensor.signal, CameraSignal):
+        raise SceneError(f"{sensor.name}.signal: taxels; allowed: a camera, or no marker archive")
+    return sensor.signal
+
+
+def _camera(unknowns: Array) -> Camera:
+    scale, distance = np.exp(unknowns[:2]).tolist()
+    column, row, turn = unknowns[2:].tolist()
+    return Camera(distance / scale, distance, (column, row), math.remainder(turn, math.tau))
+
+
+def _best(scenery: Scenery, design: Camera) -> Any:
+    """Return the best of the fits that begin with the design, turned."""
+    begun = (replace(design, rotation=design.rotation + turn) for turn in BEGINNINGS)
+    return min((_nearest(scenery, each, design) for each in begun), key=lambda fit: fit.cost)
+
+
+def _nearest(scenery: Scenery, begun: Camera, design: Camera, sigma: float = 1.0) -> Any:
+    """Return SciPy's result of a fit of the unknowns to residuals with an error of `sigma` px."""
+    start = np.array(
+        [
+            math.log(begun.distance / begun.focal),
+            math.log(begun.distance),
+            *begun.shift,
+            begun.rotation,
+        ]
+    )
+
+    def residuals(unknowns: Array) -> Array:
+        lens = (OF_LENS @ unknowns - math.log(design.focal)) / LENS
+        prior = (unknowns - start) / WIDE
+        off: Array = np.r_[scenery.residuals(_camera(unknowns)) / sigma, lens, prior]
+        return off
+
+    return least_squares(
+        residuals, start, x_scale=SIZES, bounds=(start - 2.5 * WIDE, start + 2.5 * WIDE)
+    )
+
+
+def _rms(fit: Any) -> float:
+    """Return the RMS distance of markers [px] of a fit with an error of 1 px."""
+    off = fit.fun[:-PRIORS]
+    return math.sqrt(2 * np.square(off[off != 0]).mean())
+
+
+def _alike(fit: Any, points: NDArray[np.int64]) -> float:
+    """Return the variance of a fit by the scatter of its points, over that of single residuals."""
+    off, slopes = fit.fun[:-PRIORS], fit.jac[:-PRIORS]
+    told = np.linalg.inv(fit.jac.T @ fit.jac)
+    scores = np.zeros((points[-1] + 1, len(told)))
+    np.add.at(scores, points, slopes * off[:, None])
+    variance = np.diag(told @ scores.T @ scores @ told)
+    return max(1.0, float(np.mean(variance / np.diag(told))) / float(np.mean(np.square(off))))

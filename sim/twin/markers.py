@@ -1,0 +1,160 @@
+"""Markers of a sensor at rest under presses, from the binary images of marker archives."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from recorder.archive import ArchivedSensor, MarkerArchive
+from recorder.markers import find_blobs, smallest_marker, unpack
+from sim.errors import SceneError
+from sim.twin.observations import Track
+
+Array = NDArray[np.float64]
+Masks = NDArray[np.bool_]
+
+# Longest time from a frame to the point of a track that it is taken for [s].
+FRESH = 0.1
+# Longest way of a marker between frames, in distances of neighbours: further is another marker.
+GATE = 0.5
+# Area over that of the median marker from which a patch is two of them.
+MERGED = 1.5
+# Largest part of the markers that is not found under contact.
+LOST = 0.5
+# Markers below which images tell no camera.
+FEWEST = 6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sight:
+    """Markers of one reference while the tip rests, at several points of one track."""
+
+    track: Track
+    rows: NDArray[np.int64]
+    """Points of the track (f,), the last of each rest in contact."""
+    reference: Masks
+    """Image without contact (480, 640)."""
+    markers: Array
+    """Column and row of the whole markers in it (m, 2) [px]."""
+    seen: Array
+    """The same at each point (f, m, 2) [px]; NaN where a marker was not found."""
+
+
+def sights_of(tracks: Sequence[Track], archives: Sequence[MarkerArchive]) -> list[Sight]:
+    """Return what archives show of tracks.
+
+    Args:
+        tracks: Tracks of sessions.
+        archives: Archives that were made from some of these sessions.
+
+    Raises:
+        SceneError: An archive has no frame of any of the tracks, or hardly any marker.
+        SessionError: An archive is corrupt, or still being written.
+    """
+    found: list[Sight] = []
+    for archive in archives:
+        sources = {
+            sensor.name: [_source(line) for line in sensor.sources] for sensor in archive.values()
+        }
+        before = len(found)
+        for sensor in archive.values():
+            for track in tracks:
+                own = [each == (track.name, track.run) for each in sources[sensor.name]]
+                rows = np.asarray(own, bool)[sensor.table["source"]] & sensor.table["valid"]
+                found += _sights(track, sensor, np.flatnonzero(rows))
+        if len(found) == before:
+            known = sorted({str(name) for each in sources.values() for name, _ in each})
+            raise SceneError(
+                f"{archive.name}: is of {', '.join(known)}, and has no picture at rest in contact "
+                f"of {', '.join(dict.fromkeys(track.name for track in tracks))}; allowed: an "
+                "archive that tactile markers made from these sessions"
+            )
+    return found
+
+
+def _source(line: str) -> tuple[Any, Any]:
+    """Return session and run of a frame, from its line of an archive's sources."""
+    try:
+        told = json.loads(line)
+    except ValueError:
+        return line, None
+    return (told.get("session"), told.get("run")) if isinstance(told, dict) else (line, None)
+
+
+def _sights(track: Track, sensor: ArchivedSensor, rows: NDArray[np.int64]) -> Iterator[Sight]:
+    """Yield what some rows of an archive show of a track, for each of their references."""
+    rows = rows[np.argsort(sensor.table["t_ns"][rows], kind="stable")]
+    if not len(rows):
+        return
+    time = 1e-9 * (sensor.table["t_ns"][rows] - track.origin_ns)
+    nearest = np.maximum(np.searchsorted(time, track.time, side="right") - 1, 0)
+    fresh = np.abs(track.time - time[nearest]) <= FRESH
+    rest = track.rest & track.contact & (track.target >= 0)
+    ends = rest & ~np.r_[rest[1:], False]
+    reference = sensor.table["reference"][rows[nearest]]
+    for number in np.unique(reference[ends & fresh]):
+        mask = unpack(sensor.references[number])
+        blobs = find_blobs(mask[None], smallest_marker(mask))
+        markers = blobs.centre[blobs.whole]
+        if len(markers) < FEWEST:
+            raise SceneError(
+                f"{sensor.path}: {len(markers)} whole markers in reference {number}; allowed: "
+                f"{FEWEST} or more"
+            )
+        follower = Follower(markers, float(np.median(blobs.area)))
+        points, seen = [], []
+        for target in np.unique(track.target[ends]):
+            follower.restart()
+            of = np.flatnonzero((track.target == target) & fresh & (reference == number))
+            for point, frame in zip(of, sensor.masks(rows[nearest[of]]), strict=True):
+                place = follower.step(frame)
+                if ends[point]:
+                    points.append(point)
+                    seen.append(place)
+        lost = np.isnan(seen).mean() if seen else 0.0
+        if lost > LOST:
+            raise SceneError(
+                f"{sensor.path}: {100 * lost:.0f} % of the markers of {track.name} are not found "
+                f"under contact; allowed: up to {100 * LOST:.0f} %"
+            )
+        if seen:
+            yield Sight(track, np.array(points, np.int64), mask, markers, np.array(seen))
+
+
+class Follower:
+    """Follows the markers of a reference from frame to frame.
+
+    A marker is the patch nearest to where it was, if that patch has no nearer marker.
+
+    Args:
+        markers: Column and row without contact (m, 2) [px].
+        area: Area of a marker [px].
+    """
+
+    def __init__(self, markers: Array, area: float) -> None:
+        self._markers, self._area = markers, area
+        apart, _ = cKDTree(markers).query(markers, k=2)
+        self._gate = GATE * float(np.median(apart[:, 1]))
+        self.restart()
+
+    def restart(self) -> None:
+        """Expect the markers where they are without contact."""
+        self._last = self._markers.copy()
+
+    def step(self, mask: Masks) -> Array:
+        """Return the markers in the next frame (m, 2) [px], NaN where they are not found."""
+        blobs = find_blobs(mask[None], max(1, round(self._area / 5)))
+        places = blobs.centre[blobs.whole & (blobs.area < MERGED * self._area)]
+        if not len(places):
+            return np.full_like(self._last, np.nan)
+        apart, nearest = cKDTree(places).query(self._last)
+        _, back = cKDTree(self._last).query(places)
+        found = (back[nearest] == np.arange(len(nearest))) & (apart <= self._gate)
+        self._last = np.where(found[:, None], places[nearest], self._last)
+        return np.where(found[:, None], self._last, np.nan)
