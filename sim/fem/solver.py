@@ -408,20 +408,29 @@ def _lost_contact(result: Result) -> int | None:
 
     Either the indenter overlapped the skin before, or there it overlaps the undeformed body by more
     than points of contact are apart: something small may have passed between two states. A body
-    that sags, swings or recovers slowly may be elsewhere.
+    that sags, swings or recovers slowly may be elsewhere: a tip that is lifted can leave it, and
+    stays out until it comes down again.
     """
     scene, deepest = result.scene, 0.0
     effects = scene.effects
     at_rest = effects.viscosity is None and effects.inertia is None and effects.gravity is None
     finest = result.record["mesh"]["finest"]
-    for waypoint, tip in enumerate(scene.motion.tip):
+    felt, lifted = result.force.any(axis=1), False
+    tips = np.asarray(scene.motion.tip)
+    for waypoint, tip in enumerate(tips):
         deepest = max(deepest, float(result.quality.overlap_path[waypoint]))
-        if result.force[waypoint].any() or tip[2] >= 0:
+        if waypoint and not at_rest:
+            way = tip - tips[waypoint - 1]
+            rises = way[2] > 0 and way[2] >= np.hypot(way[0], way[1])
+            lifted = way[2] >= 0 and (lifted or (rises and bool(felt[waypoint - 1])))
+        if felt[waypoint]:
+            lifted = False
+        if felt[waypoint] or lifted or tip[2] >= 0:
             continue
         if deepest > PASSED * finest:
-            if covered(scene.indenter, scene.body, np.asarray(tip)) is not None:
+            if covered(scene.indenter, scene.body, tip) is not None:
                 return waypoint
-        elif at_rest and _overlapped_width(scene, np.asarray(tip)) > FELT * finest:
+        elif at_rest and _overlapped_width(scene, tip) > FELT * finest:
             return waypoint
     return None
 

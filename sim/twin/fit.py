@@ -473,13 +473,18 @@ def _sigmas(tracks: Sequence[Track], near: Linear, timing: float, law: float) ->
     found = []
     for track, read, rate in zip(tracks, near.readings, near.rates, strict=True):
         rest = track.rest
-        episode = np.cumsum(np.diff(np.r_[False, rest].astype(int)) > 0)
+        episode = _episodes(rest)
         count = np.bincount(episode, rest)[episode]
         often = np.where(rest, np.maximum(count, 1), 1)
         size = np.linalg.norm(read, axis=1)
         late = timing * recent(track.time, rate)
         found.append(np.sqrt(track.noise**2 + late**2 + often * (law * size) ** 2))
     return found
+
+
+def _episodes(rest: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return the number of the rest that each point (n,) belongs to, or comes after."""
+    return np.cumsum(np.diff(np.r_[False, rest].astype(int)) > 0)
 
 
 def _stacked(
@@ -491,7 +496,8 @@ def _stacked(
     """Return residuals (m,) in standard errors of the resting points, and slopes (m, p).
 
     Normal forces of a press have a common relative error, `COMMON` and that of the grid, and so
-    have its shear forces: law and grid are wrong alike in all of a press. Forces of a moving tip
+    have its shear forces: law and grid are wrong alike in all of a press. Those of a rest have
+    another, for the grid's error changes as the tip is dragged. Forces of a moving tip
     differ by how late each stream is read, all in the same direction: they would pass for
     relaxation.
     """
@@ -500,7 +506,9 @@ def _stacked(
         zip(data.tracks, data.grid_errors, readings, sigma, strict=True)
     ):
         used = track.contact & track.rest
-        common = _common(track.force[used], track.target[used], off[used]) / each[used, None, None]
+        episode = _episodes(track.rest)[used]
+        common = _common(track.force[used], track.target[used], episode, off[used])
+        common /= each[used, None, None]
         rows = [(track.force - read)[used, :, None]]
         if slopes:
             rows.append(slopes[index][used])
@@ -515,24 +523,39 @@ def _flat(points: Array) -> Array:
     return points.reshape(-1, points.shape[-1])
 
 
-def _common(force: Array, target: NDArray[np.int64], off: Array) -> Array:
+def _common(force: Array, target: NDArray[np.int64], rest: NDArray[np.int64], off: Array) -> Array:
     """Return the errors that points have in common (m, 3, k) [N], each of one standard deviation.
 
     Args:
         force: Forces (m, 3) [N].
         target: Press of each point (m,).
+        rest: Number of each point's rest (m,).
         off: Error of the grid (m, 3) [N].
     """
     found = []
     for press in np.unique(target):
-        for axes in ((0, 1), (2,)):
-            rows = np.ix_(target == press, axes)
-            size = float(np.linalg.norm(force[rows]))
-            grid = float(np.linalg.norm(off[rows])) / size if size > 0 else 0.0
-            error = np.zeros_like(force)
-            error[rows] = math.hypot(COMMON, grid) * force[rows]
-            found.append(error)
+        of_press = target == press
+        for axes in ([0, 1], [2]):
+            of_all = _part(force, off, of_press, axes)
+            rests = np.unique(rest[of_press])
+            # A dragged tip's edges lie elsewhere in their pixels in each rest.
+            apart = [_part(force, off, of_press & (rest == one), axes) - of_all for one in rests]
+            changing = math.sqrt(np.mean(np.square(apart)))
+            for rows, size in (
+                (of_press, math.hypot(COMMON, of_all)),
+                *((of_press & (rest == one), changing) for one in rests if len(rests) > 1),
+            ):
+                error = np.zeros_like(force)
+                error[np.ix_(rows, axes)] = size * force[rows][:, axes]
+                found.append(error)
     return np.stack(found, axis=-1)
+
+
+def _part(force: Array, off: Array, rows: NDArray[np.bool_], axes: list[int]) -> float:
+    """Return the part of the force of some points that is off, by least squares."""
+    one, other = force[rows][:, axes], off[rows][:, axes]
+    square = float(np.sum(one * one))
+    return float(np.sum(one * other)) / square if square > 0 else 0.0
 
 
 def _whitened(values: Array, common: Array) -> Array:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,9 +11,11 @@ from benchmarks.sim.reference_solutions import compression_frequency, hereditary
 from sim import (
     Body,
     Effects,
+    Friction,
     Gravity,
     Inertia,
     Motion,
+    Result,
     Scene,
     SimulationDiverged,
     Viscosity,
@@ -20,7 +24,9 @@ from sim import (
     simulate,
 )
 from sim.fem.numerics import Fem
-from sim.indenters import plane, sphere
+from sim.fem.solver import judged
+from sim.indenters import named, plane, sphere
+from sim.layer import Layer
 from trajectories import Point
 
 SMALL = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
@@ -53,6 +59,33 @@ def test_a_fast_press_feels_the_modulus_before_relaxation(relaxes: str) -> None:
     motion = press([0.5e-3], speed=1e3)
     found = simulate(Scene(sphere(3e-3), motion, SMALL, _viscous(relaxes)), EXACT)
     assert found.force[-1, 2] == pytest.approx(expected.force[-1, 2], rel=1e-5)
+
+
+def test_a_skin_that_has_not_come_back_lets_go_of_a_lifted_tip() -> None:
+    """An overlap before it is no sign that the tip went through, unless it goes down or aside."""
+    depths, times = (0, 0.5, 1.0, 1.0, 0.4, 0.05), (0, 0.1, 0.2, 3.0, 3.05, 3.1)
+    down = tuple((0.0, 0.0, -1e-3 * depth) for depth in depths)
+    body = replace(SMALL, size_x=16e-3, size_y=16e-3)
+    slow = Effects(friction=Friction(0.5), viscosity=Viscosity((0.5, 0.5), (0.05, 0.6)))
+    scene = Scene(named("cylinder"), Motion(down, times), body, slow)
+    found = simulate(scene, Fem(spacing=1e-3))
+    layer = simulate(scene, Layer(grid=48))
+    for result in (found, layer):
+        assert result.force[1:4, 2].max() < -1.0
+        assert not result.force[4:].any()
+    assert found.quality.overlap_path.max() > 0.1e-3
+
+    def judged_of(moved: Motion, without: int) -> Result | SimulationDiverged:
+        wrench = found.wrench.copy()
+        wrench[without:] = 0.0
+        return judged(replace(found, scene=replace(scene, motion=moved), wrench=wrench))
+
+    assert isinstance(judged_of(scene.motion, 4), Result)
+    deeper = Motion((*down[:4], (0.0, 0.0, -1.2e-3), (0.0, 0.0, -1.3e-3)), times)
+    aside = Motion((*down[:4], (1e-3, 0.0, -0.9e-3), (2e-3, 0.0, -0.9e-3)), times)
+    for motion in (deeper, aside):
+        with pytest.raises(SimulationDiverged, match="no force at waypoint 4"):
+            raise judged_of(motion, 4)  # type: ignore[misc]
 
 
 def test_a_slow_press_feels_the_modulus_at_rest() -> None:

@@ -499,14 +499,23 @@ def test_true_forces_may_be_those_of_another_tier() -> None:
 def test_errors_that_points_have_in_common_are_taken_out_of_residuals() -> None:
     chance = np.random.default_rng(0)
     force = chance.normal(size=(5, 3))
-    press = np.array([0, 0, 1, 1, 1])
+    press, rest = np.array([0, 0, 1, 1, 1]), np.array([1, 1, 2, 2, 3])
     off = 0.03 * force * np.array([1, 1, 0])
-    common = _common(force, press, off)
-    # Both axes of shear and the normal force, of two presses.
-    sizes = np.linalg.norm(common, axis=(0, 1)) / np.array(
-        [np.linalg.norm(force[press == one][:, axes]) for one in (0, 1) for axes in ((0, 1), (2,))]
-    )
-    assert sizes == pytest.approx([np.hypot(0.01, 0.03), 0.01] * 2)
+    off[4] += 0.02 * np.array([0, 0, 1]) * force[4]
+    common = _common(force, press, rest, off)
+    # Shear and normal force of a press with one rest, then of one with two.
+    rows = [press == 0] * 2 + [press == 1, rest == 2, rest == 3] * 2
+    columns = [(0, 1), (2,), *[(0, 1)] * 3, *[(2,)] * 3]
+    size = [
+        np.linalg.norm(common[..., k]) / np.linalg.norm(force[np.ix_(row, column)])
+        for k, (row, column) in enumerate(zip(rows, columns, strict=True))
+    ]
+    last, all_ = (np.square(force[row, 2]).sum() for row in (rest == 3, press == 1))
+    mean = 0.02 * last / all_
+    changing = math.sqrt((mean**2 + (0.02 - mean) ** 2) / 2)
+    assert size[:3] == pytest.approx([math.hypot(0.01, 0.03), 0.01, math.hypot(0.01, 0.03)])
+    assert size[3:5] == pytest.approx([0, 0], abs=1e-12)
+    assert size[5:] == pytest.approx([math.hypot(0.01, mean), changing, changing])
     flat = 30 * common.reshape(15, -1)
     values = chance.normal(size=(15, 2))
     white = _whitened(values, flat)
