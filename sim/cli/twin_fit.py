@@ -8,7 +8,7 @@ import os
 import sys
 from pathlib import Path
 
-from recorder.command_line.options import add_grid, positive
+from recorder.command_line.options import add_grid, positive, whole
 from sim.errors import SceneError
 
 # Difference of forces at rest above which a twin is refused [%].
@@ -72,6 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="largest difference of markers at rest, over how far they moved (%(default)g)",
     )
     add_grid(parser, GRID)
+    add("--processes", type=whole(1), default=2, metavar="N", help="processes (%(default)s)")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -106,7 +107,13 @@ def run(options: argparse.Namespace) -> int:
     grid, view, held_out = options.grid, None, None
     with Progress("twin", sys.stderr) as progress:
         part = 0.8 if of_fit else 1.0
-        fit = fitted(tracks, design, grid=grid, progress=lambda done: progress(part * done))
+        fit = fitted(
+            tracks,
+            design,
+            grid=grid,
+            processes=options.processes,
+            progress=lambda done: progress(part * done),
+        )
         if of_fit:
             name = options.out.stem
             view = viewed(

@@ -5,11 +5,13 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from recorder.processes import Workers
 from sim.effects import Friction, Viscosity
 from sim.errors import SceneError
 from sim.indenters import Indenter
@@ -143,6 +145,7 @@ def fitted(
     *,
     grid: int = 96,
     indenters: Mapping[str, Indenter] | None = None,
+    processes: int = 1,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Fit:
     """Return the twin that explains tracks, however badly: see its `misfit`.
@@ -152,6 +155,7 @@ def fitted(
         design: Row from which the fit begins; its body gives the prior's centre.
         grid: Pixels along the body's longer side.
         indenters: Indenters by name, in place of those of `sim.indenters`.
+        processes: Number of processes that solve; the result is the same.
         progress: Called with the fraction done.
 
     Raises:
@@ -171,10 +175,24 @@ def fitted(
                 f"{track.name}: the tip never stands still in contact; allowed: presses with holds "
                 "(hold_ms in the bench file)"
             )
-    model = Model(design, tracks, grid=grid, indenters=indenters)
+    with Workers(processes) if processes > 1 else nullcontext() as workers:
+        model, rougher = (
+            Model(design, tracks, grid=pixels, indenters=indenters, workers=workers)
+            for pixels in (grid, round(COARSER * grid))
+        )
+        return _found(design, tracks, model, rougher, progress)
+
+
+def _found(
+    design: SimulatedSensor,
+    tracks: Sequence[Track],
+    model: Model,
+    rougher: Model,
+    progress: Callable[[float], None],
+) -> Fit:
+    """Return the fit by a model, whose error is its distance from a rougher one."""
     names = (*quantities(design), *BENCH)
     centre = {**quantities(design), **dict.fromkeys(BENCH, 0.0)}
-    rougher = Model(design, tracks, grid=round(COARSER * grid), indenters=indenters)
 
     def seen_at(values: Mapping[str, float]) -> Data:
         fine, coarse = model.readings(values), rougher.readings(values)
@@ -304,6 +322,7 @@ def _tilted(data: Data, model: Model, level: Descended) -> Mapping[str, float]:
         residual, _ = _stacked(data, model.readings(values), sigma)
         return float(residual @ residual)
 
+    model.prepare(leaning)
     return min(leaning, key=missed)
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from recorder.processes import Workers
 from sim.indenters import Indenter, named
 from sim.sensors import SimulatedSensor, SurfaceField
 from sim.sensors.posterior import quantities, with_quantities
@@ -16,6 +17,8 @@ from sim.stream import LivePress
 from sim.twin.observations import Track
 
 Array = NDArray[np.float64]
+Key = tuple[tuple[str, float], ...]
+Call = tuple[SimulatedSensor, Indenter, Track, Mapping[str, float], int, float]
 
 # Steps of the derivatives that need another solution: relative, but of these as they are. Forces of
 # a dragged edge on a grid jump by up to 5 %, and short steps would take the jumps for slopes.
@@ -70,6 +73,7 @@ class Model:
         grid: Pixels along the body's longer side.
         tolerance: Residual of the contact.
         indenters: Indenters by name, in place of those of `sim.indenters`.
+        workers: Processes that solve, each a track; None: this one.
     """
 
     def __init__(
@@ -80,12 +84,14 @@ class Model:
         grid: int = 96,
         tolerance: float = 5e-3,
         indenters: Mapping[str, Indenter] | None = None,
+        workers: Workers | None = None,
     ) -> None:
         self._design = replace(design, trajectory=None, force_depth=None)
         self._tracks = tracks
         self._grid, self._tolerance = grid, tolerance
         self._indenters = indenters or {track.indenter: named(track.indenter) for track in tracks}
-        self._solved: dict[tuple[tuple[str, float], ...], list[Solved]] = {}
+        self._workers = workers
+        self._solved: dict[Key, list[Solved]] = {}
 
     def readings(self, values: Mapping[str, float]) -> list[Array]:
         """Return the force that the gauge reads at each point (n, 3) [N], of every track."""
@@ -101,18 +107,20 @@ class Model:
         contact is assumed not to change with them; readings themselves are exact. The others take
         a solution each, unless they are those of `known`, not far from here.
         """
-        base = self.readings(values)
         costly: dict[str, list[Array]] = {} if known is None else dict(known.costly)
-        for name in STEPS:
-            if name in costly or (name not in names and name != "height"):
-                continue
+        due = [name for name in STEPS if name not in costly and (name in names or name == "height")]
+        ahead = {name: self._moved(values, name, STEPS[name]) for name in due}
+        behind = {
+            name: self._moved(values, name, -STEPS[name]) for name in due if name in ONE_SIDED
+        }
+        self.prepare([values, *ahead.values(), *behind.values()])
+        base = self.readings(values)
+        for name in due:
             step = STEPS[name]
-            linear = name in AS_THEY_ARE
-            moved = values[name] + step if linear else values[name] * (1 + step)
-            over = step if linear else math.log1p(step)
-            there = self.readings({**values, name: moved})
-            if name in ONE_SIDED:
-                other = self.readings({**values, name: values[name] - step})
+            over = step if name in AS_THEY_ARE else math.log1p(step)
+            there = self.readings(ahead[name])
+            if name in behind:
+                other = self.readings(behind[name])
                 if self._off(other) < self._off(there):
                     there, over = other, -step
             costly[name] = [(new - old) / over for new, old in zip(there, base, strict=True)]
@@ -175,22 +183,38 @@ class Model:
 
     def solve(self, values: Mapping[str, float]) -> list[Solved]:
         """Return the solution of every track."""
-        sensor = self._sensor(values)
-        key = tuple(sorted(values.items()))
-        if key not in self._solved:
-            followed = [self._follow(sensor, track, values) for track in self._tracks]
-            self._solved[key] = followed
-        return self._solved[key]
+        self.prepare([values])
+        return self._solved[_key(values)]
+
+    def prepare(self, candidates: Sequence[Mapping[str, float]]) -> None:
+        """Solve candidates that are not solved yet, all tracks of all of them side by side."""
+        new = {_key(values): values for values in candidates if _key(values) not in self._solved}
+        calls = {
+            key: [self._call(values, track) for track in self._tracks]
+            for key, values in new.items()
+        }
+        if self._workers is None:
+            self._solved |= {
+                key: [_followed(*call) for call in each] for key, each in calls.items()
+            }
+            return
+        submit = self._workers.submit
+        waiting = {key: [submit(_followed, *call) for call in each] for key, each in calls.items()}
+        self._solved |= {key: [one.result() for one in each] for key, each in waiting.items()}
+
+    def _call(self, values: Mapping[str, float], track: Track) -> Call:
+        indenter = self._indenters[track.indenter]
+        return self._sensor(values), indenter, track, values, self._grid, self._tolerance
 
     def surfaces(
         self, values: Mapping[str, float], rows: Sequence[NDArray[np.int64]]
     ) -> list[SurfaceField]:
         """Return the displacement of the top at some points of every track, as one field each."""
-        sensor, found = self._sensor(values), []
+        found = []
         for track, wanted in zip(self._tracks, rows, strict=True):
             shapes = {
                 row: press.field
-                for row, press in enumerate(self._pressed(sensor, track, values))
+                for row, press in enumerate(_pressed(*self._call(values, track)))
                 if row in wanted
             }
             fields = [shapes[int(row)] for row in wanted]
@@ -207,28 +231,10 @@ class Model:
             self._design, {name: value for name, value in values.items() if name in known}
         )
 
-    def _pressed(
-        self, sensor: SimulatedSensor, track: Track, values: Mapping[str, float]
-    ) -> Iterator[LivePress]:
-        """Yield the press at each point of a track; it is the same object each time."""
-        tilt = values.get("tilt_x", 0.0), values.get("tilt_y", 0.0)
-        indenter, tip = leaning(self._indenters[track.indenter], track.tip, tilt)
-        press = LivePress(sensor, indenter, grid=self._grid, tolerance=self._tolerance)
-        tip[:, 2] -= values.get("height", 0.0)
-        tip[:, 2] -= values.get("compliance", 0.0) * np.minimum(track.force[:, 2], 0.0)
-        before = track.time[0]
-        for time, place in zip(track.time, tip, strict=True):
-            press.move(place, time - before)
-            before = time
-            yield press
-
-    def _follow(self, sensor: SimulatedSensor, track: Track, values: Mapping[str, float]) -> Solved:
-        count = len(track.time)
-        force, elastic = np.zeros((count, 3)), np.zeros((count, 3))
-        for row, press in enumerate(self._pressed(sensor, track, values)):
-            if press.touching:
-                force[row], elastic[row] = press.force, press.relaxed_force
-        return Solved(force, elastic, _rates(track.time, force))
+    @staticmethod
+    def _moved(values: Mapping[str, float], name: str, step: float) -> dict[str, float]:
+        moved = values[name] + step if name in AS_THEY_ARE else values[name] * (1 + step)
+        return {**values, name: moved}
 
     def _read(self, solved: Solved, values: Mapping[str, float]) -> Array:
         turn = np.array([values.get(f"turn_{axis}", 0.0) for axis in "xyz"])
@@ -253,6 +259,47 @@ class Model:
             for step in (STEP_TIME, -STEP_TIME)
         )
         return ratio * (ahead - behind) / (2 * STEP_TIME)
+
+
+def _key(values: Mapping[str, float]) -> Key:
+    return tuple(sorted(values.items()))
+
+
+def _pressed(
+    sensor: SimulatedSensor,
+    upright: Indenter,
+    track: Track,
+    values: Mapping[str, float],
+    grid: int,
+    tolerance: float,
+) -> Iterator[LivePress]:
+    """Yield the press at each point of a track; it is the same object each time."""
+    tilt = values.get("tilt_x", 0.0), values.get("tilt_y", 0.0)
+    indenter, tip = leaning(upright, track.tip, tilt)
+    press = LivePress(sensor, indenter, grid=grid, tolerance=tolerance)
+    tip[:, 2] -= values.get("height", 0.0)
+    tip[:, 2] -= values.get("compliance", 0.0) * np.minimum(track.force[:, 2], 0.0)
+    before = track.time[0]
+    for time, place in zip(track.time, tip, strict=True):
+        press.move(place, time - before)
+        before = time
+        yield press
+
+
+def _followed(
+    sensor: SimulatedSensor,
+    upright: Indenter,
+    track: Track,
+    values: Mapping[str, float],
+    grid: int,
+    tolerance: float,
+) -> Solved:
+    count = len(track.time)
+    force, elastic = np.zeros((count, 3)), np.zeros((count, 3))
+    for row, press in enumerate(_pressed(sensor, upright, track, values, grid, tolerance)):
+        if press.touching:
+            force[row], elastic[row] = press.force, press.relaxed_force
+    return Solved(force, elastic, _rates(track.time, force))
 
 
 def leaning(indenter: Indenter, tip: Array, tilt: tuple[float, float]) -> tuple[Indenter, Array]:

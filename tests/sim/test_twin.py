@@ -19,6 +19,7 @@ from support.marker_rows import write_rows
 from support.sessions import CONTACT_FRAME, T0, Columns, make_session
 
 from benchmarks.sim.twin.planted import Bench, Forces, Truth, observed, recorded, solved
+from recorder.processes import Workers
 from sim.__main__ import main
 from sim.errors import SceneError
 from sim.markers import Camera
@@ -36,7 +37,7 @@ from sim.sensors import (
 from sim.sensors.posterior import CAMERA, camera_quantities, quantities, with_quantities
 from sim.twin import Fit, Track, fitted
 from sim.twin.fit import Explanation, _common, _mixed, _whitened, prior_spread
-from sim.twin.model import Linear, relaxing
+from sim.twin.model import Linear, Model, relaxing
 from sim.twin.observations import track_of
 from sim.twin.plan import Planner, cost, presses, sessions
 from sim.twin.record import lines, plan_files, twin_yaml
@@ -171,6 +172,19 @@ def test_a_tilt_that_presses_do_not_tell_is_named(fit: Fit) -> None:
         assert low <= 0.0 <= high, name
     (line,) = (line for line in lines(fit) if line.startswith("tilt_x"))
     assert line.endswith("not told by these presses, the prior's")
+
+
+def test_processes_solve_what_one_does(fit: Fit) -> None:
+    tilted = {**fit.values, "tilt_x": 0.01}
+    with Workers(2) as workers:
+        one, two = (
+            Model(fit.design, fit.tracks, grid=COARSE, workers=each) for each in (None, workers)
+        )
+        for model in (one, two):
+            model.prepare([fit.values, tilted])
+        for values in (fit.values, tilted):
+            for each, other in zip(one.readings(values), two.readings(values), strict=True):
+                np.testing.assert_array_equal(each, other)
 
 
 def test_another_explanation_widens_the_intervals_by_its_odds() -> None:

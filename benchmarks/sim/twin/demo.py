@@ -66,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
     found = {name: recording(bench, folder, name) for name in (*PRESSED, HELD_OUT)}
     tracks = [track for name in PRESSED for track in tracks_of(Session(found[name]))]
     with Progress("twin", sys.stderr) as progress:
-        fit = fitted(tracks, sensor("gelsight"), grid=64, progress=progress)
+        fit = fitted(tracks, sensor("gelsight"), grid=64, processes=2, progress=progress)
     print("\n".join(lines(fit)))
     (folder / "twin.yaml").write_text(
         twin_yaml(fit.sensor, "gelsight.yaml", [found[name].name for name in PRESSED]),
