@@ -101,12 +101,7 @@ class Fit:
     def untold(self) -> tuple[str, ...]:
         """Quantities that the presses did not tell, so that they keep their prior's value."""
         spreads = self.spreads
-        level = TILT if not any(self.values[name] for name in TILT) else ()
-        return tuple(
-            name
-            for name in self.names
-            if name in level or spreads[name] > UNTOLD * prior_spread(name)
-        )
+        return tuple(name for name in self.names if spreads[name] > UNTOLD * prior_spread(name))
 
     @property
     def sensor(self) -> SimulatedSensor:

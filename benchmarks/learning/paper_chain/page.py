@@ -148,7 +148,11 @@ def _of_nets(forces: Sequence[Row], latency: Sequence[Row]) -> list[list[str]]:
     for net in dict.fromkeys(row["net"] for row in own):
         rows = [row for row in own if row["net"] == net]
         times = [row for row in latency if row["net"] == net]
-        taken = ", ".join(f"{row['p50_ms']} ({row['runtime']}, {row['on']})" for row in times)
+        taken = ", ".join(
+            f"{float(row['p50_ms']):.3g} ({row['runtime']}, {row['on']})"
+            for row in times
+            if row["p50_ms"]
+        )
         interval = f"{_mean(rows, 'r2_low')} to {_mean(rows, 'r2_high')}"
         off = f"{_mean(rows, 'mae_shear_n')}, {_mean(rows, 'mae_fz_n')}"
         weights = times[0]["weights"] if times else "-"
