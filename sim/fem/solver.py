@@ -419,13 +419,14 @@ def _lost_contact(result: Result) -> int | None:
     tips = np.asarray(scene.motion.tip)
     for waypoint, tip in enumerate(tips):
         deepest = max(deepest, float(result.quality.overlap_path[waypoint]))
+        if felt[waypoint]:
+            lifted = False
+            continue
         if waypoint and not at_rest:
             way = tip - tips[waypoint - 1]
             rises = way[2] > 0 and way[2] >= np.hypot(way[0], way[1])
             lifted = way[2] >= 0 and (lifted or (rises and bool(felt[waypoint - 1])))
-        if felt[waypoint]:
-            lifted = False
-        if felt[waypoint] or lifted or tip[2] >= 0:
+        if lifted or tip[2] >= 0:
             continue
         if deepest > PASSED * finest:
             if covered(scene.indenter, scene.body, tip) is not None:

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 _NAMES = re.compile(r"modulus|thickness|poisson|friction|ratio_[1-4]|time_[1-4]")
 # Quantities of a camera that images may identify.
 CAMERA = ("scale", "distance", "shift_x", "shift_y", "rotation")
-# Quantities that are distributed as they are; all others are by their logarithms.
-AS_THEY_ARE = ("poisson", "shift_x", "shift_y", "rotation")
+# Quantities that are distributed by their logarithms, without their numbers; others as they are.
+LOGARITHMS = ("modulus", "thickness", "friction", "ratio", "time", "scale", "distance")
 # Poisson's ratios that a draw may have: near 0.5 the layer becomes rigid.
 POISSON = (0.3, 0.4995)
 # Greatest depth of a sensor's presses over its thickness.
@@ -90,12 +90,24 @@ class Posterior:
         if missing := [name for name in self.names if name not in known]:
             raise SceneError(f"{centre.name}: {', '.join(missing)}; allowed: {', '.join(known)}")
         drawn = {
-            name: known[name] + step if name in AS_THEY_ARE else known[name] * math.exp(step)
+            name: known[name] * math.exp(step) if is_log(name) else known[name] + step
             for name, step in zip(self.names, moved, strict=True)
         }
         seen = {name: drawn.pop(name) for name in CAMERA if name in drawn}
         found = with_quantities(centre, drawn)
         return replace(with_camera(found, seen) if seen else found, posterior=None)
+
+
+def is_log(name: str) -> bool:
+    """Return True if a quantity is distributed, and fitted, by its logarithm."""
+    return name.partition("_")[0] in LOGARITHMS
+
+
+def interval_of(name: str, value: float, spread: float) -> tuple[float, float]:
+    """Return the interval of a quantity, `spread` to both sides of it or of its logarithm."""
+    if is_log(name):
+        return value * math.exp(-spread), value * math.exp(spread)
+    return value - spread, value + spread
 
 
 def camera_quantities(sensor: SimulatedSensor) -> dict[str, float]:

@@ -24,7 +24,7 @@ from sim.markers import WIDTH, Camera, Pattern
 from sim.markers.pattern import Shape
 from sim.scene import Body
 from sim.sensors import CameraSignal, Posterior, SimulatedSensor, SurfaceField, readout
-from sim.sensors.posterior import AS_THEY_ARE, CAMERA, camera_quantities
+from sim.sensors.posterior import CAMERA, camera_quantities, interval_of
 from sim.twin.fit import COARSER, UNTOLD, Fit, Z, moved_by, way_of
 from sim.twin.markers import Masks, Sight
 from sim.twin.model import STEPS, Model
@@ -83,15 +83,13 @@ class View:
     def interval(self, name: str, z: float = Z) -> tuple[float, float]:
         """Return the interval of a quantity, 90 % by default."""
         index = CAMERA.index(name)
-        value, spread = self.values[name], z * math.sqrt(self.covariance[index, index])
-        if name in AS_THEY_ARE:
-            return value - spread, value + spread
-        return value * math.exp(-spread), value * math.exp(spread)
+        spread = z * math.sqrt(self.covariance[index, index])
+        return interval_of(name, self.values[name], spread)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldOut:
-    """Presses that the fits did not get, and what the twin says of them."""
+    """Presses that are not fitted, and the twin's predictions of them."""
 
     tracks: tuple[Track, ...]
     readings: tuple[Array, ...]

@@ -16,7 +16,14 @@ from sim.effects import Friction, Viscosity
 from sim.errors import SceneError
 from sim.indenters import Indenter
 from sim.sensors import SimulatedSensor
-from sim.sensors.posterior import POISSON, Posterior, quantities, with_quantities
+from sim.sensors.posterior import (
+    POISSON,
+    Posterior,
+    interval_of,
+    is_log,
+    quantities,
+    with_quantities,
+)
 from sim.twin.model import STEPS, Linear, Model, Solved
 from sim.twin.observations import SETTLING, Track
 
@@ -41,8 +48,6 @@ FRICTION, VISCOSITY = Friction(0.6), Viscosity((0.15, 0.15), (0.05, 0.5))
 # Names of what is not of the sensor.
 TILT = ("tilt_x", "tilt_y")
 BENCH = ("height", "compliance", "turn_x", "turn_y", "turn_z", *TILT)
-# Names in logarithms.
-LOGARITHMS = ("modulus", "thickness", "friction", "ratio", "time")
 # Most rounds of a fit, and the largest step in posterior spreads at which it has converged.
 ROUNDS, SMALL = 12, 0.25
 # Standard deviations from the middle of an interval of 90 % to its ends.
@@ -76,7 +81,7 @@ class Fit:
     values: Mapping[str, float]
     """All quantities, in SI."""
     covariance: Array
-    """(p, p), of logarithms where `LOGARITHMS` has the name."""
+    """(p, p), of logarithms where `is_log` says so."""
     tracks: tuple[Track, ...]
     readings: tuple[Array, ...]
     """Forces that the twin gives (n, 3) [N], of each track."""
@@ -118,15 +123,7 @@ class Fit:
 
     def interval(self, name: str, z: float = Z) -> tuple[float, float]:
         """Return the interval of a quantity, 90 % by default."""
-        value, spread = self.values[name], z * self.spreads[name]
-        if is_log(name):
-            return value * math.exp(-spread), value * math.exp(spread)
-        return value - spread, value + spread
-
-
-def is_log(name: str) -> bool:
-    """Return True if a quantity is fitted by its logarithm."""
-    return name.partition("_")[0] in LOGARITHMS
+        return interval_of(name, self.values[name], z * self.spreads[name])
 
 
 def prior_spread(name: str) -> float:

@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 from recorder.processes import Workers
 from sim.indenters import Indenter, named
 from sim.sensors import SimulatedSensor, SurfaceField
-from sim.sensors.posterior import quantities, with_quantities
+from sim.sensors.posterior import is_log, quantities, with_quantities
 from sim.stream import LivePress
 from sim.twin.observations import Track
 
 Array = NDArray[np.float64]
 Key = tuple[tuple[str, float], ...]
-Call = tuple[SimulatedSensor, Indenter, Track, Mapping[str, float], int, float]
 
 # Steps of the derivatives that need another solution: relative, but of these as they are. Forces of
 # a dragged edge on a grid jump by up to 5 %, and short steps would take the jumps for slopes.
@@ -30,7 +29,6 @@ STEPS = {
     "tilt_x": 5e-3,
     "tilt_y": 5e-3,
 }
-AS_THEY_ARE = ("poisson", "height", "tilt_x", "tilt_y")
 # Forces have a kink where nothing leans: an edge is lowest whichever way a flat face leans.
 ONE_SIDED = ("tilt_x", "tilt_y")
 # Step of the logarithm of a relaxation time.
@@ -62,6 +60,41 @@ class Linear:
     """Rates of the force (n,) [N/s]."""
     costly: dict[str, list[Array]]
     """Those derivatives that took a solution each, by name."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """Candidate sensor along one track, as a worker process gets it."""
+
+    sensor: SimulatedSensor
+    upright: Indenter
+    track: Track
+    values: Mapping[str, float]
+    grid: int
+    tolerance: float
+
+    def pressed(self) -> Iterator[LivePress]:
+        """Yield the press at each point of the track; it is the same object each time."""
+        values, track = self.values, self.track
+        tilt = values.get("tilt_x", 0.0), values.get("tilt_y", 0.0)
+        indenter, tip = leaning(self.upright, track.tip, tilt)
+        press = LivePress(self.sensor, indenter, grid=self.grid, tolerance=self.tolerance)
+        tip[:, 2] -= values.get("height", 0.0)
+        tip[:, 2] -= values.get("compliance", 0.0) * np.minimum(track.force[:, 2], 0.0)
+        before = track.time[0]
+        for time, place in zip(track.time, tip, strict=True):
+            press.move(place, time - before)
+            before = time
+            yield press
+
+    def solved(self) -> Solved:
+        """Return the solution along the track."""
+        count = len(self.track.time)
+        force, elastic = np.zeros((count, 3)), np.zeros((count, 3))
+        for row, press in enumerate(self.pressed()):
+            if press.touching:
+                force[row], elastic[row] = press.force, press.relaxed_force
+        return Solved(force, elastic, _rates(self.track.time, force))
 
 
 class Model:
@@ -117,7 +150,7 @@ class Model:
         base = self.readings(values)
         for name in due:
             step = STEPS[name]
-            over = step if name in AS_THEY_ARE else math.log1p(step)
+            over = math.log1p(step) if is_log(name) else step
             there = self.readings(ahead[name])
             if name in behind:
                 other = self.readings(behind[name])
@@ -188,23 +221,22 @@ class Model:
 
     def prepare(self, candidates: Sequence[Mapping[str, float]]) -> None:
         """Solve candidates that are not solved yet, all tracks of all of them side by side."""
-        new = {_key(values): values for values in candidates if _key(values) not in self._solved}
-        calls = {
-            key: [self._call(values, track) for track in self._tracks]
-            for key, values in new.items()
+        keys = {_key(values): values for values in candidates}
+        new = {
+            key: [self._candidate(values, track) for track in self._tracks]
+            for key, values in keys.items()
+            if key not in self._solved
         }
         if self._workers is None:
-            self._solved |= {
-                key: [_followed(*call) for call in each] for key, each in calls.items()
-            }
+            self._solved |= {key: [one.solved() for one in each] for key, each in new.items()}
             return
         submit = self._workers.submit
-        waiting = {key: [submit(_followed, *call) for call in each] for key, each in calls.items()}
+        waiting = {key: [submit(one.solved) for one in each] for key, each in new.items()}
         self._solved |= {key: [one.result() for one in each] for key, each in waiting.items()}
 
-    def _call(self, values: Mapping[str, float], track: Track) -> Call:
+    def _candidate(self, values: Mapping[str, float], track: Track) -> Candidate:
         indenter = self._indenters[track.indenter]
-        return self._sensor(values), indenter, track, values, self._grid, self._tolerance
+        return Candidate(self._sensor(values), indenter, track, values, self._grid, self._tolerance)
 
     def surfaces(
         self, values: Mapping[str, float], rows: Sequence[NDArray[np.int64]]
@@ -214,7 +246,7 @@ class Model:
         for track, wanted in zip(self._tracks, rows, strict=True):
             shapes = {
                 row: press.field
-                for row, press in enumerate(_pressed(*self._call(values, track)))
+                for row, press in enumerate(self._candidate(values, track).pressed())
                 if row in wanted
             }
             fields = [shapes[int(row)] for row in wanted]
@@ -233,7 +265,7 @@ class Model:
 
     @staticmethod
     def _moved(values: Mapping[str, float], name: str, step: float) -> dict[str, float]:
-        moved = values[name] + step if name in AS_THEY_ARE else values[name] * (1 + step)
+        moved = values[name] * (1 + step) if is_log(name) else values[name] + step
         return {**values, name: moved}
 
     def _read(self, solved: Solved, values: Mapping[str, float]) -> Array:
@@ -263,43 +295,6 @@ class Model:
 
 def _key(values: Mapping[str, float]) -> Key:
     return tuple(sorted(values.items()))
-
-
-def _pressed(
-    sensor: SimulatedSensor,
-    upright: Indenter,
-    track: Track,
-    values: Mapping[str, float],
-    grid: int,
-    tolerance: float,
-) -> Iterator[LivePress]:
-    """Yield the press at each point of a track; it is the same object each time."""
-    tilt = values.get("tilt_x", 0.0), values.get("tilt_y", 0.0)
-    indenter, tip = leaning(upright, track.tip, tilt)
-    press = LivePress(sensor, indenter, grid=grid, tolerance=tolerance)
-    tip[:, 2] -= values.get("height", 0.0)
-    tip[:, 2] -= values.get("compliance", 0.0) * np.minimum(track.force[:, 2], 0.0)
-    before = track.time[0]
-    for time, place in zip(track.time, tip, strict=True):
-        press.move(place, time - before)
-        before = time
-        yield press
-
-
-def _followed(
-    sensor: SimulatedSensor,
-    upright: Indenter,
-    track: Track,
-    values: Mapping[str, float],
-    grid: int,
-    tolerance: float,
-) -> Solved:
-    count = len(track.time)
-    force, elastic = np.zeros((count, 3)), np.zeros((count, 3))
-    for row, press in enumerate(_pressed(sensor, upright, track, values, grid, tolerance)):
-        if press.touching:
-            force[row], elastic[row] = press.force, press.relaxed_force
-    return Solved(force, elastic, _rates(track.time, force))
 
 
 def leaning(indenter: Indenter, tip: Array, tilt: tuple[float, float]) -> tuple[Indenter, Array]:

@@ -14,8 +14,9 @@ from recorder.charts import BAND, BLUE, INK, ORANGE, RED, SOFT, chart
 from recorder.strict_yaml import yaml_text
 from sim.markers import HEIGHT, WIDTH, Pattern
 from sim.sensors import CameraSignal, SimulatedSensor
+from sim.sensors.posterior import is_log
 from sim.twin.camera import HeldOut, View, differences
-from sim.twin.fit import Fit, is_log, misfit
+from sim.twin.fit import Fit, misfit
 from sim.twin.markers import Sight
 from sim.twin.observations import Track
 from sim.twin.plan import Planner, Presses, cost

@@ -63,7 +63,7 @@ BENCH = Bench(noise=0.005, height=20e-6, turn=(0.02, -0.01, 0.01))
 @pytest.fixture(scope="module")
 def true() -> Forces:
     """Return forces and tops of one planted press."""
-    return solved(planted(), SHORT["sphere"], BENCH, grid=COARSE)
+    return solved(planted(), SHORT["sphere"], BENCH, grid=COARSE, with_top=True)
 
 
 @pytest.fixture(scope="module")
@@ -241,7 +241,7 @@ def test_images_of_another_sensor_are_refused_in_pixels(
 ) -> None:
     fit, _, made = command
     thick = with_quantities(planted(), {"thickness": 8e-3})
-    other = solved(thick, SHORT["sphere"], BENCH, grid=COARSE)
+    other = solved(thick, SHORT["sphere"], BENCH, grid=COARSE, with_top=True)
     marked = pictures(tmp_path / "other.markers.zarr", "press.zarr", other)
     out, session = tmp_path / "mine.yaml", made.with_name("press.zarr")
 

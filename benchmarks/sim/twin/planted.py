@@ -68,7 +68,7 @@ class Forces:
     force: Array
     """Forces (n, 3) [N]."""
     top: SurfaceField | None = None
-    """Displacement of the top (n frames); None of stored forces and of tier `fem`."""
+    """Displacement of the top (n frames); None if it was not kept."""
 
     def at(self, time: Array) -> SurfaceField:
         """Return the top at times (m,) [s], each that of the last solution."""
@@ -124,8 +124,9 @@ def solved(
     truth: Truth = "layer",
     fem: Fem = FEM,
     device: str = "cpu",
+    with_top: bool = False,
 ) -> Forces:
-    """Return the forces of a skin by tier `truth`.
+    """Return the forces of a skin by tier `truth`, of tier `layer` also its top if asked for.
 
     The tip yields by the forces of tier `layer`, also where forces are those of `fem`.
     """
@@ -142,9 +143,9 @@ def solved(
             times.append(start + fraction * (stop - start))
     time, tip = np.array(times), np.array(places)
     how: dict[str, Any] = {"grid": grid, "truth": truth, "fem": fem, "device": device}
-    tops: list[SurfaceField] = []
+    tops: list[SurfaceField] | None = [] if with_top else None
     force = felt(skin, named(presses.indenter), time, tip, bench, tops=tops, **how)
-    if truth == "fem":
+    if not tops:
         return Forces(time, force)
     shapes = np.concatenate([each.displacement for each in tops])
     return Forces(time, force, replace(tops[0], displacement=shapes))
