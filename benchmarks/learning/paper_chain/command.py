@@ -29,7 +29,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = __doc__.split("\n\n")[0]
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="output folder")
     parser.add_argument(
-        "--size", default="gpu", metavar="NAME", help="gpu, brief or toy (%(default)s)"
+        "--size",
+        default="gpu",
+        metavar="NAME",
+        help="gpu, heterogeneous, material, skins, hysteresis, brief or toy (%(default)s)",
     )
     parser.add_argument(
         "--minutes",
@@ -102,6 +105,12 @@ def run(options: argparse.Namespace) -> int:
     return int(len(took) < len(due))
 
 
+def _row(sensor: str) -> str:
+    """Return a sensor as `sim archive` takes it: the file beside this one, or the package's."""
+    own = Path(__file__).with_name(f"{sensor}.yaml")
+    return str(own) if own.exists() else sensor
+
+
 def _tasks(options: argparse.Namespace, cores: int, done: set[str]) -> list[Task]:
     from benchmarks.learning.paper_chain.jobs import names
     from benchmarks.learning.paper_chain.sizes import SIZES
@@ -111,7 +120,7 @@ def _tasks(options: argparse.Namespace, cores: int, done: set[str]) -> list[Task
     made = ("--tier", "layer", "--no-check", "--processes", str(cores))
     simulated = {
         "archive sensors": (
-            *("sensors", "--sensors", ",".join(size.sensors), *size.archive, *made),
+            *("sensors", "--sensors", ",".join(map(_row, size.sensors)), *size.archive, *made),
             *("--out", "sensors.markers.zarr"),
         ),
     }

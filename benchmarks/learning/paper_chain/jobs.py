@@ -12,7 +12,7 @@ import fcntl
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
@@ -24,7 +24,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from benchmarks.learning.paper_chain.sizes import RECIPES, SEED, Size, write_base
+from benchmarks.learning.paper_chain.sizes import ALONE, RECIPES, SEED, Size, write_base
 from learning.compensation import StoredCompensation
 from learning.compensation.fit import find_compensation
 from learning.config import read_settings
@@ -42,7 +42,7 @@ from learning.evaluation.translation import (
     paired_score,
     real_frames,
 )
-from learning.experiment.parts import look_of
+from learning.experiment.parts import frames_of_a_press, look_of
 from learning.experiment.translating import translate_presses
 from learning.force.model import KIND as FORCE
 from learning.force.model import ForceModel, load_force_model
@@ -347,10 +347,12 @@ def net(
     presses: Presses,
     start_from: ForceModel | None = None,
     compensation: Compensation | None = None,
+    changed: Sequence[str] = (),
 ) -> ForceModel:
     """Return a force net, trained for its time if it is not there; from another's weights if given.
 
-    A preset's stages get equal parts of the time; a net that goes on has only its last.
+    A preset's stages get equal parts of the time; a net that goes on has only its last. `changed`
+    are further overrides of its settings.
     """
     part = "net" if start_from is None else "tuned"
     folder = chain.model(name)
@@ -359,6 +361,7 @@ def net(
         given = [f"seed={SEED}", "patience_epochs=null"]
         if chain.device.type == "cuda":
             given += RECIPES.get(preset, ())
+        given += changed
         found = read_settings(ForceSettings, NET_PRESETS, preset, given)
         stages = found.stages if start_from is None else found.stages[-1:]
         count = max(1, epochs // len(stages))
@@ -493,6 +496,24 @@ def nets(chain: Chain, sensor: str) -> None:
         if not chain.has("forces", method="own labels", net=preset, target=sensor):
             found = model.predict(_test(chain, sensor))
             forces(chain, "own labels", preset, (sensor, sensor), found)
+
+
+def memory(chain: Chain, sensor: str) -> None:
+    """Train nets on a sensor's own labels, with the frames of a press in order and each alone."""
+    of_a_press = frames_of_a_press(chain.archive)
+    for preset in chain.size.nets:
+        form: Any = "field" if preset == "displacement" else "images"
+        batch = read_settings(ForceSettings, NET_PRESETS, preset, []).sequences.batch
+        alone = ("input.alone=true", f"sequences.batch={batch * of_a_press}")
+        for method, name, changed in (
+            ("own labels", f"{preset}-{sensor}", ()),
+            (ALONE, f"{preset}-{sensor}-alone", alone),
+        ):
+            if chain.has("forces", method=method, net=preset, target=sensor):
+                continue
+            model = net(chain, preset, name, chain.presses(sensor, "train", form), changed=changed)
+            found = model.predict(_test(chain, sensor, form))
+            forces(chain, method, preset, (sensor, sensor), found)
 
 
 # Translated frames: images, and forces by nets trained on them
@@ -712,6 +733,8 @@ def latency(chain: Chain) -> None:
 
 def names(size: Size) -> dict[str, tuple[str, ...]]:
     """Return the names of all jobs, the most urgent first, and those that each needs."""
+    if size.memory:
+        return {f"memory {name}": ("archive sensors",) for name in size.trained}
     jobs: dict[str, tuple[str, ...]] = {"vae": ("archive sensors",), "m2m": ("vae",)}
     if size.patterns is not None:
         jobs = {"vae": ("archive patterns", "archive sensors"), "m2m-patterns": ("vae",)}
@@ -742,6 +765,7 @@ def run_job(chain: Chain, name: str) -> None:
         "patterns": patterns,
         "pairs": pairs,
         "nets": nets,
+        "memory": memory,
         "latency": latency,
     }
     found[kind](chain, *arguments)

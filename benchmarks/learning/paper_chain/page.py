@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.learning.paper_chain.sizes import Size
+from benchmarks.learning.paper_chain.sizes import ALONE, Size
 from learning.evaluation.translation import NEAREST
 from recorder.charts import chart
 from recorder.store.durable import replace_file
 
 Row = dict[str, str]
 # Rows of the table of forces, in its order.
-METHODS = ("source-only", NEAREST, "displacement", "field", "m2m", "own labels")
+METHODS = ("source-only", NEAREST, "displacement", "field", "m2m", "own labels", ALONE)
 # Most pairs of sensors and translators in the picture of the worst frames.
 WORST = 6
 
@@ -110,7 +110,8 @@ def _of_forces(rows: Sequence[Row], size: Size) -> list[list[str]]:
     for method in METHODS:
         for net in dict.fromkeys(row["net"] for row in rows if row["method"] == method):
             own = [row for row in rows if (row["method"], row["net"]) == (method, net)]
-            if method == "own labels" and net not in (size.net, "displacement"):
+            others = net not in (size.net, "displacement") and not size.memory
+            if method == "own labels" and others:
                 continue
             worst = min(own, key=lambda row: float(row["r2"]))
             pair = f"{float(worst['r2']):.3f} ({worst['source']} to {worst['target']})"

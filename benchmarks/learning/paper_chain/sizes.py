@@ -9,17 +9,23 @@ from typing import Any
 
 # The paper's force net, its smaller versions, and the net that reads marker displacement.
 NETS = ("paper", "displacement", "half", "quarter", "tiny")
+# Method of nets that see each frame without earlier ones.
+ALONE = "own labels of frames alone"
 # The paper's SGD of 0.1 does not leave its start in seconds (R2 -20 after 8 s of a GPU): its net is
 # trained as its smaller versions are, from the mean label on.
-RECIPES = {
+_ONE_STAGE = "stages=[{{epochs: 40, learning_rate: {}, schedule: cosine, warm_up_steps: 200}}]"
+RECIPES: dict[str, tuple[str, ...]] = {
     "paper": (
         "optimiser={name: adamw, weight_decay: 0.01, clip: 1.0}",
-        "stages=[{epochs: 40, learning_rate: 0.0003, schedule: cosine, warm_up_steps: 200}]",
+        _ONE_STAGE.format(0.0003),
         "sequences={batch: 16, lengths: random, padding: masked}",
         "launch.mixed_precision=bf16",
         "start_at_mean=true",
         "range_margin=0.05",
-    )
+    ),
+    # Half of the width takes twice the rate: at 3e-4 these hardly leave the mean in minutes.
+    "half": (_ONE_STAGE.format(0.0006),),
+    "quarter": (_ONE_STAGE.format(0.0012),),
 }
 # Seed of all trainings; there is one run of each.
 SEED = 0
@@ -61,6 +67,8 @@ class Size:
     compensated: bool = False
     """True for skins that differ: labels that are carried over are compensated by force-depth
     curves."""
+    memory: bool = False
+    """True for a comparison of nets with and without earlier frames alone, without translators."""
     parts: Mapping[str, float] = field(
         default_factory=lambda: {
             "vae": 0.4,
@@ -141,10 +149,21 @@ SIZES = {
         held_out=("circle-i",),
         patterns=(),
         held_out_patterns=("Circle1", "Diamond4"),
+        parts={**_GPU.parts, "net": 0.4, "tuned": 0.1},
     ),
     "heterogeneous": replace(_SKINS, sensors=("gelsight", "tacpalm", "uskin")),
     # Three of the seven skins, and one that no network sees.
     "material": replace(_SKINS, sensors=("r6", "r10", "r18", "r14"), held_out=("r14",)),
+    # The paper's seven skins, 42 cells.
+    "skins": replace(_SKINS, sensors=("r6", "r8", "r10", "r12", "r14", "r16", "r18")),
+    # Two skins of one sensor, of which one hardly relaxes and the other loses half of its force.
+    "hysteresis": replace(
+        _GPU,
+        sensors=("gelsight", "viscous"),
+        nets=("paper", "tiny", "displacement"),
+        memory=True,
+        parts={"net": 0.6},
+    ),
     # One pair, in 5 minutes of two GPUs; `--minutes 1`.
     "brief": replace(
         _GPU,
