@@ -23,7 +23,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, TypeVar, get_args
 
 import numpy as np
 
@@ -166,16 +166,19 @@ def pressed_by(options: argparse.Namespace) -> list[Presses]:
     return sessions(chosen)
 
 
+Key = TypeVar("Key")
+
+
 def each_of(
-    task: Callable[[int], Any], numbers: Sequence[int], options: argparse.Namespace
-) -> Iterator[tuple[int, Any]]:
-    """Yield each number with the task's result, as they come."""
+    task: Callable[[Key], Any], keys: Sequence[Key], options: argparse.Namespace
+) -> Iterator[tuple[Key, Any]]:
+    """Yield each key with the task's result, as they come."""
     if options.processes == 1:
-        yield from ((number, task(number)) for number in numbers)
+        yield from ((key, task(key)) for key in keys)
         return
     context = get_context("spawn")
     with ProcessPoolExecutor(options.processes, mp_context=context) as pool:
-        futures = {pool.submit(task, number): number for number in numbers}
+        futures = {pool.submit(task, key): key for key in keys}
         for future in as_completed(futures):
             yield futures[future], future.result()
 
