@@ -34,6 +34,7 @@ MM = 1e-3
 FRAME, FRAMES = 0.05 * MM, 20
 # Numbers of simultaneous presses.
 COUNTS = (1, 64, 256, 1024)
+MOST = 4096
 # Number of presses whose errors are measured.
 JUDGED = 4
 # First frame whose error is measured, 0 being the touch: 0.1 mm.
@@ -58,9 +59,9 @@ class Way:
 
 
 def ways() -> list[Way]:
-    """Return `layer`, three coarse meshes of `fem` with matching tolerances, and the default."""
+    """Return `layer`, coarse meshes of `fem` with matching tolerances, and the default."""
     found = [Way("layer", Layer())]
-    for spacing in (1.33, 1.0, 0.8):
+    for spacing in (1.33, 1.1, 1.0, 0.8):
         quick = Fem(
             spacing=spacing * MM,
             tolerance=TOLERANCE,
@@ -75,9 +76,9 @@ def ways() -> list[Way]:
 def scenes(count: int) -> list[Scene]:
     """Return the first `count` presses, which are the same for every count."""
     random = np.random.default_rng(0)
-    drawn = random.uniform([3 * MM, -4 * MM, -4 * MM], [5 * MM, 4 * MM, 4 * MM], (max(COUNTS), 3))
+    drawn = random.uniform([3 * MM, -4 * MM, -4 * MM], [5 * MM, 4 * MM, 4 * MM], (count, 3))
     depths = [FRAME * frame for frame in range(1, FRAMES + 1)]
-    return [Scene(sphere(r), press(depths, at=(x, y)), Body()) for r, x, y in drawn[:count]]
+    return [Scene(sphere(r), press(depths, at=(x, y)), Body()) for r, x, y in drawn]
 
 
 def solved(
@@ -279,6 +280,6 @@ def _counts(text: str) -> list[int]:
         counts = [int(one) for one in text.split(",")]
     except ValueError:
         counts = [0]
-    if not all(1 <= one <= max(COUNTS) for one in counts):
-        raise SceneError(f"--counts: {text!r}; allowed: 1 to {max(COUNTS)}, by commas")
+    if not all(1 <= one <= MOST for one in counts):
+        raise SceneError(f"--counts: {text!r}; allowed: 1 to {MOST}, by commas")
     return counts
