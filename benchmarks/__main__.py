@@ -69,6 +69,10 @@ BENCHMARKS = {
         "benchmarks.learning.paper_chain.command",
         "the paper's models trained from nothing, beside simple baselines",
     ),
+    "gauge-tables": (
+        "benchmarks.learning.gauge_tables.command",
+        "forces on new indenters, beside the gauge presses that each method needs",
+    ),
     "transfer-skins": (
         "benchmarks.learning.skins.command",
         "coverage of intervals over skins of random modulus",

@@ -149,14 +149,14 @@ def solve(
         return [_within(scene, solving.tolerance, device) for scene in scenes]
     first = solving.settings(scenes[0].body)
     outcomes = simulate_many(scenes, first, device=device, progress=progress)
-    attempts = [] if isinstance(first, Layer) else _attempts(first, scenes[0].body)
+    attempts = [] if isinstance(first, Layer) else further_settings(first, scenes[0].body)
     return [
         _again(scene, outcome, solving, attempts, device)
         for scene, outcome in zip(scenes, outcomes, strict=True)
     ]
 
 
-def _attempts(first: Fem, body: Body) -> list[tuple[str, Fem]]:
+def further_settings(first: Fem, body: Body) -> list[tuple[str, Fem]]:
     """Return the settings to try after the first ones, each with a description."""
     careful = replace(
         first, precision="float64", step_travel=body.thickness / 100, newton_max=120, halvings=16

@@ -209,6 +209,8 @@ class Placement:
     """The same along y [m]."""
     turn: float = 0.0
     """Angle from the robot's x axis to the sensor's, anticlockwise [rad]."""
+    height: float = 0.0
+    """Height of its top above where the robot takes it to be [m]."""
 
     def motion(self, motion: Motion) -> Motion:
         """Return the robot's motion relative to the middle of the sensor, for simulating a scene.
@@ -216,7 +218,7 @@ class Placement:
         Axes stay the robot's, so that indenter and forces need no rotation; `field` applies it. The
         sides of the body are assumed to lie along the robot's axes even with a `turn`.
         """
-        tip = tuple((x - self.shift_x, y - self.shift_y, z) for x, y, z in motion.tip)
+        tip = tuple((x - self.shift_x, y - self.shift_y, z - self.height) for x, y, z in motion.tip)
         return replace(motion, tip=tip)
 
     def field(self, field: SurfaceField) -> SurfaceField:
@@ -236,15 +238,19 @@ class Mount:
     """Largest shift along x and along y, drawn uniformly [m], 0 to 0.01."""
     turn: float = field(metadata={"unit": "deg"})
     """Largest rotation about its axis, drawn uniformly in both directions [rad], 0 to 0.2."""
+    height: float = field(default=0.0, metadata={"unit": "um", "stored": "unless default"})
+    """Largest error of the height of its top, drawn uniformly in both directions [m], 0 to 1e-3:
+    presses are deeper by it."""
 
     def __post_init__(self) -> None:
         check_range("mount", "shift", self.shift, 0.0, 0.01, unit="m")
         check_range("mount", "turn", self.turn, 0.0, 0.2, unit="rad")
+        check_range("mount", "height", self.height, 0.0, 1e-3, unit="m")
 
     def drawn(self, seed: int, sensor: str) -> Placement:
         """Return the placement of `sensor`."""
-        x, y, turn = generator(seed, "mount", sensor).uniform(-1.0, 1.0, 3).tolist()
-        return Placement(self.shift * x, self.shift * y, self.turn * turn)
+        x, y, turn, up = generator(seed, "mount", sensor).uniform(-1.0, 1.0, 4).tolist()
+        return Placement(self.shift * x, self.shift * y, self.turn * turn, self.height * up)
 
 
 @dataclass(frozen=True, slots=True)

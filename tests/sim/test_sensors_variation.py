@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from sim.errors import SceneError
+from sim.result import to_json
 from sim.scene import press
 from sim.sensors import (
     DeviceVariation,
@@ -38,13 +39,14 @@ def test_a_negative_seed_is_refused() -> None:
 
 
 def test_mounts_are_drawn_evenly_within_their_limits() -> None:
-    mount = Mount(shift=0.3e-3, turn=math.radians(2))
+    mount = Mount(shift=0.3e-3, turn=math.radians(2), height=30e-6)
     placed = [mount.drawn(0, name) for name in MANY]
     assert placed[0] == mount.drawn(0, MANY[0])
     for values, most in (
         ([each.shift_x for each in placed], 0.3e-3),
         ([each.shift_y for each in placed], 0.3e-3),
         ([each.turn for each in placed], math.radians(2)),
+        ([each.height for each in placed], 30e-6),
     ):
         assert max(map(abs, values)) <= most
         assert np.std(values) == pytest.approx(most / math.sqrt(3), rel=0.1)
@@ -54,6 +56,14 @@ def test_mounts_are_drawn_evenly_within_their_limits() -> None:
 def test_a_placement_moves_the_press_on_the_gel_against_the_sensors_shift() -> None:
     motion = Placement(shift_x=1e-3, shift_y=-2e-3).motion(press([1e-3], at=(3e-3, 4e-3)))
     assert motion.tip[-1] == pytest.approx((2e-3, 6e-3, -1e-3))
+    assert Placement(height=20e-6).motion(motion).tip[-1][2] == pytest.approx(-1.02e-3)
+
+
+def test_a_mount_without_an_error_of_height_is_stored_and_drawn_as_ever() -> None:
+    mount = Mount(shift=0.3e-3, turn=0.0)
+    assert to_json(mount) == {"shift": 0.3e-3, "turn": 0.0}
+    x, y, _ = generator(3, "mount", "a").uniform(-1.0, 1.0, 3).tolist()
+    assert mount.drawn(3, "a") == Placement(0.3e-3 * x, 0.3e-3 * y)
 
 
 def test_grips_lean_within_their_limit_and_differ_between_indenters() -> None:
@@ -181,6 +191,7 @@ def test_a_frame_has_the_same_errors_in_any_batch_and_others_in_another_session(
     [
         (lambda: Mount(0.02, 0.0), r"mount\.shift: 0\.02 m; allowed: 0 to 0\.01 m"),
         (lambda: Mount(0.0, 2.0), r"mount\.turn: 2\.0 rad"),
+        (lambda: Mount(0.0, 0.0, 30.0), r"mount\.height: 30\.0 m; allowed: 0 to 0\.001 m"),
         (lambda: Grip(1.0), r"grip\.tilt: 1\.0 rad"),
         (lambda: Framing(-1.0, 0.0), r"framing\.shift_px: -1\.0 px"),
         (lambda: Drift(float("nan")), r"drift\.step: nan m"),

@@ -84,6 +84,8 @@ class Chain:
     minutes: float
     device: torch.device
     processes: int
+    seed: int = SEED
+    """Seed of trainings."""
 
     @property
     def base(self) -> str:
@@ -216,7 +218,7 @@ def run_of(
         if not run.finished:
             raise KeyboardInterrupt
     seconds = round(time.perf_counter() - began, 1)
-    chain.add("trainings", {"network": name, "kind": kind, "seconds": seconds, "seed": SEED})
+    chain.add("trainings", {"network": name, "kind": kind, "seconds": seconds, "seed": chain.seed})
 
 
 # Autoencoder, translators
@@ -326,7 +328,7 @@ def field_translator(chain: Chain) -> None:
 
     def settings(steps: int) -> field.FieldSettings:
         half = [f"{stage}.steps={steps // 2}" for stage in ("field_stage", "map_stage")]
-        half += [f"seed={SEED}", f"validate_every_steps={steps}"]
+        half += [f"seed={chain.seed}", f"validate_every_steps={steps}"]
         return read_settings(field.FieldSettings, field.PRESETS, preset, [*given, *half])
 
     def train(steps: int, session: Session) -> None:
@@ -365,7 +367,7 @@ def net(
         found = read_settings(ForceSettings, NET_PRESETS, preset, given)
         stages = found.stages if start_from is None else found.stages[-1:]
         count = max(1, epochs // len(stages))
-        own = tuple(_shortened(stage, count, len(presses), found) for stage in stages)
+        own = tuple(shortened(stage, count, len(presses), found) for stage in stages)
         return replace(found, stages=own)
 
     def train(epochs: int, session: Session) -> None:
@@ -379,9 +381,10 @@ def net(
     return load_force_model(folder, chain.device)
 
 
-def _shortened(
+def shortened(
     stage: StageSettings, epochs: int, presses: int, settings: ForceSettings
 ) -> StageSettings:
+    """Return a stage of another number of epochs."""
     steps = epochs * -(-presses // settings.sequences.batch)
     return replace(stage, epochs=epochs, warm_up_steps=min(stage.warm_up_steps, steps // 10))
 
@@ -390,7 +393,7 @@ def forces(chain: Chain, method: str, preset: str, ends: tuple[str, str], found:
     """Add the errors of forces on a target's unseen indenters, with intervals over indenters."""
     source, target = ends
     table = chain.archive[target].table
-    rows = _test(chain, target).rows.numpy()
+    rows = unseen_presses(chain, target).rows.numpy()
     errors = force_scores(
         table["wrench"][rows, :3].astype(np.float64), found, table["indenter"][rows]
     )
@@ -429,7 +432,8 @@ def force_scores(true: Floats, found: Floats, indenter: NDArray[Any]) -> dict[st
 
 
 @cache
-def _test(chain: Chain, sensor: str, form: Any = "images") -> Presses:
+def unseen_presses(chain: Chain, sensor: str, form: Any = "images") -> Presses:
+    """Return the presses of a sensor under unseen indenters."""
     return chain.presses(sensor, UNSEEN, form)
 
 
@@ -441,7 +445,7 @@ def own(chain: Chain, sensor: str) -> None:
         presses = chain.presses(sensor, "train", form)
         model = net(chain, preset, f"{preset}-{sensor}", presses)
         if not chain.has("forces", method="own labels", net=preset, target=sensor):
-            found = model.predict(_test(chain, sensor, form))
+            found = model.predict(unseen_presses(chain, sensor, form))
             forces(chain, "own labels", preset, (sensor, sensor), found)
         method = "displacement" if preset == "displacement" else "source-only"
         for target in targets:
@@ -452,14 +456,14 @@ def own(chain: Chain, sensor: str) -> None:
                 used = net(
                     chain, preset, f"{preset}-{sensor}-for-{target}", presses, model, changed
                 )
-            found = used.predict(_test(chain, target, form))
+            found = used.predict(unseen_presses(chain, target, form))
             forces(chain, method, preset, (sensor, target), found)
     for target in targets:
         if not chain.has("forces", method=NEAREST, source=sensor, target=target):
-            forces(chain, NEAREST, "-", (sensor, target), _nearest(chain, sensor, target))
+            forces(chain, NEAREST, "-", (sensor, target), nearest_labels(chain, sensor, target))
 
 
-def _nearest(chain: Chain, source: str, target: str) -> Floats:
+def nearest_labels(chain: Chain, source: str, target: str) -> Floats:
     """Return for each test frame the source's label of the most similar location pair.
 
     The pairs are those that the translators are trained on: the target's images, the source's
@@ -474,7 +478,7 @@ def _nearest(chain: Chain, source: str, target: str) -> Floats:
     if changed is not None:
         depth, phase = one.table["depth"][rows], one.table["phase"][rows]
         labels, _ = changed(labels, depth.astype(np.float64), phase.astype(np.int64))
-    tested = _test(chain, target).rows.numpy()
+    unseen = unseen_presses(chain, target).rows.numpy()
 
     def changes(rows: NDArray[np.int64]) -> torch.Tensor:
         images = read_frames(other, rows, chain.device).float()
@@ -483,7 +487,7 @@ def _nearest(chain: Chain, source: str, target: str) -> Floats:
         change = (images - still[of])[:, None]
         return torch.nn.functional.interpolate(change, (SMALL, SMALL), mode="area").flatten(1)
 
-    apart = torch.cdist(changes(tested), changes(pairs.target[kept]))
+    apart = torch.cdist(changes(unseen), changes(pairs.target[kept]))
     return np.asarray(labels[apart.argmin(dim=1).cpu().numpy()], np.float64)
 
 
@@ -494,7 +498,7 @@ def nets(chain: Chain, sensor: str) -> None:
             continue
         model = net(chain, preset, f"{preset}-{sensor}", chain.presses(sensor, "train"))
         if not chain.has("forces", method="own labels", net=preset, target=sensor):
-            found = model.predict(_test(chain, sensor))
+            found = model.predict(unseen_presses(chain, sensor))
             forces(chain, "own labels", preset, (sensor, sensor), found)
 
 
@@ -512,7 +516,7 @@ def memory(chain: Chain, sensor: str) -> None:
             if chain.has("forces", method=method, net=preset, target=sensor):
                 continue
             model = net(chain, preset, name, chain.presses(sensor, "train", form), changed=changed)
-            found = model.predict(_test(chain, sensor, form))
+            found = model.predict(unseen_presses(chain, sensor, form))
             forces(chain, method, preset, (sensor, sensor), found)
 
 
@@ -547,7 +551,7 @@ def pairs(chain: Chain, translator: str, source: str) -> None:
         chain.add("rates", {**rate, "frames": packed.frames, "seconds": round(seconds, 2)})
         name = f"{size.net}-{source}-to-{target}-{translator}"
         tuned = net(chain, size.net, name, shown, start, chain.relabelling(source, target))
-        forces(chain, translator, size.net, ends, tuned.predict(_test(chain, target)))
+        forces(chain, translator, size.net, ends, tuned.predict(unseen_presses(chain, target)))
 
 
 def _images(chain: Chain, name: str, ends: tuple[str, str], translator: Translator) -> None:

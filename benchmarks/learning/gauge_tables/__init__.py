@@ -1,0 +1,1 @@
+"""Forces on a target without a gauge, beside the gauge presses that each method needs."""

@@ -1,0 +1,169 @@
+"""Forces on new indenters without a gauge on the target, beside what each method needs of it.
+
+    python -m benchmarks gauge-tables --out runs/heterogeneous --group heterogeneous [--gpus 0,1]
+    python -m benchmarks gauge-tables --out runs/toy --size toy --gpus cpu --minutes 0.3
+
+Plants sensors whose skins, mounting and cameras differ from their designs, solves their presses by
+tier `fem`, and identifies a twin of each by gauge presses under the errors of a bench. Then trains,
+for several seeds and all pairs of sensors, nets that see no label of the target, and others that
+see a few or all. Tested on indenters that no training, twin or choice has seen. In simulation. Jobs
+run in parallel on all GPUs; a repeated command goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from learning.errors import LearningError
+from recorder.command_line.options import names as listed
+from recorder.command_line.options import positive, whole
+
+if TYPE_CHECKING:
+    from benchmarks.learning.gauge_tables.jobs import Study
+    from benchmarks.learning.tables.on_gpus import Task
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the benchmark."""
+    from benchmarks.learning.gauge_tables.skins import GROUPS
+
+    parser.description = __doc__.split("\n\n")[0]
+    add = parser.add_argument
+    add("--out", type=Path, required=True, metavar="DIR", help="output folder")
+    add("--group", choices=tuple(GROUPS), default="heterogeneous", help="(%(default)s)")
+    add("--size", choices=("gpu", "toy"), default="gpu", help="(%(default)s)")
+    add("--seeds", type=listed, default=("0", "1", "2"), metavar="N,...", help="(0,1,2)")
+    add("--skins", type=whole(0), default=0, metavar="N", help="seed of the sensors (%(default)s)")
+    add("--targets", type=whole(2, 48), metavar="N", help="targets of an indenter (8; toy: 2)")
+    add(
+        "--minutes",
+        type=positive,
+        default=2.5,
+        metavar="N",
+        help="the translator has 0.4 of this time (%(default)s)",
+    )
+    add("--gpus", metavar="N,...", help="GPU numbers, or `cpu` (all GPUs)")
+    add("--per-gpu", type=whole(1), default=1, metavar="N", help="jobs on a GPU (%(default)s)")
+    add("--processes", type=whole(1), metavar="N", help="processes of this command (all cores)")
+    add("--only", type=listed, metavar="NAME,...", help="jobs, without those they need (all)")
+    add("--stop-after", type=int, metavar="SECONDS", help="stop then; the same command goes on")
+    add("--job", metavar="NAME", help="run one job in this process")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run all jobs that are not done; return 0, or 1 if one failed."""
+    from benchmarks.learning.gauge_tables import jobs, page
+    from benchmarks.learning.gauge_tables.skins import write_rows
+    from benchmarks.learning.tables.on_gpus import Machine, _gpus, run_all
+
+    if not all(seed.isdecimal() for seed in options.seeds):
+        raise LearningError(f"--seeds: found {', '.join(options.seeds)}; allowed: numbers from 0")
+    cores = options.processes or len(os.sched_getaffinity(0))
+    study = _study(options, cores)
+    if options.job is not None:
+        jobs.run_job(study, options.job)
+        return 0
+    out = options.out
+    write_rows(out / "rows", options.group, study.designs, options.skins)
+    gpus = options.gpus.split(",") if options.gpus else _gpus()[0]
+    done = out / "done"
+    done.mkdir(parents=True, exist_ok=True)
+    due = _tasks(options, study, cores, {path.name.replace("+", " ") for path in done.iterdir()})
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    if options.stop_after:
+        signal.signal(signal.SIGALRM, signal.default_int_handler)
+        signal.alarm(options.stop_after)
+
+    def tell(line: str) -> None:
+        print(line, flush=True)
+        name, found, _ = line[10:].partition(": done in ")
+        if found:
+            (done / name.strip().replace(" ", "+")).touch()
+
+    try:
+        took = run_all(due, Machine(gpus, options.per_gpu), out, tell)
+    except KeyboardInterrupt:
+        print("stopped; the same command goes on", file=sys.stderr)
+        took = {}
+    finally:
+        signal.alarm(0)
+        lines = page.write(study, [int(seed) for seed in options.seeds])
+    print("\n".join(lines))
+    return int(len(took) < len(due))
+
+
+def _study(options: argparse.Namespace, cores: int) -> Study:
+    from dataclasses import replace
+
+    import torch
+
+    from benchmarks.learning.gauge_tables.jobs import SIZES, Study
+
+    size = SIZES[options.size]
+    device = torch.device("cpu")
+    if options.job is not None and options.gpus != "cpu" and torch.cuda.is_available():
+        device = torch.device("cuda")
+    torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = True
+    given: dict[str, Any] = {"group": options.group, "skins": options.skins}
+    return Study(
+        options.out,
+        size.chain,
+        options.minutes,
+        device,
+        max(1, min(8, cores // 4)),
+        of=replace(size, targets=options.targets or size.targets),
+        **given,
+    )
+
+
+def _tasks(options: argparse.Namespace, study: Study, cores: int, done: set[str]) -> list[Task]:
+    from benchmarks.learning.gauge_tables.jobs import archive_path, names, twin_path
+    from benchmarks.learning.tables.on_gpus import Task
+    from sim.sensors.sensor import read_sensor
+
+    known = names(study, [int(seed) for seed in options.seeds])
+    wanted = {*(options.only or known)}
+    if unknown := wanted - {*known}:
+        raise LearningError(f"--only: found {', '.join(unknown)}; allowed: {', '.join(known)}")
+    wanted -= done
+    on_cpu, size = options.gpus == "cpu", study.of
+    threads = "2" if on_cpu else str(max(1, cores // 8))
+    # A job that counts as one of a GPU runs alone without one; labels use cores only.
+    found = []
+    for name, needs in known.items():
+        if name not in wanted:
+            continue
+        kind, *rest = name.split()
+        gpu, one = 1, (("OMP_NUM_THREADS", threads),)
+        if kind == "archive":
+            row = study.out / "rows" / f"{rest[0]}.yaml"
+            trajectory = read_sensor(row).trajectory
+            assert trajectory is not None
+            command = ["-m", "sim", "archive", "sensors", "--sensors", str(row), "--no-check"]
+            command += ["--scale", f"{size.targets / len(trajectory):.6f}", *size.options]
+            command += ["--tier", size.tier, "--out", str(archive_path(study.out, rest[0]))]
+            if on_cpu or size.tier == "layer":
+                gpu, one = 0, (("OMP_NUM_THREADS", "1"),)
+                command += ["--processes", str(max(1, cores // 2))]
+            if not on_cpu:
+                command += ["--device", "cuda:0"]
+        elif kind == "labels":
+            one = (("OMP_NUM_THREADS", "1"),)
+            command = ["-m", "sim", "labels", str(archive_path(study.out, rest[0]))]
+            command += ["--sensor", rest[0], "--twin", str(twin_path(study.out, rest[0]))]
+            command += ["--draws", str(size.draws), "--grid", str(size.grid)]
+            command += ["--processes", str(max(1, cores // len(study.sensors)))]
+        else:
+            command = ["-m", "benchmarks", "gauge-tables", "--job", name, "--out", str(study.out)]
+            command += ["--group", study.group, "--size", options.size]
+            command += ["--skins", str(study.skins), "--targets", str(size.targets)]
+            command += ["--minutes", str(study.minutes), "--processes", str(cores)]
+            command += ["--gpus", "cpu"] if on_cpu else []
+        needed = tuple(each for each in needs if each in wanted)
+        found.append(Task(name, (sys.executable, *command), needed, one, gpu))
+    return found

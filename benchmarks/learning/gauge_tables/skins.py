@@ -1,0 +1,211 @@
+"""Planted sensors of a group, which differ from their rows, and their twins."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.sim.twin.command import usual
+from benchmarks.sim.twin.planted import Bench, Forces, Truth, observed, random_skin, solved
+from recorder.store import replace_file
+from recorder.strict_yaml import yaml_text
+from sim.dataset.plan import Solving, further_settings
+from sim.errors import SceneError, SimulationDiverged
+from sim.fem import Fem
+from sim.sensors import CameraSignal, SimulatedSensor, sensor
+from sim.sensors.posterior import quantities, with_quantities
+from sim.sensors.sensor import read_sensor
+from sim.twin import fitted
+from sim.twin.plan import Presses
+from sim.twin.record import twin_yaml
+
+GROUPS = {
+    "heterogeneous": ("gelsight", "tacpalm", "uskin"),
+    "material": ("r6", "r10", "r18"),
+    "homogeneous": ("array-i", "circle-ii", "diamond-i"),
+}
+# The design whose skin all sensors of a group have; other groups have a skin for each sensor.
+ONE_SKIN = {"homogeneous": "array-i"}
+# Errors of mounting and seeing, those of segmentation as in rows of the homogeneous group.
+MOUNTED = {
+    "mount": {"shift_mm": 0.3, "turn_deg": 1.5, "height_um": 30.0},
+    "grip": {"tilt_deg": 1.0},
+}
+SEEN = {
+    "framing": {"shift_px": 4.0, "turn_deg": 0.5},
+    "drift": {"step_um": 6.0},
+    "segmentation": {
+        "jitter_px": 0.3,
+        "correlation_px": 4.0,
+        "missing": 0.002,
+        "rim_px": 12.0,
+        "rim_missing": 0.02,
+    },
+}
+# Sensors differ if a quantity of their skins does by this fraction, or their mounting by this [m].
+APART, MOUNTED_APART = 0.03, 10e-6
+# Indenters and number of the presses that identify a twin: each to two depths, sheared and held.
+GAUGE, GAUGE_PRESSES = ("sphere", "prism"), 4
+# First of the two depths over the deepest of the row: a thick pad is pressed less deep.
+PART, PARTS = 0.4, {"tacpalm": 0.24}
+# Seed of the draws of mounting in archives.
+ARCHIVE_SEED = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Planted:
+    """A planted sensor: its row, the design that it differs from, and the errors of its gauge."""
+
+    design: str
+    row: SimulatedSensor
+    bench: Bench
+
+
+def name_of(design: str) -> str:
+    """Return the name of the planted sensor of a design."""
+    return f"{design}-planted"
+
+
+def write_rows(folder: Path, group: str, designs: Sequence[str], seed: int) -> None:
+    """Write the rows of a group's planted sensors, and check that they differ.
+
+    Raises:
+        SceneError: Two sensors do not differ, or another seed wrote the rows that are there.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    for design in designs:
+        path, text = folder / f"{name_of(design)}.yaml", _row(group, design, seed)
+        if path.exists() and path.read_text(encoding="utf-8") != text:
+            raise SceneError(
+                f"{path}: differs from the row of --skins {seed}; allowed: the seed that it was "
+                "written with, or another --out"
+            )
+        replace_file(path, text.encode())
+    require_apart([planted(folder, group, design, seed).row for design in designs])
+
+
+def planted(folder: Path, group: str, design: str, seed: int) -> Planted:
+    """Return a planted sensor, as it was written."""
+    row = read_sensor(folder / f"{name_of(design)}.yaml")
+    _, bench = _drawn(group, design, seed)
+    assert row.variation.mount is not None
+    placed = row.variation.mount.drawn(ARCHIVE_SEED, row.name)
+    moved = (-placed.shift_x, -placed.shift_y)
+    return Planted(design, row, replace(bench, height=placed.height, place=moved))
+
+
+def require_apart(rows: Sequence[SimulatedSensor]) -> None:
+    """Check that no two sensors have the same skin and mounting.
+
+    Raises:
+        SceneError: Two do.
+    """
+    for one, other in combinations(rows, 2):
+        values, others = quantities(one), quantities(other)
+        skins = max(abs(values[name] / others[name] - 1) for name in values)
+        places = [
+            np.array([placed.shift_x, placed.shift_y, placed.height])
+            for each in (one, other)
+            if each.variation.mount is not None
+            for placed in (each.variation.mount.drawn(ARCHIVE_SEED, each.name),)
+        ]
+        mounts = float(np.ptp(places, axis=0).max()) if len(places) == 2 else 0.0
+        if skins < APART and mounts < MOUNTED_APART:
+            raise SceneError(
+                f"{one.name}, {other.name}: skins differ by {100 * skins:.1f} % and mounts by "
+                f"{1e6 * mounts:.0f} um; allowed: {100 * APART:.0f} % or more, or "
+                f"{1e6 * MOUNTED_APART:.0f} um or more"
+            )
+
+
+def _drawn(group: str, design: str, seed: int) -> tuple[Mapping[str, float], Bench]:
+    """Return the quantities of a sensor's skin, and the errors of its bench."""
+    skin = ONE_SKIN.get(group, design)
+    of_skin = [seed, [*GROUPS].index(group), [*GROUPS[group]].index(skin)]
+    drawn, _ = random_skin(np.random.default_rng(of_skin), skin)
+    own = [seed, [*GROUPS].index(group), GROUPS[group].index(design), 1]
+    _, bench = random_skin(np.random.default_rng(own), design)
+    return quantities(drawn), bench
+
+
+def _row(group: str, design: str, seed: int) -> str:
+    values, _ = _drawn(group, design, seed)
+    made = with_quantities(sensor(design), values)
+    viscosity = made.effects.viscosity
+    assert viscosity is not None
+    camera = isinstance(made.signal, CameraSignal)
+    content: dict[str, Any] = {
+        "extends": f"{design}.yaml",
+        "description": f"{design} with a skin and mounting of its own",
+        "body": {
+            "thickness_mm": _short(1e3 * values["thickness"]),
+            "modulus_kpa": _short(1e-3 * values["modulus"]),
+            "poisson": _short(values["poisson"]),
+        },
+        "effects": {
+            "friction": {"coefficient": _short(values["friction"])},
+            "viscosity": {
+                "ratios": [_short(ratio) for ratio in viscosity.ratios],
+                "times_s": [_short(time) for time in viscosity.times],
+                "relaxes": viscosity.relaxes,
+            },
+        },
+        "depth_max_mm": _short(1e3 * made.depth_max),
+        "variation": {**MOUNTED, **(SEEN if camera else {})},
+    }
+    return yaml_text(content)
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.5g}")
+
+
+def write_twin(
+    each: Planted, out: Path, *, truth: Truth, grid: int, device: str, processes: int
+) -> None:
+    """Press a planted sensor with a gauge, fit its twin from its design, and write both files.
+
+    The twin's row is at `out`; beside it, as JSON, its quantities, the true ones and its misfit.
+
+    Args:
+        each: The sensor.
+        out: Row to write.
+        truth: Tier of the true forces; by `fem` on meshes as in archives.
+        grid: Pixels of the fit; true forces by `layer` have twice as many.
+        device: Device of true forces.
+        processes: Processes of the fit.
+
+    Raises:
+        SimulationDiverged: A press has no solution.
+    """
+    tracks = []
+    for number, indenter in enumerate(GAUGE):
+        presses = usual(indenter, each.design, PARTS.get(each.design, PART))
+        forces = _solved(each, presses, truth=truth, grid=2 * grid, device=device)
+        tracks.append(observed(each.row, presses, each.bench, number, forces=forces))
+        print(f"{each.row.name}: pressed with {indenter}", flush=True)
+    fit = fitted(tracks, sensor(each.design), grid=grid, processes=processes)
+    told = {"true": quantities(each.row), "twin": quantities(fit.sensor), "misfit": fit.misfit}
+    out.parent.mkdir(parents=True, exist_ok=True)
+    replace_file(out.with_suffix(".json"), json.dumps(told, indent=1).encode())
+    text = twin_yaml(fit.sensor, f"{each.design}.yaml", GAUGE)
+    replace_file(out, text.encode())
+
+
+def _solved(each: Planted, presses: Presses, **how: Any) -> Forces:
+    """Return forces by the settings of archives, or those for what has no solution by them."""
+    first = Solving().settings(each.row.body)
+    assert isinstance(first, Fem)
+    *some, last = first, *(fem for _, fem in further_settings(first, each.row.body))
+    for fem in some:
+        try:
+            return solved(each.row, presses, each.bench, fem=fem, **how)
+        except SimulationDiverged as diverged:
+            print(f"{each.row.name}, {presses.indenter}: {diverged}", flush=True)
+    return solved(each.row, presses, each.bench, fem=last, **how)
