@@ -44,8 +44,6 @@ def test_planted_sensors_differ_in_skin_or_mounting(tmp_path: Path, group: str) 
         assert 0 < abs(each.bench.height) < 30e-6
     with pytest.raises(SceneError, match=r"skins differ by 0\.0 % and mounts by 0 um"):
         require_apart([found[0].row, found[0].row])
-    with pytest.raises(SceneError, match="allowed: the seed that it was written with"):
-        write_rows(tmp_path, group, GROUPS[group], 1)
 
 
 def cells(noise: float, method: str, *, privileged: bool = False) -> list[dict[str, Any]]:
@@ -111,6 +109,8 @@ def test_an_unknown_job_or_seed_is_refused(tmp_path: Path) -> None:
         run_module(command, *words, "--only", "nets")
     with pytest.raises(LearningError, match="--seeds: found a; allowed"):
         run_module(command, *words, "--seeds", "a")
+    with pytest.raises(SceneError, match=r"rows of .*allowed: those of"):
+        run_module(command, *words, "--skins", "1")
 
 
 def blinded(study: Study, target: str) -> None:

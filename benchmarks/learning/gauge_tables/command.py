@@ -56,10 +56,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run all jobs that are not done; return 0, or 1 if one failed."""
+    """Run all jobs that are not done; return 0, or 1 if one failed.
+
+    Raises:
+        LearningError: A seed or a job is unknown.
+        SceneError: The folder is of other settings, or two sensors do not differ.
+    """
     from benchmarks.learning.gauge_tables import jobs, page
     from benchmarks.learning.gauge_tables.skins import write_rows
     from benchmarks.learning.tables.on_gpus import Machine, _gpus, run_all
+    from benchmarks.sim.twin.command import stored
 
     if not all(seed.isdecimal() for seed in options.seeds):
         raise LearningError(f"--seeds: found {', '.join(options.seeds)}; allowed: numbers from 0")
@@ -69,6 +75,9 @@ def run(options: argparse.Namespace) -> int:
         jobs.run_job(study, options.job)
         return 0
     out = options.out
+    # Jobs of other sensors or sizes would pass for done.
+    told = {"group": options.group, "size": options.size, "skins": options.skins}
+    stored(out / "settings.jsonl", {**told, "targets": study.of.targets})
     write_rows(out / "rows", options.group, study.designs, options.skins)
     gpus = options.gpus.split(",") if options.gpus else _gpus()[0]
     done = out / "done"
@@ -122,7 +131,7 @@ def _study(options: argparse.Namespace, cores: int) -> Study:
 
 
 def _tasks(options: argparse.Namespace, study: Study, cores: int, done: set[str]) -> list[Task]:
-    from benchmarks.learning.gauge_tables.jobs import archive_path, names, twin_path
+    from benchmarks.learning.gauge_tables.jobs import archive_path, draws_path, names, twin_path
     from benchmarks.learning.tables.on_gpus import Task
     from sim.sensors.sensor import read_sensor
 
@@ -140,17 +149,26 @@ def _tasks(options: argparse.Namespace, study: Study, cores: int, done: set[str]
             continue
         kind, *rest = name.split()
         gpu, one = 1, (("OMP_NUM_THREADS", threads),)
-        if kind == "archive":
+        if kind in ("archive", "draws"):
             row = study.out / "rows" / f"{rest[0]}.yaml"
             trajectory = read_sensor(row).trajectory
             assert trajectory is not None
-            command = ["-m", "sim", "archive", "sensors", "--sensors", str(row), "--no-check"]
-            command += ["--scale", f"{size.targets / len(trajectory):.6f}", *size.options]
-            command += ["--tier", size.tier, "--out", str(archive_path(study.out, rest[0]))]
-            if on_cpu or size.tier == "layer":
+            command = ["-m", "sim", "archive", "sensors", "--no-check", "--steps", str(size.phase)]
+            command += ["--scale", f"{size.targets / len(trajectory):.6f}"]
+            shapes, tier = size.seen, "layer"
+            if kind == "draws":
+                twin = twin_path(study.out, f"{rest[0]}-draw")
+                command += ["--twin", str(twin), "--draws", str(size.draws)]
+                command += ["--out", str(draws_path(study.out, rest[0]))]
+            else:
+                shapes, tier = (*size.seen, *size.unseen), size.tier
+                command += ["--sensors", str(row), "--drawn", str(size.drawn)]
+                command += ["--out", str(archive_path(study.out, rest[0]))]
+            command += ["--indenters", ",".join(shapes), "--tier", tier]
+            if on_cpu or tier == "layer":
                 gpu, one = 0, (("OMP_NUM_THREADS", "1"),)
                 command += ["--processes", str(max(1, cores // 2))]
-            if not on_cpu:
+            else:
                 command += ["--device", "cuda:0"]
         elif kind == "labels":
             one = (("OMP_NUM_THREADS", "1"),)

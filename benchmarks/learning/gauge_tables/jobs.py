@@ -79,14 +79,20 @@ class Size:
     """Tier of true forces and frames."""
     targets: int
     """Targets under each indenter."""
-    options: tuple[str, ...]
-    """Options of `sim archive sensors`."""
+    phase: int
+    """Frames of a phase of a press."""
+    seen: tuple[str, ...]
+    """Indenters that are trained on."""
+    unseen: tuple[str, ...]
+    """Indenters of the 18 that are tested."""
+    drawn: int
+    """Drawn indenters, which are tested."""
     grid: int
     """Pixels of twins and their labels."""
     draws: int
-    """Sensors drawn from a twin, for the spread of its labels."""
+    """Sensors drawn from a twin: for the spread of its labels, and to train on."""
     steps: int
-    """Steps of a net from nothing; one that goes on has a third."""
+    """Steps of a net from nothing: `paper` has half of them, one that goes on a quarter."""
     nets: tuple[str, ...]
     """Nets that are trained on a sensor's own labels; the main one reads images."""
     chain: ChainSize
@@ -98,10 +104,13 @@ SIZES = {
         sensors=None,
         tier="fem",
         targets=8,
-        options=("--steps", "4", "--drawn", "6"),
+        phase=4,
+        seen=tuple(name for name in NAMES if name not in UNSEEN),
+        unseen=UNSEEN,
+        drawn=6,
         grid=48,
-        draws=3,
-        steps=900,
+        draws=4,
+        steps=800,
         nets=("tiny", "displacement", "paper"),
         chain=replace(CHAIN_SIZES["heterogeneous"], held_out=()),
     ),
@@ -109,13 +118,13 @@ SIZES = {
         sensors=2,
         tier="layer",
         targets=2,
-        options=(
-            *("--steps", "2", "--drawn", "2"),
-            *("--indenters", "sphere,prism,sphere_s"),
-        ),
+        phase=2,
+        seen=("sphere", "prism"),
+        unseen=("sphere_s",),
+        drawn=2,
         grid=24,
-        draws=2,
-        steps=30,
+        draws=1,
+        steps=16,
         nets=("tiny", "displacement"),
         chain=replace(CHAIN_SIZES["toy"], held_out=(), compensated=True),
     ),
@@ -190,6 +199,11 @@ def archive_path(out: Path, name: str) -> Path:
 def twin_path(out: Path, name: str) -> Path:
     """Return the path of a sensor's twin."""
     return out / "twins" / f"{name}.yaml"
+
+
+def draws_path(out: Path, name: str) -> Path:
+    """Return the path of the archive of sensors that are drawn from a sensor's twin."""
+    return out / "draws" / f"{name}.markers.zarr"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -295,7 +309,8 @@ def trained(
     found = read_settings(ForceSettings, PRESETS, preset, given)
     groups = [presses] if isinstance(presses, Presses) else presses
     count = sum(map(len, groups))
-    steps = study.of.steps if start_from is None else study.of.steps // 3
+    parts = {"paper": 2} if start_from is None else {preset: 4}
+    steps = study.of.steps // parts.get(preset, 1)
     epochs = max(1, round(steps / -(-count // found.sequences.batch)))
     stages = tuple(shortened(stage, epochs, count, found) for stage in found.stages[-1:])
     settings = replace(found, stages=stages)
@@ -456,6 +471,21 @@ def own(study: Study, sensor: str) -> Iterator[Prediction]:
         yield Prediction("own labels", preset, sensor, sensor, len(presses), True, force)
 
 
+def from_draws(study: Study, sensor: str) -> Iterator[Prediction]:
+    """Yield predictions of nets that are trained on sensors drawn from a twin alone."""
+    drawn = MarkerArchive(draws_path(study.out, sensor))
+    for preset in (MAIN, "displacement"):
+        groups = []
+        for each in drawn.values():
+            rows = np.flatnonzero(each.table["valid"] & (each.table["location"] >= 0))
+            how: dict[str, Any] = {"form": form_of(preset), "processes": study.processes}
+            groups.append(load_presses(each, rows, device=study.device, **how))
+        test = unseen_presses(study, sensor, form_of(preset))
+        force = trained(study, preset, groups).predict(test)
+        method = "draws of the twin, no other frame"
+        yield Prediction(method, preset, sensor, sensor, GAUGE_PRESSES, False, force)
+
+
 def names(study: Study, seeds: Sequence[int]) -> dict[str, tuple[str, ...]]:
     """Return the names of all jobs, the most urgent first, and those that each needs."""
     archives = tuple(f"archive {name}" for name in study.sensors)
@@ -464,15 +494,18 @@ def names(study: Study, seeds: Sequence[int]) -> dict[str, tuple[str, ...]]:
     jobs |= {f"twin {name}": () for name in study.sensors}
     jobs |= {f"labels {name}": (f"archive {name}", f"twin {name}") for name in study.sensors}
     jobs |= {f"field {seed}": archives for seed in seeds}
+    jobs |= {f"draws {name}": (f"twin {name}",) for name in study.sensors}
     jobs["baselines"] = labels
     for seed in seeds:
         jobs |= {f"own {name} {seed}": (*archives, f"labels {name}") for name in study.sensors}
         jobs |= {f"from {name} {seed}": (*labels, f"field {seed}") for name in study.sensors}
+        for name in study.sensors:
+            jobs[f"drawn {name} {seed}"] = (*archives, f"draws {name}")
     return jobs
 
 
 def run_job(study: Study, name: str) -> None:
-    """Run a job by its name; archives and labels are commands of the simulator."""
+    """Run a job by its name; archives, labels and draws are commands of `sim`."""
     kind, *rest = name.split()
     if kind == "twin":
         design = study.designs[study.sensors.index(rest[0])]
@@ -486,5 +519,6 @@ def run_job(study: Study, name: str) -> None:
         write_cells(study, name, [cell(study, found, partial=p) for found, p in baselines(study)])
     else:
         of_seed = replace(study, seed=int(rest[1]))
-        found = (own if kind == "own" else from_source)(of_seed, rest[0])
+        kinds = {"own": own, "from": from_source, "drawn": from_draws}
+        found = kinds[kind](of_seed, rest[0])
         write_cells(of_seed, name, [cell(of_seed, each) for each in found])

@@ -76,17 +76,12 @@ def write_rows(folder: Path, group: str, designs: Sequence[str], seed: int) -> N
     """Write the rows of a group's planted sensors, and check that they differ.
 
     Raises:
-        SceneError: Two sensors do not differ, or another seed wrote the rows that are there.
+        SceneError: Two sensors do not differ.
     """
     folder.mkdir(parents=True, exist_ok=True)
     for design in designs:
-        path, text = folder / f"{name_of(design)}.yaml", _row(group, design, seed)
-        if path.exists() and path.read_text(encoding="utf-8") != text:
-            raise SceneError(
-                f"{path}: differs from the row of --skins {seed}; allowed: the seed that it was "
-                "written with, or another --out"
-            )
-        replace_file(path, text.encode())
+        text = _row(group, design, seed)
+        replace_file(folder / f"{name_of(design)}.yaml", text.encode())
     require_apart([planted(folder, group, design, seed).row for design in designs])
 
 
@@ -139,7 +134,6 @@ def _row(group: str, design: str, seed: int) -> str:
     made = with_quantities(sensor(design), values)
     viscosity = made.effects.viscosity
     assert viscosity is not None
-    camera = isinstance(made.signal, CameraSignal)
     content: dict[str, Any] = {
         "extends": f"{design}.yaml",
         "description": f"{design} with a skin and mounting of its own",
@@ -157,9 +151,14 @@ def _row(group: str, design: str, seed: int) -> str:
             },
         },
         "depth_max_mm": _short(1e3 * made.depth_max),
-        "variation": {**MOUNTED, **(SEEN if camera else {})},
+        "variation": _variation(made),
     }
     return yaml_text(content)
+
+
+def _variation(each: SimulatedSensor) -> Mapping[str, Any]:
+    """Return the errors that a sensor may have."""
+    return {**MOUNTED, **(SEEN if isinstance(each.signal, CameraSignal) else {})}
 
 
 def _short(value: float) -> float:
@@ -171,7 +170,8 @@ def write_twin(
 ) -> None:
     """Press a planted sensor with a gauge, fit its twin from its design, and write both files.
 
-    The twin's row is at `out`; beside it, as JSON, its quantities, the true ones and its misfit.
+    The twin's row is at `out`. Beside it are its quantities, the true ones and its misfit, as JSON,
+    and a row with errors of mounting and seeing, to draw sensors from.
 
     Args:
         each: The sensor.
@@ -196,6 +196,8 @@ def write_twin(
     replace_file(out.with_suffix(".json"), json.dumps(told, indent=1).encode())
     text = twin_yaml(fit.sensor, f"{each.design}.yaml", GAUGE)
     replace_file(out, text.encode())
+    words = {"extends": out.name, "variation": _variation(fit.sensor)}
+    replace_file(out.with_stem(f"{out.stem}-draw"), yaml_text(words).encode())
 
 
 def _solved(each: Planted, presses: Presses, **how: Any) -> Forces:
