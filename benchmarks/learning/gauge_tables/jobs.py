@@ -345,11 +345,6 @@ def baselines(study: Study) -> Iterator[tuple[Prediction, bool]]:
             one.table["depth"][valid].astype(np.float64),
             one.table["phase"][valid].astype(np.int64),
         )
-        if (same := _r2(other.table["wrench"][rows, :3], wrench, partner)) > SAME:
-            raise LearningError(
-                f"{source}, {target}: labels of either are those of the other (R2 {same:.5f}); "
-                "allowed: sensors that differ"
-            )
         for word, spent, labels in (
             ("source's", 0, wrench),
             ("priors", 1, priors),
@@ -379,9 +374,23 @@ def partners(source: Any, target: Any) -> NDArray[np.int64]:
     return found
 
 
-def _r2(true: Any, labels: Floats, partner: NDArray[np.int64]) -> float:
-    known = partner >= 0
-    return float(r_squared(true[known].astype(np.float64), labels[partner[known]]).mean())
+def require_unlike(study: Study) -> None:
+    """Check that no two sensors have the same forces.
+
+    Raises:
+        LearningError: Two have.
+    """
+    for source, target in permutations(study.archive, 2):
+        one, other = study.archive[source].table, study.archive[target].table
+        partner = partners(one, other)
+        rows = np.flatnonzero(partner >= 0)
+        forces = (other["wrench"][rows, :3], one["wrench"][partner[rows], :3])
+        same = float(r_squared(*(each.astype(np.float64) for each in forces)).mean())
+        if same > SAME:
+            raise LearningError(
+                f"{source}, {target}: labels of either are those of the other (R2 {same:.5f}); "
+                "allowed: sensors that differ"
+            )
 
 
 def from_source(study: Study, source: str) -> Iterator[Prediction]:
@@ -516,6 +525,7 @@ def run_job(study: Study, name: str) -> None:
     elif kind == "field":
         field_translator(replace(study, seed=int(rest[0])))
     elif kind == "baselines":
+        require_unlike(study)
         write_cells(study, name, [cell(study, found, partial=p) for found, p in baselines(study)])
     else:
         of_seed = replace(study, seed=int(rest[1]))
