@@ -214,7 +214,7 @@ def _draw_nets(forces: Sequence[Row], latency: Sequence[Row], path: Path) -> Non
 
 
 def _draw_patterns(rows: Sequence[Row], path: Path) -> None:
-    names = list(dict.fromkeys(row["source"] for row in rows))
+    names = list(dict.fromkeys(row[end] for row in rows for end in ("source", "target")))
     with chart(path, 9, 3.6) as figure:
         every = figure.subplots(1, 2)
         for axes, when in zip(every, ("before", "after"), strict=True):
