@@ -40,6 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--seeds", type=listed, default=("0", "1", "2"), metavar="N,...", help="(0,1,2)")
     add("--skins", type=whole(0), default=0, metavar="N", help="seed of the sensors (%(default)s)")
     add("--targets", type=whole(2, 48), metavar="N", help="targets of an indenter (8; toy: 2)")
+    add("--steps", type=whole(4), metavar="N", help="of a net from nothing (1000; toy: 16)")
     add(
         "--minutes",
         type=positive,
@@ -77,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
     out = options.out
     # Jobs of other sensors or sizes would pass for done.
     told = {"group": options.group, "size": options.size, "skins": options.skins}
-    stored(out / "settings.jsonl", {**told, "targets": study.of.targets})
+    stored(out / "settings.jsonl", {**told, "targets": study.of.targets, "steps": study.of.steps})
     write_rows(out / "rows", options.group, study.designs, options.skins)
     gpus = options.gpus.split(",") if options.gpus else _gpus()[0]
     done = out / "done"
@@ -125,7 +126,11 @@ def _study(options: argparse.Namespace, cores: int) -> Study:
         options.minutes,
         device,
         max(1, min(8, cores // 4)),
-        of=replace(size, targets=options.targets or size.targets),
+        of=replace(
+            size,
+            targets=options.targets or size.targets,
+            steps=options.steps or size.steps,
+        ),
         **given,
     )
 
@@ -180,6 +185,7 @@ def _tasks(options: argparse.Namespace, study: Study, cores: int, done: set[str]
             command = ["-m", "benchmarks", "gauge-tables", "--job", name, "--out", str(study.out)]
             command += ["--group", study.group, "--size", options.size]
             command += ["--skins", str(study.skins), "--targets", str(size.targets)]
+            command += ["--steps", str(size.steps)]
             command += ["--minutes", str(study.minutes), "--processes", str(cores)]
             command += ["--gpus", "cpu"] if on_cpu else []
         needed = tuple(each for each in needs if each in wanted)

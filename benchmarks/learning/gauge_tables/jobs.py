@@ -110,7 +110,7 @@ SIZES = {
         drawn=6,
         grid=48,
         draws=4,
-        steps=800,
+        steps=1000,
         nets=("tiny", "displacement", "paper"),
         chain=replace(CHAIN_SIZES["heterogeneous"], held_out=()),
     ),
