@@ -32,7 +32,9 @@ def ready_device(name: str) -> Path | None:
 def check_device(name: str) -> None:
     """Reject a device that this machine does not have; silence Warp's messages below warnings.
 
-    A program that sets `wp.config.log_level` to another level than the default keeps it.
+    A program that sets `wp.config.log_level` to another level than the default keeps it. A device
+    on the null stream, where no graph can be recorded, gets a stream: Warp reads arrays on the null
+    stream, and an interrupt at that moment leaves the device there.
 
     Raises:
         SceneError: Names the devices that it has.
@@ -42,10 +44,12 @@ def check_device(name: str) -> None:
     if wp.config.log_level == wp.LOG_INFO:
         wp.config.log_level = wp.LOG_WARNING
     try:
-        wp.get_device(name)
+        device = wp.get_device(name)
     except (ValueError, RuntimeError) as error:
         allowed = ", ".join(str(each) for each in wp.get_devices())
         raise SceneError(f"device: {name!r}; allowed here: {allowed}") from error
+    if device.is_cuda and not device.stream.cuda_stream:
+        device.set_stream(wp.Stream(device))
 
 
 @contextlib.contextmanager

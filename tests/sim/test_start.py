@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 import warp as wp
@@ -29,3 +30,17 @@ def test_a_program_that_simulates_gets_no_messages_below_warnings_unless_it_asks
     monkeypatch.setattr(wp.config, "log_level", wp.LOG_DEBUG)
     check_device("cpu")
     assert wp.config.log_level == wp.LOG_DEBUG
+
+
+@pytest.mark.parametrize(("handle", "streams"), [(None, 1), (7, 0)])
+def test_a_device_left_on_the_null_stream_gets_a_stream_of_its_own(
+    monkeypatch: pytest.MonkeyPatch, handle: int | None, streams: int
+) -> None:
+    given: list[object] = []
+    device = SimpleNamespace(
+        is_cuda=True, stream=SimpleNamespace(cuda_stream=handle), set_stream=given.append
+    )
+    monkeypatch.setattr(wp, "get_device", lambda name: device)
+    monkeypatch.setattr(wp, "Stream", lambda of: of)
+    check_device("cuda:0")
+    assert given == [device] * streams

@@ -61,7 +61,7 @@ class Way:
 def ways() -> list[Way]:
     """Return `layer`, coarse meshes of `fem` with matching tolerances, and the default."""
     found = [Way("layer", Layer())]
-    for spacing in (1.33, 1.1, 1.0, 0.8):
+    for spacing in (1.33, 1.0, 0.8):
         quick = Fem(
             spacing=spacing * MM,
             tolerance=TOLERANCE,
