@@ -170,19 +170,21 @@ def _of_patterns(rows: Sequence[Row]) -> list[list[str]]:
 
 
 def _draw_forces(rows: Sequence[Row], size: Size, path: Path) -> None:
-    nets = ("-", "displacement", size.net)
+    nets = size.nets if size.memory else ("-", "displacement", size.net)
+    methods = [name for name in METHODS if any(row["method"] == name for row in rows)]
     with chart(path, 8, 3.4) as figure:
         axes = figure.subplots()
-        for place, method in enumerate(METHODS):
+        for place, method in enumerate(methods):
             own = [row for row in rows if row["method"] == method and row["net"] in nets]
-            if method == "own labels":
+            if method == "own labels" and not size.memory:
                 own = [row for row in own if row["net"] == size.net]
+            apart = min(0.1, 0.8 / max(1, len(own)))
             for shift, row in enumerate(own):
-                at = place + 0.1 * (shift - (len(own) - 1) / 2)
+                at = place + apart * (shift - (len(own) - 1) / 2)
                 low, r2, high = (max(-1.5, float(row[f"r2{end}"])) for end in ("_low", "", "_high"))
                 axes.plot([at, at], [low, high], color=f"C{place}", linewidth=1)
                 axes.plot(at, r2, "o", color=f"C{place}", markersize=4)
-        axes.set_xticks(range(len(METHODS)), METHODS)
+        axes.set_xticks(range(len(methods)), methods)
         axes.axhline(0, color="0.7", linewidth=0.8)
         axes.set_ylabel("R2 on unseen indenters, by pair")
 
