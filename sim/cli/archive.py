@@ -382,7 +382,7 @@ def _chosen_sensors(options: argparse.Namespace) -> tuple[SimulatedSensor, ...]:
     if options.twin is not None:
         if options.group is not None or options.sensors is not None:
             raise SceneError("--twin: found beside --group or --sensors; allowed: one of them")
-        return _drawn_sensors(options.twin, options.draws, options.seed)
+        return _drawn_sensors(options.twin, options.draws, options.seed, options.tier)
     if (options.group is None) == (options.sensors is None):
         raise SceneError(
             f"--group: {options.group!r}, --sensors: {options.sensors!r}; allowed: one of both"
@@ -393,7 +393,9 @@ def _chosen_sensors(options: argparse.Namespace) -> tuple[SimulatedSensor, ...]:
     return tuple(map(sensor_of, options.sensors))
 
 
-def _drawn_sensors(path: Path, draws: int, seed: int) -> tuple[SimulatedSensor, ...]:
+def _drawn_sensors(
+    path: Path, draws: int, seed: int, tier: str | None
+) -> tuple[SimulatedSensor, ...]:
     """Return sensors drawn from the uncertainty of a twin, named after it and numbered."""
     import numpy as np
 
@@ -403,6 +405,10 @@ def _drawn_sensors(path: Path, draws: int, seed: int) -> tuple[SimulatedSensor, 
     if twin.posterior is None:
         raise SceneError(
             f"--twin: {path} has no posterior; allowed: a file that `tactile twin fit` wrote"
+        )
+    if tier == "layer" != twin.posterior.tier:
+        raise SceneError(
+            f"--tier: {tier}; {path} was identified by tier {twin.posterior.tier}; allowed: that"
         )
     random = np.random.default_rng(seed)
     return tuple(

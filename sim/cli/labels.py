@@ -13,10 +13,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.description = (
         "Simulates every press of a sensor of an archive with the sensor's twin (tactile twin "
-        "fit), by tier layer: place, depth, direction and time are those of the archive, labels "
-        "are not read. Adds the forces, and their spread over sensors drawn from the twin's "
-        "uncertainty, to the archive. Done for two sensors, the method `simulated` of "
-        "`tactile experiment` labels the frames of one for the other by them."
+        "fit), by the tier that it was fitted by: place, depth, direction and time are those of "
+        "the archive, labels are not read. Adds the forces, and their spread over sensors drawn "
+        "from the twin's uncertainty, to the archive. Done for two sensors, the method "
+        "`simulated` of `tactile experiment` labels the frames of one for the other by them."
     )
     add = parser.add_argument
     add("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr, complete")
@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
     from recorder.progress import Progress
     from sim.errors import SceneError
     from sim.sensors import sensor_of
-    from sim.twin.labels import DEEP, made_from, simulated_forces
+    from sim.twin.labels import DEEP, made_from, simulated_forces, tier_of
 
     twin = sensor_of(options.twin)
     told = made_from(twin, options.draws, options.seed, options.grid)
@@ -79,7 +79,7 @@ def run(options: argparse.Namespace) -> int:
     except SessionError as error:
         raise SceneError(str(error)) from error
     deepest = float(archived.table["depth"].max(initial=0.0)) / twin.body.thickness
-    if deepest > DEEP:
+    if deepest > DEEP and tier_of(twin) == "layer":
         print(
             f"note: presses reach {100 * deepest:.0f} % of the thickness; from {100 * DEEP:.0f} % "
             "on, forces of tier layer are off by 5 % and more",

@@ -71,6 +71,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="PERCENT",
         help="largest difference of markers at rest, over how far they moved (%(default)g)",
     )
+    add(
+        "--tier",
+        choices=("layer", "fem"),
+        default="layer",
+        help="law of the forces: layer: small strain; fem: corrected for large strain, in "
+        "minutes; from a depth of a sixth of the thickness on it matters (%(default)s)",
+    )
     add_grid(parser, GRID)
     add("--processes", type=whole(1), default=2, metavar="N", help="processes (%(default)s)")
 
@@ -111,6 +118,7 @@ def run(options: argparse.Namespace) -> int:
             tracks,
             design,
             grid=grid,
+            tier=options.tier,
             processes=options.processes,
             progress=lambda done: progress(part * done),
         )

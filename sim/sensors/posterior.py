@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +49,10 @@ class Posterior:
     """Standard deviation of each."""
     correlations: tuple[tuple[float, ...], ...]
     """Matrix of correlations, -1 to 1, with ones on its diagonal."""
+    tier: Literal["layer", "fem"] = field(
+        default="layer", repr=False, metadata={"stored": "unless default"}
+    )
+    """Tier whose forces the quantities explain: by the other they give other forces."""
 
     def __post_init__(self) -> None:
         unknown = [name for name in self.names if name not in CAMERA and not _NAMES.fullmatch(name)]
@@ -72,13 +76,18 @@ class Posterior:
             raise SceneError("posterior.correlations: allowed: a symmetric matrix, -1 to 1")
 
     @classmethod
-    def of(cls, names: Sequence[str], covariance: NDArray[np.float64]) -> Posterior:
+    def of(
+        cls,
+        names: Sequence[str],
+        covariance: NDArray[np.float64],
+        tier: Literal["layer", "fem"] = "layer",
+    ) -> Posterior:
         """Return the distribution with a covariance (p, p)."""
         spread = np.sqrt(np.diag(covariance))
         matrix = np.clip(covariance / np.outer(spread, spread), -1.0, 1.0)
         np.fill_diagonal(matrix, 1.0)
         correlations = tuple(map(tuple, matrix.tolist()))
-        return cls(tuple(names), tuple(spread.tolist()), correlations)
+        return cls(tuple(names), tuple(spread.tolist()), correlations, tier)
 
     def draw(self, centre: SimulatedSensor, random: np.random.Generator) -> SimulatedSensor:
         """Return a sensor drawn about `centre`, which itself keeps no posterior."""

@@ -25,7 +25,7 @@ from sim.markers.pattern import Shape
 from sim.scene import Body
 from sim.sensors import CameraSignal, Posterior, SimulatedSensor, SurfaceField, readout
 from sim.sensors.posterior import CAMERA, camera_quantities, interval_of
-from sim.twin.fit import COARSER, UNTOLD, Fit, Z, moved_by, way_of
+from sim.twin.fit import COARSER, UNTOLD, Fit, Z, fem_of, moved_by, way_of
 from sim.twin.markers import Masks, Sight
 from sim.twin.model import STEPS, Model
 from sim.twin.observations import Track
@@ -102,12 +102,15 @@ class HeldOut:
 def foretold(
     fit: Fit, view: View | None, tracks: Sequence[Track], sights: Sequence[Sight], grid: int
 ) -> HeldOut:
-    """Return what a twin says of tracks, and of sights of them if it has a view.
+    """Return what a twin says of tracks, by its tier, and of sights of them if it has a view.
 
     Raises:
         SimulationDiverged: No contact was found.
     """
-    readings = Model(fit.design, tracks, grid=grid).readings(fit.values)
+    model = Model(fit.design, tracks, grid=grid)
+    if fit.tier == "fem":
+        model.correct(fit.values, model.by_fem(fit.values, fem_of(fit.design)))
+    readings = model.readings(fit.values)
     places: tuple[Array, ...] = ()
     if view is not None and sights:
         places = Scenery.of(fit, sights, grid).seen_by(view.signal.camera())
@@ -237,7 +240,7 @@ def viewed(
     skin = [fit.names.index(each) for each in sensor.posterior.names]
     both = fit.covariance[np.ix_(skin, rows)] @ gain.T
     matrix = np.block([[fit.covariance[np.ix_(skin, skin)], both], [both.T, covariance]])
-    posterior = Posterior.of((*sensor.posterior.names, *CAMERA), matrix)
+    posterior = Posterior.of((*sensor.posterior.names, *CAMERA), matrix, fit.tier)
     return View(
         sensor=replace(sensor, posterior=posterior),
         covariance=covariance,

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from recorder.processes import Workers
 from sim.effects import Friction, Viscosity
 from sim.errors import SceneError
+from sim.fem import FOR_EDGES, Fem
 from sim.indenters import Indenter
 from sim.sensors import SimulatedSensor
 from sim.sensors.posterior import (
@@ -28,6 +30,7 @@ from sim.twin.model import STEPS, Linear, Model, Solved
 from sim.twin.observations import SETTLING, Track
 
 Array = NDArray[np.float64]
+FitTier = Literal["layer", "fem"]
 
 # Prior spreads: of logarithms, but of Poisson's ratio and of quantities in SI as they are. A skin's
 # thickness is measured, or known from its mould, better than its modulus.
@@ -56,6 +59,8 @@ Z = 1.645
 TIMING, LAW = (5e-4, 60e-3), 4e-3
 # Relative error that all normal forces of a press have in common, and all its shear forces.
 COMMON = 0.01
+# The same where tier `fem` corrects them on a coarse mesh.
+COMMON_FEM = 0.02
 # Grid beside the fit's, over its pixels: their forces differ by about the error of the fit's.
 COARSER = 0.7
 # Longest step of a logarithm in a round, and the longest after which derivatives are corrected
@@ -67,6 +72,12 @@ DAMPED, DAMPED_LITTLE = 100.0, 0.5
 LITTLE = 0.1
 # Cost above the least, from which an explanation counts no more (its odds are 1 in 90).
 TOLD = 9.0
+# Tier `fem`, where it corrects the forces of tier `layer`: elements over the thickness, the highest
+# [m], and tolerances. It does so first at an explanation by `layer`, then at one by forces that are
+# corrected there.
+CELLS, HIGHEST = 4, 1.2e-3
+FEM = Fem(grading=FOR_EDGES, augmentations=1, tolerance=1e-3, path_tolerance=1e-2)
+CORRECTIONS = 2
 # Spread over the prior's above which presses have told nothing.
 UNTOLD = 0.7
 
@@ -96,6 +107,8 @@ class Fit:
     misfit: float
     """RMS difference of forces at rest over their RMS."""
     rounds: int
+    tier: FitTier = "layer"
+    """`fem` if its forces corrected those of tier `layer`."""
 
     @property
     def spreads(self) -> dict[str, float]:
@@ -114,8 +127,8 @@ class Fit:
         known = quantities(self.design)
         rows = [index for index, name in enumerate(self.names) if name in known]
         twin = with_quantities(self.design, {name: self.values[name] for name in known})
-        names = [self.names[row] for row in rows]
-        return replace(twin, posterior=Posterior.of(names, self.covariance[np.ix_(rows, rows)]))
+        names, covariance = [self.names[row] for row in rows], self.covariance[np.ix_(rows, rows)]
+        return replace(twin, posterior=Posterior.of(names, covariance, self.tier))
 
     def distance(self, name: str, value: float) -> float:
         """Return the distance from a value to that of a quantity, in its standard deviations."""
@@ -137,6 +150,8 @@ def fitted(
     *,
     grid: int = 96,
     indenters: Mapping[str, Indenter] | None = None,
+    tier: FitTier = "layer",
+    device: str = "cpu",
     processes: int = 1,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Fit:
@@ -147,12 +162,15 @@ def fitted(
         design: Row from which the fit begins; its body gives the prior's centre.
         grid: Pixels along the body's longer side.
         indenters: Indenters by name, in place of those of `sim.indenters`.
+        tier: `layer` takes strains as small; `fem` corrects its forces, in minutes.
+        device: Device of tier `fem`.
         processes: Number of processes that solve; the result is the same.
         progress: Called with the fraction done.
 
     Raises:
         SceneError: There is no track, or a tip goes deeper than the skin is thick.
-        SimulationDiverged: The contact of a candidate did not converge.
+        SimulationDiverged: The contact of a candidate did not converge, or there is no solution by
+            tier `fem`.
     """
     design = with_effects(design)
     deepest = max((-track.tip[:, 2].min() for track in tracks), default=0.0)
@@ -172,7 +190,9 @@ def fitted(
             Model(design, tracks, grid=pixels, indenters=indenters, workers=workers)
             for pixels in (grid, round(COARSER * grid))
         )
-        return _found(design, tracks, model, rougher, progress)
+        fem = fem_of(design)
+        finite = functools.partial(model.by_fem, fem=fem, device=device) if tier == "fem" else None
+        return _found(design, tracks, model, rougher, finite, progress)
 
 
 def _found(
@@ -180,9 +200,20 @@ def _found(
     tracks: Sequence[Track],
     model: Model,
     rougher: Model,
+    finite: Callable[[Mapping[str, float]], list[Array]] | None,
     progress: Callable[[float], None],
 ) -> Fit:
-    """Return the fit by a model, whose error is its distance from a rougher one."""
+    """Return the fit by a model, whose error is its distance from a rougher one.
+
+    Args:
+        design: Sensor from which it begins.
+        tracks: The tracks.
+        model: Forces of tier `layer`.
+        rougher: The same with fewer pixels.
+        finite: Forces at finite strain, by which those of both are corrected; None: by none.
+        progress: Called with the fraction done.
+    """
+    part = 1.0 if finite is None else 0.4
     names = (*quantities(design), *BENCH)
     centre = {**quantities(design), **dict.fromkeys(BENCH, 0.0)}
 
@@ -194,19 +225,32 @@ def _found(
     values: Mapping[str, float] = {**centre, "modulus": stiffer * centre["modulus"]}
     plain = tuple(name for name in names if name not in TILT)
     data = seen_at(values)
-    level = _descended(data, model, plain, values, centre, lambda part: progress(0.3 * part))
+    level = _descended(data, model, plain, values, centre, _share(progress, 0.0, 0.3 * part))
     # A level pad is one explanation, a tilted one another, with a skin that may be quite different:
     # a descent from the one need not find the other.
     values, near, rounds = _tilted(data, model, level), None, level.rounds
     for begun in (0.3, 0.6):
         # The grid's error depends on the tilt.
         data = seen_at(values)
-        further = functools.partial(_further, progress, begun)
+        further = _share(progress, part * begun, 0.3 * part)
         tilted = _descended(data, model, names, values, centre, further, near)
         values, near, rounds = tilted.values, tilted.near, rounds + tilted.rounds
     timing, law, sigma = _weights(tracks, tilted.near)
-    ends = (level.values, tilted.values)
+    ends = [level.values, tilted.values]
     found = _explanations(data, model, names, ends, centre, sigma)
+    for done in range(CORRECTIONS if finite is not None else 0):
+        assert finite is not None
+        progress(part + 0.3 * done)
+        forces = finite(found[0].values)
+        for each in (model, rougher):
+            each.correct(found[0].values, forces)
+        data = replace(seen_at(found[0].values), common=COMMON_FEM)
+        share = _share(progress, part + 0.3 * done + 0.1, 0.2 / len(found))
+        again = [_descended(data, model, names, each.values, centre, share) for each in found]
+        rounds += sum(each.rounds for each in again)
+        timing, law, sigma = _weights(tracks, again[0].near)
+        ends = [each.values for each in again]
+        found = _explanations(data, model, names, ends, centre, sigma)
     best = found[0]
     progress(1.0)
     return Fit(
@@ -222,11 +266,17 @@ def _found(
         law=law,
         misfit=misfit(tracks, best.near.readings),
         rounds=rounds,
+        tier="layer" if finite is None else "fem",
     )
 
 
-def _further(progress: Callable[[float], None], begun: float, part: float) -> None:
-    progress(begun + 0.3 * part)
+def fem_of(design: SimulatedSensor) -> Fem:
+    """Return tier `fem` as it corrects forces on a sensor, a minute for six presses of a core."""
+    return replace(FEM, spacing=min(design.body.thickness / CELLS, HIGHEST))
+
+
+def _share(progress: Callable[[float], None], begun: float, part: float) -> Callable[[float], None]:
+    return lambda fraction: progress(begun + part * fraction)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -236,6 +286,8 @@ class Data:
     tracks: Sequence[Track]
     grid_errors: Sequence[Array]
     """Of each track (n, 3) [N]."""
+    common: float = COMMON
+    """Relative error that the forces of a press have in common."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -518,7 +570,7 @@ def _stacked(
     ):
         used = track.contact & track.rest
         episode = _episodes(track.rest)[used]
-        common = _common(track.force[used], track.target[used], episode, off[used])
+        common = _common(track.force[used], track.target[used], episode, off[used], data.common)
         common /= each[used, None, None]
         rows = [(track.force - read)[used, :, None]]
         if slopes:
@@ -534,7 +586,9 @@ def _flat(points: Array) -> Array:
     return points.reshape(-1, points.shape[-1])
 
 
-def _common(force: Array, target: NDArray[np.int64], rest: NDArray[np.int64], off: Array) -> Array:
+def _common(
+    force: Array, target: NDArray[np.int64], rest: NDArray[np.int64], off: Array, law: float
+) -> Array:
     """Return the errors that points have in common (m, 3, k) [N], each of one standard deviation.
 
     Args:
@@ -542,6 +596,7 @@ def _common(force: Array, target: NDArray[np.int64], rest: NDArray[np.int64], of
         target: Press of each point (m,).
         rest: Number of each point's rest (m,).
         off: Error of the grid (m, 3) [N].
+        law: Relative error of the law.
     """
     found = []
     for press in np.unique(target):
@@ -553,7 +608,7 @@ def _common(force: Array, target: NDArray[np.int64], rest: NDArray[np.int64], of
             apart = [_part(force, off, of_press & (rest == one), axes) - of_all for one in rests]
             changing = math.sqrt(np.mean(np.square(apart)))
             for rows, size in (
-                (of_press, math.hypot(COMMON, of_all)),
+                (of_press, math.hypot(law, of_all)),
                 *((of_press & (rest == one), changing) for one in rests if len(rests) > 1),
             ):
                 error = np.zeros_like(force)

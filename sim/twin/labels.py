@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,8 @@ from sim.errors import SceneError
 from sim.indenters import indenter_of, is_indenter
 from sim.sensors import SimulatedSensor
 from sim.stream import LivePress
+from sim.twin.fit import fem_of
+from sim.twin.model import Correction, by_fem
 
 Array = NDArray[np.float64]
 
@@ -56,9 +59,34 @@ def archived_presses(sensor: ArchivedSensor, indenters: Sequence[str]) -> Iterat
         yield ArchivedPress(name, part, tip, 1e-9 * (table["t_ns"][part] - table["t_ns"][part[0]]))
 
 
-def forces(
-    sensors: Sequence[SimulatedSensor], press: ArchivedPress, grid: int
-) -> NDArray[np.float64]:
+def forces(sensors: Sequence[SimulatedSensor], press: ArchivedPress, grid: int) -> Array:
+    """Return the force on each sensor at each frame of a press (k, n, 3) [N].
+
+    By tier `layer`; those of a twin that was identified by tier `fem` are of `fem`, and those of
+    the sensors drawn from it are corrected as its own.
+
+    Raises:
+        SceneError: The tier does not support a sensor.
+        SimulationDiverged: There is no solution.
+    """
+    found = by_layer(sensors, press, grid)
+    twin = sensors[0]
+    if tier_of(twin) == "layer":
+        return found
+    start = np.array([[*press.tip[0, :2], ABOVE]])
+    first = (ABOVE - press.tip[0, 2]) / twin.speed
+    tip, time = np.concatenate([start, press.tip]), np.r_[0.0, press.time + first]
+    true = by_fem(twin, indenter_of(press.indenter), tip, time, fem_of(twin))[1:]
+    known = Correction.of(true, found[0], twin.body.modulus)
+    return np.stack(
+        [
+            known.applied(force, sensor.body.modulus)
+            for sensor, force in zip(sensors, found, strict=True)
+        ]
+    )
+
+
+def by_layer(sensors: Sequence[SimulatedSensor], press: ArchivedPress, grid: int) -> Array:
     """Return the force on each sensor at each frame of a press (k, n, 3) [N], by tier `layer`.
 
     Raises:
@@ -140,4 +168,10 @@ def simulated_forces(
 def made_from(twin: SimulatedSensor, draws: int, seed: int, grid: int) -> str:
     """Return a line that tells forces of one twin and its settings from those of others."""
     known = hashlib.sha256(repr(twin).encode()).hexdigest()[:16]
-    return f"twin {twin.name} {known}, draws {draws}, seed {seed}, grid {grid}"
+    told = f"twin {twin.name} {known}, draws {draws}, seed {seed}, grid {grid}"
+    return told if tier_of(twin) == "layer" else f"{told}, tier {tier_of(twin)}"
+
+
+def tier_of(twin: SimulatedSensor) -> Literal["layer", "fem"]:
+    """Return the tier whose forces a twin's quantities explain."""
+    return "layer" if twin.posterior is None else twin.posterior.tier

@@ -1,4 +1,9 @@
-"""Forces of a candidate sensor along tracks, by tier `layer`, and their derivatives."""
+"""Forces of a candidate sensor along tracks, and their derivatives.
+
+They are those of tier `layer`, as they are or corrected by tier `fem`: by the ratio of both for one
+candidate (space mapping; Bandler et al., IEEE Trans. Microw. Theory Tech. 42 (1994) 2536, of the
+output).
+"""
 
 from __future__ import annotations
 
@@ -10,9 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.processes import Workers
+from sim.fem import Fem
 from sim.indenters import Indenter, named
+from sim.scene import Motion
 from sim.sensors import SimulatedSensor, SurfaceField
 from sim.sensors.posterior import is_log, quantities, with_quantities
+from sim.simulate import simulate
 from sim.stream import LivePress
 from sim.twin.observations import Track
 
@@ -31,6 +39,10 @@ STEPS = {
 }
 # Forces have a kink where nothing leans: an edge is lowest whichever way a flat face leans.
 ONE_SIDED = ("tilt_x", "tilt_y")
+# Steps of tier `fem` over the skin's thickness.
+STEPS_OF_THICKNESS = 20
+# Force over the largest of a track from which ratios of forces are known.
+KNOWN = 0.05
 # Step of the logarithm of a relaxation time.
 STEP_TIME = 0.05
 
@@ -73,14 +85,20 @@ class Candidate:
     grid: int
     tolerance: float
 
-    def pressed(self) -> Iterator[LivePress]:
-        """Yield the press at each point of the track; it is the same object each time."""
+    def seen(self) -> tuple[Indenter, Array]:
+        """Return the indenter and its tips (n, 3) [m] as the candidate's pad sees them."""
         values, track = self.values, self.track
         tilt = values.get("tilt_x", 0.0), values.get("tilt_y", 0.0)
         indenter, tip = leaning(self.upright, track.tip, tilt)
-        press = LivePress(self.sensor, indenter, grid=self.grid, tolerance=self.tolerance)
         tip[:, 2] -= values.get("height", 0.0)
         tip[:, 2] -= values.get("compliance", 0.0) * np.minimum(track.force[:, 2], 0.0)
+        return indenter, tip
+
+    def pressed(self) -> Iterator[LivePress]:
+        """Yield the press at each point of the track; it is the same object each time."""
+        track = self.track
+        indenter, tip = self.seen()
+        press = LivePress(self.sensor, indenter, grid=self.grid, tolerance=self.tolerance)
         before = track.time[0]
         for time, place in zip(track.time, tip, strict=True):
             press.move(place, time - before)
@@ -95,6 +113,65 @@ class Candidate:
             if press.touching:
                 force[row], elastic[row] = press.force, press.relaxed_force
         return Solved(force, elastic, _rates(self.track.time, force))
+
+    def by_fem(self, fem: Fem, device: str) -> Array:
+        """Return the force at each point of the track by tier `fem` (n, 3) [N].
+
+        Raises:
+            SimulationDiverged: It has no solution.
+        """
+        time = self.track.time - self.track.time[0]
+        return by_fem(self.sensor, *self.seen(), time, fem, device)
+
+
+def by_fem(
+    sensor: SimulatedSensor,
+    indenter: Indenter,
+    tip: Array,
+    time: Array,
+    fem: Fem,
+    device: str = "cpu",
+) -> Array:
+    """Return the force on a sensor along a path (n, 3) [N], by tier `fem`.
+
+    Args:
+        sensor: The sensor.
+        indenter: The indenter.
+        tip: Tips (n, 3) [m], z above the undeformed surface there.
+        time: Their times (n,) [s], from 0 on.
+        fem: Mesh and tolerances.
+        device: Device of the solver.
+
+    Raises:
+        SimulationDiverged: It has no solution.
+    """
+    motion = Motion(tuple(map(tuple, tip.tolist())), tuple(time.tolist()))
+    step = sensor.body.thickness / STEPS_OF_THICKNESS
+    found = simulate(sensor.scene(indenter, motion), replace(fem, step_travel=step), device=device)
+    return np.asarray(found.wrench[:, :3], float)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Correction:
+    """Map from forces of tier `layer` to true ones along a track."""
+
+    ratio: Array
+    """True forces over those of tier `layer`, of Fz and of the shear's size (n, 3)."""
+    rest: Array
+    """Difference that ratios leave, over the modulus (n, 3) [N/Pa]."""
+
+    @classmethod
+    def of(cls, true: Array, layer: Array, modulus: float) -> Correction:
+        """Return the map between forces (n, 3) [N] of a sensor of some modulus [Pa]."""
+        normal = _ratio(np.abs(true[:, 2]), np.abs(layer[:, 2]), np.ones(len(true)))
+        shears = np.linalg.norm(true[:, :2], axis=1), np.linalg.norm(layer[:, :2], axis=1)
+        shear = _ratio(*shears, normal)
+        ratio = np.stack([shear, shear, normal], axis=1)
+        return cls(ratio, (true - ratio * layer) / modulus)
+
+    def applied(self, layer: Array, modulus: float) -> Array:
+        """Return true forces (n, 3) [N] for those of tier `layer`."""
+        return np.asarray(self.ratio * layer + modulus * self.rest)
 
 
 class Model:
@@ -125,10 +202,32 @@ class Model:
         self._indenters = indenters or {track.indenter: named(track.indenter) for track in tracks}
         self._workers = workers
         self._solved: dict[Key, list[Solved]] = {}
+        self._corrections: list[Correction] = []
 
     def readings(self, values: Mapping[str, float]) -> list[Array]:
         """Return the force that the gauge reads at each point (n, 3) [N], of every track."""
         return [self._read(solved, values) for solved in self.solve(values)]
+
+    def by_fem(self, values: Mapping[str, float], fem: Fem, device: str = "cpu") -> list[Array]:
+        """Return the force at each point by tier `fem` (n, 3) [N], of every track.
+
+        Raises:
+            SimulationDiverged: A track has no solution.
+        """
+        candidates = [self._candidate(values, track) for track in self._tracks]
+        if self._workers is None:
+            return [one.by_fem(fem, device) for one in candidates]
+        waiting = [self._workers.submit(one.by_fem, fem, device) for one in candidates]
+        return [one.result() for one in waiting]
+
+    def correct(self, values: Mapping[str, float], forces: Sequence[Array]) -> None:
+        """Take forces (n, 3) [N] of every track at `values` as true, here and nearby."""
+        self._corrections = []
+        found = [each.force for each in self.solve(values)]
+        self._corrections = [
+            Correction.of(force, layer, values["modulus"])
+            for force, layer in zip(forces, found, strict=True)
+        ]
 
     def linearised(
         self, values: Mapping[str, float], names: Sequence[str], known: Linear | None = None
@@ -217,7 +316,13 @@ class Model:
     def solve(self, values: Mapping[str, float]) -> list[Solved]:
         """Return the solution of every track."""
         self.prepare([values])
-        return self._solved[_key(values)]
+        found = self._solved[_key(values)]
+        if not self._corrections:
+            return found
+        return [
+            replace(each, force=own.applied(each.force, values["modulus"]))
+            for each, own in zip(found, self._corrections, strict=True)
+        ]
 
     def prepare(self, candidates: Sequence[Mapping[str, float]]) -> None:
         """Solve candidates that are not solved yet, all tracks of all of them side by side."""
@@ -291,6 +396,13 @@ class Model:
             for step in (STEP_TIME, -STEP_TIME)
         )
         return ratio * (ahead - behind) / (2 * STEP_TIME)
+
+
+def _ratio(true: Array, layer: Array, otherwise: Array) -> Array:
+    """Return the ratio of forces (n,) where they are large enough to tell it."""
+    known = layer > KNOWN * layer.max(initial=0.0)
+    found: Array = np.where(known, true / np.where(known, layer, 1.0), otherwise)
+    return found
 
 
 def _key(values: Mapping[str, float]) -> Key:

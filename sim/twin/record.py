@@ -73,6 +73,7 @@ def twin_yaml(sensor: SimulatedSensor, design: str, sessions: Sequence[str]) -> 
             "names": list(posterior.names),
             "spreads": [_round(spread) for spread in posterior.spreads],
             "correlations": [[round(each, 4) for each in row] for row in posterior.correlations],
+            **({"tier": posterior.tier} if posterior.tier != "layer" else {}),
         },
     }
     signal = sensor.signal

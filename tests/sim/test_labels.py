@@ -10,6 +10,8 @@ import pytest
 from recorder import MarkerArchive
 from recorder.archive import check_archive
 from sim.__main__ import main
+from sim.sensors import read_sensor
+from sim.twin.labels import ArchivedPress, by_layer, forces, made_from
 
 TWIN = """\
 extends: gelsight.yaml
@@ -60,6 +62,28 @@ def test_forces_of_a_twin_are_those_of_its_presses(
     assert again is not None
     assert not again.spread[rows].any()
     np.testing.assert_array_equal(again.force, found.force)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_forces_of_a_twin_that_was_identified_by_tier_fem_are_of_that_tier(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(TWIN.replace("MODULUS", "145").replace("]]}", "]], tier: fem}"))
+    twin = read_sensor(path)
+    assert twin.posterior is not None
+    drawn = twin.posterior.draw(twin, np.random.default_rng(0))
+    time, depth = np.array([0.0, 0.1, 0.2]), np.array([0.3e-3, 0.8e-3, 1.3e-3])
+    tip = np.stack([0 * depth, 0 * depth, -depth], axis=1)
+    press = ArchivedPress("sphere", np.arange(3), tip, time)
+    found, layer = forces([twin, drawn], press, 48), by_layer([twin, drawn], press, 48)
+    over = found[0, :, 2] / layer[0, :, 2]
+    # A third of the thickness deep the layer lacks a part of the force, near the surface none.
+    assert over[0] == pytest.approx(1.0, abs=0.05)
+    assert over[2] > over[0] + 0.03
+    assert found[1, :, 2] / found[0, :, 2] == pytest.approx(layer[1, :, 2] / layer[0, :, 2])
+    assert made_from(twin, 1, 0, 48).endswith("tier fem")
+    words = ["archive", "sensors", "--twin", str(path), "--tier", "layer"]
+    assert main([*words, "--out", str(tmp_path / "x.markers.zarr")]) == 2
 
 
 @pytest.mark.slow

@@ -37,7 +37,7 @@ from sim.sensors import (
 from sim.sensors.posterior import CAMERA, camera_quantities, quantities, with_quantities
 from sim.twin import Fit, Track, fitted
 from sim.twin.fit import Explanation, _common, _mixed, _whitened, prior_spread
-from sim.twin.model import Linear, Model, relaxing
+from sim.twin.model import Correction, Linear, Model, relaxing
 from sim.twin.observations import track_of
 from sim.twin.plan import Planner, cost, presses, sessions
 from sim.twin.record import lines, plan_files, twin_yaml
@@ -511,13 +511,46 @@ def test_true_forces_may_be_those_of_another_tier() -> None:
     assert lows[1] != lows[0]
 
 
+def test_corrected_forces_are_the_true_ones_and_scale_with_stiffness_and_modulus() -> None:
+    chance = np.random.default_rng(0)
+    layer = chance.normal(size=(30, 3))
+    true = layer * chance.uniform(1.0, 1.3, layer.shape)
+    # No ratio is told by nearly nothing, nor the direction of the shear.
+    layer[3:6] *= 1e-6
+    map_ = Correction.of(true, layer, 2e5)
+    assert map_.applied(layer, 2e5) == pytest.approx(true)
+    # Twice the modulus is twice the force, at the same displacement.
+    assert map_.applied(2 * layer, 4e5) == pytest.approx(2 * true)
+    more = map_.applied(1.1 * layer, 2e5)
+    told = np.abs(layer[:, 2]) > 0.2
+    assert more[told, 2] == pytest.approx(1.1 * true[told, 2])
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_a_skin_at_large_strain_is_found_by_tier_fem() -> None:
+    pressed = presses("prism", (1.2e-3,), 0.5e-3, 1.2)
+    forces = solved(planted(), pressed, BENCH, truth="fem")
+    tracks = [observed(planted(), pressed, BENCH, 0, forces=forces)]
+    true = quantities(planted())
+    by_layer, by_fem = (
+        fitted(tracks, sensor("gelsight"), grid=48, tier=tier) for tier in ("layer", "fem")
+    )
+    assert (by_layer.tier, by_fem.tier) == ("layer", "fem")
+    assert by_fem.misfit < min(0.02, 0.5 * by_layer.misfit)
+    assert all(abs(by_fem.distance(name, true[name])) < 2.5 for name in true)
+    posterior = by_fem.sensor.posterior
+    assert posterior is not None
+    assert posterior.tier == "fem"
+
+
 def test_errors_that_points_have_in_common_are_taken_out_of_residuals() -> None:
     chance = np.random.default_rng(0)
     force = chance.normal(size=(5, 3))
     press, rest = np.array([0, 0, 1, 1, 1]), np.array([1, 1, 2, 2, 3])
     off = 0.03 * force * np.array([1, 1, 0])
     off[4] += 0.02 * np.array([0, 0, 1]) * force[4]
-    common = _common(force, press, rest, off)
+    common = _common(force, press, rest, off, 0.01)
     # Shear and normal force of a press with one rest, then of one with two.
     rows = [press == 0] * 2 + [press == 1, rest == 2, rest == 3] * 2
     columns = [(0, 1), (2,), *[(0, 1)] * 3, *[(2,)] * 3]

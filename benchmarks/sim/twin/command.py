@@ -4,11 +4,11 @@
     python -m benchmarks twin --skins 200 --processes 16 --out docs/results/twin-planted.md
 
 Each skin differs from the row that the fit begins with, and is pressed on a bench with errors of
-its own, by a finer grid than the fit's, or by tier `fem` (`--truth fem`), while fits are by tier
-`layer`. Forces under a torus, which the fit does not get, are held out. The page of `--out` is
-written after every skin, and the same command goes on where it stopped: its rows are beside the
-page. Forces by `fem` may be stored before (`--make`, on a GPU, and it goes on likewise) and read
-(`--truths`). In simulation.
+its own, by a finer grid than the fit's, or by tier `fem` (`--truth fem`). Fits are by tier `layer`,
+as it is or corrected by `fem` (`--fit fem`). Forces under a torus, which the fit does not get, are
+held out. The page of `--out` is written after every skin, and the same command goes on where it
+stopped: its rows are beside the page. Forces by `fem` may be stored before (`--make`, on a GPU, and
+it goes on likewise) and read (`--truths`). In simulation.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from sim.indenters import NAMES
 from sim.sensors import sensor
 from sim.sensors.posterior import quantities
 from sim.twin import Model, fitted, misfit
-from sim.twin.fit import Z
+from sim.twin.fit import Z, fem_of
 from sim.twin.plan import Planner, Presses, presses, sessions
 
 # Indenter whose forces are foretold; no fit gets its presses.
@@ -80,6 +80,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=get_args(Truth),
         default="layer",
         help="tier of the true forces; by fem, skins are neo-Hookean (%(default)s)",
+    )
+    parser.add_argument(
+        "--fit",
+        choices=("layer", "fem"),
+        default="layer",
+        help="tier of the fits; fem corrects forces of layer (%(default)s)",
     )
     parser.add_argument(
         "--grid", type=whole(16, 256), default=64, metavar="N", help="of the fit (%(default)s)"
@@ -185,7 +191,7 @@ def each_of(
 
 def settings(options: argparse.Namespace) -> dict[str, Any]:
     """Return what the rows of a page must have in common."""
-    names = ("truth", "grid", "indenters", "minutes", "depth", "sensor", "seed")
+    names = ("truth", "fit", "grid", "indenters", "minutes", "depth", "sensor", "seed")
     return {name: getattr(options, name) for name in names}
 
 
@@ -234,7 +240,8 @@ def page(
     found: Sequence[Identified], pressed: Sequence[Presses], options: argparse.Namespace
 ) -> str:
     """Return the results as a page of Markdown."""
-    words = [f"--skins {options.skins}", f"--truth {options.truth}", f"--grid {options.grid}"]
+    words = [f"--skins {options.skins}", f"--truth {options.truth}", f"--fit {options.fit}"]
+    words.append(f"--grid {options.grid}")
     if options.minutes is None:
         words.append(f"--indenters {','.join(options.indenters)} --depth {options.depth:g}")
     else:
@@ -337,11 +344,14 @@ def identified(
         for index, ((each, errors), true) in enumerate(zip(wanted, known, strict=True))
     )
     began = time.perf_counter()
-    fit = fitted(tracks, sensor(options.sensor), grid=options.grid)
+    fit = fitted(tracks, sensor(options.sensor), grid=options.grid, tier=options.fit)
     seconds = time.perf_counter() - began
     true = quantities(skin)
     model = Model(fit.design, [still], grid=options.grid)
-    readings = model.readings({name: fit.values[name] for name in true})
+    values = {name: fit.values[name] for name in true}
+    if fit.tier == "fem":
+        model.correct(values, model.by_fem(values, fem_of(fit.design)))
+    readings = model.readings(values)
     branches = range(1, 1 + sum(name.startswith("ratio") for name in true))
     shapes = [
         relaxation(
