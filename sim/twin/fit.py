@@ -59,7 +59,8 @@ Z = 1.645
 TIMING, LAW = (5e-4, 60e-3), 4e-3
 # Relative error that all normal forces of a press have in common, and all its shear forces.
 COMMON = 0.01
-# The same where tier `fem` corrects them on a coarse mesh.
+# The same where tier `fem` corrects them: on its mesh, normal forces of a prism are 1.9 % above
+# those of elements 0.8 mm high, of a sphere 0.0 %.
 COMMON_FEM = 0.02
 # Grid beside the fit's, over its pixels: their forces differ by about the error of the fit's.
 COARSER = 0.7
@@ -225,14 +226,14 @@ def _found(
     values: Mapping[str, float] = {**centre, "modulus": stiffer * centre["modulus"]}
     plain = tuple(name for name in names if name not in TILT)
     data = seen_at(values)
-    level = _descended(data, model, plain, values, centre, _share(progress, 0.0, 0.3 * part))
+    level = _descended(data, model, plain, values, centre, _fraction_of(progress, 0.0, 0.3 * part))
     # A level pad is one explanation, a tilted one another, with a skin that may be quite different:
     # a descent from the one need not find the other.
     values, near, rounds = _tilted(data, model, level), None, level.rounds
     for begun in (0.3, 0.6):
         # The grid's error depends on the tilt.
         data = seen_at(values)
-        further = _share(progress, part * begun, 0.3 * part)
+        further = _fraction_of(progress, part * begun, 0.3 * part)
         tilted = _descended(data, model, names, values, centre, further, near)
         values, near, rounds = tilted.values, tilted.near, rounds + tilted.rounds
     timing, law, sigma = _weights(tracks, tilted.near)
@@ -245,8 +246,8 @@ def _found(
         for each in (model, rougher):
             each.correct(found[0].values, forces)
         data = replace(seen_at(found[0].values), common=COMMON_FEM)
-        share = _share(progress, part + 0.3 * done + 0.1, 0.2 / len(found))
-        again = [_descended(data, model, names, each.values, centre, share) for each in found]
+        further = _fraction_of(progress, part + 0.3 * done + 0.1, 0.2 / len(found))
+        again = [_descended(data, model, names, each.values, centre, further) for each in found]
         rounds += sum(each.rounds for each in again)
         timing, law, sigma = _weights(tracks, again[0].near)
         ends = [each.values for each in again]
@@ -275,7 +276,9 @@ def fem_of(design: SimulatedSensor) -> Fem:
     return replace(FEM, spacing=min(design.body.thickness / CELLS, HIGHEST))
 
 
-def _share(progress: Callable[[float], None], begun: float, part: float) -> Callable[[float], None]:
+def _fraction_of(
+    progress: Callable[[float], None], begun: float, part: float
+) -> Callable[[float], None]:
     return lambda fraction: progress(begun + part * fraction)
 
 
@@ -558,7 +561,7 @@ def _stacked(
 ) -> tuple[Array, Array]:
     """Return residuals (m,) in standard errors of the resting points, and slopes (m, p).
 
-    Normal forces of a press have a common relative error, `COMMON` and that of the grid, and so
+    Normal forces of a press have a common relative error, that of the law and the grid, and so
     have its shear forces: law and grid are wrong alike in all of a press. Those of a rest have
     another, for the grid's error changes as the tip is dragged. Forces of a moving tip
     differ by how late each stream is read, all in the same direction: they would pass for

@@ -515,7 +515,7 @@ def test_corrected_forces_are_the_true_ones_and_scale_with_stiffness_and_modulus
     chance = np.random.default_rng(0)
     layer = chance.normal(size=(30, 3))
     true = layer * chance.uniform(1.0, 1.3, layer.shape)
-    # No ratio is told by nearly nothing, nor the direction of the shear.
+    # Nearly nothing has no ratio, and the shear's direction has none.
     layer[3:6] *= 1e-6
     map_ = Correction.of(true, layer, 2e5)
     assert map_.applied(layer, 2e5) == pytest.approx(true)
