@@ -57,6 +57,25 @@ def test_each_begins_once_what_it_needs_is_done(on_gpus: ModuleType, tmp_path: P
     assert (tmp_path / "times.csv").read_text().splitlines()[0] == "piece,seconds"
 
 
+def test_what_is_done_is_noted_whatever_else_fails_or_is_stopped(
+    on_gpus: ModuleType, tmp_path: Path
+) -> None:
+    good, bad = (
+        on_gpus.Task("own a", script("")),
+        on_gpus.Task("own b", script("raise SystemExit(1)")),
+    )
+    machine = on_gpus.Machine(["0"], 1)
+    assert on_gpus.done_in(tmp_path) == set()
+    assert not on_gpus.run_on([good, bad], machine, tmp_path, None)
+    assert on_gpus.done_in(tmp_path) == {"own a"}
+    long = on_gpus.Task("long", script("import time; time.sleep(30)"))
+    began = time.monotonic()
+    assert not on_gpus.run_on([long], on_gpus.Machine(["0"], 1), tmp_path, 1)
+    assert time.monotonic() < began + 20
+    assert on_gpus.done_in(tmp_path) == {"own a"}
+    assert on_gpus.run_on([good], on_gpus.Machine(["0"], 1), tmp_path, None)
+
+
 def test_what_fails_takes_along_only_what_needs_it(on_gpus: ModuleType, tmp_path: Path) -> None:
     tasks = [
         on_gpus.Task("broken", script("raise SystemExit('no such sensor')"), jobs=1),

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -65,7 +64,7 @@ def run(options: argparse.Namespace) -> int:
     """
     from benchmarks.learning.gauge_tables import jobs, page
     from benchmarks.learning.gauge_tables.skins import write_rows
-    from benchmarks.learning.tables.on_gpus import Machine, _gpus, run_all
+    from benchmarks.learning.tables.on_gpus import Machine, _gpus, done_in, run_on
     from benchmarks.sim.twin.command import stored
 
     if not all(seed.isdecimal() for seed in options.seeds):
@@ -81,30 +80,11 @@ def run(options: argparse.Namespace) -> int:
     stored(out / "settings.jsonl", {**told, "targets": study.of.targets, "steps": study.of.steps})
     write_rows(out / "rows", options.group, study.designs, options.skins)
     gpus = options.gpus.split(",") if options.gpus else _gpus()[0]
-    done = out / "done"
-    done.mkdir(parents=True, exist_ok=True)
-    due = _tasks(options, study, cores, {path.name.replace("+", " ") for path in done.iterdir()})
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    if options.stop_after:
-        signal.signal(signal.SIGALRM, signal.default_int_handler)
-        signal.alarm(options.stop_after)
-
-    def tell(line: str) -> None:
-        print(line, flush=True)
-        name, found, _ = line[10:].partition(": done in ")
-        if found:
-            (done / name.strip().replace(" ", "+")).touch()
-
-    try:
-        took = run_all(due, Machine(gpus, options.per_gpu), out, tell)
-    except KeyboardInterrupt:
-        print("stopped; the same command goes on", file=sys.stderr)
-        took = {}
-    finally:
-        signal.alarm(0)
-        lines = page.write(study, [int(seed) for seed in options.seeds])
+    due = _tasks(options, study, cores, done_in(out))
+    complete = run_on(due, Machine(gpus, options.per_gpu), out, options.stop_after)
+    lines = page.write(study, [int(seed) for seed in options.seeds])
     print("\n".join(lines))
-    return int(len(took) < len(due))
+    return int(not complete)
 
 
 def _study(options: argparse.Namespace, cores: int) -> Study:

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -59,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
     """Run all jobs that are not done; return 0, or 1 if one failed."""
     from benchmarks.learning.paper_chain import jobs, page
     from benchmarks.learning.paper_chain.sizes import SIZES
-    from benchmarks.learning.tables.on_gpus import Machine, _gpus, run_all
+    from benchmarks.learning.tables.on_gpus import Machine, _gpus, done_in, run_on
 
     if options.size not in SIZES:
         raise LearningError(f"--size: found {options.size}; allowed: {', '.join(SIZES)}")
@@ -79,30 +78,11 @@ def run(options: argparse.Namespace) -> int:
         jobs.run_job(chain, options.job)
         return 0
     gpus = options.gpus.split(",") if options.gpus else _gpus()[0]
-    done = out / "done"
-    done.mkdir(parents=True, exist_ok=True)
-    due = _tasks(options, cores, {path.name.replace("+", " ") for path in done.iterdir()})
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    if options.stop_after:
-        signal.signal(signal.SIGALRM, signal.default_int_handler)
-        signal.alarm(options.stop_after)
-
-    def tell(line: str) -> None:
-        print(line, flush=True)
-        name, found, _ = line[10:].partition(": done in ")
-        if found:
-            (done / name.strip().replace(" ", "+")).touch()
-
-    try:
-        took = run_all(due, Machine(gpus, options.per_gpu), out, tell)
-    except KeyboardInterrupt:
-        print("stopped; the same command goes on", file=sys.stderr)
-        took = {}
-    finally:
-        signal.alarm(0)
-        page.write(out, size)
+    due = _tasks(options, cores, done_in(out))
+    complete = run_on(due, Machine(gpus, options.per_gpu), out, options.stop_after)
+    page.write(out, size)
     print(page.last_line(out, size))
-    return int(len(took) < len(due))
+    return int(not complete)
 
 
 def _row(sensor: str) -> str:

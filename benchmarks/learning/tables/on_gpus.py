@@ -185,6 +185,42 @@ def run_all(
     return took
 
 
+def done_in(out: Path) -> set[str]:
+    """Return the names of the tasks that `run_on` noted as done in a folder."""
+    return {path.name.replace("+", " ") for path in (out / "done").glob("*")}
+
+
+def run_on(due: Sequence[Task], machine: Machine, out: Path, stop_after: int | None) -> bool:
+    """Run tasks as `run_all`, print and note each that is done; return True if all are.
+
+    Args:
+        due: Tasks, the most urgent first.
+        machine: Resources shared by the tasks.
+        out: Folder for logs, times and notes.
+        stop_after: Time after which running tasks are stopped, as by Ctrl-C [s]; None: never.
+    """
+    done = out / "done"
+    done.mkdir(parents=True, exist_ok=True)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    if stop_after:
+        signal.signal(signal.SIGALRM, signal.default_int_handler)
+        signal.alarm(stop_after)
+
+    def tell(line: str) -> None:
+        print(line, flush=True)
+        name, found, _ = line[10:].partition(": done in ")
+        if found:
+            (done / name.strip().replace(" ", "+")).touch()
+
+    try:
+        return len(run_all(due, machine, out, tell)) == len(due)
+    except KeyboardInterrupt:
+        print("stopped; the same command goes on", file=sys.stderr)
+        return False
+    finally:
+        signal.alarm(0)
+
+
 def _start(task: Task, gpu: int, machine: Machine, out: Path) -> Running:
     environment = os.environ | dict(task.environment)
     environment |= {"CUDA_VISIBLE_DEVICES": machine.gpus[gpu], "DEVICE": "cuda:0"}
