@@ -648,6 +648,16 @@ def begun_model(
     model = ForceModel(settings.network, settings.input).to(device)
     if start_from is not None:
         load_weights(model, start_from.state_dict(), "start_from")
+        for key in ("encoder_norm", "tail_norm", "tail_block"):
+            # Tensors may be alike between these, and mean something else.
+            found, allowed = (
+                getattr(each, key) for each in (start_from.network, settings.network)
+            )
+            if found != allowed:
+                raise LearningError(
+                    f"start_from: found network.{key} {found}; allowed: {allowed}, as the settings "
+                    "of the training say"
+                )
     model.set_range(force_range(labels, settings))
     if start_from is None and settings.start_at_mean:
         means = [model.normalised(each.to(device)).nanmean(dim=0) for each in labels]

@@ -59,6 +59,17 @@ def test_presets_make_models_that_take_what_they_say(name: str) -> None:
     assert state.shape == (2, *model.state_shape) == model.initial_state(2).shape
 
 
+@pytest.mark.parametrize("name", ["half", "quarter", "displacement", "shading"])
+def test_presets_whose_input_is_0_without_contact_keep_the_size_of_a_change(name: str) -> None:
+    settings = read_settings(ForceSettings, PRESETS, name)
+    torch.manual_seed(0)
+    encoder = ForceModel(settings.network, settings.input).encoder
+    frames = torch.randn(2, settings.input.planes, 64, 64)
+    with torch.no_grad():
+        features, of_half = encoder(frames), encoder(frames / 2)
+    assert float((features - of_half).norm() / features.norm()) > 0.3
+
+
 @pytest.mark.parametrize("norm", ["instance", "batch"])
 def test_streaming_frame_by_frame_is_the_whole_sequence(norm: str) -> None:
     network = NetworkSettings(

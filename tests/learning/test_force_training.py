@@ -148,6 +148,9 @@ def test_starting_from_a_model_begins_with_its_weights() -> None:
     wider = replace(TOY, network=replace(TOY.network, memory=12))
     with pytest.raises(LearningError, match="start_from: not the weights of this network"):
         train_force(presses, wider, start_from=first)
+    normed = replace(TOY, network=replace(TOY.network, encoder_norm="instance"))
+    with pytest.raises(LearningError, match=r"found network\.encoder_norm none; allowed: instance"):
+        train_force(presses, normed, start_from=first)
 
 
 def test_compensation_changes_labels_before_their_range_is_taken() -> None:
