@@ -650,9 +650,8 @@ def begun_model(
         load_weights(model, start_from.state_dict(), "start_from")
         for key in ("encoder_norm", "tail_norm", "tail_block"):
             # Tensors may be alike between these, and mean something else.
-            found, allowed = (
-                getattr(each, key) for each in (start_from.network, settings.network)
-            )
+            found = getattr(start_from.network, key)
+            allowed = getattr(settings.network, key)
             if found != allowed:
                 raise LearningError(
                     f"start_from: found network.{key} {found}; allowed: {allowed}, as the settings "
