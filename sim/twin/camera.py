@@ -25,7 +25,7 @@ from sim.markers.pattern import Shape
 from sim.scene import Body
 from sim.sensors import CameraSignal, Posterior, SimulatedSensor, SurfaceField, readout
 from sim.sensors.posterior import CAMERA, camera_quantities, interval_of
-from sim.twin.fit import COARSER, UNTOLD, Fit, Z, fem_of, moved_by, way_of
+from sim.twin.fit import COARSER, UNTOLD, Fit, Z, moved_by, way_of
 from sim.twin.markers import Masks, Sight
 from sim.twin.model import STEPS, Model
 from sim.twin.observations import Track
@@ -109,7 +109,7 @@ def foretold(
     """
     model = Model(fit.design, tracks, grid=grid)
     if fit.tier == "fem":
-        model.correct(fit.values, model.by_fem(fit.values, fem_of(fit.design)))
+        model.correct(fit.values, model.by_fem(fit.values))
     readings = model.readings(fit.values)
     places: tuple[Array, ...] = ()
     if view is not None and sights:

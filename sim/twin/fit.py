@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from recorder.processes import Workers
 from sim.effects import Friction, Viscosity
 from sim.errors import SceneError
-from sim.fem import FOR_EDGES, Fem
 from sim.indenters import Indenter
 from sim.sensors import SimulatedSensor
 from sim.sensors.posterior import (
@@ -59,10 +58,8 @@ Z = 1.645
 TIMING, LAW = (5e-4, 60e-3), 4e-3
 # Relative error that all normal forces of a press have in common, and all its shear forces.
 COMMON = 0.01
-# The same where tier `fem` corrects them: on its mesh, normal forces of a prism are 1.9 % above
-# those of elements 0.8 mm high, of a sphere 0.0 %.
-COMMON_FEM = 0.02
-# Grid beside the fit's, over its pixels: their forces differ by about the error of the fit's.
+# Pixels, and elements through the thickness, beside those of the fit: their forces differ by about
+# the error of the fit's.
 COARSER = 0.7
 # Longest step of a logarithm in a round, and the longest after which derivatives are corrected
 # rather than taken again, in steps by which they are taken.
@@ -73,11 +70,8 @@ DAMPED, DAMPED_LITTLE = 100.0, 0.5
 LITTLE = 0.1
 # Cost above the least, from which an explanation counts no more (its odds are 1 in 90).
 TOLD = 9.0
-# Tier `fem`, where it corrects the forces of tier `layer`: elements over the thickness, the highest
-# [m], and tolerances. It does so first at an explanation by `layer`, then at one by forces that are
-# corrected there.
-CELLS, HIGHEST = 4, 1.2e-3
-FEM = Fem(grading=FOR_EDGES, augmentations=1, tolerance=1e-3, path_tolerance=1e-2)
+# How often tier `fem` corrects the forces of tier `layer`: first at an explanation by `layer`, then
+# at one by forces that are corrected there.
 CORRECTIONS = 2
 # Spread over the prior's above which presses have told nothing.
 UNTOLD = 0.7
@@ -191,9 +185,8 @@ def fitted(
             Model(design, tracks, grid=pixels, indenters=indenters, workers=workers)
             for pixels in (grid, round(COARSER * grid))
         )
-        fem = fem_of(design)
-        finite = functools.partial(model.by_fem, fem=fem, device=device) if tier == "fem" else None
-        return _found(design, tracks, model, rougher, finite, progress)
+        correct = functools.partial(_correct, model, rougher, device) if tier == "fem" else None
+        return _found(design, tracks, model, rougher, correct, progress)
 
 
 def _found(
@@ -201,7 +194,7 @@ def _found(
     tracks: Sequence[Track],
     model: Model,
     rougher: Model,
-    finite: Callable[[Mapping[str, float]], list[Array]] | None,
+    correct: Callable[[Mapping[str, float]], None] | None,
     progress: Callable[[float], None],
 ) -> Fit:
     """Return the fit by a model, whose error is its distance from a rougher one.
@@ -211,10 +204,10 @@ def _found(
         tracks: The tracks.
         model: Forces of tier `layer`.
         rougher: The same with fewer pixels.
-        finite: Forces at finite strain, by which those of both are corrected; None: by none.
+        correct: Corrects both at some values; None: they stay as they are.
         progress: Called with the fraction done.
     """
-    part = 1.0 if finite is None else 0.4
+    part = 1.0 if correct is None else 0.4
     names = (*quantities(design), *BENCH)
     centre = {**quantities(design), **dict.fromkeys(BENCH, 0.0)}
 
@@ -239,13 +232,11 @@ def _found(
     timing, law, sigma = _weights(tracks, tilted.near)
     ends = [level.values, tilted.values]
     found = _explanations(data, model, names, ends, centre, sigma)
-    for done in range(CORRECTIONS if finite is not None else 0):
-        assert finite is not None
+    for done in range(CORRECTIONS if correct is not None else 0):
+        assert correct is not None
         progress(part + 0.3 * done)
-        forces = finite(found[0].values)
-        for each in (model, rougher):
-            each.correct(found[0].values, forces)
-        data = replace(seen_at(found[0].values), common=COMMON_FEM)
+        correct(found[0].values)
+        data = seen_at(found[0].values)
         further = _fraction_of(progress, part + 0.3 * done + 0.1, 0.2 / len(found))
         again = [_descended(data, model, names, each.values, centre, further) for each in found]
         rounds += sum(each.rounds for each in again)
@@ -267,19 +258,20 @@ def _found(
         law=law,
         misfit=misfit(tracks, best.near.readings),
         rounds=rounds,
-        tier="layer" if finite is None else "fem",
+        tier="layer" if correct is None else "fem",
     )
-
-
-def fem_of(design: SimulatedSensor) -> Fem:
-    """Return tier `fem` as it corrects forces on a sensor, a minute for six presses of a core."""
-    return replace(FEM, spacing=min(design.body.thickness / CELLS, HIGHEST))
 
 
 def _fraction_of(
     progress: Callable[[float], None], begun: float, part: float
 ) -> Callable[[float], None]:
     return lambda fraction: progress(begun + part * fraction)
+
+
+def _correct(model: Model, rougher: Model, device: str, values: Mapping[str, float]) -> None:
+    """Correct the forces of a model, and those of a rougher one on a rougher mesh, at values."""
+    for each, finer in ((model, 1.0), (rougher, COARSER)):
+        each.correct(values, each.by_fem(values, finer, device))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -289,8 +281,6 @@ class Data:
     tracks: Sequence[Track]
     grid_errors: Sequence[Array]
     """Of each track (n, 3) [N]."""
-    common: float = COMMON
-    """Relative error that the forces of a press have in common."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -573,7 +563,7 @@ def _stacked(
     ):
         used = track.contact & track.rest
         episode = _episodes(track.rest)[used]
-        common = _common(track.force[used], track.target[used], episode, off[used], data.common)
+        common = _common(track.force[used], track.target[used], episode, off[used])
         common /= each[used, None, None]
         rows = [(track.force - read)[used, :, None]]
         if slopes:
@@ -589,9 +579,7 @@ def _flat(points: Array) -> Array:
     return points.reshape(-1, points.shape[-1])
 
 
-def _common(
-    force: Array, target: NDArray[np.int64], rest: NDArray[np.int64], off: Array, law: float
-) -> Array:
+def _common(force: Array, target: NDArray[np.int64], rest: NDArray[np.int64], off: Array) -> Array:
     """Return the errors that points have in common (m, 3, k) [N], each of one standard deviation.
 
     Args:
@@ -599,7 +587,6 @@ def _common(
         target: Press of each point (m,).
         rest: Number of each point's rest (m,).
         off: Error of the grid (m, 3) [N].
-        law: Relative error of the law.
     """
     found = []
     for press in np.unique(target):
@@ -611,7 +598,7 @@ def _common(
             apart = [_part(force, off, of_press & (rest == one), axes) - of_all for one in rests]
             changing = math.sqrt(np.mean(np.square(apart)))
             for rows, size in (
-                (of_press, math.hypot(law, of_all)),
+                (of_press, math.hypot(COMMON, of_all)),
                 *((of_press & (rest == one), changing) for one in rests if len(rests) > 1),
             ):
                 error = np.zeros_like(force)

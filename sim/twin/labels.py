@@ -17,7 +17,6 @@ from sim.errors import SceneError
 from sim.indenters import indenter_of, is_indenter
 from sim.sensors import SimulatedSensor
 from sim.stream import LivePress
-from sim.twin.fit import fem_of
 from sim.twin.model import Correction, by_fem
 
 Array = NDArray[np.float64]
@@ -76,7 +75,7 @@ def forces(sensors: Sequence[SimulatedSensor], press: ArchivedPress, grid: int) 
     start = np.array([[*press.tip[0, :2], ABOVE]])
     first = (ABOVE - press.tip[0, 2]) / twin.speed
     tip, time = np.concatenate([start, press.tip]), np.r_[0.0, press.time + first]
-    true = by_fem(twin, indenter_of(press.indenter), tip, time, fem_of(twin))[1:]
+    true = by_fem(twin, indenter_of(press.indenter), tip, time)[1:]
     known = Correction.of(true, found[0], twin.body.modulus)
     return np.stack(
         [

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.processes import Workers
-from sim.fem import Fem
+from sim.fem import FOR_EDGES, Fem
 from sim.indenters import Indenter, named
 from sim.scene import Motion
 from sim.sensors import SimulatedSensor, SurfaceField
@@ -39,8 +39,10 @@ STEPS = {
 }
 # Forces have a kink where nothing leans: an edge is lowest whichever way a flat face leans.
 ONE_SIDED = ("tilt_x", "tilt_y")
-# Steps of tier `fem` over the skin's thickness.
-STEPS_OF_THICKNESS = 20
+# Tier `fem`, where it corrects forces of tier `layer`: elements through the thickness, the highest
+# [m], steps over the thickness, and tolerances. Two minutes of a core for six presses.
+CELLS, HIGHEST, STEPS_OF_THICKNESS = 4.5, 1.2e-3, 20
+FEM = Fem(grading=FOR_EDGES, augmentations=1, tolerance=1e-3, path_tolerance=1e-2)
 # Force over the largest of a track from which ratios of forces are known.
 KNOWN = 0.05
 # Step of the logarithm of a relaxation time.
@@ -114,14 +116,14 @@ class Candidate:
                 force[row], elastic[row] = press.force, press.relaxed_force
         return Solved(force, elastic, _rates(self.track.time, force))
 
-    def by_fem(self, fem: Fem, device: str) -> Array:
+    def by_fem(self, finer: float, device: str) -> Array:
         """Return the force at each point of the track by tier `fem` (n, 3) [N].
 
         Raises:
             SimulationDiverged: It has no solution.
         """
         time = self.track.time - self.track.time[0]
-        return by_fem(self.sensor, *self.seen(), time, fem, device)
+        return by_fem(self.sensor, *self.seen(), time, finer, device)
 
 
 def by_fem(
@@ -129,7 +131,7 @@ def by_fem(
     indenter: Indenter,
     tip: Array,
     time: Array,
-    fem: Fem,
+    finer: float = 1.0,
     device: str = "cpu",
 ) -> Array:
     """Return the force on a sensor along a path (n, 3) [N], by tier `fem`.
@@ -139,15 +141,17 @@ def by_fem(
         indenter: The indenter.
         tip: Tips (n, 3) [m], z above the undeformed surface there.
         time: Their times (n,) [s], from 0 on.
-        fem: Mesh and tolerances.
+        finer: Elements through the thickness, over `CELLS`.
         device: Device of the solver.
 
     Raises:
         SimulationDiverged: It has no solution.
     """
     motion = Motion(tuple(map(tuple, tip.tolist())), tuple(time.tolist()))
-    step = sensor.body.thickness / STEPS_OF_THICKNESS
-    found = simulate(sensor.scene(indenter, motion), replace(fem, step_travel=step), device=device)
+    thickness = sensor.body.thickness
+    spacing = min(thickness / CELLS, HIGHEST) / finer
+    fem = replace(FEM, spacing=spacing, step_travel=thickness / STEPS_OF_THICKNESS)
+    found = simulate(sensor.scene(indenter, motion), fem, device=device)
     return np.asarray(found.wrench[:, :3], float)
 
 
@@ -208,16 +212,20 @@ class Model:
         """Return the force that the gauge reads at each point (n, 3) [N], of every track."""
         return [self._read(solved, values) for solved in self.solve(values)]
 
-    def by_fem(self, values: Mapping[str, float], fem: Fem, device: str = "cpu") -> list[Array]:
+    def by_fem(
+        self, values: Mapping[str, float], finer: float = 1.0, device: str = "cpu"
+    ) -> list[Array]:
         """Return the force at each point by tier `fem` (n, 3) [N], of every track.
+
+        Its mesh has `CELLS` elements through the thickness, or `finer` times as many.
 
         Raises:
             SimulationDiverged: A track has no solution.
         """
         candidates = [self._candidate(values, track) for track in self._tracks]
         if self._workers is None:
-            return [one.by_fem(fem, device) for one in candidates]
-        waiting = [self._workers.submit(one.by_fem, fem, device) for one in candidates]
+            return [one.by_fem(finer, device) for one in candidates]
+        waiting = [self._workers.submit(one.by_fem, finer, device) for one in candidates]
         return [one.result() for one in waiting]
 
     def correct(self, values: Mapping[str, float], forces: Sequence[Array]) -> None:

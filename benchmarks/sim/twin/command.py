@@ -45,7 +45,7 @@ from sim.indenters import NAMES
 from sim.sensors import sensor
 from sim.sensors.posterior import quantities
 from sim.twin import Model, fitted, misfit
-from sim.twin.fit import Z, fem_of
+from sim.twin.fit import Z
 from sim.twin.plan import Planner, Presses, presses, sessions
 
 # Indenter whose forces are foretold; no fit gets its presses.
@@ -350,7 +350,7 @@ def identified(
     model = Model(fit.design, [still], grid=options.grid)
     values = {name: fit.values[name] for name in true}
     if fit.tier == "fem":
-        model.correct(values, model.by_fem(values, fem_of(fit.design)))
+        model.correct(values, model.by_fem(values))
     readings = model.readings(values)
     branches = range(1, 1 + sum(name.startswith("ratio") for name in true))
     shapes = [
