@@ -8,7 +8,7 @@ import os
 import sys
 from pathlib import Path
 
-from recorder.command_line.options import add_grid, positive, whole
+from recorder.command_line.options import add_device, add_grid, positive, whole
 from sim.errors import SceneError
 
 # Difference of forces at rest above which a twin is refused [%].
@@ -78,6 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="law of the forces: layer: small strain; fem: corrected for large strain, in "
         "minutes; from a depth of a sixth of the thickness on it matters (%(default)s)",
     )
+    add_device(parser, "device of tier fem")
     add_grid(parser, GRID)
     add("--processes", type=whole(1), default=2, metavar="N", help="processes (%(default)s)")
 
@@ -119,6 +120,7 @@ def run(options: argparse.Namespace) -> int:
             design,
             grid=grid,
             tier=options.tier,
+            device=options.device,
             processes=options.processes,
             progress=lambda done: progress(part * done),
         )

@@ -154,4 +154,5 @@ def test_the_toy_runs_whole_and_reads_no_label_of_the_target(tmp_path: Path) -> 
         scored = cell(whole, each, partial=True)
         key = (each.method, each.net, each.source, each.target)
         for name, parts in scored["sums"].items():
-            np.testing.assert_allclose(parts["in"], stored[key][name]["in"], rtol=1e-3, atol=1e-4)
+            # Labels that were read would be NaN; another number of threads rounds otherwise.
+            np.testing.assert_allclose(parts["in"], stored[key][name]["in"], rtol=0.03, atol=0.01)
