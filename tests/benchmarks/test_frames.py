@@ -17,9 +17,9 @@ def _row(device: str, at_once: int, seconds: float) -> Row:
     return Row("fem", device, at_once, 3000, 20 * at_once, seconds, 20 * at_once / seconds, 0, 1, 2)
 
 
-@pytest.mark.parametrize("counts", ["0", "1025", "1,x", ""])
+@pytest.mark.parametrize("counts", ["0", "4097", "1,x", ""])
 def test_numbers_of_presses_out_of_range_are_refused(counts: str) -> None:
-    with pytest.raises(SceneError, match=r"--counts: .*; allowed: 1 to 1024"):
+    with pytest.raises(SceneError, match=r"--counts: .*; allowed: 1 to 4096"):
         run_module(frames, "--counts", counts)
 
 

@@ -13,6 +13,7 @@ import math
 import os
 import re
 import select
+import threading
 from collections import deque
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -67,6 +68,8 @@ class GrblEmulator(PtyEmulator):
         self._blocks: deque[tuple[Array, float]] = deque()
         self._lines: deque[str] = deque()
         self._buffer = ""
+        # Held for a cycle of the board, and while a fault is injected from another thread.
+        self._cycle = threading.Lock()
         self.state = "Idle" if config.homed else "Alarm"
         """State of the firmware."""
         self.received: list[str] = []
@@ -74,16 +77,17 @@ class GrblEmulator(PtyEmulator):
 
     def apply(self, fault: str, **values: Any) -> dict[str, Any]:
         """Inject a fault, or act as a person at the stage; see the module."""
-        if fault == "alarm":
-            self._clear("Alarm")
-            self._answer(b"ALARM:1\r\n")
-        elif fault == "unlock":
-            self.state = "Idle"
-        elif fault == "freedrive":
-            self.place = np.array(values["pose"][:3], np.float64)
-        elif fault != "state":
-            return self.faults.inject(fault, **values)
-        return {"state": self.state, "place": self.place.tolist()}
+        with self._cycle:
+            if fault == "alarm":
+                self._clear("Alarm")
+                self._answer(b"ALARM:1\r\n")
+            elif fault == "unlock":
+                self.state = "Idle"
+            elif fault == "freedrive":
+                self.place = np.array(values["pose"][:3], np.float64)
+            elif fault != "state":
+                return self.faults.inject(fault, **values)
+            return {"state": self.state, "place": self.place.tolist()}
 
     def _serve(self) -> None:
         pacer = Pacer(self._clock, _TICK_HZ)
@@ -91,17 +95,18 @@ class GrblEmulator(PtyEmulator):
         while not self._ending.is_set():
             t_ns = pacer.wait()
             self.missed = pacer.missed
-            if select.select([self._fd], [], [], 0.0)[0]:
-                self._take(os.read(self._fd, 4096).decode("latin-1"))
-            while self._lines and len(self._blocks) < _BLOCKS:
-                self._run_line(self._lines.popleft())
-            before = self.place
-            if self.state in ("Run", "Hold"):
-                self._move(1 / _TICK_HZ)
-            if self._truth is not None:
-                speed = (self.place - before) * _TICK_HZ
-                pose = (*self.place, *self._config.device.rotation)
-                self._truth.write((t_ns, pose, (*speed, 0.0, 0.0, 0.0)))
+            with self._cycle:
+                if select.select([self._fd], [], [], 0.0)[0]:
+                    self._take(os.read(self._fd, 4096).decode("latin-1"))
+                while self._lines and len(self._blocks) < _BLOCKS:
+                    self._run_line(self._lines.popleft())
+                before = self.place
+                if self.state in ("Run", "Hold"):
+                    self._move(1 / _TICK_HZ)
+                if self._truth is not None:
+                    speed = (self.place - before) * _TICK_HZ
+                    pose = (*self.place, *self._config.device.rotation)
+                    self._truth.write((t_ns, pose, (*speed, 0.0, 0.0, 0.0)))
 
     def _take(self, typed: str) -> None:
         if self.faults.unplugged:
