@@ -20,6 +20,8 @@ from sim.sensors.taxels import TaxelSignal
 if TYPE_CHECKING:
     from sim.sensors.sensor import SimulatedSensor
 
+# Tier whose forces a fit explains.
+FitTier = Literal["layer", "fem"]
 # Quantities of a sensor that presses may identify; branches of viscosity are numbered from 1.
 _NAMES = re.compile(r"modulus|thickness|poisson|friction|ratio_[1-4]|time_[1-4]")
 # Quantities of a camera that images may identify.
@@ -49,9 +51,7 @@ class Posterior:
     """Standard deviation of each."""
     correlations: tuple[tuple[float, ...], ...]
     """Matrix of correlations, -1 to 1, with ones on its diagonal."""
-    tier: Literal["layer", "fem"] = field(
-        default="layer", repr=False, metadata={"stored": "unless default"}
-    )
+    tier: FitTier = field(default="layer", repr=False, metadata={"stored": "unless default"})
     """Tier whose forces the quantities explain: by the other they give other forces."""
 
     def __post_init__(self) -> None:
@@ -80,7 +80,7 @@ class Posterior:
         cls,
         names: Sequence[str],
         covariance: NDArray[np.float64],
-        tier: Literal["layer", "fem"] = "layer",
+        tier: FitTier = "layer",
     ) -> Posterior:
         """Return the distribution with a covariance (p, p)."""
         spread = np.sqrt(np.diag(covariance))

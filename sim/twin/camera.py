@@ -109,7 +109,7 @@ def foretold(
     """
     model = Model(fit.design, tracks, grid=grid)
     if fit.tier == "fem":
-        model.correct(fit.values, model.by_fem(fit.values))
+        model.correct(fit.values)
     readings = model.readings(fit.values)
     places: tuple[Array, ...] = ()
     if view is not None and sights:

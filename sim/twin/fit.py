@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,7 @@ from sim.indenters import Indenter
 from sim.sensors import SimulatedSensor
 from sim.sensors.posterior import (
     POISSON,
+    FitTier,
     Posterior,
     interval_of,
     is_log,
@@ -29,7 +29,6 @@ from sim.twin.model import STEPS, Linear, Model, Solved
 from sim.twin.observations import SETTLING, Track
 
 Array = NDArray[np.float64]
-FitTier = Literal["layer", "fem"]
 
 # Prior spreads: of logarithms, but of Poisson's ratio and of quantities in SI as they are. A skin's
 # thickness is measured, or known from its mould, better than its modulus.
@@ -271,7 +270,7 @@ def _fraction_of(
 def _correct(model: Model, rougher: Model, device: str, values: Mapping[str, float]) -> None:
     """Correct the forces of a model, and those of a rougher one on a rougher mesh, at values."""
     for each, finer in ((model, 1.0), (rougher, COARSER)):
-        each.correct(values, each.by_fem(values, finer, device))
+        each.correct(values, finer, device)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,7 +6,6 @@ import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +15,7 @@ from recorder.processes import Workers
 from sim.errors import SceneError
 from sim.indenters import indenter_of, is_indenter
 from sim.sensors import SimulatedSensor
+from sim.sensors.posterior import FitTier
 from sim.stream import LivePress
 from sim.twin.model import Correction, by_fem
 
@@ -171,6 +171,6 @@ def made_from(twin: SimulatedSensor, draws: int, seed: int, grid: int) -> str:
     return told if tier_of(twin) == "layer" else f"{told}, tier {tier_of(twin)}"
 
 
-def tier_of(twin: SimulatedSensor) -> Literal["layer", "fem"]:
+def tier_of(twin: SimulatedSensor) -> FitTier:
     """Return the tier whose forces a twin's quantities explain."""
     return "layer" if twin.posterior is None else twin.posterior.tier

@@ -212,10 +212,8 @@ class Model:
         """Return the force that the gauge reads at each point (n, 3) [N], of every track."""
         return [self._read(solved, values) for solved in self.solve(values)]
 
-    def by_fem(
-        self, values: Mapping[str, float], finer: float = 1.0, device: str = "cpu"
-    ) -> list[Array]:
-        """Return the force at each point by tier `fem` (n, 3) [N], of every track.
+    def correct(self, values: Mapping[str, float], finer: float = 1.0, device: str = "cpu") -> None:
+        """Take the forces of tier `fem` at `values` as true, there and nearby.
 
         Its mesh has `CELLS` elements through the thickness, or `finer` times as many.
 
@@ -224,17 +222,14 @@ class Model:
         """
         candidates = [self._candidate(values, track) for track in self._tracks]
         if self._workers is None:
-            return [one.by_fem(finer, device) for one in candidates]
-        waiting = [self._workers.submit(one.by_fem, finer, device) for one in candidates]
-        return [one.result() for one in waiting]
-
-    def correct(self, values: Mapping[str, float], forces: Sequence[Array]) -> None:
-        """Take forces (n, 3) [N] of every track at `values` as true, here and nearby."""
+            forces = [one.by_fem(finer, device) for one in candidates]
+        else:
+            waiting = [self._workers.submit(one.by_fem, finer, device) for one in candidates]
+            forces = [one.result() for one in waiting]
         self._corrections = []
-        found = [each.force for each in self.solve(values)]
         self._corrections = [
-            Correction.of(force, layer, values["modulus"])
-            for force, layer in zip(forces, found, strict=True)
+            Correction.of(force, layer.force, values["modulus"])
+            for force, layer in zip(forces, self.solve(values), strict=True)
         ]
 
     def linearised(

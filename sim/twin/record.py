@@ -46,15 +46,12 @@ STRONG = 0.7
 DRAWN, LEGEND = 4, 60
 
 
-def twin_yaml(sensor: SimulatedSensor, design: str, sessions: Sequence[str]) -> str:
-    """Return the row of a twin, which extends the design's file or row `design`."""
-    body, effects, posterior = sensor.body, sensor.effects, sensor.posterior
-    assert posterior is not None
+def skin_row(sensor: SimulatedSensor) -> dict[str, Any]:
+    """Return the keys of a row that describe a skin with friction and viscosity."""
+    body, effects = sensor.body, sensor.effects
     assert effects.viscosity is not None
     assert effects.friction is not None
-    content: dict[str, Any] = {
-        "extends": design,
-        "description": f"Twin of a sensor, identified from {', '.join(sessions)}",
+    return {
         "body": {
             "thickness_mm": _round(1e3 * body.thickness),
             "modulus_kpa": _round(1e-3 * body.modulus),
@@ -69,6 +66,17 @@ def twin_yaml(sensor: SimulatedSensor, design: str, sessions: Sequence[str]) -> 
             },
         },
         "depth_max_mm": _round(1e3 * sensor.depth_max),
+    }
+
+
+def twin_yaml(sensor: SimulatedSensor, design: str, sessions: Sequence[str]) -> str:
+    """Return the row of a twin, which extends the design's file or row `design`."""
+    posterior = sensor.posterior
+    assert posterior is not None
+    content: dict[str, Any] = {
+        "extends": design,
+        "description": f"Twin of a sensor, identified from {', '.join(sessions)}",
+        **skin_row(sensor),
         "posterior": {
             "names": list(posterior.names),
             "spreads": [_round(spread) for spread in posterior.spreads],

@@ -29,6 +29,7 @@ from benchmarks.learning.gauge_tables.skins import (
 from benchmarks.learning.paper_chain.jobs import (
     Chain,
     field_translator,
+    form_of,
     nearest_labels,
     shortened,
     unseen_presses,
@@ -284,11 +285,6 @@ def write_cells(study: Study, name: str, cells: Sequence[dict[str, Any]]) -> Non
 
 
 # Nets
-
-
-def form_of(preset: str) -> Any:
-    """Return the form of presses that a net reads."""
-    return "field" if preset == "displacement" else "images"
 
 
 def trained(

@@ -23,7 +23,7 @@ from sim.sensors.posterior import quantities, with_quantities
 from sim.sensors.sensor import read_sensor
 from sim.twin import fitted
 from sim.twin.plan import Presses
-from sim.twin.record import twin_yaml
+from sim.twin.record import skin_row, twin_yaml
 
 GROUPS = {
     "heterogeneous": ("gelsight", "tacpalm", "uskin"),
@@ -132,25 +132,10 @@ def _drawn(group: str, design: str, seed: int) -> tuple[Mapping[str, float], Ben
 def _row(group: str, design: str, seed: int) -> str:
     values, _ = _drawn(group, design, seed)
     made = with_quantities(sensor(design), values)
-    viscosity = made.effects.viscosity
-    assert viscosity is not None
-    content: dict[str, Any] = {
+    content = {
         "extends": f"{design}.yaml",
         "description": f"{design} with a skin and mounting of its own",
-        "body": {
-            "thickness_mm": _short(1e3 * values["thickness"]),
-            "modulus_kpa": _short(1e-3 * values["modulus"]),
-            "poisson": _short(values["poisson"]),
-        },
-        "effects": {
-            "friction": {"coefficient": _short(values["friction"])},
-            "viscosity": {
-                "ratios": [_short(ratio) for ratio in viscosity.ratios],
-                "times_s": [_short(time) for time in viscosity.times],
-                "relaxes": viscosity.relaxes,
-            },
-        },
-        "depth_max_mm": _short(1e3 * made.depth_max),
+        **skin_row(made),
         "variation": _variation(made),
     }
     return yaml_text(content)
@@ -159,10 +144,6 @@ def _row(group: str, design: str, seed: int) -> str:
 def _variation(each: SimulatedSensor) -> Mapping[str, Any]:
     """Return the errors that a sensor may have."""
     return {**MOUNTED, **(SEEN if isinstance(each.signal, CameraSignal) else {})}
-
-
-def _short(value: float) -> float:
-    return float(f"{value:.5g}")
 
 
 def write_twin(

@@ -431,6 +431,11 @@ def force_scores(true: Floats, found: Floats, indenter: NDArray[Any]) -> dict[st
     return {name: round(float(value), 4) for name, value in result.items()}
 
 
+def form_of(preset: str) -> Any:
+    """Return the form of presses that a net reads."""
+    return "field" if preset == "displacement" else "images"
+
+
 @cache
 def unseen_presses(chain: Chain, sensor: str, form: Any = "images") -> Presses:
     """Return the presses of a sensor under unseen indenters."""
@@ -441,7 +446,7 @@ def own(chain: Chain, sensor: str) -> None:
     """Train the nets of a sensor that others need, and predict without a translator."""
     targets = [name for name in chain.archive if name != sensor]
     for preset in dict.fromkeys((chain.size.net, "displacement")):
-        form: Any = "field" if preset == "displacement" else "images"
+        form = form_of(preset)
         presses = chain.presses(sensor, "train", form)
         model = net(chain, preset, f"{preset}-{sensor}", presses)
         if not chain.has("forces", method="own labels", net=preset, target=sensor):
@@ -506,7 +511,7 @@ def memory(chain: Chain, sensor: str) -> None:
     """Train nets on a sensor's own labels, with the frames of a press in order and each alone."""
     of_a_press = frames_of_a_press(chain.archive)
     for preset in chain.size.nets:
-        form: Any = "field" if preset == "displacement" else "images"
+        form = form_of(preset)
         batch = read_settings(ForceSettings, NET_PRESETS, preset, []).sequences.batch
         alone = ("input.alone=true", f"sequences.batch={batch * of_a_press}")
         for method, name, changed in (

@@ -32,7 +32,7 @@ from sim.tiers import simulate_many
 
 MM = 1e-3
 FRAME, FRAMES = 0.05 * MM, 20
-# Numbers of simultaneous presses.
+# Numbers of simultaneous presses, and the most.
 COUNTS = (1, 64, 256, 1024)
 MOST = 4096
 # Number of presses whose errors are measured.

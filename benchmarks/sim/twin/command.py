@@ -350,7 +350,7 @@ def identified(
     model = Model(fit.design, [still], grid=options.grid)
     values = {name: fit.values[name] for name in true}
     if fit.tier == "fem":
-        model.correct(values, model.by_fem(values))
+        model.correct(values)
     readings = model.readings(values)
     branches = range(1, 1 + sum(name.startswith("ratio") for name in true))
     shapes = [
