@@ -37,6 +37,10 @@ class SimulationDiverged(CommandError, RuntimeError):
         return "\n".join([f"no solution: {self}", *tried])
 
 
+class PassesThrough(SimulationDiverged):
+    """The indenter stands in the skin: the mesh does not resolve the contact, a finer one may."""
+
+
 # Checks of fields, with messages of one form.
 
 

@@ -16,7 +16,7 @@ import warp as wp
 
 from sim.contact_size import touched_by, width_of
 from sim.device import check_device
-from sim.errors import SimulationDiverged
+from sim.errors import PassesThrough, SimulationDiverged
 from sim.fem.assembly import Assembly, is_split
 from sim.fem.frames import Collector, Spent
 from sim.fem.mesh import Mesh, meshes_of
@@ -364,12 +364,14 @@ def judged(outcome: Outcome) -> Outcome:
             f"no force at waypoint {lost}, inside the body; largest overlap with the skin before: "
             f"{deepest:.3g} um"
         )
-        return SimulationDiverged(PASSES.format(where), tried=(), dump=None)
+        return PassesThrough(PASSES.format(where))
     warnings = list(outcome.record["warnings"])
     own = outcome.record["self_overlap"]
-    for overlap, place, inside, rejected in (
-        (outcome.quality.overlap, outcome.record["overlap"]["place"], "the indenter", PASSES),
-        (np.array(own["metres"]), own.get("place"), "the skin beside it", MEETS_ITSELF),
+    through = outcome.quality.overlap, outcome.record["overlap"]["place"]
+    folded = np.array(own["metres"]), own.get("place")
+    for (overlap, place), inside, kind, words in (
+        (through, "the indenter", PassesThrough, PASSES),
+        (folded, "the skin beside it", SimulationDiverged, MEETS_ITSELF),
     ):
         fractions = overlap_shares(outcome, overlap)
         worst = int(np.argmax(fractions))
@@ -378,7 +380,7 @@ def judged(outcome: Outcome) -> Outcome:
         deepest = float(overlap[worst])
         where = _where(place, deepest, f"{inside} at waypoint {worst}", fractions[worst])
         if fractions[worst] > OVERLAP_MOST and deepest > PASSED * outcome.record["mesh"]["finest"]:
-            return SimulationDiverged(rejected.format(where), tried=(), dump=None)
+            return kind(words.format(where))
         warnings.append(where)
     straight, most = _straight_push(outcome), _buckling_load(outcome.scene.body)
     if straight > most:

@@ -23,11 +23,12 @@ from support.simulated_archives import (
 
 from recorder import MarkerArchive, check
 from recorder.archive import ArchivedSensor, location_pairs
-from sim import Result, Scene, SceneError, SimulationDiverged, simulate
+from sim import Fem, Layer, Result, Scene, SceneError, SimulationDiverged, press, simulate
 from sim.dataset import DatasetPlan, Solving, begin, families, found, gel
 from sim.dataset import plan as solving
 from sim.dataset.generate import crept, reader
 from sim.dataset.summary import summary
+from sim.errors import PassesThrough
 from sim.indenters import named
 from sim.scene import through
 from sim.sensors import SurfaceField, sensor
@@ -208,7 +209,7 @@ ONE = replace(
 def test_a_press_without_a_solution_is_marked_with_its_reasons_and_in_no_pair(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(solving, "simulate_many", diverging(3))
+    monkeypatch.setattr(solving, "simulate_many", diverging(2))
     path = tmp_path / "lost.markers.zarr"
     make(path, ONE)
     each = MarkerArchive(path)["r6"]
@@ -222,7 +223,6 @@ def test_a_press_without_a_solution_is_marked_with_its_reasons_and_in_no_pair(
     assert made["failed"] == [
         "as asked for: no converged state",
         "steps of 1/100 of the thickness, float64: no converged state",
-        "even elements, steps of 1/100 of the thickness, float64: no converged state",
     ]
     assert len(location_pairs(each.table, each.table)) == 4
     assert list(check(path)) == []
@@ -244,6 +244,34 @@ def test_a_press_that_another_way_solves_says_which(
     assert made["again"] == "steps of 1/100 of the thickness, float64"
     message = "\n".join(summary(path, check=False))
     assert "1 presses were solved again in another way\n  sphere, target 0 of r6: solved" in message
+
+
+@pytest.mark.parametrize(
+    ("kind", "way"),
+    [
+        (SimulationDiverged, "steps of 1/100 of the thickness, float64"),
+        (PassesThrough, "elements 0.6 times as large"),
+    ],
+)
+def test_presses_without_a_solution_are_solved_again_together_by_what_may_help(
+    kind: type[SimulationDiverged], way: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = []
+
+    def simulate_many(scenes: Sequence[Scene], tier: Fem, **_how: Any) -> list[Any]:
+        calls.append((len(scenes), tier))
+        first = len(calls) == 1
+        return [kind("no state") if first and i % 2 else found for i in range(len(scenes))]
+
+    scene = Scene(named("sphere"), press([0.2e-3]))
+    found = simulate(scene, Layer())
+    monkeypatch.setattr(solving, "simulate_many", simulate_many)
+    solved = solving.solve([scene] * 5, Solving(spacing=2e-3))
+    assert [count for count, _ in calls if count] == [5, 2]
+    assert [one.how.get("again") for one in solved] == [None, way, None, way, None]
+    assert solved[1].how["failed"] == ["as asked for: no state"]
+    (finer,) = [tier for count, tier in calls if count == 2]
+    assert (finer.spacing < 2e-3) == (kind is PassesThrough)
 
 
 def test_another_plan_is_refused_by_its_keys_and_what_is_no_archive_by_its_name(

@@ -185,7 +185,7 @@ def _solved(each: Planted, presses: Presses, **how: Any) -> Forces:
     """Return forces by the settings of archives, or those for what has no solution by them."""
     first = Solving().settings(each.row.body)
     assert isinstance(first, Fem)
-    *some, last = first, *(fem for _, fem in further_settings(first, each.row.body))
+    *some, last = first, *(fem for _, fem, _ in further_settings(first, each.row.body))
     for fem in some:
         try:
             return solved(each.row, presses, each.bench, fem=fem, **how)
