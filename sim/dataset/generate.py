@@ -182,6 +182,10 @@ class Rows:
     displacement: NDArray[np.float16] | None
 
 
+# Part of a unit's progress that is solving; the rest is drawing and writing images.
+SOLVING = 0.7
+
+
 def make_unit(
     path: Path,
     plan: DatasetPlan,
@@ -199,12 +203,20 @@ def make_unit(
     family = families(plan)[unit.family]
     presses = family.presses[unit.first : unit.last]
     began = clock()
-    solved = solve(scenes(plan, family, presses), plan.solving, device=device, progress=progress)
+
+    def tell(first: float, part: float, fraction: float) -> None:
+        if progress is not None:
+            progress(first + part * fraction)
+
+    how: dict[str, Any] = {"device": device, "progress": functools.partial(tell, 0.0, SOLVING)}
+    solved = solve(scenes(plan, family, presses), plan.solving, **how)
     pressed = clock()
     writer = ArchiveWriter(path)
     images = 0
-    for sensor in family.sensors:
-        images += _write(writer, plan, family, sensor, unit, presses, solved, device)
+    each = (1 - SOLVING) / len(family.sensors)
+    for place, sensor in enumerate(family.sensors):
+        how["progress"] = functools.partial(tell, SOLVING + place * each, each)
+        images += _write(writer, plan, family, sensor, unit, presses, solved, **how)
     return UnitStats(unit.number, images, pressed - began, clock() - pressed)
 
 
@@ -216,7 +228,9 @@ def _write(
     unit: Unit,
     presses: Sequence[PlannedPress],
     solved: Sequence[Solved],
+    *,
     device: str,
+    progress: Callable[[float], None],
 ) -> int:
     """Write the rows of one sensor and return the number of masks."""
     seen = reader(sensor, plan.seed, device, len(indenter_names(plan)))
@@ -228,7 +242,10 @@ def _write(
     images = 0
     for place, number in enumerate(unit.files):
         some = recordings[place * family.unit_presses : (place + 1) * family.unit_presses]
-        parts = [_rows(plan, sensor, seen, press, each, one) for press, each, one in some]
+        parts = []
+        for press, each, one in some:
+            parts.append(_rows(plan, sensor, seen, press, each, one))
+            progress((place * family.unit_presses + len(parts)) / len(recordings))
         for index, name in enumerate(names(sensor)):
             images += sum(len(part.source) for part in parts)
             # Patterns of one sensor share its fields, which are stored with the first.

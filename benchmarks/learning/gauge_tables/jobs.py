@@ -46,7 +46,14 @@ from learning.errors import LearningError
 from learning.experiment.parts import look_of
 from learning.experiment.translating import translate_presses
 from learning.force.model import ForceModel
-from learning.force.train import PRESETS, ForceSettings, Relabelling, labels_of, train_force
+from learning.force.train import (
+    PRESETS,
+    Compensation,
+    ForceSettings,
+    Relabelling,
+    labels_of,
+    train_force,
+)
 from learning.metrics import r_squared
 from learning.training.run import generator
 from learning.translation.loading import load_translator
@@ -319,6 +326,15 @@ def unlabelled(presses: Presses, labels: SimulatedLabels) -> Presses:
     return replace(presses, wrench=forces.to(presses.device))
 
 
+def by_curves(study: Study, source: str, target: str) -> Compensation | None:
+    """Return the paper's compensation; None where a force-depth press has no solution."""
+    assert study.compensation is not None
+    if (source, target) in {(each.source, each.target) for each in study.compensation.pairs}:
+        return study.relabelling(source, target)
+    print(f"{source} to {target}: one has no force-depth curve", flush=True)
+    return None
+
+
 def baselines(study: Study) -> Iterator[tuple[Prediction, bool]]:
     """Yield predictions without nets, and whether some of their forces may be missing."""
     archive = study.archive
@@ -328,24 +344,25 @@ def baselines(study: Study) -> Iterator[tuple[Prediction, bool]]:
         train = one.table["wrench"][study.split.rows(one.table, "train"), :3]
         mean = np.tile(train.mean(axis=0), (len(rows), 1))
         yield Prediction("mean of the source's labels", "-", source, target, 0, False, mean), False
-        nearest = nearest_labels(study, source, target)
-        yield Prediction("nearest frame", "-", source, target, 1, False, nearest), False
         partner = partners(one.table, other.table)[rows]
-        relabelled = study.relabelling(source, target)
-        assert relabelled is not None
-        valid = np.flatnonzero(one.table["valid"])
         wrench = one.table["wrench"][:, :3].astype(np.float64)
-        priors = np.full_like(wrench, np.nan)
-        priors[valid], _ = relabelled(
-            wrench[valid],
-            one.table["depth"][valid].astype(np.float64),
-            one.table["phase"][valid].astype(np.int64),
-        )
-        for word, spent, labels in (
+        known = [
             ("source's", 0, wrench),
-            ("priors", 1, priors),
             ("simulated", GAUGE_PRESSES, simulated_labels(one, other).force),
-        ):
+        ]
+        relabelled = by_curves(study, source, target)
+        if relabelled is not None:
+            nearest = nearest_labels(study, source, target)
+            yield Prediction("nearest frame", "-", source, target, 1, False, nearest), False
+            valid = np.flatnonzero(one.table["valid"])
+            priors = np.full_like(wrench, np.nan)
+            priors[valid], _ = relabelled(
+                wrench[valid],
+                one.table["depth"][valid].astype(np.float64),
+                one.table["phase"][valid].astype(np.int64),
+            )
+            known.append(("priors", 1, priors))
+        for word, spent, labels in known:
             force = np.where(partner[:, None] >= 0, labels[partner], np.nan)
             name = f"labels alone: {word}"
             yield Prediction(name, "-", source, target, spent, False, force), True
@@ -410,22 +427,26 @@ def from_source(study: Study, source: str) -> Iterator[Prediction]:
             force = model.predict(unseen_presses(study, target, form_of(net)))
             return Prediction(method, net, source, target, spent, privileged, force)
 
-        priors, simulated = study.relabelling(source, target), simulated_labels(one, other)
         yield of("source-only", MAIN, begun, 0)
         yield of("source-only", "displacement", moved, 0)
         pair = for_pair(field, SensorView.of(one), SensorView.of(other))
         packed = presses["packed"]
         shown = translate_presses(packed, look_of(other, packed, study.device), pair)
+        priors, simulated = by_curves(study, source, target), simulated_labels(one, other)
         for word, spent, labels in (
             ("priors", 1, priors),
             ("simulated", GAUGE_PRESSES, simulated),
         ):
+            if labels is None:
+                continue
             tuned = trained(study, "displacement", presses["field"], moved, labels)
             yield of(f"displacement, {word}", "displacement", tuned, spent)
             tuned = trained(study, MAIN, shown, begun, labels)
             yield of(f"field, {word}", MAIN, tuned, spent)
             if word == "priors":
                 start = tuned
+        if priors is None:
+            continue
         labelled = replace(shown, wrench=labels_of(shown, priors))
         for method, spent, rows in few_shots(study, target):
             few = load_presses(other, rows, device=study.device)
