@@ -7,13 +7,16 @@ from __future__ import annotations
 import json
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path as File
+from typing import Any
 
 import numpy as np
 import warp as wp
 
+from recorder.processes import cores
 from sim.contact_size import touched_by, width_of
 from sim.device import check_device
 from sim.errors import PassesThrough, SimulationDiverged
@@ -566,6 +569,17 @@ def forget_dump(dump: File | None) -> None:
 FADED, FADED_BELOW = 3, 0.01
 
 
+def on_host(device: str, function: Callable[..., Any], *items: Iterable[Any]) -> list[Any]:
+    """Return a function of the host for each of the items: in threads beside a GPU.
+
+    A GPU's batch has many presses, and NumPy leaves the interpreter's lock to other threads.
+    """
+    if device == "cpu":
+        return list(map(function, *items))
+    with ThreadPoolExecutor(cores()) as pool:
+        return list(pool.map(function, *items))
+
+
 @dataclass(frozen=True, slots=True)
 class _Reached:
     """State of some environments when their batch ends, from which another one goes on."""
@@ -650,10 +664,12 @@ class _Batch:
             self._finish(self._busy & (newton.converged | newton.failed))
         self._seconds["solve"] = self._before + time.perf_counter() - began
         record = self._record()
-        return [
-            self._failed.get(i) or collector.result({**record, **self._of_one(i)})
-            for i, collector in enumerate(self._collectors)
-        ]
+
+        def outcome(env: int) -> Outcome:
+            failed = self._failed.get(env)
+            return failed or self._collectors[env].result({**record, **self._of_one(env)})
+
+        return on_host(self._assembly.device, outcome, range(len(self._scenes)))
 
     def _begin(self, idle: np.ndarray) -> None:
         """Begin the next step of the idle environments (B,)."""
@@ -751,9 +767,11 @@ class _Batch:
             return way, folds, crossed
         top = assembly.read(some, self._tip)[1]
         displaced = assembly.rows(assembly.state.u, some).astype(float)
-        for i, u, force in zip(some, displaced, top[..., 3:], strict=True):
+        meshes = [self._meshes[i] for i in some]
+        found = on_host(assembly.device, self_overlap, meshes, displaced)
+        for i, (deep, node), force in zip(some, found, top[..., 3:], strict=True):
             mesh, unit = self._meshes[i], self._scenes[i].body.thickness
-            deep, node = folds[i] = self_overlap(mesh, u)
+            folds[i] = deep, node
             if deep <= PASSED * mesh.finest:
                 continue
             place = mesh.nodes[node] * unit

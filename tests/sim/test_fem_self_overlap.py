@@ -9,13 +9,24 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim import Body, Effects, Friction, Motion, Scene, SimulationDiverged, press, simulate
+from sim import (
+    Body,
+    Effects,
+    Friction,
+    Motion,
+    Result,
+    Scene,
+    SimulationDiverged,
+    press,
+    simulate,
+)
 from sim.fem import solver
 from sim.fem.assembly import Assembly
 from sim.fem.mesh import Mesh, build_mesh
-from sim.fem.numerics import Fem
+from sim.fem.numerics import FOR_EDGES, Fem
 from sim.fem.self_overlap import folded_faces, self_overlap
-from sim.indenters import sphere
+from sim.indenters import flat_punch, sphere
+from sim.simulate import simulate_many
 
 Array = NDArray[np.float64]
 
@@ -161,3 +172,31 @@ def test_a_fold_above_the_limit_ends_the_path_where_it_grows(
         simulate(scene, Fem(spacing=4e-3 / 3))
     assert len(told.value.tried) <= 3
     assert all("overlaps itself" in one for one in told.value.tried)
+
+
+def test_the_host_computes_the_same_in_threads_beside_a_gpu(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scenes = [
+        Scene(flat_punch(radius, 0.2e-3), press([1.5e-3]), effects=Effects(friction=Friction(0.8)))
+        for radius in (2e-3, 3e-3)
+    ]
+    folds = []
+    real = solver.on_host
+
+    def on_host(_device: str, *given: Any) -> list[Any]:
+        found = real("cuda:0", *given)
+        folds.extend(one for one in found if isinstance(one, tuple))
+        return found
+
+    fem = Fem(spacing=1e-3, grading=FOR_EDGES, tolerance=0.015, path_tolerance=0.1, augmentations=1)
+    plain = simulate_many(scenes, fem)
+    monkeypatch.setattr(solver, "on_host", on_host)
+    beside = simulate_many(scenes, fem)
+    assert folds
+    for one, other in zip(plain, beside, strict=True):
+        assert isinstance(one, Result)
+        assert isinstance(other, Result)
+        np.testing.assert_array_equal(one.force, other.force)
+        np.testing.assert_array_equal(one.quality.contact_width, other.quality.contact_width)
+        assert {**one.record, "seconds": 0} == {**other.record, "seconds": 0}
