@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 
@@ -69,6 +69,8 @@ DAMPED, DAMPED_LITTLE = 100.0, 0.5
 LITTLE = 0.1
 # Cost above the least, from which an explanation counts no more (its odds are 1 in 90).
 TOLD = 9.0
+# Thicknesses, over that of an explanation, from which others are looked for.
+ASIDE = (0.8, 1.25)
 # How often tier `fem` corrects the forces of tier `layer`: first at an explanation by `layer`, then
 # at one by forces that are corrected there.
 CORRECTIONS = 2
@@ -218,18 +220,22 @@ def _found(
     values: Mapping[str, float] = {**centre, "modulus": stiffer * centre["modulus"]}
     plain = tuple(name for name in names if name not in TILT)
     data = seen_at(values)
-    level = _descended(data, model, plain, values, centre, _fraction_of(progress, 0.0, 0.3 * part))
+    level = _descended(data, model, plain, values, centre, _fraction_of(progress, 0.0, 0.2 * part))
     # A level pad is one explanation, a tilted one another, with a skin that may be quite different:
     # a descent from the one need not find the other.
     values, near, rounds = _tilted(data, model, level), None, level.rounds
-    for begun in (0.3, 0.6):
+    for begun in (0.2, 0.4):
         # The grid's error depends on the tilt.
         data = seen_at(values)
-        further = _fraction_of(progress, part * begun, 0.3 * part)
+        further = _fraction_of(progress, part * begun, 0.2 * part)
         tilted = _descended(data, model, names, values, centre, further, near)
         values, near, rounds = tilted.values, tilted.near, rounds + tilted.rounds
-    timing, law, sigma = _weights(tracks, tilted.near)
     ends = [level.values, tilted.values]
+    further = _fraction_of(progress, 0.6 * part, 0.4 * part)
+    for aside in _aside(data, model, names, tilted.values, centre, further):
+        rounds += aside.rounds
+        ends.append(aside.values)
+    timing, law, sigma = _weights(tracks, tilted.near)
     found = _explanations(data, model, names, ends, centre, sigma)
     for done in range(CORRECTIONS if correct is not None else 0):
         assert correct is not None
@@ -259,6 +265,30 @@ def _found(
         rounds=rounds,
         tier="layer" if correct is None else "fem",
     )
+
+
+def _aside(
+    data: Data,
+    model: Model,
+    names: Sequence[str],
+    values: Mapping[str, float],
+    centre: Mapping[str, float],
+    progress: Callable[[float], None],
+) -> Iterator[Descended]:
+    """Yield descents that begin with a thinner and a thicker skin than one that was found.
+
+    A thinner skin that is softer, with another Poisson's ratio, explains presses nearly as well: a
+    descent ends anywhere in that valley, and the derivatives there do not tell how long it is.
+    """
+    others = tuple(name for name in names if name != "thickness")
+    for number, factor in enumerate(ASIDE):
+        begun, half = number / len(ASIDE), 0.5 / len(ASIDE)
+        moved = {**values, "thickness": factor * values["thickness"]}
+        further = _fraction_of(progress, begun, half)
+        held = _descended(data, model, others, moved, centre, further)
+        further = _fraction_of(progress, begun + half, half)
+        found = _descended(data, model, names, held.values, centre, further)
+        yield replace(found, rounds=held.rounds + found.rounds)
 
 
 def _fraction_of(
