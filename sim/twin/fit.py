@@ -74,6 +74,8 @@ ASIDE = (0.8, 1.25)
 # How often tier `fem` corrects the forces of tier `layer`: first at an explanation by `layer`, then
 # at one by forces that are corrected there.
 CORRECTIONS = 2
+# Most explanations that are corrected, since each takes minutes.
+EXPLAINED = 2
 # Spread over the prior's above which presses have told nothing.
 UNTOLD = 0.7
 
@@ -242,8 +244,9 @@ def _found(
         progress(part + 0.3 * done)
         correct(found[0].values)
         data = seen_at(found[0].values)
-        further = _fraction_of(progress, part + 0.3 * done + 0.1, 0.2 / len(found))
-        again = [_descended(data, model, names, each.values, centre, further) for each in found]
+        likely = found[:EXPLAINED]
+        further = _fraction_of(progress, part + 0.3 * done + 0.1, 0.2 / len(likely))
+        again = [_descended(data, model, names, each.values, centre, further) for each in likely]
         rounds += sum(each.rounds for each in again)
         timing, law, sigma = _weights(tracks, again[0].near)
         ends = [each.values for each in again]
@@ -341,7 +344,7 @@ def _explanations(
     centre: Mapping[str, float],
     sigma: Sequence[Array],
 ) -> list[Explanation]:
-    """Return the ends of descents, the best first, without those that are clearly worse.
+    """Return the ends of descents, the best first, without those that are worse or the same.
 
     Their covariances come from derivatives taken where they are: those that a descent corrected on
     its way can be off by enough to make intervals two to three times too narrow.
@@ -350,9 +353,10 @@ def _explanations(
     offsets = [_offset(names, values, centre) / prior for values in ends]
     residuals = [_stacked(data, model.readings(values), sigma)[0] for values in ends]
     costs = [_cost(*each) for each in zip(residuals, offsets, strict=True)]
-    found = []
+    found: list[Explanation] = []
     for index in np.argsort(costs):
-        if costs[index] > min(costs) + TOLD:
+        known = any(_alike(names, each, ends[index]) for each in found)
+        if known or costs[index] > min(costs) + TOLD:
             continue
         near = model.linearised(ends[index], names)
         residual, jacobian = _stacked(data, near.readings, sigma, near.slopes)
@@ -361,6 +365,12 @@ def _explanations(
         covariance = np.asarray(np.linalg.inv(inverse), float)
         found.append(Explanation(ends[index], near, costs[index], covariance))
     return found
+
+
+def _alike(names: Sequence[str], one: Explanation, values: Mapping[str, float]) -> bool:
+    """True if values are within a small part of the spread of an explanation."""
+    way = np.array([way_of(name, one.values, values) for name in names])
+    return float(way @ np.linalg.solve(one.covariance, way)) < SMALL**2
 
 
 def _mixed(names: Sequence[str], found: Sequence[Explanation]) -> Array:
