@@ -71,6 +71,8 @@ LITTLE = 0.1
 TOLD = 9.0
 # Thicknesses, over that of an explanation, from which others are looked for.
 ASIDE = (0.8, 1.25)
+# Cost above that of the best explanation, up to which their mean is taken for it.
+LITTLE_WORSE = 1.0
 # How often tier `fem` corrects the forces of tier `layer`: first at an explanation by `layer`, then
 # at one by forces that are corrected there.
 CORRECTIONS = 2
@@ -251,6 +253,7 @@ def _found(
         timing, law, sigma = _weights(tracks, again[0].near)
         ends = [each.values for each in again]
         found = _explanations(data, model, names, ends, centre, sigma)
+    found = _with_mean(data, model, names, found, centre, sigma)
     best = found[0]
     progress(1.0)
     return Fit(
@@ -373,14 +376,42 @@ def _alike(names: Sequence[str], one: Explanation, values: Mapping[str, float]) 
     return float(way @ np.linalg.solve(one.covariance, way)) < SMALL**2
 
 
+def _with_mean(
+    data: Data,
+    model: Model,
+    names: Sequence[str],
+    found: list[Explanation],
+    centre: Mapping[str, float],
+    sigma: Sequence[Array],
+) -> list[Explanation]:
+    """Return explanations after their mean, which errs less than the best, if it explains as well.
+
+    It does not where the valley between them bends.
+    """
+    if len(found) < 2:
+        return found
+    best = found[0]
+    weights = _odds(found)
+    ways = [np.array([way_of(name, best.values, each.values) for name in names]) for each in found]
+    moved = zip(names, weights @ np.array(ways), strict=True)
+    values = {**best.values, **{name: moved_by(name, best.values, by) for name, by in moved}}
+    (mean,) = _explanations(data, model, names, [values], centre, sigma)
+    return [mean, *found] if mean.cost < best.cost + LITTLE_WORSE else found
+
+
+def _odds(found: Sequence[Explanation]) -> Array:
+    """Return the probability of each explanation, by its cost."""
+    weights = np.exp([(min(one.cost for one in found) - each.cost) / 2 for each in found])
+    return np.asarray(weights / weights.sum())
+
+
 def _mixed(names: Sequence[str], found: Sequence[Explanation]) -> Array:
     """Return the covariance (p, p) about the first explanation, each as likely as its cost says."""
-    weights = np.exp([(found[0].cost - each.cost) / 2 for each in found])
     ways = [
         np.array([way_of(name, found[0].values, each.values) for name in names]) for each in found
     ]
     mixed = np.zeros_like(found[0].covariance)
-    for weight, each, way in zip(weights / weights.sum(), found, ways, strict=True):
+    for weight, each, way in zip(_odds(found), found, ways, strict=True):
         mixed += weight * (each.covariance + np.outer(way, way))
     return mixed
 
