@@ -205,6 +205,13 @@ def seconds_of(scene: Scene, tier: Layer | Fem, mesh: Mesh | None = None) -> flo
     return SECONDS_ITERATION * len(mesh.elements) * ITERATIONS * path.steps
 
 
+def span_of(
+    progress: Callable[[float], None], begun: float, part: float
+) -> Callable[[float], None]:
+    """Return a callback that converts the fraction of a part after `begun` to the whole's."""
+    return lambda fraction: progress(begun + part * fraction)
+
+
 def part_of(progress: Callable[[float], None], index: int, count: int) -> Callable[[float], None]:
     """Return a callback that converts the fraction of a part of `count` to that of the whole."""
     return lambda fraction: progress((index + fraction) / count)

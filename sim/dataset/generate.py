@@ -42,6 +42,7 @@ from sim.sensors import (
     TaxelReadout,
     readout,
 )
+from sim.tiers import part_of, span_of
 
 # The readings of each sensor of an archive: masks, displacement fields and references.
 
@@ -203,20 +204,16 @@ def make_unit(
     family = families(plan)[unit.family]
     presses = family.presses[unit.first : unit.last]
     began = clock()
-
-    def tell(first: float, part: float, fraction: float) -> None:
-        if progress is not None:
-            progress(first + part * fraction)
-
-    how: dict[str, Any] = {"device": device, "progress": functools.partial(tell, 0.0, SOLVING)}
-    solved = solve(scenes(plan, family, presses), plan.solving, **how)
+    progress = progress or (lambda _fraction: None)
+    solving = span_of(progress, 0.0, SOLVING)
+    solved = solve(scenes(plan, family, presses), plan.solving, device=device, progress=solving)
     pressed = clock()
     writer = ArchiveWriter(path)
-    images = 0
-    each = (1 - SOLVING) / len(family.sensors)
+    images, drawing = 0, span_of(progress, SOLVING, 1 - SOLVING)
     for place, sensor in enumerate(family.sensors):
-        how["progress"] = functools.partial(tell, SOLVING + place * each, each)
-        images += _write(writer, plan, family, sensor, unit, presses, solved, **how)
+        inside = part_of(drawing, place, len(family.sensors))
+        parts = (writer, plan, family, sensor, unit, presses, solved)
+        images += _write(*parts, device=device, progress=inside)
     return UnitStats(unit.number, images, pressed - began, clock() - pressed)
 
 

@@ -25,6 +25,7 @@ from sim.sensors.posterior import (
     quantities,
     with_quantities,
 )
+from sim.tiers import part_of, span_of
 from sim.twin.model import STEPS, Linear, Model, Solved
 from sim.twin.observations import SETTLING, Track
 
@@ -224,18 +225,18 @@ def _found(
     values: Mapping[str, float] = {**centre, "modulus": stiffer * centre["modulus"]}
     plain = tuple(name for name in names if name not in TILT)
     data = seen_at(values)
-    level = _descended(data, model, plain, values, centre, _fraction_of(progress, 0.0, 0.2 * part))
+    level = _descended(data, model, plain, values, centre, span_of(progress, 0.0, 0.2 * part))
     # A level pad is one explanation, a tilted one another, with a skin that may be quite different:
     # a descent from the one need not find the other.
     values, near, rounds = _tilted(data, model, level), None, level.rounds
     for begun in (0.2, 0.4):
         # The grid's error depends on the tilt.
         data = seen_at(values)
-        further = _fraction_of(progress, part * begun, 0.2 * part)
+        further = span_of(progress, part * begun, 0.2 * part)
         tilted = _descended(data, model, names, values, centre, further, near)
         values, near, rounds = tilted.values, tilted.near, rounds + tilted.rounds
     ends = [level.values, tilted.values]
-    further = _fraction_of(progress, 0.6 * part, 0.4 * part)
+    further = span_of(progress, 0.6 * part, 0.4 * part)
     for aside in _aside(data, model, names, tilted.values, centre, further):
         rounds += aside.rounds
         ends.append(aside.values)
@@ -247,7 +248,7 @@ def _found(
         correct(found[0].values)
         data = seen_at(found[0].values)
         likely = found[:EXPLAINED]
-        further = _fraction_of(progress, part + 0.3 * done + 0.1, 0.2 / len(likely))
+        further = span_of(progress, part + 0.3 * done + 0.1, 0.2 / len(likely))
         again = [_descended(data, model, names, each.values, centre, further) for each in likely]
         rounds += sum(each.rounds for each in again)
         timing, law, sigma = _weights(tracks, again[0].near)
@@ -288,19 +289,11 @@ def _aside(
     """
     others = tuple(name for name in names if name != "thickness")
     for number, factor in enumerate(ASIDE):
-        begun, half = number / len(ASIDE), 0.5 / len(ASIDE)
         moved = {**values, "thickness": factor * values["thickness"]}
-        further = _fraction_of(progress, begun, half)
-        held = _descended(data, model, others, moved, centre, further)
-        further = _fraction_of(progress, begun + half, half)
-        found = _descended(data, model, names, held.values, centre, further)
+        first, second = (part_of(progress, 2 * number + each, 2 * len(ASIDE)) for each in (0, 1))
+        held = _descended(data, model, others, moved, centre, first)
+        found = _descended(data, model, names, held.values, centre, second)
         yield replace(found, rounds=held.rounds + found.rounds)
-
-
-def _fraction_of(
-    progress: Callable[[float], None], begun: float, part: float
-) -> Callable[[float], None]:
-    return lambda fraction: progress(begun + part * fraction)
 
 
 def _correct(model: Model, rougher: Model, device: str, values: Mapping[str, float]) -> None:
@@ -372,7 +365,7 @@ def _explanations(
 
 def _alike(names: Sequence[str], one: Explanation, values: Mapping[str, float]) -> bool:
     """True if values are within a small part of the spread of an explanation."""
-    way = np.array([way_of(name, one.values, values) for name in names])
+    way = _way(names, one.values, values)
     return float(way @ np.linalg.solve(one.covariance, way)) < SMALL**2
 
 
@@ -391,25 +384,28 @@ def _with_mean(
     if len(found) < 2:
         return found
     best = found[0]
-    weights = _odds(found)
-    ways = [np.array([way_of(name, best.values, each.values) for name in names]) for each in found]
-    moved = zip(names, weights @ np.array(ways), strict=True)
+    ways = np.array([_way(names, best.values, each.values) for each in found])
+    moved = zip(names, _odds(found) @ ways, strict=True)
     values = {**best.values, **{name: moved_by(name, best.values, by) for name, by in moved}}
     (mean,) = _explanations(data, model, names, [values], centre, sigma)
     return [mean, *found] if mean.cost < best.cost + LITTLE_WORSE else found
 
 
+def _way(names: Sequence[str], one: Mapping[str, float], other: Mapping[str, float]) -> Array:
+    """Return `way_of` from one's values to the other's (p,)."""
+    return np.array([way_of(name, one, other) for name in names])
+
+
 def _odds(found: Sequence[Explanation]) -> Array:
     """Return the probability of each explanation, by its cost."""
-    weights = np.exp([(min(one.cost for one in found) - each.cost) / 2 for each in found])
+    costs = np.array([each.cost for each in found])
+    weights = np.exp((costs.min() - costs) / 2)
     return np.asarray(weights / weights.sum())
 
 
 def _mixed(names: Sequence[str], found: Sequence[Explanation]) -> Array:
     """Return the covariance (p, p) about the first explanation, each as likely as its cost says."""
-    ways = [
-        np.array([way_of(name, found[0].values, each.values) for name in names]) for each in found
-    ]
+    ways = [_way(names, found[0].values, each.values) for each in found]
     mixed = np.zeros_like(found[0].covariance)
     for weight, each, way in zip(_odds(found), found, ways, strict=True):
         mixed += weight * (each.covariance + np.outer(way, way))
