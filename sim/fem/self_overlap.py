@@ -25,6 +25,8 @@ Indices = NDArray[np.int64]
 NEWTON = 12
 # Last Newton step of a point that is located, in reference coordinates.
 LOCATED = 1e-10
+# Most strips in which nodes near a fold are sorted.
+STRIPS_MOST = 256
 # Overlaps below this are rounding.
 ON_SKIN = 1e-6
 SIGNS = 2.0 * np.array(CORNERS) - 1.0
@@ -121,27 +123,33 @@ def _pairs(
 ) -> tuple[Indices, Indices]:
     """Return nodes and elements (P,) with the node in the element's box, but not its corner."""
     nodes = np.flatnonzero(here)
-    point = places[nodes]
-    # Along the axis on which the boxes leave the fewest nodes, each box holds a range of them.
-    rows = [np.argsort(point[:, axis]) for axis in range(3)]
-    ranges = [
-        (
-            np.searchsorted(point[rows[axis], axis], low[:, axis], "left"),
-            np.searchsorted(point[rows[axis], axis], high[:, axis], "right"),
-        )
-        for axis in range(3)
-    ]
-    axis = min(range(3), key=lambda one: (ranges[one][1] - ranges[one][0]).sum())
-    first, past = ranges[axis]
-    count = past - first
-    row = np.repeat(np.arange(len(elements)), count)
-    node = rows[axis][np.arange(len(row)) - np.repeat(np.cumsum(count) - count - first, count)]
-    for other in (one for one in range(3) if one != axis):
-        at = point[node, other]
-        within = (at >= low[row, other]) & (at <= high[row, other])
+    if not len(nodes):
+        return nodes, nodes
+    # Nodes in strips along x, as wide as most elements, and by y in each. The strips' keys follow
+    # each other, so that an element's box holds a range of keys in each strip that it reaches.
+    strip = max(np.median(high[:, 0] - low[:, 0]), np.ptp(places[nodes, 0]) / STRIPS_MOST)
+    bottom = min(low[:, 1].min(), places[nodes, 1].min())
+    apiece = 2 * (max(high[:, 1].max(), places[nodes, 1].max()) - bottom)
+    key = np.floor(places[nodes, 0] / strip) * apiece + places[nodes, 1] - bottom
+    nodes, key = nodes[order := np.argsort(key)], key[order]
+    begin = np.floor(low[:, 0] / strip)
+    reached = (np.floor(high[:, 0] / strip) - begin).astype(int) + 1
+    row = np.repeat(np.arange(len(elements)), reached)
+    keys = (begin[row] + _counted(reached)) * apiece - bottom
+    first = np.searchsorted(key, keys + low[row, 1], "left")
+    count = np.searchsorted(key, keys + high[row, 1], "right") - first
+    row, node = np.repeat(row, count), np.repeat(first, count) + _counted(count)
+    for axis in range(3):
+        at = places[nodes[node], axis]
+        within = (at >= low[row, axis]) & (at <= high[row, axis])
         row, node = row[within], node[within]
     apart = (mesh.elements[elements[row]] != nodes[node][:, None]).all(axis=1)
     return nodes[node[apart]], elements[row[apart]]
+
+
+def _counted(counts: Indices) -> Indices:
+    """Return 0, 1, ... up to each of the counts, one after the other (sum of the counts,)."""
+    return np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
 
 
 def _may_be_within(corners: Array, points: Array) -> NDArray[np.bool_]:
