@@ -266,6 +266,9 @@ PASSED = 0.1
 # Width of the undeformed body inside the indenter, over the side of the smallest elements, above
 # which a contact has a force.
 FELT = 2.0
+# Distance from where a tip was last felt, over its depth there, within which it comes down at the
+# same place.
+ASIDE_MOST = 0.01
 # Columns along x and y in which the indenter is looked for below the undeformed top.
 COLUMNS_MOST = 65
 PASSES = (
@@ -413,8 +416,9 @@ def _lost_contact(result: Result) -> int | None:
 
     Either the indenter overlapped the skin before, or there it overlaps the undeformed body by more
     than points of contact are apart: something small may have passed between two states. A body
-    that sags, swings or recovers slowly may be elsewhere: a tip that is lifted can leave it, and
-    stays out until it comes down again.
+    that sags, swings or recovers slowly may be elsewhere: a tip that is lifted can leave it. It
+    stays out until it comes down, and there too while it is above the height where it was last
+    felt: the skin below can only have risen since.
     """
     scene, deepest = result.scene, 0.0
     effects = scene.effects
@@ -422,15 +426,19 @@ def _lost_contact(result: Result) -> int | None:
     finest = result.record["mesh"]["finest"]
     felt, lifted = result.force.any(axis=1), False
     tips = np.asarray(scene.motion.tip)
+    left = tips[0]
     for waypoint, tip in enumerate(tips):
         deepest = max(deepest, float(result.quality.overlap_path[waypoint]))
         if felt[waypoint]:
-            lifted = False
+            lifted, left = False, tip
             continue
         if waypoint and not at_rest:
             way = tip - tips[waypoint - 1]
             rises = way[2] > 0 and way[2] >= np.hypot(way[0], way[1])
-            lifted = way[2] >= 0 and (lifted or (rises and bool(felt[waypoint - 1])))
+            aside = np.hypot(*(tip - left)[:2])
+            above = tip[2] > left[2] and aside < ASIDE_MOST * abs(left[2])
+            lifted = lifted or (rises and bool(felt[waypoint - 1]))
+            lifted = lifted and bool(way[2] >= 0 or above)
         if lifted or tip[2] >= 0:
             continue
         if deepest > PASSED * finest:

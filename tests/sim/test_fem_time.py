@@ -88,6 +88,33 @@ def test_a_skin_that_has_not_come_back_lets_go_of_a_lifted_tip() -> None:
             raise judged_of(motion, 4)  # type: ignore[misc]
 
 
+def test_a_tip_may_come_down_to_a_skin_that_has_not_come_back() -> None:
+    """The force-depth presses of a viscous sensor: down, up, and down again at once."""
+    depths = (0, 0.5, 1.0, 1.0, 0.3, -0.1, 0.2, 0.5, 1.0)
+    times = (0, 0.1, 0.2, 3.0, 3.05, 3.1, 3.13, 3.15, 3.2)
+    down = tuple((0.0, 0.0, -1e-3 * depth) for depth in depths)
+    body = replace(SMALL, size_x=16e-3, size_y=16e-3)
+    slow = Effects(friction=Friction(0.5), viscosity=Viscosity((0.5, 0.5), (0.05, 0.6)))
+    scene = Scene(named("cylinder"), Motion(down, times), body, slow)
+    found = simulate(scene, Fem(spacing=1e-3))
+    layer = simulate(scene, Layer(grid=48))
+    for result in (found, layer):
+        felt = result.force.any(axis=1)
+        assert felt.tolist() == [False, True, True, True, False, False, False, True, True]
+
+    def judged_of(moved: Motion) -> Result | SimulationDiverged:
+        wrench = found.wrench.copy()
+        wrench[4:] = 0.0
+        return judged(replace(found, scene=replace(scene, motion=moved), wrench=wrench))
+
+    # Below where it was last felt, or aside of it, the skin is missing.
+    deeper, aside = (*down[:7], (0.0, 0.0, -1.01e-3)), (*down[:6], (3e-3, 0.0, -0.2e-3))
+    for tips in (deeper, aside):
+        motion = Motion((*tips, *[tips[-1]] * (len(down) - len(tips))), times)
+        with pytest.raises(SimulationDiverged, match=f"no force at waypoint {len(tips) - 1}"):
+            raise judged_of(motion)  # type: ignore[misc]
+
+
 def test_a_slow_press_feels_the_modulus_at_rest() -> None:
     elastic = simulate(Scene(sphere(3e-3), press([0.5e-3]), SMALL), EXACT)
     motion = press([0.5e-3], speed=1e-6)
