@@ -577,6 +577,12 @@ def forget_dump(dump: File | None) -> None:
 FADED, FADED_BELOW = 3, 0.01
 
 
+# Threads of the host beside a GPU. Nearly half of their work holds the interpreter's lock, so that
+# more threads wait for each other: two were 1.9 and 1.5 times as fast as one, six 1.5 and 1.2 times
+# (folds, and results; two cores), and sixteen on sixteen cores slower than six.
+THREADS = 3
+
+
 def on_host(device: str, function: Callable[..., Any], *items: Iterable[Any]) -> list[Any]:
     """Return a function of the host for each of the items: in threads beside a GPU.
 
@@ -584,7 +590,7 @@ def on_host(device: str, function: Callable[..., Any], *items: Iterable[Any]) ->
     """
     if device == "cpu":
         return list(map(function, *items))
-    with ThreadPoolExecutor(cores()) as pool:
+    with ThreadPoolExecutor(min(THREADS, cores())) as pool:
         return list(pool.map(function, *items))
 
 

@@ -16,7 +16,7 @@ import argparse
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 from learning.errors import LearningError
 from recorder.command_line.options import names as listed
@@ -30,12 +30,19 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the benchmark."""
     from benchmarks.learning.gauge_tables.skins import GROUPS
+    from sim.sensors.posterior import FitTier
 
     parser.description = __doc__.split("\n\n")[0]
     add = parser.add_argument
     add("--out", type=Path, required=True, metavar="DIR", help="output folder")
     add("--group", choices=tuple(GROUPS), default="heterogeneous", help="(%(default)s)")
     add("--size", choices=("gpu", "toy"), default="gpu", help="(%(default)s)")
+    add(
+        "--fit",
+        choices=get_args(FitTier),
+        default="layer",
+        help="tier of twins, their labels and draws (%(default)s)",
+    )
     add("--seeds", type=listed, default=("0", "1", "2"), metavar="N,...", help="(0,1,2)")
     add("--skins", type=whole(0), default=0, metavar="N", help="seed of the sensors (%(default)s)")
     add("--targets", type=whole(2, 48), metavar="N", help="targets of an indenter (8; toy: 2)")
@@ -76,7 +83,7 @@ def run(options: argparse.Namespace) -> int:
         return 0
     out = options.out
     # Jobs of other sensors or sizes would pass for done.
-    told = {"group": options.group, "size": options.size, "skins": options.skins}
+    told = {name: getattr(options, name) for name in ("group", "size", "skins", "fit")}
     stored(out / "settings.jsonl", {**told, "targets": study.of.targets, "steps": study.of.steps})
     write_rows(out / "rows", options.group, study.designs, options.skins)
     gpus = options.gpus.split(",") if options.gpus else _gpus()[0]
@@ -99,7 +106,7 @@ def _study(options: argparse.Namespace, cores: int) -> Study:
     if options.job is not None and options.gpus != "cpu" and torch.cuda.is_available():
         device = torch.device("cuda")
     torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = True
-    given: dict[str, Any] = {"group": options.group, "skins": options.skins}
+    given: dict[str, Any] = {name: getattr(options, name) for name in ("group", "skins", "fit")}
     return Study(
         options.out,
         size.chain,
@@ -140,7 +147,7 @@ def _tasks(options: argparse.Namespace, study: Study, cores: int, done: set[str]
             assert trajectory is not None
             command = ["-m", "sim", "archive", "sensors", "--no-check", "--steps", str(size.phase)]
             command += ["--scale", f"{size.targets / len(trajectory):.6f}"]
-            shapes, tier = size.seen, "layer"
+            shapes, tier = size.seen, study.fit
             if kind == "draws":
                 twin = twin_path(study.out, f"{rest[0]}-draw")
                 command += ["--twin", str(twin), "--draws", str(size.draws)]
@@ -164,7 +171,8 @@ def _tasks(options: argparse.Namespace, study: Study, cores: int, done: set[str]
         else:
             command = ["-m", "benchmarks", "gauge-tables", "--job", name, "--out", str(study.out)]
             command += ["--group", study.group, "--size", options.size]
-            command += ["--skins", str(study.skins), "--targets", str(size.targets)]
+            command += ["--skins", str(study.skins), "--fit", study.fit]
+            command += ["--targets", str(size.targets)]
             command += ["--steps", str(size.steps)]
             command += ["--minutes", str(study.minutes), "--processes", str(cores)]
             command += ["--gpus", "cpu"] if on_cpu else []

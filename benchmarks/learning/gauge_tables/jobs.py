@@ -62,6 +62,7 @@ from recorder import MarkerArchive
 from recorder.store import replace_file
 from sim.dataset.plan import UNSEEN
 from sim.indenters import NAMES
+from sim.sensors.posterior import FitTier
 
 Floats = NDArray[np.float64]
 
@@ -166,6 +167,8 @@ class Study(Chain):
     of: Size = SIZES["toy"]
     skins: int = 0
     """Seed of the planted sensors."""
+    fit: FitTier = "layer"
+    """Tier of twins, their labels and draws."""
 
     @property
     def designs(self) -> tuple[str, ...]:
@@ -537,8 +540,9 @@ def run_job(study: Study, name: str) -> None:
         design = study.designs[study.sensors.index(rest[0])]
         each = planted(study.out / "rows", study.group, design, study.skins)
         device = "cuda:0" if study.device.type == "cuda" else "cpu"
-        how: dict[str, Any] = {"truth": study.of.tier, "grid": study.of.grid, "device": device}
-        write_twin(each, twin_path(study.out, rest[0]), processes=study.processes, **how)
+        how: dict[str, Any] = {"truth": study.of.tier, "fit": study.fit, "device": device}
+        how |= {"grid": study.of.grid, "processes": study.processes}
+        write_twin(each, twin_path(study.out, rest[0]), **how)
     elif kind == "field":
         field_translator(replace(study, seed=int(rest[0])))
     elif kind == "baselines":

@@ -19,7 +19,7 @@ from sim.dataset.plan import Solving, further_settings
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
 from sim.sensors import CameraSignal, SimulatedSensor, sensor
-from sim.sensors.posterior import quantities, with_quantities
+from sim.sensors.posterior import FitTier, quantities, with_quantities
 from sim.sensors.sensor import read_sensor
 from sim.twin import fitted
 from sim.twin.plan import Presses
@@ -147,7 +147,14 @@ def _variation(each: SimulatedSensor) -> Mapping[str, Any]:
 
 
 def write_twin(
-    each: Planted, out: Path, *, truth: Truth, grid: int, device: str, processes: int
+    each: Planted,
+    out: Path,
+    *,
+    truth: Truth,
+    fit: FitTier,
+    grid: int,
+    device: str,
+    processes: int,
 ) -> None:
     """Press a planted sensor with a gauge, fit its twin from its design, and write both files.
 
@@ -158,8 +165,9 @@ def write_twin(
         each: The sensor.
         out: Row to write.
         truth: Tier of the true forces; by `fem` on meshes as in archives.
+        fit: Tier of the fit.
         grid: Pixels of the fit; true forces by `layer` have twice as many.
-        device: Device of true forces.
+        device: Device of tier `fem`.
         processes: Processes of the fit.
 
     Raises:
@@ -171,13 +179,14 @@ def write_twin(
         forces = _solved(each, presses, truth=truth, grid=2 * grid, device=device)
         tracks.append(observed(each.row, presses, each.bench, number, forces=forces))
         print(f"{each.row.name}: pressed with {indenter}", flush=True)
-    fit = fitted(tracks, sensor(each.design), grid=grid, processes=processes)
-    told = {"true": quantities(each.row), "twin": quantities(fit.sensor), "misfit": fit.misfit}
+    how: dict[str, Any] = {"tier": fit, "grid": grid, "device": device, "processes": processes}
+    found = fitted(tracks, sensor(each.design), **how)
+    told = {"true": quantities(each.row), "twin": quantities(found.sensor), "misfit": found.misfit}
     out.parent.mkdir(parents=True, exist_ok=True)
     replace_file(out.with_suffix(".json"), json.dumps(told, indent=1).encode())
-    text = twin_yaml(fit.sensor, f"{each.design}.yaml", GAUGE)
+    text = twin_yaml(found.sensor, f"{each.design}.yaml", GAUGE)
     replace_file(out, text.encode())
-    words = {"extends": out.name, "variation": _variation(fit.sensor)}
+    words = {"extends": out.name, "variation": _variation(found.sensor)}
     replace_file(out.with_stem(f"{out.stem}-draw"), yaml_text(words).encode())
 
 
