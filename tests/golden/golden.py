@@ -612,12 +612,13 @@ def differences(
 ) -> list[str]:
     """Return lines on differences; hashes of computed numbers count only on the same machine.
 
-    Numbers of a list may differ by the tolerance of the list's largest, `scale`.
+    Numbers of a list may differ by the tolerance of the list's largest, `scale`; a sample of an
+    array, on another machine, by that of the array's root mean square if it is more.
     """
     if expected in (ANY, MAYBE) if isinstance(expected, str) else False:
         return []
     key = where.rpartition(".")[2]
-    inner = {"case": case, "same_machine": same_machine}
+    inner: dict[str, Any] = {"case": case, "same_machine": same_machine}
     if isinstance(expected, dict) and isinstance(found, dict):
         lines = []
         for name in sorted({*expected, *found}):
@@ -630,7 +631,10 @@ def differences(
             elif not same_machine and not case.portable and name in {"sha256", *ITERATIONS}:
                 continue
             else:
+                if name == "sample" and not same_machine and "norm" in expected:
+                    inner["scale"] = expected["norm"] / math.sqrt(math.prod(expected["shape"]))
                 lines += differences(expected[name], found[name], where=inside, **inner)
+                inner.pop("scale", None)
         return lines
     if isinstance(expected, list) and isinstance(found, list):
         if len(expected) != len(found):
