@@ -333,7 +333,9 @@ def test_values_that_all_jump_are_refused_and_ten_in_a_row_are_device_lost(host:
         message["1"]["data"] = ",".join(w[:-1] for w in message["1"]["data"].split(","))
         return (json.dumps(message) if number % 20 == 5 else text,)
 
-    with emulated(host, rescaled) as emulator, opened(host) as driver:
+    with emulated(host) as emulator, opened(host) as driver:
+        collect(driver, 1)
+        emulator.fault = rescaled
         assert all(sample["value"].min() >= 48000 for sample in collect(driver, 60))
         assert driver.rejected["corrupt"] >= 2
         emulator.fault = lambda number, text: rescaled(5, text)

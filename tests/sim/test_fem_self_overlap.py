@@ -174,6 +174,7 @@ def test_a_fold_above_the_limit_ends_the_path_where_it_grows(
     assert all("overlaps itself" in one for one in told.value.tried)
 
 
+@pytest.mark.slow
 def test_the_host_computes_the_same_in_threads_beside_a_gpu(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

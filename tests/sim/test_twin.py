@@ -455,6 +455,7 @@ def test_the_command_writes_a_row_and_a_picture(
     assert out.with_suffix(".png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_forces_that_no_skin_explains_are_refused(
     press: tuple[Any, Any, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -84,7 +84,9 @@ def test_a_camera_is_told_by_how_markers_move() -> None:
     assert not either_way
 
 
-@pytest.mark.parametrize("turn", [1.4, 3.1, -1.7])
+@pytest.mark.parametrize(
+    "turn", [-1.7, *(pytest.param(each, marks=pytest.mark.slow) for each in (1.4, 3.1))]
+)
 def test_a_camera_is_found_from_any_rotation(turn: float) -> None:
     turned = replace(TRUE, rotation=turn)
     best, _ = unmirrored(scenery(turned, SHEARS), DESIGN)
