@@ -44,7 +44,7 @@ def run(options: argparse.Namespace) -> int:
 
     Raises:
         SceneError: The archive or the twin cannot be used.
-        SimulationDiverged: A press has no solution.
+        SimulationDiverged: No press has a solution.
     """
     from recorder import MarkerArchive, SessionError
     from recorder.archive import write_simulated
@@ -65,7 +65,7 @@ def run(options: argparse.Namespace) -> int:
             print(f"{options.archive}: {options.sensor} has these forces already")
             return 0
         with Progress("labels", sys.stderr) as progress:
-            force, spread = simulated_forces(
+            found = simulated_forces(
                 archived,
                 archive.indenters,
                 twin,
@@ -75,7 +75,7 @@ def run(options: argparse.Namespace) -> int:
                 processes=options.processes,
                 progress=progress,
             )
-        write_simulated(archived, force, spread, told)
+        write_simulated(archived, found.force, found.spread, told)
     except SessionError as error:
         raise SceneError(str(error)) from error
     deepest = float(archived.table["depth"].max(initial=0.0)) / twin.body.thickness
@@ -83,6 +83,11 @@ def run(options: argparse.Namespace) -> int:
         print(
             f"note: presses reach {100 * deepest:.0f} % of the thickness; from {100 * DEEP:.0f} % "
             "on, forces of tier layer are off by 5 % and more",
+            file=sys.stderr,
+        )
+    if found.failed:
+        print(
+            f"note: {len(found.failed)} presses have no solution, and no force: {found.failed[0]}",
             file=sys.stderr,
         )
     print(f"{options.archive}: forces of {told} added to {options.sensor}")

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from recorder.archive import ArchivedSensor, press_rows
 from recorder.processes import Workers
-from sim.errors import SceneError
+from sim.errors import SceneError, SimulationDiverged
 from sim.indenters import indenter_of, is_indenter
 from sim.sensors import SimulatedSensor
 from sim.sensors.posterior import FitTier
@@ -40,6 +40,22 @@ class ArchivedPress:
     """Tip (n, 3) [m], z above the undeformed surface there."""
     time: Array
     """Time (n,) [s]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TwinForces:
+    """Forces of a twin at the frames of an archive.
+
+    They are NaN in frames without a location, as of force-depth presses, and where the press has no
+    solution.
+    """
+
+    force: Array
+    """Of the twin (n, 3) [N]."""
+    spread: Array
+    """Over the sensors that are drawn from it (n, 3) [N]."""
+    failed: tuple[str, ...]
+    """Presses without a solution, and why."""
 
 
 def archived_presses(sensor: ArchivedSensor, indenters: Sequence[str]) -> Iterator[ArchivedPress]:
@@ -118,10 +134,8 @@ def simulated_forces(
     grid: int,
     processes: int = 1,
     progress: Callable[[float], None] = lambda fraction: None,
-) -> tuple[Array, Array]:
-    """Return the twin's forces at all frames (n, 3) [N], and their spread over draws (n, 3) [N].
-
-    They are NaN in frames without a location, as of force-depth presses.
+) -> TwinForces:
+    """Return the twin's forces at all frames of the presses of an archive.
 
     Args:
         archived: Sensor of an archive, whose presses are simulated.
@@ -135,7 +149,7 @@ def simulated_forces(
 
     Raises:
         SceneError: The twin has no posterior to draw from, or an indenter is unknown.
-        SimulationDiverged: A press has no solution.
+        SimulationDiverged: No press has a solution.
         SessionError: The archive is corrupt, or still being written.
     """
     if draws and twin.posterior is None:
@@ -148,20 +162,35 @@ def simulated_forces(
         sensors += [twin.posterior.draw(twin, random) for _ in range(draws)]
     presses = list(archived_presses(archived, indenters))
     force, spread = (np.full((len(archived), 3), np.nan) for _ in range(2))
+    failed: list[str] = []
     workers = Workers(processes) if processes > 1 else None
     with workers or nullcontext():
         if workers is None:
-            solved = (forces(sensors, press, grid) for press in presses)
+            solved = (_tried(sensors, press, grid) for press in presses)
         else:
-            futures = [workers.submit(forces, sensors, press, grid) for press in presses]
+            futures = [workers.submit(_tried, sensors, press, grid) for press in presses]
             solved = (each.result() for each in futures)
         for done, (press, each) in enumerate(zip(presses, solved, strict=True), 1):
+            progress(done / len(presses))
+            if isinstance(each, str):
+                place = 1e3 * press.tip[0]
+                failed.append(f"{press.indenter} at ({place[0]:.2f}, {place[1]:.2f}) mm: {each}")
+                continue
             force[press.rows] = each[0]
             spread[press.rows] = np.sqrt(
                 np.mean(np.square(each[1:] - each[0]), axis=0) if draws else 0
             )
-            progress(done / len(presses))
-    return force, spread
+    if failed and len(failed) == len(presses):
+        raise SimulationDiverged(f"{twin.name}: no press has a solution; {failed[0]}")
+    return TwinForces(force, spread, tuple(failed))
+
+
+def _tried(sensors: Sequence[SimulatedSensor], press: ArchivedPress, grid: int) -> Array | str:
+    """Return `forces`, or why there are none."""
+    try:
+        return forces(sensors, press, grid)
+    except SimulationDiverged as diverged:
+        return str(diverged)
 
 
 def made_from(twin: SimulatedSensor, draws: int, seed: int, grid: int) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from recorder import MarkerArchive
 from recorder.archive import check_archive
 from sim.__main__ import main
+from sim.errors import SimulationDiverged
 from sim.sensors import read_sensor
 from sim.twin.labels import ArchivedPress, by_layer, forces, made_from
 
@@ -84,6 +86,39 @@ def test_forces_of_a_twin_that_was_identified_by_tier_fem_are_of_that_tier(tmp_p
     assert made_from(twin, 1, 0, 48).endswith("tier fem")
     words = ["archive", "sensors", "--twin", str(path), "--tier", "layer"]
     assert main([*words, "--out", str(tmp_path / "x.markers.zarr")]) == 2
+
+
+@pytest.mark.slow
+def test_a_press_without_a_solution_has_no_force_and_is_named(
+    archive: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def without(*wanted: str) -> Any:
+        def of(sensors: Any, press: ArchivedPress, grid: int) -> Any:
+            if press.indenter in wanted:
+                raise SimulationDiverged("the skin folds")
+            return forces(sensors, press, grid)
+
+        return of
+
+    twin = tmp_path / "mine.yaml"
+    twin.write_text(TWIN.replace("MODULUS", "200"))
+    monkeypatch.setattr("sim.twin.labels.forces", without("sphere"))
+    assert labels(archive, twin, "--draws", "1") == 0
+    assert "have no solution, and no force: sphere at (" in capsys.readouterr().err
+    opened = MarkerArchive(archive)
+    sensor = opened["gelsight"]
+    assert sensor.simulated is not None
+    known = np.isfinite(sensor.simulated.force).all(axis=1)
+    located = sensor.table["location"] >= 0
+    prism = sensor.table["indenter"] == opened.indenters.index("prism")
+    np.testing.assert_array_equal(known, located & prism)
+    assert list(check_archive(opened.files, archive)) == []
+    monkeypatch.setattr("sim.twin.labels.forces", without("sphere", "prism"))
+    assert labels(archive, twin, "--draws", "0") == 1
+    assert "no press has a solution" in capsys.readouterr().err
 
 
 @pytest.mark.slow

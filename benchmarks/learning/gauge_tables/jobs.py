@@ -373,7 +373,7 @@ def baselines(study: Study) -> Iterator[tuple[Prediction, bool]]:
         rows = unseen_presses(study, target).rows.numpy()
         force = twin_forces(archive[target]).force[rows]
         name = "labels alone: the target's twin"
-        yield Prediction(name, "-", target, target, GAUGE_PRESSES, False, force), False
+        yield Prediction(name, "-", target, target, GAUGE_PRESSES, False, force), True
 
 
 def partners(source: Any, target: Any) -> NDArray[np.int64]:

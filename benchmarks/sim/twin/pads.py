@@ -151,8 +151,9 @@ class Pressed:
 
     def beside(self, twin: SimulatedSensor, grid: int) -> Pressed:
         """Return the presses with a twin's forces, as `tactile sim labels` adds them."""
-        force, spread = simulated_forces(self.archived, NAMES, twin, draws=0, seed=0, grid=grid)
-        return replace(self, simulated=Simulated(force, spread, made_from(twin, 0, 0, grid)))
+        found = simulated_forces(self.archived, NAMES, twin, draws=0, seed=0, grid=grid)
+        told = made_from(twin, 0, 0, grid)
+        return replace(self, simulated=Simulated(found.force, found.spread, told))
 
 
 def table(press: PlannedPress, force: Array) -> dict[str, np.ndarray[Any, Any]]:
