@@ -52,8 +52,6 @@ class XelaDriver(ReceivingDriver):
         self._corrupt_in_a_row = 0
         self._late_in_a_row = 0
         self._newest: Scan | None = None
-        # The first scan, until another one agrees with it.
-        self._unsure: tuple[Scan, int] | None = None
         self.duplicates = 0
         """Number of messages with the same number as the previous one; only the first is kept."""
         self.late = 0
@@ -75,7 +73,7 @@ class XelaDriver(ReceivingDriver):
         """
         self._reset()
         deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
-        self._first = self._newest = self._sequence = self._unsure = None
+        self._first = self._newest = self._sequence = None
         self._idle = self._corrupt_in_a_row = self._late_in_a_row = self._restarted_by = 0
         try:
             self._connection = self._exits.enter_context(
@@ -155,7 +153,7 @@ class XelaDriver(ReceivingDriver):
         try:
             scan = parse(text, self._config.sensor, self._config.taxels)
             if scan is not None:
-                self._require_plausible(scan, now_ns)
+                self._require_plausible(scan)
         except (ValueError, RecursionError) as error:
             self.corrupt += 1
             self._corrupt_in_a_row += 1
@@ -166,28 +164,14 @@ class XelaDriver(ReceivingDriver):
                 ) from error
             return
         self._corrupt_in_a_row = 0
-        if scan is None:
-            return
-        if self._newest is None and self._unsure is None:
-            self._unsure = scan, now_ns
-            return
-        if self._unsure is not None:
-            self._keep(*self._unsure)
-            self._unsure = None
-        self._keep(scan, now_ns)
+        if scan is not None:
+            self._keep(scan, now_ns)
 
-    def _require_plausible(self, scan: Scan, t_ns: int) -> None:
-        """Raise ValueError for a scan that differs too much from the one before.
-
-        Of the first two nobody knows which is wrong: the later one waits for another.
-        """
-        before = self._newest if self._unsure is None else self._unsure[0]
-        if before is None:
+    def _require_plausible(self, scan: Scan) -> None:
+        if self._newest is None:
             return
-        moved = np.abs(scan.counts - before.counts) > _JUMP
+        moved = np.abs(scan.counts - self._newest.counts) > _JUMP
         if moved.mean() > _JUMPED:
-            if self._unsure is not None:
-                self._unsure = scan, t_ns
             raise ValueError(
                 f"data: {moved.sum()} of {moved.size} values moved by more than {_JUMP} counts in "
                 "one scan; did the server change its scale?"
