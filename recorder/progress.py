@@ -232,6 +232,25 @@ class ItemProgress(Progress):
         return (self._done - round(before * self._total)) / passed if passed > 0 else 0.0
 
 
+def span_of(
+    progress: Callable[[float], None], before: float, part: float, whole: float = 1.0
+) -> Callable[[float], None]:
+    """Return a callback that converts the fraction of a part to that of the whole.
+
+    Args:
+        progress: Called with the fraction of the whole.
+        before: Work before the part.
+        part: Work of the part.
+        whole: All work, in the same unit.
+    """
+    return lambda fraction: progress((before + part * fraction) / whole)
+
+
+def part_of(progress: Callable[[float], None], index: int, count: int) -> Callable[[float], None]:
+    """Return a callback that converts the fraction of one of `count` equal parts."""
+    return span_of(progress, index, 1, count)
+
+
 def duration(seconds: float) -> str:
     """Format a duration [s] as 12 s, 3:05 min or 2:10 h."""
     whole = max(round(seconds), 0)

@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from recorder.progress import part_of
 from sim.error_estimate import fineness_of, measured, unknown_at_side
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem.numerics import FOR_EDGES, Fem, Grading
@@ -21,7 +22,7 @@ from sim.metrics import force_scale
 from sim.result import Outcome, Result
 from sim.scene import Scene
 from sim.symmetry import with_symmetry
-from sim.tiers import part_of, simulate_many
+from sim.tiers import simulate_many
 
 Array = NDArray[np.float64]
 

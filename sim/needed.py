@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from recorder.progress import part_of
 from sim.effect_bounds import Change, bounds_of, no_change
 from sim.errors import SceneError, check_kind
 from sim.fem.numerics import Fem
@@ -30,7 +31,7 @@ from sim.metrics import (
 )
 from sim.result import Outcome, Result, to_json
 from sim.scene import Scene
-from sim.tiers import part_of, simulate_many
+from sim.tiers import simulate_many
 from sim.tolerance import FLOOR, Only, simulate_within
 
 Progress = Callable[[float], None]

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, as_completed
 from typing import TYPE_CHECKING
 
+from recorder.progress import part_of
 from sim.error_estimate import with_estimate
 from sim.errors import SceneError, SimulationDiverged, check_kind
 from sim.fem.numerics import Fem
@@ -203,15 +204,3 @@ def seconds_of(scene: Scene, tier: Layer | Fem, mesh: Mesh | None = None) -> flo
     mesh = meshes_of([scene], tier)[0] if mesh is None else mesh
     path = path_of(scene, tier, *([mesh.finest] if tier.follows else []))
     return SECONDS_ITERATION * len(mesh.elements) * ITERATIONS * path.steps
-
-
-def span_of(
-    progress: Callable[[float], None], begun: float, part: float
-) -> Callable[[float], None]:
-    """Return a callback that converts the fraction of a part after `begun` to the whole's."""
-    return lambda fraction: progress(begun + part * fraction)
-
-
-def part_of(progress: Callable[[float], None], index: int, count: int) -> Callable[[float], None]:
-    """Return a callback that converts the fraction of a part of `count` to that of the whole."""
-    return lambda fraction: progress((index + fraction) / count)

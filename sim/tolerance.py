@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from recorder.progress import part_of
 from sim.error_estimate import measured, unknown_at_side, with_estimate
 from sim.errors import SceneError, SimulationDiverged
 from sim.extrapolation import left_of_difference, most_of_difference
@@ -36,7 +37,7 @@ from sim.metrics import (
 from sim.result import Result
 from sim.scene import Scene
 from sim.symmetry import vanishing_share, with_symmetry
-from sim.tiers import part_of, simulate_one
+from sim.tiers import simulate_one
 
 if TYPE_CHECKING:
     from sim.fem.numerics import Fem

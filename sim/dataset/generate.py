@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from recorder.archive import ArchiveWriter
 from recorder.markers import PACKED, Lattice, pack
+from recorder.progress import part_of, span_of
 from sim.dataset.plan import (
     UNSEEN,
     DatasetPlan,
@@ -42,7 +43,6 @@ from sim.sensors import (
     TaxelReadout,
     readout,
 )
-from sim.tiers import part_of, span_of
 
 # The readings of each sensor of an archive: masks, displacement fields and references.
 

@@ -17,6 +17,7 @@ import numpy as np
 import warp as wp
 
 from recorder.processes import cores
+from recorder.progress import span_of
 from sim.contact_size import touched_by, width_of
 from sim.device import check_device
 from sim.errors import PassesThrough, SimulationDiverged
@@ -224,7 +225,7 @@ def _on_meshes(
     for chosen in _batches(scenes, meshes, numerics, device):
         fraction = None
         if progress is not None:
-            fraction = _part(progress, len(outcomes), len(chosen), len(scenes))
+            fraction = span_of(progress, len(outcomes), len(chosen), len(scenes))
         stiffer = replace(
             numerics, penalty=_penalty(scenes[chosen[0]], meshes[chosen[0]], numerics)
         )
@@ -524,11 +525,6 @@ def _batches(
         size = max(1, most // len(meshes[group[0]].elements))
         batches += [group[i : i + size] for i in range(0, len(group), size)]
     return batches
-
-
-def _part(progress: Progress, before: int, these: int, all_: int) -> Progress:
-    """Return a callback that converts the fraction of a batch into a fraction of the whole."""
-    return lambda fraction: progress((before + fraction * these) / all_)
 
 
 def _solve(scenes, meshes, numerics, device, meshed, progress) -> list[Outcome]:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.processes import Workers
+from recorder.progress import part_of, span_of
 from sim.effects import Friction, Viscosity
 from sim.errors import SceneError
 from sim.indenters import Indenter
@@ -25,7 +26,6 @@ from sim.sensors.posterior import (
     quantities,
     with_quantities,
 )
-from sim.tiers import part_of, span_of
 from sim.twin.model import STEPS, Linear, Model, Solved
 from sim.twin.observations import SETTLING, Track
 
