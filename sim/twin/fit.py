@@ -217,44 +217,44 @@ def _found(
     names = (*quantities(design), *BENCH)
     centre = {**quantities(design), **dict.fromkeys(BENCH, 0.0)}
 
-    def seen_at(values: Mapping[str, float]) -> Data:
+    def seen_at(values: Mapping[str, float]) -> Problem:
         fine, coarse = model.readings(values), rougher.readings(values)
-        return Data(tracks, [one - other for one, other in zip(fine, coarse, strict=True)])
+        data = Data(tracks, [one - other for one, other in zip(fine, coarse, strict=True)])
+        return Problem(data, model, names, centre)
 
     stiffer = _stiffer(tracks, model.readings(centre))
     values: Mapping[str, float] = {**centre, "modulus": stiffer * centre["modulus"]}
-    plain = tuple(name for name in names if name not in TILT)
-    data = seen_at(values)
-    level = _descended(data, model, plain, values, centre, span_of(progress, 0.0, 0.2 * part))
+    problem = seen_at(values)
+    level = _descended(problem.without(*TILT), values, span_of(progress, 0.0, 0.2 * part))
     # A level pad is one explanation, a tilted one another, with a skin that may be quite different:
     # a descent from the one need not find the other.
-    values, near, rounds = _tilted(data, model, level), None, level.rounds
+    values, near, rounds = _tilted(problem, level), None, level.rounds
     for begun in (0.2, 0.4):
         # The grid's error depends on the tilt.
-        data = seen_at(values)
+        problem = seen_at(values)
         further = span_of(progress, part * begun, 0.2 * part)
-        tilted = _descended(data, model, names, values, centre, further, near)
+        tilted = _descended(problem, values, further, near)
         values, near, rounds = tilted.values, tilted.near, rounds + tilted.rounds
     ends = [level.values, tilted.values]
     further = span_of(progress, 0.6 * part, 0.4 * part)
-    for aside in _aside(data, model, names, tilted.values, centre, further):
+    for aside in _aside(problem, tilted.values, further):
         rounds += aside.rounds
         ends.append(aside.values)
     timing, law, sigma = _weights(tracks, tilted.near)
-    found = _explanations(data, model, names, ends, centre, sigma)
+    found = _explanations(problem, ends, sigma)
     for done in range(CORRECTIONS if correct is not None else 0):
         assert correct is not None
         progress(part + 0.3 * done)
         correct(found[0].values)
-        data = seen_at(found[0].values)
+        problem = seen_at(found[0].values)
         likely = found[:EXPLAINED]
         further = span_of(progress, part + 0.3 * done + 0.1, 0.2 / len(likely))
-        again = [_descended(data, model, names, each.values, centre, further) for each in likely]
+        again = [_descended(problem, each.values, further) for each in likely]
         rounds += sum(each.rounds for each in again)
         timing, law, sigma = _weights(tracks, again[0].near)
         ends = [each.values for each in again]
-        found = _explanations(data, model, names, ends, centre, sigma)
-    found = _with_mean(data, model, names, found, centre, sigma)
+        found = _explanations(problem, ends, sigma)
+    found = _with_mean(problem, found, sigma)
     best = found[0]
     progress(1.0)
     return Fit(
@@ -275,24 +275,19 @@ def _found(
 
 
 def _aside(
-    data: Data,
-    model: Model,
-    names: Sequence[str],
-    values: Mapping[str, float],
-    centre: Mapping[str, float],
-    progress: Callable[[float], None],
+    problem: Problem, values: Mapping[str, float], progress: Callable[[float], None]
 ) -> Iterator[Descended]:
     """Yield descents that begin with a thinner and a thicker skin than one that was found.
 
     A thinner skin that is softer, with another Poisson's ratio, explains presses nearly as well: a
     descent ends anywhere in that valley, and the derivatives there do not tell how long it is.
     """
-    others = tuple(name for name in names if name != "thickness")
+    others = problem.without("thickness")
     for number, factor in enumerate(ASIDE):
         moved = {**values, "thickness": factor * values["thickness"]}
         first, second = (part_of(progress, 2 * number + each, 2 * len(ASIDE)) for each in (0, 1))
-        held = _descended(data, model, others, moved, centre, first)
-        found = _descended(data, model, names, held.values, centre, second)
+        held = _descended(others, moved, first)
+        found = _descended(problem, held.values, second)
         yield replace(found, rounds=held.rounds + found.rounds)
 
 
@@ -309,6 +304,31 @@ class Data:
     tracks: Sequence[Track]
     grid_errors: Sequence[Array]
     """Of each track (n, 3) [N]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Problem:
+    """Tracks to explain by the quantities of a model."""
+
+    data: Data
+    model: Model
+    names: tuple[str, ...]
+    """Quantities that may change (p)."""
+    centre: Mapping[str, float]
+    """Centre of the prior, of all quantities."""
+
+    @property
+    def prior(self) -> Array:
+        """The prior's spreads (p,)."""
+        return np.array([prior_spread(name) for name in self.names])
+
+    def without(self, *held: str) -> Problem:
+        """Return the problem with some quantities held."""
+        return replace(self, names=tuple(name for name in self.names if name not in held))
+
+    def offset(self, values: Mapping[str, float]) -> Array:
+        """Return the distance of values from the prior's centre (p,)."""
+        return _way(self.names, self.centre, values)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -333,20 +353,15 @@ class Explanation:
 
 
 def _explanations(
-    data: Data,
-    model: Model,
-    names: Sequence[str],
-    ends: Sequence[Mapping[str, float]],
-    centre: Mapping[str, float],
-    sigma: Sequence[Array],
+    problem: Problem, ends: Sequence[Mapping[str, float]], sigma: Sequence[Array]
 ) -> list[Explanation]:
     """Return the ends of descents, the best first, without those that are worse or the same.
 
     Their covariances come from derivatives taken where they are: those that a descent corrected on
     its way can be off by enough to make intervals two to three times too narrow.
     """
-    prior = np.array([prior_spread(name) for name in names])
-    offsets = [_offset(names, values, centre) / prior for values in ends]
+    data, model, names, prior = problem.data, problem.model, problem.names, problem.prior
+    offsets = [problem.offset(values) / prior for values in ends]
     residuals = [_stacked(data, model.readings(values), sigma)[0] for values in ends]
     costs = [_cost(*each) for each in zip(residuals, offsets, strict=True)]
     found: list[Explanation] = []
@@ -370,12 +385,7 @@ def _alike(names: Sequence[str], one: Explanation, values: Mapping[str, float]) 
 
 
 def _with_mean(
-    data: Data,
-    model: Model,
-    names: Sequence[str],
-    found: list[Explanation],
-    centre: Mapping[str, float],
-    sigma: Sequence[Array],
+    problem: Problem, found: list[Explanation], sigma: Sequence[Array]
 ) -> list[Explanation]:
     """Return explanations after their mean, which errs less than the best, if it explains as well.
 
@@ -383,11 +393,11 @@ def _with_mean(
     """
     if len(found) < 2:
         return found
-    best = found[0]
+    best, names = found[0], problem.names
     ways = np.array([_way(names, best.values, each.values) for each in found])
     moved = zip(names, _odds(found) @ ways, strict=True)
     values = {**best.values, **{name: moved_by(name, best.values, by) for name, by in moved}}
-    (mean,) = _explanations(data, model, names, [values], centre, sigma)
+    (mean,) = _explanations(problem, [values], sigma)
     return [mean, *found] if mean.cost < best.cost + LITTLE_WORSE else found
 
 
@@ -412,8 +422,9 @@ def _mixed(names: Sequence[str], found: Sequence[Explanation]) -> Array:
     return mixed
 
 
-def _tilted(data: Data, model: Model, level: Descended) -> Mapping[str, float]:
+def _tilted(problem: Problem, level: Descended) -> Mapping[str, float]:
     """Return the values of a level pad, tilted to the side that explains the tracks best."""
+    data, model = problem.data, problem.model
     _, _, sigma = _weights(data.tracks, level.near)
     leaning = [
         {**level.values, "tilt_x": x * PRIOR["tilt"] / 2, "tilt_y": y * PRIOR["tilt"] / 2}
@@ -430,26 +441,23 @@ def _tilted(data: Data, model: Model, level: Descended) -> Mapping[str, float]:
 
 
 def _descended(
-    data: Data,
-    model: Model,
-    names: Sequence[str],
+    problem: Problem,
     values: Mapping[str, float],
-    centre: Mapping[str, float],
     progress: Callable[[float], None],
     known: Linear | None = None,
 ) -> Descended:
-    """Return where `names` explain the tracks best, the others as they are.
+    """Return where the quantities that may change explain the tracks best.
 
     Derivatives of `known` are those at `values`.
     """
-    prior = np.array([prior_spread(name) for name in names])
+    data, model, names, prior = problem.data, problem.model, problem.names, problem.prior
     values, damping = dict(values), 1e-3
     near, kept = model.linearised(values, names, known), known is not None
     for done in range(1, ROUNDS + 1):
         progress((done - 1) / ROUNDS)
         _, _, sigma = _weights(data.tracks, near)
         residual, jacobian = _stacked(data, near.readings, sigma, near.slopes)
-        offset = _offset(names, values, centre)
+        offset = problem.offset(values)
         normal = jacobian.T @ jacobian + np.diag(prior**-2)
         slope = jacobian.T @ residual - offset / prior**2
         cost = _cost(residual, offset / prior)
@@ -461,7 +469,7 @@ def _descended(
             stepped = zip(names, step, strict=True)
             moved = {**values, **{name: moved_by(name, values, by) for name, by in stepped}}
             trial, _ = _stacked(data, model.readings(moved), sigma)
-            gained = cost - _cost(trial, _offset(names, moved, centre) / prior)
+            gained = cost - _cost(trial, problem.offset(moved) / prior)
             better = gained > 0
             if better or damping > DAMPED:
                 break
@@ -690,13 +698,6 @@ def _whitened(values: Array, common: Array) -> Array:
 
 def _cost(residual: Array, offset: Array) -> float:
     return float(residual @ residual + offset @ offset)
-
-
-def _offset(
-    names: Sequence[str], values: Mapping[str, float], centre: Mapping[str, float]
-) -> Array:
-    """Return the distance of each quantity from the prior's centre, in the fit's coordinates."""
-    return np.array([_coordinate(name, values) - _coordinate(name, centre) for name in names])
 
 
 def _coordinate(name: str, values: Mapping[str, float]) -> float:
