@@ -601,6 +601,10 @@ def agreed(one: Any, other: Any, where: str = "", dropped: list[str] | None = No
     return ANY
 
 
+def _root_mean_square(array: dict[str, Any]) -> float:
+    return float(array["norm"] / math.sqrt(max(math.prod(array["shape"]), 1)))
+
+
 def differences(
     expected: Any,
     found: Any,
@@ -618,7 +622,7 @@ def differences(
     if expected in (ANY, MAYBE) if isinstance(expected, str) else False:
         return []
     key = where.rpartition(".")[2]
-    inner: dict[str, Any] = {"case": case, "same_machine": same_machine}
+    inner = {"case": case, "same_machine": same_machine}
     if isinstance(expected, dict) and isinstance(found, dict):
         lines = []
         for name in sorted({*expected, *found}):
@@ -631,11 +635,9 @@ def differences(
             elif not same_machine and not case.portable and name in {"sha256", *ITERATIONS}:
                 continue
             else:
-                if name == "sample" and not same_machine and "norm" in expected:
-                    count = math.prod(expected["shape"])
-                    inner["scale"] = expected["norm"] / math.sqrt(max(count, 1))
-                lines += differences(expected[name], found[name], where=inside, **inner)
-                inner.pop("scale", None)
+                of_array = name == "sample" and not same_machine and "norm" in expected
+                size = {"scale": _root_mean_square(expected)} if of_array else {}
+                lines += differences(expected[name], found[name], where=inside, **inner, **size)
         return lines
     if isinstance(expected, list) and isinstance(found, list):
         if len(expected) != len(found):
