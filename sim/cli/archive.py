@@ -27,6 +27,8 @@ SMOKE_SHARE, SMOKE_STEPS = 0.01, 3
 DRAWS_MOST = 1000
 # Presses that a GPU solves in one launch: all of the paper's.
 BATCH_SIZE_GPU = 162
+# Most processes that render images of presses which a GPU solves, by default.
+RENDERERS = 8
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -122,8 +124,8 @@ def _add_run_options(parser: argparse.ArgumentParser) -> None:
         "--processes",
         type=int,
         metavar="N",
-        help="worker processes on a CPU, or with --tier layer and images on a GPU (2); fem on a "
-        "GPU takes one",
+        help="worker processes (2); with fem on a GPU, those that render images "
+        f"(at most {RENDERERS})",
     )
     group.add_argument(
         "--scheduler", metavar="tcp://...", help="a Dask cluster whose workers share --out"
@@ -290,7 +292,7 @@ def _maker(
         return partial(
             make_in_processes, opened, processes=processes, stop=stop, device=options.device
         )
-    return partial(make_here, opened, device=options.device, stop=stop)
+    return partial(make_here, opened, device=options.device, stop=stop, processes=processes)
 
 
 def _tell_cost(
@@ -324,15 +326,15 @@ def _on_cores(options: argparse.Namespace, opened: OpenArchive) -> bool:
 
 
 def _processes(options: argparse.Namespace, opened: OpenArchive) -> int:
+    from recorder.processes import cores
     from sim.tiers import check_processes
 
     processes: int | None = options.processes
     if options.scheduler and processes is not None:
         raise SceneError(f"--processes: {processes} with --scheduler; allowed: either")
-    on_cores = _on_cores(options, opened)
     if processes is None:
-        processes = 2 if on_cores else 1
-    check_processes(processes, "cpu" if on_cores else options.device)
+        processes = 2 if _on_cores(options, opened) else max(1, min(RENDERERS, cores() // 2))
+    check_processes(processes, "cpu")
     return processes
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from recorder.archive import ArchiveWriter
 from recorder.markers import PACKED, Lattice, pack
+from recorder.processes import Workers
 from recorder.progress import part_of, span_of
 from sim.dataset.plan import (
     UNSEEN,
@@ -34,7 +35,6 @@ from sim.dataset.plan import (
 )
 from sim.errors import SceneError
 from sim.markers import Camera
-from sim.result import Result
 from sim.sensors import (
     CameraReadout,
     CameraSignal,
@@ -193,12 +193,22 @@ def make_unit(
     unit: Unit,
     device: str = "cpu",
     progress: Callable[[float], None] | None = None,
+    workers: Workers | None = None,
 ) -> UnitStats:
     """Solve, render and write one unit; existing files are kept. Reproducible to the byte on a CPU.
+
+    Args:
+        path: The archive.
+        plan: Its plan.
+        unit: The unit.
+        device: Device to solve and render on.
+        progress: Called with the fraction done.
+        workers: Processes that render; None: this one does. Files are the same.
 
     Raises:
         SceneError: A scene is invalid.
         OSError: The disk is full, or the archive was removed.
+        WorkerLost: A process was killed.
     """
     clock = time.process_time if device == "cpu" else time.perf_counter
     family = families(plan)[unit.family]
@@ -213,7 +223,7 @@ def make_unit(
     for place, sensor in enumerate(family.sensors):
         inside = part_of(drawing, place, len(family.sensors))
         parts = (writer, plan, family, sensor, unit, presses, solved)
-        images += _write(*parts, device=device, progress=inside)
+        images += _write(*parts, device=device, workers=workers, progress=inside)
     return UnitStats(unit.number, images, pressed - began, clock() - pressed)
 
 
@@ -227,10 +237,10 @@ def _write(
     solved: Sequence[Solved],
     *,
     device: str,
+    workers: Workers | None,
     progress: Callable[[float], None],
 ) -> int:
     """Write the rows of one sensor and return the number of masks."""
-    seen = reader(sensor, plan.seed, device, len(indenter_names(plan)))
     recordings = [
         (press, each, one)
         for press, each in zip(presses, solved, strict=True)
@@ -240,8 +250,8 @@ def _write(
     for place, number in enumerate(unit.files):
         some = recordings[place * family.unit_presses : (place + 1) * family.unit_presses]
         parts = []
-        for press, each, one in some:
-            parts.append(_rows(plan, sensor, seen, press, each, one))
+        for part in _rows_of_all(plan, sensor, some, device, workers):
+            parts.append(part)
             progress((place * family.unit_presses + len(parts)) / len(recordings))
         for index, name in enumerate(names(sensor)):
             images += sum(len(part.source) for part in parts)
@@ -260,23 +270,53 @@ def _write(
     return images
 
 
+def _rows_of_all(
+    plan: DatasetPlan,
+    sensor: SimulatedSensor,
+    recordings: Sequence[tuple[PlannedPress, Solved, Recording]],
+    device: str,
+    workers: Workers | None,
+) -> Iterator[Rows]:
+    """Yield the rows of recordings in their order."""
+    due = [
+        (plan, sensor, device, press, recording, _state(solved, recording), solved.how)
+        for press, solved, recording in recordings
+    ]
+    if workers is None:
+        yield from (_rows(*each) for each in due)
+        return
+    for waiting in [workers.submit(_rows, *each) for each in due]:
+        yield waiting.result()
+
+
+def _state(solved: Solved, recording: Recording) -> tuple[SurfaceField, Array] | None:
+    """Return top and wrench (F, 6) in the frames of a recording; None without a solution."""
+    if solved.result is None:
+        return None
+    frames, result = list(recording.frames), solved.result
+    top = SurfaceField(result.surface_x, result.surface_y, result.surface[frames])
+    return top, result.wrench[frames]
+
+
 def _rows(
     plan: DatasetPlan,
     sensor: SimulatedSensor,
-    seen: Reader,
+    device: str,
     press: PlannedPress,
-    solved: Solved,
     recording: Recording,
+    state: tuple[SurfaceField, Array] | None,
+    how: Mapping[str, Any],
 ) -> Rows:
     """Return the rows of one recording; `packed` holds all patterns (P, F, 38400)."""
+    seen = reader(sensor, plan.seed, device, len(indenter_names(plan)))
     count, frames = len(recording), list(recording.frames)
     tip = np.array(press.motion.tip)[frames]
     wrench = np.full((count, 6), np.nan)
     packed = np.zeros((len(names(sensor)), count, PACKED), np.uint8)
     fields = np.full((count, *LATTICE.shape), np.nan, np.float16) if seen.keeps_fields else None
-    if solved.result is not None:
-        top = _top(solved.result, frames)
-        wrench = solved.result.wrench[frames] * force_scale(plan, sensor)
+    if state is not None:
+        top, forces = state
+        wrench = forces * force_scale(plan, sensor)
         packed = seen.packed(top, recording)
         fields = seen.displacement(top)
     table = {
@@ -291,12 +331,8 @@ def _rows(
         "frame": np.arange(count),
         "t_ns": np.round(np.array(press.motion.time)[frames] * 1e9).astype(np.int64),
         "reference": np.full(count, seen.reference(recording)),
-        "valid": np.full(count, solved.result is not None),
+        "valid": np.full(count, state is not None),
     }
     line = {"sensor": sensor.name, "indenter": press.indenter, "target": recording.target}
-    text = json.dumps({**line, **solved.how}, ensure_ascii=False)
+    text = json.dumps({**line, **how}, ensure_ascii=False)
     return Rows(packed, table, [text] * count, fields)
-
-
-def _top(result: Result, frames: list[int]) -> SurfaceField:
-    return SurfaceField(result.surface_x, result.surface_y, result.surface[frames])

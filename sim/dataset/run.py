@@ -316,6 +316,7 @@ def make_here(
     *,
     device: str,
     stop: Stop,
+    processes: int = 1,
 ) -> Iterator[UnitStats]:
     """Make units one by one in this process, as a GPU needs.
 
@@ -325,14 +326,17 @@ def make_here(
         inside: Called with the fraction of the unit's presses that are solved.
         device: Device to solve and render on.
         stop: Request to stop, checked between units.
+        processes: Processes that render the images of a unit; 1: this one does.
 
     Raises:
-        SceneError, OSError: As `make_unit`.
+        SceneError, OSError, WorkerLost: As `make_unit`.
     """
-    for unit in units:
-        if stop.asked:
-            return
-        yield make_unit(opened.path, opened.plan, unit, device, inside)
+    several = Workers(processes, ready_device, device, fewer=FEWER) if processes > 1 else None
+    with several or contextlib.nullcontext():
+        for unit in units:
+            if stop.asked:
+                return
+            yield make_unit(opened.path, opened.plan, unit, device, inside, several)
 
 
 def make_in_processes(

@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from benchmarks.learning.gauge_tables.jobs import Study
     from benchmarks.learning.tables.on_gpus import Task
 
+# Fewest targets of an indenter that an archive can have.
+FEWEST_TARGETS = 2
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the benchmark."""
@@ -45,7 +48,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("--seeds", type=listed, default=("0", "1", "2"), metavar="N,...", help="(0,1,2)")
     add("--skins", type=whole(0), default=0, metavar="N", help="seed of the sensors (%(default)s)")
-    add("--targets", type=whole(2, 48), metavar="N", help="targets of an indenter (8; toy: 2)")
+    add(
+        "--targets",
+        type=whole(FEWEST_TARGETS, 48),
+        metavar="N",
+        help="targets of an indenter (8; toy: 2)",
+    )
     add("--steps", type=whole(4), metavar="N", help="of a net from nothing (1000; toy: 16)")
     add(
         "--minutes",
@@ -69,7 +77,7 @@ def run(options: argparse.Namespace) -> int:
         LearningError: A seed or a job is unknown.
         SceneError: The folder is of other settings, or two sensors do not differ.
     """
-    from benchmarks.learning.gauge_tables import jobs, page
+    from benchmarks.learning.gauge_tables import coverage, jobs, page
     from benchmarks.learning.gauge_tables.skins import write_rows
     from benchmarks.learning.tables.on_gpus import Machine, _gpus, done_in, run_on
     from benchmarks.sim.twin.command import stored
@@ -79,7 +87,8 @@ def run(options: argparse.Namespace) -> int:
     cores = options.processes or len(os.sched_getaffinity(0))
     study = _study(options, cores)
     if options.job is not None:
-        jobs.run_job(study, options.job)
+        covers = options.job.startswith("coverage ")
+        (coverage.run_job if covers else jobs.run_job)(study, options.job)
         return 0
     out = options.out
     # Jobs of other sensors or sizes would pass for done.
@@ -123,7 +132,14 @@ def _study(options: argparse.Namespace, cores: int) -> Study:
 
 
 def _tasks(options: argparse.Namespace, study: Study, cores: int, done: set[str]) -> list[Task]:
-    from benchmarks.learning.gauge_tables.jobs import archive_path, draws_path, names, twin_path
+    from benchmarks.learning.gauge_tables.jobs import (
+        archive_path,
+        draws_path,
+        further_path,
+        names,
+        twin_path,
+    )
+    from benchmarks.learning.gauge_tables.skins import GAUGE
     from benchmarks.learning.tables.on_gpus import Task
     from sim.sensors.sensor import read_sensor
 
@@ -141,30 +157,35 @@ def _tasks(options: argparse.Namespace, study: Study, cores: int, done: set[str]
             continue
         kind, *rest = name.split()
         gpu, one = 1, (("OMP_NUM_THREADS", threads),)
-        if kind in ("archive", "draws"):
+        if kind in ("archive", "draws", "further"):
             row = study.out / "rows" / f"{rest[0]}.yaml"
             trajectory = read_sensor(row).trajectory
             assert trajectory is not None
             command = ["-m", "sim", "archive", "sensors", "--no-check", "--steps", str(size.phase)]
-            command += ["--scale", f"{size.targets / len(trajectory):.6f}"]
+            targets = FEWEST_TARGETS if kind == "further" else size.targets
+            command += ["--scale", f"{targets / len(trajectory):.6f}"]
             shapes, tier = size.seen, study.fit
             if kind == "draws":
                 twin = twin_path(study.out, f"{rest[0]}-draw")
                 command += ["--twin", str(twin), "--draws", str(size.draws)]
                 command += ["--out", str(draws_path(study.out, rest[0]))]
             else:
-                shapes, tier = (*size.seen, *size.unseen), size.tier
-                command += ["--sensors", str(row), "--drawn", str(size.drawn)]
-                command += ["--out", str(archive_path(study.out, rest[0]))]
+                shapes, drawn, out = (*size.seen, *size.unseen), size.drawn, archive_path
+                if kind == "further":
+                    shapes, drawn, out = GAUGE[:1], drawn + sum(size.further), further_path
+                tier = size.tier
+                command += ["--sensors", str(row), "--drawn", str(drawn)]
+                command += ["--out", str(out(study.out, rest[0]))]
             command += ["--indenters", ",".join(shapes), "--tier", tier]
             if on_cpu or tier == "layer":
                 gpu, one = 0, (("OMP_NUM_THREADS", "1"),)
                 command += ["--processes", str(max(1, cores // 2))]
             else:
-                command += ["--device", "cuda:0"]
-        elif kind == "labels":
+                command += ["--device", "cuda:0", "--processes", str(max(1, cores // 12))]
+        elif kind in ("labels", "further-labels"):
             one = (("OMP_NUM_THREADS", "1"),)
-            command = ["-m", "sim", "labels", str(archive_path(study.out, rest[0]))]
+            archive = (archive_path if kind == "labels" else further_path)(study.out, rest[0])
+            command = ["-m", "sim", "labels", str(archive)]
             command += ["--sensor", rest[0], "--twin", str(twin_path(study.out, rest[0]))]
             command += ["--draws", str(size.draws), "--grid", str(size.grid)]
             command += ["--processes", str(max(1, cores // len(study.sensors)))]

@@ -96,6 +96,8 @@ class Size:
     """Indenters of the 18 that are tested."""
     drawn: int
     """Drawn indenters, which are tested."""
+    further: tuple[int, int]
+    """Further drawn indenters, on which intervals are calibrated, and on which they are tested."""
     grid: int
     """Pixels of twins and their labels."""
     draws: int
@@ -117,6 +119,7 @@ SIZES = {
         seen=tuple(name for name in NAMES if name not in UNSEEN),
         unseen=UNSEEN,
         drawn=6,
+        further=(40, 60),
         grid=48,
         draws=4,
         steps=1000,
@@ -131,6 +134,7 @@ SIZES = {
         seen=("sphere", "prism"),
         unseen=("sphere_s",),
         drawn=2,
+        further=(2, 2),
         grid=24,
         draws=1,
         steps=16,
@@ -205,6 +209,11 @@ class Study(Chain):
 def archive_path(out: Path, name: str) -> Path:
     """Return the path of a sensor's archive."""
     return out / f"{name}.markers.zarr"
+
+
+def further_path(out: Path, name: str) -> Path:
+    """Return the path of a sensor's archive of further drawn indenters."""
+    return out / "further" / f"{name}.markers.zarr"
 
 
 def twin_path(out: Path, name: str) -> Path:
@@ -525,11 +534,16 @@ def names(study: Study, seeds: Sequence[int]) -> dict[str, tuple[str, ...]]:
     jobs |= {f"field {seed}": archives for seed in seeds}
     jobs |= {f"draws {name}": (f"twin {name}",) for name in study.sensors}
     jobs["baselines"] = labels
+    jobs |= {f"further {name}": () for name in study.sensors}
+    for name in study.sensors:
+        jobs[f"further-labels {name}"] = (f"further {name}", f"twin {name}")
     for seed in seeds:
         jobs |= {f"own {name} {seed}": (*archives, f"labels {name}") for name in study.sensors}
         jobs |= {f"from {name} {seed}": (*labels, f"field {seed}") for name in study.sensors}
         for name in study.sensors:
             jobs[f"drawn {name} {seed}"] = (*archives, f"draws {name}")
+            labelled = (*archives, f"labels {name}", f"further-labels {name}")
+            jobs[f"coverage {name} {seed}"] = labelled
     return jobs
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.learning.gauge_tables.coverage import read_covered
 from benchmarks.learning.gauge_tables.jobs import Study, twin_path
 from benchmarks.learning.gauge_tables.skins import GAUGE, GAUGE_PRESSES
 from learning.training.run import generator
@@ -204,6 +205,7 @@ def write(study: Study, seeds: Sequence[int]) -> list[str]:
         span=span,
         verdicts=verdicts(lines),
         twins=twins(study),
+        covered=read_covered(study, seeds),
         picture="table.png",
         gauge=GAUGE,
         gauge_presses=GAUGE_PRESSES,
