@@ -12,7 +12,7 @@ import pytest
 import torch
 from support.commands import run_module
 
-from benchmarks.learning.gauge_tables import command, page
+from benchmarks.learning.gauge_tables import command, coverage, page
 from benchmarks.learning.gauge_tables.jobs import (
     SIZES,
     Study,
@@ -92,6 +92,24 @@ def test_a_sentence_says_whether_a_named_method_is_within_the_goal() -> None:
     assert page.verdicts(page.lines_of(others)) == []
 
 
+def test_coverage_counts_each_indenter_alike_and_names_the_worst_sensor(tmp_path: Path) -> None:
+    of = study(tmp_path)
+    for sensor, known in zip(of.sensors, ((1.0, 0.8), (0.6, 0.8)), strict=True):
+        told = {
+            **{"learned": coverage.TWIN, "calibrated": coverage.TRUE, "sensor": sensor, "seed": 0},
+            **{"scale": 1.0, "width": [0.1, 0.3, 0.5], "error": [0.01, 0.03, 0.05]},
+            "indenters": {f"drawn-{k}": [fraction] * 3 for k, fraction in enumerate(known)},
+        }
+        path = coverage.coverage_path(tmp_path, sensor, 0)
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(json.dumps(told) + "\n", encoding="utf-8")
+    (found,) = coverage.read_covered(of, (0, 1))
+    assert (found.sensors, found.seeds, found.indenters) == (2, 1, 2)
+    assert (found.fraction, found.least) == pytest.approx((0.8, 0.7))
+    assert (found.low, found.high) == pytest.approx((0.8, 0.8))
+    assert (*found.width, *found.error) == pytest.approx((0.2, 0.5, 0.02, 0.05))
+
+
 def study(out: Path, seed: int = 0) -> Study:
     """Return the surroundings of jobs at toy size."""
     size = SIZES["toy"]
@@ -131,7 +149,9 @@ def test_the_toy_runs_whole_and_reads_no_label_of_the_target(tmp_path: Path) -> 
     rows = (tmp_path / "table.csv").read_text(encoding="utf-8").splitlines()
     assert sum(row.startswith('"few-shot') for row in rows) == 4
     assert sum(row.startswith("labels alone") for row in rows) == 4
-    assert "in simulation" in (tmp_path / "page.md").read_text(encoding="utf-8").splitlines()[0]
+    told = (tmp_path / "page.md").read_text(encoding="utf-8")
+    assert "in simulation" in told.splitlines()[0]
+    assert all(f"| {learned} | {by} | 2, 1 |" in told for learned, by in coverage.CASES)
     # It goes on: nothing is left to do.
     assert run_module(command, *words, "--seeds", "0") == 0
 

@@ -131,13 +131,13 @@ class Covered:
     sensors: int
     seeds: int
     indenters: int
-    share: float
-    """Share of frames whose force is in its interval; each indenter counts alike."""
+    fraction: float
+    """Fraction of frames whose force is in its interval; each indenter counts alike."""
     low: float
     high: float
-    """95 % interval of the share, by drawing indenters again."""
+    """95 % interval of the fraction, by drawing indenters again."""
     least: float
-    """Share of the sensor with the smallest one."""
+    """Fraction of the sensor with the smallest one."""
     width: tuple[float, float]
     """Mean half-width of shear and Fz [N]."""
     error: tuple[float, float]
