@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -46,60 +47,28 @@ def pixel_edges(places: Array) -> Array:
     return np.concatenate([[first], middle, [last]])
 
 
-# Most pixels that are looked at together.
-PIXELS_MOST = 500_000
-
-
 def half_widths(masks: Mask, edges_x: Array, edges_y: Array) -> Array:
     """Return the radius of the largest disc that fits into each piece (P, X, Y), none empty.
 
     Pixels may differ in width: they are resampled to an even grid.
     """
+    return np.array([_half_width(mask, edges_x, edges_y) for mask in masks])
+
+
+def _half_width(mask: Mask, edges_x: Array, edges_y: Array) -> float:
     columns, steps = [], []
-    for axis, edges in ((2, edges_x), (1, edges_y)):
-        here = np.asarray(masks.any(axis=axis))
-        first, past = here.argmax(axis=1), here.shape[1] - here[:, ::-1].argmax(axis=1)
-        low, high = edges[first], edges[past]
-        index, place = np.arange(here.shape[1]), np.arange(EVEN_MOST + 2) - 0.5
-        inner = (index >= first[:, None]) & (index < past[:, None])
-        finest = np.where(inner, np.diff(edges), np.inf).min(axis=1)
-        count = np.clip(np.ceil(2 * (high - low) / finest), 8, EVEN_MOST)
-        place = place[: int(count.max()) + 2]
-        steps.append((high - low) / count)
-        column = np.searchsorted(edges, low[:, None] + steps[-1][:, None] * place) - 1
-        # One pixel outside of the piece at each end, and further ones where others have more.
-        columns.append(np.where((place > 0) & (place < count[:, None]), column, len(index)))
-    if len(masks) > 1 and len(masks) * columns[0].shape[1] * columns[1].shape[1] > PIXELS_MOST:
-        halves = np.array_split(masks, 2)
-        return np.concatenate([half_widths(one, edges_x, edges_y) for one in halves])
-    framed = np.pad(masks, ((0, 0), (0, 1), (0, 1)))
-    number = np.arange(len(masks))
-    inside = framed[number[:, None, None], columns[0][:, :, None], columns[1][:, None]]
-    along = [
-        np.square(_to_outside(inside, axis) * steps[axis - 1][:, None, None]) for axis in (1, 2)
-    ]
-    # The nearest pixel outside is no farther than along an axis: few pixels may have the most.
-    bound = np.minimum(*along)
-    best = np.zeros(len(masks))
-    chosen = (
-        number,
-        *np.unravel_index(bound.reshape(len(masks), -1).argmax(axis=1), inside.shape[1:]),
-    )
-    for _look in range(2):
-        piece, i, j = chosen
-        aside = (np.arange(inside.shape[2]) - j[:, None]) * steps[1][piece][:, None]
-        np.maximum.at(best, piece, (along[0][piece, i] + np.square(aside)).min(axis=1))
-        chosen = np.nonzero(bound > best[:, None, None])
-    reach, half = np.sqrt(best), np.minimum(*steps) / 2
+    for axis, edges in ((1, edges_x), (0, edges_y)):
+        here = np.flatnonzero(mask.any(axis=axis))
+        inner = edges[here[0] : here[-1] + 2]
+        length = inner[-1] - inner[0]
+        count = int(np.clip(np.ceil(2 * length / np.diff(inner).min()), 8, EVEN_MOST))
+        steps.append(length / count)
+        middles = inner[0] + steps[-1] * (np.arange(1, count + 1) - 0.5)
+        columns.append(np.searchsorted(edges, middles) - 1)
+    # One pixel outside of the piece at each end.
+    inside = np.zeros((len(columns[0]) + 2, len(columns[1]) + 2), bool)
+    inside[1:-1, 1:-1] = mask[columns[0][:, None], columns[1]]
+    reach = float(ndimage.distance_transform_edt(inside, sampling=steps).max())
     # Distances are to the centre of the nearest pixel outside; the outline is half a pixel nearer.
-    return np.asarray(np.maximum(reach - half, half))
-
-
-def _to_outside(inside: Mask, axis: int) -> NDArray[np.int64]:
-    """Return the number of pixels (P, X, Y) to the nearest one along an axis that is not inside."""
-    inside = np.moveaxis(inside, axis, 1)
-    index = np.arange(inside.shape[1])[:, None]
-    before = np.maximum.accumulate(np.where(inside, 0, index), axis=1)
-    after = np.where(inside, len(index), index)[:, ::-1]
-    after = np.minimum.accumulate(after, axis=1)[:, ::-1]
-    return np.moveaxis(np.minimum(index - before, after - index), 1, axis)
+    half = float(min(steps)) / 2
+    return max(reach - half, half)

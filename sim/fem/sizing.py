@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from sim.contact_size import PIXELS_MOST, half_widths, pixel_edges
+from sim.contact_size import half_widths, pixel_edges
 from sim.indenters import Indenter
 from sim.scene import Body, Scene
 
@@ -118,6 +118,10 @@ def sizes_of(
         _least([Span(*row) for row in table[:, 1:].tolist()]) for table in pieces.spans
     )
     return Sizes(x_spans, y_spans, float(pieces.top.min()), float(pieces.width.max()))
+
+
+# Most pixels of masks that are made together.
+PIXELS_MOST = 500_000
 
 
 class _Pieces(NamedTuple):
