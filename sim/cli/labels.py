@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from recorder.command_line.options import add_grid, add_seed, whole
+from recorder.command_line.options import add_device, add_grid, add_seed, whole
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -36,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_seed(parser)
     add_grid(parser)
+    add_device(parser)
     add("--processes", type=whole(1), default=2, metavar="N", help="processes (%(default)s)")
 
 
@@ -49,10 +50,12 @@ def run(options: argparse.Namespace) -> int:
     from recorder import MarkerArchive, SessionError
     from recorder.archive import write_simulated
     from recorder.progress import Progress
+    from sim.device import ready_device
     from sim.errors import SceneError
     from sim.sensors import sensor_of
     from sim.twin.labels import DEEP, made_from, simulated_forces, tier_of
 
+    ready_device(options.device)
     twin = sensor_of(options.twin)
     told = made_from(twin, options.draws, options.seed, options.grid)
     try:
@@ -72,6 +75,7 @@ def run(options: argparse.Namespace) -> int:
                 draws=options.draws,
                 seed=options.seed,
                 grid=options.grid,
+                device=options.device,
                 processes=options.processes,
                 progress=progress,
             )

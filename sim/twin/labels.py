@@ -5,19 +5,22 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recorder.archive import ArchivedSensor, press_rows
 from recorder.processes import Workers
+from recorder.progress import span_of
 from sim.errors import SceneError, SimulationDiverged
 from sim.indenters import indenter_of, is_indenter
+from sim.result import Result
 from sim.sensors import SimulatedSensor
 from sim.sensors.posterior import FitTier
 from sim.stream import LivePress
-from sim.twin.model import Correction, by_fem
+from sim.tiers import simulate_many
+from sim.twin.model import Correction, by_fem, fem_of, motion_of
 
 Array = NDArray[np.float64]
 
@@ -27,6 +30,8 @@ WAY, ABOVE = 0.2e-3, 0.2e-3
 DEEP = 0.375
 # Residual of the contact.
 TOLERANCE = 5e-3
+# Presses that a GPU solves together, and their part of the time of all forces there.
+AT_ONCE, BY_FEM = 256, 0.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,11 +79,22 @@ def archived_presses(sensor: ArchivedSensor, indenters: Sequence[str]) -> Iterat
         yield ArchivedPress(name, part, tip, 1e-9 * (table["t_ns"][part] - table["t_ns"][part[0]]))
 
 
-def forces(sensors: Sequence[SimulatedSensor], press: ArchivedPress, grid: int) -> Array:
+def forces(
+    sensors: Sequence[SimulatedSensor],
+    press: ArchivedPress,
+    grid: int,
+    true: Array | None = None,
+) -> Array:
     """Return the force on each sensor at each frame of a press (k, n, 3) [N].
 
     By tier `layer`; those of a twin that was identified by tier `fem` are of `fem`, and those of
     the sensors drawn from it are corrected as its own.
+
+    Args:
+        sensors: The twin, and sensors drawn from it.
+        press: The press.
+        grid: Pixels along the body's longer side.
+        true: The twin's forces by tier `fem` (n, 3) [N], if they are known already.
 
     Raises:
         SceneError: The tier does not support a sensor.
@@ -88,10 +104,8 @@ def forces(sensors: Sequence[SimulatedSensor], press: ArchivedPress, grid: int) 
     twin = sensors[0]
     if tier_of(twin) == "layer":
         return found
-    start = np.array([[*press.tip[0, :2], ABOVE]])
-    first = (ABOVE - press.tip[0, 2]) / twin.speed
-    tip, time = np.concatenate([start, press.tip]), np.r_[0.0, press.time + first]
-    true = by_fem(twin, indenter_of(press.indenter), tip, time)[1:]
+    if true is None:
+        true = by_fem(twin, indenter_of(press.indenter), *_from_above(twin, press))[1:]
     known = Correction.of(true, found[0], twin.body.modulus)
     return np.stack(
         [
@@ -99,6 +113,32 @@ def forces(sensors: Sequence[SimulatedSensor], press: ArchivedPress, grid: int) 
             for sensor, force in zip(sensors, found, strict=True)
         ]
     )
+
+
+def _from_above(twin: SimulatedSensor, press: ArchivedPress) -> tuple[Array, Array]:
+    """Return tips (n + 1, 3) [m] and times (n + 1,) [s] of a press, the first in the air."""
+    start = np.array([[*press.tip[0, :2], ABOVE]])
+    first = (ABOVE - press.tip[0, 2]) / twin.speed
+    return np.concatenate([start, press.tip]), np.r_[0.0, press.time + first]
+
+
+def by_fem_at_once(
+    twin: SimulatedSensor,
+    presses: Sequence[ArchivedPress],
+    device: str,
+    progress: Callable[[float], None],
+) -> Iterator[Array | SimulationDiverged]:
+    """Yield the twin's forces by tier `fem` in presses (n, 3) [N], which a GPU solves together."""
+    fem = replace(fem_of(twin), one_topology=True)
+    for first in range(0, len(presses), AT_ONCE):
+        some = presses[first : first + AT_ONCE]
+        scenes = [
+            twin.scene(indenter_of(press.indenter), motion_of(*_from_above(twin, press)))
+            for press in some
+        ]
+        inside = span_of(progress, first / len(presses), len(some) / len(presses))
+        for found in simulate_many(scenes, fem, device=device, progress=inside):
+            yield found.wrench[1:, :3].astype(float) if isinstance(found, Result) else found
 
 
 def by_layer(sensors: Sequence[SimulatedSensor], press: ArchivedPress, grid: int) -> Array:
@@ -132,6 +172,7 @@ def simulated_forces(
     draws: int,
     seed: int,
     grid: int,
+    device: str = "cpu",
     processes: int = 1,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> TwinForces:
@@ -144,6 +185,7 @@ def simulated_forces(
         draws: Number of sensors drawn from its posterior; 0: no spread.
         seed: Seed of the draws.
         grid: Pixels along the body's longer side.
+        device: Device of tier `fem`; a GPU solves many presses at once.
         processes: Number of processes.
         progress: Called with the fraction done.
 
@@ -163,12 +205,17 @@ def simulated_forces(
     presses = list(archived_presses(archived, indenters))
     force, spread = (np.full((len(archived), 3), np.nan) for _ in range(2))
     failed: list[str] = []
+    true: Sequence[Array | SimulationDiverged | None] = [None] * len(presses)
+    if device != "cpu" and tier_of(twin) == "fem":
+        true = [*by_fem_at_once(twin, presses, device, span_of(progress, 0.0, BY_FEM))]
+        progress = span_of(progress, BY_FEM, 1 - BY_FEM)
     workers = Workers(processes) if processes > 1 else None
+    due = [(sensors, press, grid, known) for press, known in zip(presses, true, strict=True)]
     with workers or nullcontext():
         if workers is None:
-            solved = (_tried(sensors, press, grid) for press in presses)
+            solved = (_tried(*each) for each in due)
         else:
-            futures = [workers.submit(_tried, sensors, press, grid) for press in presses]
+            futures = [workers.submit(_tried, *each) for each in due]
             solved = (each.result() for each in futures)
         for done, (press, each) in enumerate(zip(presses, solved, strict=True), 1):
             progress(done / len(presses))
@@ -185,10 +232,17 @@ def simulated_forces(
     return TwinForces(force, spread, tuple(failed))
 
 
-def _tried(sensors: Sequence[SimulatedSensor], press: ArchivedPress, grid: int) -> Array | str:
+def _tried(
+    sensors: Sequence[SimulatedSensor],
+    press: ArchivedPress,
+    grid: int,
+    true: Array | SimulationDiverged | None,
+) -> Array | str:
     """Return `forces`, or why there are none."""
+    if isinstance(true, SimulationDiverged):
+        return str(true)
     try:
-        return forces(sensors, press, grid)
+        return forces(sensors, press, grid, true)
     except SimulationDiverged as diverged:
         return str(diverged)
 

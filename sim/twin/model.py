@@ -147,12 +147,21 @@ def by_fem(
     Raises:
         SimulationDiverged: It has no solution.
     """
-    motion = Motion(tuple(map(tuple, tip.tolist())), tuple(time.tolist()))
+    scene = sensor.scene(indenter, motion_of(tip, time))
+    found = simulate(scene, fem_of(sensor, finer), device=device)
+    return np.asarray(found.wrench[:, :3], float)
+
+
+def motion_of(tip: Array, time: Array) -> Motion:
+    """Return the motion of tips (n, 3) [m] at times (n,) [s]."""
+    return Motion(tuple(map(tuple, tip.tolist())), tuple(time.tolist()))
+
+
+def fem_of(sensor: SimulatedSensor, finer: float = 1.0) -> Fem:
+    """Return the settings of tier `fem` for a sensor; `finer` as in `by_fem`."""
     thickness = sensor.body.thickness
     spacing = min(thickness / CELLS, HIGHEST) / finer
-    fem = replace(FEM, spacing=spacing, step_travel=thickness / STEPS_OF_THICKNESS)
-    found = simulate(sensor.scene(indenter, motion), fem, device=device)
-    return np.asarray(found.wrench[:, :3], float)
+    return replace(FEM, spacing=spacing, step_travel=thickness / STEPS_OF_THICKNESS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,7 +13,7 @@ from recorder.archive import check_archive
 from sim.__main__ import main
 from sim.errors import SimulationDiverged
 from sim.sensors import read_sensor
-from sim.twin.labels import ArchivedPress, by_layer, forces, made_from
+from sim.twin.labels import ArchivedPress, by_fem_at_once, by_layer, forces, made_from
 
 TWIN = """\
 extends: gelsight.yaml
@@ -78,6 +78,8 @@ def test_forces_of_a_twin_that_was_identified_by_tier_fem_are_of_that_tier(tmp_p
     tip = np.stack([0 * depth, 0 * depth, -depth], axis=1)
     press = ArchivedPress("sphere", np.arange(3), tip, time)
     found, layer = forces([twin, drawn], press, 48), by_layer([twin, drawn], press, 48)
+    (at_once,) = by_fem_at_once(twin, [press], "cpu", lambda fraction: None)
+    np.testing.assert_allclose(at_once, found[0], rtol=1e-6, atol=1e-9)
     over = found[0, :, 2] / layer[0, :, 2]
     # A third of the thickness deep the layer lacks a part of the force, near the surface none.
     assert over[0] == pytest.approx(1.0, abs=0.05)
@@ -96,10 +98,10 @@ def test_a_press_without_a_solution_has_no_force_and_is_named(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def without(*wanted: str) -> Any:
-        def of(sensors: Any, press: ArchivedPress, grid: int) -> Any:
+        def of(sensors: Any, press: ArchivedPress, *given: Any) -> Any:
             if press.indenter in wanted:
                 raise SimulationDiverged("the skin folds")
-            return forces(sensors, press, grid)
+            return forces(sensors, press, *given)
 
         return of
 

@@ -189,6 +189,7 @@ def _tasks(options: argparse.Namespace, study: Study, cores: int, done: set[str]
             command += ["--sensor", rest[0], "--twin", str(twin_path(study.out, rest[0]))]
             command += ["--draws", str(size.draws), "--grid", str(size.grid)]
             command += ["--processes", str(max(1, cores // len(study.sensors)))]
+            command += [] if on_cpu or study.fit == "layer" else ["--device", "cuda:0"]
         else:
             command = ["-m", "benchmarks", "gauge-tables", "--job", name, "--out", str(study.out)]
             command += ["--group", study.group, "--size", options.size]
