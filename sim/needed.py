@@ -66,9 +66,10 @@ class EffectWorth:
     name: str
     """`friction`, `viscosity`, `inertia` or `gravity`."""
     by: str
-    """Source of the change: `probe`, `bound` (it is less), or `no solution` of the probe."""
+    """Source of the change: `probe`, `bound` (it is less), or why there is none: `no solution` of
+    the probe, or `no contact` in it, so that it tells nothing of forces."""
     change: Change | None = None
-    """None if the probe found no solution."""
+    """None without a source."""
     time: float | None = None
     """Fraction of the run's time that the effect takes: 1 - work without it / work with it. Work is
     iterations of the linear solver and 50 for each Newton iteration of the probes. Negative if the
@@ -354,11 +355,16 @@ class _Draft:
         return change.value(self.wanted.kind) <= BOUND_PART * part_of_tolerance(self.wanted)
 
     def change(self, names: Names) -> Change | None:
-        """Return the probes' change by leaving out `names`; None if one found no solution."""
+        """Return the probes' change by leaving out `names`; None without solutions or contact."""
         whole, less = self.solved.get(frozenset()), self.solved.get(names)
-        if not (isinstance(whole, Result) and isinstance(less, Result)):
+        if not (isinstance(whole, Result) and isinstance(less, Result)) or self._misses(whole):
             return None
         return _between(whole, less)
+
+    def _misses(self, whole: Result) -> bool:
+        """True if the probe has no force, and forces matter: a finer mesh may well touch."""
+        of_force = self.wanted is None or self.wanted.kind != "marker"
+        return of_force and self.scene.motion.depth_max > 0 and not whole.force.any()
 
     def time(self, names: Names) -> float | None:
         """Return the fraction of the work that `names` take; None if a probe found no solution."""
@@ -443,7 +449,8 @@ class _Draft:
         for name in self.ordered():
             one = frozenset({name})
             change = self.change(one)
-            by = "probe" if change is not None else "no solution"
+            solved = isinstance(self.solved.get(one), Result)
+            by = "probe" if change is not None else "no contact" if solved else "no solution"
             each.append(EffectWorth(name, by, change, self.time(one), name in self.chosen))
         joint = self.joint(self.chosen) if leaves else None
         probed = "probe" if self.chosen else ""

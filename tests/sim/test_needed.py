@@ -64,6 +64,17 @@ def test_what_is_said_is_what_leaving_it_out_changes_on_a_finer_mesh() -> None:
 
 
 @pytest.mark.slow
+def test_a_probe_that_does_not_touch_tells_nothing_of_forces() -> None:
+    beside = Motion(((7.5e-3, 0.0, 0.0), (7.5e-3, 0.0, -0.4e-3)), (0.0, 1e-3))
+    scene = replace(TWO, motion=beside, indenter=sphere(2e-3))
+    (found,) = plan_many([scene], tolerance="2 %")
+    assert found.omitted == ()
+    assert {one.by for one in found.effects} == {"no contact"}
+    (of_markers,) = plan_many([scene], tolerance="90 px")
+    assert {one.by for one in of_markers.effects} == {"probe"}
+
+
+@pytest.mark.slow
 def test_effects_are_judged_together() -> None:
     worth = _by_name(plan_effects(TWO))
     each = sorted(one.change.value("fraction") for one in worth.values())
