@@ -51,8 +51,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--choice",
         default="default",
         metavar="NAME",
-        help="its choice of d0 and lambda (default); simulated: by forces of twins of both sensors "
-        "(tactile sim labels)",
+        help="its choice of d0 and lambda (default); simulated: by forces of twins (tactile sim "
+        "labels) of both sensors of the pair, or those of the sensor's own twin",
     )
     add_resume(parser, "continue the run in --out")
 

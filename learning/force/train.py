@@ -24,7 +24,13 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from learning.archive_writer import archive_fingerprint
-from learning.compensation import SIMULATED, SimulatedLabels, read_stored, simulated_labels
+from learning.compensation import (
+    SIMULATED,
+    SimulatedLabels,
+    read_stored,
+    simulated_labels,
+    twin_forces,
+)
 from learning.config import read_settings, require
 from learning.data.labels import read_labels
 from learning.data.presses import AUTHORS, ForceRange, Presses, load_presses, press_table
@@ -749,7 +755,7 @@ def run(options: argparse.Namespace) -> int:
     sensors = _sensors(options, archive, split)
     compensation = _compensation(options, archive, sensors)
     start_from = None if options.start_from is None else load_force_model(options.start_from)
-    labels = _labels(options, archive, sensors)
+    labels = _labels(options, archive, sensors, compensation)
     data = [archive_fingerprint(archive), split.fingerprint, *sensors]
     if options.start_from is not None:
         data.append(weights_hash(options.start_from / "model.safetensors"))
@@ -757,7 +763,7 @@ def run(options: argparse.Namespace) -> int:
         data.append(compensation.made_from)
     elif options.compensation is not None:
         data += [weights_hash(options.compensation), options.pair or "", options.choice]
-    if labels is not None:
+    if options.labels is not None:
         data.append(weights_hash(options.labels))
     # A run that could learn nothing is not begun.
     for name in sensors:
@@ -831,9 +837,17 @@ def _sensors(options: argparse.Namespace, archive: MarkerArchive, split: Split) 
 
 
 def _labels(
-    options: argparse.Namespace, archive: MarkerArchive, sensors: Sequence[str]
+    options: argparse.Namespace,
+    archive: MarkerArchive,
+    sensors: Sequence[str],
+    compensation: Relabelling | None,
 ) -> Tensor | None:
-    """Return the forces of --labels for all rows of the sensor (n, 3) [N]; None without."""
+    """Return forces in place of the archive's for all rows of the sensor (n, 3) [N]; None if none.
+
+    They are those of --labels, or of the twin of a sensor that may have no labels.
+    """
+    if isinstance(compensation, SimulatedLabels) and _is_own_twin(options, sensors):
+        return torch.from_numpy(compensation.force).float()
     if options.labels is None:
         return None
     if len(sensors) > 1:
@@ -875,6 +889,8 @@ def _compensation(
         if options.pair is not None:
             raise LearningError("--pair: found without --compensation; allowed: both")
         return None
+    if by_twins and _is_own_twin(options, sensors):
+        return _by_own_twin(options, archive[sensors[0]])
     source, to, target = (options.pair or sensors[0]).partition("-to-")
     if not to or (options.pair is None and len(sensors) > 1):
         raise LearningError(
@@ -883,6 +899,23 @@ def _compensation(
     if by_twins:
         return _by_twins(options, archive, sensors, target)
     return read_stored(options.compensation).pair(source, target, options.choice).applied
+
+
+def _is_own_twin(options: argparse.Namespace, sensors: Sequence[str]) -> bool:
+    """True if labels by simulation are those of the sensor's own twin: it is no translated one."""
+    return options.pair is None and len(sensors) == 1 and "-to-" not in sensors[0]
+
+
+def _by_own_twin(options: argparse.Namespace, sensor: ArchivedSensor) -> SimulatedLabels:
+    """Return the forces of a sensor's own twin as labels of its frames."""
+    for name in ("compensation", "labels"):
+        if (given := getattr(options, name)) is not None:
+            raise LearningError(
+                f"--{name}: found {given} with --choice {SIMULATED} and a sensor that is not "
+                "translated; allowed: nothing, as its labels are the forces of its own twin"
+            )
+    twin = twin_forces(sensor)
+    return SimulatedLabels(twin.force, twin.spread, twin.made_from)
 
 
 def _by_twins(

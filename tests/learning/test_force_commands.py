@@ -94,6 +94,33 @@ def test_labels_by_simulation_are_learned_from_translated_frames(
     assert "twin of dots; twin of grid" in (tmp_path / "run" / "config.yaml").read_text()
 
 
+def test_a_sensor_without_a_label_learns_the_forces_of_its_own_twin(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    labelled = made_up_archive(tmp_path / "y.markers.zarr", frames_per_phase=1)["dots"]
+    archive = made_up_archive(
+        tmp_path / "x.markers.zarr", frames_per_phase=1, unlabelled=("dots", "grid")
+    )
+    make_split(archive, validation=0.0, new_press=0.0).write(tmp_path / "split.json")
+    words = ["train-force", str(archive.path), "--split", str(tmp_path / "split.json"), *SMALL]
+    words += ["--choice", "simulated", "--sensor", "dots", "--out", str(tmp_path / "run")]
+    words += ["--set", "range_margin=0"]
+    assert main(words) == 2
+    assert "dots: found no forces of a twin; allowed: tactile sim labels" in capsys.readouterr().err
+    wrench = 0.7 * labelled.table["wrench"][:, :3]
+    # A press without a solution has no force.
+    wrench[np.flatnonzero(labelled.table["location"] == 0)] = np.nan
+    write_simulated(archive["dots"], wrench, np.full(wrench.shape, 0.1), "twin of dots")
+    assert main([*words, "--labels", str(tmp_path / "typed.csv")]) == 2
+    assert "--labels: found " in capsys.readouterr().err
+    assert main(words) == 0
+    model = load_force_model(tmp_path / "run")
+    assert model.axes == ("Fx", "Fy", "Fz")
+    learned = (labelled.table["location"] >= 0) & labelled.table["seen"]
+    assert float(model.low[2]) == pytest.approx(np.nanmin(wrench[learned, 2]), rel=1e-5)
+    assert "twin of dots" in (tmp_path / "run" / "config.yaml").read_text()
+
+
 def test_readings_typed_in_are_the_labels_of_a_sensor_without_a_gauge(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
