@@ -2,7 +2,9 @@
 
 If body, indenter, motion and gravity are their own image in a plane, so is the solution. A force
 along the plane's normal, or a torque about a line in the plane, is then an error of the solver and
-nothing else, known without a second solution.
+nothing else, known without a second solution. Or it is a state that is not symmetric, as of a soft
+skin that gives way to one side under a blade: one of two that are equally right. Gravity across
+the plane may decide for one, and explains a force of about the skin's weight, no more.
 """
 
 from __future__ import annotations
@@ -40,10 +42,17 @@ COLUMNS, LEVELS = (10, 40), 6
 # Fraction of the force above which there is a warning.
 WORTH_SAYING = 0.01
 NOTE = "the scene is its own image in the plane"
+# Force across a plane that gravity explains, over the skin's weight along it: indenter and base
+# share the weight.
+EXPLAINED = 3.0
 
 
 def planes_of(scene: Scene) -> tuple[str, ...]:
     """Return the mirror planes of a scene, as names of `PLANES`."""
+    return tuple(name for name in _planes_but_for_gravity(scene) if not _pull(scene, name))
+
+
+def _planes_but_for_gravity(scene: Scene) -> tuple[str, ...]:
     whole = len(scene.motion)
     return tuple(name for name, normal in PLANES.items() if _mirrored(scene, normal) == whole)
 
@@ -53,12 +62,13 @@ def vanishing_share(result: Result) -> Array:
 
     Over a tenth of the largest force if a frame's own is smaller; 0 without such a plane. A motion
     that leaves the plane has such forces only up to there. Later frames, on the same mesh, get the
-    largest of them, as the error of a force along the skin.
+    largest of them, as the error of a force along the skin. If gravity is across the plane, the
+    force that it explains is subtracted.
     """
     across = np.zeros(len(result.wrench))
-    for normal in PLANES.values():
-        count = _mirrored(result.scene, normal)
-        forbidden = np.abs(result.force[:count, :2] @ normal)
+    for name in PLANES:
+        count = _mirrored(result.scene, PLANES[name])
+        forbidden = _across(result, name)[:count]
         across[:count] = np.maximum(across[:count], forbidden)
         across[count:] = np.maximum(across[count:], forbidden.max(initial=0.0))
     return across / force_scale(result.force)
@@ -72,6 +82,7 @@ def with_symmetry(result: Result) -> Result:
     forbids; `percent`, the force over that of the frame, or over a tenth of the largest one. Above
     1 % there is a warning.
     """
+    result = _with_note_beside_gravity(result)
     planes = planes_of(result.scene)
     if not planes:
         return result
@@ -97,19 +108,48 @@ def with_symmetry(result: Result) -> Result:
     return replace(result, record={**result.record, "symmetry": symmetry, "warnings": warnings})
 
 
-def _mirrored(scene: Scene, normal: Normal) -> int:
-    """Return the number of waypoints up to which the scene is its own image in a plane."""
+def _with_note_beside_gravity(result: Result) -> Result:
+    """Return the result with a warning of forces across a plane that gravity does not explain."""
+    scene, begins = result.scene, f"but for gravity {NOTE}"
+    warnings = [one for one in result.record["warnings"] if not str(one).startswith(begins)]
+    for name in _planes_but_for_gravity(scene):
+        fraction = float((_across(result, name) / force_scale(result.force)).max(initial=0.0))
+        if _pull(scene, name) and fraction > WORTH_SAYING:
+            warnings.append(
+                f"{begins} {name}, and {100 * fraction:.2g} % of the force is across "
+                "it that gravity does not explain: the mesh, or a skin that gives way to one side "
+                "and might as well to the other"
+            )
+    return replace(result, record={**result.record, "warnings": warnings})
+
+
+def _across(result: Result, name: str) -> Array:
+    """Return the size of each frame's force across a plane, beyond that by gravity (F,) [N]."""
+    across = np.abs(result.force[:, :2] @ PLANES[name])
+    return np.maximum(across - _pull(result.scene, name), 0.0)
+
+
+def _pull(scene: Scene, name: str) -> float:
+    """Return the force across a plane that gravity explains [N]; 0 if gravity is along it."""
     body, gravity = scene.body, scene.effects.gravity
+    if gravity is None:
+        return 0.0
+    pull = np.asarray(gravity.acceleration, float)
+    across = abs(float(pull[:2] @ PLANES[name]))
+    if across <= OFF_PLANE * np.linalg.norm(pull):
+        return 0.0
+    return EXPLAINED * body.density * body.size_x * body.size_y * body.thickness * across
+
+
+def _mirrored(scene: Scene, normal: Normal) -> int:
+    """Return the number of waypoints up to which the scene is its image in a plane, but gravity."""
+    body = scene.body
     if 0.0 not in normal and body.size_x != body.size_y:
         return 0
     off = np.abs(np.asarray(scene.motion.tip)[:, :2] @ normal) > OFF_PLANE * body.thickness
     count = int(np.argmax(off)) if off.any() else len(off)
     if not count:
         return 0
-    if gravity is not None:
-        pull = np.asarray(gravity.acceleration, float)
-        if abs(pull[:2] @ normal) > OFF_PLANE * np.linalg.norm(pull):
-            return 0
     depth = scene.motion.depth_max
     if depth <= 0:
         return 0

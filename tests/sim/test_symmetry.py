@@ -117,6 +117,21 @@ def test_a_force_that_symmetry_forbids_is_part_of_the_error_and_worth_a_warning(
     assert not [one for one in right.record["warnings"] if "across" in one]
 
 
+def test_a_force_across_gravity_is_forbidden_beyond_the_weight() -> None:
+    pulled = _pushed((0.0, 0.3, -0.4))
+    scene = replace(pulled.scene, effects=Effects(gravity=Gravity((0.0, 9.81, 0.0))))
+    explained = 3 * 1070 * 8e-3 * 8e-3 * 4e-3 * 9.81
+    found = with_estimate(replace(pulled, scene=scene))
+    assert vanishing_share(found)[1] == pytest.approx((0.3 - explained) / 0.5)
+    assert found.record["error"]["percent"] == pytest.approx(100 * (0.3 - explained) / 0.5)
+    assert "that gravity does not explain" in found.record["warnings"][-1]
+    # A stronger pull explains it.
+    strong = replace(scene, effects=Effects(gravity=Gravity((0.0, 400.0, 0.0))))
+    found = with_estimate(replace(pulled, scene=strong))
+    assert vanishing_share(found)[1] == 0
+    assert not [one for one in found.record["warnings"] if "gravity" in one]
+
+
 def test_a_motion_that_leaves_a_plane_states_the_forces_across_it_before() -> None:
     motion = Motion(((0.0, 0.0, -0.4e-3), (0.0, 0.1e-3, -0.4e-3)), (0.0, 0.1))
     result = simulate(Scene(sphere(3e-3), motion, SMALL), Fem(spacing=4e-3 / 3))
