@@ -8,6 +8,9 @@ from pathlib import Path
 
 from recorder.command_line.options import add_device, add_grid, add_seed, whole
 
+# Largest height of a surface over where an archive has it [um].
+HEIGHT_MOST = 1000.0
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
@@ -34,6 +37,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="sensors drawn for the spread; 0: none (%(default)s)",
     )
+    add(
+        "--height-um",
+        type=float,
+        default=0.0,
+        metavar="UM",
+        help="height of the surface over where the archive has it, as `tactile twin fit` found it "
+        "for presses of the same mounting [um] (%(default)g)",
+    )
     add_seed(parser)
     add_grid(parser)
     add_device(parser)
@@ -57,7 +68,12 @@ def run(options: argparse.Namespace) -> int:
 
     ready_device(options.device)
     twin = sensor_of(options.twin)
-    told = made_from(twin, options.draws, options.seed, options.grid)
+    if not abs(options.height_um) <= HEIGHT_MOST:
+        raise SceneError(
+            f"--height-um: found {options.height_um:g}; allowed: up to {HEIGHT_MOST:g}, up or down"
+        )
+    height = 1e-6 * options.height_um
+    told = made_from(twin, options.draws, options.seed, options.grid, height)
     try:
         archive = MarkerArchive(options.archive)
         if options.sensor not in archive:
@@ -75,6 +91,7 @@ def run(options: argparse.Namespace) -> int:
                 draws=options.draws,
                 seed=options.seed,
                 grid=options.grid,
+                height=height,
                 device=options.device,
                 processes=options.processes,
                 progress=progress,

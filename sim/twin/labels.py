@@ -172,6 +172,7 @@ def simulated_forces(
     draws: int,
     seed: int,
     grid: int,
+    height: float = 0.0,
     device: str = "cpu",
     processes: int = 1,
     progress: Callable[[float], None] = lambda fraction: None,
@@ -185,6 +186,8 @@ def simulated_forces(
         draws: Number of sensors drawn from its posterior; 0: no spread.
         seed: Seed of the draws.
         grid: Pixels along the body's longer side.
+        height: Height of the surface over where the archive has it [m]: that of a fit, if its
+            presses were of the same mounting.
         device: Device of tier `fem`; a GPU solves many presses at once.
         processes: Number of processes.
         progress: Called with the fraction done.
@@ -202,7 +205,10 @@ def simulated_forces(
     sensors = [twin]
     if twin.posterior is not None:
         sensors += [twin.posterior.draw(twin, random) for _ in range(draws)]
-    presses = list(archived_presses(archived, indenters))
+    presses = [
+        replace(press, tip=press.tip - [0.0, 0.0, height])
+        for press in archived_presses(archived, indenters)
+    ]
     force, spread = (np.full((len(archived), 3), np.nan) for _ in range(2))
     failed: list[str] = []
     true: Sequence[Array | SimulationDiverged | None] = [None] * len(presses)
@@ -247,10 +253,11 @@ def _tried(
         return str(diverged)
 
 
-def made_from(twin: SimulatedSensor, draws: int, seed: int, grid: int) -> str:
+def made_from(twin: SimulatedSensor, draws: int, seed: int, grid: int, height: float = 0.0) -> str:
     """Return a line that tells forces of one twin and its settings from those of others."""
     known = hashlib.sha256(repr(twin).encode()).hexdigest()[:16]
     told = f"twin {twin.name} {known}, draws {draws}, seed {seed}, grid {grid}"
+    told += f", height {1e6 * height:g} um" if height else ""
     return told if tier_of(twin) == "layer" else f"{told}, tier {tier_of(twin)}"
 
 

@@ -64,6 +64,15 @@ def test_forces_of_a_twin_are_those_of_its_presses(
     assert again is not None
     assert not again.spread[rows].any()
     np.testing.assert_array_equal(again.force, found.force)
+    # A surface that is higher than the archive has it is pressed deeper.
+    assert labels(archive, twin, "--draws", "0", "--height-um", "50") == 0
+    assert "height 50 um" in capsys.readouterr().out
+    higher = MarkerArchive(archive)["gelsight"].simulated
+    assert higher is not None
+    deep = rows & (found.force[:, 2] < -0.1)
+    assert (higher.force[deep, 2] < 1.02 * found.force[deep, 2]).all()
+    assert labels(archive, twin, "--height-um", "2000") == 2
+    assert "--height-um: found 2000; allowed: up to 1000" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -182,15 +182,9 @@ def _tasks(options: argparse.Namespace, study: Study, cores: int, done: set[str]
                 command += ["--processes", str(max(1, cores // 2))]
             else:
                 command += ["--device", "cuda:0", "--processes", str(max(1, cores // 12))]
-        elif kind in ("labels", "further-labels"):
-            one = (("OMP_NUM_THREADS", "1"),)
-            archive = (archive_path if kind == "labels" else further_path)(study.out, rest[0])
-            command = ["-m", "sim", "labels", str(archive)]
-            command += ["--sensor", rest[0], "--twin", str(twin_path(study.out, rest[0]))]
-            command += ["--draws", str(size.draws), "--grid", str(size.grid)]
-            command += ["--processes", str(max(1, cores // len(study.sensors)))]
-            command += [] if on_cpu or study.fit == "layer" else ["--device", "cuda:0"]
         else:
+            if kind in ("labels", "further-labels"):
+                one = (("OMP_NUM_THREADS", "1"),)
             command = ["-m", "benchmarks", "gauge-tables", "--job", name, "--out", str(study.out)]
             command += ["--group", study.group, "--size", options.size]
             command += ["--skins", str(study.skins), "--fit", study.fit]

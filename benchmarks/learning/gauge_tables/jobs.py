@@ -22,6 +22,7 @@ from benchmarks.learning.gauge_tables.skins import (
     GAUGE,
     GAUGE_PRESSES,
     GROUPS,
+    height_of,
     name_of,
     planted,
     write_twin,
@@ -60,6 +61,7 @@ from learning.translation.loading import load_translator
 from learning.translation.translator import SensorView, for_pair
 from recorder import MarkerArchive
 from recorder.store import replace_file
+from sim.__main__ import main as run_sim
 from sim.dataset.plan import UNSEEN
 from sim.indenters import NAMES
 from sim.sensors.posterior import FitTier
@@ -548,7 +550,11 @@ def names(study: Study, seeds: Sequence[int]) -> dict[str, tuple[str, ...]]:
 
 
 def run_job(study: Study, name: str) -> None:
-    """Run a job by its name; archives, labels and draws are commands of `sim`."""
+    """Run a job by its name; archives and draws are commands of `sim`.
+
+    Raises:
+        LearningError: No label could be simulated.
+    """
     kind, *rest = name.split()
     if kind == "twin":
         design = study.designs[study.sensors.index(rest[0])]
@@ -557,6 +563,16 @@ def run_job(study: Study, name: str) -> None:
         how: dict[str, Any] = {"truth": study.of.tier, "fit": study.fit, "device": device}
         how |= {"grid": study.of.grid, "processes": study.processes}
         write_twin(each, twin_path(study.out, rest[0]), **how)
+    elif kind in ("labels", "further-labels"):
+        archive = (archive_path if kind == "labels" else further_path)(study.out, rest[0])
+        twin = twin_path(study.out, rest[0])
+        words = ["labels", str(archive), "--sensor", rest[0], "--twin", str(twin)]
+        words += ["--draws", str(study.of.draws), "--grid", str(study.of.grid)]
+        words += ["--height-um", f"{1e6 * height_of(twin):.2f}"]
+        words += ["--processes", str(study.processes)]
+        words += ["--device", "cuda:0" if study.device.type == "cuda" else "cpu"]
+        if code := run_sim(words):
+            raise LearningError(f"{name}: ended with code {code}; allowed: 0")
     elif kind == "field":
         field_translator(replace(study, seed=int(rest[0])))
     elif kind == "baselines":

@@ -238,7 +238,8 @@ def twins(study: Study) -> dict[str, dict[str, float]]:
             told = json.loads(path.read_text(encoding="utf-8"))
             off = {each: told["twin"][each] - told["true"][each] for each in SHOWN}
             off |= {each: off[each] / told["true"][each] for each in SHOWN if each != "poisson"}
-            found[name] = {**off, "misfit": told["misfit"]}
+            height = told["height"]["twin"] - told["height"]["true"]
+            found[name] = {**off, "height": height, "misfit": told["misfit"]}
     return found
 
 

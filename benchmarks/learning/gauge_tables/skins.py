@@ -158,8 +158,9 @@ def write_twin(
 ) -> None:
     """Press a planted sensor with a gauge, fit its twin from its design, and write both files.
 
-    The twin's row is at `out`. Beside it are its quantities, the true ones and its misfit, as JSON,
-    and a row with errors of mounting and seeing, to draw sensors from.
+    The twin's row is at `out`. Beside it are its quantities, the true ones, its misfit and the
+    height of the surface, as JSON, and a row with errors of mounting and seeing, to draw sensors
+    from.
 
     Args:
         each: The sensor.
@@ -182,12 +183,19 @@ def write_twin(
     how: dict[str, Any] = {"tier": fit, "grid": grid, "device": device, "processes": processes}
     found = fitted(tracks, sensor(each.design), **how)
     told = {"true": quantities(each.row), "twin": quantities(found.sensor), "misfit": found.misfit}
+    told["height"] = {"true": each.bench.height, "twin": found.values["height"]}
     out.parent.mkdir(parents=True, exist_ok=True)
     replace_file(out.with_suffix(".json"), json.dumps(told, indent=1).encode())
     text = twin_yaml(found.sensor, f"{each.design}.yaml", GAUGE)
     replace_file(out, text.encode())
     words = {"extends": out.name, "variation": _variation(found.sensor)}
     replace_file(out.with_stem(f"{out.stem}-draw"), yaml_text(words).encode())
+
+
+def height_of(twin: Path) -> float:
+    """Return the height of the surface that a twin's fit found [m]."""
+    told = json.loads(twin.with_suffix(".json").read_text(encoding="utf-8"))
+    return float(told["height"]["twin"])
 
 
 def _solved(each: Planted, presses: Presses, **how: Any) -> Forces:
