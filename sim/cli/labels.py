@@ -40,10 +40,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--height-um",
         type=float,
-        default=0.0,
         metavar="UM",
-        help="height of the surface over where the archive has it, as `tactile twin fit` found it "
-        "for presses of the same mounting [um] (%(default)g)",
+        help="height of the surface over where the archive has it [um] (that of the twin's fit, "
+        "which belongs to its quantities)",
     )
     add_seed(parser)
     add_grid(parser)
@@ -68,11 +67,14 @@ def run(options: argparse.Namespace) -> int:
 
     ready_device(options.device)
     twin = sensor_of(options.twin)
-    if not abs(options.height_um) <= HEIGHT_MOST:
-        raise SceneError(
-            f"--height-um: found {options.height_um:g}; allowed: up to {HEIGHT_MOST:g}, up or down"
-        )
-    height = 1e-6 * options.height_um
+    height = None
+    if options.height_um is not None:
+        if not abs(options.height_um) <= HEIGHT_MOST:
+            raise SceneError(
+                f"--height-um: found {options.height_um:g}; allowed: up to {HEIGHT_MOST:g}, up or "
+                "down"
+            )
+        height = 1e-6 * options.height_um
     told = made_from(twin, options.draws, options.seed, options.grid, height)
     try:
         archive = MarkerArchive(options.archive)

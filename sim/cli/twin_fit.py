@@ -165,9 +165,5 @@ def run(options: argparse.Namespace) -> int:
     options.out.write_text(row, encoding="utf-8")
     if not options.json:
         print(f"{options.out}\n{picture}")
-        height = 1e6 * fit.values["height"]
-        print(
-            f"labels for frames of the same mounting: tactile sim labels ARCHIVE --sensor NAME "
-            f"--twin {options.out} --height-um {height:.1f}"
-        )
+        print(f"labels by it: tactile sim labels ARCHIVE --sensor NAME --twin {options.out}")
     return 0

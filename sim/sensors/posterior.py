@@ -53,6 +53,11 @@ class Posterior:
     """Matrix of correlations, -1 to 1, with ones on its diagonal."""
     tier: FitTier = field(default="layer", repr=False, metadata={"stored": "unless default"})
     """Tier whose forces the quantities explain: by the other they give other forces."""
+    height: float = field(
+        default=0.0, repr=False, metadata={"unit": "um", "stored": "unless default"}
+    )
+    """Height of the surface over where the presses of the fit have it [m], -1e-3 to 1e-3. Found
+    along with the quantities, it belongs to them: without it they give other forces."""
 
     def __post_init__(self) -> None:
         unknown = [name for name in self.names if name not in CAMERA and not _NAMES.fullmatch(name)]
@@ -63,6 +68,7 @@ class Posterior:
                 f"{', '.join(CAMERA)}, each once"
             )
         count = len(self.names)
+        check_range("posterior", "height", self.height, -1e-3, 1e-3, unit="m")
         matrix = np.array(self.correlations, float)
         if len(self.spreads) != count or matrix.shape != (count, count):
             raise SceneError(
@@ -81,13 +87,14 @@ class Posterior:
         names: Sequence[str],
         covariance: NDArray[np.float64],
         tier: FitTier = "layer",
+        height: float = 0.0,
     ) -> Posterior:
         """Return the distribution with a covariance (p, p)."""
         spread = np.sqrt(np.diag(covariance))
         matrix = np.clip(covariance / np.outer(spread, spread), -1.0, 1.0)
         np.fill_diagonal(matrix, 1.0)
         correlations = tuple(map(tuple, matrix.tolist()))
-        return cls(tuple(names), tuple(spread.tolist()), correlations, tier)
+        return cls(tuple(names), tuple(spread.tolist()), correlations, tier, height)
 
     def draw(self, centre: SimulatedSensor, random: np.random.Generator) -> SimulatedSensor:
         """Return a sensor drawn about `centre`, which itself keeps no posterior."""

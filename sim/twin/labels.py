@@ -172,7 +172,7 @@ def simulated_forces(
     draws: int,
     seed: int,
     grid: int,
-    height: float = 0.0,
+    height: float | None = None,
     device: str = "cpu",
     processes: int = 1,
     progress: Callable[[float], None] = lambda fraction: None,
@@ -186,8 +186,7 @@ def simulated_forces(
         draws: Number of sensors drawn from its posterior; 0: no spread.
         seed: Seed of the draws.
         grid: Pixels along the body's longer side.
-        height: Height of the surface over where the archive has it [m]: that of a fit, if its
-            presses were of the same mounting.
+        height: Height of the surface over where the archive has it [m]; None: the twin's own.
         device: Device of tier `fem`; a GPU solves many presses at once.
         processes: Number of processes.
         progress: Called with the fraction done.
@@ -205,8 +204,9 @@ def simulated_forces(
     sensors = [twin]
     if twin.posterior is not None:
         sensors += [twin.posterior.draw(twin, random) for _ in range(draws)]
+    above = height_of(twin) if height is None else height
     presses = [
-        replace(press, tip=press.tip - [0.0, 0.0, height])
+        replace(press, tip=press.tip - [0.0, 0.0, above])
         for press in archived_presses(archived, indenters)
     ]
     force, spread = (np.full((len(archived), 3), np.nan) for _ in range(2))
@@ -253,8 +253,16 @@ def _tried(
         return str(diverged)
 
 
-def made_from(twin: SimulatedSensor, draws: int, seed: int, grid: int, height: float = 0.0) -> str:
+def height_of(twin: SimulatedSensor) -> float:
+    """Return the height of the surface that belongs to a twin's quantities [m]."""
+    return 0.0 if twin.posterior is None else twin.posterior.height
+
+
+def made_from(
+    twin: SimulatedSensor, draws: int, seed: int, grid: int, height: float | None = None
+) -> str:
     """Return a line that tells forces of one twin and its settings from those of others."""
+    height = height_of(twin) if height is None else height
     known = hashlib.sha256(repr(twin).encode()).hexdigest()[:16]
     told = f"twin {twin.name} {known}, draws {draws}, seed {seed}, grid {grid}"
     told += f", height {1e6 * height:g} um" if height else ""

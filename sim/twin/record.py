@@ -82,6 +82,7 @@ def twin_yaml(sensor: SimulatedSensor, design: str, sessions: Sequence[str]) -> 
             "spreads": [_round(spread) for spread in posterior.spreads],
             "correlations": [[round(each, 4) for each in row] for row in posterior.correlations],
             **({"tier": posterior.tier} if posterior.tier != "layer" else {}),
+            "height_um": round(1e6 * float(posterior.height), 2),
         },
     }
     signal = sensor.signal

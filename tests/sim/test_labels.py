@@ -71,6 +71,15 @@ def test_forces_of_a_twin_are_those_of_its_presses(
     assert higher is not None
     deep = rows & (found.force[:, 2] < -0.1)
     assert (higher.force[deep, 2] < 1.02 * found.force[deep, 2]).all()
+    # The height of a twin's fit belongs to its quantities.
+    twin.write_text(TWIN.replace("MODULUS", "290").replace("]]}", "]], height_um: 50}"))
+    assert labels(archive, twin, "--draws", "0", "--height-um", "0") == 0
+    assert "height" not in capsys.readouterr().out
+    assert labels(archive, twin, "--draws", "0") == 0
+    assert "height 50 um" in capsys.readouterr().out
+    own = MarkerArchive(archive)["gelsight"].simulated
+    assert own is not None
+    np.testing.assert_array_equal(own.force, higher.force)
     assert labels(archive, twin, "--height-um", "2000") == 2
     assert "--height-um: found 2000; allowed: up to 1000" in capsys.readouterr().err
 

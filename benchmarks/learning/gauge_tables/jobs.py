@@ -22,7 +22,6 @@ from benchmarks.learning.gauge_tables.skins import (
     GAUGE,
     GAUGE_PRESSES,
     GROUPS,
-    height_of,
     name_of,
     planted,
     write_twin,
@@ -568,7 +567,6 @@ def run_job(study: Study, name: str) -> None:
         twin = twin_path(study.out, rest[0])
         words = ["labels", str(archive), "--sensor", rest[0], "--twin", str(twin)]
         words += ["--draws", str(study.of.draws), "--grid", str(study.of.grid)]
-        words += ["--height-um", f"{1e6 * height_of(twin):.2f}"]
         words += ["--processes", str(study.processes)]
         words += ["--device", "cuda:0" if study.device.type == "cuda" else "cpu"]
         if code := run_sim(words):

@@ -192,12 +192,6 @@ def write_twin(
     replace_file(out.with_stem(f"{out.stem}-draw"), yaml_text(words).encode())
 
 
-def height_of(twin: Path) -> float:
-    """Return the height of the surface that a twin's fit found [m]."""
-    told = json.loads(twin.with_suffix(".json").read_text(encoding="utf-8"))
-    return float(told["height"]["twin"])
-
-
 def _solved(each: Planted, presses: Presses, **how: Any) -> Forces:
     """Return forces by the settings of archives, or those for what has no solution by them."""
     first = Solving().settings(each.row.body)
