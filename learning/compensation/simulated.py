@@ -113,6 +113,16 @@ def twin_forces(sensor: ArchivedSensor) -> Simulated:
     return sensor.simulated
 
 
+def own_twin_labels(sensor: ArchivedSensor) -> SimulatedLabels:
+    """Return the forces of a sensor's own twin as labels of its frames.
+
+    Raises:
+        LearningError: It has none.
+    """
+    twin = twin_forces(sensor)
+    return SimulatedLabels(twin.force, twin.spread, twin.made_from)
+
+
 def _groups(sensor: ArchivedSensor) -> dict[tuple[int, int], tuple[NDArray[np.int64], Floats]]:
     """Return rows and fraction of the phase of the frames of each location and phase."""
     return {

@@ -27,9 +27,9 @@ from learning.archive_writer import archive_fingerprint
 from learning.compensation import (
     SIMULATED,
     SimulatedLabels,
+    own_twin_labels,
     read_stored,
     simulated_labels,
-    twin_forces,
 )
 from learning.config import read_settings, require
 from learning.data.labels import read_labels
@@ -914,8 +914,7 @@ def _by_own_twin(options: argparse.Namespace, sensor: ArchivedSensor) -> Simulat
                 f"--{name}: found {given} with --choice {SIMULATED} and a sensor that is not "
                 "translated; allowed: nothing, as its labels are the forces of its own twin"
             )
-    twin = twin_forces(sensor)
-    return SimulatedLabels(twin.force, twin.spread, twin.made_from)
+    return own_twin_labels(sensor)
 
 
 def _by_twins(

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.learning.gauge_tables.jobs import Study, further_path, trained, unlabelled
-from learning.compensation import SimulatedLabels, twin_forces
+from learning.compensation import own_twin_labels, twin_forces
 from learning.data.presses import load_presses
 from learning.force.intervals import Intervals, Scale, fit_errors
 from learning.force.learned import Learned
@@ -26,6 +26,7 @@ from recorder import MarkerArchive
 from recorder.archive import ArchivedSensor
 from recorder.store import replace_file
 from sim.indenters import drawn_name
+from sim.twin.fit import Z
 
 Floats = NDArray[np.float64]
 
@@ -33,8 +34,7 @@ NET = "displacement"
 TWIN, TRUE = "the twin's forces", "true forces"
 # Labels that a net learns from, and forces that its intervals are calibrated with.
 CASES = ((TWIN, TWIN), (TWIN, TRUE), (TRUE, TRUE))
-# Standard deviations from the middle of an interval of 90 % to its ends.
-Z = 1.645
+# Resamples of test indenters, and the interval between their quantiles.
 RESAMPLES, INTERVAL = 2000, (0.025, 0.975)
 
 
@@ -60,8 +60,7 @@ def run_job(study: Study, name: str) -> None:
 
 def _covered(study: Study, sensor: str) -> Iterator[dict[str, Any]]:
     presses = study.presses(sensor, "train", "field")
-    twin = twin_forces(study.archive[sensor])
-    labels = SimulatedLabels(twin.force, twin.spread, twin.made_from)
+    labels = own_twin_labels(study.archive[sensor])
     models = {
         TWIN: trained(study, NET, unlabelled(presses, labels), None, labels),
         TRUE: trained(study, NET, presses),

@@ -38,7 +38,7 @@ from benchmarks.learning.paper_chain.sizes import RECIPES
 from benchmarks.learning.paper_chain.sizes import SIZES as CHAIN_SIZES
 from benchmarks.learning.paper_chain.sizes import Size as ChainSize
 from benchmarks.sim.twin.planted import Truth
-from learning.compensation import SimulatedLabels, simulated_labels, twin_forces
+from learning.compensation import SimulatedLabels, own_twin_labels, simulated_labels, twin_forces
 from learning.config import read_settings
 from learning.data.presses import Presses, load_presses
 from learning.data.splits import Split, make_split
@@ -496,8 +496,7 @@ def own(study: Study, sensor: str) -> Iterator[Prediction]:
 
     With its twin's forces as labels, and with its own.
     """
-    twin = twin_forces(study.archive[sensor])
-    labels = SimulatedLabels(twin.force, twin.spread, twin.made_from)
+    labels = own_twin_labels(study.archive[sensor])
     for preset in study.of.nets:
         presses = study.presses(sensor, "train", form_of(preset))
         test = unseen_presses(study, sensor, form_of(preset))

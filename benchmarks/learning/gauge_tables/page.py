@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.learning.gauge_tables.coverage import read_covered
+from benchmarks.learning.gauge_tables.coverage import INTERVAL, RESAMPLES, read_covered
 from benchmarks.learning.gauge_tables.jobs import Study, twin_path
 from benchmarks.learning.gauge_tables.skins import GAUGE, GAUGE_PRESSES
 from learning.training.run import generator
@@ -24,8 +24,6 @@ from sim.dataset.plan import UNSEEN
 
 Floats = NDArray[np.float64]
 
-# Resamples of test indenters and seeds, and the interval between their quantiles.
-RESAMPLES, INTERVAL = 2000, (0.025, 0.975)
 OWN = "own labels"
 # Difference of R2 to own labels that the project aims at.
 GOAL = 0.03
