@@ -34,7 +34,7 @@ FORMAT, FORMAT_VERSION = "tactile-rig intervals", 2
 # Fraction of the true forces that intervals shall contain.
 COVERAGE = 0.9
 # Quantile of the normal distribution at either end of such an interval.
-_NORMAL = 1.6449
+NORMAL = 1.6449
 # Fewest errors to calibrate from: below, no quantile of 90 % exists.
 FEWEST = 10
 # Fewest indenters whose errors have a quantile of 90 %; with fewer, indenters are assumed to differ
@@ -61,7 +61,7 @@ class Scale:
     @property
     def spread(self) -> float:
         """Standard deviation of the logarithm."""
-        return math.log(self.factor) / _NORMAL
+        return math.log(self.factor) / NORMAL
 
 
 @dataclass(frozen=True, slots=True)
@@ -329,7 +329,7 @@ def measured_scale(
             f"{predicted[wrong]:.3f} N; allowed: forces of the same sign (pressing is negative "
             "Fz); was the weight at rest on the sensor?"
         )
-    spreads = np.log1p(np.maximum(error / np.abs(predicted), 1e-9)) / _NORMAL
+    spreads = np.log1p(np.maximum(error / np.abs(predicted), 1e-9)) / NORMAL
     shares = spreads**-2 / (spreads**-2).sum()
     ratio = math.exp(float((shares * np.log(known / predicted)).sum()))
     own = float((shares * spreads).sum()) / math.sqrt(independent)
@@ -337,4 +337,4 @@ def measured_scale(
     weight = prior.spread**2 / both if both > 0 else 1.0
     value = math.exp(weight * math.log(ratio))
     spread = math.sqrt(weight) * own
-    return value, Scale(math.exp(_NORMAL * spread), source, assumed=False)
+    return value, Scale(math.exp(NORMAL * spread), source, assumed=False)

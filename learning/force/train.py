@@ -36,6 +36,8 @@ from learning.data.labels import read_labels
 from learning.data.presses import AUTHORS, ForceRange, Presses, load_presses, press_table
 from learning.data.splits import Role, Split
 from learning.errors import LearningError
+from learning.force.calibrate import calibrated_by_twin
+from learning.force.calibrate import told as told_intervals
 from learning.force.model import (
     AXES,
     KIND,
@@ -805,6 +807,16 @@ def run(options: argparse.Namespace) -> int:
                 for axis, off_n in zip(AXES, off, strict=True)
             )
             yield f"{each.sensor}: off in validation by {by} N"
+        if isinstance(compensation, SimulatedLabels) and _is_own_twin(options, sensors):
+            found = calibrated_by_twin(archive, sensors[0], split, model)
+            if found is None:
+                yield (
+                    f"no intervals: {options.split} has no unseen indenter, whose frames would "
+                    "show how far off the model is (tactile split --unseen NAME,...)"
+                )
+                return
+            found.intervals.write(options.out)
+            yield from told_intervals(found)
 
     # By these, a live stream is read as the pictures were from which the model learned.
     made_by = {name: str(archive[name].attrs.get("preset", "")) for name in sensors}

@@ -8,43 +8,22 @@ new indenter, not an error of that scaling: that one is the interval's `Scale`.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from learning.compensation import SimulatedLabels
-from learning.data.presses import Presses, load_presses
-from learning.errors import LearningError
-from learning.force.intervals import FEWEST, AxisError, Intervals, Scale, fit_errors
-from learning.force.learned import SHAPE, fit_learned, shapes_of
+from learning.force.calibrate import Calibration, Wanted, calibrated, presses_of_rows
+from learning.force.intervals import Scale
 from learning.force.model import ForceModel
 from learning.force.train import Compensation, Relabelling
 from learning.transfer.pairs import labels_by_place
 from recorder import MarkerArchive
 from recorder.archive import ArchivedSensor
-from recorder.markers import unpack
-from recorder.progress import ItemProgress
 
 Floats = NDArray[np.float64]
-# Masks unpacked at once.
-_AT_ONCE = 256
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Calibration:
-    """Intervals, and the forces that they were calibrated with."""
-
-    intervals: Intervals
-    predicted: Floats
-    """Forces (n, 3) that the model predicts on the target's frames of held-out indenters [N]."""
-    wanted: Floats
-    """The source's forces there (n, 3), scaled between the skins [N]."""
-    indenter: NDArray[np.str_]
-    """Indenter of each (n,)."""
 
 
 def calibrate(
@@ -72,33 +51,15 @@ def calibrate(
         SessionError: The archive is corrupt.
     """
     its = archive[target].table
-    wanted = wanted_forces(archive, source, target, compensation)
-    names = np.array(archive.indenters)[its["indenter"]]
-    calibrates = np.isin(names, indenters)
-    with ItemProgress("forces that calibrate", sys.stderr) as progress:
-        presses = _presses(archive[target], calibrates & its["valid"], model)
-        predicted = model.predict(presses, progress=progress)
-    used = presses.rows.numpy()
-    axes = fit_errors(predicted, wanted[used], names[used])
-    if all(axis is None for axis in axes):
-        raise LearningError(
-            f"{', '.join(indenters)}: {len(used)} frames of {target}, fewer than {FEWEST} of which "
-            f"match a label of {source} on any axis; allowed: more places that both were pressed at"
-        )
-    learned = (its["location"] >= 0) & its["valid"] & its["seen"] & ~calibrates
-    known = np.isfinite(wanted[used]).any(axis=1)
-    intervals = Intervals(
-        axes=_three(axes),
-        scale=scale,
-        largest=_largest(_source_labels(archive, source, compensation)),
-        learned=fit_learned(
-            shapes(archive[target], np.flatnonzero(learned)), shapes(archive[target], used)
-        ),
-        frames=int(known.sum()),
-        indenters=indenters,
-        errors_from=f"{source}'s labels at the same place, scaled between the skins",
+    calibrates = np.isin(np.array(archive.indenters)[its["indenter"]], indenters)
+    wanted = Wanted(
+        wanted_forces(archive, source, target, compensation),
+        f"{source}'s labels at the same place, scaled between the skins",
+        scale,
+        _source_labels(archive, source, compensation),
     )
-    return Calibration(intervals, predicted[known], wanted[used][known], names[used][known])
+    learned = its["seen"] & ~calibrates
+    return calibrated(archive, target, model, wanted, calibrates=calibrates, learned=learned)
 
 
 def wanted_forces(
@@ -125,34 +86,6 @@ def _source_labels(archive: MarkerArchive, source: str, compensation: Relabellin
     return labels
 
 
-def shapes(sensor: ArchivedSensor, rows: NDArray[np.int64]) -> Floats:
-    """Return the shapes of frames (n, 7), as `shapes_of` does.
-
-    Raises:
-        SessionError: The archive is corrupt.
-    """
-    found = np.zeros((len(rows), SHAPE))
-    references = sensor.table["reference"]
-    for first in range(0, len(rows), _AT_ONCE):
-        part = rows[first : first + _AT_ONCE]
-        masks = unpack(sensor.packed(part))
-        for number in np.unique(references[part]).tolist():
-            own = references[part] == number
-            (reference,) = unpack(sensor.references[number : number + 1])
-            found[first : first + len(part)][own] = shapes_of(masks[own], reference)
-    return found
-
-
-def presses_of_rows(sensor: ArchivedSensor, rows: NDArray[np.int64], model: ForceModel) -> Presses:
-    """Load presses as a model takes them.
-
-    Raises:
-        LearningError: Rows repeat or are invalid.
-        SessionError: The archive is corrupt.
-    """
-    return load_presses(sensor, rows, device=model.device, form=model.inputs.stored_form)
-
-
 def forces_at(
     sensor: ArchivedSensor, rows: Sequence[int] | NDArray[np.int64], model: ForceModel
 ) -> Floats:
@@ -170,11 +103,6 @@ def forces_at(
     return model.predict(presses)[[order[int(row)] for row in rows]]
 
 
-def _presses(sensor: ArchivedSensor, chosen: NDArray[np.bool_], model: ForceModel) -> Presses:
-    rows = np.flatnonzero(chosen & (sensor.table["location"] >= 0))
-    return presses_of_rows(sensor, rows, model)
-
-
 def _scaled(
     forces: NDArray[np.floating],
     table: Mapping[str, NDArray[Any]],
@@ -186,15 +114,3 @@ def _scaled(
         return labels
     phase = table["phase"][rows].astype(np.int64)
     return compensation(labels, np.asarray(table["depth"][rows], np.float64), phase)[0]
-
-
-def _largest(labels: Floats) -> tuple[float | None, float | None, float | None]:
-    found = [float(np.nanmax(np.abs(c))) if np.isfinite(c).any() else None for c in labels.T]
-    return found[0], found[1], found[2]
-
-
-def _three(
-    axes: tuple[AxisError | None, ...],
-) -> tuple[AxisError | None, AxisError | None, AxisError | None]:
-    x, y, z = axes
-    return x, y, z

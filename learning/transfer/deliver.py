@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from learning.errors import LearningError
+from learning.force.calibrate import Calibration
 from learning.force.export import export_onnx
 from learning.force.intervals import COVERAGE, AxisError, Intervals
 from learning.force.model import AXES, ForceModel, load_force_model
 from learning.training.checkpoint import MODEL, read_model_folder, save_weights
-from learning.transfer.calibrate import Calibration
 from recorder.charts import chart
 from recorder.pages import render
 from recorder.store import replace_file

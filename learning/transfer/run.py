@@ -23,11 +23,12 @@ from learning.experiment.models import Places, run_command
 from learning.experiment.parts import Pair
 from learning.experiment.running import run_experiment
 from learning.experiment.settings import ExperimentSettings
+from learning.force.calibrate import Calibration, presses_of_rows
 from learning.force.export import export_onnx
 from learning.force.intervals import Scale
 from learning.force.model import load_force_model
 from learning.training.checkpoint import CONFIG, MODEL, read_model_folder, weights_hash
-from learning.transfer.calibrate import Calibration, calibrate, forces_at, presses_of_rows
+from learning.transfer.calibrate import calibrate, forces_at
 from learning.transfer.deliver import (
     PRESSES,
     Card,

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from learning.data.matching import Chosen
 from learning.errors import LearningError
+from learning.force.calibrate import presses_of_rows, shapes
 from learning.force.intervals import Intervals, read_intervals
 from learning.force.model import load_force_model
 from learning.metrics import (
@@ -21,7 +22,6 @@ from learning.metrics import (
     force_errors,
     spread_and_range,
 )
-from learning.transfer.calibrate import presses_of_rows, shapes
 from learning.transfer.deliver import read_card
 
 Floats = NDArray[np.float64]

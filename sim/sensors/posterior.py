@@ -58,6 +58,9 @@ class Posterior:
     )
     """Height of the surface over where the presses of the fit have it [m], -1e-3 to 1e-3. Found
     along with the quantities, it belongs to them: without it they give other forces."""
+    law: float = field(default=0.0, repr=False, metadata={"stored": "unless default"})
+    """Error of forces at rest that no quantity explains, 0 to 1: standard deviation along an axis
+    over the whole force. It is of the fitted presses, and includes errors of the grid."""
 
     def __post_init__(self) -> None:
         unknown = [name for name in self.names if name not in CAMERA and not _NAMES.fullmatch(name)]
@@ -69,6 +72,7 @@ class Posterior:
             )
         count = len(self.names)
         check_range("posterior", "height", self.height, -1e-3, 1e-3, unit="m")
+        check_range("posterior", "law", self.law, 0.0, 1.0)
         matrix = np.array(self.correlations, float)
         if len(self.spreads) != count or matrix.shape != (count, count):
             raise SceneError(
@@ -88,13 +92,14 @@ class Posterior:
         covariance: NDArray[np.float64],
         tier: FitTier = "layer",
         height: float = 0.0,
+        law: float = 0.0,
     ) -> Posterior:
         """Return the distribution with a covariance (p, p)."""
         spread = np.sqrt(np.diag(covariance))
         matrix = np.clip(covariance / np.outer(spread, spread), -1.0, 1.0)
         np.fill_diagonal(matrix, 1.0)
         correlations = tuple(map(tuple, matrix.tolist()))
-        return cls(tuple(names), tuple(spread.tolist()), correlations, tier, height)
+        return cls(tuple(names), tuple(spread.tolist()), correlations, tier, height, law)
 
     def draw(self, centre: SimulatedSensor, random: np.random.Generator) -> SimulatedSensor:
         """Return a sensor drawn about `centre`, which itself keeps no posterior."""

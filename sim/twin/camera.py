@@ -240,9 +240,8 @@ def viewed(
     skin = [fit.names.index(each) for each in sensor.posterior.names]
     both = fit.covariance[np.ix_(skin, rows)] @ gain.T
     matrix = np.block([[fit.covariance[np.ix_(skin, skin)], both], [both.T, covariance]])
-    posterior = Posterior.of(
-        (*sensor.posterior.names, *CAMERA), matrix, fit.tier, sensor.posterior.height
-    )
+    kept = fit.tier, sensor.posterior.height, sensor.posterior.law
+    posterior = Posterior.of((*sensor.posterior.names, *CAMERA), matrix, *kept)
     return View(
         sensor=replace(sensor, posterior=posterior),
         covariance=covariance,

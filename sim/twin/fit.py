@@ -129,8 +129,8 @@ class Fit:
         rows = [index for index, name in enumerate(self.names) if name in known]
         twin = with_quantities(self.design, {name: self.values[name] for name in known})
         names, covariance = [self.names[row] for row in rows], self.covariance[np.ix_(rows, rows)]
-        height = float(self.values["height"])
-        return replace(twin, posterior=Posterior.of(names, covariance, self.tier, height))
+        told = self.tier, float(self.values["height"]), self.law
+        return replace(twin, posterior=Posterior.of(names, covariance, *told))
 
     def distance(self, name: str, value: float) -> float:
         """Return the distance from a value to that of a quantity, in its standard deviations."""

@@ -58,7 +58,7 @@ class TwinForces:
     force: Array
     """Of the twin (n, 3) [N]."""
     spread: Array
-    """Over the sensors that are drawn from it (n, 3) [N]."""
+    """Over the sensors that are drawn from it, and by what its law does not explain (n, 3) [N]."""
     failed: tuple[str, ...]
     """Presses without a solution, and why."""
 
@@ -230,9 +230,12 @@ def simulated_forces(
                 failed.append(f"{press.indenter} at ({place[0]:.2f}, {place[1]:.2f}) mm: {each}")
                 continue
             force[press.rows] = each[0]
-            spread[press.rows] = np.sqrt(
-                np.mean(np.square(each[1:] - each[0]), axis=0) if draws else 0
-            )
+            if draws:
+                drawn = np.sqrt(np.mean(np.square(each[1:] - each[0]), axis=0))
+                unexplained = law_of(twin) * np.linalg.norm(each[0], axis=1, keepdims=True)
+                spread[press.rows] = np.hypot(drawn, unexplained)
+            else:
+                spread[press.rows] = 0.0
     if failed and len(failed) == len(presses):
         raise SimulationDiverged(f"{twin.name}: no press has a solution; {failed[0]}")
     return TwinForces(force, spread, tuple(failed))
@@ -258,6 +261,11 @@ def height_of(twin: SimulatedSensor) -> float:
     return 0.0 if twin.posterior is None else twin.posterior.height
 
 
+def law_of(twin: SimulatedSensor) -> float:
+    """Return the error of forces that a twin's fit does not explain, over the whole force."""
+    return 0.0 if twin.posterior is None else twin.posterior.law
+
+
 def made_from(
     twin: SimulatedSensor, draws: int, seed: int, grid: int, height: float | None = None
 ) -> str:
@@ -266,6 +274,7 @@ def made_from(
     known = hashlib.sha256(repr(twin).encode()).hexdigest()[:16]
     told = f"twin {twin.name} {known}, draws {draws}, seed {seed}, grid {grid}"
     told += f", height {1e6 * height:g} um" if height else ""
+    told += f", law {law_of(twin):.2%}" if draws and law_of(twin) else ""
     return told if tier_of(twin) == "layer" else f"{told}, tier {tier_of(twin)}"
 
 

@@ -83,6 +83,7 @@ def twin_yaml(sensor: SimulatedSensor, design: str, sessions: Sequence[str]) -> 
             "correlations": [[round(each, 4) for each in row] for row in posterior.correlations],
             **({"tier": posterior.tier} if posterior.tier != "layer" else {}),
             "height_um": round(1e6 * float(posterior.height), 2),
+            "law": round(posterior.law, 4),
         },
     }
     signal = sensor.signal

@@ -12,6 +12,7 @@ from support.made_up_archives import made_up_archive
 
 from learning.__main__ import main
 from learning.data.splits import make_split
+from learning.force.intervals import read_intervals
 from learning.force.model import load_force_model
 from recorder.archive import write_simulated
 
@@ -119,6 +120,34 @@ def test_a_sensor_without_a_label_learns_the_forces_of_its_own_twin(
     learned = (labelled.table["location"] >= 0) & labelled.table["seen"]
     assert float(model.low[2]) == pytest.approx(np.nanmin(wrench[learned, 2]), rel=1e-5)
     assert "twin of dots" in (tmp_path / "run" / "config.yaml").read_text()
+    # Intervals are by frames of the indenters that the split holds back, and the twin's spread.
+    assert "90 % intervals by" in capsys.readouterr().out
+    found = read_intervals(tmp_path / "run")
+    assert found is not None
+    unseen = {
+        archive.indenters[code] for code in labelled.table["indenter"][~labelled.table["seen"]]
+    }
+    assert found.indenters == tuple(sorted(unseen))
+    assert found.errors_from == "forces of twin of dots"
+    assert not found.scale.assumed
+    pressed = wrench[(labelled.table["location"] >= 0) & ~labelled.table["seen"], 2]
+    some = pressed[np.abs(pressed) > 0.25 * np.abs(pressed).max()]
+    assert found.scale.factor == pytest.approx(np.exp(1.6449 * np.median(0.1 / np.abs(some))))
+    assert found.largest[2] == pytest.approx(np.nanmax(np.abs(wrench[learned, 2])))
+
+
+def test_a_model_of_a_twins_forces_has_no_intervals_if_it_learned_from_all_indenters(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    archive = made_up_archive(tmp_path / "x.markers.zarr", frames_per_phase=1)
+    make_split(archive, validation=0.0, new_press=0.0, unseen=[]).write(tmp_path / "split.json")
+    wrench = archive["dots"].table["wrench"][:, :3]
+    write_simulated(archive["dots"], wrench, np.full(wrench.shape, 0.1), "twin of dots")
+    words = ["train-force", str(archive.path), "--split", str(tmp_path / "split.json"), *SMALL]
+    words += ["--choice", "simulated", "--sensor", "dots", "--out", str(tmp_path / "run")]
+    assert main(words) == 0
+    assert "no intervals: " in capsys.readouterr().out
+    assert read_intervals(tmp_path / "run") is None
 
 
 def test_readings_typed_in_are_the_labels_of_a_sensor_without_a_gauge(

@@ -80,6 +80,15 @@ def test_forces_of_a_twin_are_those_of_its_presses(
     own = MarkerArchive(archive)["gelsight"].simulated
     assert own is not None
     np.testing.assert_array_equal(own.force, higher.force)
+    # What the fit did not explain is in the spread, and in no force.
+    twin.write_text(TWIN.replace("MODULUS", "290").replace("]]}", "]], law: 0.04}"))
+    assert labels(archive, twin, "--draws", "3") == 0
+    assert "law 4.00%" in capsys.readouterr().out
+    wide = MarkerArchive(archive)["gelsight"].simulated
+    assert wide is not None
+    np.testing.assert_array_equal(wide.force, found.force)
+    unexplained = 0.04 * np.linalg.norm(found.force, axis=1, keepdims=True)
+    np.testing.assert_allclose(wide.spread, np.hypot(found.spread, unexplained), rtol=1e-5)
     assert labels(archive, twin, "--height-um", "2000") == 2
     assert "--height-um: found 2000; allowed: up to 1000" in capsys.readouterr().err
 

@@ -19,14 +19,13 @@ from numpy.typing import NDArray
 from benchmarks.learning.gauge_tables.jobs import Study, further_path, trained, unlabelled
 from learning.compensation import own_twin_labels, twin_forces
 from learning.data.presses import load_presses
+from learning.force.calibrate import scale_of_twin
 from learning.force.intervals import Intervals, Scale, fit_errors
 from learning.force.learned import Learned
 from learning.training.run import generator
 from recorder import MarkerArchive
-from recorder.archive import ArchivedSensor
 from recorder.store import replace_file
 from sim.indenters import drawn_name
-from sim.twin.fit import Z
 
 Floats = NDArray[np.float64]
 
@@ -82,7 +81,11 @@ def _covered(study: Study, sensor: str) -> Iterator[dict[str, Any]]:
     calibrates = np.isin(names, known[:calibrating])
     for learned, wanted in CASES:
         predicted = models[learned].predict(frames)
-        scale = _scale(other, rows[calibrates]) if wanted == TWIN else Scale(1.0, "labels", False)
+        scale = (
+            scale_of_twin(other, rows[calibrates])
+            if wanted == TWIN
+            else Scale(1.0, "labels", False)
+        )
         axes = fit_errors(predicted[calibrates], forces[wanted][calibrates], names[calibrates])
         x, y, z = axes
         intervals = Intervals(
@@ -110,15 +113,6 @@ def _covered(study: Study, sensor: str) -> Iterator[dict[str, Any]]:
             "error": np.abs(predicted - forces[TRUE])[~calibrates].mean(axis=0).tolist(),
             "indenters": tested,
         }
-
-
-def _scale(sensor: ArchivedSensor, rows: NDArray[np.int64]) -> Scale:
-    """Return the scale of the twin's forces, by the spread of its normal forces over its draws."""
-    twin = twin_forces(sensor)
-    force, spread = twin.force[rows, 2], twin.spread[rows, 2]
-    pressed = np.abs(force) > 0.25 * np.nanmax(np.abs(force))
-    relative = float(np.nanmedian(spread[pressed] / np.abs(force[pressed])))
-    return Scale(math.exp(Z * relative), "the spread of a twin's forces", assumed=False)
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,6 +28,8 @@ from benchmarks.learning.gauge_tables.skins import (
 )
 from benchmarks.learning.paper_chain.jobs import (
     Chain,
+    Joined,
+    archive_file,
     field_translator,
     form_of,
     nearest_labels,
@@ -146,24 +148,6 @@ SIZES = {
 MAIN = "tiny"
 
 
-class Joined(MarkerArchive):
-    """Archives of single sensors as one, with locations in common."""
-
-    def __init__(self, paths: Sequence[Path]) -> None:
-        """Open the archives.
-
-        Raises:
-            LearningError: They have other indenters.
-            SessionError: One is not an archive.
-        """
-        super().__init__(paths[0])
-        for path in paths[1:]:
-            other = MarkerArchive(path)
-            if other.indenters != self.indenters:
-                raise LearningError(f"{path}: indenters differ from those of {paths[0]}")
-            self._sensors |= dict(other.items())
-
-
 @dataclass(frozen=True, eq=False)
 class Study(Chain):
     """Surroundings of a job: those of the paper's chain, for planted sensors and one seed."""
@@ -209,7 +193,7 @@ class Study(Chain):
 
 def archive_path(out: Path, name: str) -> Path:
     """Return the path of a sensor's archive."""
-    return out / f"{name}.markers.zarr"
+    return out / archive_file(name)
 
 
 def further_path(out: Path, name: str) -> Path:

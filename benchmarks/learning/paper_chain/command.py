@@ -92,24 +92,28 @@ def _row(sensor: str) -> str:
 
 
 def _tasks(options: argparse.Namespace, cores: int, done: set[str]) -> list[Task]:
-    from benchmarks.learning.paper_chain.jobs import names
+    from benchmarks.learning.paper_chain import jobs
     from benchmarks.learning.paper_chain.sizes import SIZES
     from benchmarks.learning.tables.on_gpus import Task
 
     size, out = SIZES[options.size], options.out
-    made = ("--tier", "layer", "--no-check", "--processes", str(cores))
+    made: tuple[str, ...] = ("--tier", size.tier, "--no-check")
+    on_gpu = options.gpus != "cpu" and size.tier == "fem"
+    made += ("--device", "cuda:0") if on_gpu else ()
+    made += ("--processes", str(cores // 2 if on_gpu else cores))
     simulated = {
-        "archive sensors": (
-            *("sensors", "--sensors", ",".join(map(_row, size.sensors)), *size.archive, *made),
-            *("--out", "sensors.markers.zarr"),
-        ),
+        f"archive {name}": (
+            *("sensors", "--sensors", ",".join(map(_row, sensors)), *size.archive, *made),
+            *("--out", jobs.archive_file(name)),
+        )
+        for name, sensors in size.archives.items()
     }
     if size.patterns is not None:
-        states = ("states", *size.patterns, *made, "--out", "patterns.markers.zarr")
+        states = ("states", *size.patterns, *made, "--out", jobs.archive_file("patterns"))
         simulated = {"archive patterns": states, **simulated}
-    wanted = {*(options.only.split(",") if options.only else (*simulated, *names(size)))}
-    if unknown := wanted - {*simulated, *names(size)}:
-        known = ", ".join((*simulated, *names(size)))
+    wanted = {*(options.only.split(",") if options.only else (*simulated, *jobs.names(size)))}
+    if unknown := wanted - {*simulated, *jobs.names(size)}:
+        known = ", ".join((*simulated, *jobs.names(size)))
         raise LearningError(f"--only: found {', '.join(sorted(unknown))}; allowed: {known}")
     wanted -= done
     # Jobs share a GPU's machine; on a CPU a job takes what it finds.
@@ -119,8 +123,9 @@ def _tasks(options: argparse.Namespace, cores: int, done: set[str]) -> list[Task
         if name in wanted:
             *most, file = given
             command = [sys.executable, "-m", "sim", "archive", kind, *most, str(out / file)]
-            found.append(Task(name, tuple(command), (), (("OMP_NUM_THREADS", "1"),)))
-    for name, needed in names(size).items():
+            one = (("OMP_NUM_THREADS", "1"),)
+            found.append(Task(name, tuple(command), (), one, int(on_gpu)))
+    for name, needed in jobs.names(size).items():
         if name in wanted:
             command = [sys.executable, "-m", "benchmarks", "paper-chain", "--out", str(out)]
             command += ["--size", options.size, "--minutes", str(options.minutes), "--job", name]

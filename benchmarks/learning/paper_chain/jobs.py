@@ -75,6 +75,29 @@ RESAMPLES, INTERVAL = 2000, (0.05, 0.95)
 SMALL = 64
 
 
+def archive_file(name: str) -> str:
+    """Return the file name of an archive."""
+    return f"{name}.markers.zarr"
+
+
+class Joined(MarkerArchive):
+    """Archives of single sensors as one, with locations in common."""
+
+    def __init__(self, paths: Sequence[Path]) -> None:
+        """Open the archives.
+
+        Raises:
+            LearningError: They have other indenters.
+            SessionError: One is not an archive.
+        """
+        super().__init__(paths[0])
+        for path in paths[1:]:
+            other = MarkerArchive(path)
+            if other.indenters != self.indenters:
+                raise LearningError(f"{path}: indenters differ from those of {paths[0]}")
+            self._sensors |= dict(other.items())
+
+
 @dataclass(frozen=True, eq=False)
 class Chain:
     """Surroundings of a job."""
@@ -95,12 +118,12 @@ class Chain:
     @cached_property
     def archive(self) -> MarkerArchive:
         """Frames of the sensors, with labels."""
-        return MarkerArchive(self.out / "sensors.markers.zarr")
+        return Joined([self.out / archive_file(name) for name in self.size.archives])
 
     @cached_property
     def patterns(self) -> MarkerArchive:
         """States of one gel under many patterns."""
-        return MarkerArchive(self.out / "patterns.markers.zarr")
+        return MarkerArchive(self.out / archive_file("patterns"))
 
     @cached_property
     def split(self) -> Split:
@@ -742,16 +765,17 @@ def latency(chain: Chain) -> None:
 
 def names(size: Size) -> dict[str, tuple[str, ...]]:
     """Return the names of all jobs, the most urgent first, and those that each needs."""
+    data = tuple(f"archive {name}" for name in size.archives)
     if size.memory:
-        return {f"memory {name}": ("archive sensors",) for name in size.trained}
-    jobs: dict[str, tuple[str, ...]] = {"vae": ("archive sensors",), "m2m": ("vae",)}
+        return {f"memory {name}": data for name in size.trained}
+    jobs: dict[str, tuple[str, ...]] = {"vae": data, "m2m": ("vae",)}
     if size.patterns is not None:
-        jobs = {"vae": ("archive patterns", "archive sensors"), "m2m-patterns": ("vae",)}
+        jobs = {"vae": ("archive patterns", *data), "m2m-patterns": ("vae",)}
         jobs |= {"m2m": ("m2m-patterns",)}
-    jobs |= {f"own {name}": ("archive sensors",) for name in size.trained}
-    jobs |= {"field": ("archive sensors",)}
+    jobs |= {f"own {name}": data for name in size.trained}
+    jobs |= {"field": data}
     if {*size.nets} - {size.net, "displacement"}:
-        jobs |= {f"nets {name}": ("archive sensors",) for name in size.trained}
+        jobs |= {f"nets {name}": data for name in size.trained}
     for translator in TRANSLATORS:
         for name in size.trained:
             jobs[f"pairs {translator} {name}"] = ("vae", translator, f"own {name}")

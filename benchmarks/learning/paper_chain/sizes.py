@@ -7,6 +7,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from sim.dataset.plan import ArchiveTier
+
 # The paper's force net, its smaller versions, and the net that reads marker displacement.
 NETS = ("paper", "displacement", "half", "quarter", "tiny")
 # Method of nets that see each frame without earlier ones.
@@ -33,6 +35,8 @@ class Size:
 
     sensors: tuple[str, ...]
     """Sensors, in every direction between two of them."""
+    tier: ArchiveTier
+    """Tier of frames and true forces."""
     archive: tuple[str, ...]
     """Options of `sim archive sensors`."""
     patterns: tuple[str, ...] | None
@@ -60,6 +64,8 @@ class Size:
     """Sensors that no network is trained on; they are targets alone."""
     held_out_patterns: tuple[str, ...] = ()
     """Patterns that no network is trained on."""
+    apart: bool = False
+    """True for sensors whose presses have no solution in common: each has its own archive."""
     compensated: bool = False
     """True for skins that differ: labels that are carried over are compensated by force-depth
     curves."""
@@ -76,6 +82,11 @@ class Size:
         }
     )
     """Training time of each kind of job, over `--minutes`."""
+
+    @property
+    def archives(self) -> dict[str, tuple[str, ...]]:
+        """Sensors of each archive, by its name."""
+        return {name: (name,) for name in self.sensors} if self.apart else {"sensors": self.sensors}
 
     @property
     def trained(self) -> tuple[str, ...]:
@@ -118,6 +129,7 @@ def _unet(widths: tuple[int, ...]) -> dict[str, Any]:
 # One skin, no stage on patterns; sizes of a GPU differ from it.
 _GPU = Size(
     sensors=("array-i", "circle-ii"),
+    tier="fem",
     archive=("--scale", "0.1", "--steps", "4"),
     patterns=None,
     vae=_vae((32, 64, 128, 128)),
@@ -142,12 +154,14 @@ SIZES = {
     "gpu": replace(
         _GPU,
         sensors=("array-i", "circle-ii", "diamond-i", "circle-i"),
+        archive=("--scale", "0.05", "--steps", "4"),
+        apart=True,
         held_out=("circle-i",),
         patterns=(),
         held_out_patterns=("Circle1", "Diamond4"),
         parts={**_GPU.parts, "net": 0.4, "tuned": 0.1},
     ),
-    "heterogeneous": replace(_SKINS, sensors=("gelsight", "tacpalm", "uskin")),
+    "heterogeneous": replace(_SKINS, sensors=("gelsight", "tacpalm", "uskin"), apart=True),
     # Three of the seven skins, and one that no network sees.
     "material": replace(_SKINS, sensors=("r6", "r10", "r18", "r14"), held_out=("r14",)),
     # The paper's seven skins, 42 cells.
@@ -156,6 +170,7 @@ SIZES = {
     "hysteresis": replace(
         _GPU,
         sensors=("gelsight", "viscous"),
+        apart=True,
         nets=("paper", "tiny", "displacement"),
         memory=True,
         parts={"net": 0.6},
@@ -170,6 +185,7 @@ SIZES = {
     ),
     "toy": Size(
         sensors=("array-i", "circle-ii"),
+        tier="layer",
         archive=(
             "--scale",
             "smoke",

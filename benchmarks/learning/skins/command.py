@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from learning.data.matching import Chosen
+from learning.force.calibrate import presses_of_rows
 from learning.force.intervals import Held, Intervals, measured_scale
 from learning.force.model import load_force_model
-from learning.transfer.calibrate import presses_of_rows
 from learning.transfer.score import NewFrames, Score, new_frames, score_of
 from recorder import MarkerArchive
 from recorder.command_line.options import positive, whole

@@ -1,0 +1,204 @@
+"""Intervals of a force model, from frames of indenters that it did not learn from."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from learning.compensation import own_twin_labels, twin_forces
+from learning.data.presses import Presses, load_presses
+from learning.data.splits import Split
+from learning.errors import LearningError
+from learning.force.intervals import FEWEST, NORMAL, AxisError, Intervals, Scale, fit_errors
+from learning.force.learned import SHAPE, fit_learned, shapes_of
+from learning.force.model import ForceModel
+from recorder import MarkerArchive
+from recorder.archive import ArchivedSensor
+from recorder.markers import unpack
+from recorder.progress import ItemProgress
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# Masks unpacked at once.
+_AT_ONCE = 256
+# Frames whose normal force is above this part of the largest tell the spread of a twin's forces.
+_PRESSED = 0.25
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """Intervals, and the forces that they were calibrated with."""
+
+    intervals: Intervals
+    predicted: Floats
+    """Forces (n, 3) that the model predicts on frames of the calibrating indenters [N]."""
+    wanted: Floats
+    """What they are compared with (n, 3) [N]."""
+    indenter: NDArray[np.str_]
+    """Indenter of each (n,)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Wanted:
+    """Forces that those of a model are compared with."""
+
+    forces: Floats
+    """For all rows of a sensor's table (n, 3) [N]; NaN where none is known."""
+    source: str
+    """Name of these forces."""
+    scale: Scale
+    """What is known of the factor between them and the true ones."""
+    learned: Floats
+    """Forces learned from (m, 3) [N]; NaN where an axis has none."""
+
+
+def calibrated(
+    archive: MarkerArchive,
+    sensor: str,
+    model: ForceModel,
+    wanted: Wanted,
+    *,
+    calibrates: Mask,
+    learned: Mask,
+) -> Calibration:
+    """Return the intervals of a model of a sensor.
+
+    Args:
+        archive: Presses of the sensor.
+        sensor: Its name.
+        model: Its model.
+        wanted: Forces to compare with.
+        calibrates: True for the rows (n,) of the table that calibrate, which it did not learn from.
+        learned: True for rows (n,) that it learned from.
+
+    Raises:
+        LearningError: Too few frames have a force to compare with.
+        SessionError: The archive is corrupt.
+    """
+    own = archive[sensor]
+    names = np.array(archive.indenters)[own.table["indenter"]]
+    valid = (own.table["location"] >= 0) & own.table["valid"]
+    with ItemProgress("forces that calibrate", sys.stderr) as progress:
+        presses = presses_of_rows(own, np.flatnonzero(calibrates & valid), model)
+        predicted = model.predict(presses, progress=progress)
+    used = presses.rows.numpy()
+    known = np.isfinite(wanted.forces[used]).any(axis=1)
+    indenters = tuple(sorted({str(name) for name in names[used]}))
+    axes = fit_errors(predicted, wanted.forces[used], names[used])
+    if all(axis is None for axis in axes):
+        raise LearningError(
+            f"{', '.join(indenters)}: {len(used)} frames of {sensor}, fewer than {FEWEST} of which "
+            f"have a force on any axis by {wanted.source}; allowed: more places"
+        )
+    intervals = Intervals(
+        axes=_three(axes),
+        scale=wanted.scale,
+        largest=_largest(wanted.learned),
+        learned=fit_learned(shapes(own, np.flatnonzero(learned & valid)), shapes(own, used)),
+        frames=int(known.sum()),
+        indenters=indenters,
+        errors_from=wanted.source,
+    )
+    return Calibration(intervals, predicted[known], wanted.forces[used][known], names[used][known])
+
+
+def calibrated_by_twin(
+    archive: MarkerArchive, sensor: str, split: Split, model: ForceModel
+) -> Calibration | None:
+    """Return the intervals of a model that learned from the forces of its sensor's own twin.
+
+    What they are compared with are forces of the same twin, on the frames that the split has under
+    unseen indenters: an interval contains the model's errors there and the spread of the twin's
+    forces. None without such frames.
+
+    Raises:
+        LearningError: The sensor has no forces of a twin, or none under those indenters.
+        SessionError: The archive is corrupt.
+    """
+    table = archive[sensor].table
+    masks = []
+    for role in ("new_indenter", "train"):
+        mask = np.zeros(len(table["location"]), np.bool_)
+        mask[split.rows(table, role)] = True
+        masks.append(mask)
+    calibrates, learned = masks
+    if not calibrates.any():
+        return None
+    labels = own_twin_labels(archive[sensor])
+    wanted = Wanted(
+        labels.force,
+        f"forces of {labels.made_from}",
+        scale_of_twin(archive[sensor], np.flatnonzero(calibrates)),
+        labels.force[learned],
+    )
+    return calibrated(archive, sensor, model, wanted, calibrates=calibrates, learned=learned)
+
+
+def scale_of_twin(sensor: ArchivedSensor, rows: NDArray[np.int64]) -> Scale:
+    """Return the scale of forces of a twin, by the spread of its normal forces in some rows.
+
+    Raises:
+        LearningError: The sensor has no forces of a twin.
+    """
+    twin = twin_forces(sensor)
+    size, spread = np.abs(twin.force[rows, 2]), twin.spread[rows, 2]
+    pressed = size > _PRESSED * np.nanmax(size, initial=0.0)
+    relative = float(np.nanmedian(spread[pressed] / size[pressed])) if pressed.any() else 0.0
+    return Scale(math.exp(NORMAL * relative), "the spread of its twin's forces", assumed=False)
+
+
+def shapes(sensor: ArchivedSensor, rows: NDArray[np.int64]) -> Floats:
+    """Return the shapes of frames (n, 7), as `shapes_of` does.
+
+    Raises:
+        SessionError: The archive is corrupt.
+    """
+    found = np.zeros((len(rows), SHAPE))
+    references = sensor.table["reference"]
+    for first in range(0, len(rows), _AT_ONCE):
+        part = rows[first : first + _AT_ONCE]
+        masks = unpack(sensor.packed(part))
+        for number in np.unique(references[part]).tolist():
+            own = references[part] == number
+            (reference,) = unpack(sensor.references[number : number + 1])
+            found[first : first + len(part)][own] = shapes_of(masks[own], reference)
+    return found
+
+
+def presses_of_rows(sensor: ArchivedSensor, rows: NDArray[np.int64], model: ForceModel) -> Presses:
+    """Load presses as a model takes them.
+
+    Raises:
+        LearningError: Rows repeat or are invalid.
+        SessionError: The archive is corrupt.
+    """
+    return load_presses(sensor, rows, device=model.device, form=model.inputs.stored_form)
+
+
+def told(calibration: Calibration) -> Iterator[str]:
+    """Yield lines about intervals that are written beside a model."""
+    intervals = calibration.intervals
+    low, high = intervals.of(calibration.predicted)
+    shear, normal = ((high - low)[:, axes].mean() / 2 for axes in (slice(0, 2), 2))
+    yield (
+        f"90 % intervals by {len(intervals.indenters)} indenters that it did not learn from: in "
+        f"the mean +-{shear:.3f} N of shear, +-{normal:.3f} N of Fz"
+    )
+
+
+def _largest(labels: Floats) -> tuple[float | None, float | None, float | None]:
+    found = [float(np.nanmax(np.abs(c))) if np.isfinite(c).any() else None for c in labels.T]
+    return found[0], found[1], found[2]
+
+
+def _three(
+    axes: tuple[AxisError | None, ...],
+) -> tuple[AxisError | None, AxisError | None, AxisError | None]:
+    x, y, z = axes
+    return x, y, z
