@@ -39,7 +39,7 @@ class Calibration:
     predicted: Floats
     """Forces (n, 3) that the model predicts on frames of the calibrating indenters [N]."""
     wanted: Floats
-    """What they are compared with (n, 3) [N]."""
+    """Forces that they are compared with (n, 3) [N]."""
     indenter: NDArray[np.str_]
     """Indenter of each (n,)."""
 
@@ -53,7 +53,7 @@ class Wanted:
     source: str
     """Name of these forces."""
     scale: Scale
-    """What is known of the factor between them and the true ones."""
+    """Knowledge of the factor between them and the true ones."""
     learned: Floats
     """Forces learned from (m, 3) [N]; NaN where an axis has none."""
 

@@ -232,6 +232,8 @@ def _draw_patterns(rows: Sequence[Row], path: Path) -> None:
 
 
 def _draw_embedded(stored: Path, path: Path) -> None:
+    from matplotlib import colormaps
+
     from learning.evaluation.distribution import embedded
 
     with np.load(stored) as found:
@@ -240,13 +242,15 @@ def _draw_embedded(stored: Path, path: Path) -> None:
     ends = np.cumsum([len(each) for each in features.values()])
     with chart(path, 6, 4.2) as figure:
         axes = figure.subplots()
-        colours = {name: f"C{k % 10}" for k, name in enumerate(features) if " to " not in name}
+        real = [name for name in features if " to " not in name]
         for name, part in zip(features, np.split(places, ends[:-1]), strict=True):
             target = name.split(" to ")[-1]
-            mark = "x" if " to " in name else "o"
-            axes.plot(*part.T, mark, color=colours[target], markersize=3, label=name)
+            mark, label = ("x", None) if " to " in name else ("o", name)
+            # A colour of a palette of 20 for each pattern.
+            colour = colormaps["tab20"](real.index(target))
+            axes.plot(*part.T, mark, color=colour, markersize=3, label=label)
         axes.set(xticks=[], yticks=[], title="t-SNE: o real, x translated from the first pattern")
-        figure.legend(loc="outside right upper", fontsize=5)
+        figure.legend(loc="outside right upper", fontsize=7)
 
 
 def _draw_worst(stored: Sequence[Path], path: Path) -> None:
