@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from sim.errors import check_range
 from sim.scene import Body
@@ -23,15 +24,17 @@ FOCAL = LENS / FILM * WIDTH
 DISTANCE = 21.11e-3
 # Column and row of the middle of the image; pixel centres are at integers.
 MIDDLE = ((WIDTH - 1) / 2, (HEIGHT - 1) / 2)
+# Greatest tilt of a camera [rad].
+TILT_MOST = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class Camera:
     """Pinhole camera that looks up at the gel's top from below, along z of the contact frame.
 
-    Without shift and rotation: column = 319.5 + focal x / (distance + z), row = 239.5 - focal y /
-    (distance + z). So x is to the right and y up, as seen from the touched side; a real camera
-    below sees the mirror image.
+    Level and without shift and rotation: column = 319.5 + focal x / (distance + z), row = 239.5 -
+    focal y / (distance + z). So x is to the right and y up, as seen from the touched side; a real
+    camera below sees the mirror image.
 
     Raises:
         SceneError: A value is out of range.
@@ -45,6 +48,9 @@ class Camera:
     """Shift of the image by the mount, to the right and downwards [px], up to 1000."""
     rotation: float = 0.0
     """Rotation of the image by the mount before the shift, anticlockwise about the middle [rad]."""
+    tilt: tuple[float, float] = (0.0, 0.0)
+    """Tilt about the pinhole, a rotation vector about x and y [rad], up to 0.5. The gel's axis
+    stays in the middle: motion of the image as a whole is in the shift."""
 
     def __post_init__(self) -> None:
         check_range("camera", "focal", self.focal, 1.0, 1e6, unit="px")
@@ -52,6 +58,8 @@ class Camera:
         for index, value in enumerate(self.shift):
             check_range("camera", f"shift[{index}]", value, -1000.0, 1000.0, unit="px")
         check_range("camera", "rotation", self.rotation, -math.pi, math.pi, unit="rad")
+        for index, value in enumerate(self.tilt):
+            check_range("camera", f"tilt[{index}]", value, -TILT_MOST, TILT_MOST, unit="rad")
 
     @classmethod
     def paper(cls) -> Camera:
@@ -72,10 +80,32 @@ class Camera:
     def on_film(self, points: Array) -> Array:
         """Return image positions (..., 2) [px] of points (..., 3) [m] from the axis, x right, y up.
 
-        These are focal (x, y) / (distance + z), larger for pressed points, which are nearer. They
-        do not include the mount's shift and rotation.
+        Without tilt, these are focal (x, y) / (distance + z), larger for pressed points, which are
+        nearer. They do not include the mount's shift and rotation.
         """
-        return np.asarray(self.focal * points[..., :2] / (self.distance + points[..., 2:]))
+        if not any(self.tilt):
+            return np.asarray(self.focal * points[..., :2] / (self.distance + points[..., 2:]))
+        turned = self._turned(points)
+        return np.asarray(self.focal * (turned[..., :2] / turned[..., 2:] - self._middle))
+
+    def depths(self, points: Array) -> Array:
+        """Return the depth (...) [m] of points (..., 3) in front of the pinhole, along its axis."""
+        if not any(self.tilt):
+            return np.asarray(self.distance + points[..., 2])
+        return np.asarray(self._turned(points)[..., 2])
+
+    @property
+    def turn(self) -> Array:
+        """Matrix (3, 3) from places about the pinhole to those along the camera's own axes."""
+        return np.asarray(Rotation.from_rotvec([*self.tilt, 0.0]).inv().as_matrix())
+
+    @property
+    def _middle(self) -> Array:
+        """The gel's axis (2,) in the plane at depth 1."""
+        return np.asarray(self.turn[:2, 2] / self.turn[2, 2])
+
+    def _turned(self, points: Array) -> Array:
+        return np.asarray((points + np.array([0.0, 0.0, self.distance])) @ self.turn.T)
 
     def project(self, points: Array) -> Array:
         """Return column and row (..., 2) [px] of points (..., 3) in the contact frame."""
@@ -99,6 +129,10 @@ class Camera:
         cosine, sine = math.cos(self.rotation), math.sin(self.rotation)
         slope = np.stack([cosine * right + sine * up, cosine * up - sine * right], axis=-1)
         slope = slope / self.focal
+        if any(self.tilt):
+            ahead = np.concatenate([slope + self._middle, np.ones((*slope.shape[:-1], 1))], axis=-1)
+            ray = ahead @ self.turn
+            slope = ray[..., :2] / ray[..., 2:]
         if body.dome_radius is None:
             return np.asarray(slope * self.distance)
         # A point of the ray is (slope d, d - distance); the sphere's centre is at -dome_radius.

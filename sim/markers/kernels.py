@@ -20,7 +20,7 @@ from sim.scene import Body
 
 @wp.struct
 class Lens:
-    """A `sim.markers.Camera`: lengths in m and px, rotation as cosine and sine."""
+    """A `sim.markers.Camera`: lengths in m and px, rotation as cosine and sine, tilt as matrix."""
 
     focal: float
     distance: float
@@ -28,6 +28,8 @@ class Lens:
     sine: float
     column: float
     row: float
+    turn: wp.mat33
+    middle: wp.vec2
 
 
 def lens_of(camera: Camera) -> Lens:
@@ -37,6 +39,8 @@ def lens_of(camera: Camera) -> Lens:
     lens.cosine, lens.sine = math.cos(camera.rotation), math.sin(camera.rotation)
     lens.column = MIDDLE[0] + camera.shift[0]
     lens.row = MIDDLE[1] + camera.shift[1]
+    lens.turn = wp.mat33(camera.turn)
+    lens.middle = wp.vec2(*(camera.turn[:2, 2] / camera.turn[2, 2]))
     return lens
 
 
@@ -44,13 +48,14 @@ def lens_of(camera: Camera) -> Lens:
 def seen(lens: Lens, place: wp.vec3):
     """Return column and row of a place [m] in the image, and its nearness: distance over depth.
 
-    The nearness is 1 in the plane of the undeformed top, larger nearer to the camera, and, unlike
-    the depth, linear over the image of a plane.
+    The nearness is 1 where the gel's axis meets the undeformed top, larger nearer to the camera,
+    and, unlike the depth, linear over the image of a plane.
     """
-    nearness = lens.distance / (lens.distance + place[2])
+    turned = lens.turn * wp.vec3(place[0], place[1], lens.distance + place[2])
+    nearness = lens.distance / turned[2]
     scale = lens.focal / lens.distance * nearness
-    x = scale * place[0]
-    y = scale * place[1]
+    x = scale * turned[0] - lens.focal * lens.middle[0]
+    y = scale * turned[1] - lens.focal * lens.middle[1]
     return wp.vec3(
         lens.column + lens.cosine * x - lens.sine * y,
         lens.row - lens.sine * x - lens.cosine * y,

@@ -25,7 +25,10 @@ FitTier = Literal["layer", "fem"]
 # Quantities of a sensor that presses may identify; branches of viscosity are numbered from 1.
 _NAMES = re.compile(r"modulus|thickness|poisson|friction|ratio_[1-4]|time_[1-4]")
 # Quantities of a camera that images may identify.
-CAMERA = ("scale", "distance", "shift_x", "shift_y", "rotation")
+CAMERA = (
+    *("scale", "distance", "shift_x", "shift_y", "rotation"),
+    *("camera_tilt_x", "camera_tilt_y"),
+)
 # Quantities that are distributed by their logarithms, without their numbers; others as they are.
 LOGARITHMS = ("modulus", "thickness", "friction", "ratio", "time", "scale", "distance")
 # Poisson's ratios that a draw may have: near 0.5 the layer becomes rigid.
@@ -39,7 +42,7 @@ class Posterior:
     """Normal distribution of a sensor's quantities about the values of its row.
 
     All are in logarithms, so that a spread of 0.02 is 2 %, but Poisson's ratio and the shift [px]
-    and rotation [rad] of the image are as they are.
+    and rotation [rad] of the image and the camera's tilt [rad] are as they are.
 
     Raises:
         SceneError: A name is unknown or repeated, or a shape or a value does not fit.
@@ -99,7 +102,8 @@ class Posterior:
         matrix = np.clip(covariance / np.outer(spread, spread), -1.0, 1.0)
         np.fill_diagonal(matrix, 1.0)
         correlations = tuple(map(tuple, matrix.tolist()))
-        return cls(tuple(names), tuple(spread.tolist()), correlations, tier, height, law)
+        told = tier, float(height), float(law)
+        return cls(tuple(names), tuple(spread.tolist()), correlations, *told)
 
     def draw(self, centre: SimulatedSensor, random: np.random.Generator) -> SimulatedSensor:
         """Return a sensor drawn about `centre`, which itself keeps no posterior."""
@@ -142,6 +146,8 @@ def camera_quantities(sensor: SimulatedSensor) -> dict[str, float]:
         "shift_x": camera.shift[0],
         "shift_y": camera.shift[1],
         "rotation": camera.rotation,
+        "camera_tilt_x": camera.tilt[0],
+        "camera_tilt_y": camera.tilt[1],
     }
 
 
@@ -159,6 +165,7 @@ def with_camera(sensor: SimulatedSensor, values: Mapping[str, float]) -> Simulat
         known["distance"],
         (known["shift_x"], known["shift_y"]),
         known["rotation"],
+        (known["camera_tilt_x"], known["camera_tilt_y"]),
     )
     return replace(sensor, signal=sensor.signal.by(camera, sensor.body))
 

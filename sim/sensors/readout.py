@@ -185,7 +185,7 @@ class CameraReadout:
         """Return the coverage (F, 480, 640) by rigid, round tips of pins."""
         centres = pattern.centres
         places = np.concatenate([centres, np.zeros((len(centres), 1))], axis=1) + tips.at(centres)
-        nearness = self.camera.focal / (self.camera.distance + places[..., 2])
+        nearness = self.camera.focal / self.camera.depths(places)
         return tip_coverage(
             self.camera.project(places), pattern.size / 2 * nearness, width=WIDTH, height=HEIGHT
         )

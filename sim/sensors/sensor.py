@@ -51,6 +51,10 @@ class CameraSignal:
     """Shift of the image, to the right and downwards [px]: where the camera sees the middle."""
     rotation: float = field(default=0.0, metadata={"unit": "deg", "stored": "unless default"})
     """Rotation of the image before the shift, anticlockwise about its middle [rad]."""
+    tilt: tuple[float, float] = field(
+        default=(0.0, 0.0), metadata={"unit": "deg", "stored": "unless default"}
+    )
+    """Tilt of the camera about x and y [rad]; the gel's axis stays in the middle of the image."""
 
     def __post_init__(self) -> None:
         if not self.patterns:
@@ -78,7 +82,7 @@ class CameraSignal:
         else:
             check_range("signal", "scale", self.scale, 1e-7, 1e-2, unit="m/px")
             lens = Camera(self.distance / self.scale, self.distance)
-        return replace(lens, shift=self.shift_px, rotation=self.rotation)
+        return replace(lens, shift=self.shift_px, rotation=self.rotation, tilt=self.tilt)
 
     def drawn(self) -> tuple[Pattern, ...]:
         """Return the patterns."""
@@ -94,6 +98,7 @@ class CameraSignal:
             distance=camera.distance,
             shift_px=camera.shift,
             rotation=camera.rotation,
+            tilt=camera.tilt,
         )
 
     def by(self, camera: Camera, body: Body) -> CameraSignal:

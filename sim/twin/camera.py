@@ -1,8 +1,8 @@
 """Fit of a twin's camera and marker layout to the markers seen under its presses.
 
 The image without contact shows markers at pixels; a camera says where on the skin they are, and so
-how they move under a press. Scale, distance, shift and rotation of the camera are those that move
-them as they were seen to move. A camera's tilt is not fitted: rows have none.
+how they move under a press. Scale, distance, shift, rotation and tilt of the camera are those that
+move them as they were seen to move.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from scipy.optimize import least_squares
 from recorder.markers import smallest_marker
 from sim.errors import SceneError
 from sim.markers import WIDTH, Camera, Pattern
+from sim.markers.camera import TILT_MOST
 from sim.markers.pattern import Shape
 from sim.scene import Body
 from sim.sensors import CameraSignal, Posterior, SimulatedSensor, SurfaceField, readout
@@ -35,13 +36,17 @@ Array = NDArray[np.float64]
 # Prior spread of the logarithm of the lens, distance over scale, about the row's.
 LENS = 0.3
 # Derivative of that logarithm by the unknowns, in the order of `CAMERA`.
-OF_LENS = np.array([-1.0, 1.0, 0.0, 0.0, 0.0])
+OF_LENS = np.array([-1.0, 1.0, *[0.0] * 5])
 # Rotations from which a fit begins [rad], that of the row first.
 BEGINNINGS = (0.0, math.pi / 2, -math.pi / 2, math.pi)
 # Typical steps of the unknowns, and their prior spread about where a fit begins.
-SIZES, WIDE = np.array([0.02, 0.1, 5.0, 5.0, 0.02]), np.array([0.5, 0.5, 200.0, 200.0, 0.6])
+SIZES = np.array([0.02, 0.1, 5.0, 5.0, 0.02, 0.02, 0.02])
+WIDE = np.array([0.5, 0.5, 200.0, 200.0, 0.6, 0.05, 0.05])
 # Residuals that are of priors, at the end of all.
 PRIORS = 1 + len(WIDE)
+# Most cameras that a fit tries, derivatives aside: a good one needs some 10, one turned the wrong
+# way would wander.
+MOST_TRIED = 60
 # Times by which mirrored images must fit better to be taken for mirrored.
 MIRRORED = 2.0
 
@@ -53,7 +58,7 @@ class View:
     sensor: SimulatedSensor
     """The twin with this camera and layout; its posterior has both skin and camera."""
     covariance: Array
-    """(5, 5) of `CAMERA`: logarithms of scale and distance, px and rad."""
+    """(7, 7) of `CAMERA`: logarithms of scale and distance, px and rad."""
     overlap: float
     """Pixels of markers that the twin's image without contact shares with the real one, over all
     of both."""
@@ -217,7 +222,7 @@ def viewed(
     best, either = unmirrored(scenery, design)
     # Markers at one point are wrong alike, so that many of them count as one.
     sigma = _rms(best) * math.sqrt(_alike(best, scenery.points))
-    best = _nearest(scenery, _camera(best.x), design, sigma)
+    best = nearest(scenery, _camera(best.x), design, sigma)
     camera, slopes = _camera(best.x), best.jac[:-PRIORS]
     told = np.linalg.inv(best.jac.T @ best.jac)
     # Errors of the skin and of its grid move the camera as well.
@@ -313,17 +318,19 @@ def _signal(sensor: SimulatedSensor) -> CameraSignal:
 
 def _camera(unknowns: Array) -> Camera:
     scale, distance = np.exp(unknowns[:2]).tolist()
-    column, row, turn = unknowns[2:].tolist()
-    return Camera(distance / scale, distance, (column, row), math.remainder(turn, math.tau))
+    column, row, turn, *tilt = unknowns[2:].tolist()
+    tilt = np.clip(tilt, -TILT_MOST, TILT_MOST).tolist()
+    turn = math.remainder(turn, math.tau)
+    return Camera(distance / scale, distance, (column, row), turn, (tilt[0], tilt[1]))
 
 
 def _best(scenery: Scenery, design: Camera) -> Any:
     """Return the best of the fits that begin with the design, turned."""
     begun = (replace(design, rotation=design.rotation + turn) for turn in BEGINNINGS)
-    return min((_nearest(scenery, each, design) for each in begun), key=lambda fit: fit.cost)
+    return min((nearest(scenery, each, design) for each in begun), key=lambda fit: fit.cost)
 
 
-def _nearest(scenery: Scenery, begun: Camera, design: Camera, sigma: float = 1.0) -> Any:
+def nearest(scenery: Scenery, begun: Camera, design: Camera, sigma: float = 1.0) -> Any:
     """Return SciPy's result of a fit of the unknowns to residuals with an error of `sigma` px."""
     start = np.array(
         [
@@ -331,6 +338,7 @@ def _nearest(scenery: Scenery, begun: Camera, design: Camera, sigma: float = 1.0
             math.log(begun.distance),
             *begun.shift,
             begun.rotation,
+            *begun.tilt,
         ]
     )
 
@@ -340,9 +348,8 @@ def _nearest(scenery: Scenery, begun: Camera, design: Camera, sigma: float = 1.0
         off: Array = np.r_[scenery.residuals(_camera(unknowns)) / sigma, lens, prior]
         return off
 
-    return least_squares(
-        residuals, start, x_scale=SIZES, bounds=(start - 2.5 * WIDE, start + 2.5 * WIDE)
-    )
+    bounds = start - 2.5 * WIDE, start + 2.5 * WIDE
+    return least_squares(residuals, start, x_scale=SIZES, bounds=bounds, max_nfev=MOST_TRIED)
 
 
 def _rms(fit: Any) -> float:

@@ -570,7 +570,7 @@ def _errors(
         off.append(square / np.square(size[still]))
     timing = math.sqrt(3) * float(np.sqrt(np.mean(np.square(np.concatenate(late)))))
     law = math.sqrt(max(0.0, float(np.mean(np.concatenate(off)))))
-    return float(np.clip(np.nan_to_num(timing), *TIMING)), max(LAW, np.nan_to_num(law))
+    return float(np.clip(np.nan_to_num(timing), *TIMING)), max(LAW, float(np.nan_to_num(law)))
 
 
 def _latency(tracks: Sequence[Track], solved: Sequence[Solved]) -> float:

@@ -39,6 +39,7 @@ SHOWN = {
     "distance": (1e3, "mm"),
     "shift": (1.0, "px"),
     "rotation": (180 / math.pi, "deg"),
+    "camera": (180 / math.pi, "deg"),
 }
 # Correlations from this on are listed.
 STRONG = 0.7
@@ -82,7 +83,7 @@ def twin_yaml(sensor: SimulatedSensor, design: str, sessions: Sequence[str]) -> 
             "spreads": [_round(spread) for spread in posterior.spreads],
             "correlations": [[round(each, 4) for each in row] for row in posterior.correlations],
             **({"tier": posterior.tier} if posterior.tier != "layer" else {}),
-            "height_um": round(1e6 * float(posterior.height), 2),
+            "height_um": round(1e6 * posterior.height, 2),
             "law": round(posterior.law, 4),
         },
     }
@@ -112,6 +113,7 @@ def _signal(signal: CameraSignal, layout: Pattern) -> dict[str, Any]:
         "distance_mm": _round(1e3 * camera.distance),
         "shift_px": [_round(each) for each in camera.shift],
         "rotation_deg": _round(math.degrees(camera.rotation)),
+        "tilt_deg": [_round(math.degrees(each)) for each in camera.tilt],
     }
 
 
@@ -133,7 +135,6 @@ def lines(fit: Fit, view: View | None = None, held_out: HeldOut | None = None) -
         for name, value in view.values.items():
             note = "  not told by these images, the row's" if name in view.untold else ""
             found.append(_line(name, value, view.interval(name), note))
-        found.append("tilt of the camera: not fitted, rows have none")
     spread = np.sqrt(np.diag(fit.covariance))
     matrix = fit.covariance / np.outer(spread, spread)
     pairs = [

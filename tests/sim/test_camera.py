@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import recorder.markers
 from sim.errors import SceneError
@@ -16,6 +18,7 @@ from sim.scene import Body
 PLACES = np.random.default_rng(3).uniform(-8e-3, 8e-3, (200, 2))
 FLAT = np.concatenate([PLACES, np.zeros((200, 1))], axis=1)
 MOUNTED = Camera(shift=(12.5, -7.25), rotation=0.2)
+TILTED = replace(MOUNTED, tilt=(0.1, -0.05))
 
 
 def test_the_papers_camera_sees_33_9_micrometres_a_pixel() -> None:
@@ -59,12 +62,31 @@ def test_a_mount_turns_the_image_anticlockwise_and_then_shifts_it() -> None:
     )
 
 
-@pytest.mark.parametrize("camera", [Camera.paper(), MOUNTED, Camera.of_scale(0.05)])
+@pytest.mark.parametrize("camera", [Camera.paper(), MOUNTED, TILTED, Camera.of_scale(0.05)])
 @pytest.mark.parametrize("body", [Body(), Body(dome_radius=60e-3)], ids=["flat", "dome"])
 def test_places_are_those_whose_image_the_pixels_are(camera: Camera, body: Body) -> None:
     height = np.array([body.height(float(x), float(y)) for x, y in PLACES])
     pixels = camera.project(np.concatenate([PLACES, height[:, None]], axis=1))
     np.testing.assert_allclose(camera.places(pixels, body), PLACES, atol=1e-15)
+
+
+def test_a_tilted_camera_sees_as_one_that_is_turned_about_its_pinhole() -> None:
+    points = np.column_stack([PLACES, -np.abs(PLACES[:, 0])])
+    tilted = Camera(tilt=(0.1, -0.05))
+    # By hand: the gel turned the other way about the pinhole, seen by a level camera.
+    pinhole, turn = np.array([0, 0, DISTANCE]), Rotation.from_rotvec([-0.1, 0.05, 0.0])
+    turned, axis = turn.apply(points + pinhole), turn.apply(pinhole)
+    level, middle = (Camera().project(each - pinhole) for each in (turned, axis))
+    np.testing.assert_allclose(
+        tilted.project(points), level - middle + tilted.project(np.zeros(3)), atol=1e-9
+    )
+    assert tilted.project(np.array([0, 0, -1e-3])) == pytest.approx((319.5, 239.5))
+    np.testing.assert_allclose(tilted.depths(points), turned[:, 2], rtol=1e-12)
+    # A camera turned about x looks towards -y: what lies there is farther, and smaller.
+    about_x = Camera(tilt=(0.1, 0.0))
+    near, far = about_x.project(np.array([[0, 5e-3, 0], [0, -5e-3, 0]]))
+    assert abs(near[1] - 239.5) != pytest.approx(abs(far[1] - 239.5), rel=0.02)
+    assert near[1] < 239.5 < far[1]
 
 
 def test_a_ray_beside_a_domes_sphere_sees_nothing() -> None:
@@ -89,6 +111,7 @@ def test_markers_of_the_accuracy_page_are_seen_by_the_same_camera() -> None:
         ({"distance": math.nan}, "camera.distance: nan m"),
         ({"shift": (0.0, math.inf)}, r"camera.shift\[1\]: inf px"),
         ({"rotation": 4.0}, "camera.rotation: 4.0 rad"),
+        ({"tilt": (0.0, 0.6)}, r"camera.tilt\[1\]: 0.6 rad"),
     ],
 )
 def test_what_is_no_camera_is_refused(change: dict, message: str) -> None:

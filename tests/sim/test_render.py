@@ -166,7 +166,9 @@ def test_the_map_is_that_of_the_projected_points(renderer: Renderer) -> None:
         assert upper * (1 - down) + lower * down == pytest.approx(place[:2], abs=0.02 * PIXEL)
 
 
-@pytest.mark.parametrize("mounted", [Camera(), Camera(shift=(9.0, -4.0), rotation=0.15)])
+@pytest.mark.parametrize(
+    "mounted", [Camera(), Camera(shift=(9.0, -4.0), rotation=0.15), Camera(tilt=(0.08, -0.05))]
+)
 def test_beside_the_gel_nothing_is_seen(mounted: Camera) -> None:
     body = Body(size_x=12e-3, size_y=9e-3)
     seen = Renderer(body, mounted).undeformed().material()[0]

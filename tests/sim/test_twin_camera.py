@@ -26,7 +26,7 @@ from sim.sensors import (
 )
 from sim.sensors.posterior import CAMERA, camera_quantities, with_camera
 from sim.twin import Sight, Track, View, sights_of
-from sim.twin.camera import Scenery, differences, layouts, unmirrored
+from sim.twin.camera import Scenery, differences, layouts, nearest, unmirrored
 from sim.twin.record import twin_yaml
 
 DESIGN = Camera.of_scale(0.0249)
@@ -68,7 +68,8 @@ def scenery(camera: Camera, shears: tuple[tuple[float, float], ...]) -> Scenery:
 
 def camera_of(found: NDArray[np.float64]) -> Camera:
     scale, distance = np.exp(found[:2])
-    return Camera(float(distance / scale), float(distance), (found[2], found[3]), found[4])
+    tilt = found[5], found[6]
+    return Camera(float(distance / scale), float(distance), (found[2], found[3]), found[4], tilt)
 
 
 SHEARS = ((0.0, 0.0), (3e-4, 0.0), (0.0, 3e-4))
@@ -93,13 +94,27 @@ def test_a_camera_is_found_from_any_rotation(turn: float) -> None:
     assert np.cos(best.x[4] - turn) == pytest.approx(1.0, abs=1e-5)
 
 
+def test_a_tilt_is_told_by_large_shear_at_many_places() -> None:
+    tilted = replace(TRUE, tilt=(0.04, -0.03))
+    made = scenery(tilted, ((0.0, 0.0), (1e-3, 0.0), (0.0, 1e-3), (-1e-3, 0.0)))
+    best, _ = unmirrored(made, DESIGN)
+    # Now without the priors, as by many more markers.
+    found = camera_of(nearest(made, camera_of(best.x), DESIGN, 1e-3).x)
+    assert found.tilt == pytest.approx(tilted.tilt, abs=2e-3)
+    assert found.distance == pytest.approx(tilted.distance, rel=5e-3)
+    # From it, and from a level camera, markers move otherwise.
+    level = replace(found, tilt=(0.0, 0.0))
+    assert np.abs(made.residuals(found)).max() < 0.01
+    assert np.abs(made.residuals(level)).max() > 0.2
+
+
 def test_a_press_without_shear_does_not_tell_the_rotation() -> None:
     def untold(shears: tuple[tuple[float, float], ...]) -> tuple[str, ...]:
         best, either_way = unmirrored(scenery(TRUE, shears), DESIGN)
         covariance = np.linalg.inv(best.jac.T @ best.jac)
         return View(mine(), covariance, 1.0, either_way, (), ()).untold
 
-    assert untold(SHEARS[:1]) == ("rotation",)
+    assert untold(SHEARS[:1]) == ("rotation", "camera_tilt_x", "camera_tilt_y")
     assert untold(SHEARS) == ()
 
 
@@ -166,8 +181,10 @@ def mine() -> SimulatedSensor:
     assert isinstance(design.signal, CameraSignal)
     layout = replace(design.signal.drawn()[0], name="mine", angle=0.1)
     signal = replace(design.signal.mounted(TRUE), layout=layout, patterns=("mine",))
-    spreads = np.array([0.03, 0.1, 4.0, 4.0, 0.01])
-    posterior = Posterior.of(CAMERA, np.diag(spreads**2))
+    spreads = np.array([0.03, 0.1, 4.0, 4.0, 0.01, 0.02, 0.02])
+    # As a fit gives them: numbers of numpy.
+    off = np.float64(2e-5), np.float64(0.0053)
+    posterior = Posterior.of(CAMERA, np.diag(spreads**2), "layer", *off)
     return replace(design, signal=signal, posterior=posterior)
 
 
@@ -179,7 +196,11 @@ def test_a_row_with_a_camera_and_a_layout_is_read_back(tmp_path: Path) -> None:
     assert isinstance(found.signal, CameraSignal)
     assert found.signal.layout is not None
     assert found.signal.layout.angle == pytest.approx(0.1, rel=1e-5)
-    assert found.posterior == mine().posterior
+    true = mine().posterior
+    assert true is not None
+    assert found.posterior is not None
+    assert found.posterior.height == pytest.approx(true.height)
+    assert replace(found.posterior, height=true.height) == true
 
 
 def test_cameras_drawn_from_a_twin_see_the_same_image_without_contact() -> None:
@@ -190,7 +211,8 @@ def test_cameras_drawn_from_a_twin_see_the_same_image_without_contact() -> None:
     drawn = posterior.draw(mine(), np.random.default_rng(3))
     assert abs(camera_quantities(drawn)["shift_x"] - 16.0) > 0.5
     other = readout(drawn).masks(flat)[0, 0]
-    assert (seen & other).sum() > 0.98 * (seen | other).sum()
+    # A tilt makes markers on one side larger; those of a layout have one size.
+    assert (seen & other).sum() > 0.965 * (seen | other).sum()
 
 
 def test_a_camera_of_taxels_is_refused() -> None:
