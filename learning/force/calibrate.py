@@ -187,7 +187,7 @@ def told(calibration: Calibration) -> Iterator[str]:
     low, high = intervals.of(calibration.predicted)
     shear, normal = ((high - low)[:, axes].mean() / 2 for axes in (slice(0, 2), 2))
     yield (
-        f"90 % intervals by {len(intervals.indenters)} indenters that it did not learn from: in "
+        f"90 % intervals, by frames under {', '.join(intervals.indenters)}: in "
         f"the mean +-{shear:.3f} N of shear, +-{normal:.3f} N of Fz"
     )
 

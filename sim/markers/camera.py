@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +48,7 @@ class Camera:
     """Shift of the image by the mount, to the right and downwards [px], up to 1000."""
     rotation: float = 0.0
     """Rotation of the image by the mount before the shift, anticlockwise about the middle [rad]."""
-    tilt: tuple[float, float] = (0.0, 0.0)
+    tilt: tuple[float, float] = field(default=(0.0, 0.0), metadata={"stored": "unless default"})
     """Tilt about the pinhole, a rotation vector about x and y [rad], up to 0.5. The gel's axis
     stays in the middle: motion of the image as a whole is in the shift."""
 

@@ -121,7 +121,7 @@ def test_a_sensor_without_a_label_learns_the_forces_of_its_own_twin(
     assert float(model.low[2]) == pytest.approx(np.nanmin(wrench[learned, 2]), rel=1e-5)
     assert "twin of dots" in (tmp_path / "run" / "config.yaml").read_text()
     # Intervals are by frames of the indenters that the split holds back, and the twin's spread.
-    assert "90 % intervals by" in capsys.readouterr().out
+    assert "90 % intervals, by frames under" in capsys.readouterr().out
     found = read_intervals(tmp_path / "run")
     assert found is not None
     unseen = {
