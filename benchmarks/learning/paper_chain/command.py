@@ -42,7 +42,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--gpus", metavar="N,...", help="GPU numbers, or `cpu` (all GPUs)")
     parser.add_argument(
-        "--per-gpu", type=int, default=1, metavar="N", help="jobs at a time on a GPU (%(default)s)"
+        "--per-gpu",
+        type=int,
+        default=1,
+        metavar="N",
+        help="jobs at a time on a GPU; one takes up to 18 GiB (%(default)s)",
     )
     parser.add_argument(
         "--processes", type=int, metavar="N", help="processes that simulate or track (all cores)"
