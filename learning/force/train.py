@@ -808,15 +808,24 @@ def run(options: argparse.Namespace) -> int:
             )
             yield f"{each.sensor}: off in validation by {by} N"
         if isinstance(compensation, SimulatedLabels) and _is_own_twin(options, sensors):
+            yield from with_intervals(model)
+
+    def with_intervals(model: ForceModel) -> Iterator[str]:
+        """Write intervals beside a model of its own twin's forces, and yield lines about them."""
+        try:
             found = calibrated_by_twin(archive, sensors[0], split, model)
-            if found is None:
-                yield (
-                    f"no intervals: {options.split} has no unseen indenter, whose frames would "
-                    "show how far off the model is (tactile split --unseen NAME,...)"
-                )
-                return
-            found.intervals.write(options.out)
-            yield from told_intervals(found)
+        except LearningError as error:
+            # The model is trained all the same.
+            yield f"no intervals: {error}"
+            return
+        if found is None:
+            yield (
+                f"no intervals: {options.split} has no unseen indenter, whose frames would show "
+                "how far off the model is (tactile split --unseen NAME,...)"
+            )
+            return
+        found.intervals.write(options.out)
+        yield from told_intervals(found)
 
     # By these, a live stream is read as the pictures were from which the model learned.
     made_by = {name: str(archive[name].attrs.get("preset", "")) for name in sensors}

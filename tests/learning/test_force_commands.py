@@ -148,6 +148,15 @@ def test_a_model_of_a_twins_forces_has_no_intervals_if_it_learned_from_all_inden
     assert main(words) == 0
     assert "no intervals: " in capsys.readouterr().out
     assert read_intervals(tmp_path / "run") is None
+    # Nor if the twin has no force under those that were held back.
+    make_split(archive, validation=0.0, new_press=0.0).write(tmp_path / "held.json")
+    words[words.index("--split") + 1] = str(tmp_path / "held.json")
+    wrench[~archive["dots"].table["seen"]] = np.nan
+    write_simulated(archive["dots"], wrench, np.full(wrench.shape, 0.1), "twin of dots")
+    assert main([*words[:-1], str(tmp_path / "other")]) == 0
+    assert "no intervals: " in (out := capsys.readouterr().out)
+    assert "have a force on any axis by forces of twin of dots" in out
+    assert load_force_model(tmp_path / "other").axes == ("Fx", "Fy", "Fz")
 
 
 def test_readings_typed_in_are_the_labels_of_a_sensor_without_a_gauge(
