@@ -178,6 +178,7 @@ SIZES = {
     # One pair, in 5 minutes of two GPUs; `--minutes 1`.
     "brief": replace(
         _GPU,
+        tier="layer",
         archive=("--scale", "0.0625", "--steps", "4"),
         scored=80,
         sources=("array-i",),
