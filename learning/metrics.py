@@ -160,6 +160,23 @@ def r_squared(true: Floats, predicted: Floats) -> Floats:
     return np.where(constant, np.nan, 1 - missed / np.where(constant, 1, varied))
 
 
+def r_squared_of_sums(count: Floats, one: Floats, square: Floats, missed: Floats) -> Floats:
+    """Return the same from sums over frames, which may be added up before; arrays of any shape.
+
+    Args:
+        count: Number of frames.
+        one: Sum of the true values.
+        square: Sum of their squares.
+        missed: Sum of squared errors.
+
+    Returns:
+        NaN where true values do not vary, to 1e-9 in the sum of their squared deviations.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        varied = square - one**2 / count
+        return np.asarray(1 - missed / np.where(varied > 1e-9, varied, np.nan))
+
+
 def with_magnitude(forces: Floats) -> Floats:
     """Return forces (n, 4) [N]: Fx, Fy, Fz (n, 3) and their magnitude, the paper's total force Ft.
 

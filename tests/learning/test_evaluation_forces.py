@@ -23,6 +23,7 @@ from learning.metrics import (
     force_errors,
     mean_absolute_error,
     r_squared,
+    r_squared_of_sums,
     spread_and_range,
     with_magnitude,
 )
@@ -53,6 +54,16 @@ def test_r2_is_one_for_the_truth_zero_for_the_mean_and_below_for_worse() -> None
 
 def test_r2_of_labels_that_never_change_is_no_number() -> None:
     assert np.isnan(r_squared(np.ones((4, 1)), np.zeros((4, 1))))
+
+
+def test_r_squared_of_sums_is_that_of_the_frames() -> None:
+    chance = np.random.default_rng(4)
+    true, found = chance.normal(size=(50, 3)), chance.normal(size=(50, 3))
+    true[:, 2] = 2.0
+    parts = [np.ones_like(true), true, true**2, (found - true) ** 2]
+    # Of two parts that are added up.
+    sums = [part[:20].sum(axis=0) + part[20:].sum(axis=0) for part in parts]
+    np.testing.assert_allclose(r_squared_of_sums(*sums), r_squared(true, found))
 
 
 @pytest.mark.parametrize("which", ["true", "predicted"])

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from benchmarks.learning.gauge_tables.coverage import INTERVAL, RESAMPLES, read_covered
 from benchmarks.learning.gauge_tables.jobs import Study, twin_path
 from benchmarks.learning.gauge_tables.skins import GAUGE, GAUGE_PRESSES
+from learning.metrics import r_squared_of_sums
 from learning.training.run import generator
 from recorder.charts import chart
 from recorder.pages import render
@@ -121,10 +122,8 @@ def sums_of(grid: Sequence[Sequence[Mapping[str, Any]]], of: Any) -> Floats:
 
 def r2(sums: Floats) -> Floats:
     """Return R2 (...), mean of axes, from sums (..., 5, 3); NaN where forces do not vary."""
-    count, one, square, missed, _ = np.moveaxis(sums, -2, 0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        varied = square - one**2 / count
-        found: Floats = (1 - missed / np.where(varied > 1e-9, varied, np.nan)).mean(axis=-1)
+    *parts, _ = np.moveaxis(sums, -2, 0)
+    found: Floats = r_squared_of_sums(*parts).mean(axis=-1)
     return found
 
 

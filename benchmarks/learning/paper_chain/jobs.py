@@ -48,7 +48,7 @@ from learning.force.model import KIND as FORCE
 from learning.force.model import ForceModel, load_force_model
 from learning.force.train import PRESETS as NET_PRESETS
 from learning.force.train import Compensation, ForceSettings, StageSettings, train_force
-from learning.metrics import r_squared
+from learning.metrics import r_squared, r_squared_of_sums
 from learning.training.checkpoint import read_model_folder
 from learning.training.run import RunFolder, Session, Stop, accelerator, generator
 from learning.translation.diffusion import train as m2m
@@ -439,8 +439,7 @@ def force_scores(true: Floats, found: Floats, indenter: NDArray[Any]) -> dict[st
     chosen = generator(SEED, "indenters").integers(len(names), size=(RESAMPLES, len(names)))
     drawn = sums[:, chosen].sum(axis=2)  # (5, resamples, 3)
     count, one, square, missed, off = drawn
-    varied = square - one**2 / count
-    r2 = (1 - missed / np.where(varied > 0, varied, np.nan)).mean(axis=1)
+    r2 = r_squared_of_sums(count, one, square, missed).mean(axis=1)
     mae = off / count
     r2_low, r2_high = np.nanquantile(r2, INTERVAL)
     shear, normal = mae[:, :2].mean(axis=1), mae[:, 2]

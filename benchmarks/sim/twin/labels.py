@@ -36,6 +36,7 @@ from learning.compensation import (
     simulated_labels,
     twin_forces,
 )
+from learning.metrics import r_squared_of_sums
 from recorder.command_line.options import add_device, add_seed, names, positive, whole
 from recorder.pages import render
 from recorder.progress import Progress
@@ -265,20 +266,14 @@ def r2(parts: Sequence[Mapping[str, Any]], method: str) -> tuple[list[float], tu
             )
             for each in part.values()
         ]
-        found.append(_r2(np.sum(rows, axis=0)))
+        found.append(r_squared_of_sums(*np.sum(rows, axis=0)))
         taken = random.multinomial(len(rows), np.full(len(rows), 1 / len(rows)), RESAMPLED)
-        again.append(_r2(np.einsum("rk,kqa->qra", taken, rows)).mean(axis=-1))
+        again.append(r_squared_of_sums(*np.einsum("rk,kqa->qra", taken, rows)).mean(axis=-1))
     drawn = random.integers(len(parts), size=(RESAMPLED, len(parts)))
     means = np.array(again)[drawn, random.integers(RESAMPLED, size=drawn.shape)]
     low, high = np.quantile(means.mean(axis=1), (0.025, 0.975))
     axes = np.mean(found, axis=0)
     return [*axes.tolist(), float(axes.mean())], (float(low), float(high))
-
-
-def _r2(sums: Array) -> Array:
-    """Return R2 (..., 3) from count, sum, sum of squares and of squared errors (4, ..., 3)."""
-    count, total, square, missed = sums
-    return np.asarray(1 - missed / (square - total**2 / count))
 
 
 def page(rows: Sequence[Mapping[str, Any]], options: argparse.Namespace) -> str:
