@@ -332,7 +332,8 @@ def fetch(running: Running, path: str) -> tuple[bytes, Any]:
 def lets_in(running: Running) -> bool:
     try:
         with running.watch() as client:
-            return bool(next_state(client)["status"] == "collecting")
+            # Whatever it does: a run that has just begun is not collecting yet.
+            return bool(next_state(client)["status"])
     except (InvalidStatus, OSError, EOFError, ConnectionClosed):
         return False
 
