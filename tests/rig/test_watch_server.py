@@ -58,9 +58,14 @@ def running(shared: Running) -> Running:
     shared.page.begin(
         shared.control, lambda: dict(shared.progress), shared.watched_bench.session, 0
     )
-    # Earlier clients are gone: no slot is occupied.
+    # Earlier clients are gone, so that no slot is occupied, and the page knows of the run.
     with shared.watch() as client:
-        until(lambda: next_state(client)["watchers"] == 1)
+
+        def ready() -> bool:
+            state = next_state(client)
+            return bool(state["watchers"] == 1 and state["status"] == "collecting")
+
+        until(ready)
     return shared
 
 
@@ -332,8 +337,7 @@ def fetch(running: Running, path: str) -> tuple[bytes, Any]:
 def lets_in(running: Running) -> bool:
     try:
         with running.watch() as client:
-            # Whatever it does: a run that has just begun is not collecting yet.
-            return bool(next_state(client)["status"])
+            return bool(next_state(client)["status"] == "collecting")
     except (InvalidStatus, OSError, EOFError, ConnectionClosed):
         return False
 

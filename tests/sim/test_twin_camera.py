@@ -181,9 +181,9 @@ def mine() -> SimulatedSensor:
     assert isinstance(design.signal, CameraSignal)
     layout = replace(design.signal.drawn()[0], name="mine", angle=0.1)
     signal = replace(design.signal.mounted(TRUE), layout=layout, patterns=("mine",))
-    spreads = np.array([0.03, 0.1, 4.0, 4.0, 0.01, 0.02, 0.02])
+    spreads = np.array([0.03, 0.1, 4.0, 4.0, 0.01, 0.002, 0.002])
     # As a fit gives them: numbers of numpy.
-    off = np.float64(2e-5), np.float64(0.0053)
+    off = np.float64(20 * 1e-6), np.float64(0.0053)
     posterior = Posterior.of(CAMERA, np.diag(spreads**2), "layer", *off)
     return replace(design, signal=signal, posterior=posterior)
 
@@ -196,11 +196,7 @@ def test_a_row_with_a_camera_and_a_layout_is_read_back(tmp_path: Path) -> None:
     assert isinstance(found.signal, CameraSignal)
     assert found.signal.layout is not None
     assert found.signal.layout.angle == pytest.approx(0.1, rel=1e-5)
-    true = mine().posterior
-    assert true is not None
-    assert found.posterior is not None
-    assert found.posterior.height == pytest.approx(true.height)
-    assert replace(found.posterior, height=true.height) == true
+    assert found.posterior == mine().posterior
 
 
 def test_cameras_drawn_from_a_twin_see_the_same_image_without_contact() -> None:
@@ -211,8 +207,7 @@ def test_cameras_drawn_from_a_twin_see_the_same_image_without_contact() -> None:
     drawn = posterior.draw(mine(), np.random.default_rng(3))
     assert abs(camera_quantities(drawn)["shift_x"] - 16.0) > 0.5
     other = readout(drawn).masks(flat)[0, 0]
-    # A tilt makes markers on one side larger; those of a layout have one size.
-    assert (seen & other).sum() > 0.965 * (seen | other).sum()
+    assert (seen & other).sum() > 0.98 * (seen | other).sum()
 
 
 def test_a_camera_of_taxels_is_refused() -> None:
