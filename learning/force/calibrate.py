@@ -14,7 +14,7 @@ from learning.compensation import own_twin_labels, twin_forces
 from learning.data.presses import Presses, load_presses
 from learning.data.splits import Split
 from learning.errors import LearningError
-from learning.force.intervals import FEWEST, NORMAL, AxisError, Intervals, Scale, fit_errors
+from learning.force.intervals import FEWEST, NORMAL, Intervals, Scale, fit_errors
 from learning.force.learned import SHAPE, fit_learned, shapes_of
 from learning.force.model import ForceModel
 from recorder import MarkerArchive
@@ -97,7 +97,7 @@ def calibrated(
             f"have a force on any axis by {wanted.source}; allowed: more places"
         )
     intervals = Intervals(
-        axes=_three(axes),
+        axes=axes,
         scale=wanted.scale,
         largest=_largest(wanted.learned),
         learned=fit_learned(shapes(own, np.flatnonzero(learned & valid)), shapes(own, used)),
@@ -195,10 +195,3 @@ def told(calibration: Calibration) -> Iterator[str]:
 def _largest(labels: Floats) -> tuple[float | None, float | None, float | None]:
     found = [float(np.nanmax(np.abs(c))) if np.isfinite(c).any() else None for c in labels.T]
     return found[0], found[1], found[2]
-
-
-def _three(
-    axes: tuple[AxisError | None, ...],
-) -> tuple[AxisError | None, AxisError | None, AxisError | None]:
-    x, y, z = axes
-    return x, y, z

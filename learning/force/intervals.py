@@ -202,7 +202,7 @@ def _read_learned(content: dict[str, Any]) -> Learned:
 
 def fit_errors(
     predicted: Floats, wanted: Floats, indenter: NDArray[np.str_]
-) -> tuple[AxisError | None, ...]:
+) -> tuple[AxisError | None, AxisError | None, AxisError | None]:
     """Return the error of each axis that 90 % of a new indenter's frames stay below.
 
     The half-width's shape, a base and a slope, is a least-squares fit of the absolute errors over
@@ -233,7 +233,7 @@ def fit_errors(
         _, place, count = np.unique(names, return_inverse=True, return_counts=True)
         quantile = _conformal(ratio, 1.0 / count[place]) * beyond_largest(len(count))
         found.append(AxisError(quantile * base, quantile * slope))
-    return tuple(found)
+    return found[0], found[1], found[2]
 
 
 def _conformal(values: Floats, weights: Floats) -> float:

@@ -86,7 +86,7 @@ class Camera:
         if not any(self.tilt):
             return np.asarray(self.focal * points[..., :2] / (self.distance + points[..., 2:]))
         turned = self._turned(points)
-        return np.asarray(self.focal * (turned[..., :2] / turned[..., 2:] - self._middle))
+        return np.asarray(self.focal * (turned[..., :2] / turned[..., 2:] - self.middle))
 
     def depths(self, points: Array) -> Array:
         """Return the depth (...) [m] of points (..., 3) in front of the pinhole, along its axis."""
@@ -100,9 +100,10 @@ class Camera:
         return np.asarray(Rotation.from_rotvec([*self.tilt, 0.0]).inv().as_matrix())
 
     @property
-    def _middle(self) -> Array:
-        """The gel's axis (2,) in the plane at depth 1."""
-        return np.asarray(self.turn[:2, 2] / self.turn[2, 2])
+    def middle(self) -> Array:
+        """Place (2,) of the gel's axis in the plane at depth 1, along the camera's own axes."""
+        x, y, z = self.turn[:, 2]
+        return np.array([x / z, y / z])
 
     def _turned(self, points: Array) -> Array:
         return np.asarray((points + np.array([0.0, 0.0, self.distance])) @ self.turn.T)
@@ -130,7 +131,7 @@ class Camera:
         slope = np.stack([cosine * right + sine * up, cosine * up - sine * right], axis=-1)
         slope = slope / self.focal
         if any(self.tilt):
-            ahead = np.concatenate([slope + self._middle, np.ones((*slope.shape[:-1], 1))], axis=-1)
+            ahead = np.concatenate([slope + self.middle, np.ones((*slope.shape[:-1], 1))], axis=-1)
             ray = ahead @ self.turn
             slope = ray[..., :2] / ray[..., 2:]
         if body.dome_radius is None:

@@ -40,7 +40,7 @@ def lens_of(camera: Camera) -> Lens:
     lens.column = MIDDLE[0] + camera.shift[0]
     lens.row = MIDDLE[1] + camera.shift[1]
     lens.turn = wp.mat33(camera.turn)
-    lens.middle = wp.vec2(*(camera.turn[:2, 2] / camera.turn[2, 2]))
+    lens.middle = wp.vec2(*camera.middle)
     return lens
 
 

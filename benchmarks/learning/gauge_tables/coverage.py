@@ -87,9 +87,8 @@ def _covered(study: Study, sensor: str) -> Iterator[dict[str, Any]]:
             else Scale(1.0, "labels", False)
         )
         axes = fit_errors(predicted[calibrates], forces[wanted][calibrates], names[calibrates])
-        x, y, z = axes
         intervals = Intervals(
-            axes=(x, y, z),
+            axes=axes,
             scale=scale,
             largest=(None, None, None),
             learned=Learned((), (), math.inf),

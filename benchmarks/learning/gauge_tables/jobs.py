@@ -198,7 +198,7 @@ def archive_path(out: Path, name: str) -> Path:
 
 def further_path(out: Path, name: str) -> Path:
     """Return the path of a sensor's archive of further drawn indenters."""
-    return out / "further" / f"{name}.markers.zarr"
+    return archive_path(out / "further", name)
 
 
 def twin_path(out: Path, name: str) -> Path:
@@ -208,7 +208,7 @@ def twin_path(out: Path, name: str) -> Path:
 
 def draws_path(out: Path, name: str) -> Path:
     """Return the path of the archive of sensors that are drawn from a sensor's twin."""
-    return out / "draws" / f"{name}.markers.zarr"
+    return archive_path(out / "draws", name)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

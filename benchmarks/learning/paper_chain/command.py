@@ -115,10 +115,12 @@ def _tasks(options: argparse.Namespace, cores: int, done: set[str]) -> list[Task
     if size.patterns is not None:
         states = ("states", *size.patterns, *made, "--out", jobs.archive_file("patterns"))
         simulated = {"archive patterns": states, **simulated}
-    wanted = {*(options.only.split(",") if options.only else (*simulated, *jobs.names(size)))}
-    if unknown := wanted - {*simulated, *jobs.names(size)}:
-        known = ", ".join((*simulated, *jobs.names(size)))
-        raise LearningError(f"--only: found {', '.join(sorted(unknown))}; allowed: {known}")
+    trained = jobs.names(size)
+    known = (*simulated, *trained)
+    wanted = {*(options.only.split(",") if options.only else known)}
+    if unknown := wanted - {*known}:
+        words = ", ".join(sorted(unknown))
+        raise LearningError(f"--only: found {words}; allowed: {', '.join(known)}")
     wanted -= done
     # Jobs share a GPU's machine; on a CPU a job takes what it finds.
     few = () if options.gpus == "cpu" else (("OMP_NUM_THREADS", str(max(1, cores // 8))),)
@@ -129,7 +131,7 @@ def _tasks(options: argparse.Namespace, cores: int, done: set[str]) -> list[Task
             command = [sys.executable, "-m", "sim", "archive", kind, *most, str(out / file)]
             one = (("OMP_NUM_THREADS", "1"),)
             found.append(Task(name, tuple(command), (), one, int(on_gpu)))
-    for name, needed in jobs.names(size).items():
+    for name, needed in trained.items():
         if name in wanted:
             command = [sys.executable, "-m", "benchmarks", "paper-chain", "--out", str(out)]
             command += ["--size", options.size, "--minutes", str(options.minutes), "--job", name]
