@@ -16,6 +16,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from sim.fem.contact import contact_kernels, face_rule
+from sim.fem.crossing import MAY_CROSS, Crossing
 from sim.fem.element import GAUSS_POINTS, Branches, element_kernels
 from sim.fem.matrix import HALF_POISSON, BlockMatrix
 from sim.fem.mesh import Mesh
@@ -488,6 +489,10 @@ class Assembly:
         self.face_overlap = wp.zeros((environments, faces, COLUMNS), dtype=real, device=device)
         """Overlap of each face, as written by `overlap` (B, S, `COLUMNS`) [T]."""
         self._most_overlap = wp.zeros((environments, COLUMNS), dtype=real, device=device)
+        self.crossing: Crossing | None = None
+        """Test of folded skins on the device; None: each of them gets a look on the host."""
+        if wp.get_device(device).is_cuda:
+            self.crossing = Crossing(real, environments, mesh.faces, device)
         self._field = wp.zeros((environments, count), dtype=vec3, device=device)
         self.sums = Sums(np.zeros((environments, SUMS)))
         """Sums over the last evaluated state."""
@@ -616,7 +621,7 @@ class Assembly:
     def overlap(self, active, *, samples: int, states: int = 1) -> Array:
         """Return the overlap of skin with indenter and base plane (B, `COLUMNS`).
 
-        See `sim.fem.overlap`.
+        See `sim.fem.overlap`; the last column is 1 if the skin may overlap itself.
 
         Args:
             active: Mask of environments.
@@ -624,7 +629,13 @@ class Assembly:
             states: Number of states from the last accepted one to the current one, which counts.
         """
         self.measure_overlap(active, samples=samples, states=states)
-        return self._most_overlap.numpy().astype(float)
+        if self.crossing is None:
+            return self._most_overlap.numpy().astype(float)
+        mesh = self._elements, self._faces, self._nodes, self._variant
+        self.crossing.mark(mesh, active, self.state.u, self.face_overlap, self._most_overlap)
+        found = self._most_overlap.numpy().astype(float)
+        found[:, 3] = found[:, 3] == MAY_CROSS
+        return found
 
     def measure_overlap(self, active, *, samples: int, states: int = 1) -> None:
         """Measure what `overlap` returns, for `read`."""

@@ -5,7 +5,8 @@ turned nearly as far, each surface node is tested against all elements that do n
 corner. A node inside one has passed through the skin there. Its depth is its distance from the skin
 above, or to the side of, the same material point of that element.
 
-Lengths in thicknesses. It runs on the host in a few milliseconds, and only if a face has folded.
+Lengths in thicknesses. It runs on the host in a few milliseconds, if a face has folded, and beside
+a GPU only if `sim.fem.crossing` has found a node to look at.
 """
 
 from __future__ import annotations

@@ -22,6 +22,7 @@ from sim import (
 )
 from sim.fem import solver
 from sim.fem.assembly import Assembly
+from sim.fem.crossing import Crossing
 from sim.fem.mesh import Mesh, build_mesh
 from sim.fem.numerics import FOR_EDGES, Fem
 from sim.fem.self_overlap import folded_faces, self_overlap
@@ -91,6 +92,28 @@ def test_the_solver_notices_folds_as_they_are(precision: Literal["float32", "flo
         assembly.state.u.assign((places - mesh.nodes)[None].astype(np.float32))
         found = assembly.overlap(assembly.state.everyone, samples=2)
         assert found[0, 3] == folded_faces(mesh, places).any()
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_the_test_on_a_gpu_says_no_only_where_nothing_overlaps(
+    precision: Literal["float32", "float64"],
+) -> None:
+    """Walls whose ends begin to meet at 10 degrees; skin that is bent alone is let go."""
+    scene, mesh = Scene(sphere(1e-3), press([1e-4]), STRIP), build_mesh(STRIP, 0.25e-3)
+    assembly = Assembly([mesh] * 2, [scene] * 2, Fem(), precision, "cpu")
+    assembly.crossing = Crossing(assembly.real, 2, mesh.faces, "cpu")
+    looked, overlaps = [], []
+    for degrees in (-9, 0, 8, 9, 10, 12, 14, 20):
+        u = _rolled(mesh, math.radians(degrees)) - mesh.nodes
+        # The second environment is at rest.
+        assembly.state.u.assign(np.stack([u, 0 * u]).astype(np.float32))
+        found = assembly.overlap(assembly.state.everyone, samples=2)
+        assert found[1, 3] == 0.0
+        looked.append(bool(found[0, 3]))
+        overlaps.append(self_overlap(mesh, u)[1] >= 0)
+    assert all(look for look, crossed in zip(looked, overlaps, strict=True) if crossed)
+    assert any(overlaps)
+    assert not any(looked[:3])
 
 
 def test_a_lip_folded_over_onto_flat_skin_overlaps_it() -> None:
