@@ -29,10 +29,10 @@ from sim.metrics import (
     tolerance_of,
     with_unit,
 )
-from sim.result import Outcome, Result, to_json
+from sim.result import ContactTier, Outcome, Result, to_json
 from sim.scene import Scene
 from sim.tiers import simulate_many
-from sim.tolerance import FLOOR, Only, simulate_within
+from sim.tolerance import FLOOR, simulate_within
 
 Progress = Callable[[float], None]
 
@@ -221,7 +221,7 @@ def simulate_needed(
     found: EffectsPlan,
     tolerance: str,
     *,
-    tier: Only | None = None,
+    tier: ContactTier | None = None,
     device: str = "cpu",
     progress: Progress | None = None,
 ) -> Result:

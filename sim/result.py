@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,8 @@ from sim.errors import SceneError, SimulationDiverged
 from sim.scene import Scene
 
 Array = NDArray[np.float64]
+# Tiers of contact whose error is known, by name; `mpm` is for comparison.
+ContactTier = Literal["layer", "fem"]
 
 
 @dataclass(frozen=True, slots=True)

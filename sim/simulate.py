@@ -10,13 +10,12 @@ from sim.errors import SceneError, SimulationDiverged, check_kind
 from sim.fem.numerics import FOR_EDGES, Fem
 from sim.layer.numerics import Layer
 from sim.metrics import tolerance_of
-from sim.result import Result
+from sim.result import ContactTier, Result
 from sim.scene import Scene
 from sim.tiers import Tier, seconds_of, simulate_many, simulate_one
 
 if TYPE_CHECKING:
     from sim.needed import EffectsPlan
-    from sim.tolerance import Only
 
 Progress = Callable[[float], None]
 
@@ -98,7 +97,7 @@ class Plan:
     """Scene with all its effects."""
     tolerance: str
     """Largest accepted error."""
-    only: Only | None = None
+    only: ContactTier | None = None
     """Only tier that is tried; None: `layer`, if its estimate was checked on such scenes, then
     `fem`."""
     effects: EffectsPlan | None = None
@@ -181,7 +180,7 @@ def plan(
     scene: Scene,
     tolerance: str,
     *,
-    only: Only | None = None,
+    only: ContactTier | None = None,
     effects: Literal["all", "needed"] = "all",
     device: str = "cpu",
     progress: Progress | None = None,

@@ -15,7 +15,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +34,7 @@ from sim.metrics import (
     with_unit,
     worst_errors,
 )
-from sim.result import Result
+from sim.result import ContactTier, Result
 from sim.scene import Scene
 from sim.symmetry import vanishing_share, with_symmetry
 from sim.tiers import simulate_one
@@ -45,8 +45,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]
-# Tiers whose error is known.
-Only = Literal["layer", "fem"]
 
 # Length of the coarser mesh's elements over those of the finer one.
 COMPANION = 1.6
@@ -90,7 +88,7 @@ def simulate_within(
     scene: Scene,
     tolerance: str,
     *,
-    tier: Only | None = None,
+    tier: ContactTier | None = None,
     device: str = "cpu",
     progress: Progress | None = None,
 ) -> Result:
@@ -245,7 +243,7 @@ def _fineness(result: Result) -> float:
 def _of_layer(
     scene: Scene,
     wanted: Tolerance,
-    tier: Only | None,
+    tier: ContactTier | None,
     tried: list[str],
     device: str,
     progress: Progress | None,

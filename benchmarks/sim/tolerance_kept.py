@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import io
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -24,6 +25,7 @@ from benchmarks.sim.stability.chance.scenes import Drawn, drawn
 from benchmarks.sim.stability.runner import INTERRUPTED, done_counts, side_by_side
 from recorder.command_line.options import add_device, add_seed
 from recorder.progress import duration
+from recorder.store import replace_file
 from sim.errors import SceneError, SimulationDiverged
 from sim.extrapolation import left_of_difference
 from sim.fem.numerics import Fem
@@ -168,6 +170,15 @@ def line(row: Row) -> str:
     )
 
 
+def _write(path: Path, rows: Sequence[Row]) -> None:
+    """Write the rows as CSV; a run that is ended keeps those of the scenes before."""
+    file = io.StringIO()
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow([one.name for one in fields(Row)])
+    writer.writerows(astuple(row) for row in rows)
+    replace_file(path, file.getvalue().encode())
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.description = (
@@ -187,7 +198,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seconds", type=float, default=300.0, help="time limit of a solve (%(default)g)"
     )
-    parser.add_argument("--csv", type=Path, metavar="FILE", help="also write the rows to this file")
+    parser.add_argument(
+        "--csv", type=Path, metavar="FILE", help="also write the rows to this file, after each"
+    )
 
 
 def run(options: argparse.Namespace, say: Callable[[str], None] = print) -> int:
@@ -217,11 +230,8 @@ def run(options: argparse.Namespace, say: Callable[[str], None] = print) -> int:
             rows.append(row)
             left = (time.perf_counter() - began) * (len(chosen) / len(rows) - 1)
             say(f"[{len(rows)}/{len(chosen)}] {line(row)}   {duration(left)} left")
-    if options.csv:
-        with options.csv.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow([one.name for one in fields(Row)])
-            writer.writerows(astuple(row) for row in rows)
+            if options.csv:
+                _write(options.csv, rows)
     if rows:
         say(summary(rows, options.tolerance))
     if len(rows) < len(chosen):

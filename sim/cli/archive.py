@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from recorder.command_line.errors import EXIT_INTERRUPTED, EXIT_WRONG_INPUT
 from recorder.command_line.options import add_device, add_seed, names, whole
@@ -17,6 +17,7 @@ from sim.errors import SceneError
 
 if TYPE_CHECKING:
     from sim.dataset import DatasetPlan, OpenArchive, Solving, Stop, Unit, UnitStats
+    from sim.result import ContactTier
     from sim.sensors import SimulatedSensor
 
 GROUPS = ("homogeneous", "material", "heterogeneous")
@@ -341,7 +342,7 @@ def _processes(options: argparse.Namespace, opened: OpenArchive) -> int:
 def _solving(options: argparse.Namespace, *, smoke: bool) -> Solving:
     from sim.dataset import Solving
 
-    tier: Literal["layer", "fem"] = options.tier or "fem"
+    tier: ContactTier = options.tier or "fem"
     if options.tolerance is not None and options.tier is not None:
         raise SceneError(f"--tier: {options.tier!r} with --tolerance; allowed: either")
     spacing = None if options.spacing is None else metres(options.spacing)

@@ -15,7 +15,7 @@ from sim.fem import FOR_EDGES, Fem, Grading
 from sim.indenters import NAMES, drawn_name, indenter_of, is_indenter, number_of
 from sim.layer import Layer
 from sim.paper_presses import DEPTHS_MM, FRICTION, PLACES_MM
-from sim.result import Outcome, Result, from_json, to_json
+from sim.result import ContactTier, Outcome, Result, from_json, to_json
 from sim.scene import Body, Motion, Scene, from_target, press, through
 from sim.sensors import CameraSignal, SimulatedSensor, sensor
 from sim.simulate import plan as within
@@ -62,8 +62,6 @@ class PlannedPress:
 
 # Solving the presses of an archive, with other settings where the first find no solution.
 
-ArchiveTier = Literal["layer", "fem"]
-
 # Default for the largest element [m]: indenters' edges need it on a thick body.
 SPACING_MAX = 1.2e-3
 
@@ -76,7 +74,7 @@ class Solving:
         SceneError: A value is out of range, or settings exclude each other.
     """
 
-    tier: ArchiveTier = "fem"
+    tier: ContactTier = "fem"
     spacing: float | None = None
     """Height of an element [m]; None: the thickness over `cells`, but 1.2 mm at most."""
     cells: int = 5
@@ -89,8 +87,8 @@ class Solving:
     """Accepted error such as "3 %"; each press gets the meshes that it needs (`sim.tolerance`)."""
 
     def __post_init__(self) -> None:
-        if self.tier not in get_args(ArchiveTier):
-            raise SceneError(f"solving.tier: {self.tier!r}; allowed: {get_args(ArchiveTier)}")
+        if self.tier not in get_args(ContactTier):
+            raise SceneError(f"solving.tier: {self.tier!r}; allowed: {get_args(ContactTier)}")
         if self.spacing is not None:
             check_range("solving", "spacing", self.spacing, 0.0, 1.0, unit="m", open_low=True)
             if self.tier == "layer" or self.tolerance is not None:

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,14 +14,13 @@ from numpy.typing import NDArray
 from sim.effects import Friction, Viscosity
 from sim.errors import SceneError, check_range
 from sim.markers import Camera
+from sim.result import ContactTier
 from sim.scene import Body
 from sim.sensors.taxels import TaxelSignal
 
 if TYPE_CHECKING:
     from sim.sensors.sensor import SimulatedSensor
 
-# Tier whose forces a fit explains.
-FitTier = Literal["layer", "fem"]
 # Quantities of a sensor that presses may identify; branches of viscosity are numbered from 1.
 _NAMES = re.compile(r"modulus|thickness|poisson|friction|ratio_[1-4]|time_[1-4]")
 # Quantities of a camera that images may identify.
@@ -54,7 +53,7 @@ class Posterior:
     """Standard deviation of each."""
     correlations: tuple[tuple[float, ...], ...]
     """Matrix of correlations, -1 to 1, with ones on its diagonal."""
-    tier: FitTier = field(default="layer", repr=False, metadata={"stored": "unless default"})
+    tier: ContactTier = field(default="layer", repr=False, metadata={"stored": "unless default"})
     """Tier whose forces the quantities explain: by the other they give other forces."""
     height: float = field(
         default=0.0, repr=False, metadata={"unit": "um", "stored": "unless default"}
@@ -93,7 +92,7 @@ class Posterior:
         cls,
         names: Sequence[str],
         covariance: NDArray[np.float64],
-        tier: FitTier = "layer",
+        tier: ContactTier = "layer",
         height: float = 0.0,
         law: float = 0.0,
     ) -> Posterior:

@@ -16,10 +16,10 @@ from recorder.progress import part_of, span_of
 from sim.effects import Friction, Viscosity
 from sim.errors import SceneError
 from sim.indenters import Indenter
+from sim.result import ContactTier
 from sim.sensors import SimulatedSensor
 from sim.sensors.posterior import (
     POISSON,
-    FitTier,
     Posterior,
     interval_of,
     is_log,
@@ -108,7 +108,7 @@ class Fit:
     misfit: float
     """RMS difference of forces at rest over their RMS."""
     rounds: int
-    tier: FitTier = "layer"
+    tier: ContactTier = "layer"
     """`fem` if its forces corrected those of tier `layer`."""
 
     @property
@@ -152,7 +152,7 @@ def fitted(
     *,
     grid: int = 96,
     indenters: Mapping[str, Indenter] | None = None,
-    tier: FitTier = "layer",
+    tier: ContactTier = "layer",
     device: str = "cpu",
     processes: int = 1,
     progress: Callable[[float], None] = lambda fraction: None,

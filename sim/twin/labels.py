@@ -15,9 +15,8 @@ from recorder.processes import Workers
 from recorder.progress import span_of
 from sim.errors import SceneError, SimulationDiverged
 from sim.indenters import indenter_of, is_indenter
-from sim.result import Result
+from sim.result import ContactTier, Result
 from sim.sensors import SimulatedSensor
-from sim.sensors.posterior import FitTier
 from sim.stream import LivePress
 from sim.tiers import simulate_many
 from sim.twin.model import Correction, by_fem, fem_of, motion_of
@@ -278,6 +277,6 @@ def made_from(
     return told if tier_of(twin) == "layer" else f"{told}, tier {tier_of(twin)}"
 
 
-def tier_of(twin: SimulatedSensor) -> FitTier:
+def tier_of(twin: SimulatedSensor) -> ContactTier:
     """Return the tier whose forces a twin's quantities explain."""
     return "layer" if twin.posterior is None else twin.posterior.tier

@@ -33,7 +33,7 @@ FEWEST_TARGETS = 2
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the benchmark."""
     from benchmarks.learning.gauge_tables.skins import GROUPS
-    from sim.sensors.posterior import FitTier
+    from sim.result import ContactTier
 
     parser.description = __doc__.split("\n\n")[0]
     add = parser.add_argument
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--size", choices=("gpu", "toy"), default="gpu", help="(%(default)s)")
     add(
         "--fit",
-        choices=get_args(FitTier),
+        choices=get_args(ContactTier),
         default="layer",
         help="tier of twins, their labels and draws (%(default)s)",
     )

@@ -39,7 +39,6 @@ from benchmarks.learning.paper_chain.jobs import (
 from benchmarks.learning.paper_chain.sizes import RECIPES
 from benchmarks.learning.paper_chain.sizes import SIZES as CHAIN_SIZES
 from benchmarks.learning.paper_chain.sizes import Size as ChainSize
-from benchmarks.sim.twin.planted import Truth
 from learning.compensation import SimulatedLabels, own_twin_labels, simulated_labels, twin_forces
 from learning.config import read_settings
 from learning.data.presses import Presses, load_presses
@@ -65,7 +64,7 @@ from recorder.store import replace_file
 from sim.__main__ import main as run_sim
 from sim.dataset.plan import UNSEEN
 from sim.indenters import NAMES
-from sim.sensors.posterior import FitTier
+from sim.result import ContactTier
 
 Floats = NDArray[np.float64]
 
@@ -87,7 +86,7 @@ class Size:
 
     sensors: int | None
     """Number of sensors of the group, the first ones; None: all."""
-    tier: Truth
+    tier: ContactTier
     """Tier of true forces and frames."""
     targets: int
     """Targets under each indenter."""
@@ -156,7 +155,7 @@ class Study(Chain):
     of: Size = SIZES["toy"]
     skins: int = 0
     """Seed of the planted sensors."""
-    fit: FitTier = "layer"
+    fit: ContactTier = "layer"
     """Tier of twins, their labels and draws."""
 
     @property

@@ -12,14 +12,15 @@ from typing import Any
 import numpy as np
 
 from benchmarks.sim.twin.command import usual
-from benchmarks.sim.twin.planted import Bench, Forces, Truth, observed, random_skin, solved
+from benchmarks.sim.twin.planted import Bench, Forces, observed, random_skin, solved
 from recorder.store import replace_file
 from recorder.strict_yaml import yaml_text
 from sim.dataset.plan import Solving, further_settings
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
+from sim.result import ContactTier
 from sim.sensors import CameraSignal, SimulatedSensor, sensor
-from sim.sensors.posterior import FitTier, quantities, with_quantities
+from sim.sensors.posterior import quantities, with_quantities
 from sim.sensors.sensor import read_sensor
 from sim.twin import fitted
 from sim.twin.plan import Presses
@@ -150,8 +151,8 @@ def write_twin(
     each: Planted,
     out: Path,
     *,
-    truth: Truth,
-    fit: FitTier,
+    truth: ContactTier,
+    fit: ContactTier,
     grid: int,
     device: str,
     processes: int,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from sim.dataset.plan import ArchiveTier
+from sim.result import ContactTier
 
 # The paper's force net, its smaller versions, and the net that reads marker displacement.
 NETS = ("paper", "displacement", "half", "quarter", "tiny")
@@ -35,7 +35,7 @@ class Size:
 
     sensors: tuple[str, ...]
     """Sensors, in every direction between two of them."""
-    tier: ArchiveTier
+    tier: ContactTier
     """Tier of frames and true forces."""
     archive: tuple[str, ...]
     """Options of `sim archive sensors`."""

@@ -31,7 +31,6 @@ from benchmarks.sim.twin.planted import (
     GRID,
     Bench,
     Forces,
-    Truth,
     observed,
     random_skin,
     relaxation,
@@ -42,6 +41,7 @@ from recorder.pages import render
 from sim.cli.twin_plan import CHANGE
 from sim.errors import SceneError, SimulationDiverged
 from sim.indenters import NAMES
+from sim.result import ContactTier
 from sim.sensors import sensor
 from sim.sensors.posterior import quantities
 from sim.twin import Model, fitted, misfit
@@ -77,7 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--truth",
-        choices=get_args(Truth),
+        choices=get_args(ContactTier),
         default="layer",
         help="tier of the true forces; by fem, skins are neo-Hookean (%(default)s)",
     )

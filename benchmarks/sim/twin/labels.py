@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 
 from benchmarks.sim.twin.command import each_of, stored
 from benchmarks.sim.twin.pads import DEEPEST, ERRORS, GAUGE, SENSORS, STEPS, Pad, Pressed, table
-from benchmarks.sim.twin.planted import Truth
 from learning.compensation import (
     Grid,
     Prior,
@@ -42,6 +41,7 @@ from recorder.pages import render
 from recorder.progress import Progress
 from sim.errors import SceneError, SimulationDiverged
 from sim.indenters import NAMES
+from sim.result import ContactTier
 from sim.sensors import sensor
 from sim.sensors.posterior import quantities, with_quantities
 from sim.twin.fit import with_effects
@@ -66,7 +66,12 @@ RESAMPLED = 2000
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the benchmark."""
     add = parser.add_argument
-    add("--tier", choices=get_args(Truth), default="fem", help="of the true forces (%(default)s)")
+    add(
+        "--tier",
+        choices=get_args(ContactTier),
+        default="fem",
+        help="of the true forces (%(default)s)",
+    )
     add("--errors", type=names, default=tuple(ERRORS), metavar="NAME,...", help="some (all)")
     add("--indenters", type=names, default=INDENTERS, metavar="NAME,...", help="some of the 18")
     add("--draws", type=whole(1, 1000), default=1, metavar="N", help="pairs of skins (%(default)s)")

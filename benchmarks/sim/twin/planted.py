@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.fem import FOR_EDGES, Fem
 from sim.indenters import Indenter, Part, named
+from sim.result import ContactTier
 from sim.scene import Motion
 from sim.sensors import SimulatedSensor, SurfaceField, sensor
 from sim.sensors.posterior import with_quantities
@@ -28,8 +29,7 @@ GRID = 96
 RATE, SOLVED = 200.0, 50.0
 # Solutions of one hold.
 HELD = 24
-# Tiers of true forces; by `fem` the rate of solutions and those of one hold are a sixth.
-Truth = Literal["layer", "fem"]
+# By `fem` the rate of solutions and those of one hold are a sixth.
 FEWER = 6
 # Width of an indenter without sides, such as a cone [m].
 WIDTH = 7e-3
@@ -121,7 +121,7 @@ def solved(
     bench: Bench,
     *,
     grid: int = GRID,
-    truth: Truth = "layer",
+    truth: ContactTier = "layer",
     fem: Fem = FEM,
     device: str = "cpu",
     with_top: bool = False,
@@ -159,7 +159,7 @@ def felt(
     bench: Bench,
     *,
     grid: int = GRID,
-    truth: Truth = "layer",
+    truth: ContactTier = "layer",
     fem: Fem = FEM,
     kept: Sequence[int] | None = None,
     tops: list[SurfaceField] | None = None,
