@@ -22,7 +22,6 @@ from benchmarks.sim.twin.command import usual
 from benchmarks.sim.twin.planted import (
     Bench,
     Forces,
-    Truth,
     observed,
     random_skin,
     recorded,
@@ -33,6 +32,7 @@ from sim.__main__ import main
 from sim.errors import SceneError
 from sim.markers import Camera
 from sim.markers import named as pattern_of
+from sim.result import ContactTier
 from sim.sensors import (
     CameraReadout,
     CameraSignal,
@@ -524,7 +524,7 @@ def test_draws_come_from_a_twin_alone(capsys: pytest.CaptureFixture[str], tmp_pa
 @pytest.mark.timeout(600)
 def test_true_forces_may_be_those_of_another_tier() -> None:
     shallow = presses("sphere", (0.5e-3,), 0.3e-3, 0.6)
-    found = [solved(planted(), shallow, Bench(), truth=truth) for truth in get_args(Truth)]
+    found = [solved(planted(), shallow, Bench(), truth=truth) for truth in get_args(ContactTier)]
     lows = [each.force[:, 2].min() for each in found]
     assert lows[1] == pytest.approx(lows[0], rel=0.1)
     assert lows[1] != lows[0]
