@@ -3,14 +3,15 @@
 """Preconditioned conjugate gradients on all environments at once, each stopping independently.
 
 The only data read back from the device are the indices of running environments, every `LOOK`
-iterations, and one array of `SCALARS` at the end. The iterations in between are one graph of five
-kernels each, recorded once per number of launched rows, so Python need not launch every kernel. A
-row holds the index of an environment, or -1. When half of the environments have finished, the
-others move together and half as many rows are launched, since idle threads take time as well. Dot
-products are float64 whichever precision the vectors have.
+iterations, and one array of `SCALARS` at the end. The beginning and the iterations in between, of
+five kernels each, are graphs, recorded once per number of launched rows, so Python need not launch
+every kernel. A row holds the index of an environment, or -1. When half of the environments have
+finished, the others move together and half as many rows are launched, since idle threads take time
+as well. Dot products are float64 whichever precision the vectors have.
 """
 
 import functools
+from functools import partial
 
 import numpy as np
 import warp as wp
@@ -223,20 +224,15 @@ class ConjugateGradient:
             accuracy: Target of |r| / |residual|, float64 NumPy (B,).
             most: Most iterations; the graph in which this is reached is completed.
         """
-        start, begin, _step_length, _change, turn = _cg_kernels(self._real, self._lanes)
         running = np.flatnonzero(chosen)
         self._gather(running, renew=True)
         self._accuracy.assign(accuracy)
-        vectors = [self.solution, self._r, self._p, self._product]
-        self._launch(start, [residual], [*vectors, self._scalars])
         grids = self._preconditioner.choose(running)
-        self._advance()
-        self._total(begin, [self._sums, self._accuracy], [self._which, self._scalars])
-        self._launch(turn, [self._scalars, self._z], [self._p])
+        self._repeat(partial(self._begin, residual), 1, residual.ptr)
         kind, done = "cuda" if self._device.is_cuda else "cpu", 0
         while len(running) and done < most:
             look = (LOOK if grids == 1 else LOOK_GRIDS)[kind]
-            self._iterate(look)
+            self._repeat(self._once, look, None)
             done += look
             rows = self._which.numpy()
             running = rows[rows >= 0]
@@ -270,20 +266,32 @@ class ConjugateGradient:
             self._which = self._all_rows[:rows]
             self._which.assign(found)
 
-    def _iterate(self, times: int) -> None:
+    def _repeat(self, work, times: int, begins) -> None:
+        """Do `work` some times as one graph, recorded once for all that it depends on.
+
+        When it is recorded it is done once.
+        """
         if not self._records:
             for _time in range(times):
-                self._once()
+                work()
             return
-        rows = len(self._which), self._preconditioner.grids
-        if rows not in self._graphs:
-            self._once()  # compiles kernels, which a recording must not
+        key = begins, len(self._which), self._preconditioner.grids
+        if key not in self._graphs:
+            work()  # compiles kernels, which a recording must not
             with wp.ScopedCapture(self._device) as capture:
                 for _time in range(times):
-                    self._once()
-            self._graphs[rows] = capture.graph
+                    work()
+            self._graphs[key] = capture.graph
             return
-        wp.capture_launch(self._graphs[rows])
+        wp.capture_launch(self._graphs[key])
+
+    def _begin(self, residual) -> None:
+        start, begin, _step_length, _change, turn = _cg_kernels(self._real, self._lanes)
+        vectors = [self.solution, self._r, self._p, self._product]
+        self._launch(start, [residual], [*vectors, self._scalars])
+        self._advance()
+        self._total(begin, [self._sums, self._accuracy], [self._which, self._scalars])
+        self._launch(turn, [self._scalars, self._z], [self._p])
 
     def _once(self) -> None:
         _start, _begin, step_length, change, turn = _cg_kernels(self._real, self._lanes)
