@@ -292,7 +292,7 @@ def test_presses_at_three_places_tell_the_tilt() -> None:
 
 
 def test_expected_intervals_are_those_of_a_fit(fit: Fit) -> None:
-    planner = Planner(sensor("gelsight"), noise=0.005, grid=COARSE)
+    planner = Planner(sensor("gelsight"), noise=0.005, grid=COARSE, law=fit.law)
     expected = planner.expected([SHORT["sphere"]]).spreads
     for name, found in expected.items():
         assert 0.45 < fit.spreads[name] / found < 2.0, name
@@ -305,7 +305,7 @@ def test_two_indenters_find_a_skin_more_narrowly_than_one(fit: Fit) -> None:
         for seed, name in enumerate(("sphere", "prism"))
     ]
     both = fitted(tracks, sensor("gelsight"), grid=COARSE)
-    planner = Planner(sensor("gelsight"), noise=0.005, grid=COARSE)
+    planner = Planner(sensor("gelsight"), noise=0.005, grid=COARSE, law=both.law)
     expected = planner.expected([SHORT["sphere"], SHORT["prism"]]).spreads
     for name, found in expected.items():
         assert 0.5 < both.spreads[name] / found < 2.0, name
@@ -603,3 +603,13 @@ def test_errors_that_points_have_in_common_are_taken_out_of_residuals() -> None:
     white = _whitened(values, flat)
     wanted = values.T @ np.linalg.solve(np.eye(15) + flat @ flat.T, values)
     assert white.T @ white == pytest.approx(wanted)
+
+
+def test_a_tip_that_falls_between_pixels_is_not_planned() -> None:
+    planner = Planner(sensor("gelsight"), grid=24)
+    tip, *others = (
+        planner.candidates((name,))[-1] for name in ("cone", "hemisphere", "sphere", "torus")
+    )
+    # Long enough for all of them.
+    chosen = planner.best([tip, *others], seconds=300.0, change=20.0)
+    assert set(chosen) == set(others)
