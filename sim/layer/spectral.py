@@ -73,6 +73,8 @@ def compliance(
 MARGIN = 5.0
 # Thickest body over its narrower side: the model has no sides, and the period grows with it.
 THICKNESS_MAX = 2.0
+# Fewest and most pixels along the longer side.
+FEWEST, MOST = 16, 512
 
 
 @dataclass(frozen=True)
@@ -96,8 +98,8 @@ class Grid:
                 f"{limit:g} m, {THICKNESS_MAX:g} times the narrower side (it knows no sides; 'fem' "
                 "does)"
             )
-        if not 16 <= self.count <= 512:
-            raise SceneError(f"grid: {self.count!r}; allowed: 16 to 512")
+        if not FEWEST <= self.count <= MOST:
+            raise SceneError(f"grid: {self.count!r}; allowed: {FEWEST} to {MOST}")
 
     @cached_property
     def shape(self) -> tuple[int, int]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from sim.errors import SceneError
 from sim.indenters import Indenter
+from sim.layer.spectral import FEWEST
 from sim.sensors import SimulatedSensor
 from sim.sensors.posterior import quantities
 from sim.twin.fit import BENCH, COARSER, information, prior_spread, with_effects
@@ -181,7 +182,7 @@ class Planner:
             track = self._track(each)
             model, rougher = (
                 Model(self.design, [track], grid=pixels, indenters=self._indenters)
-                for pixels in (self._grid, round(COARSER * self._grid))
+                for pixels in (self._grid, max(FEWEST, round(COARSER * self._grid)))
             )
             values = {**quantities(self.design), **dict.fromkeys(BENCH, 0.0)}
             near = model.linearised(values, self.names)
