@@ -11,7 +11,6 @@ as well. Dot products are float64 whichever precision the vectors have.
 """
 
 import functools
-from functools import partial
 
 import numpy as np
 import warp as wp
@@ -228,7 +227,7 @@ class ConjugateGradient:
         self._gather(running, renew=True)
         self._accuracy.assign(accuracy)
         grids = self._preconditioner.choose(running)
-        self._repeat(partial(self._begin, residual), 1, residual.ptr)
+        self._repeat(functools.partial(self._begin, residual), 1, residual.ptr)
         kind, done = "cuda" if self._device.is_cuda else "cpu", 0
         while len(running) and done < most:
             look = (LOOK if grids == 1 else LOOK_GRIDS)[kind]

@@ -93,11 +93,11 @@ def _kernels(real):
         for e in range(elements.shape[0]):
             low = vec3()
             high = vec3()
-            own = int(0)
+            apart = int(0)
             for c in range(8):
                 n = elements[e, c]
                 if n == node:
-                    own = int(1)
+                    apart = int(1)
                 away = nodes[m, n] + u[env, n] - point
                 corner[c] = away
                 if c == 0:
@@ -106,7 +106,6 @@ def _kernels(real):
                 low = wp.min(low, away)
                 high = wp.max(high, away)
             slack = margin * extent(low, high)
-            apart = own
             for axis in range(3):
                 if low[axis] > slack or high[axis] < -slack:
                     apart = int(1)
