@@ -241,7 +241,6 @@ NOT_RUN = {
     "independent": "minutes of reference solutions, whose parts have tests",
     "learning-on-gpus": "needs several GPUs; its plan of jobs has tests",
     "live-forces": "minutes of solutions by fem",
-    "paper-chain": "hours on a GPU; its parts have tests",
     "refine": "hours on a CPU",
     "render-picture": "draws minutes of solutions by fem",
     "transfer-skins": "needs the runs of make demo-transfer",

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks.learning.paper_chain import command
 from benchmarks.learning.paper_chain.jobs import force_scores, names
 from benchmarks.learning.paper_chain.page import last_line, write
-from benchmarks.learning.paper_chain.sizes import SIZES
+from benchmarks.learning.paper_chain.sizes import ALL, SIZES
+from learning.errors import LearningError
 from learning.metrics import r_squared
 
 
@@ -38,6 +41,26 @@ def test_every_job_comes_after_those_it_needs() -> None:
         for name, needed in names(size).items():
             assert {*needed} <= {*known}, name
             known.append(name)
+
+
+def test_all_sizes_run_in_turn_until_one_is_not_complete(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun: list[argparse.Namespace] = []
+
+    def run(options: argparse.Namespace) -> int:
+        begun.append(options)
+        return int(len(begun) == 3)
+
+    monkeypatch.setattr(command, "run", run)
+    given = argparse.Namespace(size="all", out=tmp_path, stop_after=100, job=None, only=None)
+    assert command.run_all(given) == 1
+    assert [one.out for one in begun] == [tmp_path / size for size in ALL[:3]]
+    assert [one.size for one in begun] == [*ALL[:3]]
+    assert all(0 < one.stop_after <= 100 for one in begun)
+    given.job = "vae"
+    with pytest.raises(LearningError, match="--job"):
+        command.run_all(given)
 
 
 def test_tables_are_of_the_rows_that_there_are(tmp_path: Path) -> None:

@@ -1,12 +1,13 @@
 """The paper's chain, trained from nothing in minutes, beside simple baselines.
 
-    python -m benchmarks paper-chain --out runs/paper --minutes 2.5 [--gpus 0,1]
+    python -m benchmarks paper-chain --out runs/paper [--size all] [--gpus 0,1]
 
 Simulates three sensors with different markers on one skin, and twelve patterns. Trains the marker
 autoencoder, the one-step latent translator from pattern to pattern and then from sensor to sensor,
 and the paper's force net on translated frames. Beside it: our field translator, the nearest frame,
 a net of marker displacement without a translator, the source's net as it is; and force nets of four
 sizes. The rows go to CSV files. Jobs run one at a time on each GPU; a repeated command goes on.
+Other sizes have other sensors; `--size all` makes the five of the paper's tables and figures.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,16 +31,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="output folder")
     parser.add_argument(
         "--size",
-        default="gpu",
+        default="homogeneous",
         metavar="NAME",
-        help="gpu, heterogeneous, material, skins, hysteresis, brief or toy (%(default)s)",
+        help="homogeneous, skins, hysteresis, heterogeneous, material, brief or toy (%(default)s); "
+        "all: the first five, each in its folder of DIR",
     )
     parser.add_argument(
         "--minutes",
         type=float,
-        default=2.5,
         metavar="N",
-        help="training time of the translator; others get parts of it (%(default)s)",
+        help="training time of the translator; others get parts of it (1 to 2.5, by size)",
     )
     parser.add_argument("--gpus", metavar="N,...", help="GPU numbers, or `cpu` (all GPUs)")
     parser.add_argument(
@@ -64,11 +66,15 @@ def run(options: argparse.Namespace) -> int:
     from benchmarks.learning.paper_chain.sizes import SIZES
     from benchmarks.learning.tables.on_gpus import Machine, _gpus, done_in, run_on
 
+    if options.size == "all":
+        return run_all(options)
     if options.size not in SIZES:
-        raise LearningError(f"--size: found {options.size}; allowed: {', '.join(SIZES)}")
+        raise LearningError(f"--size: found {options.size}; allowed: {', '.join(SIZES)}, all")
+    size, out = SIZES[options.size], options.out
+    if options.minutes is None:
+        options.minutes = size.minutes
     if options.minutes <= 0:
         raise LearningError(f"--minutes: found {options.minutes:g}; allowed: above 0")
-    size, out = SIZES[options.size], options.out
     cores = options.processes or len(os.sched_getaffinity(0))
     if options.job is not None:
         import torch
@@ -87,6 +93,22 @@ def run(options: argparse.Namespace) -> int:
     page.write(out, size)
     print(page.last_line(out, size))
     return int(not complete)
+
+
+def run_all(options: argparse.Namespace) -> int:
+    """Run the sizes of the paper's tables one after the other; one that is not complete ends it."""
+    from benchmarks.learning.paper_chain.sizes import ALL
+
+    if options.job or options.only:
+        raise LearningError("--job, --only: found with --size all; allowed with one size")
+    over = None if options.stop_after is None else time.monotonic() + options.stop_after
+    for size in ALL:
+        left = None if over is None else max(1, round(over - time.monotonic()))
+        print(f"{size}, in {options.out / size}", flush=True)
+        one = {**vars(options), "size": size, "out": options.out / size, "stop_after": left}
+        if run(argparse.Namespace(**one)):
+            return 1
+    return 0
 
 
 def _row(sensor: str) -> str:

@@ -31,7 +31,7 @@ SEED = 0
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """Data and networks of one size, and training times as parts of `--minutes`."""
+    """Data and networks of one size, and training times as parts of `minutes`."""
 
     sensors: tuple[str, ...]
     """Sensors, in every direction between two of them."""
@@ -53,6 +53,8 @@ class Size:
     """Force net that is trained on translated frames."""
     nets: tuple[str, ...]
     """Force nets that are compared on each sensor's own labels."""
+    minutes: float
+    """Training time of the translator, unless `--minutes` says another."""
     scored: int
     """Most frames of a pair of sensors, or of patterns, whose images are scored."""
     precision: str
@@ -81,7 +83,7 @@ class Size:
             "tuned": 0.075,
         }
     )
-    """Training time of each kind of job, over `--minutes`."""
+    """Training time of each kind of job, over `minutes`."""
 
     @property
     def archives(self) -> dict[str, tuple[str, ...]]:
@@ -138,6 +140,7 @@ _GPU = Size(
     field_preset=("ours", "field_stage.batch=96", "map_stage.batch=96"),
     net="paper",
     nets=NETS,
+    minutes=2.5,
     scored=150,
     precision="bf16",
 )
@@ -151,8 +154,9 @@ _SKINS = replace(
 SIZES = {
     # Three of the paper's homogeneous sensors: all pairs that its text names are among theirs. The
     # fourth has a pattern that no network sees.
-    "gpu": replace(
+    "homogeneous": replace(
         _GPU,
+        minutes=2.2,
         sensors=("array-i", "circle-ii", "diamond-i", "circle-i"),
         archive=("--scale", "0.05", "--steps", "4"),
         apart=True,
@@ -165,19 +169,21 @@ SIZES = {
     # Three of the seven skins, and one that no network sees.
     "material": replace(_SKINS, sensors=("r6", "r10", "r18", "r14"), held_out=("r14",)),
     # The paper's seven skins, 42 cells.
-    "skins": replace(_SKINS, sensors=("r6", "r8", "r10", "r12", "r14", "r16", "r18")),
+    "skins": replace(_SKINS, minutes=1.5, sensors=("r6", "r8", "r10", "r12", "r14", "r16", "r18")),
     # Two skins of one sensor, of which one hardly relaxes and the other loses half of its force.
     "hysteresis": replace(
         _GPU,
+        minutes=1.2,
         sensors=("gelsight", "viscous"),
         apart=True,
         nets=("paper", "tiny", "displacement"),
         memory=True,
         parts={"net": 0.6},
     ),
-    # One pair, in 5 minutes of two GPUs; `--minutes 1`.
+    # One pair, in 5 minutes of two GPUs.
     "brief": replace(
         _GPU,
+        minutes=1.0,
         tier="layer",
         archive=("--scale", "0.0625", "--steps", "4"),
         scored=80,
@@ -202,11 +208,14 @@ SIZES = {
         field_preset=("cpu_smoke",),
         net="tiny",
         nets=("tiny", "displacement"),
+        minutes=1.0,
         scored=12,
         precision="no",
         held_out_patterns=("Circle1",),
     ),
 }
+# Sizes of all tables and figures of the paper.
+ALL = ("homogeneous", "skins", "hysteresis", "heterogeneous", "material")
 
 
 def write_base(folder: Path, size: Size) -> None:
