@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -24,6 +25,8 @@ SOONEST, GROWTH = 0.05, 0.8
 IDLE = 0.5
 # A tip that has moved less than this since the last point, within `SOONEST`, is at rest [m].
 STILL = 2e-6
+# The same over the noise of the poses, if that is more.
+NOISY = 6.0
 # Time after a move in which forces may still belong to it, however late they are read [s].
 SETTLING = 0.06
 # Half of the longest and of the shortest time over which a force is averaged [s].
@@ -53,6 +56,8 @@ class Track:
     """Run of the session."""
     origin_ns: int = 0
     """Time 0 on the clock of that run [ns]."""
+    still: float = STILL
+    """A tip that moves less between two points is at rest [m]."""
 
     @property
     def rest(self) -> NDArray[np.bool_]:
@@ -60,7 +65,7 @@ class Track:
         found = np.zeros(len(self.time), bool)
         since = self.time[0]
         for row in range(1, len(self.time)):
-            if np.linalg.norm(self.tip[row] - self.tip[row - 1]) > STILL:
+            if np.linalg.norm(self.tip[row] - self.tip[row - 1]) > self.still:
                 since = self.time[row]
             found[row] = self.time[row] - since >= SETTLING
         return found
@@ -143,27 +148,52 @@ def track_of(
         )
     noise = float(force[free].std(axis=0).max())
     force = force - _zeros(force_time, force, free)
-    points = _points(time, tip)
+    still = max(STILL, NOISY * _jitter(tip))
+    points = _points(time, tip, still)
     step = np.diff(time[points])
     reach = np.minimum(np.r_[step, step[-1]], np.r_[step[0], step])
     half = np.clip(0.4 * reach, WINDOW_LEAST, WINDOW)
-    first = np.searchsorted(force_time, time[points] - half)
-    last = np.maximum(np.searchsorted(force_time, time[points] + half, side="right"), first + 1)
-    last = np.minimum(last, len(force_time))
-    first = np.minimum(first, last - 1)
-    sums = np.concatenate([np.zeros((1, 3)), np.cumsum(force, axis=0)])
-    count = last - first
+    start, stop = time[points] - half, time[points] + half
+    mean, count = _means(force_time, force, start, stop)
     below = tip[points, 2] <= FREE
     target = np.where(below, np.cumsum(np.diff(np.r_[False, below].astype(int)) > 0) - 1, -1)
-    return Track(
+    track = Track(
         name=name,
         indenter=indenter,
         time=time[points],
         tip=tip[points],
-        force=(sums[last] - sums[first]) / count[:, None],
+        force=mean,
         noise=noise / np.sqrt(count),
         target=target.astype(np.int64),
+        still=still,
     )
+    if still == STILL:
+        return track
+    places, _ = _means(time, tip, start, stop)
+    return replace(track, tip=np.where(track.rest[:, None], places, track.tip))
+
+
+def _jitter(tip: Array) -> float:
+    """Return the standard deviation of the noise of tips (n, 3) [m], on the noisiest axis.
+
+    It is that of second differences, by their median: most of a path is straight.
+    """
+    bent = np.median(np.abs(np.diff(tip, 2, axis=0)), axis=0) if len(tip) > 2 else np.zeros(3)
+    # A normal distribution has half of its values within 0.6745 standard deviations.
+    return float(bent.max()) / (0.6745 * math.sqrt(6))
+
+
+def _means(
+    time: Array, values: Array, start: Array, stop: Array
+) -> tuple[Array, NDArray[np.int64]]:
+    """Return means (n, 3) of values (m, 3) between times (n,), of one at least, and their count."""
+    first = np.searchsorted(time, start)
+    last = np.maximum(np.searchsorted(time, stop, side="right"), first + 1)
+    last = np.minimum(last, len(time))
+    first = np.minimum(first, last - 1)
+    sums = np.concatenate([np.zeros((1, 3)), np.cumsum(values, axis=0)])
+    count = last - first
+    return (sums[last] - sums[first]) / count[:, None], count
 
 
 def _zeros(time: Array, force: Array, free: NDArray[np.bool_]) -> Array:
@@ -178,9 +208,21 @@ def _zeros(time: Array, force: Array, free: NDArray[np.bool_]) -> Array:
     return zeros
 
 
-def _points(time: Array, tip: Array) -> NDArray[np.int64]:
-    """Return rows at which to solve: evenly along the path, ever rarer while the tip rests."""
+def _points(time: Array, tip: Array, still: float) -> NDArray[np.int64]:
+    """Return rows at which to solve: evenly along the path, ever rarer while the tip rests.
+
+    Those where the tip starts and stops are among them: a stop that is missing would be a slower
+    move that goes on into the rest, and drags the skin for longer.
+
+    Args:
+        time: Times (m,) [s].
+        tip: Tips (m, 3) [m].
+        still: A tip that moves less is at rest [m].
+    """
     step = -tip[:, 2].min() / POINTS
+    ahead = np.minimum(np.searchsorted(time, time + SOONEST / 2), len(time) - 1)
+    moves = np.abs(tip[ahead] - tip).max(axis=1) > still
+    turns = np.r_[False, moves[1:] != moves[:-1]]
     kept, since = [0], time[0]
     for row in range(1, len(time)):
         last = kept[-1]
@@ -194,10 +236,14 @@ def _points(time: Array, tip: Array) -> NDArray[np.int64]:
             since = time[row]
             continue
         way = tip[row] - tip[last]
+        if turns[row] and tip[row, 2] <= FREE:
+            since = time[row]
+            kept.append(row)
+            continue
         moved = abs(way[2]) >= step or np.hypot(way[0], way[1]) >= SIDEWAYS
         if not moved and passed < SOONEST:
             continue
-        if moved or np.abs(way).max() > STILL:
+        if moved or np.abs(way).max() > still:
             since = time[row]
             kept.append(row)
         elif passed >= GROWTH * (time[last] - since):

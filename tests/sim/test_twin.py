@@ -415,6 +415,38 @@ def test_points_are_dense_in_motion_and_rare_at_rest() -> None:
     assert np.all(np.diff(track.time) > 0)
 
 
+def test_points_are_where_the_tip_starts_and_stops() -> None:
+    """Without them a rest is a slow move, whose drag makes shear 2 to 4 % too large at rest."""
+    skin = with_quantities(planted(), {"friction": 0.3})
+    sheared = presses("sphere_s", (0.8e-3,), 0.8e-3, 0.6)
+    track = observed(skin, sheared, Bench(noise=1e-6), 0, grid=COARSE)
+    corners, tips = sheared.path()
+    for corner in corners[np.minimum(tips[:, 2], np.roll(tips[:, 2], 1)) < 0]:
+        assert np.abs(track.time - corner).min() < 0.03
+    level = dict.fromkeys(("height", "compliance", "turn_x", "turn_y", "turn_z"), 0.0)
+    values = {**quantities(skin), **level}
+    (read,) = Model(skin, [track], grid=COARSE).readings(values)
+    shear, expected = (np.linalg.norm(each[:, :2], axis=1) for each in (read, track.force))
+    rest = track.rest & track.contact & (expected > 0.3 * expected.max())
+    assert rest.sum() >= 4
+    assert shear[rest].sum() == pytest.approx(expected[rest].sum(), rel=5e-3)
+
+
+def test_noisy_poses_rest_as_exact_ones_do(press: tuple[Any, Any, Any]) -> None:
+    time, tip, force = press
+    noise = np.random.default_rng(0).normal(0.0, 4e-6, tip.shape)
+    exact, noisy = (track_of("a", "sphere", time, each, time, force) for each in (tip, tip + noise))
+    assert exact is not None
+    assert noisy is not None
+    rest = exact.rest & exact.contact
+    assert len(noisy.time) == pytest.approx(len(exact.time), rel=0.2)
+    assert (noisy.rest & noisy.contact).sum() == pytest.approx(rest.sum(), rel=0.2)
+    # Where a tip rests its poses are averaged.
+    near = [np.argmin(np.abs(noisy.time - each)) for each in exact.time[rest]]
+    off = noisy.tip[near] - exact.tip[rest]
+    assert np.sqrt(np.mean(off**2)) < 2e-6
+
+
 def test_a_path_without_contact_is_no_track() -> None:
     time = np.arange(0.0, 1.0, 0.01)
     tip = np.full((len(time), 3), 1e-3)
