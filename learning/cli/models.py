@@ -67,27 +67,11 @@ def _use(options: argparse.Namespace) -> None:
 
 
 def _add(options: argparse.Namespace) -> None:
-    """Collect weights, settings, ONNX and card in a folder, and publish that."""
-    import shutil
-    import tempfile
-
     from learning.errors import LearningError
-    from learning.force import load_force_model
-    from learning.force.export import export_onnx
+    from learning.force.publish import publish
 
     if not options.card.is_file():
         raise LearningError(f"--card: found no {options.card}; allowed: a file of text")
     card = options.card.read_text(encoding="utf-8")
-    text = next((line for line in card.splitlines() if line and not line.startswith("#")), "")
-    if not text:
-        raise LearningError(f"{options.card}: found no text; allowed: a first line that says it")
-    model = load_force_model(options.model)
-    with tempfile.TemporaryDirectory() as folder:
-        part = Path(folder)
-        for name in ("model.safetensors", "config.yaml", "intervals.json"):
-            if (options.model / name).is_file():
-                shutil.copy(options.model / name, part / name)
-        export_onnx(model, part / "model.onnx")
-        (part / "card.md").write_text(card, encoding="utf-8")
-        found = models.add(part, options.to, options.name, licence=options.licence, text=text)
+    found = publish(options.model, options.to, options.name, card, licence=options.licence)
     print(f"{options.to / options.name}: {len(found.files)} files; listed in {models.INDEX}")

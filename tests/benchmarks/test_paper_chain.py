@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.learning.paper_chain import command
+from benchmarks.learning.paper_chain.card import card
 from benchmarks.learning.paper_chain.jobs import force_scores, names
 from benchmarks.learning.paper_chain.page import last_line, write
 from benchmarks.learning.paper_chain.sizes import ALL, SIZES
@@ -41,6 +42,37 @@ def test_every_job_comes_after_those_it_needs() -> None:
         for name, needed in names(size).items():
             assert {*needed} <= {*known}, name
             known.append(name)
+
+
+def test_the_card_of_a_net_has_its_data_split_seed_and_errors() -> None:
+    row = {"target": "gelsight", "net": "displacement", "seed": "0", "frames": "36"}
+    row |= {"r2": "0.98", "r2_low": "0.97", "r2_high": "0.99"}
+    row |= {f"r2_f{axis}": value for axis, value in zip("xyz", ("0.8", "0.7", "0.6"), strict=True)}
+    for axis in ("shear", "fz"):
+        row |= {f"mae_{axis}{end}_n": f"0.{len(axis)}" for end in ("", "_low", "_high")}
+    text = card(
+        row,
+        millions=0.677,
+        archive="--sensors gelsight",
+        frames=54,
+        trained=["prism"],
+        tested=["wave", "torus"],
+        seconds=9.5,
+    )
+    first = text.splitlines()[2]
+    assert first.startswith(
+        "Fx, Fy, Fz of the simulated sensor `gelsight` from marker displacement"
+    )
+    for part in (
+        "0.68 M weights",
+        "54 frames",
+        "trained on prism; tested on wave, torus",
+        "Seed 0",
+        "R2 0.98 (0.97 to 0.99) (Fx 0.8, Fy 0.7, Fz 0.6)",
+        "of Fz 0.2 N (0.2 to 0.2)",
+        "Apache-2.0",
+    ):
+        assert part in text, part
 
 
 def test_all_sizes_run_in_turn_until_one_is_not_complete(

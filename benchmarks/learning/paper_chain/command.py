@@ -91,6 +91,8 @@ def run(options: argparse.Namespace) -> int:
     due = _tasks(options, cores, done_in(out))
     complete = run_on(due, Machine(gpus, options.per_gpu), out, options.stop_after)
     page.write(out, size)
+    if "weights" in done_in(out):
+        print(f"nets of the sensors' own labels: tactile models list --from {out / 'weights'}")
     print(page.last_line(out, size))
     return int(not complete)
 

@@ -24,6 +24,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from benchmarks.learning.paper_chain.card import card
 from benchmarks.learning.paper_chain.sizes import ALONE, RECIPES, SEED, Size, write_base
 from learning.compensation import StoredCompensation
 from learning.compensation.fit import find_compensation
@@ -46,6 +47,7 @@ from learning.experiment.parts import frames_of_a_press, look_of
 from learning.experiment.translating import translate_presses
 from learning.force.model import KIND as FORCE
 from learning.force.model import ForceModel, load_force_model
+from learning.force.publish import publish
 from learning.force.train import PRESETS as NET_PRESETS
 from learning.force.train import Compensation, ForceSettings, StageSettings, train_force
 from learning.metrics import r_squared, r_squared_of_sums
@@ -63,6 +65,7 @@ from learning.translation.translator import SensorView, Translator, for_pair
 from recorder import MarkerArchive
 from recorder.archive import location_pairs
 from recorder.markers import pack
+from recorder.models import INDEX, listed
 
 Floats = NDArray[np.float64]
 TRANSLATORS = ("m2m", "field")
@@ -762,6 +765,40 @@ def latency(chain: Chain) -> None:
             chain.add("latency", row)
 
 
+def weights(chain: Chain) -> None:
+    """Publish the nets of the sensors' own labels, with cards, in `weights` of the folder."""
+    place = chain.out / "weights"
+    known = {each.name for each in listed(place)} if (place / INDEX).exists() else set()
+    for row in chain.rows("forces"):
+        preset, sensor = row["net"], row["target"]
+        name = f"{sensor}-{preset}"
+        if row["method"] == "own labels" and name not in known:
+            known.add(name)
+            publish(chain.model(f"{preset}-{sensor}"), place, name, _card(chain, row))
+
+
+def _card(chain: Chain, row: dict[str, str]) -> str:
+    """Return the card of the net of a sensor's own labels, by its row of errors."""
+    preset, sensor = row["net"], row["target"]
+    table = chain.archive[sensor].table
+    trained, tested = (chain.split.rows(table, role) for role in ("train", UNSEEN))
+
+    def indenters(rows: NDArray[np.int64]) -> list[str]:
+        return [chain.archive.indenters[code] for code in np.unique(table["indenter"][rows])]
+
+    model = load_force_model(chain.model(f"{preset}-{sensor}"))
+    took = {each["network"]: float(each["seconds"]) for each in chain.rows("trainings")}
+    return card(
+        row,
+        millions=sum(each.numel() for each in model.parameters()) / 1e6,
+        archive=f"--sensors {sensor} --tier {chain.size.tier} {' '.join(chain.size.archive)}",
+        frames=len(trained),
+        trained=indenters(trained),
+        tested=indenters(tested),
+        seconds=took[f"{preset}-{sensor}"],
+    )
+
+
 def names(size: Size) -> dict[str, tuple[str, ...]]:
     """Return the names of all jobs, the most urgent first, and those that each needs."""
     data = tuple(f"archive {name}" for name in size.archives)
@@ -782,6 +819,7 @@ def names(size: Size) -> dict[str, tuple[str, ...]]:
         jobs["patterns"] = ("m2m-patterns",)
     trained = (name for name in jobs if name.startswith(("own", "nets")))
     jobs["latency"] = tuple(trained)
+    jobs["weights"] = ("latency",)
     return jobs
 
 
@@ -799,5 +837,6 @@ def run_job(chain: Chain, name: str) -> None:
         "nets": nets,
         "memory": memory,
         "latency": latency,
+        "weights": weights,
     }
     found[kind](chain, *arguments)
