@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from collections import Counter
 from pathlib import Path
 
 from recorder.command_line.options import add_grid, names, positive
@@ -74,12 +75,18 @@ def run(options: argparse.Namespace) -> int:
 
     design = sensor_of(options.sensor)
     planner = Planner(design, noise=1e-3 * options.noise, grid=options.grid)
+    candidates = planner.candidates(options.indenters or NAMES)
     with Progress("plan", sys.stderr) as progress:
         chosen = planner.best(
-            planner.candidates(options.indenters or NAMES),
-            seconds=60 * options.minutes,
-            change=options.change,
-            progress=progress,
+            candidates, seconds=60 * options.minutes, change=options.change, progress=progress
+        )
+    if rough := planner.rough(candidates):
+        left_out = Counter(each.indenter for each in rough)
+        every = Counter(each.indenter for each in candidates)
+        told = ", ".join(f"{name} ({count} of {every[name]})" for name, count in left_out.items())
+        print(
+            f"left out, because forces jump between pixels (a finer --grid has fewer): {told}",
+            file=sys.stderr,
         )
     planned, usual = sessions(chosen), planner.usual()
     bench = options.bench or f"{Path(options.sensor).stem}.yaml"

@@ -235,8 +235,8 @@ class Planner:
         for done, each in enumerate(candidates):
             self.information(each)
             progress((done + 1) / len(candidates))
-        most = ROUGH * float(np.median([self._grid_error[each] for each in candidates]))
-        smooth = [each for each in candidates if self._grid_error[each] <= most]
+        rough = self.rough(candidates)
+        smooth = [each for each in candidates if each not in rough]
         _require(smooth, seconds, change)
         chosen: list[Presses] = []
         while True:
@@ -253,6 +253,13 @@ class Planner:
             if best is None:
                 return chosen
             chosen += best[1]
+
+    def rough(self, candidates: Sequence[Presses]) -> list[Presses]:
+        """Return those whose forces differ by more than `ROUGH` times the median on two grids."""
+        for each in candidates:
+            self.information(each)
+        most = ROUGH * float(np.median([self._grid_error[each] for each in candidates]))
+        return [each for each in candidates if self._grid_error[each] > most]
 
     def _robust(self, chosen: Sequence[Presses]) -> Expected:
         """Return the uncertainty if all forces of an indenter have a common error, `PRINT`."""

@@ -645,3 +645,4 @@ def test_a_tip_that_falls_between_pixels_is_not_planned() -> None:
     # Long enough for all of them.
     chosen = planner.best([tip, *others], seconds=300.0, change=20.0)
     assert set(chosen) == set(others)
+    assert planner.rough([tip, *others]) == [tip]
