@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -32,8 +33,11 @@ from rig.mock.world.simulated import (
     gone_on,
     live_sensor,
     markers_of,
+    note_on,
 )
 from rig.mock.world.solver import Shared, Solver
+from sim.sensors import Posterior, sensor
+from sim.twin.record import twin_yaml
 
 MS = 1_000_000
 FRAME = (0.1, -0.2, 0.3, 0.0, 0.0, 0.0)
@@ -88,6 +92,18 @@ def test_a_bench_without_a_simulated_sensor_says_so() -> None:
 def test_a_simulated_world_is_read_strictly(values: dict[str, Any], word: str) -> None:
     with pytest.raises(ConfigError, match=word):
         build(SimulatedSpec, values, "bench.world")
+
+
+def test_a_twin_that_another_tier_fitted_is_named(tmp_path: Path) -> None:
+    assert note_on(COARSE) == ""
+    told = Posterior.of(["modulus"], np.array([[0.01]]), "fem")
+    for posterior, word in ((replace(told, tier="layer"), ""), (told, "fitted by tier fem")):
+        row = tmp_path / "mine.yaml"
+        twin = replace(sensor("gelsight"), posterior=posterior)
+        row.write_text(twin_yaml(twin, "gelsight.yaml", ["a.zarr"]))
+        note = note_on(SimulatedSpec(sensor=str(row)))
+        assert word in note
+        assert bool(word) == bool(note)
 
 
 def test_sensors_and_indenters_that_are_not_there_are_refused_by_name() -> None:

@@ -218,6 +218,14 @@ def live_sensor(spec: SimulatedSpec, indenter: str) -> LiveSensor:
         raise ConfigError(f"world: {error}") from None
 
 
+def note_on(spec: SimulatedSpec) -> str:
+    """Return a note on a twin whose fit was by another tier than the one that presses it here."""
+    posterior = _row(spec).posterior
+    if posterior is None or posterior.tier == "layer":
+        return ""
+    return f"; its skin was fitted by tier {posterior.tier}, and tier layer gives it other forces"
+
+
 def markers_of(spec: SimulatedSpec) -> tuple[LiveMarkers, tuple[int, int]]:
     """Return the simulated sensor's markers, and the shape (X, Y) of its deformation's points.
 

@@ -27,7 +27,7 @@ from rig.core.realtime import SOLVER_PRIORITY
 from rig.core.samples import ARM_TRUTH, PRESS_STATE, surface_state
 from rig.core.shared_memory import SharedLatest
 from rig.mock.world import ARM_FILE, WorldConfig
-from rig.mock.world.simulated import PRESS_FILE, SURFACE_FILE, ContactFrame, live_sensor
+from rig.mock.world.simulated import PRESS_FILE, SURFACE_FILE, ContactFrame, live_sensor, note_on
 
 if TYPE_CHECKING:
     from rig.mock.world.simulated import LiveSensor
@@ -191,7 +191,7 @@ def emulate(settings: WorldConfig, clock: Clock) -> Served:
     spec = settings.world
     if not isinstance(spec, SimulatedSpec):
         raise ConfigError(f"world.kind: found {spec.KIND!r}; allowed: 'simulated'")
-    live = live_sensor(spec, settings.indenter)
+    live, note = live_sensor(spec, settings.indenter), note_on(spec)
     shared = Shared(settings.folder, live)
     arm = SharedLatest.attach(settings.folder / ARM_FILE, ARM_TRUTH)
     solver = Solver(
@@ -201,7 +201,7 @@ def emulate(settings: WorldConfig, clock: Clock) -> Served:
     def conclude() -> int:
         shared.close()
         arm.close()
-        print(f"solver: {solver}", file=sys.stderr, flush=True)
+        print(f"solver: {solver}{note}", file=sys.stderr, flush=True)
         if solver.failed is None:
             return 0
         print(f"solver: {solver.failed}", file=sys.stderr, flush=True)
