@@ -507,18 +507,17 @@ def _step(names: Sequence[str], values: Mapping[str, float], normal: Array, slop
     return step
 
 
-def information(tracks: Sequence[Track], near: Linear, timing: float, law: float) -> Array:
+def information(data: Data, near: Linear, timing: float, law: float) -> Array:
     """Return what tracks tell of the quantities (p, p): without a prior, an inverse covariance.
 
     Args:
-        tracks: The tracks.
+        data: The tracks, and errors of the grid.
         near: Readings and slopes of all of them.
         timing: Timing error between arm and gauge [s].
         law: Relative error of the law at rest.
     """
-    sigma = _sigmas(tracks, near, timing, law)
-    exact = Data(tracks, [np.zeros_like(track.force) for track in tracks])
-    _, jacobian = _stacked(exact, near.readings, sigma, near.slopes)
+    sigma = _sigmas(data.tracks, near, timing, law)
+    _, jacobian = _stacked(data, near.readings, sigma, near.slopes)
     told: Array = jacobian.T @ jacobian
     return told
 
@@ -669,12 +668,17 @@ def _common(force: Array, target: NDArray[np.int64], rest: NDArray[np.int64], of
         for axes in ([0, 1], [2]):
             of_all = _part(force, off, of_press, axes)
             rests = np.unique(rest[of_press])
-            # A dragged tip's edges lie elsewhere in their pixels in each rest.
-            apart = [_part(force, off, of_press & (rest == one), axes) - of_all for one in rests]
-            changing = math.sqrt(np.mean(np.square(apart)))
+            # A dragged tip's edges lie elsewhere in their pixels in each rest. A rest counts by its
+            # force: without shear the part of it that is off says nothing.
+            each = [of_press & (rest == one) for one in rests]
+            apart = [_part(force, off, rows, axes) - of_all for rows in each]
+            weights = [float(np.sum(np.square(force[rows][:, axes]))) for rows in each]
+            changing = 0.0
+            if any(weights):
+                changing = math.sqrt(np.average(np.square(apart), weights=weights))
             for rows, size in (
                 (of_press, math.hypot(COMMON, of_all)),
-                *((of_press & (rest == one), changing) for one in rests if len(rests) > 1),
+                *((rows, changing) for rows in each if len(rests) > 1),
             ):
                 error = np.zeros_like(force)
                 error[np.ix_(rows, axes)] = size * force[rows][:, axes]

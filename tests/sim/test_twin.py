@@ -626,7 +626,7 @@ def test_errors_that_points_have_in_common_are_taken_out_of_residuals() -> None:
     ]
     last, all_ = (np.square(force[row, 2]).sum() for row in (rest == 3, press == 1))
     mean = 0.02 * last / all_
-    changing = math.sqrt((mean**2 + (0.02 - mean) ** 2) / 2)
+    changing = math.sqrt((mean**2 * (all_ - last) + (0.02 - mean) ** 2 * last) / all_)
     assert size[:3] == pytest.approx([math.hypot(0.01, 0.03), 0.01, math.hypot(0.01, 0.03)])
     assert size[3:5] == pytest.approx([0, 0], abs=1e-12)
     assert size[5:] == pytest.approx([math.hypot(0.01, mean), changing, changing])
@@ -635,6 +635,17 @@ def test_errors_that_points_have_in_common_are_taken_out_of_residuals() -> None:
     white = _whitened(values, flat)
     wanted = values.T @ np.linalg.solve(np.eye(15) + flat @ flat.T, values)
     assert white.T @ white == pytest.approx(wanted)
+
+
+def test_a_rest_without_shear_does_not_tell_the_error_of_the_others() -> None:
+    force = np.array([[1e-6, 0.0, -2.0], [0.5, 0.0, -2.0]])
+    press, rest = np.zeros(2, int), np.array([1, 2])
+    off = np.array([[2e-6, 0.0, 0.0], [5e-3, 0.0, 0.0]])
+    common = _common(force, press, rest, off)
+    # Of shear: of both rests, and of each.
+    of_both, *each = (np.linalg.norm(common[:, :2, k]) / 0.5 for k in range(3))
+    assert of_both == pytest.approx(math.hypot(0.01, 0.01), rel=1e-3)
+    assert max(each) < 1e-3
 
 
 def test_a_tip_that_falls_between_pixels_is_not_planned() -> None:
@@ -646,3 +657,5 @@ def test_a_tip_that_falls_between_pixels_is_not_planned() -> None:
     chosen = planner.best([tip, *others], seconds=300.0, change=20.0)
     assert set(chosen) == set(others)
     assert planner.rough([tip, *others]) == [tip]
+    with pytest.raises(SceneError, match="cone: forces jump between 24 pixels"):
+        planner.best([tip], seconds=300.0, change=20.0)
