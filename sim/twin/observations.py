@@ -236,11 +236,8 @@ def _points(time: Array, tip: Array, still: float) -> NDArray[np.int64]:
             since = time[row]
             continue
         way = tip[row] - tip[last]
-        if turns[row] and tip[row, 2] <= FREE:
-            since = time[row]
-            kept.append(row)
-            continue
         moved = abs(way[2]) >= step or np.hypot(way[0], way[1]) >= SIDEWAYS
+        moved |= turns[row] and tip[row, 2] <= FREE
         if not moved and passed < SOONEST:
             continue
         if moved or np.abs(way).max() > still:

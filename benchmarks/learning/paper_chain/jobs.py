@@ -786,11 +786,11 @@ def _card(chain: Chain, row: dict[str, str]) -> str:
     def indenters(rows: NDArray[np.int64]) -> list[str]:
         return [chain.archive.indenters[code] for code in np.unique(table["indenter"][rows])]
 
-    model = load_force_model(chain.model(f"{preset}-{sensor}"))
+    count = {each["net"]: int(each["weights"]) for each in chain.rows("latency")}
     took = {each["network"]: float(each["seconds"]) for each in chain.rows("trainings")}
     return card(
         row,
-        millions=sum(each.numel() for each in model.parameters()) / 1e6,
+        millions=count[preset] / 1e6,
         archive=f"--sensors {sensor} --tier {chain.size.tier} {' '.join(chain.size.archive)}",
         frames=len(trained),
         trained=indenters(trained),
