@@ -25,19 +25,13 @@ def touched_by(traction: NDArray[np.floating[Any]]) -> Mask:
 
 
 def width_of(touched: Mask, x: Array, y: Array) -> float:
-    """Return `widths_of` of one contact (X, Y)."""
-    return float(widths_of(touched[None], x, y)[0])
-
-
-def widths_of(touched: Mask, x: Array, y: Array) -> Array:
-    """Return the diameters of the largest discs within touched points (F, X, Y); 0 if none (F,).
+    """Return the diameter of the largest disc within touched points (X, Y); 0 if there are none.
 
     A touched node counts as touched half-way to its neighbours.
     """
-    width, some = np.zeros(len(touched)), touched.any(axis=(1, 2))
-    if some.any():
-        width[some] = 2 * half_widths(touched[some], pixel_edges(x), pixel_edges(y))
-    return width
+    if not touched.any():
+        return 0.0
+    return 2.0 * float(half_widths(touched[None], pixel_edges(x), pixel_edges(y))[0])
 
 
 def pixel_edges(places: Array) -> Array:

@@ -18,14 +18,16 @@ from numpy.typing import NDArray
 from sim.fem.contact import contact_kernels, face_rule
 from sim.fem.crossing import MAY_CROSS, Crossing
 from sim.fem.element import GAUSS_POINTS, Branches, element_kernels
+from sim.fem.graphs import Graphs
 from sim.fem.matrix import HALF_POISSON, BlockMatrix
 from sim.fem.mesh import Mesh
 from sim.fem.multigrid import Multigrid
 from sim.fem.numerics import Fem
 from sim.fem.overlap import COLUMNS, overlap_kernel
 from sim.fem.reading import COLUMNS as READ_COLUMNS
-from sim.fem.reading import LANES, READ, TOP, reading_kernels
+from sim.fem.reading import READ, TOP, reading_kernels
 from sim.fem.vectors import (
+    LANES,
     RUN,
     SUMS,
     axpy,
@@ -55,6 +57,11 @@ AWAY = (0.0, 0.0, 1e3)
 # it was 58 mN, and a sphere of 0.5 mm, on which 1.9 mN act, had forces 2 % off.
 MIN_FORCE_SCALE = {"float32": 1e-3, "float64": 1e-5}
 WIDE = 1 / 12
+# Most environments of a batch whose launches beside those of conjugate gradients are recorded as
+# graphs. With more of them a GPU has enough to do, and masks of active ones rarely come again.
+FEW = 16
+# Masks of environments that are kept on the device.
+MASKS = 8
 
 # Sums over a state, for each environment of a batch.
 
@@ -117,6 +124,7 @@ class SolverState:
         def zeros(shape, dtype):
             return wp.zeros(shape, dtype=dtype, device=device)
 
+        self._masks: dict[bytes, wp.array] = {}
         self.everyone = wp.ones(count, dtype=wp.int32, device=device)
         """Mask with every environment."""
         self.tip = zeros(count, vec3)
@@ -218,7 +226,7 @@ class SolverState:
     def start(self, tip: np.ndarray) -> None:
         """Put the tips at their positions before the first step (B, 3)."""
         self.tip_before[:] = self._tip_after[:] = tip
-        self.tip_old.assign(self._array(tip, self.tip.dtype))
+        self._put(self.tip_old, tip)
         self.set_tip(np.ones(len(tip), bool))
 
     def history(self, chosen: Sequence[int]) -> dict[str, np.ndarray]:
@@ -274,7 +282,7 @@ class SolverState:
             guess: Fraction of the last accepted change of `u` that `u` begins with (B,).
         """
         self._tip_after[chosen] = tip[chosen]
-        active = self._mask(chosen)
+        active = self.mask(chosen)
         fraction = self._array(guess, self._real)
         extrapolate(active, fraction, self.u_old, self._u_before, self.u)
         self._remember(active, duration)
@@ -284,7 +292,7 @@ class SolverState:
         """Set the material's history, `duration` (B,) [s] after the last step."""
         if self._branches is not None:
             stress, self._bulk_growth = self._branches.begin(active, duration)
-            self.viscous[0].assign(self._array(stress, self._real))
+            self._put(self.viscous[0], stress)
         self.follow_volume(active)
 
     def follow_volume(self, active) -> None:
@@ -294,14 +302,14 @@ class SolverState:
             factor = factor * self.volume.fraction
             self.volume.compose(active)
         if self.volume is not None or self._branches is not None:
-            self.viscous[1].assign(self._array(factor, self._real))
+            self._put(self.viscous[1], factor)
 
     def _foresee(self, active, duration: np.ndarray) -> None:
         """Predict the motion of mass without forces in the step of `duration` (B,) [s]."""
         if "inertia" in self._effects:
             step = np.maximum(duration, 1e-12)
             self.rates = self._mass / step**2
-            self.inertia_rate.assign(self._array(self.rates, self._real))
+            self._put(self.inertia_rate, self.rates)
             fraction = self._array(step / self._duration_old, self._real)
             extrapolate(active, fraction, self.u_old, self._u_before, self.predicted)
 
@@ -311,7 +319,7 @@ class SolverState:
         `duration` (B,) [s] is that of the whole step, and `way` (B, N) the displacement of the
         nodes over it, with constant acceleration.
         """
-        active = self._mask(chosen)
+        active = self.mask(chosen)
         if self.volume is not None:
             self.volume.put_within(active, fraction)
         self._remember(active, np.where(chosen, fraction, 1.0) * duration)
@@ -322,19 +330,19 @@ class SolverState:
 
     def put_weight(self, fraction: np.ndarray) -> None:
         """Set the fraction of their weight that bodies have (B,)."""
-        self.weight.assign(self._array(self._weight * fraction[:, None], self.weight.dtype))
+        self._put(self.weight, self._weight * fraction[:, None])
 
     def put_tip_away(self, chosen: np.ndarray) -> None:
         """Move the tips of the chosen environments (B,) to where they touch nothing."""
         self._tip_now[chosen] = AWAY
-        self.tip.assign(self._array(self._tip_now, self.tip.dtype))
+        self._put(self.tip, self._tip_now)
 
     def set_tip(self, chosen: np.ndarray, *, before: bool = False) -> None:
         """Put the tips of the chosen environments (B,) at the end of their step, or its start."""
         if not chosen.any():
             return
         self._tip_now[chosen] = (self.tip_before if before else self._tip_after)[chosen]
-        self.tip.assign(self._array(self._tip_now, self.tip.dtype))
+        self._put(self.tip, self._tip_now)
 
     @property
     def step(self) -> np.ndarray:
@@ -366,7 +374,7 @@ class SolverState:
 
     def accept(self, chosen: np.ndarray, duration: np.ndarray, mesh, material) -> None:
         """Make the current state of the chosen environments (B,) the start of their next step."""
-        active = self._mask(chosen)
+        active = self.mask(chosen)
         if self._branches is not None:
             self._branches.keep(mesh, material, active, self.u)
         self._duration_old[chosen] = np.maximum(duration, 1e-12)[chosen]
@@ -379,10 +387,24 @@ class SolverState:
         if "friction" in self._effects:
             copy_active(active, self.traction, self.traction_old)
         self.tip_before[chosen] = self._tip_after[chosen]
-        self.tip_old.assign(self._array(self.tip_before, self.tip.dtype))
+        self._put(self.tip_old, self.tip_before)
 
-    def _mask(self, chosen: np.ndarray):
-        return wp.array(chosen.astype(np.int32), dtype=wp.int32, device=self._device)
+    def mask(self, chosen: np.ndarray):
+        """Return the chosen environments (B,) as a mask for the kernels, which do not change it.
+
+        A sweep needs the same masks again and again; each is copied to a GPU once.
+        """
+        key = chosen.tobytes()
+        if key not in self._masks:
+            if len(self._masks) == MASKS:
+                del self._masks[next(iter(self._masks))]
+            found = chosen.astype(np.int32)
+            self._masks[key] = wp.array(found, dtype=wp.int32, device=self._device)
+        return self._masks[key]
+
+    def _put(self, array, values) -> None:
+        """Write values into an array of the device."""
+        array.assign(np.ascontiguousarray(values, dtype=numpy_of(self._real)))
 
     def _array(self, values, dtype):
         scalar = numpy_of(self._real)
@@ -438,7 +460,12 @@ class Assembly:
         self.split = is_split(scenes)
         """True if the pressure of the elements is split (`sim.fem.volume`)."""
         self._element = element_kernels(real, "viscosity" in self.effects, self.split)
-        self._residual = residual_kernel(real, "inertia" in self.effects, "gravity" in self.effects)
+        on_gpu = wp.get_device(device).is_cuda
+        self._lanes = LANES if on_gpu else 1
+        self._graphs = Graphs(device, record=on_gpu and len(scenes) <= FEW)
+        on = "inertia" in self.effects, "gravity" in self.effects
+        self._residual = residual_kernel(real, *on, lanes=self._lanes)
+        self._reduce = reduce_kernel(lanes=self._lanes)
 
         self._elements = self._array(mesh.elements, wp.int32)
         self._variant = self._array([places[id(each)] for each in meshes], wp.int32)
@@ -471,7 +498,7 @@ class Assembly:
 
         environments, count = self.environments, len(mesh.nodes)
         elements, faces = len(mesh.elements), len(mesh.faces)
-        self._runs = -(-count // RUN)
+        self._runs = -(-count // (RUN if self._lanes == 1 else LANES))
         self._shift = wp.zeros(environments, dtype=real, device=device)
         self._shift_now = np.zeros(environments)
         self._element_force = wp.zeros((environments, elements, 8), dtype=vec3, device=device)
@@ -491,7 +518,7 @@ class Assembly:
         self._most_overlap = wp.zeros((environments, COLUMNS), dtype=real, device=device)
         self.crossing: Crossing | None = None
         """Test of folded skins on the device; None: each of them gets a look on the host."""
-        if wp.get_device(device).is_cuda:
+        if on_gpu:
             self.crossing = Crossing(real, environments, mesh.faces, device)
         self._field = wp.zeros((environments, count), dtype=vec3, device=device)
         self.sums = Sums(np.zeros((environments, SUMS)))
@@ -515,7 +542,6 @@ class Assembly:
         """Preconditioner of the tangent."""
         self.state = SolverState(self, scenes)
         """State of the batch."""
-        self._lanes = LANES if wp.get_device(device).is_cuda else 1
         on = (name in self.effects for name in ("friction", "inertia", "gravity"))
         self._read, self._read_top = reading_kernels(real, *on, lanes=self._lanes)
         self._read_inputs = [
@@ -539,6 +565,25 @@ class Assembly:
 
     def evaluate(self, active, u, direction) -> Sums:
         """Compute forces at `u` and return their sums; the slope is along `direction` (B, N)."""
+
+        def work() -> None:
+            self._launch_elements(active, u)
+            self._launch_contact(active, u, direction)
+
+        self._graphs.run(("elements", active.ptr, u.ptr, direction.ptr), work)
+        return self._sum()
+
+    def evaluate_contact(self, active, u, direction) -> Sums:
+        """Evaluate again after only the friction limit has changed."""
+        key = "contact", active.ptr, u.ptr, direction.ptr
+        self._graphs.run(key, lambda: self._launch_contact(active, u, direction))
+        return self._sum()
+
+    def _sum(self) -> Sums:
+        self.sums = Sums(self._totals.numpy().copy())
+        return self.sums
+
+    def _launch_elements(self, active, u) -> None:
         wp.launch(
             self._element,
             dim=(self.environments, len(self.mesh.elements)),
@@ -550,10 +595,8 @@ class Assembly:
             outputs=[self._element_force, self.element_energy, self._element_det],
             device=self.device,
         )
-        return self.evaluate_contact(active, u, direction)
 
-    def evaluate_contact(self, active, u, direction) -> Sums:
-        """Evaluate again after only the friction limit has changed."""
+    def _launch_contact(self, active, u, direction) -> None:
         state = self.state
         wp.launch(
             self._contact[0],
@@ -587,7 +630,7 @@ class Assembly:
         )
         wp.launch(
             self._residual,
-            dim=(self.environments, self._runs),
+            dim=(self.environments, self._runs * self._lanes),
             inputs=[
                 self._node_elements,
                 self._node_faces,
@@ -607,16 +650,16 @@ class Assembly:
             ],
             outputs=[self.residual, self._sums],
             device=self.device,
+            block_dim=LANES,
         )
         wp.launch(
-            reduce_kernel(),
-            dim=(self.environments, SUMS),
+            self._reduce,
+            dim=(self.environments, SUMS, self._lanes),
             inputs=[active, self._sums],
             outputs=[self._totals],
             device=self.device,
+            block_dim=LANES,
         )
-        self.sums = Sums(self._totals.numpy().copy())
-        return self.sums
 
     def overlap(self, active, *, samples: int, states: int = 1) -> Array:
         """Return the overlap of skin with indenter and base plane (B, `COLUMNS`).
@@ -740,7 +783,7 @@ class Assembly:
                 self.shape,
                 self.rule,
                 self._variant,
-                self._array(chosen.astype(np.int32), wp.int32),
+                state.mask(chosen),
                 state.u,
                 state.u_old,
                 state.travel(chosen),
@@ -804,16 +847,21 @@ class Assembly:
         if not np.array_equal(shift, self._shift_now):
             self._shift.assign(shift)
             self._shift_now = shift
-        self.block_matrix.assemble(
-            active,
-            u,
-            (self._inverse, self._weight, self._node_mass, self._variant),
-            (self._shear, self._bulk, *self.state.viscous),
-            (self.shape, self.touched, self._matrix),
-            self._shift,
-            self._convex,
-            renew,
-        )
+
+        def work() -> None:
+            self.block_matrix.assemble(
+                active,
+                u,
+                (self._inverse, self._weight, self._node_mass, self._variant),
+                (self._shear, self._bulk, *self.state.viscous),
+                (self.shape, self.touched, self._matrix),
+                self._shift,
+                self._convex,
+                renew,
+            )
+
+        key = "tangent", active.ptr, u.ptr, None if renew is None else renew.ptr
+        self._graphs.run(key, work)
         self.preconditioner.factor(active, self.block_matrix.matrix)
 
     def settle_volume(self, active, direction) -> Sums:

@@ -4,17 +4,19 @@
 
 The only data read back from the device are the indices of running environments, every `LOOK`
 iterations, and one array of `SCALARS` at the end. The beginning and the iterations in between, of
-five kernels each, are graphs, recorded once per number of launched rows, so Python need not launch
-every kernel. A row holds the index of an environment, or -1. When half of the environments have
-finished, the others move together and half as many rows are launched, since idle threads take time
-as well. Dot products are float64 whichever precision the vectors have.
+five kernels each, are graphs, recorded once per number of launched rows. A row holds the index of
+an environment, or -1. When half of the environments have finished, the others move together and
+half as many rows are launched, since idle threads take time as well. Dot products are float64
+whichever precision the vectors have.
 """
 
 import functools
+from collections.abc import Callable
 
 import numpy as np
 import warp as wp
 
+from sim.fem.graphs import Graphs
 from sim.scalars import vector_of
 
 # Iterations between checks for running environments: free on the CPU, a stop on a GPU, where one
@@ -210,11 +212,18 @@ class ConjugateGradient:
         self._accuracy = wp.zeros(environments, dtype=wp.float64, device=device)
         self._scalars = wp.zeros((environments, SCALARS), dtype=wp.float64, device=device)
         self._ended = np.zeros((environments, SCALARS))
-        self._records, self._graphs = record, {}
+        self._graphs = Graphs(self._device, record=record)
         self._gathers = self._device.is_cuda if gather is None else gather
         self._lanes = LANES if self._device.is_cuda else 1
 
-    def solve(self, chosen: np.ndarray, residual, accuracy, most: int) -> np.ndarray:
+    def solve(
+        self,
+        chosen: np.ndarray,
+        residual,
+        accuracy,
+        most: int,
+        meanwhile: Callable[[], None] | None = None,
+    ) -> np.ndarray:
         """Fill `solution` of the chosen environments and return their numbers of iterations (B,).
 
         Args:
@@ -222,6 +231,7 @@ class ConjugateGradient:
             residual: Right-hand side (B, N).
             accuracy: Target of |r| / |residual|, float64 NumPy (B,).
             most: Most iterations; the graph in which this is reached is completed.
+            meanwhile: Called once, when the device has the most work of a Newton iteration to do.
         """
         running = np.flatnonzero(chosen)
         self._gather(running, renew=True)
@@ -232,6 +242,8 @@ class ConjugateGradient:
         while len(running) and done < most:
             look = (LOOK if grids == 1 else LOOK_GRIDS)[kind]
             self._repeat(self._once, look, None)
+            if meanwhile is not None and not done:
+                meanwhile()
             done += look
             rows = self._which.numpy()
             running = rows[rows >= 0]
@@ -266,23 +278,9 @@ class ConjugateGradient:
             self._which.assign(found)
 
     def _repeat(self, work, times: int, begins) -> None:
-        """Do `work` some times as one graph, recorded once for all that it depends on.
-
-        When it is recorded it is done once.
-        """
-        if not self._records:
-            for _time in range(times):
-                work()
-            return
+        """Do `work` some times as one graph, recorded once for all that it depends on."""
         key = begins, len(self._which), self._preconditioner.grids
-        if key not in self._graphs:
-            work()  # compiles kernels, which a recording must not
-            with wp.ScopedCapture(self._device) as capture:
-                for _time in range(times):
-                    work()
-            self._graphs[key] = capture.graph
-            return
-        wp.capture_launch(self._graphs[key])
+        self._graphs.run(key, lambda: [work() for _time in range(times)])
 
     def _begin(self, residual) -> None:
         start, begin, _step_length, _change, turn = _cg_kernels(self._real, self._lanes)

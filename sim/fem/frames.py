@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial import KDTree
 
-from sim.contact_size import touched_by, widths_of
+from sim.contact_size import touched_by, width_of
 from sim.fem.mesh import Mesh
 from sim.fem.reading import READ
 from sim.fem.sizing import resolved
@@ -125,6 +125,11 @@ class Collector:
         self._read, self._told = np.zeros(frames, READ), np.zeros(frames, TOLD)
         self._surface = np.full((frames, *shape), np.nan, np.float32)
         self._traction = np.full((frames, *shape), np.nan, np.float32)
+        self._width, self._resolved = np.zeros((2, frames))
+        self._unmeasured: list[int] = []
+        self._touched: NDArray[np.bool_] | None = None
+        """Contact of the frame that was measured last (X, Y), with this resolution."""
+        self._resolution = np.inf
         self._work = self._work_most = self._overlap_path = 0.0
         self._below_base = 0.0
         self.round = None if mesh.fraction is None else Round(scene, mesh)
@@ -157,6 +162,21 @@ class Collector:
         self._read[frame], self._surface[frame], self._traction[frame] = read, surface, traction
         self._told[frame] = (*told[:-1], *steps, spent.newton, spent.cg, spent.steps)
         self._overlap_path = 0.0
+        self._unmeasured.append(frame)
+
+    def measure(self) -> None:
+        """Measure the contacts of the frames stored since the last call: 1 ms each."""
+        mesh, body, unit = self._mesh, self._scene.body, self._scene.body.thickness
+        x, y, top = mesh.x * unit, mesh.y * unit, mesh.topmost * unit
+        for frame in self._unmeasured:
+            traction = self._traction[frame]
+            self._width[frame] = width_of((traction != 0).any(axis=-1), x, y)
+            touched = touched_by(traction)
+            if self._touched is None or (touched != self._touched).any():
+                self._touched = touched
+                self._resolution = float(resolved(touched[None], x, y, body=body, top=top)[0])
+            self._resolved[frame] = self._resolution
+        self._unmeasured.clear()
 
     def keep_round(self, frame: int, u: Array, touched: NDArray[np.int32], tip: Array) -> None:
         """Store what a frame of a round body has beside `keep`; nothing for other bodies.
@@ -206,13 +226,12 @@ class Collector:
 
     def resolved(self) -> list[float | None]:
         """Return the contact resolution of each frame, 1 for 12 elements; None without contact."""
-        mesh, body, unit = self._mesh, self._scene.body, self._scene.body.thickness
-        touched, top = touched_by(self._traction), mesh.topmost * unit
-        found = resolved(touched, mesh.x * unit, mesh.y * unit, body=body, top=top)
-        return [float(one) if np.isfinite(one) else None for one in found]
+        self.measure()
+        return [float(one) if np.isfinite(one) else None for one in self._resolved]
 
     def result(self, record: dict[str, Any]) -> Result:
         """Return the result; every frame must have been kept."""
+        self.measure()
         scene, mesh, unit = self._scene, self._mesh, self._scene.body.thickness
         read, told, push = self._read, self._told, scene.body.modulus * unit**2
         force, energy, most = read["force"], read["energy"], told["work_most"]
@@ -233,7 +252,7 @@ class Collector:
             overlap=overlap[:, 0].copy(),
             overlap_bound=overlap[:, 1].copy(),
             overlap_path=np.maximum(told["overlap_path"] * unit, overlap[:, 0]),
-            contact_width=widths_of((self._traction != 0).any(axis=-1), x, y),
+            contact_width=self._width.copy(),
             **{name: told[name].copy() for name in ("newton", "cg", "steps")},
         )
         return Result(

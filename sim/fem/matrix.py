@@ -8,9 +8,9 @@ iteration, costs about as much as 3 matrix-free products; each product is then a
 cheaper on a CPU.
 
 There are no atomic additions. Elements add to the elastic part; on a GPU one of eight colours after
-the other, so that no two at a time share a node, and row by row. `finish` adds the nodal terms to a
-copy of it. Contact changes most, so the elastic part may be kept for a while: assembly takes half
-of a press on a CPU. On a GPU it takes a sixth, and memory is the limit.
+the other, so that no two at a time share a node, and row by row. `finish` adds the nodal terms. On
+a CPU it adds them to a copy: contact changes most, so the elastic part may be kept for a while, as
+assembly takes half of a press there. On a GPU it takes a sixth, and memory is the limit.
 
 On a GPU, in float32 and up to `HALF_NODES` and `HALF_POISSON`, products read the matrix rounded to
 float16, which halves the memory traffic that takes most of conjugate gradients' time. They solve
@@ -138,13 +138,17 @@ def row_function(real, stored, wide: bool):
 HALF_NODES, HALF_POISSON = 60_000, 0.49
 # Nodes per block of GPU threads, which adds up their sums.
 BLOCK = 128
+# Numbers of a matrix that a GPU thread clears or rounds, each next to those of other threads: block
+# by block, a thread's 36 bytes of each, reached a fifth of the memory bandwidth of an H200.
+APIECE = 64
 
 
 @functools.cache
-def _kernels(real, stored, wide: bool):
+def _kernels(real, stored, wide: bool, keeps: bool):
     """Return the kernels for one precision; `stored` is the scalar type of the matrix they read.
 
-    `wide` kernels read a whole row of contiguous blocks, as on a CPU.
+    `wide` kernels read a whole row of contiguous blocks, as on a CPU. If the tangent `keeps` its
+    elastic part, `finish` adds to a copy of it.
     """
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
@@ -154,13 +158,14 @@ def _kernels(real, stored, wide: bool):
     def clear(
         # In:
         active: wp.array(dtype=wp.int32),
-        # Out:
-        elastic_out: wp.array3d(dtype=mat33),
+        threads: int,
+        # Out: all numbers of each environment
+        elastic_out: wp.array2d(dtype=real),
     ):
-        env, n = wp.tid()
+        env, thread = wp.tid()
         if active[env] == 1:
-            for slot in range(elastic_out.shape[2]):
-                elastic_out[env, n, slot] = mat33()
+            for i in range(thread, elastic_out.shape[1], threads):
+                elastic_out[env, i] = real(0.0)
 
     @wp.kernel(enable_backward=False, module="unique")
     def finish(
@@ -186,8 +191,9 @@ def _kernels(real, stored, wide: bool):
         env, n = wp.tid()
         if active[env] == 0:
             return
-        for slot in range(matrix_out.shape[2]):
-            matrix_out[env, n, slot] = elastic[env, n, slot]
+        if wp.static(keeps):
+            for slot in range(matrix_out.shape[2]):
+                matrix_out[env, n, slot] = elastic[env, n, slot]
         if free[n] == 0:
             return
         own = wp.identity(n=3, dtype=real) * (shift[env] * node_mass[variant[env], n])
@@ -207,16 +213,18 @@ def _kernels(real, stored, wide: bool):
                             matrix_out[env, n, slot] = matrix_out[env, n, slot] + block
 
     @wp.kernel(enable_backward=False, module="unique")
-    def store_blocks(
-        # In:
+    def rounded(
+        # In: all numbers of each environment
         active: wp.array(dtype=wp.int32),
-        matrix: wp.array3d(dtype=mat33),
+        threads: int,
+        matrix: wp.array2d(dtype=real),
         # Out:
-        kept_out: wp.array3d(dtype=kept33),
+        kept_out: wp.array2d(dtype=stored),
     ):
-        env, slot, n = wp.tid()
+        env, thread = wp.tid()
         if active[env] == 1:
-            kept_out[env, n, slot] = kept33(matrix[env, n, slot])
+            for i in range(thread, matrix.shape[1], threads):
+                kept_out[env, i] = stored(matrix[env, i])
 
     line = row_function(real, stored, wide)
 
@@ -268,7 +276,7 @@ def _kernels(real, stored, wide: bool):
         if n % BLOCK == 0:
             sums_out[env, n // BLOCK, 0] = whole[0]
 
-    return clear, finish, store_blocks, product, block_product
+    return clear, finish, rounded, product, block_product
 
 
 def zero_blocks(environments: int, nodes: int, block, device: str, *, parallel: bool) -> wp.array:
@@ -277,6 +285,13 @@ def zero_blocks(environments: int, nodes: int, block, device: str, *, parallel: 
         return wp.zeros((environments, nodes, SLOTS), dtype=block, device=device)
     stored = wp.zeros((environments, SLOTS, nodes), dtype=block, device=device)
     return stored.transpose((0, 2, 1))
+
+
+def _numbers(blocks: wp.array, scalar) -> wp.array:
+    """Return all numbers of each environment (B, N 27 9) in the memory of `zero_blocks`."""
+    environments, nodes, slots = blocks.shape
+    shape = environments, nodes * slots * 9
+    return wp.array(ptr=blocks.ptr, dtype=scalar, shape=shape, device=blocks.device)
 
 
 class BlockMatrix:
@@ -322,8 +337,10 @@ class BlockMatrix:
         if half is None:
             half = self._on_gpu and real == wp.float32 and count <= HALF_NODES
         kept = wp.float16 if half else real
-        kernels = _kernels(real, kept, not self._parallel and not half)
-        self._clear, self._finish, self._store, self._product, self._block_product = kernels
+        self.keeps = not self._on_gpu if keep is None else keep
+        """True if an elastic part can be kept."""
+        kernels = _kernels(real, kept, not self._parallel and not half, self.keeps)
+        self._clear, self._finish, self._round, self._product, self._block_product = kernels
         self.parts = -(-count // (BLOCK if self._on_gpu else RUN))
         """Number of partial sums that `product` writes for each sum."""
         if self._parallel:
@@ -335,10 +352,11 @@ class BlockMatrix:
         )
         self.matrix = blocks(mat33)
         """Blocks (B, N, 27) of the last assembled state."""
-        self.keeps = not self._on_gpu if keep is None else keep
-        """True if an elastic part can be kept."""
         self._elastic = blocks(mat33) if self.keeps else self.matrix
         self._read = blocks(matrix_of(kept)) if half else self.matrix
+        self._to_clear = _numbers(self._elastic, real)
+        self._rounded = (_numbers(self.matrix, real), _numbers(self._read, kept)) if half else None
+        self._threads = -(-self._to_clear.shape[1] // APIECE) if self._on_gpu else 1
         self._order = self._integers(order)
         self._elements = self._integers(mesh.elements)
         self._faces = self._integers(mesh.faces)
@@ -368,8 +386,13 @@ class BlockMatrix:
         if renew is None or not self.keeps:
             renew = active
         by_node = self._environments, self._nodes
+        by_number = self._environments, self._threads
         wp.launch(
-            self._clear, dim=by_node, inputs=[renew], outputs=[self._elastic], device=self._device
+            self._clear,
+            dim=by_number,
+            inputs=[renew, self._threads],
+            outputs=[self._to_clear],
+            device=self._device,
         )
         rows = (len(CORNERS),) if self._parallel else ()
         for first, past in pairwise(self._begins):
@@ -411,12 +434,13 @@ class BlockMatrix:
             outputs=[self.matrix],
             device=self._device,
         )
-        if self._read is not self.matrix:
+        if self._rounded is not None:
+            matrix, rounded = self._rounded
             wp.launch(
-                self._store,
-                dim=(self._environments, SLOTS, self._nodes),
-                inputs=[active, self.matrix],
-                outputs=[self._read],
+                self._round,
+                dim=by_number,
+                inputs=[active, self._threads, matrix],
+                outputs=[rounded],
                 device=self._device,
             )
 

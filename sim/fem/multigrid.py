@@ -60,13 +60,16 @@ def coarsened(x: Array, spacing: float) -> int:
 
 
 def thinned(x: Array, count: int) -> NDArray[np.int64]:
-    """Return the indices of `count` points of `x` (X,) with its ends, others left out.
+    """Return the indices (..., `count`) of points of axes `x` (..., X) with their ends.
 
     Each point that is left out is the one between the two closest neighbours.
     """
-    kept = np.arange(len(x))
-    while len(kept) > count:
-        kept = np.delete(kept, 1 + np.argmin(x[kept[2:]] - x[kept[:-2]]))
+    kept = np.broadcast_to(np.arange(x.shape[-1]), x.shape)
+    while kept.shape[-1] > count:
+        at = np.take_along_axis(x, kept, axis=-1)
+        out = 1 + np.argmin(at[..., 2:] - at[..., :-2], axis=-1)
+        stay = np.arange(kept.shape[-1]) != out[..., None]
+        kept = kept[stay].reshape(*x.shape[:-1], -1)
     return kept
 
 
@@ -362,8 +365,8 @@ class _Grid:
         return self.counts[2]
 
 
-def _weights(fine: list[Array], kept: list[NDArray[np.int64]]) -> tuple[Array, Array, Array]:
-    """Return the linear interpolation along one axis to the points of M meshes, (M, X) each.
+def _weights(fine: Array, kept: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+    """Return the linear interpolation along one axis to the points of M meshes (M, X).
 
     It is the index of the coarse point below (or at) each, the weight of the next one, (M, X); and
     the range of fine points which each coarse point reaches, (M, coarse X, 2).
@@ -448,15 +451,14 @@ class Multigrid:
             self._make_grids()
 
     def _make_grids(self) -> None:
-        x, y = [one.x for one in self._meshes], [one.y for one in self._meshes]
+        x, y = (np.array([getattr(one, axis) for one in self._meshes]) for axis in "xy")
         levels = self._meshes[0].cells[2] + 1
         self._grids = [self._grid((len(x[0]), len(y[0]), levels))]
         for many, wide in grid_counts(x[0], y[0]):
-            kept_x, kept_y = [thinned(one, many) for one in x], [thinned(one, wide) for one in y]
+            kept_x, kept_y = thinned(x, many), thinned(y, wide)
             weights = *_weights(x, kept_x), *_weights(y, kept_y)
             self._grids.append(self._grid((many, wide, levels), weights))
-            x = [one[kept] for one, kept in zip(x, kept_x, strict=True)]
-            y = [one[kept] for one, kept in zip(y, kept_y, strict=True)]
+            x, y = (np.take_along_axis(*one, axis=1) for one in ((x, kept_x), (y, kept_y)))
 
     def _grid(self, counts: tuple[int, int, int], weights=None) -> _Grid:
         """Return a coarser grid with its interpolation, or the finest one."""

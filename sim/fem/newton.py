@@ -9,6 +9,7 @@ limit follows the pressure from iteration to iteration, so that the coupled stat
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -63,8 +64,6 @@ WORK_STEP, WORK_STEP_VISCOUS = 1 / 30, 1 / 12
 # Iterations in which friction's limit follows the pressure fully; later it moves by the second, a
 # fraction of the way. Otherwise the two may alternate for ever with equal and opposite changes.
 RELAX_AFTER, RELAX_SHARE = 4, 0.5
-# Masks of environments that are kept on the device.
-MASKS = 8
 
 
 class Newton:
@@ -105,7 +104,7 @@ class Newton:
         self._best_at, self._far_at = np.zeros((2, count), int)
         self._settled, self._renewed = np.zeros((2, count), int)
         self._patience = np.ones(count)
-        self._masks: dict[bytes, wp.array] = {}
+        self._mask = assembly.state.mask
         self._whole = wp.ones(count, dtype=assembly.real, device=assembly.device)
 
     def begin(
@@ -129,7 +128,7 @@ class Newton:
         self._predicting[chosen] = predict[chosen]
         state = self._assembly.state
         if self._friction:
-            state.settle_limit(self.mask(chosen))
+            state.settle_limit(self._mask(chosen))
         state.set_tip(chosen & predict, before=True)
         state.set_tip(chosen & ~predict)
         self._patience[chosen] = patience[chosen]
@@ -153,32 +152,35 @@ class Newton:
         self._settled[chosen], self._renewed[chosen] = 0, 0
         if self._assembly.split:
             self._assembly.state.volume.stiffen(chosen, 0.0)
-            self._assembly.state.follow_volume(self.mask(chosen))
+            self._assembly.state.follow_volume(self._mask(chosen))
         self._switch(chosen & self._convex)
         self.converged[chosen], self.failed[chosen] = False, False
         state = self._assembly.state
-        self._assembly.evaluate(self.mask(chosen), state.u, self._cg.solution)
+        self._assembly.evaluate(self._mask(chosen), state.u, self._cg.solution)
         self._check_convergence(chosen & ~self._predicting)
 
-    def sweep(self, running: np.ndarray) -> None:
-        """Run one iteration of the environments (B,) that are neither converged nor failed."""
+    def sweep(self, running: np.ndarray, meanwhile: Callable[[], None] | None = None) -> None:
+        """Run one iteration of the environments (B,) that are neither converged nor failed.
+
+        `meanwhile` is as in `ConjugateGradient.solve`.
+        """
         assembly, state = self._assembly, self._assembly.state
-        active, predicting = self.mask(running), running & self._predicting
+        active, predicting = self._mask(running), running & self._predicting
         if self._friction:
             late = running & (self.iterations >= RELAX_AFTER)
-            state.relax_limit(self.mask(running & ~late), 1.0)
+            state.relax_limit(self._mask(running & ~late), 1.0)
             if late.any():
-                slow = self.mask(late)
+                slow = self._mask(late)
                 state.relax_limit(slow, RELAX_SHARE)
                 assembly.evaluate_contact(slow, state.u, self._cg.solution)
         renew = None
         if assembly.block_matrix.keeps:
             due = (self.iterations % ELASTIC_EVERY == 0) | (self._damping > 0)
-            renew = self.mask(running & (due | self._convex | self._switched))
+            renew = self._mask(running & (due | self._convex | self._switched))
         self._switched[running] = False
         assembly.linearise(active, state.u, self._damping, renew)
         if predicting.any():
-            assembly.push(self.mask(predicting), state.travel(predicting))
+            assembly.push(self._mask(predicting), state.travel(predicting))
         accuracy = np.clip(0.3 * self.residual, ACCURACY_LEAST, ACCURACY)
         accuracy[predicting] = PREDICTION
         used = self._cg.solve(
@@ -186,6 +188,7 @@ class Newton:
             assembly.residual,
             np.where(running, accuracy, 1.0),
             assembly.numerics.cg_max,
+            meanwhile,
         )
         self.cg[running] += used[running]
         assembly.preconditioner.learn(np.where(running, used, 0), accuracy)
@@ -209,7 +212,7 @@ class Newton:
         self._exact_below[running & eased] *= EXACT_LESS
         if self._switch(running & (bent | eased)):
             assembly.evaluate_contact(
-                self.mask(running & self._switched), state.u, self._cg.solution
+                self._mask(running & self._switched), state.u, self._cg.solution
             )
         better = running & (self.residual < BETTER * self._best)
         self._best[better], self._best_at[better] = self.residual[better], self.iterations[better]
@@ -236,12 +239,12 @@ class Newton:
             return
         assembly, state = self._assembly, self._assembly.state
         if self._friction:
-            active = self.mask(chosen)
+            active = self._mask(chosen)
             state.settle_limit(active)
             assembly.evaluate_contact(active, state.u, self._cg.solution)
         is_valid, balanced = self._balance(chosen)
         if assembly.split and balanced.any():
-            assembly.settle_volume(self.mask(balanced), self._cg.solution)
+            assembly.settle_volume(self._mask(balanced), self._cg.solution)
             moved = balanced.copy()
             balanced = self._balance(balanced)[1]
             self._renew(moved & ~balanced)
@@ -260,8 +263,8 @@ class Newton:
         if slow.any():
             state = self._assembly.state
             state.volume.stiffen(slow, STIFFER)
-            state.follow_volume(self.mask(slow))
-            self._assembly.evaluate(self.mask(slow), state.u, self._cg.solution)
+            state.follow_volume(self._mask(slow))
+            self._assembly.evaluate(self._mask(slow), state.u, self._cg.solution)
             self._balance(slow)
 
     def _balance(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -284,7 +287,7 @@ class Newton:
         length = np.ones(assembly.environments)
         open_ = running.copy()
         for _trial in range(TRIALS):
-            trying = self.mask(open_)
+            trying = self._mask(open_)
             self._walk(trying, length)
             sums = assembly.evaluate(trying, state.u, direction)
             with np.errstate(invalid="ignore", divide="ignore"):
@@ -301,7 +304,7 @@ class Newton:
             shrink[predicting] = 0.0
             length[open_] *= shrink[open_]
         if open_.any():
-            stuck = self.mask(open_)
+            stuck = self._mask(open_)
             copy_active(stuck, self._start, state.u)
             assembly.evaluate(stuck, state.u, direction)
         return running & ~open_, length
@@ -339,7 +342,7 @@ class Newton:
         long = chosen & (np.linalg.norm(state.step, axis=1) > longest)
         if self._friction or not long.any():
             return work
-        active, way = self.mask(long), self._cg.solution
+        active, way = self._mask(long), self._cg.solution
         axpy(active, self._lengths(np.full(len(long), -1.0)), state.u, state.u_old, way)
         axpy(active, self._lengths(np.full(len(long), 0.5)), state.u_old, way, self._start)
         state.put_within(long, 0.5, duration, way)
@@ -349,19 +352,6 @@ class Newton:
         state.set_tip(long)
         assembly.evaluate(active, state.u, way)
         return np.where(long, (work + 2 * middle) / 3, work)
-
-    def mask(self, chosen: np.ndarray):
-        """Return the chosen environments (B,) as a mask for the kernels, which do not change it.
-
-        A sweep needs the same masks again and again; each is copied to a GPU once.
-        """
-        key = chosen.tobytes()
-        if key not in self._masks:
-            if len(self._masks) == MASKS:
-                del self._masks[next(iter(self._masks))]
-            found = chosen.astype(np.int32)
-            self._masks[key] = wp.array(found, dtype=wp.int32, device=self._assembly.device)
-        return self._masks[key]
 
 
 # Path of one press along its motion: the choice of steps, and the halving of failed ones.

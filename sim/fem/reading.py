@@ -37,8 +37,6 @@ COLUMNS = READ.itemsize // 8
 TOP = 6
 SUMS, MAXIMA = 10, 3
 FACE = COLUMNS - 1
-# GPU threads that read one environment.
-LANES = 128
 
 
 @functools.cache

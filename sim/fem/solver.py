@@ -619,6 +619,7 @@ class _Batch:
         self._assembly = Assembly(meshes, scenes, numerics, precision, device)
         self._newton = Newton(self._assembly)
         self._collectors = list(map(Collector, scenes, meshes))
+        self._unmeasured: list[Collector] = []
         self._area = np.array([mesh.top_area for mesh in meshes])[..., None]
         self._stress = np.array([scene.body.modulus for scene in scenes])[:, None, None, None]
         self._paths: list[Path] = [
@@ -670,7 +671,7 @@ class _Batch:
             self._begin(open_ & ~self._busy)
             running = self._busy & ~newton.converged & ~newton.failed
             if running.any():
-                newton.sweep(running)
+                newton.sweep(running, self._measure)
             self._finish(self._busy & (newton.converged | newton.failed))
         self._seconds["solve"] = self._before + time.perf_counter() - began
         record = self._record()
@@ -734,7 +735,7 @@ class _Batch:
                 good[i] = True
         if again.any():
             self._augmented[again] += 1
-            assembly.state.update_multiplier(newton.mask(again))
+            assembly.state.update_multiplier(assembly.state.mask(again))
             most = self._numerics.newton_max
             newton.resume(again, np.array([path.patience(most) for path in self._paths]))
         way, folds, crossed = self._look(good)
@@ -742,7 +743,7 @@ class _Batch:
             good[i], bad[i] = False, True
         self._take(good, way, folds)
         if bad.any():
-            assembly.state.rollback_step(newton.mask(bad))
+            assembly.state.rollback_step(assembly.state.mask(bad))
         for i in np.flatnonzero(bad).tolist():
             self._spent[i].steps += 1
             reported = (
@@ -771,7 +772,7 @@ class _Batch:
         assembly, folds, crossed = self._assembly, {}, {}
         if not good.any():
             return np.zeros((len(good), COLUMNS)), folds, crossed
-        way = assembly.overlap(self._newton.mask(good), samples=PATH_SAMPLES, states=PATH_STATES)
+        way = assembly.overlap(assembly.state.mask(good), samples=PATH_SAMPLES, states=PATH_STATES)
         some = np.flatnonzero(good & (way[:, 3] > 0)).tolist()
         if not some:
             return way, folds, crossed
@@ -837,7 +838,7 @@ class _Batch:
         """Keep current states as frames, given by environment."""
         assembly, some, unit = self._assembly, list(kept), self._scenes[0].body.thickness
         keeping = np.isin(np.arange(len(self._paths)), some)
-        assembly.measure_overlap(self._newton.mask(keeping), samples=FRAME_SAMPLES)
+        assembly.measure_overlap(assembly.state.mask(keeping), samples=FRAME_SAMPLES)
         read, top = assembly.read(some, self._tip)
         surface = top[..., :3] * unit
         traction = top[..., 3:] / self._area[some] * self._stress[some]
@@ -849,6 +850,7 @@ class _Batch:
                 *(deep, node, self._spent[i]),
             )
             self._collectors[i].keep(frame, read[row], surface[row], traction[row], told)
+            self._unmeasured.append(self._collectors[i])
             self._spent[i] = Spent()
         rounds = [i for i in kept if self._collectors[i].round is not None]
         if rounds:
@@ -856,6 +858,12 @@ class _Batch:
             faces = assembly.rows(assembly.touched, rounds)
             for i, u, touched in zip(rounds, columns, faces, strict=True):
                 self._collectors[i].keep_round(kept[i], u, touched, self._tip[i])
+
+    def _measure(self) -> None:
+        """Measure the contacts of the frames kept since the last call, while a GPU is busy."""
+        for collector in self._unmeasured:
+            collector.measure()
+        self._unmeasured.clear()
 
     def _diverged(self, env: int, wanted: Sizes | None = None) -> SimulationDiverged:
         path, scene = self._paths[env], self._scenes[env]

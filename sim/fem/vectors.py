@@ -170,20 +170,25 @@ def blend(active, fraction: float, source, mean) -> None:
 
 # Forces of elements and faces gathered at the nodes, with forces that act on nodes.
 #
-# Gathering (no atomic adds) makes every sum run in the same order on every device, so that a result
-# is repeatable to the last bit. One thread handles `RUN` nodes, and adds up its part of the dot
-# products in float64.
+# Gathering (no atomic adds) makes every sum run in the same order, so that a result is repeatable
+# to the last bit. Sums are float64. On a CPU one thread handles `RUN` nodes and adds up its part;
+# on a GPU each handles one, and a block of `LANES` threads adds up theirs.
 
-# Number of sums that `residual_kernel` writes, see there.
-SUMS = 10
-# Nodes per thread: enough to keep partial sums few, few enough to fill a GPU.
-RUN = 32
+# Number of sums that `residual_kernel` writes, see there; and the one that is a least value.
+SUMS, LEAST = 10, 3
+# Nodes of a partial sum: on a CPU, and on a GPU.
+RUN, LANES = 32, 128
 
 
 @functools.cache
-def residual_kernel(real, inertia: bool, gravity: bool):
-    """Return the kernel of the residual, for one precision and combination of effects."""
+def residual_kernel(real, inertia: bool, gravity: bool, *, lanes: int = 1):
+    """Return the kernel of the residual, for one precision and combination of effects.
+
+    `lanes` threads add up a partial sum: 1, or a whole block.
+    """
     vec3 = vector_of(real)
+    own = RUN if lanes == 1 else 1
+    sums_type = wp.types.vector(length=SUMS, dtype=wp.float64)
 
     @wp.kernel(enable_backward=False, module="unique")
     def residual(
@@ -211,18 +216,13 @@ def residual_kernel(real, inertia: bool, gravity: bool):
         residual_out: wp.array2d(dtype=vec3),
         sums_out: wp.array3d(dtype=wp.float64),
     ):
-        env, run = wp.tid()
+        env, item = wp.tid()
         if active[env] == 0:
             return
         m = variant[env]
-        square = wp.float64(0.0)
-        applied_square = wp.float64(0.0)
-        slope = wp.float64(0.0)
+        sums = sums_type()
         lowest = real(1.0e30)
-        push = wp.vec3d()
-        held = wp.vec3d()
-        last = wp.min((run + 1) * RUN, free.shape[0])
-        for n in range(run * RUN, last):
+        for n in range(item * own, wp.min((item + 1) * own, free.shape[0])):
             inner = vec3()
             applied = vec3()
             for k in range(8):
@@ -235,26 +235,31 @@ def residual_kernel(real, inertia: bool, gravity: bool):
                 if place >= 0:
                     if touched[env, place // 4] > 0:
                         applied += face_force[env, place // 4, place % 4]
-            push += wp.vec3d(applied)
+            for axis in range(3):
+                sums[4 + axis] += wp.float64(applied[axis])
             if wp.static(gravity):
                 applied += weight[env] * node_mass[m, n]
             if wp.static(inertia):
                 inner += (u[env, n] - predicted[env, n]) * (inertia_rate[env] * node_mass[m, n])
             if free[n] == 0:
-                held += wp.vec3d(inner - applied)
+                for axis in range(3):
+                    sums[7 + axis] += wp.float64(inner[axis] - applied[axis])
             r = (applied - inner) * real(free[n])
             applied = applied * real(free[n])
             residual_out[env, n] = r
-            square += wp.float64(wp.dot(r, r))
-            applied_square += wp.float64(wp.dot(applied, applied))
-            slope -= wp.float64(wp.dot(r, direction[env, n]))
-        sums_out[env, run, 0] = square
-        sums_out[env, run, 1] = applied_square
-        sums_out[env, run, 2] = slope
-        sums_out[env, run, 3] = wp.float64(lowest)
-        for axis in range(3):
-            sums_out[env, run, 4 + axis] = push[axis]
-            sums_out[env, run, 7 + axis] = held[axis]
+            sums[0] += wp.float64(wp.dot(r, r))
+            sums[1] += wp.float64(wp.dot(applied, applied))
+            sums[2] -= wp.float64(wp.dot(r, direction[env, n]))
+        sums[LEAST] = wp.float64(lowest)
+        if wp.static(lanes > 1):
+            for which in range(SUMS):
+                if which == LEAST:
+                    sums[which] = wp.tile_min(wp.tile(sums[which]))[0]
+                else:
+                    sums[which] = wp.tile_sum(wp.tile(sums[which]))[0]
+        if item % lanes == 0:
+            for which in range(SUMS):
+                sums_out[env, item // lanes, which] = sums[which]
 
     return residual
 
@@ -342,8 +347,11 @@ def work_kernel(real, friction: bool):
 
 
 @functools.cache
-def reduce_kernel():
-    """Return the kernel that sums (B, runs, `SUMS`) per environment; column 3 takes the least."""
+def reduce_kernel(*, lanes: int = 1):
+    """Return the kernel that sums (B, runs, `SUMS`) per environment.
+
+    Column `LEAST` takes the least value. `lanes` is as in `residual_kernel`.
+    """
 
     @wp.kernel(enable_backward=False, module="unique")
     def reduce(
@@ -353,17 +361,23 @@ def reduce_kernel():
         # Out:
         totals_out: wp.array2d(dtype=wp.float64),
     ):
-        env, which = wp.tid()
+        env, which, lane = wp.tid()
         if active[env] == 0:
             return
         total = wp.float64(0.0)
-        if which == 3:
+        if which == LEAST:
             total = wp.float64(1.0e30)
-        for run in range(sums.shape[1]):
-            if which == 3:
+        for run in range(lane, sums.shape[1], lanes):
+            if which == LEAST:
                 total = wp.min(total, sums[env, run, which])
             else:
                 total += sums[env, run, which]
-        totals_out[env, which] = total
+        if wp.static(lanes > 1):
+            if which == LEAST:
+                total = wp.tile_min(wp.tile(total))[0]
+            else:
+                total = wp.tile_sum(wp.tile(total))[0]
+        if lane == 0:
+            totals_out[env, which] = total
 
     return reduce

@@ -10,6 +10,7 @@ from support.fem_oracles import Array
 
 from sim.fem.assembly import Sums
 from sim.fem.vectors import (
+    LANES,
     RUN,
     SUMS,
     axpy,
@@ -62,15 +63,24 @@ def _at_nodes(cells: Array, values: Array) -> Array:
 @pytest.mark.parametrize("inertia", [False, True])
 @pytest.mark.parametrize("gravity", [False, True])
 @pytest.mark.parametrize(("real", "error"), REALS)
+@pytest.mark.parametrize("lanes", [1, LANES])
 def test_residual_gathers_every_share_once_and_the_sums_are_numpys(
-    real: Any, error: float, gravity: bool, inertia: bool
+    monkeypatch: pytest.MonkeyPatch,
+    lanes: int,
+    real: Any,
+    error: float,
+    gravity: bool,
+    inertia: bool,
 ) -> None:
+    """By one thread for many nodes, and by blocks of threads as on a GPU."""
+    monkeypatch.setattr(wp.config, "enable_cpu_blocks", lanes > 1)
     elements, faces = _random(3, len(MESH.elements), 8, 3), _random(3, len(MESH.faces), 4, 3)
     u, direction, predicted = _random(3, COUNT, 3), _random(3, COUNT, 3) + 1, _random(3, COUNT, 3)
     rate, weight = np.array([3.0, 5.0, 7.0]), _random(3, 3)
     det, touched = _random(3, len(MESH.elements)), _touched()
     residual = oracle.zeros((3, COUNT), vector_of(real))
-    sums = oracle.zeros((3, RUNS, SUMS), wp.float64)
+    runs = RUNS if lanes == 1 else -(-COUNT // lanes)
+    sums = oracle.zeros((3, runs, SUMS), wp.float64)
     inputs = [
         *_mesh_inputs(real),
         oracle.scalars(rate, real),
@@ -84,8 +94,9 @@ def test_residual_gathers_every_share_once_and_the_sums_are_numpys(
         oracle.vectors(u, real),
         oracle.vectors(direction, real),
     ]
-    kernel = residual_kernel(real, inertia, gravity)
-    wp.launch(kernel, dim=(3, RUNS), inputs=inputs, outputs=[residual, sums], device="cpu")
+    kernel = residual_kernel(real, inertia, gravity, lanes=lanes)
+    dim, out = (3, runs * lanes), [residual, sums]
+    wp.launch(kernel, dim=dim, inputs=inputs, outputs=out, device="cpu", block_dim=LANES)
     running = ACTIVE[:, None]
     applied = _at_nodes(MESH.faces, faces * touched[:, :, None, None]) * running[..., None]
     pushed = applied.sum(1)
@@ -97,7 +108,7 @@ def test_residual_gathers_every_share_once_and_the_sums_are_numpys(
     held = ((inner - applied) * ~MESH.free[:, None]).sum(1)
     expected = (applied - inner) * MESH.free[:, None]
     assert oracle.relative(residual.numpy(), expected) < error
-    totals = Sums(_reduced(sums))
+    totals = Sums(_reduced(sums, lanes))
     square, applied_square = (
         ((each * MESH.free[:, None]) ** 2).sum((1, 2)) for each in (expected, applied)
     )
@@ -109,10 +120,11 @@ def test_residual_gathers_every_share_once_and_the_sums_are_numpys(
     assert oracle.relative(totals.base, held) < error
 
 
-def _reduced(sums: Any) -> Array:
+def _reduced(sums: Any, lanes: int = 1) -> Array:
     totals = oracle.zeros((3, SUMS), wp.float64)
-    inputs = [oracle.integers(ACTIVE), sums]
-    wp.launch(reduce_kernel(), dim=(3, SUMS), inputs=inputs, outputs=[totals], device="cpu")
+    kernel, dim, inputs = reduce_kernel(lanes=lanes), (3, SUMS, lanes), [oracle.integers(ACTIVE)]
+    inputs.append(sums)
+    wp.launch(kernel, dim=dim, inputs=inputs, outputs=[totals], device="cpu", block_dim=LANES)
     return np.asarray(totals.numpy())
 
 

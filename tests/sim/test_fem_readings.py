@@ -13,7 +13,8 @@ from sim import Body, Effects, Friction, Gravity, Inertia, Scene, press, simulat
 from sim.fem.assembly import Assembly
 from sim.fem.contact import face_rule
 from sim.fem.numerics import Fem
-from sim.fem.reading import LANES, reading_kernels
+from sim.fem.reading import reading_kernels
+from sim.fem.vectors import LANES
 from sim.indenters import named
 from sim.result import Result
 
