@@ -125,7 +125,7 @@ def _lagged_friction() -> list[Part]:
 
         def begin(self, chosen: Any, tolerance: Any, **how: Any) -> None:
             if self._rubs and chosen.any():
-                self._assembly.state.settle_limit(self.mask(chosen))
+                self._assembly.state.settle_limit(self._mask(chosen))
             super().begin(chosen, tolerance, **how)
 
     return [(solver, "Newton", Lagged)]
