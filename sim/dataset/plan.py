@@ -12,6 +12,7 @@ from typing import Any, Literal, get_args
 from sim.effects import Friction
 from sim.errors import PassesThrough, SceneError, SimulationDiverged, check_range
 from sim.fem import FOR_EDGES, Fem, Grading
+from sim.fem.numerics import further_settings
 from sim.indenters import NAMES, drawn_name, indenter_of, is_indenter, number_of
 from sim.layer import Layer
 from sim.paper_presses import DEPTHS_MM, FRICTION, PLACES_MM
@@ -164,27 +165,6 @@ def solve(
     return [
         _solved(outcome, solving, device, way, attempts)
         for outcome, way, attempts in zip(outcomes, ways, failed, strict=True)
-    ]
-
-
-# Elements of the second attempt, over those of the first, where an indenter passes through them.
-FINER = 0.6
-
-
-def further_settings(first: Fem, body: Body) -> list[tuple[str, Fem, bool]]:
-    """Return the settings to try after the first ones.
-
-    Each has a description, and True if it is for presses whose indenter passes through the skin, or
-    False if for others.
-    """
-    assert first.spacing is not None
-    careful = replace(
-        first, precision="float64", step_travel=body.thickness / 100, newton_max=120, halvings=16
-    )
-    finer = replace(first, spacing=FINER * first.spacing)
-    return [
-        ("steps of 1/100 of the thickness, float64", careful, False),
-        (f"elements {FINER:g} times as large", finer, True),
     ]
 
 

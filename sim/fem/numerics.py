@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 from sim.errors import SceneError, check_kind, check_range
@@ -149,3 +149,26 @@ class Fem:
     def follows(self) -> bool:
         """True if the mesh follows the contact."""
         return self.spacing is None and self.graded and self.grading is None
+
+
+# Settings for presses that have no solution by the first ones.
+
+# Elements of the second attempt, over those of the first, where an indenter passes through them.
+FINER = 0.6
+
+
+def further_settings(first: Fem, body: Body) -> list[tuple[str, Fem, bool]]:
+    """Return the settings to try after the first ones.
+
+    Each has a description, and True if it is for presses whose indenter passes through the skin, or
+    False if for others.
+    """
+    assert first.spacing is not None
+    careful = replace(
+        first, precision="float64", step_travel=body.thickness / 100, newton_max=120, halvings=16
+    )
+    finer = replace(first, spacing=FINER * first.spacing)
+    return [
+        ("steps of 1/100 of the thickness, float64", careful, False),
+        (f"elements {FINER:g} times as large", finer, True),
+    ]

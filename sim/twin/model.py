@@ -15,7 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.processes import Workers
+from sim.errors import PassesThrough, SimulationDiverged
 from sim.fem import FOR_EDGES, Fem
+from sim.fem.numerics import further_settings
 from sim.indenters import Indenter, named
 from sim.scene import Motion
 from sim.sensors import SimulatedSensor, SurfaceField
@@ -136,6 +138,9 @@ def by_fem(
 ) -> Array:
     """Return the force on a sensor along a path (n, 3) [N], by tier `fem`.
 
+    What has no solution is tried again with smaller steps, or on smaller elements if the indenter
+    passes through them.
+
     Args:
         sensor: The sensor.
         indenter: The indenter.
@@ -147,8 +152,14 @@ def by_fem(
     Raises:
         SimulationDiverged: It has no solution.
     """
-    scene = sensor.scene(indenter, motion_of(tip, time))
-    found = simulate(scene, fem_of(sensor, finer), device=device)
+    scene, first = sensor.scene(indenter, motion_of(tip, time)), fem_of(sensor, finer)
+    try:
+        found = simulate(scene, first, device=device)
+    except SimulationDiverged as diverged:
+        passes = isinstance(diverged, PassesThrough)
+        further = further_settings(first, sensor.body)
+        (second,) = (fem for _, fem, of_passing in further if of_passing == passes)
+        found = simulate(scene, second, device=device)
     return np.asarray(found.wrench[:, :3], float)
 
 

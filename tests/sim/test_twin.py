@@ -29,10 +29,13 @@ from benchmarks.sim.twin.planted import (
 )
 from recorder.processes import Workers
 from sim.__main__ import main
-from sim.errors import SceneError
+from sim.errors import PassesThrough, SceneError, SimulationDiverged
+from sim.fem import Fem
+from sim.indenters import named
 from sim.markers import Camera
 from sim.markers import named as pattern_of
-from sim.result import ContactTier
+from sim.result import ContactTier, Result
+from sim.scene import Scene
 from sim.sensors import (
     CameraReadout,
     CameraSignal,
@@ -44,7 +47,8 @@ from sim.sensors import (
     sensor,
 )
 from sim.sensors.posterior import CAMERA, camera_quantities, quantities, with_quantities
-from sim.twin import Fit, Track, fitted
+from sim.simulate import simulate
+from sim.twin import Fit, Track, fitted, model
 from sim.twin.fit import Explanation, _alike, _common, _mixed, _whitened, prior_spread
 from sim.twin.model import Correction, Linear, Model, relaxing
 from sim.twin.observations import track_of
@@ -451,6 +455,30 @@ def test_a_path_without_contact_is_no_track() -> None:
     time = np.arange(0.0, 1.0, 0.01)
     tip = np.full((len(time), 3), 1e-3)
     assert track_of("a", "sphere", time, tip, time, 0 * tip) is None
+
+
+@pytest.mark.parametrize("passes", [False, True])
+def test_what_has_no_solution_by_fem_is_tried_again(
+    monkeypatch: pytest.MonkeyPatch, passes: bool
+) -> None:
+    """With smaller steps, or on smaller elements if the indenter passes through them."""
+    tried: list[Fem] = []
+
+    def refuses_the_first(scene: Scene, tier: Fem, *, device: str) -> Result:
+        tried.append(tier)
+        if len(tried) == 1:
+            raise PassesThrough("passes") if passes else SimulationDiverged("diverged")
+        return simulate(scene, tier, device=device)
+
+    monkeypatch.setattr(model, "simulate", refuses_the_first)
+    row, tip = sensor("gelsight"), np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -0.1e-3]])
+    forces = model.by_fem(row, named("sphere"), tip, np.array([0.0, 1.0]), finer=0.6)
+    assert forces[-1, 2] < -0.01
+    first, second = tried
+    assert first.spacing is not None
+    assert second.spacing is not None
+    assert (second.spacing < first.spacing) == passes
+    assert (second.precision == "float64") != passes
 
 
 def test_relaxing_is_the_convolution_with_an_exponential() -> None:

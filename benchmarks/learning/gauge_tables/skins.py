@@ -15,9 +15,10 @@ from benchmarks.sim.twin.command import usual
 from benchmarks.sim.twin.planted import Bench, Forces, observed, random_skin, solved
 from recorder.store import replace_file
 from recorder.strict_yaml import yaml_text
-from sim.dataset.plan import Solving, further_settings
+from sim.dataset.plan import Solving
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
+from sim.fem.numerics import further_settings
 from sim.result import ContactTier
 from sim.sensors import CameraSignal, SimulatedSensor, sensor
 from sim.sensors.posterior import quantities, with_quantities
