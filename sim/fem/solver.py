@@ -573,9 +573,9 @@ def forget_dump(dump: File | None) -> None:
 FADED, FADED_BELOW = 3, 0.01
 
 
-# Threads of the host beside a GPU. Nearly half of their work holds the interpreter's lock, so that
-# more threads wait for each other: two were 1.9 and 1.5 times as fast as one, six 1.5 and 1.2 times
-# (folds, and results; two cores), and sixteen on sixteen cores slower than six.
+# Threads of the host that look at folded skins beside a GPU. Nearly half of their work holds the
+# interpreter's lock, so that more threads wait for each other: two were 1.9 times as fast as one,
+# six 1.5 times (two cores), and sixteen on sixteen cores slower than six.
 THREADS = 3
 
 
@@ -680,7 +680,7 @@ class _Batch:
             failed = self._failed.get(env)
             return failed or self._collectors[env].result({**record, **self._of_one(env)})
 
-        return on_host(self._assembly.device, outcome, range(len(self._scenes)))
+        return [outcome(env) for env in range(len(self._scenes))]
 
     def _begin(self, idle: np.ndarray) -> None:
         """Begin the next step of the idle environments (B,)."""
