@@ -138,8 +138,8 @@ def row_function(real, stored, wide: bool):
 HALF_NODES, HALF_POISSON = 60_000, 0.49
 # Nodes per block of GPU threads, which adds up their sums.
 BLOCK = 128
-# Threads per block that assemble rows of elements: 0.49 s in place of 0.54 s with blocks of 256, for
-# all tangents of 162 presses on an H200.
+# Threads per block that assemble rows of elements: for all tangents of 162 presses an H200 takes
+# 0.49 s, with blocks of 256 0.54 s.
 ROWS_BLOCK = 64
 # Numbers of a matrix that a GPU thread clears or rounds, each next to those of other threads: block
 # by block, a thread's 36 bytes of each, reached a fifth of the memory bandwidth of an H200.
