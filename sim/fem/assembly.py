@@ -58,7 +58,7 @@ AWAY = (0.0, 0.0, 1e3)
 MIN_FORCE_SCALE = {"float32": 1e-3, "float64": 1e-5}
 WIDE = 1 / 12
 # Most environments of a batch whose launches beside those of conjugate gradients are recorded as
-# graphs. With more of them a GPU has enough to do, and masks of active ones rarely come again.
+# graphs. With more of them the device has enough to do, and masks of active ones rarely come again.
 FEW = 16
 # Masks of environments that are kept on the device.
 MASKS = 8
@@ -462,7 +462,7 @@ class Assembly:
         self._element = element_kernels(real, "viscosity" in self.effects, self.split)
         on_gpu = wp.get_device(device).is_cuda
         self._lanes = LANES if on_gpu else 1
-        self._graphs = Graphs(device, record=on_gpu and len(scenes) <= FEW)
+        self._graphs = Graphs(device, record=len(scenes) <= FEW)
         on = "inertia" in self.effects, "gravity" in self.effects
         self._residual = residual_kernel(real, *on, lanes=self._lanes)
         self._reduce = reduce_kernel(lanes=self._lanes)
