@@ -78,6 +78,7 @@ def test_what_is_read_for_all_environments_is_that_of_each_alone(
         monkeypatch.setattr(wp.config, "enable_cpu_blocks", lanes > 1)
         found = read(self, environments, tip)
         monkeypatch.setattr(wp.config, "enable_cpu_blocks", False)
+        self._lanes = 1  # of all other kernels
         for env, row, top in zip(environments, *found, strict=True):
             numbers.append(len(environments))
             expected, nodes = _alone(self, env, tip[env])
