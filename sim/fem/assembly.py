@@ -463,8 +463,8 @@ class Assembly:
         on_gpu = wp.get_device(device).is_cuda
         self._lanes = LANES if on_gpu else 1
         self._graphs = Graphs(device, record=len(scenes) <= FEW)
-        on = "inertia" in self.effects, "gravity" in self.effects
-        self._residual = residual_kernel(real, *on, lanes=self._lanes)
+        on = [name in self.effects for name in ("friction", "inertia", "gravity")]
+        self._residual = residual_kernel(real, *on[1:], lanes=self._lanes)
         self._reduce = reduce_kernel(lanes=self._lanes)
 
         self._elements = self._array(mesh.elements, wp.int32)
@@ -542,7 +542,6 @@ class Assembly:
         """Preconditioner of the tangent."""
         self.state = SolverState(self, scenes)
         """State of the batch."""
-        on = (name in self.effects for name in ("friction", "inertia", "gravity"))
         self._read, self._read_top = reading_kernels(real, *on, lanes=self._lanes)
         self._read_inputs = [
             self._faces,

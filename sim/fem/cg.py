@@ -17,6 +17,7 @@ import numpy as np
 import warp as wp
 
 from sim.fem.graphs import Graphs
+from sim.fem.vectors import LANES
 from sim.scalars import vector_of
 
 # Iterations between checks for running environments: free on the CPU, a stop on a GPU, where one
@@ -25,8 +26,6 @@ LOOK, LOOK_GRIDS = {"cpu": 1, "cuda": 8}, {"cpu": 1, "cuda": 2}
 
 # Mark that replaces the target accuracy: stop here, the tangent is not convex.
 CONCAVE = 1e300
-# GPU threads that add up the partial sums of one environment.
-LANES = 128
 # Scalars per environment: r.z, target of r.r, step length, direction update (beta), slope, number
 # of iterations.
 SCALARS = 6

@@ -166,6 +166,8 @@ class Collector:
 
     def measure(self) -> None:
         """Measure the contacts of the frames stored since the last call: 1 ms each."""
+        if not self._unmeasured:
+            return
         mesh, body, unit = self._mesh, self._scene.body, self._scene.body.thickness
         x, y, top = mesh.x * unit, mesh.y * unit, mesh.topmost * unit
         for frame in self._unmeasured:

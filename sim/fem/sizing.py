@@ -329,11 +329,8 @@ def resolved(touched: Mask, x: Array, y: Array, *, body: Body, top: float) -> Ar
         body: Meshed body.
         top: Height of the topmost elements [m].
     """
-    anew = np.ones(len(touched), bool)
-    anew[1:] = (touched[1:] != touched[:-1]).any(axis=(1, 2))
-    found = touched[anew]
-    pieces = _pieces_of(found, x, y, body.thickness)
-    coarser = np.where(found.any(axis=(1, 2)), 1e-6, 0.0)
+    pieces = _pieces_of(touched, x, y, body.thickness)
+    coarser = np.where(touched.any(axis=(1, 2)), 1e-6, 0.0)
     np.maximum.at(coarser, pieces.frame, top / (FLATTER * pieces.top))
     for spans, nodes in zip(pieces.spans, (x, y), strict=True):
         length, (frame, low, high, size) = np.diff(nodes), spans.T
@@ -341,7 +338,7 @@ def resolved(touched: Mask, x: Array, y: Array, *, body: Body, top: float) -> Ar
         ratio = np.where(here, length, 0.0).max(axis=1) / size
         np.maximum.at(coarser, frame.astype(int), ratio)
     with np.errstate(divide="ignore"):
-        return np.asarray((1.0 / coarser)[np.cumsum(anew) - 1])
+        return np.asarray(1.0 / coarser)
 
 
 # Height of the topmost elements, over that of a mesh that follows the contact, at which it limits

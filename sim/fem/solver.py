@@ -619,7 +619,6 @@ class _Batch:
         self._assembly = Assembly(meshes, scenes, numerics, precision, device)
         self._newton = Newton(self._assembly)
         self._collectors = list(map(Collector, scenes, meshes))
-        self._unmeasured: list[Collector] = []
         self._area = np.array([mesh.top_area for mesh in meshes])[..., None]
         self._stress = np.array([scene.body.modulus for scene in scenes])[:, None, None, None]
         self._paths: list[Path] = [
@@ -850,7 +849,6 @@ class _Batch:
                 *(deep, node, self._spent[i]),
             )
             self._collectors[i].keep(frame, read[row], surface[row], traction[row], told)
-            self._unmeasured.append(self._collectors[i])
             self._spent[i] = Spent()
         rounds = [i for i in kept if self._collectors[i].round is not None]
         if rounds:
@@ -861,9 +859,8 @@ class _Batch:
 
     def _measure(self) -> None:
         """Measure the contacts of the frames kept since the last call, while a GPU is busy."""
-        for collector in self._unmeasured:
+        for collector in self._collectors:
             collector.measure()
-        self._unmeasured.clear()
 
     def _diverged(self, env: int, wanted: Sizes | None = None) -> SimulationDiverged:
         path, scene = self._paths[env], self._scenes[env]

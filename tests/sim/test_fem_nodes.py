@@ -122,8 +122,11 @@ def test_residual_gathers_every_share_once_and_the_sums_are_numpys(
 
 def _reduced(sums: Any, lanes: int = 1) -> Array:
     totals = oracle.zeros((3, SUMS), wp.float64)
-    kernel, dim, inputs = reduce_kernel(lanes=lanes), (3, SUMS, lanes), [oracle.integers(ACTIVE)]
-    inputs.append(sums)
+    kernel, dim, inputs = (
+        reduce_kernel(lanes=lanes),
+        (3, SUMS, lanes),
+        [oracle.integers(ACTIVE), sums],
+    )
     wp.launch(kernel, dim=dim, inputs=inputs, outputs=[totals], device="cpu", block_dim=LANES)
     return np.asarray(totals.numpy())
 
