@@ -214,6 +214,7 @@ class ConjugateGradient:
         self._graphs = Graphs(self._device, record=record)
         self._gathers = self._device.is_cuda if gather is None else gather
         self._lanes = LANES if self._device.is_cuda else 1
+        self._launched = wp.Event(self._device) if self._device.is_cuda else None
 
     def solve(
         self,
@@ -221,7 +222,7 @@ class ConjugateGradient:
         residual,
         accuracy,
         most: int,
-        meanwhile: Callable[[], None] | None = None,
+        meanwhile: Callable[[Callable[[], bool]], None] | None = None,
     ) -> np.ndarray:
         """Fill `solution` of the chosen environments and return their numbers of iterations (B,).
 
@@ -230,7 +231,7 @@ class ConjugateGradient:
             residual: Right-hand side (B, N).
             accuracy: Target of |r| / |residual|, float64 NumPy (B,).
             most: Most iterations; the graph in which this is reached is completed.
-            meanwhile: Called once, when the device has the most work of a Newton iteration to do.
+            meanwhile: Called when a GPU has work to do, with a function that is true while it has.
         """
         running = np.flatnonzero(chosen)
         self._gather(running, renew=True)
@@ -241,8 +242,9 @@ class ConjugateGradient:
         while len(running) and done < most:
             look = (LOOK if grids == 1 else LOOK_GRIDS)[kind]
             self._repeat(self._once, look, None)
-            if meanwhile is not None and not done:
-                meanwhile()
+            if meanwhile is not None and self._launched is not None:
+                wp.record_event(self._launched)
+                meanwhile(lambda: not self._launched.is_complete)
             done += look
             rows = self._which.numpy()
             running = rows[rows >= 0]

@@ -159,7 +159,11 @@ class Newton:
         self._assembly.evaluate(self._mask(chosen), state.u, self._cg.solution)
         self._check_convergence(chosen & ~self._predicting)
 
-    def sweep(self, running: np.ndarray, meanwhile: Callable[[], None] | None = None) -> None:
+    def sweep(
+        self,
+        running: np.ndarray,
+        meanwhile: Callable[[Callable[[], bool]], None] | None = None,
+    ) -> None:
         """Run one iteration of the environments (B,) that are neither converged nor failed.
 
         `meanwhile` is as in `ConjugateGradient.solve`.
@@ -365,8 +369,9 @@ PATIENT_AFTER = (2, 5)
 # Determinant of the last accepted state, over the least accepted one, below which its elements are
 # all but crushed; and the number of shorter and shorter steps that may then fail by crushing them.
 NEARLY_CRUSHED, CRUSHED_MOST = 2.0, 2
-# Steps of a path that may end with the skin inside itself, and be halved: a shorter one
-# may lead to a state without a fold, but a fold that grows with the depth does so in any steps.
+# Steps of a path that may end with the skin inside itself, or leap through the indenter, and be
+# halved: a shorter one may lead to a state without a fold, but a fold that grows with the depth does
+# so in any steps.
 CROSSED_MOST = 3
 # Largest ratio of a step to the last one that was accepted.
 GROWTH = 1.5
@@ -418,7 +423,7 @@ class Path:
     crushed: int = 0
     """Steps since then that failed because elements lost their volume."""
     crossed: int = 0
-    """Steps of the whole path that ended with the skin inside itself."""
+    """Steps of the whole path in which something has passed through the skin."""
     ended: str = ""
     """Reason why shorter steps are of no use, if so."""
     tried: list[str] = field(default_factory=list)
@@ -512,8 +517,8 @@ class Path:
     ) -> bool:
         """Reject the step and halve it; return True if there is a smaller one to try.
 
-        `crushed` is set if its elements have lost their volume. `crossed` says where its skin is
-        inside itself, if it is.
+        `crushed` is set if its elements have lost their volume. `crossed` says where something has
+        passed through its skin, if it has.
         """
         step = fraction - self.fraction
         self.tried.append(f"segment {self.segment}, step of {step:.3g} of it: {message}")

@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import tempfile
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -178,7 +179,7 @@ def _following(
 
 
 class Crossed(SimulationDiverged):
-    """No result, because the skin passes through itself.
+    """No result, because the skin passes through itself or through the indenter.
 
     It has what `Result` has of the mesh, and `wanted`, the elements that may avoid it.
     """
@@ -280,6 +281,14 @@ PASSES = (
 MEETS_ITSELF = (
     "the skin folds and passes through itself: {}; contact of the skin with itself is not computed "
     "(allowed: a shallower press, a shorter shear, a rounder edge)"
+)
+# A fold, and a leap from one side of the indenter to another: what the skin is inside of, the reason,
+# and the same in a few words.
+FOLDED = "the skin beside it", MEETS_ITSELF, "the skin overlaps itself"
+LEAPT = (
+    "the indenter on the way",
+    "the skin leaps through the indenter: {} (allowed: shorter steps, a shallower press)",
+    "the skin leaps through the indenter",
 )
 # Depth of the skin below the base plane, over the thickness, up to which there is no warning.
 BELOW_GOOD = 0.01
@@ -591,6 +600,18 @@ def on_host(device: str, function: Callable[..., Any], *items: Iterable[Any]) ->
 
 
 @dataclass(frozen=True, slots=True)
+class _Passed:
+    """A step in which something has passed through the skin."""
+
+    why: str
+    """The reason, if the path ends there."""
+    wanted: Sizes
+    """Elements that may avoid it."""
+    brief: str
+    """The same in a few words."""
+
+
+@dataclass(frozen=True, slots=True)
 class _Reached:
     """State of some environments when their batch ends, from which another one goes on."""
 
@@ -619,6 +640,7 @@ class _Batch:
         self._assembly = Assembly(meshes, scenes, numerics, precision, device)
         self._newton = Newton(self._assembly)
         self._collectors = list(map(Collector, scenes, meshes))
+        self._unmeasured: deque[int] = deque()  # environments with frames to measure
         self._area = np.array([mesh.top_area for mesh in meshes])[..., None]
         self._stress = np.array([scene.body.modulus for scene in scenes])[:, None, None, None]
         self._paths: list[Path] = [
@@ -737,8 +759,8 @@ class _Batch:
             assembly.state.update_multiplier(assembly.state.mask(again))
             most = self._numerics.newton_max
             newton.resume(again, np.array([path.patience(most) for path in self._paths]))
-        way, folds, crossed = self._look(good)
-        for i in crossed:
+        way, folds, passed = self._look(good)
+        for i in passed:
             good[i], bad[i] = False, True
         self._take(good, way, folds)
         if bad.any():
@@ -749,50 +771,82 @@ class _Batch:
                 f"{newton.iterations[i]} Newton iterations, residual {newton.residual[i]:.2e}"
             )
             self._last[i] = -1
-            why, wanted = crossed.get(i, ("", None))
-            if why:
-                reported += "; the skin overlaps itself"
-            crushed = bool(newton.crushed[i])
+            crushed, through = bool(newton.crushed[i]), passed.get(i)
+            why = "" if through is None else through.why
+            if through is not None:
+                reported += f"; {through.brief}"
             more = self._paths[i].refuse(self._share[i], reported, crushed=crushed, crossed=why)
             if not more or self._is_rounding(i):
-                self._failed[i] = self._diverged(i, wanted)
+                self._failed[i] = self._diverged(i, through)
         self._busy &= ~(good | bad)
 
     def _look(
         self, good: np.ndarray
-    ) -> tuple[np.ndarray, dict[int, tuple[float, int]], dict[int, tuple[str, Sizes]]]:
+    ) -> tuple[np.ndarray, dict[int, tuple[float, int]], dict[int, _Passed]]:
         """Measure the overlaps of completed steps (B,).
 
         Returns:
             Overlap along the steps (B, 4); results of `self_overlap`, by environment, of those that
-            have folded; where and how those whose skin is too far inside itself have come there,
-            with the element sizes that may avoid it.
+            have folded; those in which something has passed through the skin.
         """
-        assembly, folds, crossed = self._assembly, {}, {}
+        assembly, folds, passed = self._assembly, {}, {}
         if not good.any():
-            return np.zeros((len(good), COLUMNS)), folds, crossed
+            return np.zeros((len(good), COLUMNS)), folds, passed
         way = assembly.overlap(assembly.state.mask(good), samples=PATH_SAMPLES, states=PATH_STATES)
-        some = np.flatnonzero(good & (way[:, 3] > 0)).tolist()
+        folded = np.flatnonzero(good & (way[:, 3] > 0)).tolist()
+        finest = np.array([mesh.finest for mesh in self._meshes])
+        travel = np.linalg.norm(assembly.state.step, axis=1)
+        leapt = np.flatnonzero(good & (way[:, 0] > np.maximum(PASSED * finest, travel))).tolist()
+        some = sorted({*folded, *leapt})
         if not some:
-            return way, folds, crossed
+            return way, folds, passed
         top = assembly.read(some, self._tip)[1]
-        displaced = assembly.rows(assembly.state.u, some).astype(float)
-        meshes = [self._meshes[i] for i in some]
-        found = on_host(assembly.device, self_overlap, meshes, displaced)
-        for i, (deep, node), force in zip(some, found, top[..., 3:], strict=True):
-            mesh, unit = self._meshes[i], self._scenes[i].body.thickness
-            folds[i] = deep, node
-            if deep <= PASSED * mesh.finest:
-                continue
-            place = mesh.nodes[node] * unit
-            touched = force.any(axis=-1)
-            x, y = mesh.x * unit, mesh.y * unit
-            width, tip = np.array([width_of(touched, x, y)]), self._tip[[i]] * unit
-            (fraction,) = _shares(np.array([deep * unit]), width, tip, unit)
-            if fraction > OVERLAP_MOST:
-                where = _where(place, deep * unit, "the skin beside it", fraction)
-                crossed[i] = MEETS_ITSELF.format(where), finer_at(place, x, y, mesh.fineness)
-        return way, folds, crossed
+        touched = dict(zip(some, top[..., 3:].any(axis=-1), strict=True))
+        if folded:
+            displaced = assembly.rows(assembly.state.u, folded).astype(float)
+            meshes = [self._meshes[i] for i in folded]
+            found = on_host(assembly.device, self_overlap, meshes, displaced)
+            folds.update(zip(folded, found, strict=True))
+        for i, (deep, node) in folds.items():
+            if deep > PASSED * finest[i]:
+                place = self._meshes[i].nodes[node]
+                self._pass(passed, i, deep, place, touched[i], *FOLDED)
+        for i in leapt:
+            mesh, deepest = self._meshes[i], assembly.rows(assembly.face_overlap, [i])[0, :, 0]
+            place = mesh.nodes[mesh.faces[np.argmax(deepest)]].mean(axis=0)
+            self._pass(passed, i, float(way[i, 0]), place, touched[i], *LEAPT)
+        return way, folds, passed
+
+    def _pass(
+        self,
+        passed: dict[int, _Passed],
+        env: int,
+        deep: float,
+        place: np.ndarray,
+        touched: np.ndarray,
+        inside: str,
+        words: str,
+        brief: str,
+    ) -> None:
+        """Add an environment to those `passed` if an overlap is too large for its contact.
+
+        Args:
+            passed: Output.
+            env: Environment.
+            deep: Depth of the overlap [T].
+            place: Undeformed place of it (3,) [T].
+            touched: Nodes of the top that touch (X, Y).
+            inside: What the skin is inside of.
+            words: The reason, with a field for where.
+            brief: What has happened to the skin.
+        """
+        mesh, unit = self._meshes[env], self._scenes[env].body.thickness
+        x, y, place = mesh.x * unit, mesh.y * unit, place * unit
+        width, tip = np.array([width_of(touched, x, y)]), self._tip[[env]] * unit
+        (fraction,) = _shares(np.array([deep * unit]), width, tip, unit)
+        if fraction > OVERLAP_MOST:
+            where = words.format(_where(place, deep * unit, inside, fraction))
+            passed[env] = _Passed(where, finer_at(place, x, y, mesh.fineness), brief)
 
     def _is_rounding(self, env: int) -> bool:
         """True if a step failed so close to its tolerance that float32 rounding is the limit.
@@ -849,6 +903,7 @@ class _Batch:
                 *(deep, node, self._spent[i]),
             )
             self._collectors[i].keep(frame, read[row], surface[row], traction[row], told)
+            self._unmeasured.append(i)
             self._spent[i] = Spent()
         rounds = [i for i in kept if self._collectors[i].round is not None]
         if rounds:
@@ -857,12 +912,15 @@ class _Batch:
             for i, u, touched in zip(rounds, columns, faces, strict=True):
                 self._collectors[i].keep_round(kept[i], u, touched, self._tip[i])
 
-    def _measure(self) -> None:
-        """Measure the contacts of the frames kept since the last call, while a GPU is busy."""
-        for collector in self._collectors:
-            collector.measure()
+    def _measure(self, is_busy: Callable[[], bool]) -> None:
+        """Measure the contacts of kept frames, press by press, while a GPU is busy.
 
-    def _diverged(self, env: int, wanted: Sizes | None = None) -> SimulationDiverged:
+        Those left at the end are measured for the results.
+        """
+        while self._unmeasured and is_busy():
+            self._collectors[self._unmeasured.popleft()].measure()
+
+    def _diverged(self, env: int, through: _Passed | None = None) -> SimulationDiverged:
         path, scene = self._paths[env], self._scenes[env]
         state = self._assembly.state
         dump = File(tempfile.mkdtemp(prefix="diverged-")) / "state.npz"
@@ -887,8 +945,8 @@ class _Batch:
                 "in steps (the body may be too soft to carry its weight)"
             )
         millimetres = where * scene.body.thickness * 1e3
-        missing = "no converged state" if wanted is None else "no state without self-overlap"
-        diverged = (SimulationDiverged if wanted is None else Crossed)(
+        missing = "no converged state" if through is None else "no state without overlap"
+        diverged = (SimulationDiverged if through is None else Crossed)(
             f"{missing} after the tip at ({millimetres[0]:.4g}, {millimetres[1]:.4g}, "
             f"{millimetres[2]:.4g}) mm, on the way to waypoint {path.segment}{weight}: "
             f"{path.ended + '; ' if path.ended else ''}"
@@ -899,7 +957,7 @@ class _Batch:
         )
         if isinstance(diverged, Crossed):
             mesh, unit = self._meshes[env], scene.body.thickness
-            diverged.wanted, diverged.record = wanted, self._record()
+            diverged.wanted, diverged.record = through.wanted, self._record()
             diverged.surface_x, diverged.surface_y = mesh.x * unit, mesh.y * unit
         return diverged
 

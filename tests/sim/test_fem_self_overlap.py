@@ -146,6 +146,34 @@ def test_what_lies_beside_a_round_body_is_no_skin_to_overlap() -> None:
     assert self_overlap(mesh, np.where(moves[:, None], u, 0.0)) == (0.0, -1)
 
 
+def test_a_leap_through_the_indenter_is_tried_in_shorter_steps(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The measured overlap along the way is replaced: in the first step of the press, then in all.
+
+    It is half the thickness; the tip moves an eighth of it.
+    """
+    scene = Scene(sphere(3e-3), press([0.5e-3]), SMALL)
+    numerics = Fem(spacing=4e-3 / 3)
+    plain = simulate(scene, numerics)
+    overlap, leaps = Assembly.overlap, [0.0, 0.5]
+
+    def leapt(assembly: Assembly, *given: Any, **named: Any) -> Array:
+        found = overlap(assembly, *given, **named)
+        found[:, 0] += leaps.pop(0) if leaps else 0.0
+        return found
+
+    monkeypatch.setattr(Assembly, "overlap", leapt)
+    result = simulate(scene, numerics)
+    assert not leaps
+    assert result.quality.steps.tolist() == (plain.quality.steps + [0, 2]).tolist()
+    assert result.force[1, 2] == pytest.approx(plain.force[1, 2], rel=1e-3)
+    leaps[:] = [0.5] * 100
+    with pytest.raises(SimulationDiverged, match=r"leaps through the indenter: .* um") as told:
+        simulate(scene, numerics)
+    assert all("leaps through the indenter" in one for one in told.value.tried)
+
+
 @pytest.mark.slow
 def test_a_deep_press_and_shear_turns_the_skin_but_does_not_fold_it() -> None:
     motion = Motion(((0.0, 0.0, -1.5e-3), (0.8e-3, 0.0, -1.5e-3)), (0.0, 0.1))

@@ -33,6 +33,7 @@ SLOW: dict[str, list[pytest.MarkDecorator]] = {
     "first-touch-is-nothing": [pytest.mark.slow],
     "leaves-the-skin": [pytest.mark.slow],
     "press-at-the-corner": [pytest.mark.slow],
+    "skin-leaps-over-the-sphere": [pytest.mark.slow, pytest.mark.timeout(180)],
     "tube-on-its-rounded-edge": [pytest.mark.slow],
 }
 
