@@ -282,8 +282,8 @@ MEETS_ITSELF = (
     "the skin folds and passes through itself: {}; contact of the skin with itself is not computed "
     "(allowed: a shallower press, a shorter shear, a rounder edge)"
 )
-# A fold, and a leap from one side of the indenter to another: what the skin is inside of, the reason,
-# and the same in a few words.
+# A fold, and a leap from one side of the indenter to another: what the skin is inside of, the
+# reason, and the same in a few words.
 FOLDED = "the skin beside it", MEETS_ITSELF, "the skin overlaps itself"
 LEAPT = (
     "the indenter on the way",

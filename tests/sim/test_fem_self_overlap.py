@@ -166,7 +166,7 @@ def test_a_leap_through_the_indenter_is_tried_in_shorter_steps(
     monkeypatch.setattr(Assembly, "overlap", leapt)
     result = simulate(scene, numerics)
     assert not leaps
-    assert result.quality.steps.tolist() == (plain.quality.steps + [0, 2]).tolist()
+    assert result.quality.steps.tolist() == [plain.quality.steps[0], plain.quality.steps[1] + 2]
     assert result.force[1, 2] == pytest.approx(plain.force[1, 2], rel=1e-3)
     leaps[:] = [0.5] * 100
     with pytest.raises(SimulationDiverged, match=r"leaps through the indenter: .* um") as told:
