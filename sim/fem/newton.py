@@ -370,8 +370,8 @@ PATIENT_AFTER = (2, 5)
 # all but crushed; and the number of shorter and shorter steps that may then fail by crushing them.
 NEARLY_CRUSHED, CRUSHED_MOST = 2.0, 2
 # Steps of a path that may end with the skin inside itself, or leap through the indenter, and be
-# halved: a shorter one may lead to a state without a fold, but one that grows with the depth does so
-# in any steps.
+# halved. A shorter one may lead to a state without a fold; one that grows with the depth does so in
+# any steps.
 CROSSED_MOST = 3
 # Largest ratio of a step to the last one that was accepted.
 GROWTH = 1.5
