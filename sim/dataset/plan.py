@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import shutil
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -206,9 +205,9 @@ def _how(result: Result) -> dict[str, Any]:
 
 
 def _reason(attempt: str, diverged: SimulationDiverged) -> str:
-    if diverged.dump is not None:
-        # The provenance is sufficient; dumps of all attempts would fill the disk.
-        shutil.rmtree(diverged.dump.parent, ignore_errors=True)
+    from sim.fem.solver import forget_dump
+
+    forget_dump(diverged.dump)  # the provenance is sufficient; dumps would fill the disk
     return f"{attempt}: {_one_line(str(diverged))}"
 
 

@@ -655,6 +655,7 @@ class _Batch:
         self._augmented = np.zeros(count, int)
         self._largest = np.zeros(count)  # force at a waypoint, by environment [E T^2]
         self._last = np.zeros((count, 2))
+        self._deepest = np.zeros(count)  # overlap along the last accepted step [T]
         self._tip, self._share = np.zeros((count, 3)), np.zeros(count)
         self._duration, self._load = np.ones(count), np.ones(count)
         state = self._assembly.state
@@ -794,9 +795,7 @@ class _Batch:
             return np.zeros((len(good), COLUMNS)), folds, passed
         way = assembly.overlap(assembly.state.mask(good), samples=PATH_SAMPLES, states=PATH_STATES)
         folded = np.flatnonzero(good & (way[:, 3] > 0)).tolist()
-        finest = np.array([mesh.finest for mesh in self._meshes])
-        travel = np.linalg.norm(assembly.state.step, axis=1)
-        leapt = np.flatnonzero(good & (way[:, 0] > np.maximum(PASSED * finest, travel))).tolist()
+        leapt = self._leapt(good, way[:, 0])
         some = sorted({*folded, *leapt})
         if not some:
             return way, folds, passed
@@ -808,14 +807,34 @@ class _Batch:
             found = on_host(assembly.device, self_overlap, meshes, displaced)
             folds.update(zip(folded, found, strict=True))
         for i, (deep, node) in folds.items():
-            if deep > PASSED * finest[i]:
+            if deep > PASSED * self._meshes[i].finest:
                 place = self._meshes[i].nodes[node]
                 self._pass(passed, i, deep, place, touched[i], *FOLDED)
-        for i in leapt:
-            mesh, deepest = self._meshes[i], assembly.rows(assembly.face_overlap, [i])[0, :, 0]
-            place = mesh.nodes[mesh.faces[np.argmax(deepest)]].mean(axis=0)
+        for i, place in leapt.items():
             self._pass(passed, i, float(way[i, 0]), place, touched[i], *LEAPT)
         return way, folds, passed
+
+    def _leapt(self, good: np.ndarray, way: np.ndarray) -> dict[int, np.ndarray]:
+        """Return completed steps (B,) along which the skin leaps through the indenter.
+
+        On the way it is deeper inside (`way` (B,) [T], just measured) than at both ends, by more
+        than the tip has moved.
+
+        Returns:
+            By environment, the undeformed place of the skin that is deepest (3,) [T].
+        """
+        assembly, state = self._assembly, self._assembly.state
+        finest = np.array([mesh.finest for mesh in self._meshes])
+        allowed = np.maximum(PASSED * finest, np.linalg.norm(state.step, axis=1))
+        may_be = good & (way > self._deepest + allowed)
+        if not may_be.any():
+            return {}
+        places = {}
+        for i in np.flatnonzero(may_be).tolist():
+            mesh, overlap = self._meshes[i], assembly.rows(assembly.face_overlap, [i])[0, :, 0]
+            places[i] = mesh.nodes[mesh.faces[np.argmax(overlap)]].mean(axis=0)
+        end = assembly.overlap(state.mask(may_be), samples=PATH_SAMPLES)[:, 0]
+        return {i: place for i, place in places.items() if way[i] > end[i] + allowed[i]}
 
     def _pass(
         self,
@@ -875,6 +894,7 @@ class _Batch:
             self._spent[i].steps += 1
             self._last[i] = path.segment, self._share[i] - path.fraction
             self._collectors[i].moved(float(work[i]), way[i])
+            self._deepest[i] = way[i, 0]
             frame = path.segment
             floor = NEARLY_CRUSHED * self._numerics.det_floor
             if path.accept(self._share[i], nearly_crushed=bool(assembly.sums.det[i] < floor)):
