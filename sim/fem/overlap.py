@@ -7,7 +7,7 @@ every face that can reach the indenter is sampled densely, at the end of a step 
 it, where skin and tip are assumed to move straight. A signed distance changes by no more than the
 distance that a point moves. So no point of a face is deeper than its deepest sample plus the
 distance to the next one. Inside a wall a signed distance ends at half the wall's width; steps are
-shorter than that.
+shorter than that, and a face that leaps further is sampled once for each of its own lengths.
 
 Skin can only meet other skin where some of it has turned by a right angle or more. The kernel flags
 faces that have nearly done so, and `sim.fem.self_overlap` then looks closer.
@@ -26,6 +26,8 @@ from sim.scalars import vector_of
 # Measured columns: deepest sample, upper bound of the depth, depth below the base plane, and 1 if
 # a face is folded.
 COLUMNS = 4
+# Most states along a step at which a face is sampled.
+STATES_MOST = 32
 # Cosine of the angle to its rest normal below which a face counts as folded.
 FOLDED = math.cos(math.radians(80))
 
@@ -37,7 +39,7 @@ def overlap_kernel(real, traits: Traits = PLAIN):
     table_type = table_struct(real, traits)
     distance = distance_function(real, traits)
     zero, half, one, quarter = real(0.0), real(0.5), real(1.0), real(0.25)
-    turned = real(FOLDED)
+    turned, most_states = real(FOLDED), STATES_MOST
 
     @wp.kernel(enable_backward=False, module="unique")
     def overlap(
@@ -70,17 +72,33 @@ def overlap_kernel(real, traits: Traits = PLAIN):
         bound = zero
         below = zero
         folded = zero
-        for k in range(states):
-            left = one - real(k + 1) / real(states)
-            at = tip[env] + (tip_old[env] - tip[env]) * left
-            n0 = faces[s, 0]
-            n1 = faces[s, 1]
-            n2 = faces[s, 2]
-            n3 = faces[s, 3]
-            x0 = nodes[m, n0] + u[env, n0] + (u_old[env, n0] - u[env, n0]) * left
-            x1 = nodes[m, n1] + u[env, n1] + (u_old[env, n1] - u[env, n1]) * left
-            x2 = nodes[m, n2] + u[env, n2] + (u_old[env, n2] - u[env, n2]) * left
-            x3 = nodes[m, n3] + u[env, n3] + (u_old[env, n3] - u[env, n3]) * left
+        n0 = faces[s, 0]
+        n1 = faces[s, 1]
+        n2 = faces[s, 2]
+        n3 = faces[s, 3]
+        travel = tip[env] - tip_old[env]
+        d0 = u_old[env, n0] - u[env, n0]
+        d1 = u_old[env, n1] - u[env, n1]
+        d2 = u_old[env, n2] - u[env, n2]
+        d3 = u_old[env, n3] - u[env, n3]
+        count = int(states)
+        if states > 1:
+            # A face that leaps over many of its own lengths could miss a thin indenter.
+            size = wp.min(
+                wp.length(nodes[m, n3] - nodes[m, n0]), wp.length(nodes[m, n2] - nodes[m, n1])
+            )
+            leap = wp.max(
+                wp.max(wp.length(d0 + travel), wp.length(d1 + travel)),
+                wp.max(wp.length(d2 + travel), wp.length(d3 + travel)),
+            )
+            count = wp.clamp(int(wp.ceil(leap / size)), states, wp.max(states, most_states))
+        for k in range(count):
+            left = one - real(k + 1) / real(count)
+            at = tip[env] - travel * left
+            x0 = nodes[m, n0] + u[env, n0] + d0 * left
+            x1 = nodes[m, n1] + u[env, n1] + d1 * left
+            x2 = nodes[m, n2] + u[env, n2] + d2 * left
+            x3 = nodes[m, n3] + u[env, n3] + d3 * left
             lowest = wp.min(wp.min(x0[2], x1[2]), wp.min(x2[2], x3[2]))
             below = wp.max(below, -one - lowest)
             middle = (x0 + x1 + x2 + x3) * quarter
@@ -104,7 +122,7 @@ def overlap_kernel(real, traits: Traits = PLAIN):
                         found = distance(table, env, place - at)
                         deepest = wp.max(deepest, -found[3])
                         bound = wp.max(bound, spacing - found[3])
-            if k == states - 1:
+            if k == count - 1:
                 now = wp.cross(x3 - x0, x2 - x1)
                 rest = wp.cross(nodes[m, n3] - nodes[m, n0], nodes[m, n2] - nodes[m, n1])
                 if wp.dot(rest, now) < turned * wp.length(rest) * wp.length(now):

@@ -26,7 +26,7 @@ from sim.fem.crossing import Crossing
 from sim.fem.mesh import Mesh, build_mesh
 from sim.fem.numerics import FOR_EDGES, Fem
 from sim.fem.self_overlap import folded_faces, self_overlap
-from sim.indenters import flat_punch, sphere
+from sim.indenters import bar, flat_punch, sphere
 from sim.simulate import simulate_many
 
 Array = NDArray[np.float64]
@@ -173,6 +173,20 @@ def test_a_leap_through_the_indenter_is_tried_in_shorter_steps(
     with pytest.raises(SimulationDiverged, match=r"leaps through the indenter: .* um") as told:
         simulate(scene, numerics)
     assert all("leaps through the indenter" in one for one in told.value.tried)
+
+
+def test_skin_that_leaps_far_is_followed_closely_enough_to_meet_a_thin_bar() -> None:
+    """From 0.5 mm below a lying bar of 0.2 mm to 0.5 mm above it, by faces of 0.25 mm."""
+    scene, mesh = Scene(bar(1e-4, 4e-3), press([1e-4]), STRIP), build_mesh(STRIP, 0.25e-3)
+    assembly = Assembly([mesh], [scene], Fem(), "float64", "cpu")
+    state, unit = assembly.state, STRIP.thickness
+    state.start(np.array([[0.0, 0.0, -0.4e-3]]) / unit)
+    up = np.array([0.0, 0.0, 1e-3]) / unit
+    state.u_old.assign(np.tile(-0.9 * up, (1, len(mesh.nodes), 1)))
+    state.u.assign(np.tile(0.3 * up, (1, len(mesh.nodes), 1)))
+    assert assembly.overlap(state.everyone, samples=3)[0, 0] == 0.0
+    found = assembly.overlap(state.everyone, samples=3, states=3)[0, 0] * unit
+    assert 0.05e-3 < found < 0.11e-3
 
 
 @pytest.mark.slow
