@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path as File
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
@@ -282,16 +282,27 @@ MEETS_ITSELF = (
     "the skin folds and passes through itself: {}; contact of the skin with itself is not computed "
     "(allowed: a shallower press, a shorter shear, a rounder edge)"
 )
-# A fold, and a leap from one side of the indenter to another: what the skin is inside of, the
-# reason, and the same in a few words.
-FOLDED = "the skin beside it", MEETS_ITSELF, "the skin overlaps itself"
-LEAPT = (
+# Depth of the skin below the base plane, over the thickness, up to which there is no warning.
+BELOW_GOOD = 0.01
+
+
+class _Kind(NamedTuple):
+    """A way for something to pass through the skin."""
+
+    inside: str
+    """The body that the skin is inside of."""
+    words: str
+    """The reason if a path ends there, with a field for where."""
+    brief: str
+    """The same in a few words."""
+
+
+FOLD = _Kind("the skin beside it", MEETS_ITSELF, "the skin overlaps itself")
+LEAP = _Kind(
     "the indenter on the way",
     "the skin leaps through the indenter: {} (allowed: shorter steps, a shallower press)",
     "the skin leaps through the indenter",
 )
-# Depth of the skin below the base plane, over the thickness, up to which there is no warning.
-BELOW_GOOD = 0.01
 
 
 def overlap_shares(result: Result, overlap: np.ndarray) -> np.ndarray:
@@ -809,10 +820,11 @@ class _Batch:
         for i, (deep, node) in folds.items():
             if deep > PASSED * self._meshes[i].finest:
                 place = self._meshes[i].nodes[node]
-                self._pass(passed, i, deep, place, touched[i], *FOLDED)
+                passed[i] = self._too_deep(i, deep, place, touched[i], FOLD)
         for i, place in leapt.items():
-            self._pass(passed, i, float(way[i, 0]), place, touched[i], *LEAPT)
-        return way, folds, passed
+            leap = self._too_deep(i, float(way[i, 0]), place, touched[i], LEAP)
+            passed[i] = leap or passed.get(i)
+        return way, folds, {i: one for i, one in passed.items() if one is not None}
 
     def _leapt(self, good: np.ndarray, way: np.ndarray) -> dict[int, np.ndarray]:
         """Return completed steps (B,) along which the skin leaps through the indenter.
@@ -836,36 +848,26 @@ class _Batch:
         end = assembly.overlap(state.mask(may_be), samples=PATH_SAMPLES)[:, 0]
         return {i: place for i, place in places.items() if way[i] > end[i] + allowed[i]}
 
-    def _pass(
-        self,
-        passed: dict[int, _Passed],
-        env: int,
-        deep: float,
-        place: np.ndarray,
-        touched: np.ndarray,
-        inside: str,
-        words: str,
-        brief: str,
-    ) -> None:
-        """Add an environment to those `passed` if an overlap is too large for its contact.
+    def _too_deep(
+        self, env: int, deep: float, place: np.ndarray, touched: np.ndarray, kind: _Kind
+    ) -> _Passed | None:
+        """Return what to say of an overlap, or None if it is small for the contact.
 
         Args:
-            passed: Output.
             env: Environment.
             deep: Depth of the overlap [T].
             place: Undeformed place of it (3,) [T].
             touched: Nodes of the top that touch (X, Y).
-            inside: What the skin is inside of.
-            words: The reason, with a field for where.
-            brief: What has happened to the skin.
+            kind: What overlaps.
         """
         mesh, unit = self._meshes[env], self._scenes[env].body.thickness
         x, y, place = mesh.x * unit, mesh.y * unit, place * unit
         width, tip = np.array([width_of(touched, x, y)]), self._tip[[env]] * unit
         (fraction,) = _shares(np.array([deep * unit]), width, tip, unit)
-        if fraction > OVERLAP_MOST:
-            where = words.format(_where(place, deep * unit, inside, fraction))
-            passed[env] = _Passed(where, finer_at(place, x, y, mesh.fineness), brief)
+        if fraction <= OVERLAP_MOST:
+            return None
+        where = kind.words.format(_where(place, deep * unit, kind.inside, fraction))
+        return _Passed(where, finer_at(place, x, y, mesh.fineness), kind.brief)
 
     def _is_rounding(self, env: int) -> bool:
         """True if a step failed so close to its tolerance that float32 rounding is the limit.
