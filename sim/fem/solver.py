@@ -282,6 +282,10 @@ MEETS_ITSELF = (
     "the skin folds and passes through itself: {}; contact of the skin with itself is not computed "
     "(allowed: a shallower press, a shorter shear, a rounder edge)"
 )
+# Energy that a body holds beyond the work of the indenter, over the most work so far, up to which
+# there is no warning. The work is integrated over steps, to 1 % without friction. Of 21 random
+# scenes 20 had 0.4 % or less and one 2.5 %; a leap over a ball had 14 %.
+CREATED = 0.05
 # Depth of the skin below the base plane, over the thickness, up to which there is no warning.
 BELOW_GOOD = 0.01
 
@@ -414,6 +418,12 @@ def judged(outcome: Outcome) -> Outcome:
         warnings.append(
             f"upright, this body would carry {straight:.3g} N, but it is so slender that "
             f"it may buckle above {most:.3g} N: other shapes are possible, with other forces"
+        )
+    created = -float(outcome.quality.energy_gap.min())
+    if created > CREATED:
+        warnings.append(
+            f"the body holds {100 * created:.3g} % more energy than the indenter has given it: it "
+            "leaps from one state to another, perhaps the wrong one (allowed: shorter steps)"
         )
     below = outcome.record["overlap"]["below_base"]
     if below > BELOW_GOOD * outcome.scene.body.thickness:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from benchmarks.__main__ import main
-from benchmarks.sim.stability.chance import bounds
+from benchmarks.sim.stability.chance import bounds, judgement
 from benchmarks.sim.stability.chance.footprint import footprint, half_wall
 from benchmarks.sim.stability.chance.judgement import (
     OutOfTime,
@@ -305,6 +306,26 @@ def test_a_solve_that_takes_too_long_is_ended() -> None:
     began = time.perf_counter()
     with pytest.raises(OutOfTime, match=r"within 0.05 s"), time_limit(0.05):
         time.sleep(5)
+    assert time.perf_counter() < began + 2
+
+
+def test_a_solve_is_ended_although_the_first_call_comes_within_a_destructor(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Slow:
+        def __del__(self) -> None:
+            time.sleep(0.2)
+
+    def solve() -> None:
+        slow = Slow()
+        del slow
+        time.sleep(5)
+
+    monkeypatch.setattr(judgement, "AGAIN", 0.3)
+    monkeypatch.setattr(sys, "unraisablehook", lambda _told: None)
+    began = time.perf_counter()
+    with pytest.raises(OutOfTime), time_limit(0.05):
+        solve()
     assert time.perf_counter() < began + 2
 
 

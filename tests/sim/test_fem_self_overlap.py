@@ -175,6 +175,18 @@ def test_a_leap_through_the_indenter_is_tried_in_shorter_steps(
     assert all("leaps through the indenter" in one for one in told.value.tried)
 
 
+def test_energy_that_nobody_has_given_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The measured work is replaced: a tenth less than was done, then a thirtieth."""
+    scene = Scene(sphere(3e-3), press([0.5e-3]), SMALL)
+    work = Assembly.work
+    for share, count in ((0.9, 1), (0.97, 0)):
+        with monkeypatch.context() as less:
+            less.setattr(Assembly, "work", lambda *given, s=share: s * work(*given))
+            result = simulate(scene, Fem(spacing=4e-3 / 3, step_travel=0.05e-3))
+        found = [one for one in result.record["warnings"] if "more energy than the indenter" in one]
+        assert len(found) == count
+
+
 def test_skin_that_leaps_far_is_followed_closely_enough_to_meet_a_thin_bar() -> None:
     """From 0.5 mm below a lying bar of 0.2 mm to 0.5 mm above it, by faces of 0.25 mm."""
     scene, mesh = Scene(bar(1e-4, 4e-3), press([1e-4]), STRIP), build_mesh(STRIP, 0.25e-3)

@@ -27,8 +27,8 @@ Class = Literal["right", "refused", "diverged", "warned", "silent", "crash", "ti
 CLASSES: tuple[Class, ...] = get_args(Class)
 # Acceptable for a user: a correct answer, or a message that there is none.
 PASSED: frozenset[Class] = frozenset({"right", "refused", "diverged", "warned"})
-# Default time limit of one solve.
-SECONDS = 60.0
+# Default time limit of one solve, and the time after which it is called out again [s].
+SECONDS, AGAIN = 60.0, 5.0
 # Maximum number of elements, so that a scene takes seconds; coarsened meshes are reported.
 SOLVED_MAX = 12_000
 # Fraction of the scenes that are also solved as a twin.
@@ -195,7 +195,8 @@ def time_limit(seconds: float) -> Iterator[None]:
         raise OutOfTime(f"no answer within {seconds:g} s")
 
     before = signal.signal(signal.SIGALRM, ring)
-    signal.setitimer(signal.ITIMER_REAL, max(seconds, 1e-3))
+    # Again and again: an exception within a destructor is ignored.
+    signal.setitimer(signal.ITIMER_REAL, max(seconds, 1e-3), AGAIN)
     try:
         yield
     finally:
