@@ -179,9 +179,9 @@ def test_energy_that_nobody_has_given_is_a_warning(monkeypatch: pytest.MonkeyPat
     """The measured work is replaced: a tenth less than was done, then a thirtieth."""
     scene = Scene(sphere(3e-3), press([0.5e-3]), SMALL)
     work = Assembly.work
-    for share, count in ((0.9, 1), (0.97, 0)):
+    for fraction, count in ((0.9, 1), (0.97, 0)):
         with monkeypatch.context() as less:
-            less.setattr(Assembly, "work", lambda *given, s=share: s * work(*given))
+            less.setattr(Assembly, "work", lambda *given, f=fraction: f * work(*given))
             result = simulate(scene, Fem(spacing=4e-3 / 3, step_travel=0.05e-3))
         found = [one for one in result.record["warnings"] if "more energy than the indenter" in one]
         assert len(found) == count
