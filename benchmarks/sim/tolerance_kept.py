@@ -225,6 +225,9 @@ def run(options: argparse.Namespace, say: Callable[[str], None] = print) -> int:
     chosen = scenes(options.scenes, options.seed)
     if options.only:
         chosen = [drawn(options.seed, number) for number in _numbers(options.only)]
+        for one in chosen:
+            if one.scene is None:
+                raise SceneError(f"--only: {one.name} is no scene ({one.refusal}); allowed: others")
     with done_counts(say):
         for row in side_by_side(judge, chosen, options.device, min(options.processes, len(chosen))):
             rows.append(row)
