@@ -31,6 +31,12 @@ class SimulationDiverged(CommandError, RuntimeError):
         self.tried = tried
         self.dump = dump
 
+    def forget_dump(self) -> None:
+        """Remove the dump and its folder, as another attempt follows."""
+        if self.dump is not None:
+            self.dump.unlink(missing_ok=True)
+            self.dump.parent.rmdir()
+
     def report(self) -> str:
         """Return the message and the most recent attempts."""
         tried = [f"  tried: {attempt}" for attempt in self.tried[-TRIED_SHOWN:]]

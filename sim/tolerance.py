@@ -200,9 +200,7 @@ class _Meshes:
 
     def given_up(self, diverged: SimulationDiverged) -> str:
         """Remove the dump of a failure that a finer mesh follows, and return its reason."""
-        from sim.fem.solver import forget_dump
-
-        forget_dump(diverged.dump)
+        diverged.forget_dump()
         return str(diverged).split("; state:")[0]
 
     def solved(self, fineness: float, part: int) -> Result:

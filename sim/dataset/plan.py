@@ -205,9 +205,7 @@ def _how(result: Result) -> dict[str, Any]:
 
 
 def _reason(attempt: str, diverged: SimulationDiverged) -> str:
-    from sim.fem.solver import forget_dump
-
-    forget_dump(diverged.dump)  # the provenance is sufficient; dumps would fill the disk
+    diverged.forget_dump()  # the provenance is sufficient; dumps would fill the disk
     return f"{attempt}: {_one_line(str(diverged))}"
 
 

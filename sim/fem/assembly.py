@@ -447,8 +447,9 @@ class Assembly:
         self.numerics, self.device = numerics, device
         self.precision = precision
         self.real = real = PRECISIONS[precision]
-        finest = np.array([each.finest for each in meshes])
-        self.min_force_scale = MIN_FORCE_SCALE[precision] * np.minimum(1.0, finest / WIDE) ** 2
+        self.finest = np.array([each.finest for each in meshes])
+        """Side of the smallest elements in plan of each environment (B,) [T]."""
+        self.min_force_scale = MIN_FORCE_SCALE[precision] * np.minimum(1.0, self.finest / WIDE) ** 2
         """Least force by which residuals are divided (B,) [E T^2]."""
         self.effects = scenes[0].effects.key
         self.environments = len(scenes)

@@ -39,7 +39,7 @@ def overlap_kernel(real, traits: Traits = PLAIN):
     table_type = table_struct(real, traits)
     distance = distance_function(real, traits)
     zero, half, one, quarter = real(0.0), real(0.5), real(1.0), real(0.25)
-    turned, most_states = real(FOLDED), STATES_MOST
+    turned = real(FOLDED)
 
     @wp.kernel(enable_backward=False, module="unique")
     def overlap(
@@ -81,17 +81,17 @@ def overlap_kernel(real, traits: Traits = PLAIN):
         d1 = u_old[env, n1] - u[env, n1]
         d2 = u_old[env, n2] - u[env, n2]
         d3 = u_old[env, n3] - u[env, n3]
+        first = nodes[m, n3] - nodes[m, n0]
+        second = nodes[m, n2] - nodes[m, n1]
         count = int(states)
         if states > 1:
             # A face that leaps over many of its own lengths could miss a thin indenter.
-            size = wp.min(
-                wp.length(nodes[m, n3] - nodes[m, n0]), wp.length(nodes[m, n2] - nodes[m, n1])
-            )
+            size = wp.min(wp.length(first), wp.length(second))
             leap = wp.max(
                 wp.max(wp.length(d0 + travel), wp.length(d1 + travel)),
                 wp.max(wp.length(d2 + travel), wp.length(d3 + travel)),
             )
-            count = wp.clamp(int(wp.ceil(leap / size)), states, wp.max(states, most_states))
+            count = wp.clamp(int(wp.ceil(leap / size)), states, wp.max(states, STATES_MOST))
         for k in range(count):
             left = one - real(k + 1) / real(count)
             at = tip[env] - travel * left
@@ -124,7 +124,7 @@ def overlap_kernel(real, traits: Traits = PLAIN):
                         bound = wp.max(bound, spacing - found[3])
             if k == count - 1:
                 now = wp.cross(x3 - x0, x2 - x1)
-                rest = wp.cross(nodes[m, n3] - nodes[m, n0], nodes[m, n2] - nodes[m, n1])
+                rest = wp.cross(first, second)
                 if wp.dot(rest, now) < turned * wp.length(rest) * wp.length(now):
                     folded = one
         face_out[env, s, 0] = deepest

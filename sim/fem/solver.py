@@ -173,7 +173,7 @@ def _following(
             )
             for i, outcome in zip(chosen, some, strict=True):
                 if isinstance(outcomes[i], Crossed):
-                    forget_dump(outcomes[i].dump)
+                    outcomes[i].forget_dump()
                 outcomes[i] = _remeshed(outcome, attempt, outcomes[i])
     return outcomes, lasting
 
@@ -277,11 +277,6 @@ PASSES = (
     "the indenter passes through the skin: {}; the mesh does not resolve the contact (allowed: "
     "finer elements, a rounder edge)"
 )
-# The reason if there is no result.
-MEETS_ITSELF = (
-    "the skin folds and passes through itself: {}; contact of the skin with itself is not computed "
-    "(allowed: a shallower press, a shorter shear, a rounder edge)"
-)
 # Energy that a body holds beyond the work of the indenter, over the most work so far, up to which
 # there is no warning. The work is integrated over steps, to 1 % without friction. Of 21 random
 # scenes 20 had 0.4 % or less and one 2.5 %; a leap over a ball had 14 %.
@@ -301,7 +296,12 @@ class _Kind(NamedTuple):
     """The same in a few words."""
 
 
-FOLD = _Kind("the skin beside it", MEETS_ITSELF, "the skin overlaps itself")
+FOLD = _Kind(
+    "the skin beside it",
+    "the skin folds and passes through itself: {}; contact of the skin with itself is not computed "
+    "(allowed: a shallower press, a shorter shear, a rounder edge)",
+    "the skin overlaps itself",
+)
 LEAP = _Kind(
     "the indenter on the way",
     "the skin leaps through the indenter: {} (allowed: shorter steps, a shallower press)",
@@ -402,7 +402,7 @@ def judged(outcome: Outcome) -> Outcome:
     folded = np.array(own["metres"]), own.get("place")
     for (overlap, place), inside, kind, words in (
         (through, "the indenter", PassesThrough, PASSES),
-        (folded, "the skin beside it", SimulationDiverged, MEETS_ITSELF),
+        (folded, FOLD.inside, SimulationDiverged, FOLD.words),
     ):
         fractions = overlap_shares(outcome, overlap)
         worst = int(np.argmax(fractions))
@@ -580,7 +580,7 @@ def _solve(scenes, meshes, numerics, device, meshed, progress) -> list[Outcome]:
             reached,
         ).run()
         for i, outcome in zip(again, retried, strict=True):
-            forget_dump(outcomes[i].dump)
+            outcomes[i].forget_dump()
             outcomes[i] = _with_reason(outcome, f"float32 did not converge: {outcomes[i]}")
     return outcomes
 
@@ -589,13 +589,6 @@ def _with_reason(outcome: Outcome, reason: str) -> Outcome:
     if isinstance(outcome, SimulationDiverged):
         return outcome
     return replace(outcome, record={**outcome.record, "precision_reason": reason})
-
-
-def forget_dump(dump: File | None) -> None:
-    """Remove the dump of a failed attempt that was followed by another."""
-    if dump is not None:
-        dump.unlink(missing_ok=True)
-        dump.parent.rmdir()
 
 
 # Further updates of the multipliers where an indenter has all but left the skin: they remember the
@@ -661,7 +654,7 @@ class _Batch:
         self._assembly = Assembly(meshes, scenes, numerics, precision, device)
         self._newton = Newton(self._assembly)
         self._collectors = list(map(Collector, scenes, meshes))
-        self._unmeasured: deque[int] = deque()  # environments with frames to measure
+        self._unmeasured: deque[Collector] = deque()
         self._area = np.array([mesh.top_area for mesh in meshes])[..., None]
         self._stress = np.array([scene.body.modulus for scene in scenes])[:, None, None, None]
         self._paths: list[Path] = [
@@ -794,9 +787,9 @@ class _Batch:
             )
             self._last[i] = -1
             crushed, through = bool(newton.crushed[i]), passed.get(i)
-            why = "" if through is None else through.why
+            why = ""
             if through is not None:
-                reported += f"; {through.brief}"
+                why, reported = through.why, f"{reported}; {through.brief}"
             more = self._paths[i].refuse(self._share[i], reported, crushed=crushed, crossed=why)
             if not more or self._is_rounding(i):
                 self._failed[i] = self._diverged(i, through)
@@ -827,14 +820,17 @@ class _Batch:
             meshes = [self._meshes[i] for i in folded]
             found = on_host(assembly.device, self_overlap, meshes, displaced)
             folds.update(zip(folded, found, strict=True))
-        for i, (deep, node) in folds.items():
-            if deep > PASSED * self._meshes[i].finest:
-                place = self._meshes[i].nodes[node]
-                passed[i] = self._too_deep(i, deep, place, touched[i], FOLD)
-        for i, place in leapt.items():
-            leap = self._too_deep(i, float(way[i, 0]), place, touched[i], LEAP)
-            passed[i] = leap or passed.get(i)
-        return way, folds, {i: one for i, one in passed.items() if one is not None}
+        overlaps = [
+            (i, deep, self._meshes[i].nodes[node], FOLD)
+            for i, (deep, node) in folds.items()
+            if deep > PASSED * assembly.finest[i]
+        ]
+        overlaps += [(i, float(way[i, 0]), place, LEAP) for i, place in leapt.items()]
+        for i, deep, place, kind in overlaps:
+            through = self._too_deep(i, deep, place, touched[i], kind)
+            if through is not None:
+                passed[i] = through
+        return way, folds, passed
 
     def _leapt(self, good: np.ndarray, way: np.ndarray) -> dict[int, np.ndarray]:
         """Return completed steps (B,) along which the skin leaps through the indenter.
@@ -846,8 +842,7 @@ class _Batch:
             By environment, the undeformed place of the skin that is deepest (3,) [T].
         """
         assembly, state = self._assembly, self._assembly.state
-        finest = np.array([mesh.finest for mesh in self._meshes])
-        allowed = np.maximum(PASSED * finest, np.linalg.norm(state.step, axis=1))
+        allowed = np.maximum(PASSED * assembly.finest, np.linalg.norm(state.step, axis=1))
         may_be = good & (way > self._deepest + allowed)
         if not may_be.any():
             return {}
@@ -935,7 +930,7 @@ class _Batch:
                 *(deep, node, self._spent[i]),
             )
             self._collectors[i].keep(frame, read[row], surface[row], traction[row], told)
-            self._unmeasured.append(i)
+            self._unmeasured.append(self._collectors[i])
             self._spent[i] = Spent()
         rounds = [i for i in kept if self._collectors[i].round is not None]
         if rounds:
@@ -950,7 +945,7 @@ class _Batch:
         Those left at the end are measured for the results.
         """
         while self._unmeasured and is_busy():
-            self._collectors[self._unmeasured.popleft()].measure()
+            self._unmeasured.popleft().measure()
 
     def _diverged(self, env: int, through: _Passed | None = None) -> SimulationDiverged:
         path, scene = self._paths[env], self._scenes[env]

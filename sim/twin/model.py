@@ -156,9 +156,7 @@ def by_fem(
     try:
         found = simulate(scene, first, device=device)
     except SimulationDiverged as diverged:
-        from sim.fem.solver import forget_dump
-
-        forget_dump(diverged.dump)
+        diverged.forget_dump()
         passes = isinstance(diverged, PassesThrough)
         further = further_settings(first, sensor.body)
         (second,) = (fem for _, fem, of_passing in further if of_passing == passes)

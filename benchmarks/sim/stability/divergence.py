@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-
 import numpy as np
 
 from benchmarks.sim.stability.laws import Law, at_least, at_most
@@ -21,7 +19,7 @@ def evidence(diverged: SimulationDiverged) -> list[Law]:
     if diverged.dump is not None:
         with np.load(diverged.dump) as dump:
             state = {name: dump[name] for name in dump.files}
-        shutil.rmtree(diverged.dump.parent)
+        diverged.forget_dump()
         missing = len({"scene", "tip", "u", "nodes"} - set(state))
         numbers = int(sum((~np.isfinite(state[name])).sum() for name in ("tip", "u", "nodes")))
     return [

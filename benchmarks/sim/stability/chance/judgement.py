@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 import signal
 import time
 import traceback
@@ -137,7 +136,7 @@ def judge_scene(scene: Scene, settings: Settings, twin: str | None = None) -> Sc
 def _compared(result: Result, twin: Twin, settings: Settings) -> list[Held]:
     other = settings.solve(twin.scene)
     if isinstance(other, SimulationDiverged):
-        _forget(other)
+        other.forget_dump()
         return []  # reported by the twin itself
     return [agrees(result, twin, other)]
 
@@ -171,19 +170,13 @@ def _unsolved(error: Exception, scene: Scene | None = None) -> SceneOutcome:
     elif isinstance(error, SceneError) and "allowed" in message:
         kind = "refused"
     elif isinstance(error, SimulationDiverged):
-        _forget(error)
+        error.forget_dump()
         kind = "diverged" if "waypoint" in message else "crash"
     if kind == "crash":
         frames = traceback.extract_tb(error.__traceback__)
         where = f" ({frames[-1].name}, line {frames[-1].lineno})" if frames else ""
         message = f"{type(error).__name__}: {message}{where}"
     return SceneOutcome(kind, message, scene=scene)
-
-
-def _forget(diverged: SimulationDiverged) -> None:
-    """Remove the dump of a diverged simulation."""
-    if diverged.dump is not None:
-        shutil.rmtree(diverged.dump.parent, ignore_errors=True)
 
 
 @contextmanager
