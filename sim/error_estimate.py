@@ -107,7 +107,7 @@ def pixel_of(result: Result) -> float:
 
 def side_distance(result: Result) -> float | None:
     """Return the least undeformed distance of a contact from a side [m]; None without contact."""
-    touched = np.asarray((np.abs(result.traction) > 0).any(axis=-1).any(axis=0))
+    touched = np.asarray((result.traction != 0).any(axis=0).any(axis=-1))
     if not touched.any():
         return None
     from_side = result.scene.body.from_side(result.surface_x[:, None], result.surface_y)
@@ -184,14 +184,15 @@ def _missed(result: Result) -> Array:
     first = int(np.argmax(resolved)) if resolved.any() else len(force)
     scale = force_scale(result.force)
     for frame in range(first):
-        tip = tips[frame]
-        if tip[2] < 0 and covered(scene.indenter, scene.body, tip) is not None:
-            if first == len(force):
-                found[frame] = 1.0
-            elif not force[frame]:
-                found[frame] = force[first] / scale[first]
-            elif force[frame] < FAINT * (likely := force[first] * tip[2] / tips[first, 2]):
-                found[frame] = likely / scale[frame]
+        tip, missing = tips[frame], 0.0
+        if first == len(force):
+            missing = 1.0
+        elif not force[frame]:
+            missing = force[first] / scale[first]
+        elif force[frame] < FAINT * (likely := force[first] * tip[2] / tips[first, 2]):
+            missing = likely / scale[frame]
+        if missing and tip[2] < 0 and covered(scene.indenter, scene.body, tip) is not None:
+            found[frame] = missing
     return found
 
 

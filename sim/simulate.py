@@ -64,7 +64,7 @@ def simulate(
         tier: Tier and its settings. `Layer`: spectral bonded layer, small strain, no free sides;
             `Fem`: finite elements, large strain; `Mpm`: explicit material points. `Measured` and
             `Extrapolated` solve one more mesh, for the error or for better forces.
-        device: Device of `Fem` and `Mpm`, `cpu` or `cuda:0` and the like; `Layer` uses the CPU.
+        device: `cpu` or `cuda:0` and the like.
         progress: Called with the fraction done, 0 to 1.
 
     Raises:

@@ -52,7 +52,8 @@ def simulate_many(
 ) -> list[Outcome]:
     """Simulate scenes in a batch; return a result for each, or the reason for none.
 
-    `fem` and `mpm` solve sufficiently similar scenes in one launch. Arguments as in `simulate`, and
+    On a GPU `layer` solves scenes of the same body together; `fem` and `mpm` solve sufficiently
+    similar scenes in one launch. Arguments as in `simulate`, and
     `processes`: number of worker processes that share the scenes on a CPU. A script that requests
     several must do so under `if __name__ == "__main__":`.
 
@@ -80,6 +81,10 @@ def _by_tier(
     if not scenes:
         return []
     if isinstance(tier, Layer):
+        if device != "cpu":
+            from sim.layer.batch import simulate_layers
+
+            return simulate_layers(scenes, tier, device=device, progress=progress)
         from sim.layer.solver import simulate_layer
 
         outcomes: list[Outcome] = []

@@ -201,8 +201,8 @@ def _make(options: argparse.Namespace, out: Path, plan: DatasetPlan) -> int:
     from sim.device import ready_device
 
     ready_device("cpu" if options.scheduler else options.device)
-    if options.device != "cpu" and plan.solving.tier == "fem":
-        solving = replace(plan.solving, one_topology=True)
+    if options.device != "cpu":
+        solving = replace(plan.solving, one_topology=plan.solving.tier == "fem")
         plan = replace(plan, batch_size=BATCH_SIZE_GPU, solving=solving)
     return _fill(options, begin(out, plan, "cpu" if options.scheduler else options.device))
 
@@ -226,7 +226,7 @@ def _filled(options: argparse.Namespace, opened: OpenArchive) -> int:
 
     go_on = _go_on(options, opened)
     kernels = ready_device("cpu" if options.scheduler else options.device)
-    processes = _processes(options, opened)
+    processes = _processes(options)
     missing = opened.missing()
     _tell_cost(opened, missing, processes, options)
     with Stop(lambda line: print(f"\n{line}", file=sys.stderr, flush=True)) as stop:
@@ -289,7 +289,7 @@ def _maker(
         )
     from sim.dataset.run import make_here, make_in_processes
 
-    if _on_cores(options, opened):
+    if options.device == "cpu":
         return partial(
             make_in_processes, opened, processes=processes, stop=stop, device=options.device
         )
@@ -321,12 +321,7 @@ def _tell_cost(
         )
 
 
-def _on_cores(options: argparse.Namespace, opened: OpenArchive) -> bool:
-    """Return True if presses are solved on the CPU, wherever images are made."""
-    return bool(options.device == "cpu" or opened.plan.solving.tier == "layer")
-
-
-def _processes(options: argparse.Namespace, opened: OpenArchive) -> int:
+def _processes(options: argparse.Namespace) -> int:
     from recorder.processes import cores
     from sim.tiers import check_processes
 
@@ -334,7 +329,7 @@ def _processes(options: argparse.Namespace, opened: OpenArchive) -> int:
     if options.scheduler and processes is not None:
         raise SceneError(f"--processes: {processes} with --scheduler; allowed: either")
     if processes is None:
-        processes = 2 if _on_cores(options, opened) else max(1, min(RENDERERS, cores() // 2))
+        processes = 2 if options.device == "cpu" else max(1, min(RENDERERS, cores() // 2))
     check_processes(processes, "cpu")
     return processes
 

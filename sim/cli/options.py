@@ -474,7 +474,7 @@ def _add_solver_options(parser: argparse.ArgumentParser) -> None:
         default="auto",
         help="of fem; auto switches from float32 to float64 where necessary (%(default)s)",
     )
-    add_device(group, "device of fem")
+    add_device(group, "device of layer and fem")
 
 
 # Fields that `--fields` can add to `--json`.

@@ -356,7 +356,7 @@ def make_in_processes(
         inside: Not called, because several units are in progress.
         processes: Most processes to use.
         stop: Request to stop, checked before each unit.
-        device: Device for images, and for presses except those of `layer`.
+        device: Device for presses and images.
 
     Raises:
         SceneError, OSError: As `make_unit`; units in flight are abandoned.

@@ -14,7 +14,7 @@ from scipy.ndimage import minimum_filter
 
 from sim.indenters import Indenter
 from sim.layer.spectral import Elastic, Grid
-from sim.scene import Motion
+from sim.scene import Body, Motion
 
 # Projected gradient descent: the minimum of a quadratic energy within simple bounds.
 
@@ -244,8 +244,14 @@ def _samples(
     return Samples((first[0], first[1]), heights)
 
 
-def _endless(indenter: Indenter) -> bool:
+def endless(indenter: Indenter) -> bool:
+    """Return True if the indenter has no sides."""
     return not np.isfinite(indenter.bounds[:2]).all()
+
+
+def clearance_cap(motion: Motion, body: Body, surface: Array) -> float:
+    """Return the height above the tip [m] beyond which nothing touches, for a top at `surface`."""
+    return 2 * (motion.depth_max - float(surface.min())) + body.thickness / 2
 
 
 class Rims:
@@ -319,7 +325,7 @@ class Clearance:
         self.surface = body.heights(grid.x, grid.y)
         """Height of the undeformed top (nx, ny) [m]."""
         self._on_body = body.covers(grid.x[:, None], grid.y)
-        self._cap = 2 * (motion.depth_max - float(self.surface.min())) + body.thickness / 2
+        self._cap = clearance_cap(motion, body, self.surface)
         far = tip[:, :2] - self._anchor[:2]
         origin, widths = [], []
         self._first: list[int] = []
@@ -349,7 +355,7 @@ class Clearance:
             strict=True,
         )
         self._heights[ours] = np.minimum(found.heights[theirs], self._cap)
-        self._rims = None if _endless(indenter) else Rims(indenter, grid, span, reach)
+        self._rims = None if endless(indenter) else Rims(indenter, grid, span, reach)
 
     def at(self, tip: Array) -> tuple[Array, Array]:
         """Return gaps with the tip at (3,) [m], and how much more pixels yield, both (nx, ny).

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -128,6 +128,36 @@ class Spent:
     steps: int = 0
 
 
+def diverged_at(
+    scene: Scene, tip: Array, traction: Array, displacement: Array, tried: Sequence[str]
+) -> SimulationDiverged:
+    """Return the error of a step from the tip at (3,) [m] that failed, with the state in a file.
+
+    Args:
+        scene: Scene.
+        tip: Position of the tip before the step (3,) [m].
+        traction: Traction there (3, nx, ny) [Pa].
+        displacement: Displacement there (3, nx, ny) [m].
+        tried: What was tried, in words.
+    """
+    dump: Path | None = None
+    try:
+        dump = Path(tempfile.mkdtemp(prefix="diverged-")) / "state.npz"
+        np.savez_compressed(
+            dump, scene=repr(scene), tip=tip, traction=traction, displacement=displacement
+        )
+    except OSError:
+        dump = None
+    x, y, z = tip * 1e3
+    return SimulationDiverged(
+        f"no converged state after the tip at ({x:.4g}, {y:.4g}, {z:.4g}) mm: "
+        f"{len(tried)} steps failed, the last: {tried[-1]}; state: "
+        f"{dump or 'could not be written'}",
+        tried=tuple(tried),
+        dump=dump,
+    )
+
+
 class LayerPress:
     """Layer of one scene, moved step by step; `traction` and `displacement` are its state."""
 
@@ -237,30 +267,7 @@ class LayerPress:
         self._step_or_halve(tip, duration / 2, halvings + 1)
 
     def _diverged(self) -> SimulationDiverged:
-        dump = self._dump()
-        x, y, z = self.tip * 1e3
-        return SimulationDiverged(
-            f"no converged state after the tip at ({x:.4g}, {y:.4g}, {z:.4g}) mm: "
-            f"{len(self._tried)} steps failed, the last: {self._tried[-1]}; state: "
-            f"{dump or 'could not be written'}",
-            tried=tuple(self._tried),
-            dump=dump,
-        )
-
-    def _dump(self) -> Path | None:
-        """Write the current state to a file and return its path; None if that failed."""
-        try:
-            path = Path(tempfile.mkdtemp(prefix="diverged-")) / "state.npz"
-            np.savez_compressed(
-                path,
-                scene=repr(self._scene),
-                tip=self.tip,
-                traction=self.traction,
-                displacement=self.displacement,
-            )
-        except OSError:
-            return None
-        return path
+        return diverged_at(self._scene, self.tip, self.traction, self.displacement, self._tried)
 
     def _step(self, tip: Array, duration: float) -> bool:
         """Attempt a step and return True if it converged; if not, the state is unchanged."""

@@ -295,7 +295,9 @@ class Convolutions:
         self.dtype = np.dtype(dtype)
         symbol = grid.symbol
         waves = np.concatenate([symbol[:4], 1j * symbol[4:]])
-        self._kernel = scipy.fft.irfft2(waves, s=grid.period)
+        self.kernel: Array = scipy.fft.irfft2(waves, s=grid.period)
+        """Displacement of the pixels (6, px, py) by a traction on the first one [m/Pa], rows as in
+        `Grid.symbol`."""
         self.whole = self._cut(grid.shape, np.float32)
         """Over all pixels, in single precision: for output, not for the solution."""
         self._made: dict[tuple[int, ...], Elastic] = {}
@@ -306,7 +308,7 @@ class Convolutions:
         if found is None:
             if len(self._made) == SHAPES_KEPT:
                 self._made.clear()
-            local = self._kernel[:3, 0, 0]
+            local = self.kernel[:3, 0, 0]
             found = self._made[shape] = Elastic(
                 self._cut(shape, self.dtype), float(local[2]), float(min(local[0], local[1]))
             )
@@ -322,7 +324,7 @@ class Convolutions:
         reach = [np.r_[0:size, 1 - size : 0] for size in shape]
         slots = [index % size for index, size in zip(reach, padded, strict=True)]
         kernel = np.zeros((6, *padded))
-        kernel[(slice(None), *np.ix_(*slots))] = self._kernel[(slice(None), *np.ix_(*reach))]
+        kernel[(slice(None), *np.ix_(*slots))] = self.kernel[(slice(None), *np.ix_(*reach))]
         spectrum = scipy.fft.rfft2(kernel)
         parts = np.concatenate([spectrum[:4].real, spectrum[4:].imag])
         return Convolution(parts, (shape[0], shape[1]), (padded[0], padded[1]), dtype)

@@ -27,6 +27,7 @@ from sim.__main__ import main
 from sim.dataset import DatasetPlan, Stop, Unit, begin, fill, found
 from sim.dataset.plan import UNIT_PRESSES
 from sim.dataset.run import make_here, make_in_processes
+from sim.layer.batch import simulate_layers
 
 __all__ = ["own_grid", "solved_once"]
 
@@ -305,23 +306,30 @@ def test_ctrl_c_ends_after_the_units_in_flight_with_130(tmp_path: Path) -> None:
     assert list(check(path)) == []
 
 
-@pytest.mark.parametrize(("options", "processes"), [((), 2), (("--processes", "3"), 3)])
-def test_presses_of_layer_are_solved_on_cores_for_a_gpus_images(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: tuple[str, ...], processes: int
+def test_presses_of_layer_are_solved_on_the_gpu_in_large_units(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[tuple[int, str]] = []
+    solved: list[int] = []
 
-    def on_cores(begun: Any, missing: Any, inside: Any, **how: Any) -> Any:
-        asked.append((how["processes"], how["device"]))
-        return _here(begun, missing, inside, **how)
+    def here(begun: Any, missing: Any, inside: Any, **how: Any) -> Any:
+        asked.append((begun.plan.batch_size, how["device"]))
+        return make_here(begun, missing, inside, stop=how["stop"], device="cuda:0")
 
-    monkeypatch.setattr("sim.dataset.run.make_in_processes", on_cores)
+    def solved_there(scenes: Any, layer: Any, *, device: str, progress: Any) -> Any:
+        assert device == "cuda:0"
+        solved.append(len(scenes))
+        return simulate_layers(scenes, layer, device="cpu", progress=progress)
+
+    monkeypatch.setattr("sim.dataset.run.make_here", here)
     monkeypatch.setattr("sim.device.ready_device", lambda name: None)
+    monkeypatch.setattr("sim.layer.batch.simulate_layers", solved_there)
     path = tmp_path / "a.markers.zarr"
-    small = ("--indenters", "sphere", "--scale", "0.001", "--steps", "1", "--no-check")
+    small = ("--indenters", "sphere,torus", "--scale", "0.002", "--steps", "1", "--no-check")
     where = ("--device", "cuda:0", "--out", str(path), "--tier", "layer")
-    code = main(["archive", "sensors", "--sensors", "uskin", *small, *where, *options])
-    assert (code, asked) == (0, [(processes, "cuda:0")])
+    code = main(["archive", "sensors", "--sensors", "uskin", *small, *where])
+    assert (code, asked) == (0, [(162, "cuda:0")])
+    assert solved
 
 
 def _here(begun: Any, missing: Any, inside: Any, *, processes: int, stop: Stop, device: str) -> Any:

@@ -1,0 +1,619 @@
+"""Batch of presses of the `layer` tier, solved together on a GPU, each as by `sim.layer.solver`."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from sim.device import check_device
+from sim.errors import SimulationDiverged
+from sim.layer.batch_clearance import BatchClearance
+from sim.layer.batch_contact import contact_kernel
+from sim.layer.batch_state import COLUMNS, FINER, READ, frame_kernels, state_kernels
+from sim.layer.numerics import Layer
+from sim.layer.solver import (
+    BULGE,
+    HALVINGS,
+    TRAVEL,
+    TRAVEL_LEAST,
+    check_known,
+    diverged_at,
+    precision,
+)
+from sim.layer.spectral import Grid, convolutions
+from sim.result import Outcome, Quality, Result, no_quality
+from sim.scalars import PRECISIONS, vector_of
+from sim.scene import Scene
+
+Array = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+# Presses that are solved at once, and the memory they may take [B].
+AT_ONCE, MEMORY = 1024, 24e9
+# Threads of a GPU at one press.
+LANES = 128
+# Overlap of pixels that are not in the list, over the tip's depth, that is tolerated.
+OVERLAP = 1e-4
+# Times that a list of pixels is extended by those that overlap before a step is refused.
+EXTENDED = 20
+
+
+def simulate_layers(
+    scenes: Sequence[Scene],
+    layer: Layer = Layer(),
+    *,
+    device: str,
+    progress: Callable[[float], None] | None = None,
+) -> list[Outcome]:
+    """Simulate many scenes on one device; return a result for each, or the reason for none.
+
+    Scenes are solved together if they have the same body and viscosity, and all of them friction or
+    none. Forces are those of `simulate_layer` within the tolerance.
+
+    Args:
+        scenes: Scenes as for `simulate_layer`.
+        layer: Pixels and tolerance.
+        device: `cuda:0` and the like, or `cpu` (slower than `simulate_layer`).
+        progress: Called with the fraction done, 0 to 1.
+
+    Raises:
+        SceneError: As in `simulate_layer`, or there is no such device.
+    """
+    check_device(device)
+    for scene in scenes:
+        check_known(scene, layer.tolerance)
+    groups: dict[Any, list[int]] = {}
+    for index, scene in enumerate(scenes):
+        effects = scene.effects
+        key = scene.body, effects.viscosity, effects.friction is None
+        groups.setdefault(key, []).append(index)
+    outcomes: dict[int, Outcome] = {}
+    frames = sum(len(scene.motion) for scene in scenes)
+    done = 0
+    for (body, *_), members in groups.items():
+        grid = Grid(body, layer.grid)
+        for some in _portions(scenes, members, grid):
+            batch = LayerBatch([scenes[index] for index in some], grid, layer.tolerance, device)
+            for count in batch.advance():
+                done += count
+                if progress is not None:
+                    progress(done / frames)
+            outcomes.update(zip(some, batch.outcomes(layer), strict=True))
+    return [outcomes[index] for index in range(len(scenes))]
+
+
+def _portions(scenes: Sequence[Scene], members: list[int], grid: Grid) -> list[list[int]]:
+    """Return the members in portions that fit into the memory; longer motions take more of it."""
+    pixels = math.prod(grid.shape)
+    portions: list[list[int]] = [[]]
+    longest = 0
+    for index in sorted(members, key=lambda one: len(scenes[one].motion)):
+        longest = max(longest, len(scenes[index].motion))
+        each = pixels * (24 * longest + 400)
+        if portions[-1] and (len(portions[-1]) == AT_ONCE or len(portions[-1]) * each > MEMORY):
+            portions.append([])
+        portions[-1].append(index)
+    return portions
+
+
+def _host(array: Any) -> NDArray[Any]:
+    return np.asarray(array.numpy())
+
+
+class LayerBatch:
+    """Layers under indenters, one for each scene, all with the same body on one grid.
+
+    Rows of the arrays on the device are presses, columns the pixels row by row, or the places in
+    the list of those that may touch.
+    """
+
+    def __init__(self, scenes: Sequence[Scene], grid: Grid, tolerance: float, device: str) -> None:
+        """Start undeformed, with tips above the first waypoints."""
+        began = time.perf_counter()
+        self._scenes, self.grid, self._tolerance, self._device = scenes, grid, tolerance, device
+        self._precision = np.dtype(precision(tolerance)).name
+        real = PRECISIONS[self._precision]
+        self._real, self._number = real, np.dtype(self._precision)
+        vec3, vec2 = vector_of(real), wp.types.vector(length=2, dtype=real)
+        self._vec3 = vec3
+        self._lanes = 1 if device == "cpu" else LANES
+        friction = scenes[0].effects.friction is not None
+        viscosity = scenes[0].effects.viscosity
+        self._rubs = friction
+        self._ratios = np.array(viscosity.ratios if viscosity else (), float)
+        self._times = np.array(viscosity.times if viscosity else (), float)
+        count, pixels = len(scenes), math.prod(grid.shape)
+        self._clearance = BatchClearance(scenes, grid, real, device)
+        kernel = convolutions(grid, np.dtype(self._precision)).kernel
+        nx, ny = grid.shape
+        self._table = self._array(kernel[:, :nx, :ny].astype(self._number), real)
+        self._local = vec3(*(min(kernel[0, 0, 0], kernel[1, 0, 0]),) * 2, kernel[2, 0, 0])
+        self._x, self._y = (self._array(axis, real) for axis in (grid.x, grid.y))
+        self._surface = self._array(self._clearance.surface.ravel(), real)
+        friction_of = [one.effects.friction for one in scenes]
+        coefficients = [each.coefficient if each else 0.0 for each in friction_of]
+        self._coefficient = self._array(coefficients, real)
+        self._contact = contact_kernel(real, friction, self._lanes)
+        (
+            self._mark,
+            self._tally,
+            self._enlist,
+            self._recall,
+            self._spread,
+            self._displace,
+            self._take,
+            self._measure,
+        ) = state_kernels(real, friction, self._lanes)
+        self._keep, self._reach = frame_kernels(real)
+
+        def zeros(kind: Any, *shape: int) -> Any:
+            return wp.zeros(shape, dtype=kind, device=device)
+
+        def by_pixel(kind: Any) -> Any:
+            return zeros(kind, count, pixels)
+
+        rubbing = (count, pixels) if friction else (1, 1)
+        self._traction, self._elastic = by_pixel(vec3), by_pixel(vec3)
+        self._branches = zeros(vec3, len(self._ratios), count, pixels)
+        self._nothing = zeros(vec3, 0, count, pixels)
+        self._moved, self._still = by_pixel(wp.vec3), by_pixel(wp.vec3)
+        self._gap, self._extra = by_pixel(real), by_pixel(real)
+        self._next = {
+            "traction": by_pixel(vec3),
+            "elastic": by_pixel(vec3),
+            "moved": by_pixel(wp.vec3),
+            "gap": by_pixel(real),
+            "extra": by_pixel(real),
+        }
+        self._touching, self._listed = by_pixel(wp.int32), by_pixel(wp.int32)
+        self._tallied, self._count = zeros(wp.int32, count, nx), zeros(wp.int32, count)
+        self._held, self._guess, self._found = by_pixel(vec3), by_pixel(vec3), by_pixel(vec3)
+        self._scratch = [
+            *(by_pixel(real) for _ in range(4)),
+            *(zeros(vec2, *rubbing) for _ in range(6)),
+            by_pixel(vec3),
+        ]
+        self._load = self._scratch[-1]
+        self._residual, self._iterations = zeros(real, count), zeros(wp.int32, count)
+
+        lengths = [len(scene.motion) for scene in scenes]
+        self._lengths = np.array(lengths)
+        frames = max(lengths)
+        self._surfaces = zeros(wp.vec3, count, frames, pixels)
+        self._tractions = zeros(wp.vec3, count, frames, pixels)
+        self._ways = np.zeros((count, frames, 3))
+        self._when = np.zeros((count, frames))
+        for row, scene in enumerate(scenes):
+            self._ways[row, : lengths[row]] = scene.motion.tip
+            self._when[row, : lengths[row]] = scene.motion.time
+        self.tip = self._ways[:, 0].copy()
+        """Positions of the tips (B, 3) [m]."""
+        self.tip[:, 2] = np.maximum(self.tip[:, 2], 0.0)
+        self._wrench = np.zeros((count, frames, 6))
+        self._quality = {
+            name: np.full((count, frames), np.nan)
+            for name in ("overlap", "contact_width", "residual", "contact", "energy_gap")
+        }
+        self._quality["slip_excess"] = np.full((count, frames), 0.0 if friction else np.nan)
+        self._spent = np.zeros((count, frames, 2), np.int64)
+        self._frame = np.zeros(count, np.int64)
+        self._failed: dict[int, SimulationDiverged] = {}
+        self._tried: dict[int, list[str]] = {}
+        # Of steps that failed as a whole, the parts to go, last one first: goal, duration, and how
+        # often it was halved.
+        self._halves: dict[int, list[tuple[Array, float, int]]] = {}
+        self._work, self._most = np.zeros(count), np.zeros(count)
+        self._first = np.full((count, 2), np.nan)
+        everything = np.arange(count)
+        self._clear_at(everything, self.tip, self._gap, self._extra, self._still)
+        self._read = self._measured(everything)
+        self._last_residual = np.zeros(count)
+        self._seconds = {"build": time.perf_counter() - began}
+
+    def _array(self, values: Any, kind: Any) -> Any:
+        return wp.array(np.ascontiguousarray(values), dtype=kind, device=self._device)
+
+    def _launch(self, kernel: Any, shape: Any, inputs: list[Any], outputs: list[Any]) -> None:
+        wp.launch(kernel, dim=shape, inputs=inputs, outputs=outputs, device=self._device)
+
+    def _lane_launch(self, kernel: Any, count: int, inputs: list[Any], outputs: list[Any]) -> None:
+        wp.launch(
+            kernel,
+            dim=(count, self._lanes),
+            inputs=inputs,
+            outputs=outputs,
+            device=self._device,
+            block_dim=LANES,
+        )
+
+    def _clear_at(self, rows: Whole, tips: Array, gap: Any, extra: Any, top: Any) -> Any:
+        """Write the gaps with the tips there; return the least above a displaced `top` (B,) [m]."""
+        least = wp.full(
+            len(self._scenes), self._real(np.inf), dtype=self._real, device=self._device
+        )
+        which = self._array(rows.astype(np.int32), wp.int32)
+        tip = self._array(tips.astype(self._number), self._vec3)
+        self._clearance.at(which, tip, top, gap, extra, least)
+        return least
+
+    def _measured(self, rows: Whole, load: Any = None, moved: Any = None) -> Any:
+        """Return `READ` of presses (N,); of the load and its displacement, if they are given."""
+        out = wp.empty((len(rows), COLUMNS), dtype=wp.float64, device=self._device)
+        which = self._array(rows.astype(np.int32), wp.int32)
+        tip = self._array(self.tip[rows], wp.vec3d)
+        fixed = [self._x, self._y, self._surface, self._local, self._coefficient, which, tip]
+        fields = [self._traction, self._elastic, self._moved]
+        if load is not None:
+            fields = [load, load, moved]
+        self._lane_launch(
+            self._measure, len(rows), [*fixed, *fields, self._gap, self._extra], [out]
+        )
+        return _host(out).copy().view(READ)[:, 0]
+
+    def advance(self) -> Iterator[int]:
+        """Move all tips along their motions, yielding the number of frames kept since before."""
+        began = time.perf_counter()
+        count = len(self._scenes)
+        frame, start, left = self._frame, self.tip.copy(), np.ones(count)
+        before = np.zeros(count)
+        active = np.arange(count)
+        while len(active):
+            target, now = self._ways[active, frame[active]], self._when[active, frame[active]]
+            halving = np.isin(active, list(self._halves))
+            fresh = ~halving
+            goal, span = target.copy(), np.zeros(len(active))
+            goal[fresh], span[fresh] = self._next_goals(
+                active[fresh], target[fresh], start[active[fresh]], left
+            )
+            duration = (now - before[active]) * span
+            for place in np.flatnonzero(halving):
+                goal[place], duration[place], _ = self._halves[int(active[place])][-1]
+            good = self._step(active, goal, duration)
+            for place in np.flatnonzero(good & halving):
+                self._half_done(int(active[place]))
+            for place in np.flatnonzero(~good):
+                self._halve(int(active[place]), goal[place], float(duration[place]))
+            waits = np.isin(active, list(self._halves) + list(self._failed))
+            arrived = active[~waits & (left[active] == 0)]
+            if len(arrived):
+                self._keep_frames(arrived)
+                start[arrived] = self.tip[arrived]
+                before[arrived] = self._when[arrived, frame[arrived]]
+                left[arrived] = 1.0
+                frame[arrived] += 1
+            over = np.isin(active, list(self._failed))
+            lost = active[over]
+            yield len(arrived) + int((self._lengths[lost] - frame[lost]).sum())
+            active = active[~over & (frame[active] < self._lengths[active])]
+        self._seconds["contact"] = time.perf_counter() - began
+
+    def _halve(self, row: int, goal: Array, duration: float) -> None:
+        """Divide a step that failed into two, unless it was halved often enough."""
+        steps = self._halves.setdefault(row, [(goal, duration, 0)])
+        *_, halved = steps.pop()
+        if halved == HALVINGS:
+            del self._halves[row]
+            self._failed[row] = self._diverged(row)
+            return
+        middle = (self.tip[row] + goal) / 2
+        steps += [(where, duration / 2, halved + 1) for where in (goal, middle)]
+
+    def _half_done(self, row: int) -> None:
+        self._halves[row].pop()
+        if not self._halves[row]:
+            del self._halves[row]
+            self._tried.pop(row, None)
+
+    def _next_goals(
+        self, rows: Whole, target: Array, start: Array, left: Array
+    ) -> tuple[Array, Array]:
+        """Return where the next steps of presses (N,) end, and their fractions of the whole way.
+
+        `left` (B,) becomes what is left of it then.
+        """
+        way, rest = target - start, left[rows]
+        length = np.linalg.norm(way, axis=1)
+        longest = self._longest(rows, target)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            part = np.where(length > 0, np.minimum(rest, longest / length), rest)
+            part = np.where(rest > 0, rest / np.ceil(rest / part - 1e-9), 0.0)
+        left[rows] = np.where(part < rest, rest - part, 0.0)
+        goal: Array = target - way * left[rows][:, None]
+        return goal, part
+
+    def _longest(self, rows: Whole, target: Array) -> Array:
+        """Return the longest next steps on the way to targets (N, 3) [m], as `LayerPress`."""
+        read = self._read[rows]
+        radius = np.sqrt(read["touched"] * self.grid.area / math.pi)
+        longest = np.maximum(TRAVEL * radius, TRAVEL_LEAST * min(self.grid.pixel))
+        free = np.flatnonzero(radius == 0)
+        if len(free):
+            gap, extra = self._next["gap"], self._next["extra"]
+            least = self._clear_at(rows[free], target[free], gap, extra, self._moved)
+            there = _host(least)[rows[free]]
+            here = np.maximum(0.0, read["least"][free])
+            with np.errstate(divide="ignore", invalid="ignore"):
+                part = np.where(there >= 0, 1.0, here / (here - there))
+            far = np.linalg.norm(target[free] - self.tip[rows[free]], axis=1)
+            longest[free] = np.maximum(longest[free], part * far)
+        return np.asarray(longest)
+
+    def _step(self, rows: Whole, tips: Array, durations: Array) -> NDArray[np.bool_]:
+        """Attempt a step of presses (N,); return which converged. The others are unchanged."""
+        ahead = self._next
+        count, pixels = len(rows), self._gap.shape[1]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            spans = durations[:, None] / self._times
+            taken = np.where(spans > 0, -np.expm1(-spans) / spans, 1.0)
+        kept, gained = np.exp(-spans), self._ratios * taken
+        factor = 1 + gained.sum(axis=1)
+        least = self._clear_at(rows, tips, ahead["gap"], ahead["extra"], self._still)
+        arrays = self._rates(rows, factor, kept, gained)
+        which = arrays["which"]
+        travel = self._array((tips - self.tip[rows]).astype(self._number), self._vec3)
+        allowed = OVERLAP * np.abs(tips[:, 2])
+        everything = (count, pixels)
+        self._launch(
+            self._mark,
+            everything,
+            [BULGE, which, ahead["gap"], least, self._elastic],
+            [self._touching],
+        )
+        good = np.zeros(count, bool)
+        residual, iterations = np.zeros(count), np.zeros(count, np.int64)
+        pending = np.arange(count)
+        for _ in range(EXTENDED):
+            some = rows[pending]
+            if len(pending) < count:
+                arrays = self._rates(some, factor[pending], kept[pending], gained[pending])
+                which = arrays["which"]
+                travel = self._array(
+                    (tips[pending] - self.tip[some]).astype(self._number), self._vec3
+                )
+            missed = self._solve(arrays, travel, allowed[pending])
+            residual[pending] = _host(self._residual)[some]
+            iterations[pending] += _host(self._iterations)[some]
+            converged = residual[pending] <= self._tolerance
+            good[pending] = converged & ~missed
+            pending = pending[converged & missed]
+            if not len(pending):
+                break
+        taken_rows = rows[good]
+        if len(taken_rows):
+            before = self._read["force"][taken_rows] * self.grid.area
+            arrays = self._rates(taken_rows, factor[good], kept[good], gained[good])
+            self._launch(
+                self._take,
+                (len(taken_rows), pixels),
+                [
+                    arrays["which"],
+                    arrays["kept"],
+                    arrays["gained"],
+                    *(ahead[name] for name in ("traction", "elastic", "moved", "gap", "extra")),
+                ],
+                [
+                    self._branches,
+                    self._traction,
+                    self._elastic,
+                    self._moved,
+                    self._gap,
+                    self._extra,
+                ],
+            )
+            shift = tips[good] - self.tip[taken_rows]
+            self.tip[taken_rows] = tips[good]
+            self._read[taken_rows] = self._measured(taken_rows)
+            force = self._read["force"][taken_rows] * self.grid.area
+            self._work[taken_rows] += 0.5 * np.einsum("bi,bi->b", before + force, shift)
+            self._last_residual[taken_rows] = residual[good]
+        self._count_spent(rows, iterations)
+        for place in np.flatnonzero(~good):
+            far = float(np.linalg.norm(tips[place] - self.tip[rows[place]]))
+            self._tried.setdefault(int(rows[place]), []).append(
+                f"step of {far * 1e3:.4g} mm, {iterations[place]} iterations, residual "
+                f"{residual[place]:.2e} (allowed {self._tolerance:.2e})"
+            )
+        return good
+
+    def _rates(self, rows: Whole, factor: Array, kept: Array, gained: Array) -> dict[str, Any]:
+        """Return arrays of the device: presses, and how their layers relax in a step."""
+        return {
+            "which": self._array(rows.astype(np.int32), wp.int32),
+            "factor": self._array(factor.astype(self._number), self._real),
+            "kept": self._array(kept.astype(self._number), self._real),
+            "gained": self._array(gained.astype(self._number), self._real),
+        }
+
+    def _solve(self, arrays: dict[str, Any], travel: Any, allowed: Array) -> NDArray[np.bool_]:
+        """Solve presses on the pixels that may touch; return whether others overlap, too (N,)."""
+        which, factor, ahead = arrays["which"], arrays["factor"], self._next
+        count, pixels = which.shape[0], self._gap.shape[1]
+        nx, ny = self.grid.shape
+        self._launch(self._tally, (count, nx), [ny, which, self._touching], [self._tallied])
+        self._launch(
+            self._enlist,
+            (count, nx),
+            [ny, which, self._touching, self._tallied],
+            [self._listed, self._count],
+        )
+        lists = [self._count, self._listed]
+        self._launch(
+            self._recall,
+            (count, pixels),
+            [
+                ny, which, *lists, self._elastic, self._branches,
+                factor, arrays["kept"], arrays["gained"],
+            ],
+            [self._held, self._guess, ahead["traction"], ahead["elastic"]],
+        )  # fmt: skip
+        self._lane_launch(
+            self._contact,
+            count,
+            [
+                ny, self._table, self._local, self._tolerance, self._coefficient, which, *lists,
+                ahead["gap"], ahead["extra"], factor, travel, self._held, self._guess,
+                *self._scratch,
+            ],
+            [self._found, self._residual, self._iterations],
+        )  # fmt: skip
+        self._launch(
+            self._spread,
+            (count, pixels),
+            [ny, which, *lists, factor, self._held, self._found],
+            [ahead["traction"], ahead["elastic"], self._load],
+        )
+        return self._displaced(which, allowed, ahead["moved"])
+
+    def _displaced(self, which: Any, allowed: Array, out: Any) -> NDArray[np.bool_]:
+        """Write the displacement by the listed loads; return whether other pixels overlap (N,)."""
+        missed = wp.zeros(which.shape[0], dtype=wp.int32, device=self._device)
+        self._launch(
+            self._displace,
+            (which.shape[0], self._gap.shape[1]),
+            [
+                self.grid.shape[1], self._table, which, self._count, self._listed, self._load,
+                self._next["gap"], self._array(allowed.astype(self._number), self._real),
+            ],
+            [self._touching, missed, out],
+        )  # fmt: skip
+        return np.asarray(_host(missed) > 0)
+
+    def _count_spent(self, rows: Whole, iterations: Whole) -> None:
+        self._spent[rows, self._frame[rows], 0] += iterations
+        self._spent[rows, self._frame[rows], 1] += 1
+
+    def _keep_frames(self, rows: Whole) -> None:
+        """Keep the states of presses (N,) as their next frames."""
+        frame = self._frame[rows]
+        which = self._array(rows.astype(np.int32), wp.int32)
+        self._launch(
+            self._keep,
+            (len(rows), self._gap.shape[1]),
+            [which, self._array(frame.astype(np.int32), wp.int32), self._moved, self._traction],
+            [self._surfaces, self._tractions],
+        )
+        read, area = self._read[rows], self.grid.area
+        at = rows, frame
+        self._wrench[at] = area * np.concatenate([read["force"], read["torque"]], axis=1)
+        kept = self._quality
+        overlap = np.maximum(0.0, -read["least"])
+        kept["overlap"][at], kept["residual"][at] = overlap, self._last_residual[rows]
+        deep = np.maximum(-self.tip[rows, 2], 0.0)
+        kept["contact"][at] = np.divide(overlap, deep, out=np.zeros(len(rows)), where=deep > 0)
+        kept["contact_width"][at] = self._widths(rows, which, read)
+        kept["energy_gap"][at] = self._lost(rows, which, read)
+        if self._rubs:
+            pressed = read["pressure"] > 0
+            kept["slip_excess"][at] = np.divide(
+                np.maximum(read["excess"], 0.0),
+                read["pressure"],
+                out=np.zeros(len(rows)),
+                where=pressed,
+            )
+
+    def _widths(self, rows: Whole, which: Any, read: Any) -> Array:
+        """Return the widths of the contacts of presses (N,) [m], as `sim.contact_size.width_of`."""
+        touches = read["touched"] > 0
+        if not touches.any():
+            return np.zeros(len(rows))
+        boxes = np.where(touches[:, None], read["box"] * [-1, 1, -1, 1], [0, -1, 0, -1])
+        width = wp.zeros(len(rows), dtype=wp.float32, device=self._device)
+        widest = [FINER * int((boxes[:, k + 1] - boxes[:, k]).max() + 1) + 1 for k in (0, 2)]
+        self._launch(
+            self._reach,
+            (len(rows), *widest),
+            [
+                self.grid.shape[1], *self.grid.pixel, which,
+                self._array(boxes.astype(np.int32), wp.vec4i), self._traction,
+            ],
+            [width],
+        )  # fmt: skip
+        return _host(width).astype(np.float64)
+
+    def _lost(self, rows: Whole, which: Any, read: Any) -> Array:
+        """Return the energy that is gone, over the most work done so far, of presses (N,)."""
+        energy = read["energy"].copy()
+        count, pixels = len(rows), self._gap.shape[1]
+        ones = self._rates(rows, np.ones(count), np.zeros((count, 0)), np.zeros((count, 0)))
+        ahead = self._next
+        for index in np.flatnonzero(self._ratios > 0):
+            branch = self._branches[int(index)]
+            self._launch(
+                self._recall,
+                (count, pixels),
+                [
+                    self.grid.shape[1], which, self._count, self._listed, branch, self._nothing,
+                    ones["factor"], ones["kept"], ones["gained"],
+                ],
+                [self._held, self._load, ahead["traction"], ahead["elastic"]],
+            )  # fmt: skip
+            self._displaced(which, np.full(count, np.inf), ahead["moved"])
+            energy += self._measured(rows, branch, ahead["moved"])["energy"] / self._ratios[index]
+        energy *= 0.5 * self.grid.area
+        new = np.isnan(self._first[rows, 0])
+        self._first[rows[new]] = np.stack([energy[new], self._work[rows[new]]], axis=1)
+        stored, done = energy - self._first[rows, 0], self._work[rows] - self._first[rows, 1]
+        self._most[rows] = np.maximum(self._most[rows], done)
+        most = self._most[rows]
+        return np.asarray(np.divide(done - stored, most, out=np.zeros(count), where=most > 0))
+
+    def _diverged(self, row: int) -> SimulationDiverged:
+        traction, moved = (
+            np.moveaxis(_host(field[row]).reshape(*self.grid.shape, 3), -1, 0)
+            for field in (self._traction, self._moved)
+        )
+        return diverged_at(self._scenes[row], self.tip[row], traction, moved, self._tried[row])
+
+    def outcomes(self, layer: Layer) -> list[Outcome]:
+        """Return the results of all presses, or the reasons for none."""
+        nx, ny = self.grid.shape
+        began = time.perf_counter()
+        surfaces, tractions = (
+            _host(field).reshape(*field.shape[:2], nx, ny, 3)
+            for field in (self._surfaces, self._tractions)
+        )
+        self._seconds["read"] = time.perf_counter() - began
+        record = {
+            "tier": "layer",
+            "mesh": {"grid": [nx, ny], "period": list(self.grid.period)},
+            "precision": self._precision,
+            "device": self._device,
+            "tolerance": layer.tolerance,
+            "at_once": len(self._scenes),
+            "seconds": {name: round(value, 4) for name, value in self._seconds.items()},
+        }
+        found: list[Outcome] = []
+        for row, scene in enumerate(self._scenes):
+            if row in self._failed:
+                found.append(self._failed[row])
+                continue
+            frames = slice(self._lengths[row])
+            quality = no_quality(len(scene.motion))
+            for name, values in self._quality.items():
+                quality[name] = values[row, frames]
+            spent = self._spent[row, frames]
+            found.append(
+                Result(
+                    scene=scene,
+                    tier="layer",
+                    wrench=self._wrench[row, frames],
+                    surface_x=self.grid.x.astype(np.float64),
+                    surface_y=self.grid.y.astype(np.float64),
+                    surface=surfaces[row, frames],
+                    traction=tractions[row, frames],
+                    quality=Quality(
+                        **quality,
+                        newton=spent[:, 0],
+                        cg=np.zeros(len(spent), np.int64),
+                        steps=spent[:, 1],
+                    ),
+                    record={**record, "effects": list(scene.effects.key)},
+                )
+            )
+        return found

@@ -1,0 +1,291 @@
+# mypy: ignore-errors
+# Warp gives kernels their types itself; mypy cannot follow annotations made at run time.
+"""Gaps between undeformed bodies and indenters on a device, for a batch of presses.
+
+The same as `sim.layer.contact.Clearance`, except that heights are found anew under every pixel
+instead of interpolated between samples.
+"""
+
+import functools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import warp as wp
+
+from sim.indenters.device import PartTable, distance_function, table_struct
+from sim.indenters.indenter import STRIDE, TOUCHING
+from sim.layer.contact import (
+    COVERED_LEAST,
+    COVERED_MOST,
+    FINE,
+    FINEST,
+    REACH,
+    THIN,
+    WALL,
+    YIELDING,
+    clearance_cap,
+    endless,
+)
+from sim.layer.spectral import Grid
+from sim.scalars import numpy_of
+from sim.scene import Scene
+
+MM = 1e-3
+# Most bisections and Newton steps to a surface; Newton's method takes 3 or 4.
+CROSSINGS = 60
+
+
+@functools.cache
+def clearance_kernels(real, traits):
+    """Return the kernels (sample, cover, clear) for one precision and kind of indenters."""
+    table_type = table_struct(real, traits)
+    distance = distance_function(real, traits)
+    triple = wp.types.vector(3, real)
+    zero, one, half = real(0.0), real(1.0), real(0.5)
+    stride, thin, mm = real(STRIDE), real(THIN), real(MM)
+    touching = real(TOUCHING / MM if real == wp.float64 else 1e-6)
+    settled = real(1e-9 if real == wp.float64 else 2e-7)
+    nothing = real(wp.inf)
+
+    @wp.func
+    def height_above(table: table_type, kind: int, x: real, y: real, reach: real):
+        """Return the height of the lower surface above x, y, all in mm; inf if there is none."""
+        low = zero
+        high = zero
+        gap = distance(table, kind, triple(x, y, zero))[3]
+        while gap > touching and high <= reach:
+            low = high
+            high = high + stride * gap + thin * reach
+            gap = distance(table, kind, triple(x, y, high))[3]
+        if gap > touching:
+            return nothing
+        here = half * (low + high)
+        turn = int(0)
+        while turn < CROSSINGS and high - low > settled:
+            found = distance(table, kind, triple(x, y, here))
+            if found[3] > zero:
+                low = here
+            else:
+                high = here
+            turn += 1
+            after = half * (low + high)
+            if found[2] < zero and turn % 4 > 0:
+                newton = here - found[3] / found[2]
+                if newton >= low and newton <= high:
+                    after = newton
+                    if wp.abs(newton - here) < settled:
+                        turn = int(CROSSINGS)
+            here = after
+        return here
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def sample(
+        table: table_type,
+        kind: int,
+        first: triple,
+        step: triple,
+        reach: real,
+        begin: int,
+        count: int,
+        # Out: heights [m], inf where there is nothing
+        height_out: wp.array(dtype=real),
+    ):
+        i, j = wp.tid()
+        x, y = first[0] + real(i) * step[0], first[1] + real(j) * step[1]
+        height_out[begin + i * count + j] = mm * height_above(table, kind, x, y, reach)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def cover(
+        # In: samples on each side among which the lowest counts, and the highest wall that is none
+        wide_x: int,
+        wide_y: int,
+        wall: real,
+        rows: int,
+        count: int,
+        begin: int,
+        height: wp.array(dtype=real),
+        # Out: the height, inf where the skin does not follow
+        covered_out: wp.array(dtype=real),
+    ):
+        i, j = wp.tid()
+        mine = height[begin + i * count + j]
+        lowest = mine
+        for a in range(wp.max(i - wide_x, 0), wp.min(i + wide_x + 1, rows)):
+            for b in range(wp.max(j - wide_y, 0), wp.min(j + wide_y + 1, count)):
+                lowest = wp.min(lowest, height[begin + a * count + b])
+        if mine - lowest < wall:
+            covered_out[begin + i * count + j] = mine
+        else:
+            covered_out[begin + i * count + j] = nothing
+
+    @wp.func
+    def within(low: real, high: real, cell: int):
+        return wp.max(zero, wp.min(high, real(cell + 1)) - wp.max(low, real(cell)))
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def clear(
+        # Pixels: centres, undeformed heights, and whether they are on the body
+        x: wp.array(dtype=real),
+        y: wp.array(dtype=real),
+        surface: wp.array(dtype=real),
+        on_body: wp.array(dtype=wp.int32),
+        pixel: triple,
+        # Indenters, and their samples: begin, rows, columns, left edges, and samples of a pixel
+        table: table_type,
+        kind_of: wp.array(dtype=wp.int32),
+        reach: wp.array(dtype=real),
+        layout: wp.array2d(dtype=wp.int32),
+        edge: wp.array2d(dtype=real),
+        step: triple,
+        covered: wp.array(dtype=real),
+        cap: wp.array(dtype=real),
+        # In:
+        which: wp.array(dtype=wp.int32),
+        tip: wp.array(dtype=triple),
+        # Out: gap [m], how much more pixels yield, and the least gap above `moved`
+        moved: wp.array2d(dtype=wp.vec3),
+        gap_out: wp.array2d(dtype=real),
+        extra_out: wp.array2d(dtype=real),
+        least_out: wp.array(dtype=real),
+    ):
+        row, p = wp.tid()
+        env = which[row]
+        ny = y.shape[0]
+        at = triple(x[p // ny], y[p % ny], zero) - tip[row]
+        kind = kind_of[env]
+        part = one
+        mean = zero
+        if layout[kind, 1] > 0:
+            begin, rows, count = layout[kind, 0], layout[kind, 1], layout[kind, 2]
+            west = (at[0] - half * pixel[0] - edge[kind, 0]) / step[0]
+            east = (at[0] + half * pixel[0] - edge[kind, 0]) / step[0]
+            south = (at[1] - half * pixel[1] - edge[kind, 1]) / step[1]
+            north = (at[1] + half * pixel[1] - edge[kind, 1]) / step[1]
+            part = zero
+            for i in range(wp.max(int(wp.floor(west)), 0), wp.min(int(wp.ceil(east)), rows)):
+                across = within(west, east, i)
+                for j in range(wp.max(int(wp.floor(south)), 0), wp.min(int(wp.ceil(north)), count)):
+                    height = covered[begin + i * count + j]
+                    if height < nothing:
+                        weight = across * within(south, north, j)
+                        part += weight
+                        mean += weight * height
+            if part > zero:
+                mean = mean / part
+            part = part * step[0] * step[1] / (pixel[0] * pixel[1])
+        found = cap[env]
+        extra = zero
+        if on_body[p] > 0:
+            if part >= real(COVERED_LEAST):
+                if part < real(COVERED_MOST):
+                    found = wp.min(mean, cap[env])
+                    extra = real(YIELDING) * (one / part - one)
+                else:
+                    above = height_above(table, kind, at[0] / mm, at[1] / mm, reach[kind])
+                    found = wp.min(mm * above, cap[env])
+            found = found + tip[row][2] - surface[p]
+        gap_out[env, p] = found
+        extra_out[env, p] = extra
+        wp.atomic_min(least_out, env, found - real(moved[env, p][2]))
+
+    return sample, cover, clear
+
+
+class BatchClearance:
+    """Gaps under the indenters of a batch of scenes with the same body, on one device."""
+
+    def __init__(self, scenes: Sequence[Scene], grid: Grid, real, device) -> None:
+        """Sample the rims of all indenters that the motions can bring over the body."""
+        body, number = grid.body, numpy_of(real)
+        self.surface = body.heights(grid.x, grid.y)
+        """Height of the undeformed top (nx, ny) [m]."""
+        caps = [clearance_cap(scene.motion, body, self.surface) for scene in scenes]
+        keys = [
+            (scene.indenter, REACH * math.ceil(cap / REACH))
+            for scene, cap in zip(scenes, caps, strict=True)
+        ]
+        kinds = list(dict.fromkeys(keys))
+        number_of = {key: index for index, key in enumerate(kinds)}
+        far = max(float(np.abs(np.asarray(scene.motion.tip)[:, :2]).max()) for scene in scenes)
+        span = far + 0.5 * max(body.size_x, body.size_y) + max(grid.pixel)
+
+        count = [min(FINEST, math.ceil(pixel / FINE)) for pixel in grid.pixel]
+        step = [pixel / many for pixel, many in zip(grid.pixel, count, strict=True)]
+        layout, edges, firsts, total = [], [], [], 0
+        for indenter, reach in kinds:
+            if endless(indenter):
+                layout.append((total, 0, 0))
+                edges.append((0.0, 0.0))
+                firsts.append((0.0, 0.0))
+                continue
+            many, first = [], []
+            for width, (low, high) in zip(step, indenter.bounds_below(reach)[:2], strict=True):
+                middle, low, high = (low + high) / 2, max(low, -span), min(high, span)
+                begin = math.floor((low - middle) / width) - 1
+                many.append(max(0, math.ceil((high - middle) / width) + 2 - begin))
+                first.append(middle + begin * width)
+            layout.append((total, *many))
+            firsts.append(first)
+            edges.append([place - width / 2 for place, width in zip(first, step, strict=True)])
+            total += math.prod(many)
+
+        def array(values, dtype=real):
+            return wp.array(values, dtype=dtype, device=device)
+
+        packed = PartTable.pack([kind for kind, _ in kinds], MM, real, device)
+        self._traits, self._table = packed.traits, packed.struct
+        sample, cover, self._clear = clearance_kernels(real, packed.traits)
+        triple = wp.types.vector(3, real)
+        heights = wp.empty(max(total, 1), dtype=real, device=device)
+        covered = wp.empty_like(heights)
+        for kind, ((begin, rows, columns), first) in enumerate(zip(layout, firsts, strict=True)):
+            if not rows * columns:
+                continue
+            at = [triple(*(each / MM for each in pair), 0.0) for pair in (first, step)]
+            wp.launch(
+                sample,
+                dim=(rows, columns),
+                inputs=[self._table, kind, *at, kinds[kind][1] / MM, begin, columns],
+                outputs=[heights],
+                device=device,
+            )
+            near = [many // 2 for many in count]
+            wp.launch(
+                cover,
+                dim=(rows, columns),
+                inputs=[*near, WALL / 2 * max(grid.pixel), rows, columns, begin, heights],
+                outputs=[covered],
+                device=device,
+            )
+        on_body = body.covers(grid.x[:, None], grid.y)
+        self._pixels = [
+            array(grid.x.astype(number)),
+            array(grid.y.astype(number)),
+            array(self.surface.ravel().astype(number)),
+            array(np.broadcast_to(on_body, grid.shape).ravel().astype(np.int32), wp.int32),
+            triple(*grid.pixel, 0.0),
+        ]
+        self._indenters = [
+            array([number_of[key] for key in keys], wp.int32),
+            array([reach / MM for _, reach in kinds]),
+            array(np.array(layout, np.int32), wp.int32),
+            array(np.array(edges, number)),
+            triple(*step, 0.0),
+            covered,
+            array(np.array(caps, number)),
+        ]
+
+    def at(self, which, tip, moved, gap_out, extra_out, least_out) -> None:
+        """Write gaps (B, P) [m] and yielding for presses `which` (N,) with tips at (N,) [m].
+
+        `least_out` (B,) becomes the smaller of itself and the least gap above the top displaced by
+        `moved` (B, P).
+        """
+        wp.launch(
+            self._clear,
+            dim=(which.shape[0], gap_out.shape[1]),
+            inputs=[*self._pixels, self._table, *self._indenters, which, tip, moved],
+            outputs=[gap_out, extra_out, least_out],
+            device=gap_out.device,
+        )
