@@ -68,6 +68,8 @@ def vanishing_share(result: Result) -> Array:
     across = np.zeros(len(result.wrench))
     for name in PLANES:
         count = _mirrored(result.scene, PLANES[name])
+        if not count:
+            continue
         forbidden = _across(result, name)[:count]
         across[:count] = np.maximum(across[:count], forbidden)
         across[count:] = np.maximum(across[count:], forbidden.max(initial=0.0))
@@ -146,7 +148,11 @@ def _mirrored(scene: Scene, normal: Normal) -> int:
     body = scene.body
     if 0.0 not in normal and body.size_x != body.size_y:
         return 0
-    off = np.abs(np.asarray(scene.motion.tip)[:, :2] @ normal) > OFF_PLANE * body.thickness
+    limit = OFF_PLANE * body.thickness
+    x, y, _ = scene.motion.tip[0]
+    if abs(x * normal[0] + y * normal[1]) > limit:  # most scenes: no array is made for them
+        return 0
+    off = np.abs(np.asarray(scene.motion.tip)[:, :2] @ normal) > limit
     count = int(np.argmax(off)) if off.any() else len(off)
     if not count:
         return 0

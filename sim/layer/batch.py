@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from recorder.processes import cores
 from sim.device import check_device
 from sim.errors import SimulationDiverged
 from sim.layer.batch_clearance import BatchClearance
@@ -36,6 +39,8 @@ Whole = NDArray[np.int64]
 
 # Presses that are solved at once, and the memory they may take [B].
 AT_ONCE, MEMORY = 1024, 24e9
+# Memory through which frames come to the host [B], and threads that copy them on.
+STAGED, COPIERS = 1 << 28, 8
 # Threads of a GPU at one press.
 LANES = 128
 # Overlap of pixels that are not in the list, over the tip's depth, that is tolerated.
@@ -104,6 +109,37 @@ def _portions(scenes: Sequence[Scene], members: list[int], grid: Grid) -> list[l
 
 def _host(array: Any) -> NDArray[Any]:
     return np.asarray(array.numpy())
+
+
+def read_frames(fields: Sequence[Any]) -> list[NDArray[np.float32]]:
+    """Return vectors (B, F, P) of a device as arrays (B, F, P, 3).
+
+    A GPU writes pinned memory at its full speed, and several threads copy it on, as most of their
+    time goes to new pages: thirty times as fast as one copy to pageable memory (1.5 GB/s).
+    """
+    if not fields[0].device.is_cuda:
+        return [_host(field) for field in fields]
+    each = math.prod(fields[0].shape)
+    piece = min(each, STAGED // 12)
+    staged = wp.empty(piece, dtype=wp.vec3, device="cpu", pinned=True)
+    values = _host(staged)
+    found = []
+    with ThreadPoolExecutor(min(COPIERS, cores())) as copiers:
+        for field in fields:
+            out = np.empty((each, 3), np.float32)
+            for first in range(0, each, piece):
+                some = out[first : first + piece]
+                wp.copy(staged, field.flatten(), src_offset=first, count=len(some))
+                wp.synchronize_device(field.device)
+                edges = np.linspace(0, len(some), COPIERS + 1).astype(int)
+                tasks = [
+                    copiers.submit(np.copyto, some[low:high], values[low:high])
+                    for low, high in itertools.pairwise(edges)
+                ]
+                for task in tasks:
+                    task.result()
+            found.append(out.reshape(*field.shape, 3))
+    return found
 
 
 class LayerBatch:
@@ -575,8 +611,8 @@ class LayerBatch:
         nx, ny = self.grid.shape
         began = time.perf_counter()
         surfaces, tractions = (
-            _host(field).reshape(*field.shape[:2], nx, ny, 3)
-            for field in (self._surfaces, self._tractions)
+            field.reshape(*field.shape[:2], nx, ny, 3)
+            for field in read_frames([self._surfaces, self._tractions])
         )
         self._seconds["read"] = time.perf_counter() - began
         record = {

@@ -2,8 +2,8 @@
 # Warp gives kernels their types itself; mypy cannot follow annotations made at run time.
 """Gaps between undeformed bodies and indenters on a device, for a batch of presses.
 
-The same as `sim.layer.contact.Clearance`, except that heights are found anew under every pixel
-instead of interpolated between samples.
+The same as `sim.layer.contact.Clearance`, except that heights are computed under every pixel
+wherever the tip is, instead of interpolated between samples.
 """
 
 import functools

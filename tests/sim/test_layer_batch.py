@@ -110,10 +110,10 @@ def test_a_dome_and_a_sensor_of_other_size_are_solved_beside_each_other() -> Non
 def test_a_result_does_not_depend_on_the_presses_beside_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    together = results(simulate_layers(SMOOTH, Layer(grid=GRID), device="cpu"))
+    batched = results(simulate_layers(SMOOTH, Layer(grid=GRID), device="cpu"))
     monkeypatch.setattr(batch, "AT_ONCE", 2)
     apart = results(simulate_layers(SMOOTH, Layer(grid=GRID), device="cpu"))
-    for one, other in zip(together, apart, strict=True):
+    for one, other in zip(batched, apart, strict=True):
         np.testing.assert_array_equal(one.force, other.force)
         np.testing.assert_array_equal(one.surface, other.surface)
     assert {one.record["at_once"] for one in apart} == {1, 2}
