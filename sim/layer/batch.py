@@ -351,7 +351,7 @@ class LayerBatch:
     ) -> tuple[Array, Array]:
         """Return where the next steps of presses (N,) end, and their fractions of the whole way.
 
-        `left` (B,) becomes what is left of it then.
+        `left` (B,) becomes the rest of it then.
         """
         way, rest = target - start, left[rows]
         length = np.linalg.norm(way, axis=1)
