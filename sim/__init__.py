@@ -9,6 +9,7 @@ from sim.mpm import Mpm
 from sim.result import Quality, Result
 from sim.scene import Body, Motion, Scene, from_target, press, press_shear_return, ramp_hold
 from sim.simulate import Extrapolated, Measured, Plan, plan, plan_effects, simulate, simulate_many
+from sim.tiers import Solvers
 
 __all__ = [
     "Body",
@@ -29,6 +30,7 @@ __all__ = [
     "Scene",
     "SceneError",
     "SimulationDiverged",
+    "Solvers",
     "Viscosity",
     "from_target",
     "plan",

@@ -22,7 +22,7 @@ from sim.metrics import force_scale
 from sim.result import Outcome, Result
 from sim.scene import Scene
 from sim.symmetry import with_symmetry
-from sim.tiers import simulate_many
+from sim.tiers import Solvers, check_processes, running, simulate_many
 
 Array = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ def simulate_extrapolated(
     fine: Fem = Fem(grading=FOR_EDGES),
     *,
     device: str = "cpu",
-    processes: int = 1,
+    processes: int | Solvers = 1,
     progress: Callable[[float], None] | None = None,
 ) -> list[Outcome]:
     """Simulate by `fem` on the mesh of `fine` and a coarser one; see `extrapolated`.
@@ -67,17 +67,21 @@ def simulate_extrapolated(
             f"extrapolated: {FINER:g} or less, such as sim.fem.numerics.FOR_EDGES"
         )
     coarse = replace(fine, spacing=_coarser(scenes, fine))
-    found: list[list[Outcome]] = []
-    for number, each in enumerate((coarse, fine)):
-        found.append(
+    if not isinstance(processes, Solvers):
+        check_processes(processes)
+    if isinstance(processes, Solvers) or processes > 1:
+        with running(processes, device, 2 * len(scenes)) as solvers:
+            found = solvers.simulate(scenes, (fine, coarse), progress)[::-1]
+    else:
+        found = [
             simulate_many(
                 scenes,
                 each,
                 device=device,
-                processes=processes,
                 progress=None if progress is None else part_of(progress, number, 2),
             )
-        )
+            for number, each in enumerate((coarse, fine))
+        ]
     return [_of_both(*both) for both in zip(*found, strict=True)]
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, as_completed
-from typing import TYPE_CHECKING
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
 
 from recorder.progress import part_of
 from sim.error_estimate import with_estimate
@@ -47,18 +49,24 @@ def simulate_many(
     tier: Tier = Fem(),
     *,
     device: str = "cpu",
-    processes: int = 1,
+    processes: int | Solvers = 1,
     progress: Callable[[float], None] | None = None,
 ) -> list[Outcome]:
     """Simulate scenes in a batch; return a result for each, or the reason for none.
 
-    On a GPU `layer` solves scenes of the same body together; `fem` and `mpm` solve sufficiently
-    similar scenes in one launch. Arguments as in `simulate`, and
-    `processes`: number of worker processes that share the scenes on a CPU. A script that requests
-    several must do so under `if __name__ == "__main__":`.
+    `fem` and `mpm`, and `layer` on a GPU, solve sufficiently similar scenes in one launch.
+
+    Args:
+        scenes: Scenes to simulate.
+        tier: As in `simulate`.
+        device: As in `simulate`.
+        processes: Number of worker processes, started for this call, among which the scenes are
+            divided; or `Solvers` that are running. A script that requests several must do so under
+            `if __name__ == "__main__":`.
+        progress: Called with the fraction done, 0 to 1.
 
     Raises:
-        SceneError: As in `simulate`; processes below 1, or several on a GPU.
+        SceneError: As in `simulate`; processes below 1, or of another device.
         WorkerLost: One of several processes was killed, by a lack of memory for example.
     """
     outcomes = _by_tier(scenes, tier, device, processes, progress)
@@ -69,17 +77,19 @@ def _by_tier(
     scenes: Sequence[Scene],
     tier: Tier,
     device: str,
-    processes: int,
+    processes: int | Solvers,
     progress: Callable[[float], None] | None,
 ) -> list[Outcome]:
     check_kind("tier", tier, Tier, "a Layer, a Fem or an Mpm")
     for scene in scenes:
         check_kind("scene", scene, Scene, "a Scene")
-    check_processes(processes, device)
-    if processes > 1 and len(scenes) > 1:
-        return simulate_in_processes(scenes, tier, processes=processes, progress=progress)
+    if not isinstance(processes, Solvers):
+        check_processes(processes)
     if not scenes:
         return []
+    if isinstance(processes, Solvers) or (processes > 1 and len(scenes) > 1):
+        with running(processes, device, len(scenes)) as solvers:
+            return solvers.simulate(scenes, [tier], progress)[0]
     if isinstance(tier, Layer):
         if device != "cpu":
             from sim.layer.batch import simulate_layers
@@ -110,77 +120,137 @@ def _by_tier(
 FEWER = "fewer processes or a coarser mesh"
 
 
-def check_processes(processes: int, device: str) -> None:
+class Solvers:
+    """Context manager for processes that solve scenes, for several calls of `simulate_many`.
+
+        with Solvers(8, device="cuda:0") as solvers:
+            outcomes = simulate_many(scenes, Fem(), device="cuda:0", processes=solvers)
+
+    On a CPU a process solves one scene after the other. Beside a GPU each solves a part of the
+    scenes as one batch: so the host's work for them, which takes more time than the GPU's, is
+    spread over cores. Their kernels run at once if NVIDIA's Multi-Process Service is running
+    (`nvidia-cuda-mps-control -d`), otherwise in turns.
+
+    Processes start with the first scenes, as new interpreters that import the calling script, whose
+    own work must therefore be under `if __name__ == "__main__":`. Two that compile the same kernels
+    at once both do the work: Warp builds in a folder of each process and moves it into its cache
+    atomically.
+    """
+
+    def __init__(self, processes: int, *, device: str = "cpu") -> None:
+        """Prepare the processes.
+
+        Args:
+            processes: Largest number of processes.
+            device: Device of all of them, `cpu` or `cuda:0` and the like.
+
+        Raises:
+            SceneError: Not a whole number of processes from 1 up.
+        """
+        from recorder.processes import Workers  # hundreds of modules, not needed by one process
+
+        check_processes(processes)
+        self.processes = processes
+        self.device = device
+        self._workers = Workers(processes, fewer=FEWER)
+
+    def __enter__(self) -> Self:
+        self._workers.__enter__()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._workers.__exit__(kind, error, trace)
+
+    def simulate(
+        self,
+        scenes: Sequence[Scene],
+        tiers: Sequence[Tier],
+        progress: Callable[[float], None] | None = None,
+    ) -> list[list[Outcome]]:
+        """Return the outcomes of all scenes by each tier, in order; the tiers are solved at once.
+
+        Args:
+            scenes: Scenes to simulate.
+            tiers: As in `simulate_many`.
+            progress: Called with the fraction of the scenes that are done.
+
+        Raises:
+            SceneError: As in `simulate_many`, the other scenes are abandoned; or meshes have to
+                agree with those of other processes.
+            WorkerLost: A worker was killed, by a lack of memory for example, or could not start.
+        """
+        count, many = len(scenes), len(scenes) * len(tiers)
+        for tier in tiers:
+            if self.device == "cpu" and isinstance(tier, Fem) and tier.one_topology:
+                raise SceneError(
+                    f"fem.one_topology: True with {self.processes} processes, which solve scenes "
+                    "one by one; allowed: False"
+                )
+        # Every process has scenes from all along the list: neighbours often take equally long.
+        parts = count if self.device == "cpu" else min(self.processes, count)
+        done, self._workers.done = 0, f"0 of {many} scenes"
+        tasks = {
+            self._workers.submit(_solve, scenes[part::parts], tier, self.device): (number, part)
+            for number, tier in enumerate(tiers)
+            for part in range(parts)
+        }
+        found: list[list[Any]] = [[None] * count for _ in tiers]
+        for task in as_completed(tasks):
+            number, part = tasks[task]
+            _raise_error_of(task)
+            found[number][part::parts] = task.result()
+            done += len(task.result())
+            self._workers.done = f"{done} of {many} scenes"
+            if progress is not None:
+                progress(done / many)
+        return found
+
+
+def check_processes(processes: int) -> None:
     """Reject an invalid number of processes.
 
     Raises:
-        SceneError: Not a whole number from 1 up; or several if the device is not the CPU.
+        SceneError: Not a whole number from 1 up.
     """
     if not isinstance(processes, int) or isinstance(processes, bool) or processes < 1:
         raise SceneError(f"processes: {processes!r}; allowed: whole numbers from 1 up")
-    if processes > 1 and device != "cpu":
-        raise SceneError(
-            f"processes: {processes} on device {device!r}, which solves scenes side by side in one "
-            "process; allowed: 1, or device 'cpu'"
-        )
 
 
-def simulate_in_processes(
-    scenes: Sequence[Scene],
-    tier: Tier,
-    *,
-    processes: int,
-    progress: Callable[[float], None] | None = None,
-) -> list[Outcome]:
-    """Return the outcomes of scenes in order, each solved alone on the CPU by one of the processes.
-
-    Workers start as new interpreters and import the calling script, whose own work must therefore
-    be under `if __name__ == "__main__":`. Two that compile the same kernels at once both do the
-    work: Warp builds in a folder of each process and moves it into its cache atomically.
+@contextlib.contextmanager
+def running(processes: int | Solvers, device: str, most: int) -> Iterator[Solvers]:
+    """Yield running `Solvers` as they are, or new ones for the duration of the block.
 
     Args:
-        scenes: Scenes to simulate.
-        tier: As in `simulate_many`.
-        processes: Largest number of processes.
-        progress: Called with the fraction of the scenes that are done.
+        processes: As in `simulate_many`.
+        device: Device that they must have.
+        most: Number of processes beyond which there is nothing to do.
 
     Raises:
-        SceneError: As in `simulate_many`, the other scenes are abandoned; or meshes have to agree
-            with those of other processes.
-        WorkerLost: A worker was killed, by a lack of memory for example, or could not start.
+        SceneError: They have another device.
     """
-    if isinstance(tier, Fem) and tier.one_topology:
-        raise SceneError(
-            f"fem.one_topology: True with {processes} processes, which solve scenes one by "
-            "one; allowed: False"
-        )
-    from recorder.processes import Workers  # hundreds of modules, not needed by one process
-
-    workers = Workers(min(processes, len(scenes)), _make_ready, tier, fewer=FEWER)
-    workers.done = f"0 of {len(scenes)} scenes"
-    with workers:
-        tasks = [workers.submit(_solve, scene, tier) for scene in scenes]
-        for done, task in enumerate(as_completed(tasks), 1):
-            _raise_error_of(task)
-            workers.done = f"{done} of {len(scenes)} scenes"
-            if progress is not None:
-                progress(done / len(scenes))
-        return [task.result() for task in tasks]
+    if isinstance(processes, Solvers):
+        if processes.device != device:
+            raise SceneError(f"device: {device!r}; allowed with these: {processes.device!r}")
+        yield processes
+        return
+    with Solvers(min(processes, most), device=device) as solvers:
+        yield solvers
 
 
-def _make_ready(tier: Tier) -> None:
-    """Start Warp in a worker without a banner."""
-    if not isinstance(tier, Layer):
+def _solve(scenes: Sequence[Scene], tier: Tier, device: str) -> list[Outcome]:
+    if device != "cpu" or not isinstance(tier, Layer):
         from sim.device import ready_device
 
-        ready_device("cpu")
+        ready_device(device)  # Warp starts without a banner
+    return simulate_many(scenes, tier, device=device)
 
 
-def _solve(scene: Scene, tier: Tier) -> Outcome:
-    return simulate_many([scene], tier)[0]
-
-
-def _raise_error_of(task: Future[Outcome]) -> None:
+def _raise_error_of(task: Future[list[Outcome]]) -> None:
     error = task.exception()
     if error is not None:
         raise error

@@ -330,7 +330,7 @@ def _processes(options: argparse.Namespace) -> int:
         raise SceneError(f"--processes: {processes} with --scheduler; allowed: either")
     if processes is None:
         processes = 2 if options.device == "cpu" else max(1, min(RENDERERS, cores() // 2))
-    check_processes(processes, "cpu")
+    check_processes(processes)
     return processes
 
 

@@ -14,7 +14,8 @@ from sim.errors import SceneError
 
 
 def _row(device: str, at_once: int, seconds: float) -> Row:
-    return Row("fem", device, at_once, 3000, 20 * at_once, seconds, 20 * at_once / seconds, 0, 1, 2)
+    frames = 20 * at_once
+    return Row("fem", device, 1, at_once, 3000, frames, seconds, frames / seconds, 0, 1, 2)
 
 
 @pytest.mark.parametrize("counts", ["0", "4097", "1,x", ""])

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,8 +17,19 @@ import numpy as np
 import pytest
 
 from recorder.processes import WorkerLost
-from sim import Body, Layer, Result, Scene, SceneError, SimulationDiverged, press, simulate_many
-from sim.fem.numerics import Fem
+from sim import (
+    Body,
+    Layer,
+    Result,
+    Scene,
+    SceneError,
+    SimulationDiverged,
+    Solvers,
+    press,
+    simulate_many,
+)
+from sim.extrapolation import simulate_extrapolated
+from sim.fem.numerics import FOR_EDGES, Fem
 from sim.indenters import sphere
 
 BODY = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
@@ -108,10 +120,61 @@ def test_a_number_of_processes_is_whole_and_positive(processes: int) -> None:
         simulate_many(SCENES, NUMERICS, processes=processes)
 
 
-def test_a_gpu_is_not_shared_among_processes() -> None:
-    message = r"processes: 2 on device 'cuda:0'.*allowed: 1, or device 'cpu'"
-    with pytest.raises(SceneError, match=message):
-        simulate_many(SCENES, device="cuda:0", processes=2)
+def test_running_processes_solve_several_calls_of_their_own_device_only() -> None:
+    with Solvers(2) as solvers:
+        first = simulate_many(SCENES, NUMERICS, processes=solvers)
+        pids = workers()
+        second = simulate_many(SCENES[:1], replace(NUMERICS, tolerance=1e-3), processes=solvers)
+        assert workers() == pids != []
+        assert simulate_many([], NUMERICS, processes=solvers) == []
+        with pytest.raises(SceneError, match=r"device: 'cuda:0'; allowed with these: 'cpu'"):
+            simulate_many(SCENES, NUMERICS, device="cuda:0", processes=solvers)
+    assert not workers()
+    for one, other in zip(first, simulate_many(SCENES, NUMERICS), strict=True):
+        assert isinstance(one, Result)
+        assert isinstance(other, Result)
+        assert np.array_equal(one.wrench, other.wrench)
+    assert isinstance(second[0], Result)
+
+
+def test_beside_a_gpu_each_process_solves_its_part_as_one_batch(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    given: list[tuple[list[float], Fem, str]] = []
+
+    def submit(_call: object, scenes: list[Scene], tier: Fem, device: str) -> Future[list[str]]:
+        depths = [scene.motion.depth_max for scene in scenes]
+        given.append((depths, tier, device))
+        done: Future[list[str]] = Future()
+        done.set_result([f"{depth:g} {tier.spacing:g}" for depth in depths])
+        return done
+
+    told: list[float] = []
+    scenes = [Scene(sphere(3e-3), press([depth * 1e-4]), BODY) for depth in (1, 2, 3, 4, 5)]
+    fine, coarse = Fem(spacing=1e-3, one_topology=True), Fem(spacing=2e-3, one_topology=True)
+    with Solvers(2, device="cuda:0") as solvers:
+        monkeypatch.setattr(solvers._workers, "submit", submit)
+        found = solvers.simulate(scenes, [fine, coarse], told.append)
+    assert found == [[f"0.000{d} {h}" for d in (1, 2, 3, 4, 5)] for h in ("0.001", "0.002")]
+    assert [(len(depths), tier) for depths, tier, _ in given] == [
+        (3, fine),
+        (2, fine),
+        (3, coarse),
+        (2, coarse),
+    ]
+    assert {device for *_, device in given} == {"cuda:0"}
+    assert told[-1] == 1.0
+
+
+@pytest.mark.slow
+def test_extrapolated_forces_are_the_same_by_several_processes() -> None:
+    fem = Fem(spacing=1e-3, grading=FOR_EDGES)
+    scenes = [Scene(sphere(3e-3), press([depth])) for depth in (0.3e-3, 0.5e-3)]
+    alone = simulate_extrapolated(scenes, fem)
+    for one, other in zip(simulate_extrapolated(scenes, fem, processes=2), alone, strict=True):
+        assert isinstance(one, Result)
+        assert isinstance(other, Result)
+        assert np.array_equal(one.wrench, other.wrench)
 
 
 def test_meshes_of_separate_processes_cannot_be_made_to_agree() -> None:

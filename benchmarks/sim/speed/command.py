@@ -109,7 +109,7 @@ def _measure(options: argparse.Namespace, parts: tuple[str, ...]) -> None:
     processes = options.processes
     if processes is None:
         processes = 2 if _cpu(options) else 1
-    check_processes(processes, options.device)
+    check_processes(processes)
     kernels = ready_device(options.device)
     for name in ("spacing", "reference"):
         value = getattr(options, name)

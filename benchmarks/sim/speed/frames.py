@@ -8,6 +8,7 @@ mesh with elements half as long, for the first presses.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import csv
 import math
 import time
@@ -28,7 +29,7 @@ from sim.layer import Layer
 from sim.metrics import force_scale
 from sim.result import Outcome
 from sim.scene import Body, Scene, press
-from sim.tiers import simulate_many
+from sim.tiers import Solvers, simulate_many
 
 MM = 1e-3
 FRAME, FRAMES = 0.05 * MM, 20
@@ -82,20 +83,14 @@ def scenes(count: int) -> list[Scene]:
 
 
 def solved(
-    way: Way, some: Sequence[Scene], device: str, processes: int
+    way: Way, some: Sequence[Scene], device: str, solvers: Solvers | None = None
 ) -> tuple[float, list[Outcome]]:
-    """Return the time to solve the presses [s], and their outcomes."""
+    """Return the time to solve the presses [s], and their outcomes; without `solvers`, here."""
     tier = way.tier
-    on_cpu = device == "cpu"
-    if isinstance(tier, Fem) and on_cpu:
+    if isinstance(tier, Fem) and device == "cpu":
         tier = replace(tier, one_topology=False)
     began = time.perf_counter()
-    outcomes = simulate_many(
-        some,
-        tier,
-        device=device,
-        processes=min(processes, len(some)) if on_cpu else 1,
-    )
+    outcomes = simulate_many(some, tier, device=device, processes=solvers or 1)
     return time.perf_counter() - began, outcomes
 
 
@@ -116,6 +111,7 @@ class Row:
 
     way: str
     device: str
+    processes: int
     at_once: int
     elements: int
     """Elements of the first press; of `layer`, pixels."""
@@ -130,15 +126,16 @@ class Row:
     def line(self) -> str:
         """Return the row of the printed table."""
         return (
-            f"| {self.way} | {self.device} | {self.at_once} | {self.elements:,} "
+            f"| {self.way} | {self.device} | {self.processes} | {self.at_once} "
+            f"| {self.elements:,} "
             f"| {self.seconds:.3g} | {self.frames_per_second:,.4g} | {self.without_solution} "
             f"| {self.error_mean_percent:.2f} % | {self.error_worst_percent:.2f} % |"
         )
 
 
 HEAD = (
-    "| way | device | at once | elements | seconds | frames/s | without a solution | error, mean "
-    "| worst |"
+    "| way | device | processes | at once | elements | seconds | frames/s | without a solution "
+    "| error, mean | worst |"
 )
 
 
@@ -146,8 +143,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.description = (
         "Times presses of 20 frames of 0.05 mm with `layer` and with meshes of `fem`, "
-        "and reports the errors of their forces. Kernels are compiled before; several presses on "
-        "the CPU include the start of its processes, some seconds."
+        "and reports the errors of their forces. Kernels are compiled and processes started before."
     )
     add_device(parser)
     parser.add_argument(
@@ -156,7 +152,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="numbers of simultaneous presses, one row each (%(default)s)",
     )
     parser.add_argument(
-        "--processes", type=int, help="processes on the CPU (default: as many as it has cores)"
+        "--processes",
+        type=int,
+        help="processes that share several presses (default: 1 beside a GPU, on a CPU as many as "
+        "it has cores)",
     )
     parser.add_argument(
         "--only", default="", metavar="WORD", help="only methods whose name contains this"
@@ -185,8 +184,8 @@ def run(options: argparse.Namespace, say: Callable[[str], None] = print) -> int:
     counts = _counts(options.counts)
     processes = options.processes
     if processes is None:
-        processes = cores()
-    check_processes(processes, "cpu")
+        processes = cores() if options.device == "cpu" else 1
+    check_processes(processes)
     ready_device(options.device)
     began = time.perf_counter()
     say(f"solving {JUDGED} presses on a fine mesh, as the reference")
@@ -194,29 +193,35 @@ def run(options: argparse.Namespace, say: Callable[[str], None] = print) -> int:
         Way("", Fem(fineness=1.5, elements_max=400_000, one_topology=True)),
         scenes(JUDGED),
         options.device,
-        1,
     )
     say(
         f"{machine_name(options.device)}; frames of {FRAME / MM:g} mm, {FRAMES} a press: spheres "
-        f"of 3 to 5 mm, 1 mm into 20 x 20 x 4 mm; on the CPU {processes} processes"
+        f"of 3 to 5 mm, 1 mm into 20 x 20 x 4 mm"
     )
     say(HEAD)
     say("|---" * HEAD.count(" |") + "|")
     rows: list[Row] = []
     left_out: list[str] = []
-    for way in ways():
-        if options.only not in way.name:
-            continue
-        solved(way, scenes(1), options.device, 1)
-        last: Row | None = None
-        for count in sorted(counts):
-            ahead = forecast(last, count, processes)
-            if time.perf_counter() - began + ahead > options.seconds:
-                left_out.append(f"{way.name} at {count}")
+    with contextlib.ExitStack() as stack:
+        solvers: Solvers | None = None
+        if processes > 1:
+            solvers = stack.enter_context(Solvers(processes, device=options.device))
+        for way in ways():
+            if options.only not in way.name:
                 continue
-            last = measured(way, count, options.device, processes, truths)
-            rows.append(last)
-            say(last.line())
+            solved(way, scenes(1), options.device)
+            if solvers is not None:  # each loads its kernels
+                solved(way, scenes(processes), options.device, solvers)
+            last: Row | None = None
+            for count in sorted(counts):
+                ahead = forecast(last, count, processes)
+                if time.perf_counter() - began + ahead > options.seconds:
+                    left_out.append(f"{way.name} at {count}")
+                    continue
+                several = solvers if count > 1 else None
+                last = measured(way, count, options.device, several, truths)
+                rows.append(last)
+                say(last.line())
     if left_out:
         say(f"left out, as they would exceed {options.seconds:g} s: {', '.join(left_out)}")
     say("Published, with other scenes and hardware, and without an error of the force:")
@@ -236,9 +241,11 @@ def forecast(last: Row | None, count: int, processes: int) -> float:
     return last.seconds * count / last.at_once if last.at_once >= FILLS else 0.0
 
 
-def measured(way: Way, count: int, device: str, processes: int, truths: Sequence[Outcome]) -> Row:
+def measured(
+    way: Way, count: int, device: str, solvers: Solvers | None, truths: Sequence[Outcome]
+) -> Row:
     """Solve `count` presses, and return their row."""
-    seconds, outcomes = solved(way, scenes(count), device, processes)
+    seconds, outcomes = solved(way, scenes(count), device, solvers)
     good = [one for one in outcomes if not isinstance(one, SimulationDiverged)]
     mean, worst = errors(outcomes[:JUDGED], truths)
     frames = FRAMES * len(good)
@@ -249,6 +256,7 @@ def measured(way: Way, count: int, device: str, processes: int, truths: Sequence
     return Row(
         way=way.name,
         device=device,
+        processes=1 if solvers is None else solvers.processes,
         at_once=count,
         elements=elements,
         frames=frames,
