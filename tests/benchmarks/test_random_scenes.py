@@ -281,6 +281,15 @@ def test_the_layer_lies_between_the_bounds() -> None:
     assert bounds.least_force(BALL, tip) < layer < bounds.most_force(BALL, tip)
 
 
+def test_a_ring_around_a_round_body_has_no_push_on_the_layer_either() -> None:
+    ring = shapes.tube(3.3 * MM, 2.7 * MM)
+    body = Body(4.5 * MM, 4.5 * MM, 2.5 * MM)
+    tip = (0.0, 0.0, -0.1 * MM)
+    assert bounds.layer_force(Scene(ring, press([0.1 * MM]), body), tip) is None  # at the rim
+    round_body = replace(body, footprint="ellipse")
+    assert bounds.layer_force(Scene(ring, press([0.1 * MM]), round_body), tip) == 0.0
+
+
 def test_loading_ends_where_the_tip_goes_aside(good: Result) -> None:
     assert loading(good) == [1, 2]
 

@@ -11,7 +11,7 @@ from benchmarks.sim.stability.chance.footprint import Footprint, footprint, insi
 from sim.errors import SceneError, SimulationDiverged
 from sim.layer import Layer
 from sim.result import Result
-from sim.scene import Body, Motion, Scene
+from sim.scene import Motion, Scene
 from sim.tiers import simulate_many
 
 # Required fraction of the lower bound: a corner of the gel yields up to four times as easily as its
@@ -78,10 +78,9 @@ def layer_force(scene: Scene, tip: tuple[float, float, float]) -> float | None:
         return None
     if not inside_by(scene, tip, 0.75 * body.thickness):
         return None
-    still = Body(body.size_x, body.size_y, body.thickness, body.modulus, body.poisson)
     motion = Motion((tip,), (0.0,))
     try:
-        (outcome,) = simulate_many([Scene(scene.indenter, motion, still)], Layer())
+        (outcome,) = simulate_many([Scene(scene.indenter, motion, body)], Layer())
     except SceneError:
         return None
     if isinstance(outcome, SimulationDiverged):
