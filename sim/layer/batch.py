@@ -40,7 +40,7 @@ Whole = NDArray[np.int64]
 # Presses that are solved at once, and the memory they may take [B].
 AT_ONCE, MEMORY = 1024, 24e9
 # Memory through which frames come to the host [B], and threads that copy them on.
-STAGED, COPIERS = 1 << 28, 8
+STAGED, COPIERS = 1 << 26, 8
 # Threads of a GPU at one press.
 LANES = 128
 # Overlap of pixels that are not in the list, over the tip's depth, that is tolerated.

@@ -81,19 +81,22 @@ def clearance_kernels(real, traits):
 
     @wp.kernel(enable_backward=False, module="unique")
     def sample(
+        # Indenters, and their samples: begin, rows, columns and left edges; distances of samples
         table: table_type,
-        kind: int,
-        first: triple,
+        reach: wp.array(dtype=real),
+        layout: wp.array2d(dtype=wp.int32),
+        edge: wp.array2d(dtype=real),
         step: triple,
-        reach: real,
-        begin: int,
-        count: int,
         # Out: heights [m], inf where there is nothing
         height_out: wp.array(dtype=real),
     ):
-        i, j = wp.tid()
-        x, y = first[0] + real(i) * step[0], first[1] + real(j) * step[1]
-        height_out[begin + i * count + j] = mm * height_above(table, kind, x, y, reach)
+        kind, i, j = wp.tid()
+        count = layout[kind, 2]
+        if i < layout[kind, 1] and j < count:
+            x = (edge[kind, 0] + (real(i) + half) * step[0]) / mm
+            y = (edge[kind, 1] + (real(j) + half) * step[1]) / mm
+            height = mm * height_above(table, kind, x, y, reach[kind])
+            height_out[layout[kind, 0] + i * count + j] = height
 
     @wp.kernel(enable_backward=False, module="unique")
     def cover(
@@ -101,14 +104,15 @@ def clearance_kernels(real, traits):
         wide_x: int,
         wide_y: int,
         wall: real,
-        rows: int,
-        count: int,
-        begin: int,
+        layout: wp.array2d(dtype=wp.int32),
         height: wp.array(dtype=real),
         # Out: the height, inf where the skin does not follow
         covered_out: wp.array(dtype=real),
     ):
-        i, j = wp.tid()
+        kind, i, j = wp.tid()
+        begin, rows, count = layout[kind, 0], layout[kind, 1], layout[kind, 2]
+        if i >= rows or j >= count:
+            return
         mine = height[begin + i * count + j]
         lowest = mine
         for a in range(wp.max(i - wide_x, 0), wp.min(i + wide_x + 1, rows)):
@@ -212,52 +216,48 @@ class BatchClearance:
 
         count = [min(FINEST, math.ceil(pixel / FINE)) for pixel in grid.pixel]
         step = [pixel / many for pixel, many in zip(grid.pixel, count, strict=True)]
-        layout, edges, firsts, total = [], [], [], 0
+        layout, edges, total = [], [], 0
         for indenter, reach in kinds:
-            if endless(indenter):
-                layout.append((total, 0, 0))
-                edges.append((0.0, 0.0))
-                firsts.append((0.0, 0.0))
-                continue
-            many, first = [], []
-            for width, (low, high) in zip(step, indenter.bounds_below(reach)[:2], strict=True):
-                middle, low, high = (low + high) / 2, max(low, -span), min(high, span)
-                begin = math.floor((low - middle) / width) - 1
-                many.append(max(0, math.ceil((high - middle) / width) + 2 - begin))
-                first.append(middle + begin * width)
+            many, edge = [0, 0], [0.0, 0.0]
+            if not endless(indenter):
+                box = indenter.bounds_below(reach)[:2]
+                for axis, (width, (low, high)) in enumerate(zip(step, box, strict=True)):
+                    middle, low, high = (low + high) / 2, max(low, -span), min(high, span)
+                    begin = math.floor((low - middle) / width) - 1
+                    many[axis] = max(0, math.ceil((high - middle) / width) + 2 - begin)
+                    edge[axis] = middle + (begin - 0.5) * width
             layout.append((total, *many))
-            firsts.append(first)
-            edges.append([place - width / 2 for place, width in zip(first, step, strict=True)])
+            edges.append(edge)
             total += math.prod(many)
 
         def array(values, dtype=real):
             return wp.array(values, dtype=dtype, device=device)
 
         packed = PartTable.pack([kind for kind, _ in kinds], MM, real, device)
-        self._traits, self._table = packed.traits, packed.struct
+        self._table = packed.struct
         sample, cover, self._clear = clearance_kernels(real, packed.traits)
         triple = wp.types.vector(3, real)
+        reaches = array([reach / MM for _, reach in kinds])
+        layouts = array(np.array(layout, np.int32), wp.int32)
+        lefts, steps = array(np.array(edges, number)), triple(*step, 0.0)
         heights = wp.empty(max(total, 1), dtype=real, device=device)
         covered = wp.empty_like(heights)
-        for kind, ((begin, rows, columns), first) in enumerate(zip(layout, firsts, strict=True)):
-            if not rows * columns:
-                continue
-            at = [triple(*(each / MM for each in pair), 0.0) for pair in (first, step)]
-            wp.launch(
-                sample,
-                dim=(rows, columns),
-                inputs=[self._table, kind, *at, kinds[kind][1] / MM, begin, columns],
-                outputs=[heights],
-                device=device,
-            )
-            near = [many // 2 for many in count]
-            wp.launch(
-                cover,
-                dim=(rows, columns),
-                inputs=[*near, WALL / 2 * max(grid.pixel), rows, columns, begin, heights],
-                outputs=[covered],
-                device=device,
-            )
+        everything = (len(kinds), *np.array(layout)[:, 1:].max(axis=0).tolist())
+        wp.launch(
+            sample,
+            dim=everything,
+            inputs=[self._table, reaches, layouts, lefts, steps],
+            outputs=[heights],
+            device=device,
+        )
+        near = [many // 2 for many in count]
+        wp.launch(
+            cover,
+            dim=everything,
+            inputs=[*near, WALL / 2 * max(grid.pixel), layouts, heights],
+            outputs=[covered],
+            device=device,
+        )
         on_body = body.covers(grid.x[:, None], grid.y)
         self._pixels = [
             array(grid.x.astype(number)),
@@ -268,10 +268,10 @@ class BatchClearance:
         ]
         self._indenters = [
             array([number_of[key] for key in keys], wp.int32),
-            array([reach / MM for _, reach in kinds]),
-            array(np.array(layout, np.int32), wp.int32),
-            array(np.array(edges, number)),
-            triple(*step, 0.0),
+            reaches,
+            layouts,
+            lefts,
+            steps,
             covered,
             array(np.array(caps, number)),
         ]
