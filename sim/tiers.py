@@ -191,24 +191,36 @@ class Solvers:
                     f"fem.one_topology: True with {self.processes} processes, which solve scenes "
                     "one by one; allowed: False"
                 )
-        # Every process has scenes from all along the list: neighbours often take equally long.
-        parts = count if self.device == "cpu" else min(self.processes, count)
+        parts = self._parts(count)
         done, self._workers.done = 0, f"0 of {many} scenes"
         tasks = {
-            self._workers.submit(_solve, scenes[part::parts], tier, self.device): (number, part)
+            self._workers.submit(_solve, [scenes[i] for i in part], tier, self.device): (
+                number,
+                part,
+            )
             for number, tier in enumerate(tiers)
-            for part in range(parts)
+            for part in parts
         }
         found: list[list[Any]] = [[None] * count for _ in tiers]
         for task in as_completed(tasks):
             number, part = tasks[task]
             _raise_error_of(task)
-            found[number][part::parts] = task.result()
-            done += len(task.result())
+            for index, outcome in zip(part, task.result(), strict=True):
+                found[number][index] = outcome
+            done += len(part)
             self._workers.done = f"{done} of {many} scenes"
             if progress is not None:
                 progress(done / many)
         return found
+
+    def _parts(self, count: int) -> list[range]:
+        """Return the scenes of each task: single ones on a CPU, where any process takes the next.
+
+        Beside a GPU each process has scenes from all along the list, as neighbours often take
+        equally long.
+        """
+        parts = count if self.device == "cpu" else min(self.processes, count)
+        return [range(part, count, parts) for part in range(parts)]
 
 
 def check_processes(processes: int) -> None:

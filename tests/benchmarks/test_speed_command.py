@@ -22,6 +22,7 @@ def run(*words: str) -> int:
     [
         (["--only", "presses,drawing"], "--only: 'presses,drawing'; allowed: some of presses"),
         (["--processes", "0"], "processes: 0; allowed: whole numbers from 1 up"),
+        (["--device", "cuda:99", "--processes", "2"], "--processes: 2 on device 'cuda:99'"),
         (["--device", "cuda:99"], "--device: 'cuda:99'; allowed here: cpu"),
         (["--spacing", "-1"], "--spacing: -1.0 mm; allowed: above 0"),
         (["--reference", "nan"], "--reference: nan mm; allowed: above 0"),

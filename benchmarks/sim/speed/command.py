@@ -110,6 +110,10 @@ def _measure(options: argparse.Namespace, parts: tuple[str, ...]) -> None:
     if processes is None:
         processes = 2 if _cpu(options) else 1
     check_processes(processes)
+    if processes > 1 and not _cpu(options):
+        raise SceneError(
+            f"--processes: {processes} on device {options.device!r}; allowed: 1, or device 'cpu'"
+        )
     kernels = ready_device(options.device)
     for name in ("spacing", "reference"):
         value = getattr(options, name)
