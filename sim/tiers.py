@@ -185,12 +185,7 @@ class Solvers:
             WorkerLost: A worker was killed, by a lack of memory for example, or could not start.
         """
         count, many = len(scenes), len(scenes) * len(tiers)
-        for tier in tiers:
-            if self.device == "cpu" and isinstance(tier, Fem) and tier.one_topology:
-                raise SceneError(
-                    f"fem.one_topology: True with {self.processes} processes, which solve scenes "
-                    "one by one; allowed: False"
-                )
+        tiers = [self._alike(scenes, tier) for tier in tiers]
         parts = self._parts(count)
         done, self._workers.done = 0, f"0 of {many} scenes"
         tasks = {
@@ -212,6 +207,24 @@ class Solvers:
             if progress is not None:
                 progress(done / many)
         return found
+
+    def _alike(self, scenes: Sequence[Scene], tier: Tier) -> Tier:
+        """Return the tier by which all parts have the topology of the whole, if it asks for one.
+
+        Meshes that follow the contact agree within a part only.
+        """
+        if not (isinstance(tier, Fem) and tier.one_topology):
+            return tier
+        if not tier.follows:
+            from sim.fem.mesh import agreed
+
+            return agreed(scenes, tier)
+        if self.device == "cpu":
+            raise SceneError(
+                f"fem.one_topology: True with {self.processes} processes, which solve scenes one "
+                "by one on meshes that follow the contact; allowed: False, or a spacing"
+            )
+        return tier
 
     def _parts(self, count: int) -> list[range]:
         """Return the scenes of each task: single ones on a CPU, where any process takes the next.

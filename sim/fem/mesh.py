@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -542,14 +542,35 @@ def meshes_of(
             most = max(m.cells[0] for m in meshes), max(m.cells[1] for m in meshes)
             meshes = [following_mesh(*each, most) for each in asked]
         return meshes
-    plans = [
+    plans = _plans(scenes, numerics)
+    least = agreed(scenes, numerics).cells_least if numerics.one_topology else numerics.cells_least
+    return [build_mesh(*plan, at_least=least) for plan in plans]
+
+
+def agreed(scenes: Sequence[Scene], numerics: Fem) -> Fem:
+    """Return settings by which each scene alone has as many elements as all have with each other.
+
+    `numerics` must not follow the contact: its meshes have a `spacing` or a `grading`.
+
+    Raises:
+        SceneError: See `mesh.cell_counts`.
+    """
+    counts = [
+        [len(places) - 1 for places in axes(*plan, at_least=numerics.cells_least)]
+        for plan in _plans(scenes, numerics)
+    ]
+    x, y = np.max(counts, axis=0).tolist()
+    return replace(numerics, cells_least=(x, y))
+
+
+Plan = tuple[Body, float, Window | None, Grading | None]
+
+
+def _plans(scenes: Sequence[Scene], numerics: Fem) -> list[Plan]:
+    """Return body, spacing, window and grading of each mesh."""
+    return [
         (scene.body, *_spacing_and_window(scene, numerics), numerics.grading) for scene in scenes
     ]
-    least = (0, 0)
-    if numerics.one_topology:
-        counts = np.array([[len(places) - 1 for places in axes(*plan)] for plan in plans])
-        least = (int(counts[:, 0].max()), int(counts[:, 1].max()))
-    return [build_mesh(*plan, at_least=least) for plan in plans]
 
 
 def _spacing_and_window(scene: Scene, numerics: Fem) -> tuple[float, Window | None]:

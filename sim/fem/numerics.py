@@ -80,6 +80,9 @@ class Fem:
     one_topology: bool = False
     """Give all graded meshes of one call as many elements as the largest of them: more elements,
     but all presses in one launch, which suits a GPU. No mesh becomes coarser."""
+    cells_least: tuple[int, int] = (0, 0)
+    """Least number of elements along x and y of a mesh with `spacing` that is graded, so that
+    meshes of several calls can agree (`sim.fem.mesh.agreed`)."""
     precision: Precision = "auto"
     """`auto` begins in float32 and falls back to float64 if float32 cannot reach the tolerance."""
     tolerance: float = 1e-4
@@ -119,6 +122,13 @@ class Fem:
             )
         for name in ("graded", "one_topology"):
             check_kind(f"fem.{name}", getattr(self, name), bool, "True or False")
+        least = self.cells_least
+        check_kind("fem.cells_least", least, tuple, "whole numbers of elements along x and y")
+        if len(least) != 2 or any(type(one) is not int or not 0 <= one <= 10**4 for one in least):
+            raise SceneError(
+                f"fem.cells_least: {least!r}; allowed: whole numbers of elements along x and y, 0 "
+                "to 10000"
+            )
         if self.grading is not None:
             check_kind("fem.grading", self.grading, Grading, "a Grading or None")
         for name in ("augmentations", "contact_points", "newton_max", "cg_max", "halvings"):

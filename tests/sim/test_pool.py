@@ -29,6 +29,7 @@ from sim import (
     simulate_many,
 )
 from sim.extrapolation import simulate_extrapolated
+from sim.fem.mesh import agreed
 from sim.fem.numerics import FOR_EDGES, Fem
 from sim.indenters import sphere
 
@@ -151,17 +152,19 @@ def test_beside_a_gpu_each_process_solves_its_part_as_one_batch(
 
     told: list[float] = []
     scenes = [Scene(sphere(3e-3), press([depth * 1e-4]), BODY) for depth in (1, 2, 3, 4, 5)]
-    fine, coarse = Fem(spacing=1e-3, one_topology=True), Fem(spacing=2e-3, one_topology=True)
+    fine, coarse = (Fem(spacing=height, one_topology=True) for height in (8e-4, 1e-3))
     with Solvers(2, device="cuda:0") as solvers:
         monkeypatch.setattr(solvers._workers, "submit", submit)
         found = solvers.simulate(scenes, [fine, coarse], told.append)
-    assert found == [[f"0.000{d} {h}" for d in (1, 2, 3, 4, 5)] for h in ("0.001", "0.002")]
-    assert [(len(depths), tier) for depths, tier, _ in given] == [
-        (3, fine),
-        (2, fine),
-        (3, coarse),
-        (2, coarse),
+    assert found == [[f"0.000{d} {h}" for d in (1, 2, 3, 4, 5)] for h in ("0.0008", "0.001")]
+    assert [(len(depths), tier.spacing) for depths, tier, _ in given] == [
+        (3, fine.spacing),
+        (2, fine.spacing),
+        (3, coarse.spacing),
+        (2, coarse.spacing),
     ]
+    counts = {tier.spacing: tier.cells_least for _, tier, _ in given}
+    assert counts == {one.spacing: agreed(scenes, one).cells_least for one in (fine, coarse)}
     assert {device for *_, device in given} == {"cuda:0"}
     assert told[-1] == 1.0
 
@@ -177,9 +180,17 @@ def test_extrapolated_forces_are_the_same_by_several_processes() -> None:
         assert np.array_equal(one.wrench, other.wrench)
 
 
-def test_meshes_of_separate_processes_cannot_be_made_to_agree() -> None:
+def test_meshes_of_separate_processes_agree_if_they_have_a_spacing() -> None:
+    numerics = replace(NUMERICS, one_topology=True, spacing=1e-3)
+    narrow, wide = (Scene(sphere(r), press([0.1e-3]), BODY) for r in (0.5e-3, 4e-3))
+    alone = simulate_many([narrow, wide], numerics)
+    for one, other in zip(simulate_many([narrow, wide], numerics, processes=2), alone, strict=True):
+        assert isinstance(one, Result)
+        assert isinstance(other, Result)
+        assert one.record["mesh"]["cells"] == other.record["mesh"]["cells"]
+        assert np.array_equal(one.wrench, other.wrench)
     with pytest.raises(SceneError, match=r"fem.one_topology: True with 2 processes"):
-        simulate_many(SCENES, replace(NUMERICS, one_topology=True), processes=2)
+        simulate_many(SCENES, Fem(one_topology=True), processes=2)
 
 
 @pytest.mark.slow
