@@ -61,7 +61,7 @@ class Way:
 
 def ways() -> list[Way]:
     """Return `layer`, coarse meshes of `fem` with matching tolerances, and the default."""
-    found = [Way(f"layer, {grid} pixels", Layer(grid=grid)) for grid in (64, 128)]
+    found = [Way(f"layer, {grid} pixels", Layer(grid=grid)) for grid in (48, 64, 128)]
     for spacing in (1.33, 1.0, 0.8):
         quick = Fem(
             spacing=spacing * MM,
