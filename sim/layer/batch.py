@@ -37,8 +37,10 @@ from sim.scene import Scene
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
-# Presses that are solved at once, and the memory they may take [B].
-AT_ONCE, MEMORY = 1024, 24e9
+# Most presses that are solved at once, and the fraction of the GPU's free memory they may take.
+AT_ONCE, MEMORY = 1024, 0.5
+# Memory of a pixel, and of each of its frames [B]; twice as much in double precision.
+PIXEL, PIXEL_FRAME = 500, 24
 # Memory through which frames come to the host [B], and threads that copy them on.
 STAGED, COPIERS = 1 << 26, 8
 # Threads of a GPU at one press.
@@ -83,7 +85,7 @@ def simulate_layers(
     done = 0
     for (body, *_), members in groups.items():
         grid = Grid(body, layer.grid)
-        for some in _portions(scenes, members, grid):
+        for some in _portions(scenes, members, layer, device):
             batch = LayerBatch([scenes[index] for index in some], grid, layer.tolerance, device)
             for count in batch.advance():
                 done += count
@@ -93,15 +95,19 @@ def simulate_layers(
     return [outcomes[index] for index in range(len(scenes))]
 
 
-def _portions(scenes: Sequence[Scene], members: list[int], grid: Grid) -> list[list[int]]:
+def _portions(
+    scenes: Sequence[Scene], members: list[int], layer: Layer, device: str
+) -> list[list[int]]:
     """Return the members in portions that fit into the memory; longer motions take more of it."""
-    pixels = math.prod(grid.shape)
+    on = wp.get_device(device)
+    memory = MEMORY * on.free_memory if on.is_cuda else math.inf
+    double = np.dtype(precision(layer.tolerance)).itemsize / 4
     portions: list[list[int]] = [[]]
-    longest = 0
     for index in sorted(members, key=lambda one: len(scenes[one].motion)):
-        longest = max(longest, len(scenes[index].motion))
-        each = pixels * (24 * longest + 400)
-        if portions[-1] and (len(portions[-1]) == AT_ONCE or len(portions[-1]) * each > MEMORY):
+        # The last one of a portion has the longest motion, which all have room for.
+        apiece = layer.grid**2 * (PIXEL_FRAME * len(scenes[index].motion) + double * PIXEL)
+        most = max(1, int(min(memory / apiece, AT_ONCE)))
+        if len(portions[-1]) >= most:
             portions.append([])
         portions[-1].append(index)
     return portions
