@@ -28,6 +28,7 @@ from sim.layer.solver import (
     check_known,
     diverged_at,
     precision,
+    simulate_layer,
 )
 from sim.layer.spectral import Grid, convolutions
 from sim.result import Outcome, Quality, Result, no_quality
@@ -41,6 +42,9 @@ Whole = NDArray[np.int64]
 AT_ONCE, MEMORY = 1024, 0.5
 # Memory of a pixel, and of each of its frames [B]; twice as much in double precision.
 PIXEL, PIXEL_FRAME = 500, 24
+# Pixels below an indenter beyond which the single solver takes a press, on a CPU core: work on
+# a GPU grows with their square. Chosen by counting operations, not by measuring.
+PIXELS_MOST = 6000
 # Memory through which frames come to the host [B], and threads that copy them on.
 STAGED, COPIERS = 1 << 26, 8
 # Threads of a GPU at one press.
@@ -61,7 +65,8 @@ def simulate_layers(
     """Simulate many scenes on one device; return a result for each, or the reason for none.
 
     Scenes are solved together if they have the same body and viscosity, and all of them friction or
-    none. Forces are those of `simulate_layer` within the tolerance.
+    none. Forces are those of `simulate_layer` within the tolerance. It is left to solve wide
+    contacts on fine pixels, one by one.
 
     Args:
         scenes: Scenes as for `simulate_layer`.
@@ -76,7 +81,11 @@ def simulate_layers(
     for scene in scenes:
         check_known(scene, layer.tolerance)
     groups: dict[Any, list[int]] = {}
+    wide: list[int] = []
     for index, scene in enumerate(scenes):
+        if _pixels_below(scene, layer) > PIXELS_MOST:
+            wide.append(index)
+            continue
         effects = scene.effects
         key = scene.body, effects.viscosity, effects.friction is None
         groups.setdefault(key, []).append(index)
@@ -92,7 +101,26 @@ def simulate_layers(
                 if progress is not None:
                     progress(done / frames)
             outcomes.update(zip(some, batch.outcomes(layer), strict=True))
+    for index in wide:
+        try:
+            outcomes[index] = simulate_layer(scenes[index], layer)
+        except SimulationDiverged as diverged:
+            outcomes[index] = diverged
+        done += len(scenes[index].motion)
+        if progress is not None:
+            progress(done / frames)
     return [outcomes[index] for index in range(len(scenes))]
+
+
+def _pixels_below(scene: Scene, layer: Layer) -> float:
+    """Return the number of pixels in the box around all that the indenter covers on its way."""
+    body, tip = scene.body, np.asarray(scene.motion.tip)
+    sides = scene.indenter.bounds_below(scene.motion.depth_max)[:2]
+    count = 1.0
+    for (low, high), size, way in zip(sides, (body.size_x, body.size_y), tip.T[:2], strict=True):
+        ends = np.clip([way.min() + low, way.max() + high], -size / 2, size / 2)
+        count *= (ends[1] - ends[0]) * layer.grid / max(body.size_x, body.size_y)
+    return count
 
 
 def _portions(

@@ -120,6 +120,20 @@ def test_a_result_does_not_depend_on_the_presses_beside_it(
     assert {one.record["at_once"] for one in apart} == {1, 2}
 
 
+def test_wide_contacts_on_fine_pixels_are_left_to_the_single_solver(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(batch, "PIXELS_MOST", GRID**2 - 1)
+    told: list[float] = []
+    layer = Layer(grid=GRID)
+    found = results(simulate_layers(SMOOTH, layer, device="cpu", progress=told.append))
+    on_plane = SMOOTH.index(next(one for one in SMOOTH if one.indenter.name == "plane"))
+    assert ["at_once" in one.record for one in found].index(False) == on_plane
+    alone = simulate_layer(SMOOTH[on_plane], layer)
+    np.testing.assert_array_equal(found[on_plane].traction, alone.traction)
+    assert told[-1] == 1.0
+
+
 def test_a_press_that_does_not_converge_leaves_the_others_alone(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
