@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, as_completed
 from types import TracebackType
@@ -186,7 +187,6 @@ class Solvers:
         """
         count, many = len(scenes), len(scenes) * len(tiers)
         tiers = [self._alike(scenes, tier) for tier in tiers]
-        parts = self._parts(count)
         done, self._workers.done = 0, f"0 of {many} scenes"
         tasks = {
             self._workers.submit(_solve, [scenes[i] for i in part], tier, self.device): (
@@ -194,7 +194,7 @@ class Solvers:
                 part,
             )
             for number, tier in enumerate(tiers)
-            for part in parts
+            for part in self._parts(count, tier)
         }
         found: list[list[Any]] = [[None] * count for _ in tiers]
         for task in as_completed(tasks):
@@ -226,13 +226,19 @@ class Solvers:
             )
         return tier
 
-    def _parts(self, count: int) -> list[range]:
+    def _parts(self, count: int, tier: Tier) -> list[range]:
         """Return the scenes of each task: single ones on a CPU, where any process takes the next.
 
-        Beside a GPU each process has scenes from all along the list, as neighbours often take
-        equally long.
+        Beside a GPU each process has a batch. Neighbours in the list are often alike: they take
+        equally long, so they are dealt out in turns if all meshes have one topology; else they
+        stay with each other, because they often have the same one, and are solved in one launch.
         """
-        parts = count if self.device == "cpu" else min(self.processes, count)
+        if self.device == "cpu":
+            return [range(one, one + 1) for one in range(count)]
+        parts = min(self.processes, count)
+        if isinstance(tier, Fem) and not tier.one_topology:
+            edges = [count * part // parts for part in range(parts + 1)]
+            return [range(first, last) for first, last in itertools.pairwise(edges)]
         return [range(part, count, parts) for part in range(parts)]
 
 

@@ -147,7 +147,7 @@ def test_beside_a_gpu_each_process_solves_its_part_as_one_batch(
         depths = [scene.motion.depth_max for scene in scenes]
         given.append((depths, tier, device))
         done: Future[list[str]] = Future()
-        done.set_result([f"{depth:g} {tier.spacing:g}" for depth in depths])
+        done.set_result([f"{depth:g} {tier.spacing}" for depth in depths])
         return done
 
     told: list[float] = []
@@ -156,17 +156,16 @@ def test_beside_a_gpu_each_process_solves_its_part_as_one_batch(
     with Solvers(2, device="cuda:0") as solvers:
         monkeypatch.setattr(solvers._workers, "submit", submit)
         found = solvers.simulate(scenes, [fine, coarse], told.append)
+        # Meshes of their own: neighbours stay with each other.
+        solvers.simulate(scenes, [Fem()])
     assert found == [[f"0.000{d} {h}" for d in (1, 2, 3, 4, 5)] for h in ("0.0008", "0.001")]
-    assert [(len(depths), tier.spacing) for depths, tier, _ in given] == [
-        (3, fine.spacing),
-        (2, fine.spacing),
-        (3, coarse.spacing),
-        (2, coarse.spacing),
-    ]
-    counts = {tier.spacing: tier.cells_least for _, tier, _ in given}
-    assert counts == {one.spacing: agreed(scenes, one).cells_least for one in (fine, coarse)}
-    assert {device for *_, device in given} == {"cuda:0"}
     assert told[-1] == 1.0
+    rounded = [[round(depth * 1e4) for depth in depths] for depths, *_ in given]
+    assert rounded == [[1, 3, 5], [2, 4], [1, 3, 5], [2, 4], [1, 2], [3, 4, 5]]
+    assert [tier.spacing for _, tier, _ in given] == [8e-4, 8e-4, 1e-3, 1e-3, None, None]
+    assert {device for *_, device in given} == {"cuda:0"}
+    for (_, tier, _), asked in zip(given[::2], (fine, coarse), strict=False):
+        assert tier.cells_least == agreed(scenes, asked).cells_least
 
 
 @pytest.mark.slow
