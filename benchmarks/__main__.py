@@ -26,6 +26,10 @@ BENCHMARKS = {
     "refine": ("benchmarks.sim.refinement.command", "force from coarse to fine meshes"),
     "accuracy": ("benchmarks.sim.accuracy.command", "error against time and memory"),
     "speed": ("benchmarks.sim.speed.command", "the paper's 162 presses timed"),
+    "speed-shared": (
+        "benchmarks.sim.speed.processes",
+        "the paper's presses by processes that share a device",
+    ),
     "frames": ("benchmarks.sim.speed.frames", "frames per second, one press or many at once"),
     "effects": ("benchmarks.sim.effects.command", "cost of each effect, on and off"),
     "needed": ("benchmarks.sim.needed", "insignificant effects, left out of random scenes"),

@@ -1,0 +1,114 @@
+"""Time of the paper's presses by processes that share a device.
+
+It is `python -m benchmarks speed-shared`. Processes start and load their kernels before. The meshes
+are solved at once; two are extrapolated by the ratio of their spacings.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from benchmarks.sim.speed.campaign import AUGMENTATIONS, PATH_TOLERANCE, REFERENCE_FILE, TOLERANCE
+from benchmarks.sim.speed.forces import SHALLOW_MM, Forces, errors, forces_of, read_forces
+from benchmarks.sim.speed.machine import machine_name
+from benchmarks.sim.speed.work import paper_work, smoke_work
+from recorder.command_line.options import add_device, numbers, positive, whole
+from sim.cli.options import metres
+from sim.errors import SceneError, SimulationDiverged
+from sim.extrapolation import left_of_difference
+from sim.fem.numerics import FOR_EDGES, Fem
+from sim.tiers import Solvers
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.description = (
+        "Times the paper's 162 presses with `Solvers`, and reports the errors of their forces. "
+        "Beside a GPU NVIDIA's Multi-Process Service should run: nvidia-cuda-mps-control -d."
+    )
+    add_device(parser)
+    parser.add_argument(
+        "--processes",
+        type=whole(),
+        default=2,
+        metavar="N",
+        help="number of processes (%(default)s)",
+    )
+    parser.add_argument(
+        "--spacings",
+        type=numbers(),
+        default=(1.0, 1.5),
+        metavar="MM,...",
+        help="element heights [mm]: one, or a finer and a coarser one, extrapolated (1,1.5)",
+    )
+    parser.add_argument(
+        "--tolerance",
+        type=positive,
+        default=TOLERANCE,
+        help="residual over force at the depths that are stored (%(default)g)",
+    )
+    parser.add_argument(
+        "--repeat", type=whole(), default=2, metavar="N", help="timed runs (%(default)s)"
+    )
+    parser.add_argument(
+        "--reference",
+        type=Path,
+        default=Path("docs/results/speed") / REFERENCE_FILE,
+        metavar="CSV",
+        help="forces that errors are relative to (%(default)s)",
+    )
+    parser.add_argument("--smoke", action="store_true", help="a few shallow presses")
+
+
+def run(options: argparse.Namespace, say: Callable[[str], None] = print) -> int:
+    """Print times and errors, and return 0.
+
+    Raises:
+        SceneError: More than two spacings, or the first one is not the finer one.
+    """
+    sizes = options.spacings
+    if not (len(sizes) == 1 or (len(sizes) == 2 and 0 < sizes[0] < sizes[1])):
+        raise SceneError(f"--spacings: {sizes!r}; allowed: one, or a finer and a coarser one [mm]")
+    presses = (smoke_work() if options.smoke else paper_work()).presses
+    scenes = [press.scene() for press in presses]
+    tiers = [
+        Fem(
+            spacing=metres(size),
+            grading=FOR_EDGES,
+            tolerance=options.tolerance,
+            path_tolerance=PATH_TOLERANCE,
+            augmentations=AUGMENTATIONS,
+            one_topology=True,
+        )
+        for size in sizes
+    ]
+    say(f"{machine_name(options.device)}, {options.processes} processes, {len(scenes)} presses")
+    with Solvers(options.processes, device=options.device) as solvers:
+        for turn in range(options.repeat + 1):
+            began = time.perf_counter()
+            found = solvers.simulate(scenes, tiers)
+            seconds = time.perf_counter() - began
+            say(f"{'with their start' if not turn else 'then'}: {seconds:.3g} s")
+    failed = sum(isinstance(one, SimulationDiverged) for outcomes in found for one in outcomes)
+    forces = [forces_of(presses, outcomes) for outcomes in found]
+    off = errors(_of_all(forces, sizes), read_forces(options.reference), from_mm=SHALLOW_MM)
+    say(
+        f"{failed} of {len(scenes) * len(sizes)} solves without a solution; error of {off.presses} "
+        f"presses from {SHALLOW_MM:g} mm on: mean {100 * off.mean:.2f} %, 95 % below "
+        f"{100 * off.most:.2f} %, worst {100 * off.worst:.2f} %"
+    )
+    return 0
+
+
+def _of_all(forces: list[Forces], sizes: tuple[float, ...]) -> Forces:
+    """Return the forces of one mesh, or those of two extrapolated."""
+    if len(forces) == 1:
+        return forces[0]
+    fine, coarse = forces
+    more = left_of_difference(sizes[1] / sizes[0])
+    return {
+        key: force + more * (force - coarse[key]) for key, force in fine.items() if key in coarse
+    }
