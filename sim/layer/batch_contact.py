@@ -21,12 +21,14 @@ LAST = 2**PACKED - 1
 
 @functools.cache
 def layer_functions(real):
-    """Return the functions (offset, full) of a table of displacements (6, nx, ny) by offset.
+    """Return the functions (side, pixel, touches, full) of packed places and tractions.
 
-    Rows of the table are those of `Grid.symbol`, the displacement of a pixel by a traction of 1 Pa
-    on another one that is (i, j) pixels before it [m/Pa].
+    `full` reads a table of displacements (6, nx, ny) by offset. Its rows are those of
+    `Grid.symbol`, the displacement of a pixel by a traction of 1 Pa on another one that is (i, j)
+    pixels before it [m/Pa].
     """
     vec3 = vector_of(real)
+    zero = real(0.0)
 
     @wp.func
     def side(distance: int):
@@ -34,7 +36,16 @@ def layer_functions(real):
             return real(1.0)
         if distance < 0:
             return real(-1.0)
-        return real(0.0)
+        return zero
+
+    @wp.func
+    def pixel(place: int, ny: int):
+        """Return the number of the pixel at a packed place."""
+        return (place >> PACKED) * ny + (place & LAST)
+
+    @wp.func
+    def touches(push: vec3):
+        return push[0] != zero or push[1] != zero or push[2] != zero
 
     @wp.func
     def full(table: wp.array3d(dtype=real), here: int, there: int, push: vec3, shear: int):
@@ -51,7 +62,7 @@ def layer_functions(real):
             moved[2] -= xz * push[0] + yz * push[1]
         return moved
 
-    return side, full
+    return side, pixel, touches, full
 
 
 @functools.cache
@@ -62,7 +73,7 @@ def contact_kernel(real, friction: bool, lanes: int):
     """
     vec2 = wp.types.vector(length=2, dtype=real)
     vec3 = vector_of(real)
-    side, full = layer_functions(real)
+    side, pixel, touches, full = layer_functions(real)
     zero, one, tiny = real(0.0), real(1.0), real(TINY)
     pixels = wp.array2d(dtype=wp.int32)
     numbers = wp.array2d(dtype=real)
@@ -88,184 +99,141 @@ def contact_kernel(real, friction: bool, lanes: int):
             return wp.tile_min(wp.tile(value))[0]
 
     @wp.func
-    def residual_of(distance2: real, scale2: real):
-        distance, scale = wp.sqrt(distance2), wp.sqrt(scale2)
-        if distance > zero:
-            return distance / wp.max(scale, distance)
-        return zero
-
-    @wp.func
     def within(shear: vec2, bound: real):
         return shear * (bound / wp.max(wp.max(wp.length(shear), bound), tiny))
 
     @wp.func
-    def normal_residual(
-        env: int, lane: int, many: int, local: real, pressure: numbers, gap: numbers
-    ):
-        distance2 = zero
-        scale2 = zero
-        for k in range(lane, many, lanes):
-            here = pressure[env, k]
-            off = here - wp.max(here - gap[env, k] / local, zero)
-            distance2 += off * off
-            scale2 += here * here
-        return residual_of(total(distance2), total(scale2))
+    def pushes(pressure: real, bound: real):
+        return wp.max(pressure, zero)
 
     @wp.func
-    def shear_residual(
-        env: int,
-        lane: int,
-        many: int,
-        local: real,
-        coefficient: real,
-        pressure: numbers,
-        shear: pairs,
-        slip: pairs,
-    ):
-        distance2 = zero
-        scale2 = zero
-        for k in range(lane, many, lanes):
-            bound = coefficient * pressure[env, k]
-            off = shear[env, k] - within(shear[env, k] - slip[env, k] / local, bound)
-            distance2 += wp.dot(off, off)
-            scale2 += bound * bound
-        return residual_of(total(distance2), total(scale2))
+    def pressed(pressure: real, bound: real):
+        return pressure
 
     @wp.func
-    def push(
-        env: int,
-        lane: int,
-        many: int,
-        ny: int,
-        table: layers,
-        listed: pixels,
-        extra: numbers,
-        local: real,
-        tolerance: real,
-        # In and out: pressure, and the gap it leaves
-        pressure: numbers,
-        gap: numbers,
-        # Scratch
-        move: numbers,
-        answer: numbers,
-    ):
-        """Minimise over the pressure, as `sim.layer.contact.descend`; return the iterations."""
-        step = one / local
-        done = int(0)
-        residual = normal_residual(env, lane, many, local, pressure, gap)
-        while residual > tolerance and done < ITERATIONS:
-            done += 1
-            length = zero
-            for k in range(lane, many, lanes):
-                here = pressure[env, k]
-                change = wp.max(here - step * gap[env, k], zero) - here
-                move[env, k] = change
-                length += change * change
-            length = total(length)
-            curvature = zero
-            size = zero
-            along = zero
-            for k in range(lane, many, lanes):
-                place = listed[env, k]
-                x, y = place >> PACKED, place & LAST
-                change = move[env, k]
-                moved = extra[env, x * ny + y] * local * change
-                for m in range(many):
-                    other = move[env, m]
-                    if other != zero:
-                        there = listed[env, m]
-                        a, b = wp.abs(x - (there >> PACKED)), wp.abs(y - (there & LAST))
-                        moved += table[2, a, b] * other
-                answer[env, k] = moved
-                curvature += change * moved
-                size += moved * moved
-                along += gap[env, k] * change
-            curvature = total(curvature)
-            size = total(size)
-            along = total(along)
-            if not (curvature > zero and size > zero):
-                break
-            fraction = wp.min(one, -along / curvature)
-            for k in range(lane, many, lanes):
-                pressure[env, k] = pressure[env, k] + fraction * move[env, k]
-                gap[env, k] = gap[env, k] + fraction * answer[env, k]
-            step = length / curvature
-            if done % 2 == 0:
-                step = curvature / size
-            residual = normal_residual(env, lane, many, local, pressure, gap)
-        return done
+    def given(shear: vec2, bound: real):
+        return bound
 
     @wp.func
-    def rub(
-        env: int,
-        lane: int,
-        many: int,
-        ny: int,
-        table: layers,
-        listed: pixels,
-        extra: numbers,
-        local: real,
-        coefficient: real,
-        tolerance: real,
-        pressure: numbers,
-        # In and out: shear, and the slip it leaves
-        shear: pairs,
-        slip: pairs,
-        # Scratch
-        move: pairs,
-        answer: pairs,
-    ):
-        """Minimise over the shear, as `sim.layer.contact.descend`; return the iterations."""
-        step = one / local
-        done = int(0)
-        residual = shear_residual(env, lane, many, local, coefficient, pressure, shear, slip)
-        while residual > tolerance and done < ITERATIONS:
-            done += 1
-            length = zero
+    def times(one: real, other: real):
+        return one * other
+
+    @wp.func
+    def dot(one: vec2, other: vec2):
+        return wp.dot(one, other)
+
+    @wp.func
+    def normal_by(table: layers, i: int, j: int, pressure: real):
+        return table[2, wp.abs(i), wp.abs(j)] * pressure
+
+    @wp.func
+    def shear_by(table: layers, i: int, j: int, shear: vec2):
+        a, b = wp.abs(i), wp.abs(j)
+        xy = table[3, a, b] * side(i) * side(j)
+        return vec2(
+            table[0, a, b] * shear[0] + xy * shear[1], xy * shear[0] + table[1, a, b] * shear[1]
+        )
+
+    def descent(unknowns, project, scale, product, displacement):
+        """Return the functions (residual, descend) of one unknown, as in `sim.layer.contact`."""
+
+        @wp.func
+        def residual(
+            env: int,
+            lane: int,
+            many: int,
+            local: real,
+            coefficient: real,
+            pressure: numbers,
+            x: unknowns,
+            slope: unknowns,
+        ):
+            distance2 = zero
+            scale2 = zero
             for k in range(lane, many, lanes):
-                here = shear[env, k]
                 bound = coefficient * pressure[env, k]
-                change = within(here - step * slip[env, k], bound) - here
-                move[env, k] = change
-                length += wp.dot(change, change)
-            length = total(length)
-            curvature = zero
-            size = zero
-            along = zero
-            for k in range(lane, many, lanes):
-                place = listed[env, k]
-                x, y = place >> PACKED, place & LAST
-                change = move[env, k]
-                moved = change * (extra[env, x * ny + y] * local)
-                for m in range(many):
-                    other = move[env, m]
-                    if other[0] != zero or other[1] != zero:
-                        there = listed[env, m]
-                        i, j = x - (there >> PACKED), y - (there & LAST)
-                        a, b = wp.abs(i), wp.abs(j)
-                        xy = table[3, a, b] * side(i) * side(j)
-                        moved += vec2(
-                            table[0, a, b] * other[0] + xy * other[1],
-                            xy * other[0] + table[1, a, b] * other[1],
-                        )
-                answer[env, k] = moved
-                curvature += wp.dot(change, moved)
-                size += wp.dot(moved, moved)
-                along += wp.dot(slip[env, k], change)
-            curvature = total(curvature)
-            size = total(size)
-            along = total(along)
-            if not (curvature > zero and size > zero):
-                break
-            fraction = wp.min(one, -along / curvature)
-            for k in range(lane, many, lanes):
-                shear[env, k] = shear[env, k] + move[env, k] * fraction
-                slip[env, k] = slip[env, k] + answer[env, k] * fraction
-            step = length / curvature
-            if done % 2 == 0:
-                step = curvature / size
-            residual = shear_residual(env, lane, many, local, coefficient, pressure, shear, slip)
-        return done
+                here = x[env, k]
+                off = here - project(here - slope[env, k] / local, bound)
+                size = scale(here, bound)
+                distance2 += product(off, off)
+                scale2 += size * size
+            distance = wp.sqrt(total(distance2))
+            largest = wp.max(wp.sqrt(total(scale2)), distance)
+            if distance > zero:
+                return distance / largest
+            return zero
+
+        @wp.func
+        def descend(
+            env: int,
+            lane: int,
+            many: int,
+            ny: int,
+            table: layers,
+            listed: pixels,
+            extra: numbers,
+            local: real,
+            coefficient: real,
+            tolerance: real,
+            pressure: numbers,
+            # In and out: the unknown, and the gap or slip that it leaves
+            x: unknowns,
+            slope: unknowns,
+            # Scratch
+            move: unknowns,
+            answer: unknowns,
+        ):
+            """Minimise over the unknown; return the iterations."""
+            step = one / local
+            done = int(0)
+            left = residual(env, lane, many, local, coefficient, pressure, x, slope)
+            while left > tolerance and done < ITERATIONS:
+                done += 1
+                length = zero
+                for k in range(lane, many, lanes):
+                    here = x[env, k]
+                    bound = coefficient * pressure[env, k]
+                    change = project(here - slope[env, k] * step, bound) - here
+                    move[env, k] = change
+                    length += product(change, change)
+                length = total(length)
+                curvature = zero
+                size = zero
+                along = zero
+                for k in range(lane, many, lanes):
+                    place = listed[env, k]
+                    change = move[env, k]
+                    moved = change * (extra[env, pixel(place, ny)] * local)
+                    for m in range(many):
+                        other = move[env, m]
+                        if product(other, other) != zero:
+                            there = listed[env, m]
+                            i = (place >> PACKED) - (there >> PACKED)
+                            j = (place & LAST) - (there & LAST)
+                            moved += displacement(table, i, j, other)
+                    answer[env, k] = moved
+                    curvature += product(change, moved)
+                    size += product(moved, moved)
+                    along += product(slope[env, k], change)
+                curvature = total(curvature)
+                size = total(size)
+                along = total(along)
+                if not (curvature > zero and size > zero):
+                    break
+                fraction = wp.min(one, -along / curvature)
+                for k in range(lane, many, lanes):
+                    x[env, k] = x[env, k] + move[env, k] * fraction
+                    slope[env, k] = slope[env, k] + answer[env, k] * fraction
+                step = length / curvature
+                if done % 2 == 0:
+                    step = curvature / size
+                left = residual(env, lane, many, local, coefficient, pressure, x, slope)
+            return done
+
+        return residual, descend
+
+    normal_residual, push = descent(numbers, pushes, pressed, times, normal_by)
+    shear_residual, rub = descent(pairs, within, given, dot, shear_by)
 
     @wp.func
     def caused(
@@ -281,11 +249,10 @@ def contact_kernel(real, friction: bool, lanes: int):
     ):
         """Return the displacement of the k-th pixel by a load on all of them."""
         here = listed[env, k]
-        own = extra[env, (here >> PACKED) * ny + (here & LAST)]
-        moved = wp.cw_mul(local, load[env, k]) * own
+        moved = wp.cw_mul(local, load[env, k]) * extra[env, pixel(here, ny)]
         for m in range(many):
             force = load[env, m]
-            if force[0] != zero or force[1] != zero or force[2] != zero:
+            if touches(force):
                 moved += full(table, here, listed[env, m], force, 1)
         return moved
 
@@ -335,9 +302,8 @@ def contact_kernel(real, friction: bool, lanes: int):
             load[env, k] = held[env, k]
         least = total(zero)
         for k in range(lane, many, lanes):
-            place = listed[env, k]
             moved = caused(env, k, many, ny, table, listed, extra, local, load)
-            away = factor * gap_of[env, (place >> PACKED) * ny + (place & LAST)]
+            away = factor * gap_of[env, pixel(listed[env, k], ny)]
             least = wp.min(least, away + moved[2])
         if lowest(least) >= zero:
             for k in range(lane, many, lanes):
@@ -357,9 +323,8 @@ def contact_kernel(real, friction: bool, lanes: int):
             load[env, k] = held[env, k] - vec3(inside[0], inside[1], -pressure[env, k])
         total(zero)
         for k in range(lane, many, lanes):
-            place = listed[env, k]
             moved = caused(env, k, many, ny, table, listed, extra, local, load)
-            away = factor * gap_of[env, (place >> PACKED) * ny + (place & LAST)]
+            away = factor * gap_of[env, pixel(listed[env, k], ny)]
             gap[env, k] = away + moved[2]
             if wp.static(friction):
                 slip[env, k] = vec2(
@@ -369,21 +334,10 @@ def contact_kernel(real, friction: bool, lanes: int):
         residual = zero
         if wp.static(not friction):
             done = push(
-                env,
-                lane,
-                many,
-                ny,
-                table,
-                listed,
-                extra,
-                local[2],
-                tolerance,
-                pressure,
-                gap,
-                move,
-                answer,
-            )
-            residual = normal_residual(env, lane, many, local[2], pressure, gap)
+                env, lane, many, ny, table, listed, extra, local[2], zero, tolerance,
+                pressure, pressure, gap, move, answer,
+            )  # fmt: skip
+            residual = normal_residual(env, lane, many, local[2], zero, pressure, pressure, gap)
         else:
             # What the guess has more than its own projection is not part of the displacement now.
             total(zero)
@@ -398,7 +352,7 @@ def contact_kernel(real, friction: bool, lanes: int):
             turn = int(0)
             while turn < TURNS:
                 turn += 1
-                pushing = normal_residual(env, lane, many, local[2], pressure, gap)
+                pushing = normal_residual(env, lane, many, local[2], zero, pressure, pressure, gap)
                 rubbing = shear_residual(
                     env, lane, many, local[0], coefficient, pressure, shear, slip
                 )
@@ -411,20 +365,10 @@ def contact_kernel(real, friction: bool, lanes: int):
                 for k in range(lane, many, lanes):
                     load[env, k] = vec3(zero, zero, pressure[env, k])
                 done += push(
-                    env,
-                    lane,
-                    many,
-                    ny,
-                    table,
-                    listed,
-                    extra,
-                    local[2],
+                    env, lane, many, ny, table, listed, extra, local[2], zero,
                     wp.max(real(SHARE) * pushing, tolerance / real(2.0)),
-                    pressure,
-                    gap,
-                    move,
-                    answer,
-                )
+                    pressure, pressure, gap, move, answer,
+                )  # fmt: skip
                 for k in range(lane, many, lanes):
                     bound = coefficient * pressure[env, k]
                     allowed = within(shear[env, k], bound)
@@ -443,22 +387,10 @@ def contact_kernel(real, friction: bool, lanes: int):
                     rested[env, k] = slip[env, k]
                     load[env, k] = vec3(shear[env, k][0], shear[env, k][1], zero)
                 done += rub(
-                    env,
-                    lane,
-                    many,
-                    ny,
-                    table,
-                    listed,
-                    extra,
-                    local[0],
-                    coefficient,
+                    env, lane, many, ny, table, listed, extra, local[0], coefficient,
                     wp.max(real(SHARE) * rubbing, tolerance / real(2.0)),
-                    pressure,
-                    shear,
-                    slip,
-                    move2,
-                    answer2,
-                )
+                    pressure, shear, slip, move2, answer2,
+                )  # fmt: skip
                 for k in range(lane, many, lanes):
                     old = vec2(load[env, k][0], load[env, k][1])
                     now = old + (shear[env, k] - old) * fraction

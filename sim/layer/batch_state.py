@@ -1,6 +1,6 @@
 # mypy: ignore-errors
 # Warp gives kernels their types itself; mypy cannot follow annotations made at run time.
-"""State of a batch of layers on a device: lists of touched pixels, steps, and what frames keep."""
+"""State of a batch of layers on a device: the pixels that touch, steps, and stored frames."""
 
 import functools
 
@@ -36,16 +36,11 @@ FINER = 2
 def state_kernels(real, friction: bool, lanes: int):
     """Return the kernels (mark, tally, enlist, recall, spread, displace, take, measure)."""
     vec3 = vector_of(real)
-    _side, full = layer_functions(real)
-    zero = real(0.0)
+    _side, pixel, touches, full = layer_functions(real)
     numbers, vectors = wp.array2d(dtype=real), wp.array2d(dtype=vec3)
     whole = wp.array2d(dtype=wp.int32)
     sums_type = wp.types.vector(length=SUMS, dtype=wp.float64)
     maxima_type = wp.types.vector(length=MAXIMA, dtype=wp.float64)
-
-    @wp.func
-    def touches(push: vec3):
-        return push[0] != zero or push[1] != zero or push[2] != zero
 
     @wp.kernel(enable_backward=False, module="unique")
     def mark(
@@ -59,7 +54,7 @@ def state_kernels(real, friction: bool, lanes: int):
     ):
         row, p = wp.tid()
         env = which[row]
-        near = gap[env, p] < bulge * wp.max(zero, -least[env])
+        near = gap[env, p] < bulge * wp.max(real(0.0), -least[env])
         touching_out[env, p] = wp.where(near or touches(elastic[env, p]), 1, 0)
 
     @wp.kernel(enable_backward=False, module="unique")
@@ -92,10 +87,6 @@ def state_kernels(real, friction: bool, lanes: int):
                 place += 1
         if i == tally.shape[1] - 1:
             count_out[env] = place
-
-    @wp.func
-    def pixel(place: int, ny: int):
-        return (place >> PACKED) * ny + (place & ((1 << PACKED) - 1))
 
     @wp.kernel(enable_backward=False, module="unique")
     def recall(
@@ -276,6 +267,7 @@ def state_kernels(real, friction: bool, lanes: int):
 def frame_kernels(real):
     """Return the kernels (keep, reach) of what frames keep."""
     vec3 = vector_of(real)
+    _side, _pixel, touches, _full = layer_functions(real)
 
     @wp.kernel(enable_backward=False, module="unique")
     def keep(
@@ -305,8 +297,7 @@ def frame_kernels(real):
             box[0] + (2 * a + 1) * wide // (2 * many_x),
             box[2] + (2 * b + 1) * high // (2 * many_y),
         )
-        push = traction[env, i * ny + j]
-        return push[0] != real(0.0) or push[1] != real(0.0) or push[2] != real(0.0)
+        return touches(traction[env, i * ny + j])
 
     @wp.kernel(enable_backward=False, module="unique")
     def reach(
