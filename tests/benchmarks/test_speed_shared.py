@@ -6,7 +6,7 @@ import pytest
 from support.commands import run_module
 
 from benchmarks.sim.speed import processes
-from benchmarks.sim.speed.processes import _of_all
+from benchmarks.sim.speed.forces import extrapolated
 from sim.errors import SceneError
 
 
@@ -20,7 +20,7 @@ def test_two_meshes_are_extrapolated_by_the_ratio_of_their_spacings() -> None:
     sphere, cone = ("sphere", 0.0, 0.0, 0.3), ("cone", 0.0, 0.0, 0.3)
     # An error that falls with the square of the spacing: 1 N without it.
     fine, coarse = {sphere: 1.0 + 1.0**2, cone: 1.0}, {sphere: 1.0 + 1.5**2}
-    assert _of_all([fine, coarse], (1.0, 1.5)) == {sphere: pytest.approx(1.0)}  # type: ignore[list-item, comparison-overlap]
+    assert extrapolated(fine, coarse, 1.5) == {sphere: pytest.approx(1.0)}  # type: ignore[arg-type, comparison-overlap]
 
 
 @pytest.mark.slow

@@ -10,10 +10,18 @@ from pathlib import Path
 
 from benchmarks.sim.accuracy.chart import Mark, Panel, Series, save_chart
 from benchmarks.sim.speed.campaign import meshes_file, presses_file
-from benchmarks.sim.speed.forces import SHALLOW_MM, Errors, Forces, errors, read_forces, read_runs
+from benchmarks.sim.speed.forces import (
+    SHALLOW_MM,
+    Errors,
+    Forces,
+    errors,
+    extrapolated,
+    read_forces,
+    read_runs,
+)
 from benchmarks.sim.speed.record import Run, SpeedRecord
 from recorder.charts import BLUE, GREEN, PURPLE, RED
-from sim.extrapolation import COARSER, left_of_difference
+from sim.extrapolation import COARSER
 
 # Minimum ratio of the element sizes of two meshes; closer meshes amplify random errors.
 APART = 1.3
@@ -72,10 +80,7 @@ def _single(run: Run, forces: Forces, reference: Forces) -> Candidate:
 
 
 def _pair(coarse: Run, fine: Run, first: Forces, second: Forces, reference: Forces) -> Candidate:
-    more = left_of_difference(coarse.spacing_mm / fine.spacing_mm)
-    both = {
-        key: force + more * (force - first[key]) for key, force in second.items() if key in first
-    }
+    both = extrapolated(second, first, coarse.spacing_mm / fine.spacing_mm)
     return Candidate(
         spacing_mm=fine.spacing_mm,
         coarser_mm=coarse.spacing_mm,

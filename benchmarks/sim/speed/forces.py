@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from benchmarks.sim.speed.work import TimedPress
 from sim.errors import SimulationDiverged
+from sim.extrapolation import left_of_difference
 from sim.result import Result
 
 Array = NDArray[np.float64]
@@ -50,6 +51,14 @@ def forces_of(
             for depth, force in zip(press.depths, outcome.force[1:], strict=True):
                 found[press.indenter, press.x, press.y, depth] = force
     return found
+
+
+def extrapolated(fine: Forces, coarse: Forces, ratio: float) -> Forces:
+    """Return the forces that both meshes have, extrapolated by the `ratio` of their spacings."""
+    more = left_of_difference(ratio)
+    return {
+        key: force + more * (force - coarse[key]) for key, force in fine.items() if key in coarse
+    }
 
 
 def write_forces(path: Path, forces: Forces) -> None:

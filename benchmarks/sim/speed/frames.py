@@ -8,7 +8,6 @@ mesh with elements half as long, for the first presses.
 from __future__ import annotations
 
 import argparse
-import contextlib
 import csv
 import math
 import time
@@ -196,16 +195,14 @@ def run(options: argparse.Namespace, say: Callable[[str], None] = print) -> int:
     )
     say(
         f"{machine_name(options.device)}; frames of {FRAME / MM:g} mm, {FRAMES} a press: spheres "
-        f"of 3 to 5 mm, 1 mm into 20 x 20 x 4 mm"
+        "of 3 to 5 mm, 1 mm into 20 x 20 x 4 mm"
     )
     say(HEAD)
     say("|---" * HEAD.count(" |") + "|")
     rows: list[Row] = []
     left_out: list[str] = []
-    with contextlib.ExitStack() as stack:
-        solvers: Solvers | None = None
-        if processes > 1:
-            solvers = stack.enter_context(Solvers(processes, device=options.device))
+    with Solvers(processes, device=options.device) as started:
+        solvers = started if processes > 1 else None
         for way in ways():
             if options.only not in way.name:
                 continue

@@ -12,13 +12,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 from benchmarks.sim.speed.campaign import AUGMENTATIONS, PATH_TOLERANCE, REFERENCE_FILE, TOLERANCE
-from benchmarks.sim.speed.forces import SHALLOW_MM, Forces, errors, forces_of, read_forces
+from benchmarks.sim.speed.forces import SHALLOW_MM, errors, extrapolated, forces_of, read_forces
 from benchmarks.sim.speed.machine import machine_name
 from benchmarks.sim.speed.work import paper_work, smoke_work
 from recorder.command_line.options import add_device, numbers, positive, whole
 from sim.cli.options import metres
 from sim.errors import SceneError, SimulationDiverged
-from sim.extrapolation import left_of_difference
 from sim.fem.numerics import FOR_EDGES, Fem
 from sim.tiers import Solvers
 
@@ -93,22 +92,13 @@ def run(options: argparse.Namespace, say: Callable[[str], None] = print) -> int:
             seconds = time.perf_counter() - began
             say(f"{'with their start' if not turn else 'then'}: {seconds:.3g} s")
     failed = sum(isinstance(one, SimulationDiverged) for outcomes in found for one in outcomes)
-    forces = [forces_of(presses, outcomes) for outcomes in found]
-    off = errors(_of_all(forces, sizes), read_forces(options.reference), from_mm=SHALLOW_MM)
+    forces, *coarse = (forces_of(presses, outcomes) for outcomes in found)
+    if coarse:
+        forces = extrapolated(forces, coarse[0], sizes[1] / sizes[0])
+    off = errors(forces, read_forces(options.reference), from_mm=SHALLOW_MM)
     say(
         f"{failed} of {len(scenes) * len(sizes)} solves without a solution; error of {off.presses} "
         f"presses from {SHALLOW_MM:g} mm on: mean {100 * off.mean:.2f} %, 95 % below "
         f"{100 * off.most:.2f} %, worst {100 * off.worst:.2f} %"
     )
     return 0
-
-
-def _of_all(forces: list[Forces], sizes: tuple[float, ...]) -> Forces:
-    """Return the forces of one mesh, or those of two extrapolated."""
-    if len(forces) == 1:
-        return forces[0]
-    fine, coarse = forces
-    more = left_of_difference(sizes[1] / sizes[0])
-    return {
-        key: force + more * (force - coarse[key]) for key, force in fine.items() if key in coarse
-    }
