@@ -22,7 +22,7 @@ from sim.metrics import force_scale
 from sim.result import Outcome, Result
 from sim.scene import Scene
 from sim.symmetry import with_symmetry
-from sim.tiers import Solvers, check_processes, running, simulate_many
+from sim.tiers import Solvers, running, simulate_many
 
 Array = NDArray[np.float64]
 
@@ -67,9 +67,7 @@ def simulate_extrapolated(
             f"extrapolated: {FINER:g} or less, such as sim.fem.numerics.FOR_EDGES"
         )
     coarse = replace(fine, spacing=_coarser(scenes, fine))
-    if not isinstance(processes, Solvers):
-        check_processes(processes)
-    if isinstance(processes, Solvers) or processes > 1:
+    if processes != 1:
         with running(processes, device, 2 * len(scenes)) as solvers:
             found = solvers.simulate(scenes, (fine, coarse), progress)[::-1]
     else:
@@ -78,6 +76,7 @@ def simulate_extrapolated(
                 scenes,
                 each,
                 device=device,
+                processes=processes,
                 progress=None if progress is None else part_of(progress, number, 2),
             )
             for number, each in enumerate((coarse, fine))

@@ -262,13 +262,14 @@ def running(processes: int | Solvers, device: str, most: int) -> Iterator[Solver
         most: Number of processes beyond which there is nothing to do.
 
     Raises:
-        SceneError: They have another device.
+        SceneError: They have another device; or not a whole number from 1 up.
     """
     if isinstance(processes, Solvers):
         if processes.device != device:
             raise SceneError(f"device: {device!r}; allowed with these: {processes.device!r}")
         yield processes
         return
+    check_processes(processes)
     with Solvers(min(processes, most), device=device) as solvers:
         yield solvers
 

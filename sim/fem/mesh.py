@@ -543,7 +543,9 @@ def meshes_of(
             meshes = [following_mesh(*each, most) for each in asked]
         return meshes
     plans = _plans(scenes, numerics)
-    least = agreed(scenes, numerics).cells_least if numerics.one_topology else numerics.cells_least
+    least = numerics.cells_least
+    if numerics.one_topology:
+        least = _most_cells(plans, least)
     return [build_mesh(*plan, at_least=least) for plan in plans]
 
 
@@ -555,12 +557,8 @@ def agreed(scenes: Sequence[Scene], numerics: Fem) -> Fem:
     Raises:
         SceneError: See `mesh.cell_counts`.
     """
-    counts = [
-        [len(places) - 1 for places in axes(*plan, at_least=numerics.cells_least)]
-        for plan in _plans(scenes, numerics)
-    ]
-    x, y = np.max(counts, axis=0).tolist()
-    return replace(numerics, cells_least=(x, y))
+    most = _most_cells(_plans(scenes, numerics), numerics.cells_least)
+    return replace(numerics, cells_least=most)
 
 
 Plan = tuple[Body, float, Window | None, Grading | None]
@@ -571,6 +569,13 @@ def _plans(scenes: Sequence[Scene], numerics: Fem) -> list[Plan]:
     return [
         (scene.body, *_spacing_and_window(scene, numerics), numerics.grading) for scene in scenes
     ]
+
+
+def _most_cells(plans: Sequence[Plan], least: tuple[int, int]) -> tuple[int, int]:
+    """Return the largest numbers of elements along x and y, `least` or more of each mesh."""
+    counts = [[len(places) - 1 for places in axes(*plan, at_least=least)] for plan in plans]
+    x, y = np.max(counts, axis=0).tolist()
+    return x, y
 
 
 def _spacing_and_window(scene: Scene, numerics: Fem) -> tuple[float, Window | None]:

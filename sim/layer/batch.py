@@ -27,6 +27,7 @@ from sim.layer.solver import (
     TRAVEL_LEAST,
     check_known,
     diverged_at,
+    failed_step,
     precision,
     simulate_layer,
 )
@@ -203,8 +204,6 @@ class LayerBatch:
         nx, ny = grid.shape
         self._table = self._array(kernel[:, :nx, :ny].astype(self._number), real)
         self._local = vec3(*(min(kernel[0, 0, 0], kernel[1, 0, 0]),) * 2, kernel[2, 0, 0])
-        self._x, self._y = (self._array(axis, real) for axis in (grid.x, grid.y))
-        self._surface = self._array(self._clearance.surface.ravel(), real)
         friction_of = [one.effects.friction for one in scenes]
         coefficients = [each.coefficient if each else 0.0 for each in friction_of]
         self._coefficient = self._array(coefficients, real)
@@ -316,7 +315,7 @@ class LayerBatch:
         out = wp.empty((len(rows), COLUMNS), dtype=wp.float64, device=self._device)
         which = self._array(rows.astype(np.int32), wp.int32)
         tip = self._array(self.tip[rows], wp.vec3d)
-        fixed = [self._x, self._y, self._surface, self._local, self._coefficient, which, tip]
+        fixed = [*self._clearance.places, self._local, self._coefficient, which, tip]
         fields = [self._traction, self._elastic, self._moved]
         if load is not None:
             fields = [load, load, moved]
@@ -485,8 +484,7 @@ class LayerBatch:
         for place in np.flatnonzero(~good):
             far = float(np.linalg.norm(tips[place] - self.tip[rows[place]]))
             self._tried.setdefault(int(rows[place]), []).append(
-                f"step of {far * 1e3:.4g} mm, {iterations[place]} iterations, residual "
-                f"{residual[place]:.2e} (allowed {self._tolerance:.2e})"
+                failed_step(far, iterations[place], residual[place], self._tolerance)
             )
         return good
 

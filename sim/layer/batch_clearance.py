@@ -202,9 +202,8 @@ class BatchClearance:
     def __init__(self, scenes: Sequence[Scene], grid: Grid, real, device) -> None:
         """Sample the rims of all indenters that the motions can bring over the body."""
         body, number = grid.body, numpy_of(real)
-        self.surface = body.heights(grid.x, grid.y)
-        """Height of the undeformed top (nx, ny) [m]."""
-        caps = [clearance_cap(scene.motion, body, self.surface) for scene in scenes]
+        surface = body.heights(grid.x, grid.y)
+        caps = [clearance_cap(scene.motion, body, surface) for scene in scenes]
         keys = [
             (scene.indenter, REACH * math.ceil(cap / REACH))
             for scene, cap in zip(scenes, caps, strict=True)
@@ -259,10 +258,14 @@ class BatchClearance:
             device=device,
         )
         on_body = body.covers(grid.x[:, None], grid.y)
-        self._pixels = [
+        self.places = [
             array(grid.x.astype(number)),
             array(grid.y.astype(number)),
-            array(self.surface.ravel().astype(number)),
+            array(surface.ravel().astype(number)),
+        ]
+        """Pixels on the device: x (nx,), y (ny,), height of the undeformed top (P,) [m]."""
+        self._pixels = [
+            *self.places,
             array(np.broadcast_to(on_body, grid.shape).ravel().astype(np.int32), wp.int32),
             triple(*grid.pixel, 0.0),
         ]

@@ -128,6 +128,14 @@ class Spent:
     steps: int = 0
 
 
+def failed_step(travel: float, iterations: int, residual: float, tolerance: float) -> str:
+    """Return a step of some length [m] that did not converge, in words."""
+    return (
+        f"step of {travel * 1e3:.4g} mm, {iterations} iterations, residual {residual:.2e} "
+        f"(allowed {tolerance:.2e})"
+    )
+
+
 def diverged_at(
     scene: Scene, tip: Array, traction: Array, displacement: Array, tried: Sequence[str]
 ) -> SimulationDiverged:
@@ -283,8 +291,7 @@ class LayerPress:
             if not found.residual <= self._tolerance:
                 travel = float(np.linalg.norm(tip - self.tip))
                 self._tried.append(
-                    f"step of {travel * 1e3:.4g} mm, {found.iterations} iterations, residual "
-                    f"{found.residual:.2e} (allowed {self._tolerance:.2e})"
+                    failed_step(travel, found.iterations, found.residual, self._tolerance)
                 )
                 return False
             traction = np.zeros_like(self.traction)
