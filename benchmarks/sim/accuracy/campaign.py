@@ -41,12 +41,14 @@ class AccuracyCampaign:
     device: str
     cases: tuple[Case, ...]
     competitors: tuple[Competitor, ...]
-    fineness: float
-    """Fineness of the reference's mesh."""
+    fineness: float | None
+    """Fineness of the references' meshes; None: that of each case."""
     seconds_max: float
     """Measurements expected to take longer are skipped [s]."""
     cache: Path
     """Folder of the cached references."""
+    processes: int = 1
+    """Processes that solve references beside a GPU."""
 
 
 def measure(plan: AccuracyCampaign, path: Path, say: Callable[[str], None]) -> None:
@@ -56,7 +58,8 @@ def measure(plan: AccuracyCampaign, path: Path, say: Callable[[str], None]) -> N
     done = {row.key: row for row in known.rows}
     began = time.perf_counter()
     for index, case in enumerate(plan.cases):
-        truth = references(case.name, case.scenes, plan.fineness, plan.device, plan.cache, say)
+        fineness = plan.fineness or case.fineness
+        truth = references(case, fineness, plan.device, plan.cache, say, plan.processes)
         if case.name not in known.bounds:
             append(path, {"case": case.name, "floor": _floor(truth)})
         for row in _case_rows(plan, case, truth, done):
@@ -223,7 +226,8 @@ def _elements(result: Result) -> int:
 
 
 def _reference_text(plan: AccuracyCampaign) -> str:
-    return f"fem float64, fineness {plan.fineness:g}, 5 augmentations, tolerance 1e-5"
+    fineness = f"{plan.fineness:g}" if plan.fineness else "2 (`indenters`: 1.5)"
+    return f"fem float64, fineness {fineness}, 5 augmentations, tolerance 1e-5"
 
 
 def _line(row: Row) -> str:

@@ -16,8 +16,10 @@ from sim.metrics import Outcome, compare, load, outcome_of, save
 from sim.result import Result
 from sim.scene import Motion, Scene
 from sim.simulate import simulate_many
+from sim.tiers import Solvers
 
 if TYPE_CHECKING:
+    from benchmarks.sim.accuracy.cases import Case
     from sim.fem.numerics import Fem
 
 # Element size of the second reference over that of the first. If errors decrease with the square of
@@ -60,15 +62,19 @@ def solve_references(
     scenes: Sequence[Scene],
     fineness: float,
     device: str,
+    processes: int | Solvers = 1,
 ) -> list[Outcome | SimulationDiverged]:
-    """Solve scenes that share a body; the outcomes have the frames of each scene."""
+    """Solve scenes that share a body; the outcomes have the frames of each scene.
+
+    `processes` beside a GPU are as in `simulate_many`.
+    """
     parts = VISCOUS_PARTS if scenes[0].effects.viscosity is not None else 1
     cut = [replace(scene, motion=finer(scene.motion, parts)) for scene in scenes]
     numerics = reference_numerics(fineness)
     kept: list[Outcome | SimulationDiverged] = []
 
     def solve(some: Sequence[Scene], where: str) -> list[Result | SimulationDiverged]:
-        return simulate_many(some, numerics, device=where)
+        return simulate_many(some, numerics, device=where, processes=processes)
 
     for scene, one in zip(scenes, in_launches(solve, cut, device), strict=True):
         if isinstance(one, SimulationDiverged):
@@ -92,37 +98,40 @@ def finer(motion: Motion, parts: int) -> Motion:
 
 
 def references(
-    name: str,
-    scenes: Sequence[Scene],
+    case: Case,
     fineness: float,
     device: str,
     cache: Path,
     say: Callable[[str], None],
+    processes: int = 1,
 ) -> list[Reference | None]:
     """Return the references of a case's scenes, or None where not found; results are cached.
 
     Args:
-        name: Name of the case.
-        scenes: Its scenes, which share a body.
+        case: Scenes that share a body, and their name.
         fineness: Fineness of the finest mesh.
         device: Device to compute on.
         cache: Folder of cached references.
         say: Called with progress messages.
+        processes: Number of processes beside a GPU, each with a part of the scenes.
     """
-    path = cache / f"{name}-{fineness:g}-{FORMAT}.npz"
-    if not path.exists():
-        found: dict[str, Outcome] = {}
-        for label, size in (("fine", fineness), ("coarse", fineness / COARSER)):
-            say(f"reference of {name}: fineness {size:.3g}")
-            for index, one in enumerate(solve_references(scenes, size, device)):
-                if isinstance(one, SimulationDiverged):
-                    say(f"  no reference of scene {index}: {one}")
-                else:
-                    found[f"{index}-{label}"] = one
-        save(path, found)
-    known = load(path)
+    path = cache / f"{case.name}-{fineness:g}-{FORMAT}.npz"
+    known = load(path) if path.exists() else {}
+    missing = [
+        (label, size)
+        for label, size in (("fine", fineness), ("coarse", fineness / COARSER))
+        if not any(key.endswith(label) for key in known)
+    ]
+    for label, size in missing:
+        say(f"reference of {case.name}: fineness {size:.3g}")
+        for index, one in enumerate(solve_references(case.scenes, size, device, processes)):
+            if isinstance(one, SimulationDiverged):
+                say(f"  no reference of scene {index}: {one}")
+            else:
+                known[f"{index}-{label}"] = one
+        save(path, known)
     references_: list[Reference | None] = []
-    for index, scene in enumerate(scenes):
+    for index, scene in enumerate(case.scenes):
         fine, coarse = (known.get(f"{index}-{label}") for label in ("fine", "coarse"))
         if fine is None:
             references_.append(None)

@@ -69,7 +69,8 @@ def write_page(path: Path, records: Sequence[SpeedRecord]) -> None:
     bound = _left_in_reference(devices)
     candidates = [one.candidates for one in devices]
     save_offer_chart(path.parent / "images" / CHART, records, candidates, bound)
-    found = next((one for one in devices if one.record.get("reference", "reference")), None)
+    solved = [(one.record.get("reference", "reference"), one.machine.name) for one in devices]
+    found, name = next((each for each in solved if each[0] is not None), (None, ""))
     columns = [_floor_column(record) for record in records]
     text = render(
         Path(__file__).with_suffix(".md"),
@@ -77,8 +78,8 @@ def write_page(path: Path, records: Sequence[SpeedRecord]) -> None:
         folder=folder,
         chart=CHART,
         bound=bound,
-        reference=found and found.record.get("reference", "reference"),
-        reference_machine=found and found.machine.name,
+        reference=found,
+        reference_machine=found and (found.machine or name),
         floor=[(name, cells) for name, *cells in zip(_FLOOR, *columns, strict=True)],
         goals=GOALS,
         reached=_reached,

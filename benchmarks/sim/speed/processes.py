@@ -80,7 +80,7 @@ def run(options: argparse.Namespace, say: Callable[[str], None] = print) -> int:
             tolerance=options.tolerance,
             path_tolerance=PATH_TOLERANCE,
             augmentations=AUGMENTATIONS,
-            one_topology=True,
+            one_topology=options.device != "cpu",
         )
         for size in sizes
     ]

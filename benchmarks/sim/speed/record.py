@@ -74,6 +74,8 @@ class Run:
     difference: float = math.nan
     """Mean distance of the forces from those of that run, relative to their magnitude."""
     note: str = ""
+    machine: str = ""
+    """Machine, if it is not that of the file."""
 
     @property
     def key(self) -> tuple[str, str]:
