@@ -28,7 +28,7 @@ from sim import (
 from sim.fem.newton import CRUSHED_MOST, PATIENT, PATIENT_IN_ALL, Newton, Path, path_of
 from sim.fem.numerics import Fem, Precision
 from sim.fem.solver import judged, precision_for_finer
-from sim.indenters import sphere
+from sim.indenters import flat_punch, sphere
 
 BODY = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
 SPACING = 4e-3 / 3
@@ -55,6 +55,14 @@ def test_a_crippled_solver_diverges_with_what_it_tried_and_a_dump_that_loads() -
         assert np.isfinite(state["u"]).all()
         assert state["tip"].shape == (3,)
         assert "sphere" in json.loads(str(state["scene"]))
+
+
+@pytest.mark.parametrize(("edge", "advised"), [(0.05e-3, True), (0.4e-3, False)])
+def test_a_press_with_a_sharp_edge_that_diverges_is_told_of_it(edge: float, advised: bool) -> None:
+    scene = replace(SCENE, indenter=flat_punch(2e-3, edge))
+    with pytest.raises(SimulationDiverged) as caught:
+        simulate(scene, CRIPPLED)
+    assert ("at an edge of 0.05 mm, sharp for a depth of 0.5 mm" in str(caught.value)) == advised
 
 
 def test_one_press_that_diverges_does_not_take_the_others_with_it() -> None:
