@@ -988,14 +988,14 @@ class _Batch:
                 "in steps (the body may be too soft to carry its weight)"
             )
         millimetres = where * scene.body.thickness * 1e3
+        advice = "" if "(allowed:" in path.ended else _advice(scene)
         missing = "no converged state" if through is None else "no state without overlap"
         diverged = (SimulationDiverged if through is None else Crossed)(
             f"{missing} after the tip at ({millimetres[0]:.4g}, {millimetres[1]:.4g}, "
             f"{millimetres[2]:.4g}) mm, on the way to waypoint {path.segment}{weight}: "
             f"{path.ended + '; ' if path.ended else ''}"
             f"{len(path.tried)} steps failed, the last: {path.tried[-1]}; "
-            f"{'' if path.ended else _advice(scene)}"
-            f"{self._assembly.precision}; state: {dump or 'could not be written'}",
+            f"{advice}{self._assembly.precision}; state: {dump or 'could not be written'}",
             tried=tuple(path.tried),
             dump=dump,
         )
