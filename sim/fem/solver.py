@@ -988,7 +988,8 @@ class _Batch:
                 "in steps (the body may be too soft to carry its weight)"
             )
         millimetres = where * scene.body.thickness * 1e3
-        advice = "" if "(allowed:" in path.ended else _advice(scene)
+        told = through is not None and path.ended == through.why  # it says what is allowed
+        advice = "" if told else _advice(scene)
         missing = "no converged state" if through is None else "no state without overlap"
         diverged = (SimulationDiverged if through is None else Crossed)(
             f"{missing} after the tip at ({millimetres[0]:.4g}, {millimetres[1]:.4g}, "

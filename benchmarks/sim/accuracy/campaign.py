@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.sim.accuracy.cases import Case, chosen
+from benchmarks.sim.accuracy.cases import CASES, FINENESS, Case, chosen
 from benchmarks.sim.accuracy.closed_form import closed_form
 from benchmarks.sim.accuracy.competitors import Competitor, by_name, competitors
 from benchmarks.sim.accuracy.reference import Reference, references
@@ -226,7 +226,8 @@ def _elements(result: Result) -> int:
 
 
 def _reference_text(plan: AccuracyCampaign) -> str:
-    fineness = f"{plan.fineness:g}" if plan.fineness else "2 (`indenters`: 1.5)"
+    own = [f"`{one.name}`: {one.fineness:g}" for one in CASES if one.fineness != FINENESS]
+    fineness = f"{plan.fineness:g}" if plan.fineness else f"{FINENESS:g} ({', '.join(own)})"
     return f"fem float64, fineness {fineness}, 5 augmentations, tolerance 1e-5"
 
 

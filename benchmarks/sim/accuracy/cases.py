@@ -12,6 +12,8 @@ from sim.scene import Body, Scene, press, press_shear_return, ramp_hold
 MM = 1e-3
 # Depths of the plain presses [m].
 DEPTHS = (0.5 * MM, 1.0 * MM, 1.5 * MM)
+# Fineness of a reference's mesh.
+FINENESS = 2.0
 # Edge radius of shapes that have room for it [m]; sharper edges only need finer elements.
 EDGE = 0.5 * MM
 
@@ -25,7 +27,7 @@ class Case:
     """Title in the chart."""
     scenes: tuple[Scene, ...]
     """Scenes with the same body and set of effects, so that one launch can solve them all."""
-    fineness: float = 2.0
+    fineness: float = FINENESS
     """Fineness of the reference's mesh."""
 
 
@@ -61,7 +63,7 @@ CASES: tuple[Case, ...] = (
         "indenters",
         "the 18 indenters, mean; friction",
         tuple(Scene(_edged(name), press((0.5 * MM, 1.0 * MM)), effects=_RUB) for name in NAMES),
-        fineness=1.5,  # 2 takes three times as long, for 18 references
+        fineness=1.5,  # 18 references take three times as long with 2
     ),
     Case(
         "loop",

@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--reference",
         type=float,
         metavar="FINENESS",
-        help="fineness of the reference mesh (2; of the 18 indenters 1.5); cached",
+        help="fineness of the reference meshes, which are cached (that of each case)",
     )
     parser.add_argument(
         "--processes",

@@ -28,7 +28,7 @@ COARSER = 1.5
 # Number of parts that each piece of a viscous motion is divided into, which refines the time steps.
 VISCOUS_PARTS = 3
 # Version of the cache file; other versions are computed again.
-FORMAT = 2
+FORMAT = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,28 +115,41 @@ def references(
         say: Called with progress messages.
         processes: Number of processes beside a GPU, each with a part of the scenes.
     """
-    path = cache / f"{case.name}-{fineness:g}-{FORMAT}.npz"
-    known = load(path) if path.exists() else {}
-    missing = [
-        (label, size)
-        for label, size in (("fine", fineness), ("coarse", fineness / COARSER))
-        if not any(key.endswith(label) for key in known)
-    ]
-    for label, size in missing:
-        say(f"reference of {case.name}: fineness {size:.3g}")
-        for index, one in enumerate(solve_references(case.scenes, size, device, processes)):
-            if isinstance(one, SimulationDiverged):
-                say(f"  no reference of scene {index}: {one}")
-            else:
-                known[f"{index}-{label}"] = one
-        save(path, known)
+    with Solvers(processes, device=device) as started:
+        solvers = started if processes > 1 else 1
+        fine, coarse = (
+            _outcomes(case, size, device, cache, say, solvers)
+            for size in (fineness, fineness / COARSER)
+        )
     references_: list[Reference | None] = []
     for index, scene in enumerate(case.scenes):
-        fine, coarse = (known.get(f"{index}-{label}") for label in ("fine", "coarse"))
-        if fine is None:
+        true, rough = fine.get(str(index)), coarse.get(str(index))
+        if true is None:
             references_.append(None)
             continue
         unknown = {"force": np.nan}
-        uncertainty = unknown if coarse is None else compare(coarse, fine, scene.body).worst()
-        references_.append(Reference(fine, uncertainty))
+        uncertainty = unknown if rough is None else compare(rough, true, scene.body).worst()
+        references_.append(Reference(true, uncertainty))
     return references_
+
+
+def _outcomes(
+    case: Case,
+    fineness: float,
+    device: str,
+    cache: Path,
+    say: Callable[[str], None],
+    processes: int | Solvers,
+) -> dict[str, Outcome]:
+    """Return the outcomes of a case on one mesh, by the number of the scene; they are cached."""
+    path = cache / f"{case.name}-{fineness:.4g}-{FORMAT}.npz"
+    if not path.exists():
+        say(f"reference of {case.name}: fineness {fineness:.3g}")
+        found: dict[str, Outcome] = {}
+        for index, one in enumerate(solve_references(case.scenes, fineness, device, processes)):
+            if isinstance(one, SimulationDiverged):
+                say(f"  no reference of scene {index}: {one}")
+            else:
+                found[str(index)] = one
+        save(path, found)
+    return load(path)
