@@ -30,8 +30,9 @@ class Viscosity:
     )
     KERNELS: ClassVar[tuple[Snippet, ...]] = (
         Snippet("sim.fem.element", "element_kernels", "viscous"),
-        Snippet("sim.fem.element", "element_blocks_kernel", "viscous", "sim.fem.matrix"),
         Snippet("sim.fem.element", "element_rows_kernel", "viscous", "sim.fem.matrix"),
+        Snippet("sim.fem.lanes", "forces_kernel", "viscous"),
+        Snippet("sim.fem.lanes", "blocks_kernel", "viscous", "sim.fem.matrix"),
     )
     LIMIT: ClassVar[str] = "ratios -> 0: an elastic body"
 

@@ -19,6 +19,7 @@ from sim.fem.contact import contact_kernels, face_rule
 from sim.fem.crossing import MAY_CROSS, Crossing
 from sim.fem.element import GAUSS_POINTS, Branches, element_kernels
 from sim.fem.graphs import Graphs
+from sim.fem.lanes import AT_ONCE, forces_kernel
 from sim.fem.matrix import HALF_POISSON, BlockMatrix
 from sim.fem.mesh import Mesh
 from sim.fem.multigrid import Multigrid
@@ -460,8 +461,10 @@ class Assembly:
         poisson = np.array([scene.body.poisson for scene in scenes])
         self.split = is_split(scenes)
         """True if the pressure of the elements is split (`sim.fem.volume`)."""
-        self._element = element_kernels(real, "viscosity" in self.effects, self.split)
         on_gpu = wp.get_device(device).is_cuda
+        kernel = element_kernels if on_gpu else forces_kernel
+        self._element = kernel(real, "viscosity" in self.effects, self.split)
+        self._element_threads = -(-len(mesh.elements) // (1 if on_gpu else AT_ONCE))
         self._lanes = LANES if on_gpu else 1
         self._graphs = Graphs(device, record=len(scenes) <= FEW)
         on = [name in self.effects for name in ("friction", "inertia", "gravity")]
@@ -586,7 +589,7 @@ class Assembly:
     def _launch_elements(self, active, u) -> None:
         wp.launch(
             self._element,
-            dim=(self.environments, len(self.mesh.elements)),
+            dim=(self.environments, self._element_threads),
             inputs=[
                 *self._element_inputs(),
                 active,

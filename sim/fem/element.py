@@ -9,7 +9,8 @@ Full displacement elements lock near nu = 0.5; these do not.
 The displacement of an element is written in the 7 modes xi, eta, zeta, xi eta, eta zeta, xi zeta,
 xi eta zeta (its Walsh-Hadamard transform), whose gradients at the Gauss points are signed sums:
 less than half the arithmetic of 8 nodes times 8 points. All quantities are in units of the body's
-thickness and modulus, with one thread per element of each environment.
+thickness and modulus, with one thread per element of each environment. GPUs use these kernels, and
+CPUs those of `sim.fem.lanes`.
 """
 
 import functools
@@ -298,24 +299,19 @@ def element_kernels(real, viscous: bool, split: bool = False):
     return residual
 
 
-# Tangent of an element as 3x3 blocks between its nodes, added to the stencil of each node.
+# Tangent of an element: the derivative of the forces of `element_kernels`, written out.
 #
-# It is the derivative of the forces of `element_kernels`, written out. With G_r = row r of the
-# inverse Jacobian, f_r = F G_r, c_r = cof(F) G_r and g = G J^(-2/3), the block between reference
-# directions r and s at one Gauss point is
+# With G_r = row r of the inverse Jacobian, f_r = F G_r, c_r = cof(F) G_r and g = G J^(-2/3), the
+# 3x3 block between reference directions r and s at one Gauss point is
 #
 # g (G_r.G_s) 1 - 2g/3J (f_r c_s^T + c_r f_s^T) + 5g |F|^2/9J^2 c_r c_s^T + (p - g |F|^2/3J) dcof
 #
-# where dcof v = v x F(G_r x G_s); mean dilatation adds one outer product per element. The modes
-# b = 1..7 of an element are products of reference coordinates, one bit each; the derivative of mode
-# b along r is mode b without bit r. So a block between modes is a sum of Walsh-Hadamard
-# coefficients, over the Gauss points, of the blocks above, and a second transform leads from modes
-# to nodes: about 10,000 operations an element, where 8 nodes times 8 points would take 40,000.
+# where dcof v = v x F(G_r x G_s); mean dilatation adds one outer product per element.
 
 
 @functools.cache
 def tangent_functions(real, viscous: bool, split: bool = False):
-    """Return `of_mean` and `at_point`, shared by the two kernels that assemble tangents.
+    """Return `of_mean` and `at_point`, of an element and of its Gauss points.
 
     `viscous` and `split` as in `element_kernels`.
     """
@@ -404,215 +400,10 @@ def tangent_functions(real, viscous: bool, split: bool = False):
     return of_mean, at_point
 
 
-@functools.cache
-def element_blocks_kernel(real, viscous: bool, split: bool = False):
-    """Return the kernel that adds elements' tangents to the stencils.
-
-    No two elements of a launch may share a node. On the CPU, where threads run one after the other,
-    a launch may hold all elements.
-    """
-    vec3 = vector_of(real)
-    mat33 = matrix_of(real)
-    modes_of, _scatter = mode_functions(real)
-    column = column_function(real)
-    strain = kinematics(real)[0]
-    of_mean, at_point = tangent_functions(real, viscous, split)
-    eighth, abscissa = real(0.125), real(0.5773502691896258)
-
-    @wp.func
-    def spread(bits: int):
-        """Return the offset in a stencil's 27 slots for steps along x, y, z packed in 3 bits."""
-        return 9 * (bits >> 2) + 3 * ((bits >> 1) & 1) + (bits & 1)
-
-    @wp.func
-    def fraction(b: int):
-        """Return a corner's value in mode b, except for its sign, after taking the derivative."""
-        size = (b >> 2) + ((b >> 1) & 1) + (b & 1)
-        value = eighth
-        if size > 1:
-            value = value * abscissa
-        if size > 2:
-            value = value * abscissa
-        return value
-
-    @wp.kernel(enable_backward=False, module="unique")
-    def element_blocks(
-        # Mesh, by variant; order of the elements, first one of the launch, nodes that move
-        elements: wp.array2d(dtype=wp.int32),
-        inverse: wp.array3d(dtype=mat33),
-        weight: wp.array3d(dtype=real),
-        variant: wp.array(dtype=wp.int32),
-        order: wp.array(dtype=wp.int32),
-        first: int,
-        free: wp.array(dtype=wp.int32),
-        corners: int,
-        # Material, by environment:
-        shear: wp.array(dtype=real),
-        bulk: wp.array(dtype=real),
-        factor: wp.array(dtype=real),
-        bulk_factor: wp.array(dtype=real),
-        history: wp.array3d(dtype=mat33),
-        bulk_history: wp.array2d(dtype=real),
-        # In:
-        active: wp.array(dtype=wp.int32),
-        u: wp.array2d(dtype=vec3),
-        convex: wp.array(dtype=wp.int32),
-        # In and out:
-        matrix_out: wp.array3d(dtype=mat33),
-    ):
-        env, position = wp.tid()
-        last = inverse.shape[2] - 1  # boxes have one Jacobian for all Gauss points
-        if active[env] == 0:
-            return
-        e = order[first + position]
-        kind = variant[env]
-        if weight[kind, e, 0] == real(0.0):  # outside a round body
-            return
-        u1, u2, u3, u4, u5, u6, u7 = modes_of(elements, u, env, e)
-        # Blocks (r, s) in the order 00 11 22 01 02 12, and gradients of the volume, by Gauss
-        # point; later by Walsh function.
-        moments = wp.zeros(shape=(8, 6), dtype=mat33)
-        means = wp.zeros(shape=(8, 3), dtype=vec3)
-        # Blocks between modes; later between nodes.
-        blocks = wp.zeros(shape=(8, 8), dtype=mat33)
-        identity = wp.identity(n=3, dtype=real)
-
-        pressure, stiffness = of_mean(
-            inverse,
-            weight,
-            kind,
-            bulk,
-            bulk_factor,
-            bulk_history,
-            env,
-            e,
-            corners,
-            u1,
-            u2,
-            u3,
-            u4,
-            u5,
-            u6,
-            u7,
-        )
-
-        for q in range(corners):
-            inv = inverse[kind, e, wp.min(q, last)]
-            w = weight[kind, e, q]
-            h, _sx, _sy, _sz = strain(u1, u2, u3, u4, u5, u6, u7, q, inv)
-            cr, er, metric, turn = at_point(
-                h, inv, w, pressure, shear, factor, history, convex[env], env, e, q
-            )
-            c0 = column(cr, 0)
-            c1 = column(cr, 1)
-            c2 = column(cr, 2)
-            e0 = column(er, 0)
-            e1 = column(er, 1)
-            e2 = column(er, 2)
-            moments[q, 0] = wp.outer(e0, c0) + wp.outer(c0, e0) + identity * metric[0, 0]
-            moments[q, 1] = wp.outer(e1, c1) + wp.outer(c1, e1) + identity * metric[1, 1]
-            moments[q, 2] = wp.outer(e2, c2) + wp.outer(c2, e2) + identity * metric[2, 2]
-            moments[q, 3] = (
-                wp.outer(e0, c1)
-                + wp.outer(c0, e1)
-                + identity * metric[0, 1]
-                - wp.skew(column(turn, 2))
-            )
-            moments[q, 4] = (
-                wp.outer(e0, c2)
-                + wp.outer(c0, e2)
-                + identity * metric[0, 2]
-                + wp.skew(column(turn, 1))
-            )
-            moments[q, 5] = (
-                wp.outer(e1, c2)
-                + wp.outer(c1, e2)
-                + identity * metric[1, 2]
-                - wp.skew(column(turn, 0))
-            )
-            means[q, 0] = c0 * w
-            means[q, 1] = c1 * w
-            means[q, 2] = c2 * w
-
-        # Walsh-Hadamard transform over the Gauss points
-        for axis in range(3):
-            bit = 1 << axis
-            for low in range(corners):
-                if low & bit == 0:
-                    for k in range(6):
-                        one_block = moments[low, k]
-                        other_block = moments[low + bit, k]
-                        moments[low, k] = one_block + other_block
-                        moments[low + bit, k] = other_block - one_block
-                    for k in range(3):
-                        one_mean = means[low, k]
-                        other_mean = means[low + bit, k]
-                        means[low, k] = one_mean + other_mean
-                        means[low + bit, k] = other_mean - one_mean
-
-        # Blocks between modes a <= b
-        for a in range(1, corners):
-            mean_a = vec3()
-            for r in range(3):
-                if (a >> (2 - r)) & 1 == 1:
-                    mean_a += means[a ^ (4 >> r), r]
-            for b in range(a, corners):
-                mean_b = vec3()
-                block = mat33()
-                for s in range(3):
-                    if (b >> (2 - s)) & 1 == 1:
-                        without = b ^ (4 >> s)
-                        mean_b += means[without, s]
-                        for r in range(3):
-                            if (a >> (2 - r)) & 1 == 1:
-                                walsh = without ^ a ^ (4 >> r)
-                                if r == s:
-                                    block += moments[walsh, r]
-                                elif r < s:
-                                    block += moments[walsh, r + s + 2]
-                                else:
-                                    block += wp.transpose(moments[walsh, r + s + 2])
-                block += wp.outer(mean_a * stiffness, mean_b)
-                block = block * (fraction(a) * fraction(b))
-                blocks[a, b] = block
-                if a != b:
-                    blocks[b, a] = wp.transpose(block)
-
-        # Transform back, first the rows to nodes, then the columns
-        for axis in range(3):
-            bit = 1 << axis
-            for low in range(corners):
-                if low & bit == 0:
-                    for b in range(1, corners):
-                        one_block = blocks[low, b]
-                        other_block = blocks[low + bit, b]
-                        blocks[low, b] = one_block - other_block
-                        blocks[low + bit, b] = one_block + other_block
-        for axis in range(3):
-            bit = 1 << axis
-            for low in range(corners):
-                if low & bit == 0:
-                    for a in range(corners):
-                        one_block = blocks[a, low]
-                        other_block = blocks[a, low + bit]
-                        blocks[a, low] = one_block - other_block
-                        blocks[a, low + bit] = one_block + other_block
-        for a in range(corners):
-            n = elements[e, a]
-            if free[n] == 1:
-                own = 13 - spread(a)
-                for b in range(corners):
-                    if free[elements[e, b]] == 1:
-                        slot = own + spread(b)
-                        matrix_out[env, n, slot] = matrix_out[env, n, slot] + blocks[a, b]
-
-    return element_blocks
-
-
-# Tangent of an element with one row of 3x3 blocks per thread, as a GPU assembles it.
+# The same with one row of 3x3 blocks per thread, as a GPU assembles it; a CPU by `sim.fem.lanes`.
 #
-# The blocks are those of `element_blocks_kernel`. The 8 blocks of a row stay in registers; all 64
-# of an element do not, and a GPU's threads would wait for memory.
+# The 8 blocks of a row stay in registers; all 64 of an element do not, and a GPU's threads would
+# wait for memory.
 #
 # With A the reference derivatives of the shape function of the row's node, B those of a mode of the
 # other, and the rest as above, one Gauss point adds

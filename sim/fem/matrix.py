@@ -9,8 +9,8 @@ cheaper on a CPU.
 
 There are no atomic additions. Elements add to the elastic part; on a GPU one of eight colours after
 the other, so that no two at a time share a node, and row by row. `finish` adds the nodal terms. On
-a CPU it adds them to a copy: contact changes most, so the elastic part may be kept for a while, as
-assembly takes half of a press there. On a GPU it takes a sixth, and memory is the limit.
+a CPU it adds them to a copy: contact changes most, so the elastic part may be kept for a while
+(docs/decisions/0016). On a GPU memory is the limit.
 
 On a GPU, in float32 and up to `HALF_NODES` and `HALF_POISSON`, products read the matrix rounded to
 float16, which halves the memory traffic that takes most of conjugate gradients' time. They solve
@@ -26,7 +26,8 @@ from itertools import pairwise
 import numpy as np
 import warp as wp
 
-from sim.fem.element import element_blocks_kernel, element_rows_kernel
+from sim.fem.element import element_rows_kernel
+from sim.fem.lanes import AT_ONCE, blocks_kernel
 from sim.fem.mesh import CENTRE, CORNERS, SLOTS, Mesh, colour_order, face_slots, slot_offsets
 from sim.fem.vectors import RUN
 from sim.scalars import matrix_of, vector_of
@@ -97,6 +98,22 @@ def wide_row(real):
 
 
 @functools.cache
+def _zero_function(real):
+    """Return `zero(numbers, env)`: clear all numbers (B, K) of an environment on a CPU.
+
+    Compiled number by number it takes nearly three times as long.
+    """
+
+    @wp.func_native(
+        "memset((char*)numbers.data + env * (size_t)numbers.strides[0], 0,"
+        " numbers.shape[1] * sizeof(*numbers.data));"
+    )
+    def zero(numbers: wp.array2d(dtype=real), env: int): ...
+
+    return zero
+
+
+@functools.cache
 def row_function(real, stored, wide: bool):
     """Return `line(offsets, matrix, v, env, n)`: a row of a matrix (B, N, 27) times v (B, N).
 
@@ -156,6 +173,7 @@ def _kernels(real, stored, wide: bool, keeps: bool):
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
     kept33 = matrix_of(stored)
+    zero = _zero_function(real)
 
     @wp.kernel(enable_backward=False, module="unique")
     def clear(
@@ -167,8 +185,11 @@ def _kernels(real, stored, wide: bool, keeps: bool):
     ):
         env, thread = wp.tid()
         if active[env] == 1:
-            for i in range(thread, elastic_out.shape[1], threads):
-                elastic_out[env, i] = real(0.0)
+            if wp.static(wide):
+                zero(elastic_out, env)
+            else:
+                for i in range(thread, elastic_out.shape[1], threads):
+                    elastic_out[env, i] = real(0.0)
 
     @wp.kernel(enable_backward=False, module="unique")
     def finish(
@@ -333,7 +354,7 @@ class BlockMatrix:
         mat33 = matrix_of(real)
         self._device = device
         self._parallel = wp.get_device(device).is_cuda if parallel is None else parallel
-        kernel = element_rows_kernel if self._parallel else element_blocks_kernel
+        kernel = element_rows_kernel if self._parallel else blocks_kernel
         self._elements_kernel = kernel(real, viscous, split)
         self._environments, self._nodes = environments, count
         self._on_gpu = wp.get_device(device).is_cuda
@@ -348,8 +369,7 @@ class BlockMatrix:
         """Number of partial sums that `product` writes for each sum."""
         if self._parallel:
             order, self._begins = colour_order(mesh.cells)
-        else:
-            order, self._begins = np.arange(len(mesh.elements)), [0, len(mesh.elements)]
+            self._order = self._integers(order)
         blocks = functools.partial(
             zero_blocks, environments, count, device=device, parallel=self._parallel
         )
@@ -360,7 +380,6 @@ class BlockMatrix:
         self._to_clear = _numbers(self._elastic, real)
         self._rounded = (_numbers(self.matrix, real), _numbers(self._read, kept)) if half else None
         self._threads = -(-self._to_clear.shape[1] // APIECE) if self._on_gpu else 1
-        self._order = self._integers(order)
         self._elements = self._integers(mesh.elements)
         self._faces = self._integers(mesh.faces)
         self._node_faces = self._integers(mesh.node_faces)
@@ -397,28 +416,34 @@ class BlockMatrix:
             outputs=[self._to_clear],
             device=self._device,
         )
-        rows = (len(CORNERS),) if self._parallel else ()
-        for first, past in pairwise(self._begins):
+        mesh = self._elements, inverse, weight, variant
+        if self._parallel:
+            for first, past in pairwise(self._begins):
+                wp.launch(
+                    self._elements_kernel,
+                    dim=(self._environments, len(CORNERS), past - first),
+                    inputs=[
+                        *mesh,
+                        self._order,
+                        first,
+                        self._free,
+                        len(CORNERS),
+                        *material,
+                        renew,
+                        u,
+                        convex,
+                    ],
+                    outputs=[self._elastic],
+                    device=self._device,
+                    block_dim=ROWS_BLOCK,
+                )
+        else:
             wp.launch(
                 self._elements_kernel,
-                dim=(self._environments, *rows, past - first),
-                inputs=[
-                    self._elements,
-                    inverse,
-                    weight,
-                    variant,
-                    self._order,
-                    first,
-                    self._free,
-                    len(CORNERS),
-                    *material,
-                    renew,
-                    u,
-                    convex,
-                ],
+                dim=(self._environments, -(-len(self._elements) // AT_ONCE)),
+                inputs=[*mesh, self._free, *material, renew, u, convex],
                 outputs=[self._elastic],
                 device=self._device,
-                block_dim=ROWS_BLOCK,
             )
         wp.launch(
             self._finish,

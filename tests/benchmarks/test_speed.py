@@ -31,7 +31,7 @@ from benchmarks.sim.speed.machine import copy_rate, flop_rate, machine_name
 from benchmarks.sim.speed.page import write_page
 from benchmarks.sim.speed.record import Machine, Run, SpeedRecord, read
 from benchmarks.sim.speed.roofline import bound_of
-from benchmarks.sim.speed.steps import AS_IT_IS, READ_HALF, STEPS, assembled_gain, steps_on
+from benchmarks.sim.speed.steps import AS_IT_IS, READ_HALF, STEPS, steps_on
 from benchmarks.sim.speed.timing import counted, spent_with_workers
 from benchmarks.sim.speed.work import PaperWork, TimedPress, paper_work, smoke_work
 from sim import Body, Layer, Result, Scene, SceneError, SimulationDiverged, press, simulate_many
@@ -176,12 +176,6 @@ def test_rates_of_this_machine_are_numbers() -> None:
     assert rate > 0
     assert "NumPy" in source
     assert "cores" in machine_name("cpu")
-
-
-def test_assembling_pays_where_a_tangent_is_used_often() -> None:
-    assert assembled_gain(1000, 1000) < 1
-    assert assembled_gain(1000, 100_000) > 4
-    assert math.isnan(assembled_gain(0, 0))
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,8 @@ from support import fem_oracles as oracle
 from support.fem_oracles import Array, Material
 
 from benchmarks.sim.stability.planted import fully_integrated
-from sim.fem.element import GAUSS_POINTS, element_kernels
+from sim.fem.element import GAUSS_POINTS
+from sim.fem.lanes import AT_ONCE
 from sim.scalars import vector_of
 
 MESHES = oracle.domed_meshes()
@@ -23,6 +25,13 @@ PRECISIONS = [
     pytest.param(wp.float32, 3e-5, id="float32"),
 ]
 KINDS = ["elastic", "viscous", "full_integration"]
+
+
+@pytest.fixture(params=["sim.fem.element", "sim.fem.lanes"])
+def module(request: pytest.FixtureRequest) -> str:
+    """Return the module of the kernel: one element a thread, as on a GPU, or eight."""
+    name: str = request.param
+    return name
 
 
 def _states(count: int) -> Array:
@@ -76,6 +85,7 @@ def _inputs(
 
 
 def _residual(
+    module: str,
     materials: list[Material],
     u: Array,
     real: Any,
@@ -83,18 +93,25 @@ def _residual(
     active: Array | None = None,
     variant: list[int] = VARIANT,
 ) -> tuple[Array, Array, Array]:
-    wrong = kind == "full_integration"
-    factory = fully_integrated().element_kernels if wrong else element_kernels
+    active = np.ones(len(u)) if active is None else active
+    inputs = _inputs(materials, active, u, real, variant)
+    return _launched(module, kind, real, inputs, (len(u), len(ELEMENTS)))
+
+
+def _launched(
+    module: str, kind: str, real: Any, inputs: list[Any], shape: tuple[int, int]
+) -> tuple[Array, Array, Array]:
+    of = fully_integrated(module) if kind == "full_integration" else import_module(module)
+    eight = module == "sim.fem.lanes"
+    factory = of.forces_kernel if eight else of.element_kernels
     kernel = factory(real, kind == "viscous")
-    shape = len(u), len(ELEMENTS)
+    threads = shape[0], -(-shape[1] // (AT_ONCE if eight else 1))
     outputs = [
         oracle.zeros((*shape, 8), vector_of(real)),
         oracle.zeros(shape, real),
         oracle.zeros(shape, real),
     ]
-    active = np.ones(len(u)) if active is None else active
-    inputs = _inputs(materials, active, u, real, variant)
-    wp.launch(kernel, dim=shape, inputs=inputs, outputs=outputs, device="cpu")
+    wp.launch(kernel, dim=threads, inputs=inputs, outputs=outputs, device="cpu")
     force, energy, det = (output.numpy().astype(float) for output in outputs)
     return force, energy, det
 
@@ -102,31 +119,31 @@ def _residual(
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(("real", "error"), PRECISIONS)
 def test_element_forces_are_those_of_plain_shape_functions(
-    real: Any, error: float, kind: str
+    module: str, real: Any, error: float, kind: str
 ) -> None:
     materials, u = _materials(kind), _states(2)
-    force, _energy, _det = _residual(materials, u, real, kind)
+    force, _energy, _det = _residual(module, materials, u, real, kind)
     for env, material in enumerate(materials):
         expected = oracle.element_force(PLACED[env], u[env], material)
         assert oracle.relative(force[env], expected) < error
 
 
-def test_element_force_is_the_slope_of_the_energy_by_central_differences() -> None:
+def test_element_force_is_the_slope_of_the_energy_by_central_differences(module: str) -> None:
     materials, u = _materials("elastic"), _states(2)
     v = np.random.default_rng(8).normal(0, 1, u.shape)
-    force, _energy, _det = _residual(materials, u, wp.float64, "elastic")
+    force, _energy, _det = _residual(module, materials, u, wp.float64, "elastic")
     step = 1e-5
-    _, ahead, _ = _residual(materials, u + step * v, wp.float64, "elastic")
-    _, behind, _ = _residual(materials, u - step * v, wp.float64, "elastic")
+    _, ahead, _ = _residual(module, materials, u + step * v, wp.float64, "elastic")
+    _, behind, _ = _residual(module, materials, u - step * v, wp.float64, "elastic")
     slope = (ahead - behind) / (2 * step)
     expected = np.einsum("beai,beai->be", force, v[:, ELEMENTS])
     assert oracle.relative(slope, expected) < 1e-7
 
 
 @pytest.mark.parametrize(("real", "error"), PRECISIONS)
-def test_element_energy_and_least_det_are_the_oracles(real: Any, error: float) -> None:
+def test_element_energy_and_least_det_are_the_oracles(module: str, real: Any, error: float) -> None:
     materials, u = _materials("elastic"), _states(2)
-    _force, energy, det = _residual(materials, u, real, "elastic")
+    _force, energy, det = _residual(module, materials, u, real, "elastic")
     for env, material in enumerate(materials):
         expected = oracle.element_energy(PLACED[env], u[env], material)
         assert oracle.relative(energy[env], expected) < error
@@ -134,38 +151,40 @@ def test_element_energy_and_least_det_are_the_oracles(real: Any, error: float) -
         assert oracle.relative(det[env], np.linalg.det(f).min(axis=1)) < error
 
 
-def test_rigid_motion_has_no_force_and_no_energy() -> None:
+def test_rigid_motion_has_no_force_and_no_energy(module: str) -> None:
     materials = _materials("elastic")
     angle = 0.7
     turn = np.array(
         [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
     )
     rigid = np.stack([mesh.nodes @ turn.T - mesh.nodes + 0.3 for mesh in PLACED])
-    force, energy, det = _residual(materials, rigid, wp.float64, "elastic")
+    force, energy, det = _residual(module, materials, rigid, wp.float64, "elastic")
     assert np.abs(force).max() < 1e-14
     assert np.abs(energy).max() < 1e-14
     assert det == pytest.approx(1.0, abs=1e-14)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_an_environment_gets_in_a_batch_of_two_meshes_what_it_gets_alone(kind: str) -> None:
+def test_an_environment_gets_in_a_batch_of_two_meshes_what_it_gets_alone(
+    module: str, kind: str
+) -> None:
     """Bitwise; on the other mesh the result differs."""
     materials, u = _materials(kind), _states(2)
-    batched = _residual(materials, u, wp.float64, kind)
+    batched = _residual(module, materials, u, wp.float64, kind)
     for env in range(2):
         of = slice(env, env + 1)
         for variant in (0, 1):
-            alone = _residual(materials[of], u[of], wp.float64, kind, variant=[variant])
+            alone = _residual(module, materials[of], u[of], wp.float64, kind, variant=[variant])
             for one, two in zip(batched, alone, strict=True):
                 assert np.array_equal(one[env], two[0]) == (variant == VARIANT[env])
 
 
-def test_float32_forces_are_off_by_no_more_than_round_off_of_the_modulus() -> None:
+def test_float32_forces_are_off_by_no_more_than_round_off_of_the_modulus(module: str) -> None:
     """2e-7 of shear modulus times face area at any strain: the basis of `MIN_FORCE_SCALE`."""
     materials = _materials("elastic")
     for scale in (1.0, 1e-2, 1e-4):
         u = _states(2) * scale
-        force, _energy, _det = _residual(materials, u, wp.float32, "elastic")
+        force, _energy, _det = _residual(module, materials, u, wp.float32, "elastic")
         for env, material in enumerate(materials):
             expected = oracle.element_force(PLACED[env], u[env], material)
             face = (1e-3 / 3e-3) ** 2
@@ -173,9 +192,27 @@ def test_float32_forces_are_off_by_no_more_than_round_off_of_the_modulus() -> No
             assert np.abs(force[env] - expected).max() < 2e-7 * size
 
 
-def test_environments_that_are_not_active_are_left_alone() -> None:
+def test_a_group_may_lack_elements_and_those_without_weight_are_left_alone(module: str) -> None:
+    """As outside a round body, and at the end of a mesh; the others get the same bits."""
+    few = AT_ONCE * 2 + 3
     materials, u = _materials("elastic"), _states(2)
-    force, energy, det = _residual(materials, u, wp.float64, "elastic", np.array([0, 1]))
+    whole = _residual(module, materials, u, wp.float64, "elastic")
+    inverse, weight, _variant = oracle.geometry(MESHES, VARIANT, wp.float64)
+    kept = np.ones(few, bool)
+    kept[[0, AT_ONCE + 1, few - 1]] = False
+    inputs = _inputs(materials, np.ones(2), u, wp.float64, VARIANT)
+    inputs[0] = oracle.integers(ELEMENTS[:few])
+    inputs[1] = oracle.matrices(inverse.numpy()[:, :few], wp.float64)
+    inputs[2] = oracle.scalars(weight.numpy()[:, :few] * kept[:, None], wp.float64)
+    part = _launched(module, "elastic", wp.float64, inputs, (2, few))
+    for one, two in zip(part, whole, strict=True):
+        assert np.array_equal(one[:, kept], two[:, :few][:, kept])
+        assert not one[:, ~kept].any()
+
+
+def test_environments_that_are_not_active_are_left_alone(module: str) -> None:
+    materials, u = _materials("elastic"), _states(2)
+    force, energy, det = _residual(module, materials, u, wp.float64, "elastic", np.array([0, 1]))
     assert not force[0].any()
     assert not energy[0].any()
     assert not det[0].any()

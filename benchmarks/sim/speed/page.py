@@ -20,7 +20,6 @@ from benchmarks.sim.speed.steps import (
     READ_HALF,
     STEPS,
     Step,
-    assembled_gain,
     steps_on,
 )
 from recorder.pages import render
@@ -84,7 +83,6 @@ def write_page(path: Path, records: Sequence[SpeedRecord]) -> None:
         goals=GOALS,
         reached=_reached,
         scaled=_scaled,
-        assembled_gain=assembled_gain,
         campaign=campaign,
         roofline=roofline,
         work=work,

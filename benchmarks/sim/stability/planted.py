@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import cache
+from importlib import import_module
 from types import ModuleType
 from typing import Any
 
@@ -32,72 +33,84 @@ WHAT: dict[str, str] = {
 # A module of the solver, a name in it, and the replacement of that object.
 Part = tuple[ModuleType, str, Any]
 
-# Lines of `sim.fem.element`, their replacement, and the number of occurrences.
-_FULL_INTEGRATION = (
-    # In the forces, use the pressure of each Gauss point instead of the element's.
-    (
-        "            energy += w * half * (g * square - three * shear[env])\n",
-        "            energy += w * half * (g * square - three * shear[env])\n"
-        "            pressure = half * bulk[env] * less * (two + less) / j\n",
-        1,
+# Lines of modules of the solver and their replacements: each once, in the forces the pressure of
+# each Gauss point instead of the element's, and in the tangent its derivative.
+_FULL_INTEGRATION = {
+    "sim.fem.element": (
+        (
+            "            energy += w * half * (g * square - three * shear[env])\n",
+            "            energy += w * half * (g * square - three * shear[env])\n"
+            "            pressure = half * bulk[env] * less * (two + less) / j\n",
+        ),
+        # `of_mean` gives the bulk modulus where `at_point` uses the pressure.
+        (
+            "        return pressure, stiffness / volume\n",
+            "        return bulk[env], real(0.0)\n",
+        ),
+        (
+            "        f, c, _less, j, square = deformed(h)\n",
+            "        f, c, less, j, square = deformed(h)\n",
+        ),
+        (
+            "        mixed = w * over * five_thirds * square / j\n",
+            "        mixed = w * over * five_thirds * square / j\n"
+            "        mixed += w * half * pressure * (one + one / (j * j))\n",
+        ),
+        (
+            "turning = pressure - over * square\n",
+            "turning = half * pressure * less * (two + less) / j - over * square\n",
+        ),
     ),
-    # In the tangent the same, with its derivative instead of the mean's. `of_mean` gives the bulk
-    # modulus where `at_point` uses the pressure.
-    (
-        "        return pressure, stiffness / volume\n",
-        "        return bulk[env], real(0.0)\n",
-        1,
+    "sim.fem.lanes": (
+        (
+            "        energy += w[q] * half * (g * square - 3 * shear.data[env]);\n",
+            "        energy += w[q] * half * (g * square - 3 * shear.data[env]);\n"
+            "        pressure = half * stiff * less[q] * (2 + less[q]) / j;\n",
+        ),
+        ("    stiffness /= volume;\n", "    stiffness = 0;\n"),
+        (
+            "        const wide mixed = w[q] * over * number(5.0 / 3.0) * square / j;\n",
+            "        const wide mixed = w[q] * over * number(5.0 / 3.0) * square / j\n"
+            "                         + w[q] * half * stiff * (1 + 1 / (j * j));\n",
+        ),
+        (
+            "        wide turning = pressure - over * square;\n",
+            "        wide turning = half * stiff * less[q] * (2 + less[q]) / j - over * square;\n",
+        ),
     ),
-    (
-        "        f, c, _less, j, square = deformed(h)\n",
-        "        f, c, less, j, square = deformed(h)\n",
-        1,
-    ),
-    (
-        "        mixed = w * over * five_thirds * square / j\n",
-        "        mixed = w * over * five_thirds * square / j\n"
-        "        mixed += w * half * pressure * (one + one / (j * j))\n",
-        1,
-    ),
-    (
-        "turning = pressure - over * square\n",
-        "turning = half * pressure * less * (two + less) / j - over * square\n",
-        1,
-    ),
-)
+}
 
 
 @cache
-def fully_integrated() -> ModuleType:
-    """Return `sim.fem.element` with the volume change of each Gauss point, not the element's.
+def fully_integrated(name: str) -> ModuleType:
+    """Return a module of the solver with the volume change of each Gauss point.
+
+    `name` is that of the module.
 
     Raises:
         ValueError: Lines to be changed are not in its source.
     """
-    from sim.fem import element
 
     def change(source: str) -> str:
-        for right, wrong, count in _FULL_INTEGRATION:
-            if source.count(right) != count:
-                raise ValueError(
-                    f"{element.__name__}: {right.strip()!r} does not occur {count} times"
-                )
+        for right, wrong in _FULL_INTEGRATION[name]:
+            if source.count(right) != 1:
+                raise ValueError(f"{name}: {right.strip()!r} does not occur once")
             source = source.replace(right, wrong)
         return source
 
-    return rebuilt(element, "fully_integrated", change)
+    return rebuilt(import_module(name), "fully_integrated", change)
 
 
 def _full_integration() -> list[Part]:
     from sim.fem import assembly, matrix
 
-    wrong = fully_integrated()
     return [
-        (user, factory, getattr(wrong, factory))
-        for user, factory in (
-            (assembly, "element_kernels"),
-            (matrix, "element_blocks_kernel"),
-            (matrix, "element_rows_kernel"),
+        (user, factory, getattr(fully_integrated(name), factory))
+        for user, name, factory in (
+            (assembly, "sim.fem.element", "element_kernels"),
+            (assembly, "sim.fem.lanes", "forces_kernel"),
+            (matrix, "sim.fem.element", "element_rows_kernel"),
+            (matrix, "sim.fem.lanes", "blocks_kernel"),
         )
     ]
 
