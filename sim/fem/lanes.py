@@ -43,7 +43,7 @@ _DEFORMED = """
     typedef number eight __attribute__((ext_vector_type(8), aligned(sizeof(number))));
     const number half = number(0.5), third = number(1.0 / 3.0);
     const wide tiny = number(1e-30);
-    // A corner's value in a mode, but for its sign, by the number of coordinates in the mode.
+    // A corner's value in each mode, but for its sign
     const number eighth = number(0.125), abscissa = number(0.5773502691896258);
     const number value[8] = {0, eighth, eighth, eighth * abscissa, eighth, eighth * abscissa,
                              eighth * abscissa, eighth * abscissa * abscissa};
@@ -70,14 +70,15 @@ _DEFORMED = """
             }
     };
     const auto inverse_root = [](wide x) -> wide {  // x^(-1/3)
-        const wide_integer begin = integer($bits) - *(const wide_integer*)&x / 3;
-        wide y = *(const wide*)&begin;
+        wide y = __builtin_bit_cast(
+            wide, integer($bits) - __builtin_bit_cast(wide_integer, x) / 3);
         for (int step = 0; step < $steps; ++step)
             y *= (4 - x * y * y * y) * number(1.0 / 3.0);
         return y;
     };
 
-    // Lanes past the last element repeat it; elements outside a round body have no weight.
+    // Lanes past the last element repeat it; elements outside a round body have no weight. Their
+    // numbers are of no use, and not written.
     const int count = elements.shape[0], kind = variant.data[env];
     const int jacobians = inverse.shape[2];  // boxes have one for all Gauss points
     int element[8];
@@ -165,9 +166,8 @@ _PAST = """
 """
 
 _FORCES = """
-    const wide size = __builtin_elementwise_max(1 + theta, tiny);
-    wide energy = volume * half * stiff
-                * (half * theta * (2 + theta) - __builtin_elementwise_log(size));
+    const wide stretched = __builtin_elementwise_log(__builtin_elementwise_max(1 + theta, tiny));
+    wide energy = volume * half * stiff * (half * theta * (2 + theta) - stretched);
     wide back[3][8][3] = {};
     for (int q = 0; q < 8; ++q) {
         const auto& d = h[q];
@@ -188,8 +188,9 @@ _FORCES = """
         const wide excess = (2 * trace + squared - 3 * less[q]) * (third / j);
         for (int i = 0; i < 3; ++i)
             for (int k = 0; k < 3; ++k)
-                stress[i][k] = g * (d[i][k] + d[k][i] - minor[i][k] - c[i][k] * excess
-                                    - (i == k ? trace : 0 * trace));
+                stress[i][k] = (d[i][k] + d[k][i] - minor[i][k] - c[i][k] * excess) * g;
+        for (int i = 0; i < 3; ++i)
+            stress[i][i] -= trace * g;
 $stress
         for (int i = 0; i < 3; ++i) {
             for (int k = 0; k < 3; ++k)

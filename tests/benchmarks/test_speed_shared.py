@@ -27,5 +27,5 @@ def test_two_meshes_are_extrapolated_by_the_ratio_of_their_spacings() -> None:
 def test_a_few_presses_are_timed_and_judged(capsys: pytest.CaptureFixture[str]) -> None:
     assert run_module(processes, "--smoke", "--spacings", "1.333", "--repeat", "1") == 0
     printed = capsys.readouterr().out
-    assert "0 of" in printed
+    assert "without a solution: 0 on 1.333 mm" in printed
     assert "then: " in printed
