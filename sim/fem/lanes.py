@@ -16,21 +16,16 @@ from string import Template
 
 import warp as wp
 
-from sim.scalars import matrix_of, vector_of
+from sim.scalars import matrix_of, native_of, vector_of
 
 # Elements that a thread computes at once.
 AT_ONCE = 8
 
-# Names of the types; 4/3 of the bits of 1, where Newton's method for x^(-1/3) begins, at most 6 %
+# Integers as wide; 4/3 of the bits of 1, where Newton's method for x^(-1/3) begins, at most 6 %
 # off, and its steps to full precision.
-_NATIVE = {
-    wp.float32: {"number": "float", "integer": "int", "bits": "1420470954", "steps": "3"},
-    wp.float64: {
-        "number": "double",
-        "integer": "long long",
-        "bits": "6142909891733356544",
-        "steps": "5",
-    },
+_ROOT = {
+    wp.float32: {"integer": "int", "bits": "1420470954", "steps": "3"},
+    wp.float64: {"integer": "long long", "bits": "6142909891733356544", "steps": "5"},
 }
 
 # What both kernels begin with: displacements of eight elements, their gradients h at the Gauss
@@ -147,6 +142,19 @@ _DEFORMED = """
     wide stiffness = half * stiff * (1 + 1 / ((1 + theta) * (1 + theta)));
 $pressure"""
 
+# What both do first at a Gauss point: F, its cofactor, |F|^2, J and g = G J^(-2/3).
+_POINT = """
+        wide f[3][3], c[3][3], square = 0;
+        for (int i = 0; i < 3; ++i)
+            for (int k = 0; k < 3; ++k) {
+                f[i][k] = h[q][i][k] + number(i == k);
+                square += f[i][k] * f[i][k];
+            }
+        cofactor(f, c);
+        const wide j = 1 + less[q], root = inverse_root(__builtin_elementwise_max(j, tiny));
+        wide g = shear.data[env] * root * root;
+"""
+
 # Pressure with a history, of viscous and of split bodies.
 _PRESSURE = """
     wide held;
@@ -170,18 +178,13 @@ _FORCES = """
     wide energy = volume * half * stiff * (half * theta * (2 + theta) - stretched);
     wide back[3][8][3] = {};
     for (int q = 0; q < 8; ++q) {
+$point
         const auto& d = h[q];
-        wide f[3][3], c[3][3], minor[3][3], stress[3][3], square = 0, squared = 0;
+        wide minor[3][3], stress[3][3], squared = 0;
         for (int i = 0; i < 3; ++i)
-            for (int k = 0; k < 3; ++k) {
-                f[i][k] = d[i][k] + number(i == k);
-                square += f[i][k] * f[i][k];
+            for (int k = 0; k < 3; ++k)
                 squared += d[i][k] * d[i][k];
-            }
-        cofactor(f, c);
         cofactor(d, minor);
-        const wide j = 1 + less[q], root = inverse_root(__builtin_elementwise_max(j, tiny));
-        const wide g = shear.data[env] * root * root;
         energy += w[q] * half * (g * square - 3 * shear.data[env]);
         // F - cof(F) tr(F^T F) / 3J in terms of h = F - 1: no cancellation at small strain
         const wide trace = d[0][0] + d[1][1] + d[2][2];
@@ -243,17 +246,12 @@ _TANGENT = """
     wide moments[8][7][3][3];
     const int order[3][3] = {{0, 3, 4}, {3, 1, 5}, {4, 5, 2}};
     for (int q = 0; q < 8; ++q) {
-        wide f[3][3], c[3][3], inv[3][3], crossed[3][3], square = 0;
+$point
+        wide inv[3][3], crossed[3][3];
         for (int i = 0; i < 3; ++i)
-            for (int k = 0; k < 3; ++k) {
-                f[i][k] = h[q][i][k] + number(i == k);
-                square += f[i][k] * f[i][k];
+            for (int k = 0; k < 3; ++k)
                 inv[i][k] = inverse_of(q, i, k);
-            }
-        cofactor(f, c);
         cofactor(inv, crossed);
-        const wide j = 1 + less[q], root = inverse_root(j);
-        wide g = shear.data[env] * root * root;
 $factor
         const wide over = g * third / j;
         const wide mixed = w[q] * over * number(5.0 / 3.0) * square / j;
@@ -267,10 +265,10 @@ $factor
                     const wide s = f[0][i] * f[0][k] + f[1][i] * f[1][k] + f[2][i] * f[2][k];
                     norm += s * s;
                 }
-            const wide mean = square * third, none = 0;
-            const wide spread = __builtin_elementwise_max(norm * third - mean * mean, none);
+            const wide average = square * third, none = 0;
+            const wide spread = __builtin_elementwise_max(norm * third - average * average, none);
             const wide most = g / __builtin_elementwise_sqrt(
-                mean + __builtin_elementwise_sqrt(2 * spread));
+                average + __builtin_elementwise_sqrt(2 * spread));
             turning = __builtin_elementwise_max(__builtin_elementwise_min(turning, most), -most);
         }
         // Columns of F (G_1 x G_2), F (G_2 x G_0), F (G_0 x G_1); half of the c c^T term on either
@@ -314,17 +312,16 @@ $metric
     }
     transform(&moments[0][0][0][0], 63, 0, false);
 
+    wide mean[8][3] = {};  // gradients of the volume, by mode
+    for (int a = 1; a < 8; ++a)
+        for (int r = 0; r < 3; ++r)
+            if (a & box[r])
+                for (int i = 0; i < 3; ++i)
+                    mean[a][i] += moments[a ^ box[r]][6][r][i];
     wide blocks[8][8][3][3] = {};
     for (int a = 1; a < 8; ++a)
         for (int b = a; b < 8; ++b) {
-            wide block[3][3] = {}, mean_a[3] = {}, mean_b[3] = {};
-            for (int r = 0; r < 3; ++r)
-                for (int i = 0; i < 3; ++i) {
-                    if (a & box[r])
-                        mean_a[i] += moments[a ^ box[r]][6][r][i];
-                    if (b & box[r])
-                        mean_b[i] += moments[b ^ box[r]][6][r][i];
-                }
+            wide block[3][3] = {};
             for (int r = 0; r < 3; ++r)
                 for (int s = 0; s < 3; ++s)
                     if ((a & box[r]) && (b & box[s])) {
@@ -336,8 +333,8 @@ $metric
             const number both = value[a] * value[b];
             for (int i = 0; i < 3; ++i)
                 for (int k = 0; k < 3; ++k) {
-                    block[i][k] = (block[i][k] + mean_a[i] * stiffness * mean_b[k]) * both;
-                    blocks[a][b][i][k] = blocks[b][a][k][i] = block[i][k];
+                    const wide sum = block[i][k] + mean[a][i] * stiffness * mean[b][k];
+                    blocks[a][b][i][k] = blocks[b][a][k][i] = sum * both;
                 }
         }
     transform(&blocks[0][0][0][0], 72, 0, true);
@@ -403,13 +400,15 @@ def forces_kernel(real, viscous: bool, split: bool = False):
     """
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
-    effects = {"pressure": "", "stress": ""}
+    parts = {"point": _POINT, "pressure": "", "stress": ""}
     if wp.static(viscous or split):
-        effects["pressure"] = _PRESSURE
+        parts["pressure"] = _PRESSURE
     if wp.static(viscous):
-        effects["stress"] = _PAST + _VISCOUS_STRESS
+        parts["stress"] = _PAST + _VISCOUS_STRESS
 
-    @wp.func_native(Template(_DEFORMED + _FORCES).substitute(effects, **_NATIVE[real]))
+    @wp.func_native(
+        Template(_DEFORMED + _FORCES).substitute(parts, number=native_of(real), **_ROOT[real])
+    )
     def forces(
         elements: wp.array2d(dtype=wp.int32),
         inverse: wp.array3d(dtype=mat33),
@@ -482,14 +481,16 @@ def blocks_kernel(real, viscous: bool, split: bool = False):
     """
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
-    effects = {"pressure": "", "factor": "", "metric": ""}
+    parts = {"point": _POINT, "pressure": "", "factor": "", "metric": ""}
     if wp.static(viscous or split):
-        effects["pressure"] = _PRESSURE
+        parts["pressure"] = _PRESSURE
     if wp.static(viscous):
-        effects["factor"] = _PAST + "        g *= factor.data[env];\n"
-        effects["metric"] = _VISCOUS_METRIC
+        parts["factor"] = _PAST + "        g *= factor.data[env];\n"
+        parts["metric"] = _VISCOUS_METRIC
 
-    @wp.func_native(Template(_DEFORMED + _TANGENT).substitute(effects, **_NATIVE[real]))
+    @wp.func_native(
+        Template(_DEFORMED + _TANGENT).substitute(parts, number=native_of(real), **_ROOT[real])
+    )
     def tangents(
         elements: wp.array2d(dtype=wp.int32),
         inverse: wp.array3d(dtype=mat33),

@@ -30,7 +30,7 @@ from sim.fem.element import element_rows_kernel
 from sim.fem.lanes import AT_ONCE, blocks_kernel
 from sim.fem.mesh import CENTRE, CORNERS, SLOTS, Mesh, colour_order, face_slots, slot_offsets
 from sim.fem.vectors import RUN
-from sim.scalars import matrix_of, vector_of
+from sim.scalars import matrix_of, native_of, vector_of
 
 # Product of a row of the stencil with a vector, in a CPU's wide registers.
 #
@@ -38,8 +38,6 @@ from sim.scalars import matrix_of, vector_of
 # as long (docs/results/speed.md). So rows are written here as vectors of eight lanes, which Clang
 # offers for every CPU. Three neighbours in a line are next to each other in memory: nine times
 # three blocks make a row.
-
-_NATIVE = {wp.float32: "float", wp.float64: "double"}
 
 _LINE = """
     typedef {real} number;
@@ -85,7 +83,7 @@ def wide_row(real):
     """
     vec3 = vector_of(real)
 
-    @wp.func_native(_LINE.format(real=_NATIVE[real]))
+    @wp.func_native(_LINE.format(real=native_of(real)))
     def line(
         offsets: wp.array(dtype=wp.int32),
         matrix: wp.array3d(dtype=matrix_of(real)),

@@ -15,13 +15,7 @@ from benchmarks.sim.speed.campaign import REFERENCE_FILE, presses_file, steps_fi
 from benchmarks.sim.speed.candidates import Candidate, cheapest, offers_of, save_offer_chart
 from benchmarks.sim.speed.forces import SHALLOW_MM, Errors, Forces, errors, read_forces, read_runs
 from benchmarks.sim.speed.record import Machine, Run, SpeedRecord
-from benchmarks.sim.speed.steps import (
-    AS_IT_IS,
-    READ_HALF,
-    STEPS,
-    Step,
-    steps_on,
-)
+from benchmarks.sim.speed.steps import AS_IT_IS, READ_HALF, STEPS, Step, steps_on
 from recorder.pages import render
 from sim.extrapolation import left_of_difference
 from sim.fem.numerics import FOR_EDGES
