@@ -53,11 +53,6 @@ CURES: dict[str, tuple[str, ...]] = {
         "ping {at}: this computer needs an address of its own in the arm's network",
         "let a firewall pass ports 29999, 30001 to 30004",
     ),
-    "gcode": (
-        "plug the cable in again; is {at} this device? A name of /dev/serial/by-id stays the same",
-        "sudo usermod -a -G dialout $USER, then log in again",
-        "home the stage with its own program ($H); report machine positions ($10=1); baud rate",
-    ),
     "netft": (
         "ping {at}; the box shows its page in a browser at that address",
         "power of the box, cable of the sensor; UDP port 49152",

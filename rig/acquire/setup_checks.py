@@ -28,7 +28,6 @@ from rig.core.errors import DeviceLost
 from rig.core.geometry import compose, invert
 from rig.devices.arm import dashboard
 from rig.devices.arm.reader import RtdeLink
-from rig.devices.arm.settings import ArmConfig
 
 GRAVITY = 9.81
 # Oldest PolyScope that says over the network if remote control is on.
@@ -77,9 +76,7 @@ class Place:
 
 def places(bench: Bench) -> list[Place]:
     """Return the devices that are reached by TCP, the arm first."""
-    found = []
-    if isinstance(bench.arm, ArmConfig):
-        found.append(Place("arm", "arm.host", bench.arm.host, dashboard.PORT))
+    found = [Place("arm", "arm.host", bench.arm.host, dashboard.PORT)]
     for row in bench.rows:
         config = row.config
         address = str(getattr(config, "address", ""))

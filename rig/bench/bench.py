@@ -26,7 +26,7 @@ from rig.core.geometry import matrix_from_vector
 from rig.core.guard import GuardLimits
 from rig.core.names import unknown_name
 from rig.core.packaged import BENCHES
-from rig.devices.arm.settings import ArmConfig, GcodeConfig, PoseConfig, WrenchConfig
+from rig.devices.arm.settings import ArmConfig, PoseConfig, WrenchConfig
 from rig.devices.camera.settings import CameraConfig
 from rig.devices.force.settings import (
     AtiSerialConfig,
@@ -207,7 +207,7 @@ class Bench:
     """Pose (6,) of the contact frame in the base frame [m, rad]."""
     tool_rotation: tuple[float, float, float] = field(metadata={"unit": "deg"})
     """Orientation of the TCP in the contact frame, rotation vector [rad]."""
-    arm: ArmConfig | GcodeConfig
+    arm: ArmConfig
     force: ForceConfig | Literal["none"] | None = field(default=None, kw_only=True)
     """The F/T sensor; `none`: there is no gauge, and other guards stand in (`stand_ins`). Only a
     mock bench may leave it out."""

@@ -116,10 +116,6 @@ def make_driver(bench: Bench, name: str, clock: Clock) -> Driver:
     try:
         if row.kind == "force":
             return _force_driver(row.config, clock)
-        if row.config.KIND == "gcode":
-            from rig.devices.arm.gcode import StageDriver
-
-            return StageDriver(row.config, clock)
         if row.kind == "pose":
             from rig.devices.arm.reader import RtdePoseDriver
 

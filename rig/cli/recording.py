@@ -30,8 +30,6 @@ class StartedBench:
     """Content of its file, with the addresses of a mock bench's emulators."""
     watch: Callable[[], None] | None
     """Raises if an emulator of a mock bench is gone."""
-    host: str = ""
-    """Address of a mock bench's emulators."""
 
 
 @contextlib.contextmanager
@@ -66,7 +64,7 @@ def started_bench(
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-")))
         mock = MockBench(content, str(path), folder, sources=sources, truth=truth)
         stack.enter_context(mock)
-        yield StartedBench(mock.content, mock.check, mock.host)
+        yield StartedBench(mock.content, mock.check)
 
 
 def record(

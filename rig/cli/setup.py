@@ -39,7 +39,6 @@ from rig.core.clock import SystemClock, file_stamp
 from rig.core.config import from_si, to_si
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.geometry import compose
-from rig.devices.arm.settings import ArmConfig
 
 Answers = dict[str, float | str]
 Point = tuple[float, float, float]
@@ -76,7 +75,6 @@ class AtBench:
         self._ready: Bench | None = None
         self.watch: Callable[[], None] | None = None
         """Raises if an emulator of a mock bench is gone."""
-        self._host = ""
         self._tip: Point = (0.0, 0.0, _CLEAR)
 
     @property
@@ -85,7 +83,7 @@ class AtBench:
         if self._ready is None:
             on = self._stack.enter_context(started_bench(self.path, self.content))
             self._ready = bench_from(on.content, str(self.path))
-            self.watch, self._host = on.watch, on.host
+            self.watch = on.watch
         return self._ready
 
     def close(self) -> None:
@@ -124,7 +122,7 @@ class AtBench:
             return
         print(f"  {text} (done by the mock bench)", flush=True)
         bench, ports = self.ready, emulation.PORTS
-        host = self._host
+        host = self.ready.arm.host
         emulation.inject(host, ports["world"], "hand", force=force)
         frame = bench.world_frame or bench.contact_frame
         for place in places:
@@ -285,8 +283,7 @@ def contact(at: AtBench, answers: Answers) -> Iterator[Finding]:
         yield found
         return
     at.do(
-        "lead the tip until it just touches the middle (freedrive, in local mode; or the stage's "
-        "own knobs)",
+        "lead the tip until it just touches the middle (freedrive, in local mode)",
         (0.0, 0.0, 0.0),
     )
     pose = np.array(at.read(at.ready.row("pose"), 0.1)[-1])
@@ -366,13 +363,9 @@ class Step:
         return self.check.__name__
 
 
-def _has_pendant(bench: Bench) -> bool:
-    return isinstance(bench.arm, ArmConfig)
-
-
 STEPS = (
     Step(network, _DEVICES),
-    Step(arm, ("arm",), needed=_has_pendant),
+    Step(arm, ("arm",)),
     Step(
         tool,
         ("arm",),
@@ -383,7 +376,6 @@ STEPS = (
                 lambda bench: float(from_si(bench.arm.tcp[2], "mm")),
             ),
         ),
-        _has_pendant,
     ),
     Step(devices, (*_DEVICES, "gripper", "pedal", "preflight")),
     Step(

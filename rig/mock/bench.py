@@ -29,7 +29,7 @@ from rig.core.geometry import compose
 from rig.core.samples import ARM_TRUTH, PRESS_STATE, WORLD_STATE
 from rig.core.shared_memory import SharedLatest
 from rig.core.sources import Sources
-from rig.devices.arm.settings import GcodeConfig, PoseConfig, WrenchConfig
+from rig.devices.arm.settings import PoseConfig, WrenchConfig
 from rig.devices.force.settings import NidaqConfig, ScaleConfig
 from rig.mock.processes import ProcessGroup, StartedOrClosed
 from rig.mock.world import ARM_FILE, WORLD_FILE
@@ -163,8 +163,6 @@ class MockBench(StartedOrClosed):
         if name == "arm":
             rotation = bench.tool_rotation
             start = compose(bench.contact_frame, (0.0, 0.0, _START_HEIGHT, *rotation))
-            if isinstance(config, GcodeConfig):
-                return {"state": str(self._folder / ARM_FILE), "pose": start.tolist()}
             wrist = {"wrist": bool(bench.of_kind("arm_wrench"))}
             return {"state": str(self._folder / ARM_FILE), "pose": start.tolist(), **wrist}
         if name == "force":

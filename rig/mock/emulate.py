@@ -34,7 +34,6 @@ from rig.core.realtime import enable_realtime
 # Module of each emulator; that of a device has the device's `kind` in a bench file as its name.
 EMULATORS = {
     "ur": "rig.devices.arm.emulator",
-    "gcode": "rig.devices.arm.gcode_emulator",
     "netft": "rig.devices.force.netft_emulator",
     "nidaq": "rig.devices.force.nidaq_emulator",
     "ati_serial": "rig.devices.force.ati_serial_emulator",

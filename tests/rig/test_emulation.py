@@ -113,7 +113,6 @@ NEEDED = {
     "nidaq": {"device": {"calibration": "x.cal"}},
     "ati_serial": {"device": {"counts_per_n": 1, "counts_per_n_mm": 1}},
     "robotiq_2f": {"device": {"port": "tty"}},
-    "gcode": {"device": {"port": "tty"}},
     "scale": {"device": {"protocol": "kern"}},
     "hid_pedal": {"device": {"kind": "hid_pedal", "device": "/x.hidraw"}},
     "spacemouse": {"device": {"kind": "spacemouse", "device": "/x.hidraw"}},

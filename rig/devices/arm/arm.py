@@ -20,7 +20,7 @@ from rig.core.errors import DeviceLost, SafetyStop
 from rig.core.guard import GuardLimits, Mode
 from rig.core.stand_in_guards import StandIn
 from rig.devices.arm.messages import Close, Halt, Move, Reply, Retract, Setup
-from rig.devices.arm.settings import ArmConfig, GcodeConfig
+from rig.devices.arm.settings import ArmConfig
 from rig.devices.arm.supervisor import Child, HasFileno
 
 logger = logging.getLogger(__name__)
@@ -46,7 +46,7 @@ class MoveResult:
 
 
 class Arm:
-    """Moves one UR e-Series arm, or a stage, under the guard.
+    """Moves one UR e-Series arm under the guard.
 
     Args:
         config: Address, tool and speeds.
@@ -62,7 +62,7 @@ class Arm:
 
     def __init__(
         self,
-        config: ArmConfig | GcodeConfig,
+        config: ArmConfig,
         contact_frame: ArrayLike,
         limits: GuardLimits,
         *,

@@ -12,7 +12,7 @@ from typing import Literal
 
 from rig.core.guard import GuardLimits, Kind, Mode
 from rig.core.stand_in_guards import StandIn
-from rig.devices.arm.settings import ArmConfig, GcodeConfig
+from rig.devices.arm.settings import ArmConfig
 
 # Number of the unprompted reply that reports that the child is ready, or why it is not.
 START = 1
@@ -24,7 +24,7 @@ Outcome = Literal["done", "force_limited", "stopped", "safety_stop", "device_los
 class Setup:
     """Information the child needs at its start."""
 
-    config: ArmConfig | GcodeConfig
+    config: ArmConfig
     contact_frame: tuple[float, ...]
     """Pose (6,) of the contact frame in the base frame [m, rad]."""
     limits: GuardLimits

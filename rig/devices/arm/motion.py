@@ -19,7 +19,6 @@ from typing import NoReturn
 from rig.core.clock import Clock, SystemClock
 from rig.core.errors import DeviceLost, SafetyStop
 from rig.core.guard import Kind
-from rig.devices.arm.gcode import StageClient
 from rig.devices.arm.messages import (
     START,
     Alarm,
@@ -36,7 +35,7 @@ from rig.devices.arm.messages import (
 )
 from rig.devices.arm.mover import Mover, Watch
 from rig.devices.arm.reader import RtdeLink
-from rig.devices.arm.settings import ArmConfig, GcodeConfig
+from rig.devices.arm.settings import ArmConfig
 from rig.devices.arm.vendor import UrControl, check_ready
 
 logger = logging.getLogger(__name__)
@@ -98,18 +97,12 @@ def _serve(setup: Setup, pipe: Connection) -> int:
     return motion.serve()
 
 
-def _connected(
-    config: ArmConfig | GcodeConfig, clock: Clock
-) -> tuple[RtdeLink | StageClient, UrControl | StageClient]:
-    """Return the open pose link and the running control of an arm or stage.
+def _connected(config: ArmConfig, clock: Clock) -> tuple[RtdeLink, UrControl]:
+    """Return the open pose link and the running control of an arm.
 
     Raises:
         DeviceLost, SafetyStop: It does not answer, or may not be moved.
     """
-    if isinstance(config, GcodeConfig):
-        stage = StageClient(config, clock)
-        stage.open(_CONNECT)
-        return stage, stage
     check_ready(config.host, _CONNECT)
     link = RtdeLink(config.host, min(config.rate_hz, _LINK_HZ), clock)
     link.open(_CONNECT)
@@ -131,8 +124,8 @@ class Motion:
         self,
         setup: Setup,
         pipe: Connection,
-        control: UrControl | StageClient,
-        link: RtdeLink | StageClient,
+        control: UrControl,
+        link: RtdeLink,
         clock: Clock,
     ) -> None:
         self._pipe: Connection | None = pipe

@@ -23,7 +23,6 @@ from rig.core.guard import (
 )
 from rig.core.samples import FORCE_LATEST, POSE_LATEST
 from rig.core.shared_memory import AwaitedRecord
-from rig.devices.arm.gcode import StageClient
 from rig.devices.arm.messages import Move, Outcome, Reply, Setup
 from rig.devices.arm.reader import RtdeLink
 from rig.devices.arm.vendor import UrControl
@@ -43,7 +42,7 @@ class Watch:
         clock: Determines the age of records.
     """
 
-    def __init__(self, setup: Setup, link: RtdeLink | StageClient, clock: Clock) -> None:
+    def __init__(self, setup: Setup, link: RtdeLink, clock: Clock) -> None:
         self._host = setup.config.host
         self._settle_ns = round(setup.config.settle * SECOND_NS)
         self._link = link
@@ -197,7 +196,7 @@ class Mover:
     def __init__(
         self,
         setup: Setup,
-        control: UrControl | StageClient,
+        control: UrControl,
         watch: Watch,
         clock: Clock,
         interrupted: Callable[[], bool],

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -10,11 +9,14 @@ from rig.core.stream_settings import StreamSettings
 
 
 @dataclass(frozen=True, slots=True)
-class _Moved:
-    """Tool and limits of motion of an arm or stage."""
+class ArmConfig:
+    """Settings of one UR e-Series arm: its address, tool and limits of motion."""
 
+    KIND: ClassVar[str] = "ur"
     STREAM: ClassVar[str] = "pose"
 
+    host: str = field(kw_only=True)
+    """IP address of the controller (or of its emulator). Ports are fixed by the controller."""
     rate_hz: float = 500.0
     """RTDE pose rate; the controller divides 500 Hz by an integer."""
     tcp: tuple[float, ...] = field(
@@ -73,42 +75,6 @@ class _Moved:
             raise ValueError(f"payload_cog: {len(self.payload_cog)} numbers; allowed: 3")
         if self.payload < 0 or self.settle < 0:
             raise ValueError("payload, settle: allowed: 0 or more")
-
-
-@dataclass(frozen=True, slots=True)
-class ArmConfig(_Moved):
-    """Settings of one UR e-Series arm."""
-
-    KIND: ClassVar[str] = "ur"
-
-    host: str = field(kw_only=True)
-    """IP address of the controller (or of its emulator). Ports are fixed by the controller."""
-
-
-@dataclass(frozen=True, slots=True)
-class GcodeConfig(_Moved):
-    """Settings of a stage of three axes with GRBL firmware; its accelerations are the firmware's.
-
-    The base frame is that of the machine, and the tip never turns.
-    """
-
-    KIND: ClassVar[str] = "gcode"
-
-    rate_hz: float = 40.0
-    """Reports of the position per second."""
-    port: str = field(kw_only=True)
-    """Path of the serial port."""
-    baud: int = 115200
-    """Baud rate."""
-    rotation: tuple[float, float, float] = field(
-        default=(math.pi, 0.0, 0.0), metadata={"unit": "deg"}
-    )
-    """Orientation of the tip in the machine's frame, rotation vector [rad]."""
-
-    @property
-    def host(self) -> str:
-        """The port, as the address of the device in texts."""
-        return self.port
 
 
 @dataclass(frozen=True, slots=True)
