@@ -109,7 +109,7 @@ def dimension(axes: Axes, x: float, low: float, high: float, text: str) -> None:
 # Wiring: addresses and names as in the guide.
 
 ARM = "192.168.1.10  (arm.host)\nremote control on the pendant\nTCP 29999 and 30001 to 30004"
-GAUGE = "192.168.1.1  (force.host)\npage TCP 80, samples UDP 49152\nor: NI card, RS-232 controller"
+GAUGE = "192.168.1.1  (force.host)\npage TCP 80, samples UDP 49152\nor: NI card"
 COMPUTER = "192.168.1.100\ntactile doctor, then setup\ngroups dialout and video"
 GRIPPER = "RS-485 to USB, 24 V\n/dev/serial/by-id/...\n(gripper.port)"
 HID = "udev rule by\ntactile doctor --fix\n(pedal.device, jog.device)"

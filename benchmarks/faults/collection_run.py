@@ -28,13 +28,12 @@ EMULATORS = {
     "camera": "opencv",
     "taxels": "xela",
     "NI-DAQ": "nidaq",
-    "RS-232": "ati_serial",
     "gripper": "robotiq_2f",
     "pedal": "hid_pedal",
     "world": "world",
 }
 # Devices whose fault port is that of another device.
-_LINES = {"NI-DAQ": "force", "RS-232": "force"}
+_LINES = {"NI-DAQ": "force"}
 
 # Interpreters start one after the other on a small machine [s].
 _STARTING = 60.0

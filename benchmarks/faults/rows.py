@@ -154,30 +154,25 @@ def _arm(fault: str) -> Callable[[CollectionRun], None]:
 
 
 NIDAQ = "force: {kind: nidaq, grpc: 'loopback:31763', calibration: BENCHES/mock-nano17.cal}"
-ATI_SERIAL = (
-    "force: {kind: ati_serial, address: runfolder/force, counts_per_n: 1280.0, "
-    "counts_per_n_mm: 256.0, rate_hz: 200.0}"
-)
 GRIPPER = "gripper: {kind: robotiq_2f, port: runfolder/gripper.tty}"
 PEDAL = "pedal: {kind: hid_pedal, device: runfolder/pedal.hidraw, mode: dead_man}"
 _WAITS = "waiting: press and hold the foot pedal"
 _HALTED = "halted: the foot pedal was released"
 
 
-def _other_force() -> list[Row]:
-    """Return the faults that apply to F/T sensors on other connections."""
+def _nidaq() -> list[Row]:
+    """Return the faults that apply to an F/T sensor on an NI card."""
     possible = ("killed", "unplugged", "frozen 3 s", "slow", "garbage")
     return [
         Row(
-            device,
+            "NI-DAQ",
             fault,
             # Garbage from a converter is a voltage, so the guard may react to it first.
             (*codes, EXIT_SAFETY_STOP) if fault == "garbage" else codes,
-            act(device),
-            more=more,
+            act("NI-DAQ"),
+            more=NIDAQ,
             targets=_LONG if fault == "slow" else 2,
         )
-        for device, more in (("NI-DAQ", NIDAQ), ("RS-232", ATI_SERIAL))
         for fault, act, codes, _ in _FAULTS
         if fault in possible
     ]
@@ -197,7 +192,7 @@ def _let_go_and_press_again(collection: CollectionRun) -> None:
 # All rows that are one collection; the kills and the full disk are run separately.
 ROWS: tuple[Row, ...] = (
     *_matrix(),
-    *_other_force(),
+    *_nidaq(),
     *(
         Row("gripper", name, codes, act, more=GRIPPER)
         for name, codes, act in (

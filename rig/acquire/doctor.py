@@ -58,10 +58,6 @@ CURES: dict[str, tuple[str, ...]] = {
         "power of the box, cable of the sensor; UDP port 49152",
     ),
     "nidaq": ("the device's name as NI MAX shows it; install the NI-DAQmx driver",),
-    "ati_serial": (
-        "plug the cable in again; is {at} this device? A name of /dev/serial/by-id stays the same",
-        "sudo usermod -a -G dialout $USER, then log in again",
-    ),
     "scale": (
         "plug the cable in again; is {at} this device? A name of /dev/serial/by-id stays the same",
         "sudo usermod -a -G dialout $USER, then log in again",

@@ -29,7 +29,6 @@ from rig.core.packaged import BENCHES
 from rig.devices.arm.settings import ArmConfig, PoseConfig, WrenchConfig
 from rig.devices.camera.settings import CameraConfig
 from rig.devices.force.settings import (
-    AtiSerialConfig,
     ForceConfig,
     NetFtConfig,
     NidaqConfig,
@@ -131,14 +130,7 @@ class Preflight:
 
 # Devices that `streams` may name by their `kind`.
 StreamConfig = (
-    CameraConfig
-    | NetFtConfig
-    | NidaqConfig
-    | AtiSerialConfig
-    | ScaleConfig
-    | XelaConfig
-    | PoseConfig
-    | WrenchConfig
+    CameraConfig | NetFtConfig | NidaqConfig | ScaleConfig | XelaConfig | PoseConfig | WrenchConfig
 )
 
 

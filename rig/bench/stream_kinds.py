@@ -23,7 +23,7 @@ from rig.core.driver import Driver
 from rig.core.errors import ConfigError
 from rig.core.samples import CAMERA_LATEST, FORCE_LATEST, POSE_LATEST, TAXELS_LATEST
 from rig.devices.camera.settings import CameraConfig
-from rig.devices.force.settings import AtiSerialConfig, ForceConfig, NidaqConfig, ScaleConfig
+from rig.devices.force.settings import ForceConfig, NidaqConfig, ScaleConfig
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,10 +147,6 @@ def _force_driver(config: ForceConfig, clock: Clock) -> Driver:
         from rig.devices.force.nidaq import NidaqDriver
 
         return NidaqDriver(config, clock)
-    if isinstance(config, AtiSerialConfig):
-        from rig.devices.force.ati_serial import AtiSerialDriver
-
-        return AtiSerialDriver(config, clock)
     if isinstance(config, ScaleConfig):
         from rig.devices.force.scale import ScaleDriver
 

@@ -36,7 +36,6 @@ EMULATORS = {
     "ur": "rig.devices.arm.emulator",
     "netft": "rig.devices.force.netft_emulator",
     "nidaq": "rig.devices.force.nidaq_emulator",
-    "ati_serial": "rig.devices.force.ati_serial_emulator",
     "scale": "rig.devices.force.scale_emulator",
     "opencv": "rig.devices.camera.mjpeg_emulator",
     "xela": "rig.devices.taxels.xela_emulator",

@@ -32,15 +32,13 @@ from rig.devices.camera.jpeg import frame_stamp
 from rig.devices.camera.mjpeg_emulator import LoopSource, MjpegEmulator, MjpegEmulatorConfig
 from rig.devices.camera.opencv import OpenCvDriver
 from rig.devices.camera.settings import CameraConfig
-from rig.devices.force.ati_serial import AtiSerialDriver
-from rig.devices.force.ati_serial_emulator import AtiSerialEmulator, AtiSerialEmulatorConfig
 from rig.devices.force.netft import NetFtDriver
 from rig.devices.force.netft_emulator import NetFtEmulator, NetFtEmulatorConfig
 from rig.devices.force.nidaq import NidaqDriver
 from rig.devices.force.nidaq_emulator import NidaqEmulator, NidaqEmulatorConfig
 from rig.devices.force.scale import ScaleDriver
 from rig.devices.force.scale_emulator import ScaleEmulator, ScaleEmulatorConfig
-from rig.devices.force.settings import AtiSerialConfig, NetFtConfig, NidaqConfig, ScaleConfig
+from rig.devices.force.settings import NetFtConfig, NidaqConfig, ScaleConfig
 from rig.devices.taxels.settings import XelaConfig
 from rig.devices.taxels.xela import XelaDriver
 from rig.devices.taxels.xela_emulator import XelaEmulator, XelaEmulatorConfig
@@ -84,13 +82,6 @@ class ValvedNidaq(NidaqEmulator):
         return volts[:0] if self.valve.shut.is_set() else super().samples(volts)
 
 
-class ValvedAtiSerial(AtiSerialEmulator):
-    valve: Valve
-
-    def records(self, content: bytes) -> Iterable[bytes]:
-        return self.valve.passing(super().records(content))
-
-
 class ValvedScale(ScaleEmulator):
     valve: Valve
 
@@ -128,13 +119,6 @@ def nidaq_emulator(host: str, valve: Valve, images: Path) -> Emulator:
 def link_of(host: str) -> Path:
     """Return the path of the link to a pty, since a serial port has no address."""
     return Path(tempfile.gettempdir()) / f"tactile-rig-test-{os.getpid()}-{host}"
-
-
-def ati_serial_emulator(host: str, valve: Valve, images: Path) -> Emulator:
-    config = AtiSerialEmulatorConfig(AtiSerialConfig(1280.0, 256.0, str(link_of(host))))
-    emulator = ValvedAtiSerial(config, SharedWorld(None), CLOCK)
-    emulator.valve = valve
-    return emulator
 
 
 def scale_emulator(host: str, valve: Valve, images: Path) -> Emulator:
@@ -213,19 +197,6 @@ KINDS = [
         31763,
         {"value": (np.float64, (6,)), "seq": (int, None), "status": (int, None)},
         f'{{"device": {{"calibration": "{CALIBRATION}"}}}}',
-    ),
-    Kind(
-        "force-ati-serial",
-        lambda host, silence: AtiSerialDriver(
-            AtiSerialConfig(1280.0, 256.0, str(link_of(host)), silence=silence), CLOCK
-        ),
-        ati_serial_emulator,
-        "ati_serial",
-        0,
-        {"value": (np.float64, (6,)), "seq": (int, None), "status": (int, None)},
-        '{"device": {"address": "LINK", "counts_per_n": 1280, "counts_per_n_mm": 256}}',
-        mute_pty,
-        counted=False,
     ),
     Kind(
         "force-scale",

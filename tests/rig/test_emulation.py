@@ -111,7 +111,6 @@ LISTENING = [name for name in EMULATORS if name not in ("world", "solver")]
 # Settings that an emulator cannot do without.
 NEEDED = {
     "nidaq": {"device": {"calibration": "x.cal"}},
-    "ati_serial": {"device": {"counts_per_n": 1, "counts_per_n_mm": 1}},
     "robotiq_2f": {"device": {"port": "tty"}},
     "scale": {"device": {"protocol": "kern"}},
     "hid_pedal": {"device": {"kind": "hid_pedal", "device": "/x.hidraw"}},

@@ -18,23 +18,18 @@ from rig.core.config import READER
 from rig.core.errors import ConfigError
 from rig.core.packaged import BENCHES
 from rig.core.samples import FORCE_LATEST
-from rig.devices.force.ati_serial import AtiSerialDriver
 from rig.devices.force.netft import NetFtDriver
 from rig.devices.force.netft_wire import ERROR_MASK, SATURATION_MASK
 from rig.devices.force.nidaq import NidaqDriver
 from rig.devices.force.sample_clock import BEYOND_RATING, LOST_BEFORE, SATURATED
-from rig.devices.force.settings import AtiSerialConfig, NetFtConfig, NidaqConfig
+from rig.devices.force.settings import NetFtConfig, NidaqConfig
 from rig.mock.bench import MockBench
 from rig.mock.emulate import EMULATORS
 from rig.mock.world.truth import Truth
 
 CALIBRATION = BENCHES / "mock-nano17.cal"
 NIDAQ = f"{{kind: nidaq, grpc: 'loopback:31763', calibration: {CALIBRATION}}}"
-ATI_SERIAL = (
-    "{kind: ati_serial, address: runfolder/force, counts_per_n: 1280.0, counts_per_n_mm: 256.0, "
-    "rate_hz: 200.0}"
-)
-FORCES = {"netft": "{rate_hz: 500.0}", "nidaq": NIDAQ, "ati_serial": ATI_SERIAL}
+FORCES = {"netft": "{rate_hz: 500.0}", "nidaq": NIDAQ}
 
 
 def bench_with(folder: Path, force: str) -> Path:
@@ -59,7 +54,6 @@ def mock_bench(folder: Path, force: str) -> MockBench:
     [
         ("netft", NetFtConfig, NetFtDriver),
         ("nidaq", NidaqConfig, NidaqDriver),
-        ("ati_serial", AtiSerialConfig, AtiSerialDriver),
     ],
 )
 def test_one_word_picks_the_device(tmp_path: Path, kind: str, config: type, driver: type) -> None:
@@ -115,8 +109,6 @@ def test_units_of_the_file_become_si(tmp_path: Path) -> None:
         ("netft", ERROR_MASK, True),
         ("nidaq", SATURATED, True),
         ("nidaq", BEYOND_RATING | LOST_BEFORE, False),
-        ("ati_serial", 1, True),
-        ("ati_serial", LOST_BEFORE, False),
     ],
 )
 def test_the_guard_stops_at_what_the_device_itself_does_not_trust(
@@ -137,7 +129,7 @@ def test_the_guard_stops_at_what_the_device_itself_does_not_trust(
 def test_the_guard_looks_ahead_at_the_rate_of_every_line(tmp_path: Path, rate_hz: float) -> None:
     from rig.core.guard import Guard
 
-    bench = loaded(tmp_path, ATI_SERIAL)
+    bench = loaded(tmp_path, NIDAQ)
     limits = bench.guard_limits(*bench.gauges)
     guard = Guard(limits, bench.contact_frame, watch_pose=False)
     soft, speed = limits.soft_fraction * limits.force_rating[2], 100.0
@@ -173,16 +165,6 @@ def check_against_truth(session: Session, truth: Truth) -> None:
     assert raw[:, 2].min() < -0.3
     # 0.01 N of noise, and a few milliseconds at a few N/s; robust to a stalled machine.
     assert np.median(np.abs(error[:, :3])) < 0.02
-
-
-@pytest.mark.serial
-@pytest.mark.slow
-@pytest.mark.timeout(120)
-def test_two_targets_through_the_serial_line(tmp_path: Path) -> None:
-    session, truth = collected(tmp_path, "ati_serial")
-    check_against_truth(session, truth)
-    device = session.streams["force"].attrs["device"]
-    assert device["device"] == "ATI F/T controller, RS-232"
 
 
 @pytest.mark.serial

@@ -1,1 +1,1 @@
-"""Force and torque: drivers and emulators of ATI sensors on Net F/T, NI DAQ and RS-232."""
+"""Force and torque: drivers and emulators of ATI sensors on Net F/T and NI DAQ, and of scales."""

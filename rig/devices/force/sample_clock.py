@@ -68,5 +68,3 @@ SATURATED = 1 << 17
 BEYOND_RATING = 1 << 16
 # Samples between this one and the previous one were lost.
 LOST_BEFORE = 1 << 15
-# The error byte of an RS-232 record: not 0 when the controller reports its values as wrong.
-RECORD_ERROR_MASK = 0xFF

@@ -10,16 +10,20 @@ they move, the value is NaN, and the reading is kept in a column of its own.
 
 from __future__ import annotations
 
+import contextlib
 import re
+import termios
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import serial
 
 from rig.core.clock import SECOND_NS, Clock
-from rig.core.errors import DeviceLost
-from rig.devices.force.serial_driver import SerialDriver
+from rig.core.driver import ReceivingDriver
+from rig.core.errors import ConfigError, DeviceLost
 from rig.devices.force.settings import ScaleConfig
 
 # Request for one reading, by protocol; None: the device sends by itself.
@@ -62,7 +66,7 @@ def parse(line: str) -> Reading:
     return Reading(-float(digits) if sign == "-" else float(digits), unit)
 
 
-class ScaleDriver(SerialDriver):
+class ScaleDriver(ReceivingDriver):
     """Stream of a load cell or scale.
 
     Columns: value (6,) float64 [N, N m] with Fz alone, NaN unless settled; reading float64 [N], Fz
@@ -73,6 +77,9 @@ class ScaleDriver(SerialDriver):
     def __init__(self, config: ScaleConfig, clock: Clock) -> None:
         super().__init__(config.address, clock, _CAPACITY)
         self._config = config
+        self._port: serial.Serial | None = None
+        self.corrupt = 0
+        """Lines that were damaged or no readings."""
         self._request = REQUESTS[config.protocol]
         self._buffer = b""
         self._unit = ""
@@ -81,6 +88,16 @@ class ScaleDriver(SerialDriver):
         self._wrong = 0
         self._heard_ns = self._asked_ns = 0
         self._lost = False
+
+    @property
+    def dropped(self) -> int:
+        """Lines known to be damaged, or not read in time."""
+        return self.corrupt + self._inbox.overflowed
+
+    @property
+    def rejected(self) -> dict[str, int]:
+        """Rejected lines, by reason."""
+        return {"corrupt": self.corrupt}
 
     def open(self, timeout: float) -> None:
         """Open the port and wait for the first reading.
@@ -95,13 +112,16 @@ class ScaleDriver(SerialDriver):
         self._recent.clear()
         deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
         with self._errors():
-            self._connect(
+            self._port = serial.Serial(
+                config.address,
                 config.baud,
+                exclusive=True,
                 bytesize=config.bits,
                 parity={"none": "N", "odd": "O", "even": "E"}[config.parity],
                 timeout=_POLL,
                 write_timeout=1.0,
-            ).reset_input_buffer()
+            )
+            self._port.reset_input_buffer()
         self._heard_ns, self._asked_ns = self._clock.now_ns(), 0
         try:
             while self._sequence < 0:
@@ -133,6 +153,31 @@ class ScaleDriver(SerialDriver):
             "device_clock": "none",
             "numbering": "host",
         }
+
+    def _open_port(self) -> serial.Serial:
+        if self._port is None:
+            raise self._not_open()
+        return self._port
+
+    def _release(self) -> None:
+        if self._port is not None:
+            with contextlib.suppress(OSError, termios.error):
+                self._port.close()
+            self._port = None
+
+    @contextlib.contextmanager
+    def _errors(self) -> Iterator[None]:
+        """Translate errors of pyserial and of the system."""
+        try:
+            yield
+        except (OSError, termios.error) as error:
+            text = " ".join(str(error).split())
+            raise DeviceLost(
+                f"{self._where}: {text}; check the cable, the power, and that the port is "
+                "yours (group dialout) and no other program's"
+            ) from error
+        except ValueError as error:
+            raise ConfigError(f"{self._where}: {error}; allowed: a serial port") from error
 
     def _receive(self) -> None:
         port, config = self._open_port(), self._config

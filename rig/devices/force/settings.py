@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 
 from rig.core.stream_settings import StreamSettings
 from rig.devices.force.netft_wire import ERROR_MASK, SATURATION_MASK
-from rig.devices.force.sample_clock import RECORD_ERROR_MASK, SATURATED
+from rig.devices.force.sample_clock import SATURATED
 
 Axis = Literal["Fx", "Fy", "Fz", "Tx", "Ty", "Tz"]
 AXES: tuple[Axis, ...] = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
@@ -115,63 +115,6 @@ class NidaqConfig(_Gauge):
         return place if self.grpc is None else f"{self.grpc} {place}"
 
 
-# Length of one record of the RS-232 controller, by its format.
-RECORD_BYTES = {"binary": 13, "ascii": 45}
-
-
-@dataclass(frozen=True, slots=True)
-class AtiSerialConfig(_Gauge):
-    """Settings of an ATI stand-alone F/T controller on RS-232 (8 data bits, no parity, 1 stop)."""
-
-    KIND: ClassVar[str] = "ati_serial"
-    UNTRUSTED_MASK: ClassVar[int] = RECORD_ERROR_MASK
-
-    counts_per_n: float
-    """Counts per newton, from the calibration sheet of transducer and controller."""
-    counts_per_n_mm: float
-    """Counts per newton millimetre."""
-    address: str = "/dev/ttyUSB0"
-    """Serial port."""
-    baud: int = 38400
-    """Bits per second."""
-    records: Literal["binary", "ascii"] = "binary"
-    """Format of the records; binary is three times as fast, ascii reveals every lost byte."""
-    rate_hz: float = 200.0
-    """Expected records per second; the controller sends as fast as it can."""
-    average: int = 0
-    """Samples of the controller's own moving average; 0: none."""
-    jump: float = field(default=1.0, metadata={"unit": "n", "plausible": (0.01, 500)})
-    """Largest plausible change between successive binary records [N]. After a larger one, bytes may
-    have been lost, and the stream is restarted."""
-    silence: float = field(default=0.5, metadata={"unit": "ms", "plausible": (5, 60000)})
-    """Silence after which the controller counts as lost [s]."""
-
-    def __post_init__(self) -> None:
-        """Reject invalid values, such as a rate too high for the line.
-
-        Raises:
-            ValueError: Names the field, the value found and the values allowed.
-        """
-        _Gauge.__post_init__(self)
-        for name in ("counts_per_n", "counts_per_n_mm", "jump"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name}: {getattr(self, name)!r}; allowed: above 0")
-        if self.average < 0:
-            raise ValueError(f"average: {self.average!r}; allowed: 0 and more")
-        if self.baud <= 0:
-            raise ValueError(f"baud: {self.baud!r}; allowed: above 0")
-        if not 0 < self.rate_hz <= self.rate_max_hz:
-            raise ValueError(
-                f"rate_hz: {self.rate_hz:g}; allowed: above 0, up to {self.rate_max_hz:.0f} Hz, "
-                f"the limit of {self.baud} baud for {self.records} records"
-            )
-
-    @property
-    def rate_max_hz(self) -> float:
-        """Highest number of records per second on the line, at ten bits a byte."""
-        return self.baud / 10 / RECORD_BYTES[self.records]
-
-
 @dataclass(frozen=True, slots=True)
 class ScaleConfig(_Gauge):
     """Settings of a load cell or scale on a serial port: Fz alone, slow, a label and no guard."""
@@ -244,4 +187,4 @@ class ScaleConfig(_Gauge):
 
 
 # Settings of any F/T sensor; `kind` in the bench file selects one.
-ForceConfig = NetFtConfig | NidaqConfig | AtiSerialConfig | ScaleConfig
+ForceConfig = NetFtConfig | NidaqConfig | ScaleConfig
