@@ -12,8 +12,25 @@ from recorder.command_line.options import names, names_or_none
 def add_inputs(parser: argparse.ArgumentParser) -> None:
     """Add the inputs and the output folder of a training."""
     parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
-    parser.add_argument("--split", type=Path, required=True, metavar="JSON", help="of its presses")
+    add_split(parser)
     add_run(parser)
+
+
+def add_split(parser: argparse.ArgumentParser) -> None:
+    """Add the options that choose which presses a training keeps for tests."""
+    parser.add_argument(
+        "--split",
+        type=Path,
+        metavar="JSON",
+        help="split.json of another training (made: 10 %% of the presses of each seen indenter for "
+        "validation, 10 %% and all of unseen indenters for tests)",
+    )
+    parser.add_argument(
+        "--unseen",
+        type=names_or_none,
+        metavar="NAME,...",
+        help="indenters excluded from training, if a split is made (the archive's list; none: '')",
+    )
 
 
 def add_run(parser: argparse.ArgumentParser) -> None:

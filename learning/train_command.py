@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-from learning.data.splits import Split, read_split
+from learning.data.splits import SPLIT, Split, training_split
 from learning.training.run import RunFolder, Session, Stop, accelerator, described
 from recorder import MarkerArchive
 from recorder.command_line.errors import EXIT_INTERRUPTED
@@ -15,15 +15,14 @@ from recorder.progress import ItemProgress
 
 
 def open_data(options: argparse.Namespace) -> tuple[MarkerArchive, Split]:
-    """Open the archive and the split that the options name.
+    """Open the archive that the options name, and the split that they name or the archive's own.
 
     Raises:
-        LearningError: The split cannot be read, or was not made for this archive.
+        LearningError: The split cannot be read or made, or was not made for this archive.
         SessionError: The archive cannot be read.
     """
-    archive, split = MarkerArchive(options.archive), read_split(options.split)
-    split.check(archive)
-    return archive, split
+    archive = MarkerArchive(options.archive)
+    return archive, training_split(archive, options.split, options.unseen)
 
 
 def trained_on(options: argparse.Namespace, archive: MarkerArchive, split: Split) -> list[str]:
@@ -38,6 +37,7 @@ def run_training(
     data: Iterable[str],
     train: Callable[[Session], Iterable[str] | None],
     *,
+    split: Split | None = None,
     reading: str = "images",
     metadata: Mapping[str, Any] | None = None,
 ) -> int:
@@ -50,6 +50,7 @@ def run_training(
         data: Words that identify the training data, joined to its fingerprint.
         train: Reads the data, trains, and finishes the run unless it was stopped. Returns lines to
             print at the end, or None for the default line.
+        split: Split of the presses; it is written to `split.json` in the run's folder.
         reading: Name of the items that are counted while data is read.
         metadata: Values known before training that are needed to use the model.
 
@@ -73,6 +74,9 @@ def run_training(
         if run.finished:
             print(f"{options.out}: is finished")
             return 0
+        if writes and split is not None:
+            split.write(run.path / SPLIT)
+            print(f"{run.path / SPLIT}: sha256 {split.fingerprint[:12]}", file=sys.stderr)
         print(described(launched), file=sys.stderr)
         stop = Stop(lambda line: print(line, file=sys.stderr))
         with (

@@ -35,8 +35,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--model",
         default="flow",
-        metavar="flow|FOLDER",
-        help="flow, which needs no training, or the folder of a training run (%(default)s)",
+        metavar="NAME|FOLDER",
+        help="flow, which needs no training, one of an installed package, or the folder of a "
+        "training run (%(default)s)",
     )
     parser.add_argument("--out", type=Path, required=True, metavar="PATH", help="Y.markers.zarr")
     parser.add_argument("--split", type=Path, metavar="JSON", help="a split, for --role")
@@ -56,8 +57,8 @@ def run(options: argparse.Namespace) -> int:
         raise LearningError("--split, --role: found one; allowed: both or neither")
 
     from learning.data.splits import read_split
-    from learning.translation.archive import Model, draw_sheet, hash_of, translate_archive
-    from learning.translation.loading import load_translator
+    from learning.translation.archive import Model, draw_sheet, translate_archive
+    from learning.translation.loading import hash_of, load_translator
     from recorder import MarkerArchive
 
     archive = MarkerArchive(options.archive)

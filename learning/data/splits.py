@@ -26,6 +26,8 @@ from recorder.store import replace_file
 Role = Literal["train", "validation", "new_press", "new_indenter"]
 # Roles of a press.
 ROLES: tuple[Role, ...] = get_args(Role)
+# File of a training's split, in its folder.
+SPLIT = "split.json"
 # Role of unknown locations and of frames without a location.
 NO_ROLE = ""
 
@@ -160,6 +162,32 @@ class Split:
         return _joined(text) + "\n"
 
 
+def training_split(
+    archive: MarkerArchive, path: Path | None = None, unseen: Sequence[str] | None = None
+) -> Split:
+    """Return the split of a training: that of a file, or one made of the archive's presses.
+
+    The one that is made depends on the presses alone, so all trainings on an archive have the same.
+
+    Args:
+        archive: A complete archive.
+        path: File of a split; None: make one.
+        unseen: Indenters that no model may be trained on; None: the archive's list.
+
+    Raises:
+        LearningError: The file is no split, or not of these presses; both were named; or the
+            presses cannot be split.
+        SessionError: The archive is still being written.
+    """
+    if path is None:
+        return make_split(archive, unseen=unseen)
+    if unseen is not None:
+        raise LearningError("--unseen: found with --split; allowed: one of them")
+    split = read_split(path)
+    split.check(archive)
+    return split
+
+
 def make_split(
     archive: MarkerArchive,
     *,
@@ -207,7 +235,8 @@ def make_split(
     if sum(counts) >= len(seen):
         raise LearningError(
             f"{archive.name}: found {len(seen)} presses of seen indenters, {counts[0]} for "
-            f"new_press and {counts[1]} for validation; allowed: fractions that leave some to train"
+            f"new_press and {counts[1]} for validation; allowed: presses and fractions that leave "
+            "some to train"
         )
     roles: dict[tuple[str, int], Role] = {press: "new_indenter" for press in states}
     for number, press in enumerate(seen):

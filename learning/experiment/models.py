@@ -22,10 +22,10 @@ from learning.force.batched import train_batched
 from learning.force.model import ForceModel
 from learning.force.train import ForceSettings, Relabelling
 from learning.training.run import RunFolder, Stop
-from learning.translation.archive import Model, hash_of
+from learning.translation.archive import Model
 from learning.translation.direct import train, train_autoencoder
 from learning.translation.field import train as field
-from learning.translation.loading import load_translator
+from learning.translation.loading import hash_of, load_translator
 from learning.translation.translator import FLOW
 from recorder.command_line.errors import EXIT_INTERRUPTED
 from recorder.command_line.run import main

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from learning.command import add_resume, add_settings
+from learning.command import add_resume, add_settings, add_split
 from recorder.command_line.options import names
 
 
@@ -19,7 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--sensor", type=names, metavar="NAME,...", required=True, help="sensors to train on"
     )
-    parser.add_argument("--split", type=Path, metavar="FILE", required=True, help="split.json")
+    add_split(parser)
     parser.add_argument("--out", type=Path, metavar="DIR", required=True, help="the run's folder")
     add_settings(
         parser,

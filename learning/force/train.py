@@ -820,8 +820,8 @@ def run(options: argparse.Namespace) -> int:
             return
         if found is None:
             yield (
-                f"no intervals: {options.split} has no unseen indenter, whose frames would show "
-                "how far off the model is (tactile split --unseen NAME,...)"
+                "no intervals: the split has no unseen indenter, whose frames would show how far "
+                "off the model is (--unseen NAME,...)"
             )
             return
         found.intervals.write(options.out)
@@ -831,7 +831,7 @@ def run(options: argparse.Namespace) -> int:
     made_by = {name: str(archive[name].attrs.get("preset", "")) for name in sensors}
     presets = {name: kept for name, each in made_by.items() if each and (kept := kept_preset(each))}
     metadata = {"sensors": sensors, **({"presets": presets} if presets else {})}
-    return run_training(options, KIND, settings, data, train, metadata=metadata)
+    return run_training(options, KIND, settings, data, train, split=split, metadata=metadata)
 
 
 def _partly_labelled(model: ForceModel, presses: Sequence[Presses]) -> Iterator[str]:
@@ -851,7 +851,7 @@ def _sensors(options: argparse.Namespace, archive: MarkerArchive, split: Split) 
         raise LearningError(f"--sensor: found {', '.join(unknown)}; known: {', '.join(archive)}")
     if held_out := [name for name in sensors if name in split.held_out_sensors]:
         raise LearningError(
-            f"--sensor: found {', '.join(held_out)}, which {options.split} holds out; allowed: "
+            f"--sensor: found {', '.join(held_out)}, which the split holds out; allowed: "
             f"{', '.join(split.trained_sensors(archive))}"
         )
     return sensors

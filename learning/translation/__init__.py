@@ -5,7 +5,7 @@ Four translators share one interface (`translator`): `flow` is classical and nee
 whole archives.
 """
 
-from learning.translation.loading import LEARNED, load_translator
+from learning.translation.loading import load_translator
 from learning.translation.translator import (
     FLOW,
     PairTranslator,
@@ -17,7 +17,6 @@ from learning.translation.translator import (
 
 __all__ = [
     "FLOW",
-    "LEARNED",
     "PairTranslator",
     "SensorView",
     "Translator",

@@ -7,7 +7,6 @@ that markers can be tracked. An interrupted run continues where it stopped.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,8 +19,7 @@ from PIL import Image, ImageDraw
 
 from learning.archive_writer import CHUNK_ROWS, UNIT_ROWS, Frames, archive_fingerprint, fill_archive
 from learning.errors import LearningError
-from learning.training.checkpoint import read_model_folder
-from learning.translation.translator import FLOW, SensorView, Translator, for_pair
+from learning.translation.translator import SensorView, Translator, for_pair
 from recorder import MarkerArchive
 from recorder.archive import (
     GIVEN,
@@ -72,17 +70,6 @@ class Model:
     """SHA-256 of its weights; of its name if it has none."""
     device: str = "cpu"
     """Device on which it takes frames."""
-
-
-def hash_of(name_or_folder: str | Path) -> str:
-    """Return the SHA-256 of a model's weights; of its name if it has no folder.
-
-    Raises:
-        LearningError: The folder has no weights.
-    """
-    if str(name_or_folder) == FLOW:
-        return hashlib.sha256(FLOW.encode()).hexdigest()
-    return read_model_folder(Path(name_or_folder)).hash()
 
 
 def translate_archive(

@@ -55,6 +55,7 @@ def shows_discs(reference: np.ndarray[Any, np.dtype[np.bool_]]) -> bool:
     return bool((apart.min(axis=1) <= _SAME_DISCS_PX).all())
 
 
+@runtime_checkable
 class Translator(Protocol):
     """Converts one sensor's frames to those another sensor would have shown."""
 

@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from support.commands import run_module
 from support.made_up_archives import made_up_archive
+from support.tiny_field import tiny
 
 from learning.cli import split as command
-from learning.data.splits import NO_ROLE, ROLES, Split, make_split, presses_of, read_split
+from learning.data.splits import (
+    NO_ROLE,
+    ROLES,
+    Split,
+    make_split,
+    presses_of,
+    read_split,
+    training_split,
+)
 from learning.errors import LearningError
+from learning.train_command import open_data, run_training
+from learning.training.run import Session
 from recorder import MarkerArchive, SessionError
 
 
@@ -229,3 +242,33 @@ def test_the_command_writes_the_split_and_says_what_is_in_it(
 
 def test_an_empty_split_gives_no_role() -> None:
     assert Split(()).role(np.array([0, 1])).tolist() == [NO_ROLE, NO_ROLE]
+
+
+def test_trainings_without_a_split_make_the_same_one(
+    archive: MarkerArchive, tmp_path: Path
+) -> None:
+    assert training_split(archive) == make_split(archive)
+    other = training_split(archive, unseen=["sphere"])
+    assert {each.indenter for each in other.presses if each.role == "new_indenter"} == {"sphere"}
+    other.write(tmp_path / "split.json")
+    assert training_split(archive, tmp_path / "split.json") == other
+    with pytest.raises(LearningError, match="--unseen: found with --split"):
+        training_split(archive, tmp_path / "split.json", ["sphere"])
+
+
+def test_a_training_keeps_its_split_in_its_folder(
+    archive: MarkerArchive, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = argparse.Namespace(
+        archive=archive.path, split=None, unseen=None, out=tmp_path / "run", resume=False
+    )
+    opened, split = open_data(options)
+    weights = {"model": {"w": torch.zeros(1)}}
+
+    def train(session: Session) -> None:
+        session.run.finish(1, weights)
+
+    settings = tiny()
+    assert run_training(options, "field", settings, [opened.name], train, split=split) == 0
+    assert read_split(tmp_path / "run" / "split.json") == make_split(archive)
+    assert f"split.json: sha256 {split.fingerprint[:12]}" in capsys.readouterr().err

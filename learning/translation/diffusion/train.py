@@ -557,9 +557,7 @@ def run(options: argparse.Namespace) -> int:
             for role in ("train", "validation")
         )
         if pairs is None:
-            raise LearningError(
-                f"{options.split}: found no press to train on; allowed: one or more"
-            )
+            raise LearningError("split: found no press to train on; allowed: one or more")
         print(f"{len(pairs):,} pairs of {', '.join(sensors)}", file=sys.stderr)
         adapters = {"vae_adapter": vae_adapter, "start_from": state}
         with session.stop:
@@ -567,4 +565,4 @@ def run(options: argparse.Namespace) -> int:
 
     data = ["archive", archive_fingerprint(archive), split.fingerprint, *sensors]
     data += [options.pairing, base, begun]
-    return run_training(options, KIND, settings, data, train_it, metadata={BASE: base})
+    return run_training(options, KIND, settings, data, train_it, split=split, metadata={BASE: base})

@@ -416,4 +416,4 @@ def run(options: argparse.Namespace) -> int:
             train_vae(images, vae, settings, held, session)
 
     data = ["archive", archive_fingerprint(archive), split.fingerprint, *sensors, base]
-    return run_training(options, KIND, settings, data, train, metadata={BASE: base})
+    return run_training(options, KIND, settings, data, train, split=split, metadata={BASE: base})

@@ -593,9 +593,7 @@ def run(options: argparse.Namespace) -> int:
             for role in ("train", "validation")
         )
         if frames is None:
-            raise LearningError(
-                f"{options.split}: found no press to train on; allowed: one or more"
-            )
+            raise LearningError("split: found no press to train on; allowed: one or more")
         with session.stop:
             train_field(frames, settings, validation, session)
 
@@ -603,4 +601,4 @@ def run(options: argparse.Namespace) -> int:
         f"archive {archive_fingerprint(archive)}, split {split.fingerprint}, "
         f"sensors {', '.join(sensors)}"
     )
-    return run_training(options, KIND, settings, [data], train, reading="frames")
+    return run_training(options, KIND, settings, [data], train, split=split, reading="frames")

@@ -1,0 +1,124 @@
+"""The contract of translators, which ours and one of another package keep."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from support.commands import run_module
+from support.foreign_model import write_foreign_package
+from support.made_up_archives import made_up_archive
+from support.tiny_diffusion import DEEP_VAE, tiny_pretrained, tiny_settings, write_base
+from support.tiny_field import tiny
+
+from learning.cli import translate
+from learning.errors import LearningError
+from learning.training.checkpoint import Config
+from learning.training.run import RunFolder
+from learning.translation import SensorView, Translator, for_pair, load_translator
+from learning.translation.diffusion.network import build
+from learning.translation.diffusion.train import BASE
+from learning.translation.diffusion.weights import fingerprint
+from learning.translation.field.network import FieldModel
+from learning.translation.loading import hash_of
+from recorder import MarkerArchive
+
+NAMES = ("flow", "field", "diffusion", "still")
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory: pytest.TempPathFactory) -> MarkerArchive:
+    path = tmp_path_factory.mktemp("archive") / "x.markers.zarr"
+    return made_up_archive(path, indenters=("sphere",), unseen=(), targets=1, frames_per_phase=1)
+
+
+@pytest.fixture(scope="module")
+def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("models")
+    with RunFolder.open(folder / "field", "field", tiny(), "made up") as run:
+        run.finish(1, {"model": FieldModel(tiny())})
+    base = str(write_base(folder / "sd-turbo", DEEP_VAE))
+    pretrained, settings = tiny_pretrained(DEEP_VAE), tiny_settings(base=base)
+    metadata = {BASE: fingerprint(base)}
+    with RunFolder.open(folder / "diffusion", "diffusion", settings, "x", metadata=metadata) as run:
+        run.finish(1, {"model": build(pretrained.unet, pretrained.vae, settings)})
+    return folder
+
+
+@pytest.fixture
+def foreign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Install the package `foreign-still`."""
+    site = tmp_path / "site"
+    site.mkdir()
+    write_foreign_package(site)
+    monkeypatch.syspath_prepend(str(site))
+    monkeypatch.delitem(sys.modules, "foreign_still", raising=False)
+
+
+@pytest.fixture(params=NAMES)
+def translator(request: pytest.FixtureRequest, models: Path, foreign: None) -> Translator:
+    name = request.param
+    return load_translator(models / name if (models / name).is_dir() else name)
+
+
+def test_frames_become_masks_of_the_same_count_and_device(
+    translator: Translator, archive: MarkerArchive
+) -> None:
+    source, target = archive["dots"], archive["grid"]
+    pair = for_pair(translator, SensorView.of(source), SensorView.of(target))
+    frames = torch.from_numpy(source.masks([0, 1, 2]))
+    references = torch.from_numpy(target.reference(0)), torch.from_numpy(source.reference(0))
+    made = pair.translate(frames, *references)
+    assert (made.dtype, made.shape, made.device) == (torch.bool, (3, 480, 640), frames.device)
+    assert translator.name
+    again = pair.translate(frames, *references)
+    assert torch.equal(made, again), "the same frames are translated alike"
+    assert len(pair.translate(frames[:0], *references)) == 0
+    assert torch.equal(frames, torch.from_numpy(source.masks([0, 1, 2]))), "inputs stay as they are"
+
+
+def test_what_is_no_mask_is_refused(translator: Translator, archive: MarkerArchive) -> None:
+    reference = torch.from_numpy(archive["grid"].reference(0))
+    frames = torch.from_numpy(archive["dots"].masks([0]))
+    with pytest.raises(LearningError, match="source: found uint8"):
+        translator.translate(frames.byte(), reference, reference)
+    with pytest.raises(LearningError, match="target_reference: found bool"):
+        translator.translate(frames, reference[:100], reference)
+
+
+@pytest.mark.usefixtures("foreign")
+def test_a_translator_of_another_package_is_opened_by_its_name_and_by_its_folder(
+    archive: MarkerArchive, tmp_path: Path
+) -> None:
+    pair = ["--source", "dots", "--target", "grid"]
+    out = tmp_path / "y.markers.zarr"
+    assert run_module(translate, archive.path, *pair, "--model", "still", "--out", out) == 0
+    made = MarkerArchive(out)["dots-to-grid"]
+    assert (made.masks([0, 1]) == archive["grid"].reference(0)).all()
+    assert made.attrs["model"] == "still"
+    assert len(hash_of("still")) == 64
+    trained = tmp_path / "trained"
+    trained.mkdir()
+    Config("still", {}, "made up", "2.1").write(trained)
+    assert getattr(load_translator(trained), "folder", None) == trained
+
+
+@pytest.mark.usefixtures("foreign")
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        ("nothing", "returned int; allowed: a Translator"),
+        ("missing", "cannot import foreign_still:absent"),
+        ("unheard", "found kind 'unheard'; allowed: field.*still"),
+    ],
+)
+def test_what_another_package_does_not_offer_is_refused(
+    tmp_path: Path, kind: str, message: str
+) -> None:
+    trained = tmp_path / "trained"
+    trained.mkdir()
+    Config(kind, {}, "made up", "2.1").write(trained)
+    with pytest.raises(LearningError, match=message):
+        load_translator(trained)
