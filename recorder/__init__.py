@@ -13,10 +13,12 @@ if TYPE_CHECKING:
     from recorder.convert.repack import repack
     from recorder.errors import SessionError
     from recorder.findings import Finding, faults
-    from recorder.session.reader import Session, Stream
+    from recorder.session.columns import Stream
+    from recorder.session.reader import Session
     from recorder.session.recover import recover
     from recorder.session.sheet import contact_sheet
     from recorder.session.stream_writer import StreamWriter
+    from recorder.session.tables import to_pandas, to_xarray
     from recorder.session.window import Window
     from recorder.session.writer import SessionWriter
     from recorder.spec import (
@@ -72,6 +74,8 @@ __all__ = [
     "recover",
     "repack",
     "taxels_spec",
+    "to_pandas",
+    "to_xarray",
 ]
 
 # Module of each name that is not in `spec`.
@@ -81,7 +85,7 @@ _MODULES = {
     "Session": "session.reader",
     "SessionError": "errors",
     "SessionWriter": "session.writer",
-    "Stream": "session.reader",
+    "Stream": "session.columns",
     "StreamWriter": "session.stream_writer",
     "Window": "session.window",
     "check": "checks.check",
@@ -89,6 +93,8 @@ _MODULES = {
     "faults": "findings",
     "recover": "session.recover",
     "repack": "convert.repack",
+    "to_pandas": "session.tables",
+    "to_xarray": "session.tables",
 }
 
 

@@ -18,8 +18,9 @@ import numpy as np
 
 from recorder.archive.plan import FORMAT as ARCHIVE
 from recorder.archive.reader import describe_archive
-from recorder.session.loss import Account, accounts_of, loss_lines
-from recorder.session.reader import Session, Stream
+from recorder.session.accounts import Account, accounts_of, loss_lines
+from recorder.session.columns import Stream
+from recorder.session.reader import Session
 from recorder.session.uncertainty import time_lines
 from recorder.spec import OUTCOMES, PHASES
 from recorder.store.files import locate

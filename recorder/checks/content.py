@@ -7,21 +7,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.findings import Finding
+from recorder.session.accounts import Account, account_of, unseen
 from recorder.session.align import NS
+from recorder.session.columns import Stream
 from recorder.session.frames import UNITS, grid, has_targets, whole_run
 from recorder.session.loss import (
     ARRIVAL,
     EVENTS,
     SEQUENCE,
-    Account,
     Losses,
-    account_of,
     is_compressed,
     is_regular,
     other_rate,
-    unseen,
 )
-from recorder.session.reader import Session, Stream
+from recorder.session.reader import Session
 from recorder.session.uncertainty import uncalibrated
 from recorder.spec import AXES, OUTCOMES, PHASES, TARGET_UNITS
 from recorder.store.files import read_document

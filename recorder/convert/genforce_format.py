@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from recorder.convert.export import Options, Progress, file_name
 from recorder.convert.runs import RecordedPress, need_presses, utc_offset
 from recorder.errors import SessionError
-from recorder.session.reader import Session, Stream
+from recorder.session.columns import Stream
+from recorder.session.reader import Session
 from recorder.spec import PHASES
 from recorder.store import images
 

@@ -18,8 +18,9 @@ import h5py
 import numpy as np
 
 from recorder.convert.export import Options, Progress
+from recorder.session.columns import Stream
 from recorder.session.frames import frame_units
-from recorder.session.reader import Session, Stream
+from recorder.session.reader import Session
 from recorder.spec import PHASES, TARGET_UNITS, Column
 
 _BLOCK = 4096  # rows

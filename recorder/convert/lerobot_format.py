@@ -25,7 +25,8 @@ from recorder.convert.export import Options, Progress
 from recorder.convert.runs import RecordedPress, need_presses, utc_offset
 from recorder.errors import SessionError
 from recorder.session.align import NS
-from recorder.session.reader import Session, Stream
+from recorder.session.columns import Stream
+from recorder.session.reader import Session
 from recorder.spec import event_text
 
 # Statistics that LeRobot stores for each feature, accumulated by episode.

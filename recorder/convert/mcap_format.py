@@ -26,7 +26,8 @@ from recorder.convert.export import Options, Progress
 from recorder.convert.runs import utc_of_rows
 from recorder.errors import SessionError
 from recorder.session.align import captured, quaternion
-from recorder.session.reader import Session, Stream
+from recorder.session.columns import Stream
+from recorder.session.reader import Session
 from recorder.spec import OUTCOMES, PHASES, event_text
 
 # JSON schemas of messages that Foxglove has no type for, and the topics of each stream.

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from recorder.errors import SessionError
-from recorder.session.reader import Session, Stream
+from recorder.session.columns import Stream
+from recorder.session.reader import Session
 from recorder.spec import OUTCOMES, PHASES, event_text
 from recorder.store.durable import TEMPORARY
 

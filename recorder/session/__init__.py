@@ -1,11 +1,11 @@
 """Sessions: writing, reading, alignment, recovery and windows of synchronised rows."""
 
+from recorder.session.accounts import Account, accounts_of, loss_lines
 from recorder.session.align import EXPOSURE, captured, linear, quaternion
 from recorder.session.clocks import clock_lines, fit_clocks
+from recorder.session.columns import Stream
 from recorder.session.frames import in_frame, surface_heights
-from recorder.session.loss import Account, accounts_of, loss_lines
 from recorder.session.press_curve import press_curves, save_curves
-from recorder.session.reader import Stream
 from recorder.session.sheet import contact_sheet, thumbnails
 from recorder.session.tail import ImageTail, open_tail
 from recorder.session.uncertainty import PRIOR, sigmas_of, time_lines

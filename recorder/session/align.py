@@ -8,15 +8,16 @@ outside the samples a value is NaN and invalid.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.session.loss import Losses, stream_losses
-from recorder.spec import STAMPS, Column, Traits, frame_columns, signal_of
+from recorder.session.columns import Columns
+from recorder.session.loss import Losses
+from recorder.spec import STAMPS, Traits
 
 Times = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -339,70 +340,13 @@ class Sources:
         return min(int(t[0]) for t in times), max(int(t[-1]) for t in times)
 
 
-class StreamLike(Protocol):
-    """Interface of a stream that alignment reads."""
-
-    name: str
-    attrs: dict[str, Any]
-    traits: Traits
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the columns."""
-        ...
-
-    @property
-    def value_column(self) -> Column | None:
-        """The column `value`."""
-        ...
-
-    @property
-    def rate_hz(self) -> float:
-        """Nominal rate."""
-        ...
-
-    @property
-    def t_ns(self) -> NDArray[np.int64]:
-        """Arrival times (n,) [ns]."""
-        ...
-
-    def array(self, name: str) -> Array:
-        """Return a small column (n, ...)."""
-        ...
-
-    def values(self, rows: slice) -> Values:
-        """Return rows of the column `value` (n, ...), or an array-like object of them."""
-        ...
-
-
-def sources_of_run(
-    streams: Mapping[str, StreamLike],
-    order: Sequence[str],
-    rows: Mapping[str, slice],
-    losses: Mapping[str, Losses] | None = None,
-) -> Sources:
-    """Return the streams of one run that are aligned.
-
-    Args:
-        streams: Streams by name.
-        order: Their names in the session's order.
-        rows: Rows of each that belong to the run.
-        losses: Losses in these rows, of the streams for which they are known.
-    """
-    described = [(name, streams[name].traits) for name in order]
-    columns = frame_columns(described)
-    found = {name: source(streams[name], rows[name], (losses or {}).get(name)) for name in columns}
-    signal = signal_of(described)
-    return Sources(found, columns, None if signal is None else found[signal])
-
-
-def source(stream: StreamLike, rows: slice, losses: Losses | None = None) -> Source:
+def source(stream: Columns, rows: slice, losses: Losses) -> Source:
     """Return some rows of a stream with their capture times, and the losses in them."""
     times = captured(stream)[rows]
     numbers = np.arange(len(stream.t_ns), dtype=np.int64)[rows]
     column = stream.value_column
     values = stream.values(rows) if column is not None and column.is_number else None
-    lost = (stream_losses(stream, rows) if losses is None else losses).on(times)
+    lost = losses.on(times)
     if np.any(np.diff(times) < 0):
         order = np.argsort(times, kind="stable")
         times, numbers = times[order], numbers[order]
@@ -423,7 +367,7 @@ def source(stream: StreamLike, rows: slice, losses: Losses | None = None) -> Sou
     )
 
 
-def captured(stream: StreamLike) -> Times:
+def captured(stream: Columns) -> Times:
     """Return the capture time of each row (n,) [ns], as far as the stream gives it.
 
     This is arrival minus attrs `latency` [s]; or the device's own time if the stream's clock is
@@ -440,7 +384,7 @@ def captured(stream: StreamLike) -> Times:
     return np.where(known, stamped, arrived)
 
 
-def _number(stream: StreamLike, key: str, default: float) -> float:
+def _number(stream: Columns, key: str, default: float) -> float:
     """Return an attribute, or `default` if it is missing or null (unknown)."""
     value = stream.attrs.get(key)
     return default if value is None else float(value)

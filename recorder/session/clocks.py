@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.errors import SessionError
-from recorder.session.reader import Session, Stream
+from recorder.session.columns import Stream
+from recorder.session.reader import Session
 from recorder.store.layout import merge_attrs
 
 Floats = NDArray[np.float64]

@@ -11,20 +11,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.spec import Traits
-
-if TYPE_CHECKING:
-    from recorder.session.reader import Session
+from recorder.session.columns import Columns
 
 Times = NDArray[np.int64]
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-Array = np.ndarray[Any, Any]
 
 # What the counts of a stream are based on.
 SEQUENCE, DEVICE_CLOCK, ARRIVAL, NOTHING = "sequence", "device clock", "arrival", "nothing"
@@ -45,7 +41,6 @@ CLOCK_STEP = 1.0
 _NS = 1e-9
 _UNSURE = 5  # samples after a gap that tell a late sample from a lost one
 _RARE = 0.3  # losses per sample; where there are more, those at the end are no surprise
-_SHOWN = 5  # targets named in a line
 _MOST = 1e15  # more samples than any device sends; keeps counts of nonsense in int64
 
 
@@ -383,38 +378,12 @@ def _above_least(offset: Floats, due: Floats) -> tuple[Floats, float]:
 # Losses of recorded streams.
 
 
-class StreamLike(Protocol):
-    """Interface of a stream whose losses are counted."""
-
-    attrs: dict[str, Any]
-    traits: Traits
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the columns."""
-        ...
-
-    @property
-    def rate_hz(self) -> float:
-        """Declared rate."""
-        ...
-
-    @property
-    def t_ns(self) -> Times:
-        """Arrival times (n,) [ns]."""
-        ...
-
-    def array(self, name: str) -> Array:
-        """Return a small column (n, ...)."""
-        ...
-
-
-def is_regular(stream: StreamLike) -> bool:
+def is_regular(stream: Columns) -> bool:
     """Return False for events, which come at no rate: their last sample holds for any time."""
     return stream.traits.defaults.max_age != math.inf
 
 
-def witnesses(stream: StreamLike, rows: slice) -> dict[str, Any]:
+def witnesses(stream: Columns, rows: slice) -> dict[str, Any]:
     """Return the arguments `seq` and `device_t` of `find_losses`, as far as they can be trusted.
 
     Attribute `numbering` of a stream, or of its device, is `host` if `seq` was counted at the
@@ -431,7 +400,7 @@ def witnesses(stream: StreamLike, rows: slice) -> dict[str, Any]:
     return found
 
 
-def stream_losses(stream: StreamLike, rows: slice, *, timed: bool = True) -> Losses:
+def stream_losses(stream: Columns, rows: slice, *, timed: bool = True) -> Losses:
     """Return the losses in some rows of a stream, all of one run.
 
     An irregular stream loses none that can be seen.
@@ -443,136 +412,9 @@ def stream_losses(stream: StreamLike, rows: slice, *, timed: bool = True) -> Los
     return find_losses(t_ns, stream.rate_hz, timed=timed, **witnesses(stream, rows))
 
 
-@dataclass(frozen=True, slots=True)
-class Account:
-    """Samples of one stream that a session has, and those that it lost."""
-
-    rows: int
-    """Samples stored."""
-    measured_hz: float
-    """Rate over the time that was recorded; pauses between runs do not count."""
-    longest_gap: float
-    """Longest time between two samples of a run [s]."""
-    runs: tuple[Losses, ...]
-    """Losses of each run."""
-    by_target: Mapping[int, int]
-    """Samples lost in the phases of each target, of those that lost some."""
-
-    @property
-    def lost(self) -> int:
-        """Number of lost samples."""
-        return sum(losses.total for losses in self.runs)
-
-    @property
-    def places(self) -> int:
-        """Number of gaps."""
-        return sum(len(losses.count) for losses in self.runs)
-
-    @property
-    def source(self) -> str:
-        """Basis of the counts; the least exact of the runs."""
-        known = (NOTHING, ARRIVAL, DEVICE_CLOCK, SEQUENCE, EVENTS)
-        return min((losses.source for losses in self.runs), key=known.index, default=NOTHING)
-
-    @property
-    def sees_drops(self) -> bool:
-        """True if the device itself tells of each loss, by its numbers or its clock."""
-        return all(losses.counted for losses in self.runs)
-
-    def where(self) -> str:
-        """Return the targets that lost samples as text, worst first; targets count from 1."""
-        if not self.lost:
-            return ""
-        worst = sorted(self.by_target.items(), key=lambda item: (-item[1], item[0]))
-        shown = [f"target {target + 1} ({count})" for target, count in worst[:_SHOWN]]
-        if len(worst) > _SHOWN:
-            rest = sum(count for _, count in worst[_SHOWN:])
-            shown.append(f"{len(worst) - _SHOWN} more targets ({rest})")
-        outside = self.lost - sum(self.by_target.values())
-        if outside:
-            shown.append(f"outside of phases ({outside})")
-        return ", ".join(shown)
-
-
-def account_of(session: Session, name: str) -> Account:
-    """Return the samples of a stream that a session has and lost, run by run.
-
-    Raises:
-        SessionError: A corrupt column.
-    """
-    stream = session.streams[name]
-    runs: list[Losses] = []
-    targets: dict[int, int] = {}
-    steps, seconds, longest = 0, 0.0, 0.0
-    for run in range(max(len(session.runs), 1)):
-        rows = session.rows_of_run(name, run)
-        t_ns = stream.t_ns[rows]
-        losses = stream_losses(stream, rows, timed=not is_compressed(session.attrs))
-        runs.append(losses)
-        for target, count in by_target(losses, session.segments, run).items():
-            targets[target] = targets.get(target, 0) + count
-        if len(t_ns) > 1:
-            steps += len(t_ns) - 1
-            seconds += max(int(t_ns[-1]) - int(t_ns[0]), 1) * _NS
-            longest = max(longest, float(np.diff(t_ns).max()) * _NS)
-    rate = steps / seconds if seconds else 0.0
-    return Account(len(stream), rate, longest, tuple(runs), dict(sorted(targets.items())))
-
-
-def accounts_of(session: Session) -> dict[str, Account]:
-    """Return the account of every stream, by name.
-
-    Raises:
-        SessionError: A corrupt column.
-    """
-    return {name: account_of(session, name) for name in session.streams}
-
-
-def loss_lines(accounts: Mapping[str, Account]) -> list[str]:
-    """Return a line on the losses of each stream that lost samples, or whose drops are unseen."""
-    lines = []
-    for name, account in accounts.items():
-        if account.lost:
-            lines.append(
-                f"lost         {name}: {account.lost} samples in {account.places} places, counted "
-                f"by {account.source}; {account.where()}"
-            )
-        if not account.sees_drops and account.rows:
-            lines.append(f"note         {name}: {unseen(account)}")
-    return lines
-
-
-def unseen(account: Account) -> str:
-    """Return a note for a stream whose device does not report its losses."""
-    if account.source == ARRIVAL:
-        return (
-            "drops are inferred from arrivals and the declared rate: the device numbers no samples"
-        )
-    return "drops cannot be seen: the device gives neither numbers nor usable times"
-
-
 def is_compressed(attrs: Mapping[str, Any]) -> bool:
     """Return True if a session's times come from a replay at a speed other than the recorded one.
 
     Such times still give the order, but not pauses or steps against the device's clock.
     """
     return bool(attrs.get("replay_of", {}).get("speed", 1.0) != 1.0)
-
-
-def by_target(losses: Losses, segments: Mapping[str, Array], run: int) -> dict[int, int]:
-    """Return the samples lost in the phases of each target, of those that lost some.
-
-    Args:
-        losses: Losses of one run of a stream.
-        segments: Columns of the session's segments.
-        run: The run.
-    """
-    of_run = np.flatnonzero(np.asarray(segments["run"]) == run)
-    if not losses.total or not len(of_run):
-        return {}
-    inside = losses.inside(segments["start_ns"][of_run], segments["end_ns"][of_run])
-    found: dict[int, int] = {}
-    for target, count in zip(segments["target"][of_run].tolist(), inside.tolist(), strict=True):
-        if count:
-            found[target] = found.get(target, 0) + count
-    return found

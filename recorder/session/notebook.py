@@ -5,38 +5,41 @@ from __future__ import annotations
 import base64
 import html
 import io
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from PIL import Image
 
 from recorder.errors import SessionError
-
-if TYPE_CHECKING:
-    from recorder.session.reader import Session, Stream
+from recorder.session.columns import Stream
 
 # Number of pictures, and their height [px].
 PICTURES, HEIGHT = 4, 96
 
 
-def html_of(session: Session) -> str:
-    """Return a table of the streams and pictures of the first camera, evenly spread in time."""
+def html_of(name: str, title: str, warning: str | None, streams: Mapping[str, Stream]) -> str:
+    """Return a table of the streams and pictures of the first camera, evenly spread in time.
+
+    Args:
+        name: Location of the session.
+        title: Status, sensor and indenter.
+        warning: Warning to show before the session is used, or None.
+        streams: Streams by name.
+    """
     rows = "".join(
-        f"<tr><td>{html.escape(name)}</td><td>{html.escape(stream.traits.kind)}</td>"
+        f"<tr><td>{html.escape(stream.name)}</td><td>{html.escape(stream.traits.kind)}</td>"
         f"<td style='text-align:right'>{len(stream):,}</td>"
         f"<td style='text-align:right'>{stream.rate_hz:g}</td><td>{_shape(stream)}</td></tr>"
-        for name, stream in session.streams.items()
+        for stream in streams.values()
     )
     head = "".join(f"<th>{each}</th>" for each in ("stream", "kind", "rows", "Hz", "a row"))
-    camera = session.first("camera")
-    shown = "" if camera is None else "".join(_pictures(session.streams[camera]))
-    known = [session.status, *(session.attrs.get(key) for key in ("sensor", "indenter"))]
-    told = ", ".join(html.escape(str(each)) for each in known if each)
-    warning = session.warning
+    cameras = [stream for stream in streams.values() if stream.traits.kind == "camera"]
+    pictures = "".join(_pictures(cameras[0])) if cameras else ""
     return (
-        f"<div><b>{html.escape(session.name)}</b>: {told}"
+        f"<div><b>{html.escape(name)}</b>: {html.escape(title)}"
         + (f"<br>{html.escape(warning)}" if warning else "")
-        + f"<br>{shown}<table><tr>{head}</tr>{rows}</table></div>"
+        + f"<br>{pictures}<table><tr>{head}</tr>{rows}</table></div>"
     )
 
 
@@ -56,14 +59,14 @@ def _pictures(stream: Stream) -> list[str]:
         images: Any = stream.images(np.linspace(0, len(stream) - 1, PICTURES).astype(np.int64))
     except SessionError as error:
         return [html.escape(f"{error}")]
-    found = []
+    tags = []
     for pixels in images:
         grey = pixels.ndim == 2 or pixels.shape[-1] == 1
         picture = Image.fromarray(pixels.reshape(pixels.shape[:2]) if grey else pixels)
         picture = picture.convert("L" if grey else "RGB")
         picture.thumbnail((4 * HEIGHT, HEIGHT))
-        held = io.BytesIO()
-        picture.save(held, "JPEG", quality=85)
-        text = base64.b64encode(held.getvalue()).decode()
-        found.append(f"<img alt='' style='margin:2px' src='data:image/jpeg;base64,{text}'>")
-    return found
+        jpeg = io.BytesIO()
+        picture.save(jpeg, "JPEG", quality=85)
+        text = base64.b64encode(jpeg.getvalue()).decode()
+        tags.append(f"<img alt='' style='margin:2px' src='data:image/jpeg;base64,{text}'>")
+    return tags

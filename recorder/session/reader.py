@@ -1,269 +1,30 @@
-"""Read-only access to a session. Takes no lock, changes nothing and never fills in values.
-
-A chunk that is declared but missing is an error here; a plain Zarr reader returns fill values.
-"""
+"""Read-only access to a session. Takes no lock, changes nothing and never fills in values."""
 
 import os
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import zarr
 from numpy.typing import NDArray
 
 from recorder.errors import SessionError
-from recorder.session.align import Sources, sources_of_run
+from recorder.session.align import Sources
+from recorder.session.columns import Stream, StreamRow
 from recorder.session.loss import Losses, is_compressed, stream_losses
-from recorder.session.nearby import Arrivals, sources_near, span_of_run
-from recorder.session.tail import LiveRows, LiveStream
+from recorder.session.notebook import html_of
+from recorder.session.sources import RunStreams, sources_near, sources_of_run, span_of_run
 from recorder.session.window import Window, align_window, ticks_before
-from recorder.spec import Column, Traits, frame_columns, in_order, signal_of
-from recorder.store import images
-from recorder.store.column import ColumnReader, LazyRows
+from recorder.spec import frame_columns, in_order, signal_of
 from recorder.store.files import LOCAL, Files, locate
-from recorder.store.layout import StreamLayout, read_order, read_session_attrs
+from recorder.store.layout import read_order, read_session_attrs
 from recorder.store.manifest import sealed_files
-from recorder.store.recent import Kept
 from recorder.store.tables import Table
 
 Array = np.ndarray[Any, Any]
-
-
-@dataclass(frozen=True, slots=True)
-class StreamRow:
-    """One row of a stream."""
-
-    stream: str
-    """Name of the stream."""
-    number: int
-    """Number of the row in the stream."""
-    columns: dict[str, Any]
-    """Value of each column; an image as its pixels (h, w, channels)."""
-
-
-class Stream:
-    """One stream of a session: columns of equal length, as recorded."""
-
-    def __init__(self, path: Path, files: Files = LOCAL, *, live: bool = False) -> None:
-        """Open a stream; use `Session.streams` instead.
-
-        Args:
-            path: Group of the stream.
-            files: Access to its files.
-            live: True to include the rows that are not sealed yet, up to this moment.
-
-        Raises:
-            SessionError: Not a stream.
-        """
-        self.layout = StreamLayout.load(path, files)
-        self.name = path.name
-        self.attrs = self.layout.attrs()
-        self.traits = Traits.read(self.name, self.attrs)
-        self._readers = {layout.column.name: ColumnReader(layout) for layout in self.layout.columns}
-        self._rows = min(reader.rows for reader in self._readers.values())
-        self._live: LiveRows | None = None
-        self._tail: LiveStream | None = None
-        if live:
-            self._tail = LiveStream(self.layout)
-            for name, column in self._tail.columns.items():
-                self._readers[name].growing = column
-        self.refresh()
-
-    def refresh(self) -> None:
-        """Show the rows that were recorded since; reads only what was added. No effect if closed.
-
-        Raises:
-            SessionError: A sealed shard is corrupt.
-        """
-        self._columns: Kept[Array] = Kept()
-        self._arrivals: dict[tuple[int, int], Arrivals] = {}
-        if self._tail is None:
-            return
-        self._live = self._tail.update()
-        self._rows = self._live.rows
-        for reader in self._readers.values():
-            reader.rows = self._rows if reader.layout.column.is_image else self._live.stored
-
-    def __len__(self) -> int:
-        """Return the number of rows that every column has."""
-        return self._rows
-
-    def __repr__(self) -> str:
-        """Return its name, number of rows and columns."""
-        return f"<Stream {self.name}: {len(self):,} rows of {', '.join(self.names)}>"
-
-    @property
-    def small(self) -> tuple[str, ...]:
-        """Names of the columns that `array` returns: all but the images."""
-        return tuple(layout.column.name for layout in self.layout.small)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the columns."""
-        return tuple(self._readers)
-
-    @property
-    def value_column(self) -> Column | None:
-        """The column `value`; None in a table."""
-        reader = self._readers.get("value")
-        return None if reader is None else reader.layout.column
-
-    @property
-    def rate_hz(self) -> float:
-        """Nominal rate."""
-        return float(self.attrs["rate_hz"])
-
-    @property
-    def t_ns(self) -> NDArray[np.int64]:
-        """Time of each row (n,) int64 [ns], the monotonic clock of its run."""
-        return self.array(self.layout.time.column.name)
-
-    def array(self, name: str) -> Array:
-        """Return a small column (n, ...), which is kept in memory as long as there is room.
-
-        Raises:
-            SessionError: No such column, an image column, or a corrupt chunk.
-        """
-        reader = self._reader(name)
-        if reader.layout.column.is_image:
-            raise SessionError(f"{self.name}.{name}: use images(rows) for images")
-        found = self._columns.get(name)
-        if found is None:
-            found = self._columns.put(name, self.rows_between(name, 0, self._rows))
-        return found
-
-    def column(self, name: str) -> Array | zarr.Array[Any]:
-        """Return a column: in memory, or the Zarr array for images (possibly longer than `len`).
-
-        Raises:
-            SessionError: No such column, or a corrupt chunk.
-        """
-        reader = self._reader(name)
-        if reader.layout.column.is_image:
-            return reader.layout.files.array(reader.layout.path)
-        return self.array(name)
-
-    def rows_between(self, name: str, start: int, stop: int) -> Array:
-        """Return rows [start, stop) (n, ...) of a small column, reading only their chunks.
-
-        Raises:
-            SessionError: No such column, an image column, or a corrupt chunk.
-        """
-        reader = self._reader(name)
-        if reader.layout.column.is_image:
-            raise SessionError(f"{self.name}.{name}: use images(rows) for images")
-        found = reader.rows_between(start, min(stop, self._rows))
-        if self._live is None or stop <= self._live.stored:
-            return found
-        stored = self._live.stored
-        rest = self._live.journalled[name][max(start - stored, 0) : max(stop - stored, 0)]
-        return np.concatenate([found, rest])
-
-    def values(self, rows: slice) -> Array | LazyRows:
-        """Return rows of the column `value` (n, ...): in memory, or read lazily if remote."""
-        reader = self._reader("value")
-        if reader.layout.files.local:
-            return self.array("value")[rows]
-        return LazyRows(reader, rows)
-
-    def arrivals(self, first: int, last: int) -> Arrivals:
-        """Return the arrival times of rows [first, last), those of one run, for a search."""
-        key = (first, last)
-        if key not in self._arrivals:
-            self._arrivals[key] = Arrivals(self, first, last)
-        return self._arrivals[key]
-
-    def images(self, rows: Sequence[int] | NDArray[np.integer[Any]] | slice) -> images.Image:
-        """Return images (n, h, w, channels): uint8 RGB or grey, or uint16 of a depth camera.
-
-        Raises:
-            SessionError: No images here, a row outside the stream, or a corrupt image.
-        """
-        column = self._image().layout.column
-        numbers = np.arange(self._rows)[rows] if isinstance(rows, slice) else np.asarray(rows)
-        if len(numbers):
-            self._checked(int(numbers.min()))
-        out = np.empty((len(numbers), *column.shape), column.dtype)
-        self.images_into(numbers, out)
-        return out
-
-    def images_into(self, rows: NDArray[np.integer[Any]], out: Array) -> None:
-        """Decode images into an array, which may be used again and again.
-
-        Args:
-            rows: Rows (n,); -1 leaves the image in its place as it is.
-            out: Images (n, h, w, channels), C-contiguous, of the type that `images` returns.
-
-        Raises:
-            SessionError: No images here, a row outside the stream, or a corrupt image.
-        """
-        image = self._image()
-        column = image.layout.column
-        expected = (len(rows), *column.shape)
-        if out.shape != expected or out.dtype != column.dtype or not out.flags.c_contiguous:
-            raise SessionError(
-                f"{self.name}: found out {out.dtype} {out.shape}, expected {column.dtype} "
-                f"{expected}, contiguous"
-            )
-        if len(rows):
-            self._checked(max(int(np.max(rows)), 0))
-        image.read_images(np.asarray(rows).tolist(), out)
-
-    def rows_from(self, start: int) -> Iterator[StreamRow]:
-        """Yield the rows from `start` on."""
-        columns = {name: self.rows_between(name, start, self._rows) for name in self.small}
-        for place in range(max(self._rows - start, 0)):
-            values = {name: column[place] for name, column in columns.items()}
-            if self.layout.image is not None:
-                values[self.layout.image.column.name] = self.images([start + place])[0]
-            yield StreamRow(self.name, start + place, values)
-
-    def jpeg(self, row: int) -> bytes | None:
-        """Return the camera's original bytes of one image, or None if it was stored losslessly.
-
-        Raises:
-            SessionError: No images here, or a row outside the stream.
-        """
-        image = self._image()
-        if image.layout.column.codec != "jpeg":
-            return None
-        return image.chunk(self._checked(row))
-
-    @property
-    def jpeg_shape(self) -> tuple[int, ...] | None:
-        """Shape (h, w, channels) of images kept as JPEG bytes; None for any other stream."""
-        image = self.layout.image
-        return image.column.shape if image is not None and image.column.codec == "jpeg" else None
-
-    def jpegs(self, rows: Sequence[int]) -> Iterator[bytes]:
-        """Yield the camera's original bytes of some images, fetched concurrently if remote.
-
-        Raises:
-            SessionError: No images, images not stored as JPEG, or a row outside the stream.
-        """
-        image = self._image()
-        if image.layout.column.codec != "jpeg":
-            raise SessionError(f"{self.name}: images are stored as pixels, without JPEG bytes")
-        return image.chunks([self._checked(int(row)) for row in rows])
-
-    def _reader(self, name: str) -> ColumnReader:
-        if name not in self._readers:
-            raise SessionError(f"{self.name}: no column {name!r}; known: {', '.join(self.names)}")
-        return self._readers[name]
-
-    def _image(self) -> ColumnReader:
-        if self.layout.image is None:
-            raise SessionError(f"{self.name}: has no images; columns: {', '.join(self.names)}")
-        return self._readers[self.layout.image.column.name]
-
-    def _checked(self, row: int) -> int:
-        if not 0 <= row < self._rows:
-            raise SessionError(f"{self.name}: no row {row}, the stream has {self._rows}")
-        return row
 
 
 class Session:
@@ -329,9 +90,9 @@ class Session:
 
     def _repr_html_(self) -> str:
         """Return a table of the streams and some pictures, for notebooks."""
-        from recorder.session.notebook import html_of
-
-        return html_of(self)
+        about = [self.status, *(self.attrs.get(key) for key in ("sensor", "indenter"))]
+        title = ", ".join(str(each) for each in about if each)
+        return html_of(self.name, title, self.warning, self.streams)
 
     def require_frames(self) -> Table:
         """Return `frames`.
@@ -346,18 +107,6 @@ class Session:
                 "(tactile session recover builds them, once nothing writes to it)"
             )
         return self.frames
-
-    def to_pandas(self) -> Any:
-        """Return `frames` as a DataFrame; see `recorder.session.tables.to_pandas`."""
-        from recorder.session.tables import to_pandas
-
-        return to_pandas(self)
-
-    def to_xarray(self) -> Any:
-        """Return `frames` as a Dataset; see `recorder.session.tables.to_xarray`."""
-        from recorder.session.tables import to_xarray
-
-        return to_xarray(self)
 
     @property
     def name(self) -> str:
@@ -428,11 +177,18 @@ class Session:
             return slice(0, length)
         return slice(first[run], first[run + 1] if run + 1 < len(first) else length)
 
+    def run_streams(self, run: int) -> RunStreams:
+        """Return the streams in order, with their rows and losses of one run."""
+        rows = {name: self.rows_of_run(name, run) for name in self.order}
+        return RunStreams(
+            {name: self.streams[name] for name in self.order},
+            rows,
+            lambda name: self.losses(name, run),
+        )
+
     def sources(self, run: int) -> Sources:
         """Return the streams of one run, ready to be aligned."""
-        rows = {name: self.rows_of_run(name, run) for name in self.streams}
-        losses = {name: self.losses(name, run) for name in self.columns}
-        return sources_of_run(self.streams, self.order, rows, losses)
+        return sources_of_run(self.run_streams(run))
 
     def losses(self, name: str, run: int) -> Losses:
         """Return the samples that a stream lost in a run; kept in memory."""
@@ -448,7 +204,7 @@ class Session:
         count = max(len(self.runs), 1)
         for run in reversed(range(count if count > 1 else 0)):
             if run not in self._spans:
-                self._spans[run] = span_of_run(self, run)
+                self._spans[run] = span_of_run(self.run_streams(run))
             span = self._spans[run]
             if span is not None and span[0] <= t_ns <= span[1]:
                 return run
@@ -484,8 +240,8 @@ class Session:
             SessionError: An unknown stream or method, or a corrupt stream.
         """
         ticks = ticks_before(t_ns, n, rate_hz or self.rate_hz)
-        found = self.run_at(t_ns) if run is None else run
-        sources = sources_near(self, found, ticks) if n > 0 else self.sources(found)
+        streams = self.run_streams(self.run_at(t_ns) if run is None else run)
+        sources = sources_near(streams, ticks) if n > 0 else sources_of_run(streams)
         by_kind = {"camera": image, "depth": image, "force": force, "pose": pose, "taxels": taxels}
         chosen = {name: by_kind.get(self.streams[name].traits.kind) for name in sources.streams}
         methods = {name: method for name, method in chosen.items() if method is not None}

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from recorder.errors import SessionError
+from recorder.session.reader import Session
 from recorder.store.files import read_document
-
-if TYPE_CHECKING:
-    from recorder.session.reader import Session
 
 # Names of the components of a row, by kind of stream.
 _COMPONENTS = {

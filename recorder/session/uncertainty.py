@@ -15,19 +15,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recorder.command_line.options import as_typed
-from recorder.session.align import EXPOSURE, Source, StreamLike
+from recorder.session.align import EXPOSURE, Source
+from recorder.session.columns import Columns
 from recorder.session.loss import is_regular, lateness, witnesses
+from recorder.session.reader import Session
 from recorder.session.window import Window
 from recorder.spec import STAMPS
-
-if TYPE_CHECKING:
-    from recorder.session.reader import Session
 
 Floats = NDArray[np.float64]
 
@@ -83,7 +82,7 @@ class TimeSigma:
         }
 
 
-def time_sigma(stream: StreamLike, rows: slice, source: Source) -> TimeSigma:
+def time_sigma(stream: Columns, rows: slice, source: Source) -> TimeSigma:
     """Return the uncertainty of the times in one run of a stream.
 
     Args:
@@ -149,7 +148,7 @@ def sigmas_of(session: Session, run: int) -> dict[str, TimeSigma]:
     }
 
 
-def uncalibrated(stream: StreamLike) -> str | None:
+def uncalibrated(stream: Columns) -> str | None:
     """Return a note for a signal whose latency was not measured; None for any other stream."""
     if "signal" not in stream.traits.roles:
         return None
@@ -183,7 +182,7 @@ def time_lines(session: Session) -> list[str]:
     return lines
 
 
-def _latency(stream: StreamLike, period: float, stamped: bool) -> tuple[float, float]:
+def _latency(stream: Columns, period: float, stamped: bool) -> tuple[float, float]:
     """Return the standard uncertainty of the latency, and the longest assumed; NaN if measured."""
     interval = stream.attrs.get("latency_calibration", {}).get("interval_s")
     if stream.attrs.get("latency") is not None and interval is not None and not stamped:

@@ -25,7 +25,7 @@ from support.crashes import FailingCalls, Killed
 
 from recorder import StreamSpec, StreamWriter, camera_spec, force_spec
 from recorder.session import stream_writer
-from recorder.session.reader import Stream
+from recorder.session.columns import Stream
 from recorder.session.stream_writer import survey, unfinished_files
 from recorder.store import journal, shard
 from recorder.store.durable import Background

@@ -30,8 +30,8 @@ from recorder import (
 from recorder.__main__ import main
 from recorder.checks.reseal import reseal
 from recorder.command_line.run import main as main_of_all
+from recorder.session.columns import Stream
 from recorder.session.frames import write_frames
-from recorder.session.reader import Stream
 from recorder.session.recover import recover_streams
 from recorder.store.images import compress, decode_jpeg, decompress
 from recorder.store.layout import StreamLayout, create_stream

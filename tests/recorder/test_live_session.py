@@ -18,7 +18,7 @@ from recorder import (
     force_spec,
     recover,
 )
-from recorder.session.reader import Stream
+from recorder.session.columns import Stream
 from recorder.session.tail import LiveStream
 from recorder.store.journal import HEADER, Journal
 from recorder.store.layout import StreamLayout, create_stream

@@ -20,12 +20,12 @@ from recorder import (
     pose_spec,
 )
 from recorder.info import describe, digests
+from recorder.session.accounts import account_of
 from recorder.session.loss import (
     ARRIVAL,
     DEVICE_CLOCK,
     NOTHING,
     SEQUENCE,
-    account_of,
     find_losses,
     lateness,
     other_rate,

@@ -17,7 +17,7 @@ import pytest
 from support.sessions import make_session
 
 from recorder import Session, SessionError, SessionWriter, StreamWriter, force_spec, taxels_spec
-from recorder.session.nearby import sources_near, span_of_run
+from recorder.session.sources import sources_near, span_of_run
 from recorder.session.window import align_window, ticks_before
 from recorder.store.recent import RECENT, Kept, Recent
 
@@ -65,10 +65,10 @@ def test_a_window_of_nearby_rows_equals_one_of_the_whole_run(uneven: Path, metho
         whole = session.sources(run)
         span = whole.span
         assert span is not None
-        assert span_of_run(session, run) == span
+        assert span_of_run(session.run_streams(run)) == span
         for t_ns in rng.integers(span[0] - 10**9, span[1] + 10**9, 60).tolist():
             ticks = ticks_before(t_ns, 8, float(rng.choice([5.0, 40.0, 400.0])))
-            near = sources_near(session, run, ticks)
+            near = sources_near(session.run_streams(run), ticks)
             narrow += len(near.streams["force"].times) < len(whole.streams["force"].times)
             signal = method if method in ("latest", "nearest") else "latest"
             methods = {"force": method, "taxels": signal}
@@ -104,7 +104,7 @@ def test_a_stream_out_of_order_is_aligned_as_a_whole(tmp_path: Path) -> None:
     session = Session(path)
     for t_ns in range(2 * 10**9, 5 * 10**9, 10**9):
         ticks = ticks_before(t_ns, 4, 40.0)
-        near = sources_near(session, 0, ticks)
+        near = sources_near(session.run_streams(0), ticks)
         _same(align_window(ticks, near), align_window(ticks, session.sources(0)))
 
 
@@ -185,7 +185,7 @@ def test_windows_over_200_open_sessions_need_no_more_memory(
     monkeypatch.setattr(RECENT, "limit", 4 << 20)
     rng = np.random.default_rng(0)
     sessions = [Session(recorded) for _ in range(200)]
-    span = span_of_run(sessions[0], 0)
+    span = span_of_run(sessions[0].run_streams(0))
     assert span is not None
 
     def epoch() -> int:
@@ -212,7 +212,7 @@ class WindowsOfSessions:
 
     def __init__(self, paths: list[Path]) -> None:
         self.sessions = [Session(path) for path in paths]
-        span = span_of_run(self.sessions[0], 0)
+        span = span_of_run(self.sessions[0].run_streams(0))
         assert span is not None
         self.span = span
 

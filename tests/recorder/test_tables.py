@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 from support.sessions import make_session, reseal
 
-from recorder import Session, SessionError
+from recorder import Session, SessionError, to_pandas, to_xarray
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +25,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Session:
 
 def test_pandas_has_the_frames_with_a_column_for_each_component(session: Session) -> None:
     pytest.importorskip("pandas", reason="pandas is not installed: extra tables")
-    table = session.to_pandas()
+    table = to_pandas(session)
     assert list(table.index) == session.frames["t_ns"].tolist()
     for k, label in enumerate(("fx", "fy", "fz", "tx", "ty", "tz")):
         np.testing.assert_array_equal(table[f"wrench_{label}"], session.frames["wrench"][:, k])
@@ -37,7 +37,7 @@ def test_pandas_has_the_frames_with_a_column_for_each_component(session: Session
 
 def test_xarray_has_units_and_names_of_components(session: Session) -> None:
     pytest.importorskip("xarray", reason="xarray is not installed: extra tables")
-    found = session.to_xarray()
+    found = to_xarray(session)
     np.testing.assert_array_equal(
         found["wrench"].sel(wrench_axis="fz"), session.frames["wrench"][:, 2]
     )
@@ -51,16 +51,16 @@ def test_a_missing_library_and_missing_frames_are_said(
 ) -> None:
     live = make_session(tmp_path / "live.zarr", seconds=0.6, names=("force",), finish=False)
     with pytest.raises(SessionError, match=r"live\.zarr: recording, so it has no frames yet"):
-        Session(live).to_pandas()
+        to_pandas(Session(live))
     bare = make_session(tmp_path / "bare.zarr", seconds=0.6, names=("force",))
     shutil.rmtree(bare / "frames")
     reseal(bare)
     with pytest.raises(SessionError, match=r"bare\.zarr: has no frames \(tactile session recover"):
-        Session(bare).to_xarray()
-    for name in ("pandas", "xarray"):
+        to_xarray(Session(bare))
+    for name, table in (("pandas", to_pandas), ("xarray", to_xarray)):
         monkeypatch.setitem(sys.modules, name, None)
         with pytest.raises(SessionError, match=rf"needs {name}: pip install 'tactile-rig\[tables"):
-            getattr(session, f"to_{name}")()
+            table(session)
 
 
 def test_a_notebook_shows_streams_and_pictures(session: Session, tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from recorder import Column, SessionError, StreamSpec, StreamWriter, camera_spec, force_spec
 from recorder.session import stream_writer
-from recorder.session.reader import Stream
+from recorder.session.columns import Stream
 from recorder.store import journal
 from recorder.store.layout import StreamLayout, create_stream
 from recorder.store.tables import Table, write_table
