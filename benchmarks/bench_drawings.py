@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from recorder.charts import BAND, BLUE, GREEN, INK, ORANGE, PURPLE, RED, SKY, SOFT, chart
-from rig.bench.bench import Bench, load_bench
+from rig.bench.bench import Bench, BenchFile
 from rig.core.packaged import BENCHES
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write the drawings and print their paths."""
-    bench = load_bench(BENCHES / f"{options.sensor}.yaml")[0]
+    bench = BenchFile.read(BENCHES / f"{options.sensor}.yaml").bench
     for name, draw in (
         ("bench-wiring", wiring),
         ("bench-mounting", mounting),

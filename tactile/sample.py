@@ -37,7 +37,7 @@ def run(options: argparse.Namespace) -> int:
     """
     from recorder.command_line.run import main
     from rig.acquire.collector import seconds_per_target
-    from rig.bench.bench import load_bench
+    from rig.bench.bench import BenchFile
     from rig.core.packaged import BENCHES
     from tactile.card import page
 
@@ -49,7 +49,7 @@ def run(options: argparse.Namespace) -> int:
     for name, path in sessions.items():
         # The packaged file itself: a lab bench of the same name would move its arm.
         bench_path = BENCHES / f"{name}.yaml"
-        bench, _ = load_bench(bench_path)
+        bench = BenchFile.read(bench_path).bench
         count = math.ceil(SECONDS / seconds_per_target(bench, bench.trajectory))
         words = ["--bench", str(bench_path), "--targets", str(count)]
         if code := main(["collect", *words, "--out", str(path)], "rig"):

@@ -13,7 +13,7 @@ from pathlib import Path
 from benchmarks.endurance.processes import Track, look, role_of
 from benchmarks.faults.processes import family
 from recorder.strict_yaml import yaml_text
-from rig.bench.bench import load_bench
+from rig.bench.bench import BenchFile
 from rig.core.clock import SECOND_NS, SystemClock
 from rig.core.errors import ConfigError
 from trajectories import PressShear, dry_run
@@ -48,7 +48,7 @@ def long_bench(bench_file: Path, seconds: float, folder: Path) -> tuple[Path, in
     Raises:
         ConfigError: Not a mock bench, no press-shear plan, or `seconds` exceeds the longest plan.
     """
-    bench, _ = load_bench(bench_file)
+    bench = BenchFile.read(bench_file).bench
     plan = bench.trajectory
     if not bench.mock or not isinstance(plan, PressShear):
         raise ConfigError(f"{bench_file}: allowed: a mock bench with a press_shear trajectory")

@@ -53,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
     """
     from benchmarks.faults.rows import SENSORS
     from benchmarks.faults.run import Campaign, names
-    from rig.bench.bench import load_bench
+    from rig.bench.bench import BenchFile
 
     if options.list:
         print("\n".join(names()))
@@ -63,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
         raise ConfigError(f"--only: found {unknown}; known: {', '.join(names())}")
     for sensor in SENSORS:
         path = options.benches / f"{sensor}.yaml"
-        if not load_bench(path)[0].mock:
+        if not BenchFile.read(path).bench.mock:
             raise ConfigError(
                 f"{path}: mock: found false; allowed: true: faults go into mock arms only"
             )

@@ -15,7 +15,7 @@ from benchmarks.faults.run import Results
 from recorder.pages import render
 from recorder.progress import duration
 from rig.acquire import streams
-from rig.bench.bench import BenchLimits, load_bench
+from rig.bench.bench import BenchFile, BenchLimits
 from rig.devices.arm.settings import ArmConfig
 
 # Maximum length of a reason; the rest is advice to the technician [characters].
@@ -47,7 +47,7 @@ def page(results: Results, benches: Path) -> str:
         rejected=_rejected,
         streams=streams,
         lab={item.name: item.default for item in (*fields(BenchLimits), *fields(ArmConfig))},
-        mock=load_bench(benches / "tacpalm.yaml")[0],
+        mock=BenchFile.read(benches / "tacpalm.yaml").bench,
         system=platform.system(),
         duration=duration,
     )

@@ -225,7 +225,8 @@ class _Picture:
             taxels = self._world.taxels
             if taxels is None:
                 raise ValueError("found a World without camera and taxels")
-            shown = taxels.counts(surface_of(self._world, state))
+            moved = surface_of(self._world, state).displacement(taxels.positions())
+            shown = taxels.counts(moved)
             return np.asarray(np.rint(shown + noise), np.float32)
         if state["depth"] <= 0:
             if self._rest is None:

@@ -20,7 +20,7 @@ from rig.acquire.control import InterruptFlag
 from rig.acquire.motion_notice import deepest, motion_lines
 from rig.acquire.request import finished_targets, first_open_target
 from rig.acquire.summary import show_curve
-from rig.bench.bench import Bench, find_bench, load_bench
+from rig.bench.bench import Bench, BenchFile, find_bench
 from rig.bench.indenter import find_indenter
 from rig.core.config import build, read_yaml
 from rig.core.errors import ConfigError
@@ -147,7 +147,7 @@ _Walked = tuple[Path, Bench, Plan, float]
 
 def _walk(entry: Entry, where: str, benches: Path) -> _Walked:
     bench_path = find_bench(entry.sensor, benches, f"{where}.sensor")
-    bench, _ = load_bench(bench_path)
+    bench = BenchFile.read(bench_path).bench
     plan: Plan | None = bench.trajectory if entry.plan == "press_shear" else bench.force_depth
     if plan is None or plan.kind != entry.plan:
         raise ConfigError(f"{where}.plan: found {entry.plan!r}; {bench_path} has none")

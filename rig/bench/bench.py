@@ -19,6 +19,7 @@ from recorder import (
 )
 from recorder.spec import check_streams, signal_of
 from rig.bench import no_gauge
+from rig.bench.indenter import find_indenter, paper_indenters
 from rig.bench.worlds import AnalyticSpec, SimulatedSpec
 from rig.core.config import build, from_si, read_yaml
 from rig.core.errors import ConfigError
@@ -435,28 +436,73 @@ def bench_from(content: dict[str, Any], where: str) -> Bench:
     return bench
 
 
-def load_bench(path: Path) -> tuple[Bench, dict[str, Any]]:
-    """Load a bench file; return the bench and its content as read (stored in the session).
+@dataclass(frozen=True, slots=True)
+class BenchFile:
+    """A bench file, and the bench that is built of its content, once."""
 
-    Its `extends` may name a packaged bench as if it were in `benches/`.
+    path: Path
+    content: dict[str, Any]
+    """Content as it is used; stored in every session."""
+    bench: Bench
+
+    @classmethod
+    def of(cls, content: dict[str, Any], path: Path) -> BenchFile:
+        """Build the bench of a content as read from YAML.
+
+        Raises:
+            ConfigError: See `bench_from`.
+        """
+        return cls(path, content, bench_from(content, str(path)))
+
+    @classmethod
+    def read(cls, path: Path) -> BenchFile:
+        """Read a bench file; its `extends` may name a packaged bench as if it were in `benches/`.
+
+        Raises:
+            ConfigError: See `rig.core.config`.
+        """
+        return cls.of(read_content(path), path)
+
+    def with_indenter(self, name: str) -> BenchFile:
+        """Return the file with an indenter on the arm; an empty name: the file's own.
+
+        Raises:
+            ConfigError: No indenter has that name, or the simulated World does not know its shape.
+        """
+        indenter = find_indenter(name or self.bench.indenter)
+        own = indenter.source is not None
+        if own and indenter.stl is None and isinstance(self.bench.world, SimulatedSpec):
+            raise ConfigError(
+                f"{indenter.source}.stl: missing; allowed with a simulated world: an STL file, or "
+                f"one of the paper's indenters: {', '.join(paper_indenters())}"
+            )
+        content = {**self.content, "indenter": indenter.name}
+        return BenchFile(self.path, content, replace(self.bench, indenter=indenter.name))
+
+    def at(self, host: str, folder: Path) -> BenchFile:
+        """Return a mock bench's file with the addresses of its emulators.
+
+        Args:
+            host: Replaces `loopback` in every string of the content.
+            folder: Replaces `runfolder`.
+        """
+
+        def filled(value: Any) -> Any:
+            if isinstance(value, str):
+                return value.replace(LOOPBACK, host).replace(RUN_FOLDER, str(folder))
+            if isinstance(value, dict):
+                return {key: filled(item) for key, item in value.items()}
+            if isinstance(value, list):
+                return [filled(item) for item in value]
+            return value
+
+        return BenchFile.of(filled(self.content), self.path)
+
+
+def read_content(path: Path) -> dict[str, Any]:
+    """Return the content of a bench file, with what it `extends`.
 
     Raises:
         ConfigError: See `rig.core.config`.
     """
-    content = read_yaml(path, BENCHES)
-    return bench_from(content, str(path)), content
-
-
-def addressed(content: dict[str, Any], host: str, folder: Path) -> dict[str, Any]:
-    """Replace `loopback` by `host` and `runfolder` by `folder` in every string of `content`."""
-
-    def replace(value: Any) -> Any:
-        if isinstance(value, str):
-            return value.replace(LOOPBACK, host).replace(RUN_FOLDER, str(folder))
-        if isinstance(value, dict):
-            return {key: replace(item) for key, item in value.items()}
-        if isinstance(value, list):
-            return [replace(item) for item in value]
-        return value
-
-    return {key: replace(value) for key, value in content.items()}
+    return read_yaml(path, BENCHES)

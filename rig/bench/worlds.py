@@ -9,13 +9,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from rig.mock.world.picture import Surface
-
 
 # Stiffening of a bonded layer under a flat punch, rows a/h, columns Poisson's ratio (Hayes et al.
 # 1972, recomputed from the integral equation; a/h = 0 is the half-space).
@@ -229,10 +225,13 @@ class TaxelField:
         x, y = np.meshgrid(steps, steps)
         return np.stack([x.ravel(), y.ravel()], axis=1)
 
-    def counts(self, surface: Surface) -> np.ndarray:
-        """Return raw counts (16, 3), before noise and rounding."""
+    def counts(self, moved: np.ndarray) -> np.ndarray:
+        """Return raw counts (16, 3), before noise and rounding.
+
+        Args:
+            moved: Displacement (16, 3) of the surface at `positions` [m].
+        """
         rest = _REST + _SPREAD * (np.arange(48).reshape(16, 3) % 11)
-        moved = surface.displacement(self.positions())
         gain = 1e3 * np.array(
             [self.counts_per_mm_shear, self.counts_per_mm_shear, -self.counts_per_mm_normal]
         )

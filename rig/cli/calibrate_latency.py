@@ -18,7 +18,6 @@ from rig.cli.options import (
     calibration_options,
     chosen_bench,
     free_path,
-    with_indenter,
 )
 from rig.core.clock import file_stamp
 from rig.core.config import to_si
@@ -55,11 +54,11 @@ def run(options: argparse.Namespace) -> int:
     from rig.acquire.request import CollectRequest, plan_of
     from rig.cli.recording import record
 
-    path, bench, content = chosen_bench(options)
-    print(banner(bench.mock, path), flush=True)
-    content, indenter = with_indenter(content, bench, options.indenter)
+    file = chosen_bench(options).with_indenter(options.indenter or "")
+    bench = file.bench
+    print(banner(file), flush=True)
     # Apply the surface calibration only: an old latency correction would bias the new measurement.
-    home = dataclasses.replace(calibration_of(options, bench, indenter), latency=None)
+    home = dataclasses.replace(calibration_of(options, bench), latency=None)
     stream = latency.signal_of(bench)
     depth = None if options.depth_mm is None else to_si(options.depth_mm, "mm")
     plan = latency.plan_for(bench, depth=depth, count=options.taps)
@@ -69,7 +68,7 @@ def run(options: argparse.Namespace) -> int:
     )
     request = CollectRequest(path=session_path, operator=options.operator, calibration=home)
     plan_of(request, home.applied(bench), plan)
-    code = record(path, content, request, plan, prepared=home.applied)
+    code = record(file, request, plan, prepared=home.applied)
     if code != EXIT_DONE:
         print("calibrate-latency: not finished, nothing is stored; repeat the command")
         return code
@@ -88,7 +87,7 @@ def run(options: argparse.Namespace) -> int:
         date_utc=store.now_utc(),
         method=latency.METHOD,
         mock=bench.mock,
-        bench_sha256=store.bench_hash(content),
+        bench_sha256=store.bench_hash(file.content),
         stream=stream,
         device=store.device_name(bench, stream),
         latency=found.latency,
@@ -98,6 +97,6 @@ def run(options: argparse.Namespace) -> int:
         ratio=found.image.ratio,
         taps=found.image.taps,
     )
-    file = store.store(options.calibrations, bench.sensor, latency=measured)
-    print(f"calibrate-latency: stored in {file}")
+    stored = store.store(options.calibrations, bench.sensor, latency=measured)
+    print(f"calibrate-latency: stored in {stored}")
     return EXIT_DONE

@@ -44,7 +44,7 @@ def run(options: argparse.Namespace) -> int:
     import dataclasses
 
     from rig.acquire.campaign import Settings, load_campaign, progress_of, run_campaign, table
-    from rig.bench.bench import load_bench, with_simulated_world
+    from rig.bench.bench import read_content, with_simulated_world
 
     campaign = load_campaign(options.file, options.benches)
     if options.out is not None:
@@ -57,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
         raise ConfigError(f"--yes: {', '.join(lab)}: lab benches; allowed: mock benches only")
     if options.world is not None:
         for item in campaign.items:
-            with_simulated_world(load_bench(item.bench_path)[1], str(item.bench_path))
+            with_simulated_world(read_content(item.bench_path), str(item.bench_path))
     settings = Settings(
         options.benches,
         options.calibrations,

@@ -26,7 +26,6 @@ from rig.cli.options import (
     resumed_indenter,
     sources_of,
     watch_options,
-    with_indenter,
 )
 from rig.core.clock import file_stamp
 from rig.core.errors import ConfigError
@@ -101,25 +100,25 @@ def run(options: argparse.Namespace) -> int:
     from rig.cli import without_gauge
     from rig.cli.recording import record, started_bench
 
-    path, bench, content = chosen_bench(options)
-    print(banner(bench.mock, path), flush=True)
+    file = chosen_bench(options)
+    print(banner(file), flush=True)
     if options.resume and (options.out or options.targets or options.indenter):
         raise ConfigError(
             "--resume: neither --out, --targets nor --indenter go with it: the session has them"
         )
     if options.again and not options.resume:
         raise ConfigError("AGAIN, --again: goes with RESUME, --resume, only")
-    content, indenter = with_indenter(content, bench, options.indenter or resumed_indenter(options))
-    sources = sources_of(options, path, bench)
+    file = file.with_indenter(options.indenter or resumed_indenter(options))
+    path, bench = file.path, file.bench
+    sources = sources_of(options, file)
     if not bench.mock and options.truth:
         raise ConfigError(f"TRUTH: {path} is a lab bench; allowed: a mock bench")
     check_watch(options)
     session = options.resume or options.out
     if session is None:
-        name = f"{bench.sensor}-{indenter}-{file_stamp()}.zarr"
+        name = f"{bench.sensor}-{bench.indenter}-{file_stamp()}.zarr"
         session = free_path(Path("sessions") / name)
-    calibration = calibration_of(options, bench, indenter)
-    bench = dataclasses.replace(bench, indenter=indenter)
+    calibration = calibration_of(options, bench)
     request = CollectRequest(
         path=session,
         resume=options.resume is not None,
@@ -143,15 +142,11 @@ def run(options: argparse.Namespace) -> int:
         if bench.no_gauge:
             session.parent.mkdir(parents=True, exist_ok=True)
             log_to(session.with_suffix(".log"))
-            on = stack.enter_context(
-                started_bench(path, content, sources=sources, truth=options.truth)
-            )
+            on = stack.enter_context(started_bench(file, sources=sources, truth=options.truth))
             try:
                 if not request.resume:
                     stages = without_gauge.StageRecorder(
-                        path,
-                        bench,
-                        content,
+                        file,
                         session.parent,
                         on,
                         options.operator,
@@ -168,8 +163,7 @@ def run(options: argparse.Namespace) -> int:
             return slowed(placed, depth) if ready.no_gauge else placed
 
         return record(
-            path,
-            content,
+            file,
             request,
             plan,
             total=total,

@@ -14,7 +14,7 @@ from pathlib import Path
 from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE
 from rig.acquire.calibration import store
 from rig.acquire.doctor import Finding, examine, missing_rights
-from rig.bench.bench import Bench, bench_from
+from rig.bench.bench import Bench
 from rig.cli.options import (
     bench_command,
     bench_options,
@@ -63,20 +63,20 @@ def run(options: argparse.Namespace) -> int:
         ConfigError: See `chosen_bench`; or --fix without root, or without a terminal.
         Interrupted: --fix was not confirmed.
     """
-    path, bench, content = chosen_bench(options)
+    file = chosen_bench(options)
+    bench = file.bench
     if options.fix:
         return fix(bench, os.environ.get("SUDO_USER") or getpass.getuser(), Path("/etc"))
     kind = "mock bench" if bench.mock else "LAB BENCH"
     parts = [row.name for row in bench.rows]
-    print(f"{kind} {path}: {', '.join(parts)}; nothing moves", flush=True)
+    print(f"{kind} {file.path}: {', '.join(parts)}; nothing moves", flush=True)
     logging.getLogger("rig").setLevel(logging.ERROR)
     faults = 0
     with (
         tempfile.TemporaryDirectory(prefix="tactile-rig-") as folder,
-        started_bench(path, content) as on,
+        started_bench(file) as on,
     ):
-        ready = bench_from(on.content, str(path))
-        for found in examine(ready, Path(folder), options.out, SystemClock(), on.watch):
+        for found in examine(on.file.bench, Path(folder), options.out, SystemClock(), on.watch):
             faults += found.state == "FAULT"
             show(found)
     if faults:

@@ -14,7 +14,6 @@ from rig.cli.options import (
     confirm_options,
     free_path,
     resume_command,
-    with_indenter,
 )
 from rig.core.clock import file_stamp
 from rig.core.errors import ConfigError
@@ -43,8 +42,9 @@ def run(options: argparse.Namespace) -> int:
     from rig.acquire.summary import show_curve
     from rig.cli.recording import record
 
-    path, bench, content = chosen_bench(options)
-    print(banner(bench.mock, path), flush=True)
+    file = chosen_bench(options)
+    path, bench = file.path, file.bench
+    print(banner(file), flush=True)
     if bench.force_depth is None:
         raise ConfigError(
             f"{path}.force_depth: missing; allowed: depth_max_mm, repeats "
@@ -52,9 +52,9 @@ def run(options: argparse.Namespace) -> int:
         )
     require_gauge(bench, "force-depth")
     plan = bench.force_depth
-    content, indenter = with_indenter(content, bench, options.indenter)
-    calibration = calibration_of(options, bench, indenter)
-    name = f"{bench.sensor}-{indenter}-force-depth-{file_stamp()}.zarr"
+    file = file.with_indenter(options.indenter)
+    calibration = calibration_of(options, file.bench)
+    name = f"{bench.sensor}-{file.bench.indenter}-force-depth-{file_stamp()}.zarr"
     session = options.out or free_path(Path("sessions") / name)
     request = CollectRequest(
         path=session,
@@ -63,8 +63,6 @@ def run(options: argparse.Namespace) -> int:
         go_on=resume_command(options, session),
     )
     plan_of(request, calibration.applied(bench), plan)
-    code = record(
-        path, content, request, plan, prepared=calibration.applied, asked_by=options.asked_by
-    )
+    code = record(file, request, plan, prepared=calibration.applied, asked_by=options.asked_by)
     show_curve(session)
     return code

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from rig.acquire.motion_notice import grip_lines
-from rig.bench.bench import load_bench
+from rig.bench.bench import BenchFile
 from rig.cli.options import banner, bench_options, bench_path, confirm
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError, DeviceLost
@@ -31,12 +31,13 @@ def run(options: argparse.Namespace) -> int:
     from rig.devices.gripper.robotiq import RobotiqDriver
 
     path = bench_path(options)
-    bench, _ = load_bench(path)
+    file = BenchFile.read(path)
+    bench = file.bench
     if bench.gripper is None:
         raise ConfigError(f"{path}.gripper: missing; allowed: {{kind: robotiq_2f, port: PORT}}")
     if bench.mock:
         raise ConfigError(f"{path}: a mock bench's gripper holds from the start; mock: true")
-    print(banner(bench.mock, path).replace("arm", "gripper"), flush=True)
+    print(banner(file).replace("arm", "gripper"), flush=True)
     confirm(grip_lines(bench.gripper, only_open=options.open))
     with RobotiqDriver(bench.gripper, SystemClock()) as gripper:
         gripper.open(bench.preflight.timeout)

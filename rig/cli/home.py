@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 from pathlib import Path
 from typing import Any
 
 from recorder import Session
 from recorder.command_line.errors import EXIT_DONE, EXIT_SAFETY_STOP
 from rig.acquire.calibration import store
-from rig.bench.bench import Bench
+from rig.bench.bench import BenchFile
 from rig.cli.options import (
     banner,
     bench_options,
@@ -18,7 +17,6 @@ from rig.cli.options import (
     chosen_bench,
     free_path,
     require_terminal,
-    with_indenter,
 )
 from rig.core.clock import file_stamp
 from rig.core.config import to_si
@@ -61,13 +59,12 @@ def run(options: argparse.Namespace) -> int:
     from rig.acquire.request import CollectRequest, plan_of
     from rig.cli.recording import record
 
-    path, bench, content = chosen_bench(options)
-    print(banner(bench.mock, path), flush=True)
-    content, indenter = with_indenter(content, bench, options.indenter)
+    file = chosen_bench(options).with_indenter(options.indenter or "")
+    bench = file.bench
+    print(banner(file), flush=True)
     acceptance = store.acceptance_of(options.calibrations, bench)
     if bench.no_gauge:
-        pressed = dataclasses.replace(bench, indenter=indenter)
-        return _by_signal(options, path, pressed, content, acceptance)
+        return _by_signal(options, file, acceptance)
     require_gauge(bench, "home")
     points = (1, 2, 3, 4, 5) if options.corners else (1,)
     travel = None if options.travel_mm is None else to_si(options.travel_mm, "mm")
@@ -80,8 +77,7 @@ def run(options: argparse.Namespace) -> int:
     # Checked against the bench's own limits, since each approach is ended by the lower soft limit.
     plan_of(request, bench, plan)
     code = record(
-        path,
-        content,
+        file,
         request,
         plan,
         prepared=lambda ready: home.touching_bench(ready, options.force_n),
@@ -95,17 +91,15 @@ def run(options: argparse.Namespace) -> int:
         print(f"{error}; nothing is stored; the approaches are in {session}")
         return EXIT_SAFETY_STOP
     print("\n".join(home.lines_of(found, bench)))
-    measured = home.calibration_from(found, touching, content)
-    file = store.store(options.calibrations, bench.sensor, home={indenter: measured})
-    print(f"home: stored in {file}")
+    measured = home.calibration_from(found, touching, file.content)
+    stored = store.store(options.calibrations, bench.sensor, home={bench.indenter: measured})
+    print(f"home: stored in {stored}")
     return EXIT_DONE
 
 
 def _by_signal(
     options: argparse.Namespace,
-    path: Path,
-    bench: Bench,
-    content: dict[str, Any],
+    file: BenchFile,
     acceptance: dict[str, Any] | None,
 ) -> int:
     """Find the surface without a gauge, and store it; return the exit code."""
@@ -113,18 +107,17 @@ def _by_signal(
     from rig.cli import without_gauge
     from rig.cli.recording import started_bench
 
+    bench = file.bench
     require_terminal(bench)
     folder = Path("sessions") if options.out is None else options.out
     folder.mkdir(parents=True, exist_ok=True)
-    with started_bench(path, content) as on:
-        stages = without_gauge.StageRecorder(
-            path, bench, content, folder, on, options.operator, acceptance
-        )
+    with started_bench(file) as on:
+        stages = without_gauge.StageRecorder(file, folder, on, options.operator, acceptance)
         try:
-            home = no_gauge.find_surface(bench, content, stages)
+            home = no_gauge.find_surface(bench, file.content, stages)
         except no_gauge.StageStopped as stopped:
             print("home: not finished, nothing is stored; repeat the command")
             return stopped.code
-    file = store.store(options.calibrations, bench.sensor, home={bench.indenter: home})
-    print(f"home: stored in {file}")
+    stored = store.store(options.calibrations, bench.sensor, home={bench.indenter: home})
+    print(f"home: stored in {stored}")
     return EXIT_DONE

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.bench.bench import bench_from
 from rig.cli.options import banner, bench_options, chosen_bench, confirm_motion
+from rig.cli.recording import started_bench
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError, SafetyStop
 
@@ -33,25 +33,23 @@ def run(options: argparse.Namespace) -> int:
         ConfigError: The bench has no `jog`.
         DeviceLost, SafetyStop, Interrupted: Jogging was ended; the arm has stopped.
     """
-    path, bench, content = chosen_bench(options)
+    file = chosen_bench(options)
+    bench = file.bench
     if bench.no_gauge:
         raise ConfigError(
             f"jog: {bench.sensor} has no F/T sensor that would stop the arm; allowed: the pendant"
         )
     if bench.jog is None:
-        raise ConfigError(f"{path}.jog: missing; allowed: {{kind: spacemouse, device: 256f:c635}}")
+        raise ConfigError(
+            f"{file.path}.jog: missing; allowed: {{kind: spacemouse, device: 256f:c635}}"
+        )
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    print(banner(bench.mock, path), flush=True)
+    print(banner(file), flush=True)
     confirm_motion(bench, bench.limits.depth_max)
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-")))
-        watch = None
-        if bench.mock:
-            from rig.mock.bench import MockBench
-
-            mock = stack.enter_context(MockBench(content, str(path), folder))
-            bench, watch = bench_from(mock.content, str(path)), mock.check
-        print(_jogged(bench, folder, watch, stack), flush=True)
+        on = stack.enter_context(started_bench(file, folder=folder))
+        print(_jogged(on.file.bench, folder, on.watch, stack), flush=True)
     return 0
 
 

@@ -16,7 +16,7 @@ from recorder import models
 from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE
 from recorder.command_line.options import positive, whole
 from rig.acquire.control import InterruptFlag
-from rig.cli.options import bench_options, chosen_bench, with_indenter
+from rig.cli.options import bench_options, chosen_bench
 from rig.core.clock import Clock, SystemClock
 from rig.core.errors import ConfigError, DeviceLost
 
@@ -178,7 +178,7 @@ def _sensor(options: argparse.Namespace) -> str:
 
     if options.session is not None:
         return str(Session(options.session).attrs.get("sensor", ""))
-    return chosen_bench(options)[1].sensor
+    return chosen_bench(options).bench.sensor
 
 
 @contextlib.contextmanager
@@ -191,11 +191,11 @@ def _opened(options: argparse.Namespace, folder: Path, clock: Clock) -> Iterator
         with replayed(options.session, folder, clock) as watched:
             yield watched
         return
-    path, bench, content = chosen_bench(options)
+    file = chosen_bench(options)
+    path, bench = file.path, file.bench
     if bench.mock:
-        content, _ = with_indenter(content, bench, options.indenter)
         print(f"MOCK BENCH ({path}): an emulated finger presses an emulated sensor", flush=True)
-        with mock_bench(content, str(path), folder, clock, rate_hz=options.rate_hz) as watched:
+        with mock_bench(file, folder, clock, rate_hz=options.rate_hz) as watched:
             yield watched
         return
     for name, given in (("--rate-hz", options.rate_hz), ("--indenter", options.indenter)):

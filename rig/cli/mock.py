@@ -7,7 +7,7 @@ import contextlib
 import tempfile
 from pathlib import Path
 
-from rig.cli.options import banner, bench_options, chosen_bench, sources_of, with_indenter
+from rig.cli.options import banner, bench_options, chosen_bench, sources_of
 from rig.core.errors import ConfigError
 
 
@@ -24,16 +24,16 @@ def run(options: argparse.Namespace) -> int:
     """
     from rig.mock.bench import MockBench
 
-    path, bench, content = chosen_bench(options)
-    if not bench.mock:
-        raise ConfigError(f"{path}.mock: false; allowed: a mock bench")
-    content, _ = with_indenter(content, bench, None)
-    sources = sources_of(options, path, bench)
+    file = chosen_bench(options)
+    if not file.bench.mock:
+        raise ConfigError(f"{file.path}.mock: false; allowed: a mock bench")
+    file = file.with_indenter("")
+    sources = sources_of(options, file)
     with (
         tempfile.TemporaryDirectory(prefix="tactile-rig-") as folder,
-        MockBench(content, str(path), Path(folder), sources=sources) as mock,
+        MockBench(file, Path(folder), sources=sources) as mock,
     ):
-        print(banner(True, path))
+        print(banner(file))
         forces = [f"  {row.name} {row.config.address}" for row in mock.bench.of_kind("force")]
         print(f"arm {mock.bench.arm.host}{''.join(forces)}")
         for row in (*mock.bench.of_kind("camera"), *mock.bench.of_kind("taxels")):

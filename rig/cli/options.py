@@ -12,7 +12,7 @@ import socket
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from recorder import Session
 from recorder.command_line.options import as_typed, called_by_make, whole
@@ -20,8 +20,8 @@ from rig.acquire.calibration import store
 from rig.acquire.calibration.calibration import Calibration
 from rig.acquire.control import Interrupted
 from rig.acquire.motion_notice import motion_lines
-from rig.bench.bench import Bench, bench_from, find_bench, load_bench, with_simulated_world
-from rig.bench.indenter import find_indenter, indenter_names, paper_indenters
+from rig.bench.bench import Bench, BenchFile, find_bench, read_content, with_simulated_world
+from rig.bench.indenter import indenter_names
 from rig.bench.no_gauge import NO_GAUGE, without_gauge
 from rig.bench.worlds import SimulatedSpec
 from rig.core.errors import ConfigError
@@ -110,8 +110,8 @@ def bench_path(options: argparse.Namespace) -> Path:
     return find_bench(sensor, options.benches)
 
 
-def chosen_bench(options: argparse.Namespace) -> tuple[Path, Bench, dict[str, Any]]:
-    """Return file, bench and content of the selected bench, with --world and --force applied.
+def chosen_bench(options: argparse.Namespace) -> BenchFile:
+    """Return the selected bench file, with --world and --force applied.
 
     A resumed session continues in the world in which it began, and without a gauge if it began so.
 
@@ -120,33 +120,34 @@ def chosen_bench(options: argparse.Namespace) -> tuple[Path, Bench, dict[str, An
         SessionError: The session to resume cannot be read.
     """
     path = bench_path(options)
-    bench, content = load_bench(path)
+    content = read_content(path)
     resumed = getattr(options, "resume", None)
     began = {} if resumed is None else Session(resumed).attrs["bench"]
     if options.world is not None or (began.get("world") or {}).get("kind") == SimulatedSpec.KIND:
         content = with_simulated_world(content, str(path))
-    if options.force is not None or (began.get("force") == NO_GAUGE and bench.mock):
+    if options.force is not None or (began.get("force") == NO_GAUGE and content.get("mock")):
         content = without_gauge(content, str(path))
-    return path, bench_from(content, str(path)), content
+    return BenchFile.of(content, path)
 
 
-def resumed_indenter(options: argparse.Namespace) -> str | None:
-    """Return the indenter of the session to resume, None if none is resumed.
+def resumed_indenter(options: argparse.Namespace) -> str:
+    """Return the indenter of the session to resume; empty if none is resumed.
 
-    A name from before indenters had to be known is returned as None: the bench's own is checked.
+    A name from before indenters had to be known is returned as empty: the bench's own is checked.
     """
     if options.resume is None:
-        return None
+        return ""
     name = Session(options.resume).attrs.get("indenter")
-    return name if name in indenter_names() else None
+    return name if name in indenter_names() else ""
 
 
-def sources_of(options: argparse.Namespace, path: Path, bench: Bench) -> Sources:
+def sources_of(options: argparse.Namespace, file: BenchFile) -> Sources:
     """Return the recordings of --camera, --still and --taxels.
 
     Raises:
         ConfigError: A path does not exist, or the bench has no device that could play it.
     """
+    path, bench = file.path, file.bench
     for option, given, device in (
         ("CAMERA", options.camera, bench.of_kind("camera")),
         ("TAXELS", options.taxels, bench.of_kind("taxels")),
@@ -166,37 +167,14 @@ def sources_of(options: argparse.Namespace, path: Path, bench: Bench) -> Sources
     return Sources(camera=options.camera, camera_motion=motion, taxels=options.taxels)
 
 
-def with_indenter(
-    content: dict[str, Any], bench: Bench, name: str | None
-) -> tuple[dict[str, Any], str]:
-    """Return the bench's content with the indenter on the arm, and the indenter's name.
-
-    Args:
-        content: Content of the bench file.
-        bench: The bench.
-        name: Name given by the user; None: that of the bench file.
-
-    Raises:
-        ConfigError: No indenter has that name, or the simulated World does not know its shape.
-    """
-    indenter = find_indenter(name or bench.indenter)
-    own = indenter.source is not None
-    if own and indenter.stl is None and isinstance(bench.world, SimulatedSpec):
-        raise ConfigError(
-            f"{indenter.source}.stl: missing; allowed with a simulated world: an STL file, or one "
-            f"of the paper's indenters: {', '.join(paper_indenters())}"
-        )
-    return {**content, "indenter": indenter.name}, indenter.name
-
-
-def banner(mock: bool, path: Path) -> str:
+def banner(file: BenchFile) -> str:
     """Return the first line to print, which states if this is a mock bench or a lab bench."""
-    if mock:
+    if file.bench.mock:
         return (
-            f"MOCK BENCH ({path}): every device is an emulator, no arm moves; "
+            f"MOCK BENCH ({file.path}): every device is an emulator, no arm moves; "
             "time limits are looser than a lab's"
         )
-    return f"LAB BENCH ({path}): the arm WILL move"
+    return f"LAB BENCH ({file.path}): the arm WILL move"
 
 
 def confirm_motion(bench: Bench, depth: float, by: int | None = None) -> None:
@@ -338,15 +316,14 @@ def calibration_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def calibration_of(options: argparse.Namespace, bench: Bench, indenter: str) -> Calibration:
+def calibration_of(options: argparse.Namespace, bench: Bench) -> Calibration:
     """Load the calibration of this session: from the store, or from the session to resume.
 
     Prints the calibration and warnings.
 
     Args:
         options: Options with `calibrations` and possibly `resume`.
-        bench: The bench as described by its file.
-        indenter: Name of the indenter on the arm.
+        bench: The bench as described by its file, with the indenter on its arm.
 
     Raises:
         ConfigError: The calibration is invalid; see `rig.acquire.calibration.store.load`.
@@ -358,7 +335,7 @@ def calibration_of(options: argparse.Namespace, bench: Bench, indenter: str) -> 
         description = Session(resumed).attrs.get("calibration") or {}
         calibration = Calibration.from_attrs(description)
     else:
-        calibration, warnings = store.load(options.calibrations, bench, indenter)
+        calibration, warnings = store.load(options.calibrations, bench, bench.indenter)
     for line in (*calibration.lines(), *(f"warning: {warning}" for warning in warnings)):
         print(line, flush=True)
     return calibration

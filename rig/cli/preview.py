@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from rig.bench.bench import load_bench
+from rig.bench.bench import BenchFile
 from rig.cli.options import bench_options, bench_path
 
 
@@ -19,7 +19,7 @@ def run(options: argparse.Namespace) -> int:
     """Draw and check the plan; return the exit code."""
     from rig.acquire.preview import preview
 
-    bench, _ = load_bench(bench_path(options))
+    bench = BenchFile.read(bench_path(options)).bench
     picture = options.out or Path("sessions") / f"{bench.sensor}-plan.png"
     picture.parent.mkdir(parents=True, exist_ok=True)
     return preview(bench, picture)

@@ -8,12 +8,12 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rig.acquire.collector import Collector
 from rig.acquire.motion_notice import deepest
 from rig.acquire.request import CollectRequest
-from rig.bench.bench import Bench, bench_from
+from rig.bench.bench import Bench, BenchFile
 from rig.cli.options import confirm_motion, log_to
 from rig.core.sources import Sources
 from trajectories import Plan
@@ -26,16 +26,15 @@ if TYPE_CHECKING:
 class StartedBench:
     """A bench that is ready to record one session after the other."""
 
-    content: dict[str, Any]
-    """Content of its file, with the addresses of a mock bench's emulators."""
+    file: BenchFile
+    """Its file, with the addresses of a mock bench's emulators."""
     watch: Callable[[], None] | None
     """Raises if an emulator of a mock bench is gone."""
 
 
 @contextlib.contextmanager
 def started_bench(
-    path: Path,
-    content: dict[str, Any],
+    file: BenchFile,
     *,
     sources: Sources | None = None,
     truth: Path | None = None,
@@ -44,8 +43,7 @@ def started_bench(
     """Start the emulators of a mock bench for the context; a lab bench needs nothing.
 
     Args:
-        path: The bench file.
-        content: Content of the bench file.
+        file: The bench file.
         sources: Real recordings for a mock bench to play.
         truth: File for a mock bench to log the World's truth to.
         folder: Folder for the files of a mock bench; by default a temporary one.
@@ -53,8 +51,8 @@ def started_bench(
     Raises:
         ConfigError, DeviceLost: An emulator did not start.
     """
-    if not bench_from(content, str(path)).mock:
-        yield StartedBench(content, None)
+    if not file.bench.mock:
+        yield StartedBench(file, None)
         return
     # Imported here, so that a collection on lab devices loads no emulator.
     from rig.mock.bench import MockBench
@@ -62,14 +60,13 @@ def started_bench(
     with contextlib.ExitStack() as stack:
         if folder is None:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-")))
-        mock = MockBench(content, str(path), folder, sources=sources, truth=truth)
+        mock = MockBench(file, folder, sources=sources, truth=truth)
         stack.enter_context(mock)
-        yield StartedBench(mock.content, mock.check)
+        yield StartedBench(mock.file, mock.check)
 
 
 def record(
-    path: Path,
-    content: dict[str, Any],
+    file: BenchFile,
     request: CollectRequest,
     plan: Plan,
     *,
@@ -84,8 +81,7 @@ def record(
     """Record `plan` from its first open target on and return the exit code.
 
     Args:
-        path: The bench file.
-        content: Content of the bench file.
+        file: The bench file.
         request: Where to record, and with which settings.
         plan: Targets to press.
         prepared: Returns the final bench: speeds, limits, calibrated frame. The mock's World
@@ -101,15 +97,15 @@ def record(
         ConfigError, DeviceLost, SafetyStop, SessionError, Interrupted: Before anything was
             recorded.
     """
-    confirm_motion(prepared(bench_from(content, str(path))), deepest(plan, total), asked_by)
+    confirm_motion(prepared(file.bench), deepest(plan, total), asked_by)
     request.path.parent.mkdir(parents=True, exist_ok=True)
     log_to(request.path.with_suffix(".log"))
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-")))
         if on is None:
-            started = started_bench(path, content, sources=sources, truth=truth, folder=folder)
+            started = started_bench(file, sources=sources, truth=truth, folder=folder)
             on = stack.enter_context(started)
-        bench = prepared(bench_from(on.content, str(path)))
+        bench = prepared(on.file.bench)
         shown = None if page is None else stack.enter_context(page(bench, folder))
-        collector = Collector(bench, on.content, folder, on.watch, shown)
+        collector = Collector(bench, on.file.content, folder, on.watch, shown)
         return collector.run(request, plan, len(plan) if total is None else total)

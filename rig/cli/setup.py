@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import dataclasses
 import getpass
 import math
 import tempfile
@@ -22,7 +21,7 @@ from rig.acquire.calibration import store
 from rig.acquire.campaign import run_rig
 from rig.acquire.doctor import Finding, examine
 from rig.acquire.preflight import settling
-from rig.bench.bench import Bench, BenchStream, bench_from
+from rig.bench.bench import Bench, BenchStream
 from rig.cli import doctor
 from rig.cli.options import (
     banner,
@@ -31,7 +30,6 @@ from rig.cli.options import (
     calibration_options,
     chosen_bench,
     require_terminal,
-    with_indenter,
 )
 from rig.cli.recording import started_bench
 from rig.core import emulation
@@ -66,11 +64,10 @@ class AtBench:
     def __init__(self, options: argparse.Namespace, given: Answers) -> None:
         self.options = options
         self.given = given
-        self.path, bench, content = chosen_bench(options)
-        self.content, indenter = with_indenter(content, bench, options.indenter)
-        self.bench: Bench = dataclasses.replace(bench, indenter=indenter)
+        file = chosen_bench(options)
+        self.file = file.with_indenter(options.indenter or "")
         self.clock = SystemClock()
-        self.record = SetupRecord(options.calibrations, self.bench, content)
+        self.record = SetupRecord(options.calibrations, self.bench, file.content)
         self._stack = contextlib.ExitStack()
         self._ready: Bench | None = None
         self.watch: Callable[[], None] | None = None
@@ -78,11 +75,16 @@ class AtBench:
         self._tip: Point = (0.0, 0.0, _CLEAR)
 
     @property
+    def bench(self) -> Bench:
+        """The bench as its file describes it."""
+        return self.file.bench
+
+    @property
     def ready(self) -> Bench:
         """The bench with addresses filled in; a mock bench starts its emulators."""
         if self._ready is None:
-            on = self._stack.enter_context(started_bench(self.path, self.content))
-            self._ready = bench_from(on.content, str(self.path))
+            on = self._stack.enter_context(started_bench(self.file))
+            self._ready = on.file.bench
             self.watch = on.watch
         return self._ready
 
@@ -157,7 +159,7 @@ class AtBench:
             for key in ("force", "world")
             if getattr(self.options, key)
         ]
-        return run_rig([name, "--bench", str(self.path), *mock, *more])
+        return run_rig([name, "--bench", str(self.file.path), *mock, *more])
 
     def measure(self, name: str, folder: bool = False, *more: str) -> tuple[int, Path]:
         """Run a command that records a session; return its exit code, and the session.
@@ -468,7 +470,7 @@ def run(options: argparse.Namespace) -> int:
     while True:
         at = AtBench(options, given)
         if at.bench.mock:
-            print(banner(True, at.path), flush=True)
+            print(banner(at.file), flush=True)
         elif options.yes:
             raise ConfigError("--yes: found with a lab bench; allowed on a mock bench")
         require_terminal(at.bench)

@@ -17,7 +17,7 @@ from rig.acquire.calibration.calibration import Calibration
 from rig.acquire.no_gauge import StageStopped
 from rig.acquire.request import CollectRequest, plan_of
 from rig.acquire.streams import Streams
-from rig.bench.bench import Bench
+from rig.bench.bench import Bench, BenchFile
 from rig.bench.no_gauge import check_plan, lines
 from rig.cli.options import bench_command, confirm, free_path
 from rig.cli.recording import StartedBench, record
@@ -30,12 +30,8 @@ from trajectories import Plan, Target
 class StageRecorder:
     """Records the stages of one bench; a `rig.acquire.no_gauge.Record`."""
 
-    path: Path
+    file: BenchFile
     """The bench file."""
-    bench: Bench
-    """The bench as its file describes it."""
-    content: dict[str, Any]
-    """Content of the file."""
     folder: Path
     """Folder for the sessions."""
     on: StartedBench
@@ -55,7 +51,7 @@ class StageRecorder:
         after_target: Callable[[Target, Session], None] | None = None,
     ) -> Session:
         """Press `plan` and return the session; see `rig.acquire.no_gauge.Record`."""
-        path = free_path(self.folder / f"{self.bench.sensor}-{what}-{file_stamp()}.zarr")
+        path = free_path(self.folder / f"{self.file.bench.sensor}-{what}-{file_stamp()}.zarr")
 
         def after(target: Target, streams: Streams) -> None:
             if after_target is not None:
@@ -68,8 +64,8 @@ class StageRecorder:
             contact_change=contact_change,
             after_target=None if after_target is None else after,
         )
-        plan_of(request, prepared(self.bench), plan)
-        code = record(self.path, self.content, request, plan, prepared=prepared, on=self.on)
+        plan_of(request, prepared(self.file.bench), plan)
+        code = record(self.file, request, plan, prepared=prepared, on=self.on)
         if code != EXIT_DONE:
             raise StageStopped(code)
         return Session(path)
@@ -109,9 +105,9 @@ def prepare(
         StageStopped: A stage was stopped.
         SafetyStop, ConfigError, DeviceLost, SessionError, Interrupted: Nothing may be pressed.
     """
-    bench = stages.bench
-    if bench.mock and not _is_found(bench, calibration, stages.content):
-        home = no_gauge.find_surface(bench, stages.content, stages)
+    bench, content = stages.file.bench, stages.file.content
+    if bench.mock and not _is_found(bench, calibration, content):
+        home = no_gauge.find_surface(bench, content, stages)
         calibration = dataclasses.replace(calibration, home=home, file="found in the same run")
         no_gauge.press_in_steps(bench, calibration, depth, stages, _show)
     elif not store.pressed_before(options.calibrations, bench, bench.indenter, depth):

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from rig.bench.bench import Bench, addressed, bench_from
+from rig.bench.bench import Bench, BenchFile
 from rig.bench.worlds import Noise, SimulatedSpec
 from rig.core.clock import SystemClock
 from rig.core.config import from_si
@@ -69,8 +69,7 @@ class MockBench(StartedOrClosed):
     """The emulators of one bench, as a context manager.
 
     Args:
-        content: A mock bench as read from YAML, with `loopback` addresses.
-        where: Its file, for error messages.
+        file: A mock bench, with `loopback` addresses.
         folder: Empty run folder for shared records.
         sources: Real recordings to play.
         truth: File to log the World's truth to.
@@ -79,8 +78,7 @@ class MockBench(StartedOrClosed):
 
     def __init__(
         self,
-        content: dict[str, Any],
-        where: str,
+        file: BenchFile,
         folder: Path,
         *,
         sources: Sources | None = None,
@@ -88,10 +86,10 @@ class MockBench(StartedOrClosed):
         devices: Collection[str] = _KINDS,
     ) -> None:
         self.host = free_loopback()
-        self.content = addressed(content, self.host, folder)
-        self.bench: Bench = bench_from(self.content, where)
+        self.file = file.at(self.host, folder)
+        """The bench with the addresses of the emulators."""
         if self.bench.world is None:
-            raise ConfigError(f"{where}.world: missing; allowed: a world, on a mock bench")
+            raise ConfigError(f"{file.path}.world: missing; allowed: a world, on a mock bench")
         self._folder = folder
         self._sources = sources or Sources()
         self._truth = truth
@@ -99,13 +97,18 @@ class MockBench(StartedOrClosed):
         self._launched = ProcessGroup(folder, SystemClock())
         self._closed = False
 
+    @property
+    def bench(self) -> Bench:
+        """The bench with the addresses of the emulators."""
+        return self.file.bench
+
     def documents(self) -> dict[str, tuple[str, dict[str, Any]]]:
         """Return the emulator and the settings of each process, by the name of the process.
 
         Raises:
             ConfigError: A device has an address that its emulator cannot have.
         """
-        bench, content, folder = self.bench, self.content, self._folder
+        bench, content, folder = self.bench, self.file.content, self._folder
         world = {
             "world": content["world"],
             "contact_frame": content.get("world_frame") or content["contact_frame"],
@@ -131,7 +134,7 @@ class MockBench(StartedOrClosed):
 
     def _emulated(self) -> list[_Device]:
         """Return the devices to emulate."""
-        bench, content = self.bench, self.content
+        bench, content = self.bench, self.file.content
         found = []
         for kind in _KINDS:
             key = "jog" if kind == "spacemouse" else kind

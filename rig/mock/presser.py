@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from rig.bench.bench import Bench
+from rig.bench.bench import Bench, BenchFile
 from rig.core.clock import SECOND_NS, Clock, Pacer, SystemClock
 from rig.core.errors import DeviceLost
 from rig.core.geometry import transform
@@ -43,19 +43,14 @@ class TouchedMock(MockBench):
     """Context manager for the emulated sensor of a mock bench and its World.
 
     Args:
-        content: A mock bench as read from YAML, with `loopback` addresses.
-        where: Its file, for error messages.
+        file: A mock bench, with `loopback` addresses.
         folder: Empty run folder for shared records.
         rate_hz: Frames per second; None: the bench file's.
     """
 
-    def __init__(
-        self, content: dict[str, Any], where: str, folder: Path, *, rate_hz: float | None = None
-    ) -> None:
+    def __init__(self, file: BenchFile, folder: Path, *, rate_hz: float | None = None) -> None:
         self._truth_path = folder / "truth.log"
-        super().__init__(
-            _at_rate(content, rate_hz), where, folder, truth=self._truth_path, devices=_SENSORS
-        )
+        super().__init__(_at_rate(file, rate_hz), folder, truth=self._truth_path, devices=_SENSORS)
         self._finger: _Finger | None = None
 
     def press(self) -> None:
@@ -150,10 +145,11 @@ def _towards(start: Point, goal: Point, fraction: float) -> Point:
     return (x, y, z)
 
 
-def _at_rate(content: dict[str, Any], rate_hz: float | None) -> dict[str, Any]:
-    """Return `content` with the sensor's rate replaced."""
+def _at_rate(file: BenchFile, rate_hz: float | None) -> BenchFile:
+    """Return the file with the sensor's rate replaced."""
     if rate_hz is None:
-        return content
+        return file
+    content = file.content
     faster: dict[str, Any] = {
         name: {**content[name], "rate_hz": rate_hz}
         for name in _SENSORS
@@ -164,4 +160,4 @@ def _at_rate(content: dict[str, Any], rate_hz: float | None) -> dict[str, Any]:
             name: {**section, "rate_hz": rate_hz} if section.get("kind") in _DEVICES else section
             for name, section in streams.items()
         }
-    return {**content, **faster}
+    return BenchFile.of({**content, **faster}, file.path)

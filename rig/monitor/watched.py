@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from rig.bench.bench import Bench
+from rig.bench.bench import Bench, BenchFile
 from rig.bench.stream_kinds import make_driver
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.driver import Driver
@@ -143,7 +143,7 @@ def _gauge(
 
 @contextlib.contextmanager
 def mock_bench(
-    content: dict[str, Any], where: str, folder: Path, clock: Clock, *, rate_hz: float | None
+    file: BenchFile, folder: Path, clock: Clock, *, rate_hz: float | None
 ) -> Iterator[Watched]:
     """Open the emulated sensor of a mock bench; a finger presses it once `begin` is called.
 
@@ -151,7 +151,7 @@ def mock_bench(
         ConfigError, DeviceLost: This is no mock bench, or an emulator does not start.
     """
     with (
-        TouchedMock(content, where, folder, rate_hz=rate_hz) as mock,
+        TouchedMock(file, folder, rate_hz=rate_hz) as mock,
         lab_bench(mock.bench, clock) as opened,
     ):
         yield Watched(

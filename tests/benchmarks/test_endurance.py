@@ -13,7 +13,7 @@ from support.collecting import quick_bench
 from benchmarks.endurance.long_run import long_bench, run_long
 from benchmarks.endurance.processes import Track, look, role_of
 from benchmarks.endurance.report import growth_of, page
-from rig.bench.bench import load_bench
+from rig.bench.bench import BenchFile
 from rig.core.errors import ConfigError
 from rig.core.packaged import BENCHES
 from trajectories import dry_run
@@ -21,7 +21,7 @@ from trajectories import dry_run
 
 def test_the_plan_is_as_long_as_asked_and_no_longer_than_needed(tmp_path: Path) -> None:
     path, targets = long_bench(BENCHES / "tacpalm.yaml", 1800.0, tmp_path)
-    bench, _ = load_bench(path)
+    bench = BenchFile.read(path).bench
     walked = dry_run(
         bench.trajectory,
         bench.plan_limits,

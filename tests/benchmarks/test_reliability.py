@@ -21,7 +21,7 @@ from benchmarks.faults.page import page
 from benchmarks.faults.rows import ROWS
 from benchmarks.faults.run import Results, names
 from recorder import Session
-from rig.bench.bench import bench_from, load_bench
+from rig.bench.bench import BenchFile, bench_from
 from rig.core.clock import FakeClock
 from rig.core.guard import Guard
 from rig.core.packaged import BENCHES
@@ -184,7 +184,7 @@ def test_the_page_says_what_is_wrong_and_what_was_not_run(session: Path) -> None
 
 
 def test_a_labs_stale_limits_are_50_and_100_ms_and_stop_the_arm_just_past_them() -> None:
-    content = load_bench(BENCHES / "tacpalm.yaml")[1]
+    content = BenchFile.read(BENCHES / "tacpalm.yaml").content
     for key in ("stale_force_ms", "stale_pose_ms"):
         del content["limits"][key]
     bench = bench_from(content, "a lab's bench")

@@ -14,7 +14,7 @@ import pytest
 import yaml
 from support.collecting import ROOT, enter_pressed, quick_bench
 
-from rig.bench.bench import load_bench
+from rig.bench.bench import BenchFile
 from rig.mock.bench import MockBench
 
 STANDS_IN = re.compile(r"emulator|emulated_|player|playback|^rig\.(mock|replay)\b")
@@ -53,9 +53,9 @@ def test_no_process_of_a_lab_collection_loads_an_emulator(sensor: str, tmp_path:
         folder.mkdir()
     (hook / "sitecustomize.py").write_text(TELL_AT_EXIT)
     path = quick_bench(tmp_path, sensor)
-    with MockBench(load_bench(path)[1], str(path), run) as mock, enter_pressed() as terminal:
+    with MockBench(BenchFile.read(path), run) as mock, enter_pressed() as terminal:
         lab = tmp_path / "lab.yaml"
-        lab.write_text(yaml.safe_dump(lab_content(mock.content)))
+        lab.write_text(yaml.safe_dump(lab_content(mock.file.content)))
         session = tmp_path / "s.zarr"
         done = subprocess.run(
             [

@@ -185,7 +185,7 @@ from dataclasses import replace
 from pathlib import Path
 from rig.acquire.control import Control
 from rig.acquire.interlocks import DeadManReleased, Interlocks
-from rig.bench.bench import load_bench
+from rig.bench.bench import BenchFile
 from rig.core.clock import SystemClock
 from rig.core.errors import DeviceLost
 from rig.devices.hid.emulator import HidEmulator
@@ -195,7 +195,7 @@ node, mode, bench_file = sys.argv[1:]
 clock, control = SystemClock(), Control()
 emulator = HidEmulator("pedal", Path(node), clock)
 emulator.start()
-bench, _ = load_bench(Path(bench_file))
+bench = BenchFile.read(Path(bench_file)).bench
 bench = replace(bench, pedal=PedalConfig(node, mode=mode, unplugged_limit=1.0))
 seen, delays = [], []
 def look():

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from rig.acquire import preflight
-from rig.bench.bench import Bench, find_bench, load_bench
+from rig.bench.bench import Bench, BenchFile, find_bench
 from rig.core.errors import DeviceLost, SafetyStop
 from rig.core.geometry import compose
 from rig.core.packaged import BENCHES
 from rig.core.samples import POSE_LATEST
 
-BENCH: Bench = load_bench(find_bench("tacpalm", BENCHES))[0]
+BENCH: Bench = BenchFile.read(find_bench("tacpalm", BENCHES)).bench
 RATES = {"force": 1000.0, "pose": 500.0, "camera": 30.0}
 
 

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Literal
 
 import pytest
 
-from rig.bench.bench import find_bench, load_bench
+from rig.bench.bench import BenchFile, find_bench
 from rig.core.config import build, read_yaml
 from rig.core.errors import ConfigError
 from rig.core.packaged import BENCHES, CAMPAIGNS, packaged
@@ -148,7 +148,8 @@ TARGETS = {
 
 @pytest.mark.parametrize("sensor", sorted(TARGETS))
 def test_every_bench_in_the_repository_loads_with_the_papers_targets(sensor: str) -> None:
-    bench, content = load_bench(find_bench(sensor, BENCHES))
+    file = BenchFile.read(find_bench(sensor, BENCHES))
+    bench, content = file.bench, file.content
     assert bench.sensor == sensor
     assert bench.mock
     assert len(bench.trajectory) == TARGETS[sensor]
@@ -187,7 +188,8 @@ def test_a_labs_bench_extends_a_packaged_one_that_is_not_beside_it(
     path = tmp_path / "benches" / "lab" / "mine.yaml"
     path.parent.mkdir(parents=True)
     path.write_text(f"extends: {named}\ndescription: mine\n")
-    bench, content = load_bench(path)
+    file = BenchFile.read(path)
+    bench, content = file.bench, file.content
     assert (bench.sensor, content["description"]) == ("tacpalm", "mine")
 
 
@@ -198,7 +200,7 @@ def test_a_file_that_is_there_is_extended_before_the_packaged_one(tmp_path: Path
     path = tmp_path / "benches" / "lab" / "mine.yaml"
     path.parent.mkdir()
     path.write_text("extends: ../tacpalm.yaml\n")
-    assert load_bench(path)[0].description == "of the lab"
+    assert BenchFile.read(path).bench.description == "of the lab"
 
 
 @pytest.mark.parametrize("named", ["other/tacpalm.yaml", "../nosuch.yaml", "/tacpalm.yaml"])
@@ -206,7 +208,7 @@ def test_a_wrong_folder_is_not_taken_for_a_packaged_bench(tmp_path: Path, named:
     path = tmp_path / "mine.yaml"
     path.write_text(f"extends: {named}\n")
     with pytest.raises(ConfigError, match="no such file"):
-        load_bench(path)
+        BenchFile.read(path)
 
 
 @pytest.mark.parametrize(
@@ -237,7 +239,7 @@ def test_the_labs_example_is_a_bench(tmp_path: Path) -> None:
     path = tmp_path / "benches" / "lab" / "tacpalm.yaml"
     path.parent.mkdir(parents=True)
     path.write_text(example[1])
-    bench, _ = load_bench(path)
+    bench = BenchFile.read(path).bench
     assert not bench.mock
     assert bench.limits.stale_force == pytest.approx(0.05)
 
@@ -249,6 +251,6 @@ def test_the_guides_example_of_a_sensor_is_a_bench(tmp_path: Path) -> None:
     path = tmp_path / "benches" / "digit.yaml"
     path.parent.mkdir()
     path.write_text(example[1])
-    bench, _ = load_bench(path)
+    bench = BenchFile.read(path).bench
     assert bench.sensor == "digit"
     assert len(bench.trajectory) == 160

@@ -17,7 +17,7 @@ import pytest
 from rig.acquire import doctor
 from rig.acquire.control import Interrupted
 from rig.acquire.doctor import Finding, examine
-from rig.bench.bench import Bench, BenchStream, bench_from, load_bench
+from rig.bench.bench import Bench, BenchFile, BenchStream, bench_from
 from rig.cli.doctor import fix
 from rig.cli.options import bench_command, bench_options
 from rig.cli.recording import started_bench
@@ -30,7 +30,7 @@ NOBODY = "127.0.0.239"
 
 
 def packaged(sensor: str = "gelsight") -> Bench:
-    return load_bench(BENCHES / f"{sensor}.yaml")[0]
+    return BenchFile.read(BENCHES / f"{sensor}.yaml").bench
 
 
 def row_of(bench: Bench, name: str) -> BenchStream:
@@ -41,10 +41,9 @@ def row_of(bench: Bench, name: str) -> BenchStream:
 def started(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
     """Content of a bench file with the addresses of running emulators."""
     path = BENCHES / "gelsight.yaml"
-    content = load_bench(path)[1]
     folder = tmp_path_factory.mktemp("bench")
-    with started_bench(path, content, folder=folder) as on:
-        yield on.content
+    with started_bench(BenchFile.read(path), folder=folder) as on:
+        yield on.file.content
 
 
 def found(content: dict[str, Any], folder: Path) -> dict[str, Finding]:
@@ -227,7 +226,8 @@ def test_fix_writes_what_is_missing_once_and_only_after_enter(
         "pedal": {"kind": "hid_pedal", "device": "3553:b001"},
         "jog": {"kind": "spacemouse", "device": "/dev/hidraw3", "speed_max_mm_s": 5.0},
     }
-    bench = bench_from({**load_bench(BENCHES / "gelsight.yaml")[1], **devices}, "bench.yaml")
+    content = BenchFile.read(BENCHES / "gelsight.yaml").content
+    bench = bench_from({**content, **devices}, "bench.yaml")
     with pytest.raises(ConfigError, match="no terminal to ask on"):
         fix(bench, "ada", tmp_path)
     monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: True))

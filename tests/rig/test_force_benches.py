@@ -11,7 +11,7 @@ import pytest
 from support.collecting import Collection, faults_of, quick_bench
 
 from recorder import Session
-from rig.bench.bench import Bench, load_bench
+from rig.bench.bench import Bench, BenchFile
 from rig.bench.stream_kinds import expected_rate, make_driver
 from rig.core.clock import FakeClock
 from rig.core.config import READER
@@ -40,13 +40,13 @@ def bench_with(folder: Path, force: str) -> Path:
 
 
 def loaded(folder: Path, force: str) -> Bench:
-    bench, _ = load_bench(bench_with(folder, force))
+    bench = BenchFile.read(bench_with(folder, force)).bench
     return bench
 
 
 def mock_bench(folder: Path, force: str) -> MockBench:
     path = bench_with(folder, force)
-    return MockBench(load_bench(path)[1], str(path), folder)
+    return MockBench(BenchFile.read(path), folder)
 
 
 @pytest.mark.parametrize(

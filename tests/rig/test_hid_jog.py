@@ -18,7 +18,7 @@ from support import hidraw_nodes
 from support.collecting import ROOT, Collection
 
 from rig.acquire.jog import REACH, origin_text, planned
-from rig.bench.bench import load_bench
+from rig.bench.bench import BenchFile
 from rig.core import emulation
 from rig.core.clock import SystemClock
 from rig.core.packaged import BENCHES
@@ -59,7 +59,7 @@ def test_against_the_wall_of_the_box_it_stays() -> None:
 
 
 def test_the_origin_is_printed_as_a_bench_file_takes_it() -> None:
-    bench, _ = load_bench(BENCHES / "tacpalm.yaml")
+    bench = BenchFile.read(BENCHES / "tacpalm.yaml").bench
     text = origin_text(bench, (0.001, -0.002, 0.0005))
     snippet = yaml.safe_load(text[text.index("contact_frame:") : text.index("then")])
     assert snippet["contact_frame"] == {

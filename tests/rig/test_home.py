@@ -17,7 +17,7 @@ from recorder import Session
 from rig.acquire.calibration import home, store
 from rig.acquire.calibration.calibration import Calibration, HomeCalibration, LatencyCalibration
 from rig.acquire.calibration.onset import Onset, combine, find_onset, tilt
-from rig.bench.bench import Bench, load_bench
+from rig.bench.bench import Bench, BenchFile
 from rig.bench.worlds import AnalyticSpec, Sphere
 from rig.core.errors import ConfigError, SafetyStop
 from rig.core.packaged import BENCHES
@@ -27,7 +27,7 @@ from trajectories import Touch, plan_from_json, plan_to_json
 
 
 def _bench(sensor: str) -> Bench:
-    return load_bench(BENCHES / f"{sensor}.yaml")[0]
+    return BenchFile.read(BENCHES / f"{sensor}.yaml").bench
 
 
 def _approach(

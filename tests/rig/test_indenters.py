@@ -105,7 +105,7 @@ def test_the_simulated_world_presses_with_ones_own_solid(
 ) -> None:
     import trimesh
 
-    from rig.bench.bench import bench_from, load_bench, with_simulated_world
+    from rig.bench.bench import BenchFile, bench_from, with_simulated_world
     from rig.bench.worlds import SimulatedSpec
     from rig.core.packaged import BENCHES
     from rig.mock.world.simulated import live_sensor
@@ -113,7 +113,7 @@ def test_the_simulated_world_presses_with_ones_own_solid(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "indenters").mkdir()
     trimesh.creation.box(extents=(4.0, 6.0, 20.0)).export(tmp_path / "indenters" / "block.stl")
-    content = with_simulated_world(load_bench(BENCHES / "tacpalm.yaml")[1], "tacpalm.yaml")
+    content = with_simulated_world(BenchFile.read(BENCHES / "tacpalm.yaml").content, "tacpalm.yaml")
     spec = bench_from(content, "tacpalm.yaml").world
     assert isinstance(spec, SimulatedSpec)
     assert find_indenter("block").size == pytest.approx((4e-3, 6e-3))

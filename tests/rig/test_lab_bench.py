@@ -25,7 +25,7 @@ import yaml
 from support.collecting import ROOT, quick_bench
 
 from recorder import Session
-from rig.bench.bench import load_bench
+from rig.bench.bench import BenchFile
 from rig.core.geometry import invert, transform
 from rig.core.samples import ARM_TRUTH
 from rig.core.shared_memory import SharedLatest
@@ -42,14 +42,14 @@ class LabBench:
     """Emulators, and a bench file that knows their addresses only."""
 
     def __init__(self, folder: Path) -> None:
-        bench, content = load_bench(quick_bench(folder, "tacpalm"))
+        file = BenchFile.read(quick_bench(folder, "tacpalm"))
         self.run_folder = folder / "run"
         self.run_folder.mkdir()
-        self.mock = MockBench(content, "bench.yaml", self.run_folder)
-        lab = {**self.mock.content, "mock": False, "world": None, "simulated": None}
+        self.mock = MockBench(file, self.run_folder)
+        lab = {**self.mock.file.content, "mock": False, "world": None, "simulated": None}
         self.file = folder / "lab.yaml"
         self.file.write_text(yaml.safe_dump(lab))
-        self._to_contact = invert(bench.contact_frame)
+        self._to_contact = invert(file.bench.contact_frame)
 
     def tip(self) -> float:
         """Return the height of the emulated arm's tip above the sensor [mm]."""
@@ -188,7 +188,7 @@ def test_anything_but_enter_starts_nothing(lab: LabBench, tmp_path: Path, answer
 
 @pytest.fixture(name="gripping")
 def bench_with_a_gripper(tmp_path: Path) -> Path:
-    content = load_bench(quick_bench(tmp_path, "tacpalm"))[1]
+    content = BenchFile.read(quick_bench(tmp_path, "tacpalm")).content
     gripper = {"kind": "robotiq_2f", "port": str(tmp_path / "no-such-port"), "speed": 40}
     lab = {**content, "mock": False, "world": None, "simulated": None, "gripper": gripper}
     (tmp_path / "gripping.yaml").write_text(yaml.safe_dump(lab))

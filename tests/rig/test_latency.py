@@ -15,7 +15,7 @@ from support.collecting import ROOT
 from recorder import Session
 from rig.acquire.calibration import latency
 from rig.acquire.calibration.latency import Lag, find_lag
-from rig.bench.bench import load_bench
+from rig.bench.bench import BenchFile
 from rig.core.errors import ConfigError
 from rig.core.packaged import BENCHES
 from rig.devices.camera.jpeg import frame_stamp
@@ -156,7 +156,7 @@ def test_taps_are_light_irregular_and_the_same_again() -> None:
     assert len(set(heights)) == len(heights)
     assert min(heights) > 0
     assert max(target.depth for target in targets) <= 0.5e-3
-    bench = load_bench(BENCHES / "gelsight.yaml")[0]
+    bench = BenchFile.read(BENCHES / "gelsight.yaml").bench
     with pytest.raises(ConfigError, match="depth-mm"):
         latency.plan_for(bench, depth=9e-3, count=12)
     with pytest.raises(ConfigError, match="taps"):
@@ -197,7 +197,9 @@ world: {{markers: {{delay_ms: {delay_ms}}}}}
     assert truth is not None
     # Drawing and sending take a few milliseconds more than the requested delay.
     assert 0 <= truth - 1e-3 * delay_ms < 0.05
-    found = latency.evaluate(session, "camera", latency.exposure_of(load_bench(bench)[0], "camera"))
+    found = latency.evaluate(
+        session, "camera", latency.exposure_of(BenchFile.read(bench).bench, "camera")
+    )
     assert found.lag == pytest.approx(truth, abs=1e-3)
     stored = yaml.safe_load((tmp_path / "tacpalm.yaml").read_text())["latency"]
     assert stored["latency_ms"] == pytest.approx(1e3 * found.latency, abs=1e-6)

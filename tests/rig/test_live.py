@@ -20,7 +20,7 @@ from support.sessions import make_session
 
 from recorder import Session, SessionError
 from rig.__main__ import main
-from rig.bench.bench import find_bench, load_bench
+from rig.bench.bench import BenchFile, find_bench
 from rig.core.clock import SECOND_NS, FakeClock, SystemClock
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.packaged import BENCHES
@@ -240,7 +240,7 @@ def test_the_finger_of_a_mock_bench_presses_once_the_sensor_was_seen_without_con
     clock, stop = SystemClock(), Never()
     predictor = Stub(first=20)
     seen = Seen()
-    with mock_bench(load_bench(path)[1], str(path), tmp_path, clock, rate_hz=100.0) as watched:
+    with mock_bench(BenchFile.read(path), tmp_path, clock, rate_hz=100.0) as watched:
         assert watched.driver.describe()["rate_hz"] in (None, 100.0)
         watch(watched, predictor, clock, stop, seen=seen, seconds=1.2)
         assert watched.wrench is not None

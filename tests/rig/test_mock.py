@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from rig.bench.bench import find_bench, load_bench
+from rig.bench.bench import BenchFile, find_bench
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.packaged import BENCHES
 from rig.core.sources import Sources
@@ -27,7 +27,7 @@ def test_a_bench_has_the_emulators_of_its_devices_at_one_address_of_its_own(
     sensor: str, devices: set[str], tmp_path: Path
 ) -> None:
     path = find_bench(sensor, BENCHES)
-    with MockBench(load_bench(path)[1], str(path), tmp_path) as mock:
+    with MockBench(BenchFile.read(path), tmp_path) as mock:
         assert set(mock.processes) == devices
         mock.check()
         for port in (29999, 30003, 30004):
@@ -57,7 +57,7 @@ def test_an_emulator_that_does_not_start_is_named_with_its_last_word(tmp_path: P
     log.write_bytes(b"no array")
     folder = tmp_path / "run"
     folder.mkdir()
-    bench = MockBench(load_bench(path)[1], str(path), folder, sources=Sources(taxels=log))
+    bench = MockBench(BenchFile.read(path), folder, sources=Sources(taxels=log))
     with pytest.raises(DeviceLost, match="taxels emulator did not start"), bench:
         pass
     assert all(process.returncode is not None for process in bench.processes.values())
@@ -74,7 +74,7 @@ def test_an_emulator_that_lacks_a_library_names_the_extra(
     before = os.environ.get("PYTHONPATH", "")
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), before]))
     path = find_bench("uskin", BENCHES)
-    bench = MockBench(load_bench(path)[1], str(path), tmp_path)
+    bench = MockBench(BenchFile.read(path), tmp_path)
     with (
         pytest.raises(
             ConfigError, match=r"taxels emulator: websockets is not .*tactile-rig\[rig\]"

@@ -309,7 +309,7 @@ def test_a_mock_bench_searches_its_surface_unless_it_was_found_lately(
     monkeypatch.setattr(no_gauge, "find_surface", lambda *_: asked.append("search") or fresh)
     monkeypatch.setattr(no_gauge, "press_in_steps", lambda *_: asked.append("press") or pressed)
     options = argparse.Namespace(calibrations=tmp_path)
-    stages: Any = SimpleNamespace(bench=bench, content=content)
+    stages: Any = SimpleNamespace(file=SimpleNamespace(bench=bench, content=content))
     found = prepare(options, stages, Calibration(home=home), 1e-3)
     assert asked == (["search", "press"] if searched else ["press"])
     assert found.home == (fresh if searched else home)

@@ -15,7 +15,7 @@ from rig.acquire.calibration import store
 from rig.acquire.calibration.calibration import Calibration
 from rig.acquire.campaign import run_rig
 from rig.acquire.doctor import Finding
-from rig.bench.bench import load_bench
+from rig.bench.bench import BenchFile
 from rig.cli import setup
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.packaged import BENCHES
@@ -65,7 +65,8 @@ def steps(monkeypatch: pytest.MonkeyPatch) -> Steps:
 def test_a_stopped_set_up_goes_on_and_ends_in_a_report_that_sessions_carry(
     steps: Steps, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    bench, content = load_bench(BENCH)
+    file = BenchFile.read(BENCH)
+    bench, content = file.bench, file.content
     steps.state = "FAULT"
     assert setup.run(parsed(tmp_path, "--yes")) == 3
     assert "stopped at second; the same command goes on" in capsys.readouterr().out
@@ -127,7 +128,7 @@ def test_the_person_may_measure_again_or_accept_a_fault(
     assert setup.run(parsed(tmp_path)) == 0
     assert steps.run == [("first", 50.0), "second", "second"]
     assert asked[:2] == ["mass [g] [100]:"] * 2
-    bench = load_bench(BENCH)[0]
+    bench = BenchFile.read(BENCH).bench
     accepted = store.acceptance_of(tmp_path, bench)
     assert accepted is not None
     assert accepted["result"] == "accepted with faults: second"
@@ -164,7 +165,9 @@ def test_steps_of_benches_with_and_without_a_gauge() -> None:
     from rig.bench.bench import bench_from
     from rig.bench.no_gauge import without_gauge
 
-    bench, content = load_bench(BENCH)
+    file = BenchFile.read(BENCH)
+
+    bench, content = file.bench, file.content
     bare = bench_from(without_gauge(content, "bench"), "bench")
     names = [{step.name for step in setup.STEPS if step.needed(each)} for each in (bench, bare)]
     assert names[0] - names[1] == {"gauge", "latency"}

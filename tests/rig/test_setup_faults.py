@@ -17,7 +17,7 @@ import pytest
 from rig.acquire import doctor
 from rig.acquire import setup_checks as checks
 from rig.acquire.doctor import Finding
-from rig.bench.bench import Bench, addressed, bench_from, load_bench
+from rig.bench.bench import Bench, BenchFile, bench_from
 from rig.core.clock import SystemClock
 from rig.core.errors import DeviceLost
 from rig.core.geometry import compose
@@ -115,8 +115,7 @@ def force_of(world: WorldHost, tip: tuple[float, float, float] = (0, 0, 0.03)) -
 
 @pytest.fixture(scope="module")
 def arm() -> Iterator[Bench]:
-    content = addressed(load_bench(BENCHES / "gelsight.yaml")[1], HOST, Path("run"))
-    bench = bench_from(content, "bench.yaml")
+    bench = BenchFile.read(BENCHES / "gelsight.yaml").at(HOST, Path("run")).bench
     pose = compose(bench.contact_frame, (0, 0, 0.03, *bench.tool_rotation))
     controller = Controller(np.array(pose), np.array(bench.arm.tcp))
     controller.payload = bench.arm.payload
@@ -181,7 +180,7 @@ def swapped_port(site: Site) -> Iterable[Finding]:
     emulator = emulate_gripper(RobotiqEmulatorConfig(device=device), CLOCK).emulator
     emulator.start()
     scale = {"kind": "scale", "address": str(port), "protocol": "kern", "rate_hz": 5.0}
-    content = {**load_bench(BENCHES / "gelsight.yaml")[1], "force": scale, "hold_ms": 2000}
+    content = {**BenchFile.read(BENCHES / "gelsight.yaml").content, "force": scale, "hold_ms": 2000}
     bench = replace(bench_from(content, "bench.yaml"), preflight=replace(PREFLIGHT, timeout=0.3))
     try:
         checks.read_for(bench, "force", CLOCK, 0.1)
@@ -201,7 +200,7 @@ def shifted_camera(site: Site) -> Iterable[Finding]:
     return site.filmed(1.0, 0.0, address="/dev/video0")
 
 
-PREFLIGHT = load_bench(BENCHES / "gelsight.yaml")[0].preflight
+PREFLIGHT = BenchFile.read(BENCHES / "gelsight.yaml").bench.preflight
 UP, TENFOLD, POUNDS = np.diag([1, 1, -1]), 10 * np.eye(3), np.eye(3) / 4.448
 LYING = [[0, 0, 1], [0, 1, 0], [1, 0, 0]]
 SWAPPED, TURNED = [[0, 1, 0], [1, 0, 0], [0, 0, 1]], [[0, -1, 0], [1, 0, 0], [0, 0, 1]]

@@ -16,7 +16,7 @@ from recorder.convert import FORMATS, export
 from recorder.spec import frame_columns
 from rig.acquire.plan_runner import _reference
 from rig.acquire.preflight import take_tares
-from rig.bench.bench import Bench, bench_from, empty_spec, load_bench
+from rig.bench.bench import Bench, BenchFile, bench_from, empty_spec
 from rig.bench.stream_kinds import stream_spec
 from rig.core.config import read_yaml
 from rig.core.errors import ConfigError
@@ -70,12 +70,12 @@ def written(folder: Path) -> Path:
 
 
 @pytest.fixture
-def three(tmp_path: Path) -> tuple[Bench, dict[str, Any]]:
-    return load_bench(written(tmp_path))
+def three(tmp_path: Path) -> BenchFile:
+    return BenchFile.read(written(tmp_path))
 
 
-def test_single_keys_and_named_streams_are_rows_alike(three: tuple[Bench, Any]) -> None:
-    bench, _ = three
+def test_single_keys_and_named_streams_are_rows_alike(three: BenchFile) -> None:
+    bench = three.bench
     assert tuple(row.name for row in bench.rows) == NAMES
     assert {kind: len(bench.of_kind(kind)) for kind in ("camera", "force", "pose", "taxels")} == {
         "camera": 3,
@@ -93,11 +93,11 @@ def test_single_keys_and_named_streams_are_rows_alike(three: tuple[Bench, Any]) 
 
 def test_null_removes_a_device_and_every_named_stream(tmp_path: Path) -> None:
     three = written(tmp_path)
-    bench, _ = load_bench(three.with_name("none.yaml"))
+    bench = BenchFile.read(three.with_name("none.yaml")).bench
     assert [row.name for row in bench.rows] == ["pose"]
     assert bench.signal is None
     (tmp_path / "two.yaml").write_text("extends: three.yaml\nstreams: {side: null, left: null}\n")
-    bench, _ = load_bench(tmp_path / "two.yaml")
+    bench = BenchFile.read(tmp_path / "two.yaml").bench
     assert "side" not in [row.name for row in bench.rows]
     assert [row.name for row in bench.gauges] == ["force"]
 
@@ -153,9 +153,9 @@ def test_a_lab_bench_without_a_gauge_that_guards_is_refused(force: Any) -> None:
 
 
 def test_every_device_has_an_emulator_and_a_fault_port_of_its_own(
-    three: tuple[Bench, dict[str, Any]], tmp_path: Path
+    three: BenchFile, tmp_path: Path
 ) -> None:
-    mock = MockBench(three[1], "three.yaml", tmp_path)
+    mock = MockBench(three, tmp_path)
     documents = mock.documents()
     devices = [*NAMES[:1], "arm", *NAMES[2:4], *(f"{name}.device" for name in NAMES[4:10])]
     assert set(documents) == {"world", *devices}  # the arm's controller serves all poses
@@ -195,10 +195,8 @@ class Measured:
         return {"row": 7}
 
 
-def test_every_gauge_is_tared_and_has_its_own_reference(
-    three: tuple[Bench, Any], tmp_path: Path
-) -> None:
-    bench, streams = three[0], Measured(three[0])
+def test_every_gauge_is_tared_and_has_its_own_reference(three: BenchFile, tmp_path: Path) -> None:
+    bench, streams = three.bench, Measured(three.bench)
     tares = take_tares(bench, streams)  # type: ignore[arg-type]
     assert {name: tare.mean[0] for name, tare in tares.items()} == pytest.approx(
         {"force": 0.0, "left": 0.6, "right": 0.7}

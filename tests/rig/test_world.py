@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.bench.bench import find_bench, load_bench
+from rig.bench.bench import BenchFile, find_bench
 from rig.bench.worlds import AnalyticSpec, Hysteresis, Layer, MarkerView, Punch, Sphere, TaxelField
 from rig.core.packaged import BENCHES
 from rig.mock.world.analytic import AnalyticWorld
@@ -220,13 +220,17 @@ def test_image_noise_is_absent_unless_asked_for_and_has_its_size() -> None:
 
 def test_taxels_rest_apart_and_count_up_when_pressed() -> None:
     pad = TaxelField()
-    rest, pressed = pad.counts(surface(depth=0.0)), pad.counts(surface())
+
+    def counts(**state: object) -> np.ndarray:
+        return pad.counts(surface(**state).displacement(pad.positions()))
+
+    rest, pressed = counts(depth=0.0), counts()
     assert rest.shape == (16, 3)
     inner = [5, 6, 9, 10]
     assert (pressed[inner, 2] - rest[inner, 2] > 1000).all()
-    right = pad.counts(surface(shear=(5e-4, 0))) - pressed
+    right = counts(shear=(5e-4, 0)) - pressed
     assert (right[inner, 0] > 100).all()
-    up = pad.counts(surface(shear=(0, 5e-4))) - pressed
+    up = counts(shear=(0, 5e-4)) - pressed
     assert (up[inner, 1] > 100).all()
     assert (pad.positions()[[0, 3, 12]] > 0).tolist() == [
         [False, False],
@@ -258,7 +262,7 @@ def test_the_truth_log_gives_back_what_was_logged_between_and_despite_a_torn_end
 def test_full_depth_forces_stand_4_to_2_to_1() -> None:
     force = {}
     for sensor in ("uskin", "gelsight-hetero", "tacpalm"):
-        bench, _ = load_bench(find_bench(sensor, BENCHES))
+        bench = BenchFile.read(find_bench(sensor, BENCHES)).bench
         assert bench.world is not None
         depth = bench.trajectory.depth_max
         force[sensor] = bench.world.indenter.force(bench.world.layer, depth)

@@ -14,7 +14,7 @@ import pytest
 from support.collecting import Collection, faults_of, quick_bench
 
 from recorder import Session
-from rig.bench.bench import bench_from, find_bench, load_bench, with_simulated_world
+from rig.bench.bench import BenchFile, bench_from, find_bench, with_simulated_world
 from rig.core.clock import FakeClock
 from rig.core.config import build
 from rig.core.errors import ConfigError
@@ -60,7 +60,8 @@ def pose(tip: tuple[float, float, float]) -> np.ndarray:
 @pytest.mark.parametrize("sensor", ["gelsight", "gelsight-hetero", "tacpalm", "uskin"])
 def test_every_sensor_of_the_lab_has_a_simulated_world(sensor: str) -> None:
     path = find_bench(sensor, BENCHES)
-    bench, content = load_bench(path)
+    file = BenchFile.read(path)
+    bench, content = file.bench, file.content
     assert bench.world is not None
     assert bench.world.KIND == "analytic"
     simulated = bench_from(with_simulated_world(content, str(path)), str(path))
@@ -72,7 +73,7 @@ def test_every_sensor_of_the_lab_has_a_simulated_world(sensor: str) -> None:
 
 def test_a_bench_without_a_simulated_sensor_says_so() -> None:
     path = find_bench("tacpalm", BENCHES)
-    content = dict(load_bench(path)[1])
+    content = dict(BenchFile.read(path).content)
     del content["simulated"]
     with pytest.raises(ConfigError, match="simulated: missing"):
         with_simulated_world(content, str(path))
@@ -199,14 +200,14 @@ def test_the_contact_frame_may_be_turned() -> None:
 
 def test_the_solver_is_started_with_the_world_that_needs_it(tmp_path: Path) -> None:
     path = find_bench("gelsight", BENCHES)
-    _, content = load_bench(path)
-    assert "solver" not in MockBench(content, str(path), tmp_path).documents()
-    simulated = {**with_simulated_world(content, str(path)), "indenter": "prism"}
-    documents = MockBench(simulated, str(path), tmp_path).documents()
+    read = BenchFile.read(path)
+    assert "solver" not in MockBench(read, tmp_path).documents()
+    simulated = BenchFile.of(with_simulated_world(read.content, str(path)), path)
+    documents = MockBench(simulated.with_indenter("prism"), tmp_path).documents()
     assert documents["solver"] == ("solver", documents["world"][1])
     world = build(WorldConfig, documents["world"][1], "world")
     assert (world.indenter, world.folder) == ("prism", tmp_path)
-    assert world.contact_frame == bench_from(content, str(path)).contact_frame
+    assert world.contact_frame == read.bench.contact_frame
     SharedLatest.create(tmp_path / PRESS_FILE, PRESS_STATE).close()
     assert isinstance(build_world(world), SimulatedWorld)
     file = tmp_path / "world.json"

@@ -11,7 +11,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from rig.bench.bench import load_bench
+from rig.bench.bench import BenchFile
 from rig.core.packaged import BENCHES
 from sim import SceneError
 from sim.dataset import DatasetPlan, Solving, chosen_targets, families, gel, units
@@ -84,7 +84,7 @@ def test_groups_have_the_papers_targets_and_location_pairs(
     ],
 )
 def test_trajectories_are_those_of_the_benches(bench: str, row: str) -> None:
-    (read, _), each = load_bench(BENCHES / bench), sensor(row)
+    read, each = BenchFile.read(BENCHES / bench).bench, sensor(row)
     assert each.trajectory == read.trajectory
     assert each.force_depth is not None
     assert each.force_depth.repeats == 3

@@ -13,12 +13,12 @@ import simplejpeg
 
 from recorder import SessionWriter, StreamSpec, StreamWriter
 from recorder.spec import camera_spec, force_spec, pose_spec, reference_spec, taxels_spec
-from rig.bench.bench import Bench, load_bench
+from rig.bench.bench import Bench, BenchFile
 from rig.core.geometry import compose
 from rig.core.packaged import BENCHES
 from rig.monitor.page.quality import LiveQuality, Quality
 
-GELSIGHT, USKIN = (load_bench(BENCHES / f"{name}.yaml")[0] for name in ("gelsight", "uskin"))
+GELSIGHT, USKIN = (BenchFile.read(BENCHES / f"{name}.yaml").bench for name in ("gelsight", "uskin"))
 CLEARANCE = 0.3e-3
 MS = 1_000_000
 # Columns and rows of the markers.

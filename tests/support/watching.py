@@ -15,7 +15,7 @@ from websockets.sync.client import ClientConnection, connect
 from recorder import SessionWriter, StreamWriter, camera_spec
 from rig.acquire.request import CollectRequest
 from rig.acquire.stream_process import COUNTERS
-from rig.bench.bench import load_bench
+from rig.bench.bench import BenchFile
 from rig.core.clock import SystemClock
 from rig.core.packaged import BENCHES
 from rig.core.samples import CAMERA_LATEST, FORCE_LATEST, POSE_LATEST
@@ -23,7 +23,7 @@ from rig.core.shared_memory import SharedLatest
 from rig.monitor.page.access import AccessPolicy
 from rig.monitor.page.messages import PageJob, page_job
 
-BENCH, _ = load_bench(BENCHES / "tacpalm.yaml")
+BENCH = BenchFile.read(BENCHES / "tacpalm.yaml").bench
 TARGETS = 40
 
 

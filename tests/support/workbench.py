@@ -18,11 +18,11 @@ from support.sessions import make_session, set_attrs
 from websockets.sync.client import connect
 
 from rig.acquire.collector import target_table
-from rig.bench.bench import load_bench
+from rig.bench.bench import BenchFile
 from rig.core.packaged import BENCHES
 from trajectories import plan_to_json
 
-BENCH, _ = load_bench(BENCHES / "gelsight.yaml")
+BENCH = BenchFile.read(BENCHES / "gelsight.yaml").bench
 PLAN = BENCH.trajectory
 TARGETS = 50
 

@@ -9,7 +9,7 @@ import pytest
 
 from recorder.command_line.commands import COMMANDS
 from rig.acquire.campaign import load_campaign
-from rig.bench.bench import find_bench, load_bench
+from rig.bench.bench import BenchFile, find_bench
 from rig.core.packaged import BENCHES
 from tactile.__main__ import main
 
@@ -38,15 +38,16 @@ def test_a_lab_has_a_place_for_everything(lab: Path) -> None:
 
 
 def test_its_benches_are_mocks_until_a_file_is_put_there(lab: Path) -> None:
-    assert load_bench(find_bench("tacpalm", Path("benches")))[0].mock
+    assert BenchFile.read(find_bench("tacpalm", Path("benches"))).bench.mock
     example = re.search(r"```yaml\n(.*?)```", (lab / "README.md").read_text(), re.DOTALL)
     assert example is not None
     own = Path("benches/lab/tacpalm.yaml")
     own.write_text(example[1])
     assert find_bench("tacpalm", Path("benches")) == own
-    bench, content = load_bench(own)
+    file = BenchFile.read(own)
+    bench, content = file.bench, file.content
     assert not bench.mock
-    assert content["trajectory"] == load_bench(BENCHES / "tacpalm.yaml")[1]["trajectory"]
+    assert content["trajectory"] == BenchFile.read(BENCHES / "tacpalm.yaml").content["trajectory"]
 
 
 def test_its_day_can_be_run(lab: Path) -> None:

@@ -67,8 +67,9 @@ class AnalyticWorld:
         state["contact"] = tip[:2]
         state["shear"] = shear
         state["wrench"] = wrench
-        if self._spec.taxels is not None:
-            state["taxels"] = self._spec.taxels.counts(self.surface(state))
+        if (taxels := self._spec.taxels) is not None:
+            moved = self.surface(state).displacement(taxels.positions())
+            state["taxels"] = taxels.counts(moved)
         return state
 
     def surface(self, state: np.void) -> Surface:

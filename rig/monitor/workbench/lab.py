@@ -16,7 +16,7 @@ from rig.acquire.again import marked, write_marks
 from rig.acquire.calibration.store import SETUP, report_path
 from rig.acquire.campaign import Campaign, load_campaign, progress_of
 from rig.acquire.preview import draw, summary
-from rig.bench.bench import Bench, load_bench
+from rig.bench.bench import Bench, BenchFile
 from rig.bench.indenter import find_indenter, indenter_names
 from rig.core.clock import Clock
 from rig.core.config import from_si
@@ -266,7 +266,7 @@ def _is_of(row: Row, bench: Bench) -> bool:
 
 
 def _load(path: Path, stamp: int) -> Bench:
-    return load_bench(path)[0]
+    return BenchFile.read(path).bench
 
 
 def _load_campaign(path: Path, stamp: int, benches: Path) -> Campaign:
