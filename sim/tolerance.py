@@ -41,7 +41,7 @@ from sim.tiers import simulate_one
 
 if TYPE_CHECKING:
     from sim.fem.numerics import Fem
-    from sim.fem.solver import Asked
+    from sim.fem.solver import Required
 
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]
@@ -191,7 +191,7 @@ class _Meshes:
         self._device, self._progress = device, progress
         self._solved: list[Result] = []
         self._finest = np.inf
-        self._asked: Asked = {}
+        self._required: Required = {}
 
     @property
     def limited(self) -> bool:
@@ -224,7 +224,7 @@ class _Meshes:
             numerics,
             device=self._device,
             progress=None if self._progress is None else part_of(self._progress, part, 2),
-            asked=self._asked,
+            required=self._required,
         )
         if isinstance(outcome, SimulationDiverged):
             raise outcome

@@ -346,7 +346,7 @@ def resolved(touched: Mask, x: Array, y: Array, *, body: Body, top: float) -> Ar
 FLATTER = 2.5
 
 
-def coarser_than_asked(sizes: Sizes, x: Array, y: Array, fineness: float = 1.0) -> float:
+def coarser_than_required(sizes: Sizes, x: Array, y: Array, fineness: float = 1.0) -> float:
     """Return the largest ratio of element length to required size; 1 or less is fine enough.
 
     Args:

@@ -27,7 +27,8 @@ from sim import (
 )
 from sim.fem.newton import CRUSHED_MOST, PATIENT, PATIENT_IN_ALL, Newton, Path, path_of
 from sim.fem.numerics import Fem, Precision
-from sim.fem.solver import judged, precision_for_finer
+from sim.fem.solver import precision_for_finer
+from sim.fem.verdict import checked
 from sim.indenters import flat_punch, sphere
 
 BODY = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
@@ -131,7 +132,7 @@ def test_a_path_has_a_budget_of_patient_iterations() -> None:
 
 def test_all_patient_steps_of_a_press_draw_on_its_budget(monkeypatch: pytest.MonkeyPatch) -> None:
     """An update of the multipliers may take long too, and is made to fail with the budget spent."""
-    monkeypatch.setattr("sim.fem.solver.PATIENCE", -PATIENT_IN_ALL)
+    monkeypatch.setattr("sim.fem.stepping.PATIENCE", -PATIENT_IN_ALL)
     left = []
     patience = Path.patience
 
@@ -282,7 +283,7 @@ def test_a_column_that_may_have_buckled_says_so_however_little_of_it_still_touch
     result = simulate(Scene(sphere(4e-3), press([0.5e-3]), column), Fem(spacing=1e-3))
     edge = replace(result.quality, contact_width=result.quality.contact_width / 10)
     bent = replace(result, quality=edge, record={**result.record, "warnings": []})
-    for one in (result, judged(bent)):
+    for one in (result, checked(bent)):
         assert isinstance(one, Result)
         assert any("may buckle" in warning for warning in one.record["warnings"])
     sturdy = replace(column, thickness=4e-3)

@@ -20,7 +20,7 @@ from sim import (
     press,
     simulate,
 )
-from sim.fem import solver
+from sim.fem import stepping
 from sim.fem.assembly import Assembly
 from sim.fem.crossing import Crossing
 from sim.fem.mesh import Mesh, build_mesh
@@ -222,12 +222,12 @@ def test_what_folds_is_a_warning_or_no_result(monkeypatch: pytest.MonkeyPatch) -
         return found
 
     monkeypatch.setattr(Assembly, "overlap", folded)
-    monkeypatch.setattr(solver, "self_overlap", lambda *_given: (0.05 * depth, 10))
+    monkeypatch.setattr(stepping, "self_overlap", lambda *_given: (0.05 * depth, 10))
     result = simulate(scene, numerics)
     assert result.record["self_overlap"]["metres"][1] == pytest.approx(25e-6)
     message = "25 um inside the skin beside it at waypoint 1, 5 %"
     assert [one for one in result.record["warnings"] if message in one]
-    monkeypatch.setattr(solver, "self_overlap", lambda *_given: (0.3 * depth, 10))
+    monkeypatch.setattr(stepping, "self_overlap", lambda *_given: (0.3 * depth, 10))
     with pytest.raises(SimulationDiverged, match=r"folds and passes through itself: .*150 um"):
         simulate(scene, numerics)
 
@@ -245,7 +245,7 @@ def test_a_fold_above_the_limit_ends_the_path_where_it_grows(
         return found
 
     monkeypatch.setattr(Assembly, "overlap", folded)
-    monkeypatch.setattr(solver, "self_overlap", lambda *_given: (0.2, 10))
+    monkeypatch.setattr(stepping, "self_overlap", lambda *_given: (0.2, 10))
     with pytest.raises(SimulationDiverged, match=r"folds and passes through itself") as told:
         simulate(scene, Fem(spacing=4e-3 / 3))
     assert len(told.value.tried) <= 3
@@ -261,7 +261,7 @@ def test_the_host_computes_the_same_in_threads_beside_a_gpu(
         for radius in (2e-3, 3e-3)
     ]
     folds = []
-    real = solver.on_host
+    real = stepping.on_host
 
     def on_host(_device: str, *given: Any) -> list[Any]:
         found = real("cuda:0", *given)
@@ -270,7 +270,7 @@ def test_the_host_computes_the_same_in_threads_beside_a_gpu(
 
     fem = Fem(spacing=1e-3, grading=FOR_EDGES, tolerance=0.015, path_tolerance=0.1, augmentations=1)
     plain = simulate_many(scenes, fem)
-    monkeypatch.setattr(solver, "on_host", on_host)
+    monkeypatch.setattr(stepping, "on_host", on_host)
     beside = simulate_many(scenes, fem)
     assert folds
     for one, other in zip(plain, beside, strict=True):

@@ -14,7 +14,7 @@ from sim.fem.sizing import (
     FLATTER,
     NOTHING,
     Span,
-    coarser_than_asked,
+    coarser_than_required,
     resolved,
     sizes_of,
     stages_of,
@@ -54,7 +54,7 @@ def test_contacts_of_many_frames_are_measured_as_each_alone() -> None:
     alone = [resolved(one[None], x, y, body=body, top=2e-4)[0] for one in touched]
     np.testing.assert_array_equal(found, alone)
     sizes = [sizes_of(one, x, y, 4e-3) for one in touched]
-    worst = [coarser_than_asked(one, x, y) for one in sizes]
+    worst = [coarser_than_required(one, x, y) for one in sizes]
     worst = [max(one, 2e-4 / (FLATTER * of.top)) for one, of in zip(worst, sizes, strict=True)]
     np.testing.assert_array_equal(np.isinf(found), ~touched.any(axis=(1, 2)))
     np.testing.assert_allclose(1 / found, worst, rtol=1e-15)
@@ -104,7 +104,7 @@ def test_a_mesh_is_rebuilt_again_only_if_the_last_time_was_of_use(
     left = iter(lacking)
     monkeypatch.setattr(solver, "more_wanted", lambda _result: NOTHING)
     monkeypatch.setattr(solver, "refines", lambda *_given: True)
-    monkeypatch.setattr(solver, "lacks", lambda _result: next(left))
+    monkeypatch.setattr(solver, "coarseness", lambda _result: next(left))
     (found,) = simulate_fem([Scene(sphere(4e-3), press([0.5e-3]))], Fem(elements_max=1000))
     assert isinstance(found, Result)
     assert found.record["mesh"]["made_anew"] == meshes

@@ -24,7 +24,7 @@ from sim import (
     simulate,
 )
 from sim.fem.numerics import Fem
-from sim.fem.solver import judged
+from sim.fem.verdict import checked
 from sim.indenters import named, plane, sphere
 from sim.layer import Layer
 from trajectories import Point
@@ -79,14 +79,14 @@ def test_a_skin_that_has_not_come_back_lets_go_of_a_lifted_tip() -> None:
         assert result.force[1:4, 2].max() < -1.0
     assert found.quality.overlap_path[:5].max() > 0.1e-3
 
-    def judged_of(*tips: Point) -> Result | SimulationDiverged:
+    def outcome_of_path(*tips: Point) -> Result | SimulationDiverged:
         wrench = found.wrench.copy()
         wrench[4:] = 0.0
         tips = (*tips, *tips[-1:] * (len(path) - len(tips)))
         moved = replace(scene, motion=Motion(tips, times))
-        return judged(replace(found, scene=moved, wrench=wrench))
+        return checked(replace(found, scene=moved, wrench=wrench))
 
-    assert isinstance(judged_of(*path), Result)
+    assert isinstance(outcome_of_path(*path), Result)
     for tips in (
         (*path[:4], (0.0, 0.0, -1.2e-3)),
         (*path[:4], (1e-3, 0.0, -0.9e-3)),
@@ -94,7 +94,7 @@ def test_a_skin_that_has_not_come_back_lets_go_of_a_lifted_tip() -> None:
         (*path[:6], (3e-3, 0.0, -0.2e-3)),
     ):
         with pytest.raises(SimulationDiverged, match=f"no force at waypoint {len(tips) - 1}"):
-            raise judged_of(*tips)  # type: ignore[misc]
+            raise outcome_of_path(*tips)  # type: ignore[misc]
 
 
 def test_a_slow_press_feels_the_modulus_at_rest() -> None:

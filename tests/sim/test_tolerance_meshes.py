@@ -15,7 +15,7 @@ from sim.errors import SimulationDiverged
 from sim.fem import solver
 from sim.fem.numerics import Fem
 from sim.fem.sizing import Sizes, Span
-from sim.fem.solver import Asked, simulate_fem
+from sim.fem.solver import Required, simulate_fem
 from sim.indenters import sphere
 from sim.result import Outcome, Result
 from sim.simulate import simulate
@@ -47,13 +47,13 @@ def test_states_are_as_exact_as_a_tolerance_asks(
 def test_what_a_solution_asks_for_spares_the_next_mesh_being_made_anew() -> None:
     key = 0, len(BALL.motion)
     far_too_coarse = Span(-3e-3, 3e-3, 1.5e-3)
-    asked: Asked = {key: Sizes((far_too_coarse,), (far_too_coarse,), 1.5e-3, 2e-3)}
+    required: Required = {key: Sizes((far_too_coarse,), (far_too_coarse,), 1.5e-3, 2e-3)}
     numerics = Fem(fineness=0.5, tolerance=1e-3)
-    (first,) = simulate_fem([BALL], numerics, asked=asked)
+    (first,) = simulate_fem([BALL], numerics, required=required)
     assert isinstance(first, Result)
     assert first.record["mesh"]["made_anew"] >= 1
-    assert asked[key].x != (far_too_coarse,)
-    (second,) = simulate_fem([BALL], numerics, asked=asked)
+    assert required[key].x != (far_too_coarse,)
+    (second,) = simulate_fem([BALL], numerics, required=required)
     assert isinstance(second, Result)
     assert "made_anew" not in second.record["mesh"]
     np.testing.assert_allclose(second.force, first.force, rtol=0.02, atol=1e-4)
@@ -97,7 +97,7 @@ def test_where_a_coarse_mesh_finds_no_solution_finer_ones_are_tried_once(
             dump.touch()
             return [SimulationDiverged(f"lost; state: {dump}", tried=(), dump=dump)]
         coarser = replace(numerics, fineness=numerics.fineness / 2)
-        (found,) = simulate_fem(scenes, coarser, **{**how, "asked": None})
+        (found,) = simulate_fem(scenes, coarser, **{**how, "required": None})
         assert isinstance(found, Result)
         mesh = {**found.record["mesh"], "fineness": numerics.fineness}
         return [replace(found, record={**found.record, "mesh": mesh})]

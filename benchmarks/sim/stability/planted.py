@@ -125,7 +125,7 @@ def _nodal_contact() -> list[Part]:
 
 
 def _lagged_friction() -> list[Part]:
-    from sim.fem import solver
+    from sim.fem import stepping
     from sim.fem.newton import Newton
 
     class Lagged(Newton):
@@ -141,11 +141,11 @@ def _lagged_friction() -> list[Part]:
                 self._assembly.state.settle_limit(self._mask(chosen))
             super().begin(chosen, tolerance, **how)
 
-    return [(solver, "Newton", Lagged)]
+    return [(stepping, "Newton", Lagged)]
 
 
 def _energy_line_search() -> list[Part]:
-    from sim.fem import solver
+    from sim.fem import stepping
     from sim.fem.newton import Newton
 
     class ByEnergy(Newton):
@@ -168,7 +168,7 @@ def _energy_line_search() -> list[Part]:
             fractions = assembly.element_energy, assembly.face_energy
             return sum(fraction.numpy().sum(axis=1, dtype=float) for fraction in fractions)
 
-    return [(solver, "Newton", ByEnergy)]
+    return [(stepping, "Newton", ByEnergy)]
 
 
 _PARTS: dict[str, Callable[[], list[Part]]] = {
