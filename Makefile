@@ -50,7 +50,7 @@ $(error wrong input: $(REFUSED))
 endif
 endif
 
-.PHONY: help accuracy speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip doctor setup-bench page preview compare mock replay check-session import split train-field train-autoencoder train-direct train-marker-vae train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning demo-paper transfer calibrate-force demo-transfer demo-twin first-hour learning-tables learning-ablations learning-on-gpus live endurance faults bench-recorder test golden test-all check docs format reference setup clean
+.PHONY: help accuracy speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip doctor setup-bench page preview compare mock replay check-session import train-field train-autoencoder train-direct train-marker-vae train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning demo-paper transfer calibrate-force demo-transfer demo-twin first-hour learning-tables learning-ablations learning-on-gpus live endurance faults bench-recorder test golden test-all check docs format reference setup clean
 
 # Above a target: `##@` starts a group of the list, `#:` gives the options of the target.
 help:
@@ -168,13 +168,9 @@ simulate-sensors: $(VENV)/.sim  ## Write an archive of real trajectories with fo
 markers: $(VENV)/.markers  ## Make a marker archive of recorded sessions
 	@$(PY) -m learning markers $(SESSIONS) --out $(OUT) --sheet $(OUT:.zarr=.png) $(ARGS)
 
-#: ARCHIVE=x.markers.zarr [OUT=split.json] [ARGS="--new-press 0.2"]
-split: $(VENV)/.learning  ## Assign presses to training or to a held-out part
-	@$(PY) -m learning split $(ARCHIVE) --out $(or $(OUT),$(ARCHIVE:.markers.zarr=.split.json)) $(ARGS)
-
-#: ARCHIVE= SPLIT= OUT=runs/x [PRESET=ours] [GPUS=4] [ARGS="--resume --set key=value"]
+#: ARCHIVE= OUT=runs/x [SPLIT=split.json] [PRESET=ours] [GPUS=4] [ARGS="--resume --set key=value"]
 train-field train-autoencoder train-direct train-marker-vae train-diffusion: $(VENV)/.learning  ## Train a translator
-	@$(LAUNCH) -m learning $@ $(ARCHIVE) --split $(SPLIT) --out $(OUT) $(if $(PRESET),--preset $(PRESET)) $(ARGS)
+	@$(LAUNCH) -m learning $@ $(ARCHIVE) $(if $(SPLIT),--split $(SPLIT)) --out $(OUT) $(if $(PRESET),--preset $(PRESET)) $(ARGS)
 
 #: ARCHIVE= SOURCE=a TARGET=b MODEL=flow|runs/x OUT=x.markers.zarr [ARGS="--sheet x.png"]
 translate: $(VENV)/.learning  ## Translate frames of one sensor into frames of another
@@ -184,9 +180,9 @@ translate: $(VENV)/.learning  ## Translate frames of one sensor into frames of a
 compensate: $(VENV)/.learning  ## Fit material priors and choose how labels are scaled between skins
 	@$(PY) -m learning compensate $(ARCHIVE) --out $(OUT) $(ARGS)
 
-#: ARCHIVE= SENSOR= SPLIT= OUT=runs/x [PRESET=half] [GPUS=4] [ARGS="--compensation file.json"]
+#: ARCHIVE= SENSOR= OUT=runs/x [SPLIT=split.json] [PRESET=half] [GPUS=4] [ARGS="--compensation file.json"]
 train-force: $(VENV)/.learning  ## Train a force model
-	@$(LAUNCH) -m learning train-force $(ARCHIVE) --sensor $(SENSOR) --split $(SPLIT) --out $(OUT) $(if $(PRESET),--preset $(PRESET)) $(ARGS)
+	@$(LAUNCH) -m learning train-force $(ARCHIVE) --sensor $(SENSOR) $(if $(SPLIT),--split $(SPLIT)) --out $(OUT) $(if $(PRESET),--preset $(PRESET)) $(ARGS)
 
 #: FOLDER=results OUT=report [ARGS="--help"]
 evaluate: $(VENV)/.learning  ## Write the report of predictions and translations

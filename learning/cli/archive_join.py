@@ -96,7 +96,6 @@ def run(options: argparse.Namespace) -> int:
     with ItemProgress("frames", sys.stderr) as progress:
         made = joined.write(options.out, progress)
     print(f"{options.out}: {made:,} frames copied")
-    print(f"next: tactile split {options.out} --out {_split_of(options.out)}")
     return 0
 
 
@@ -125,7 +124,3 @@ def chosen_sensors(text: str) -> Iterator[Chosen]:
                 f"{archive.name}: has no sensor {name!r}; allowed: {', '.join(archive)}"
             )
         yield Chosen(archive, name, (named or {}).get(name, name))
-
-
-def _split_of(out: Path) -> Path:
-    return out.with_name(f"{out.name.partition('.')[0]}-split.json")

@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="ARCHIVE",
         help="translated from it by `translate`; repeatable",
     )
-    scoring.add_argument("--split", type=Path, metavar="JSON", help="made by `split`")
+    scoring.add_argument("--split", type=Path, metavar="JSON", help="split.json of a training")
     scoring.add_argument(
         "--role",
         type=names,

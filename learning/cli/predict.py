@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr, with labels or without"
     )
     parser.add_argument("--sensor", required=True, metavar="NAME", help="target sensor")
-    parser.add_argument("--split", type=Path, required=True, metavar="JSON", help="made by `split`")
+    parser.add_argument("--split", type=Path, metavar="JSON", help="roles of presses (the model's)")
     parser.add_argument(
         "--role",
         type=names,
@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
     from learning.data.presses import load_presses
-    from learning.data.splits import read_split
+    from learning.data.splits import SPLIT, read_split
     from learning.evaluation.predictions import predictions_of
     from learning.force import load_force_model
     from learning.force.intervals import read_intervals
@@ -74,7 +74,7 @@ def run(options: argparse.Namespace) -> int:
     if options.sensor not in archive:
         known = ", ".join(archive)
         raise LearningError(f"--sensor: found {options.sensor!r}; known: {known}")
-    sensor, split = archive[options.sensor], read_split(options.split)
+    sensor, split = archive[options.sensor], read_split(options.split or folder.path / SPLIT)
     split.check(archive)
     rows = np.sort(np.concatenate([split.rows(sensor.table, role) for role in options.role]))
     if not len(rows):

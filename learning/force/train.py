@@ -1,6 +1,6 @@
 """Training of a force model, from settings to command.
 
-    python -m learning train-force X.markers.zarr --sensor array-i --split split.json --out run
+    python -m learning train-force X.markers.zarr --sensor array-i --out run
     torchrun --nproc-per-node 4 -m learning train-force ... --preset paper
 
 `train_force` takes presses in memory and does not require a run folder, so that it can be called

@@ -144,11 +144,6 @@ LEARN = (
         "fit marker detection to pictures without contact",
     ),
     Command(
-        "split",
-        "learning.cli.split",
-        "assign each press of an archive to training or to a held-out part",
-    ),
-    Command(
         "train field",
         "learning.translation.field.command",
         "train the field translator on a group of sensors",

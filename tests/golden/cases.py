@@ -33,7 +33,7 @@ RIG = (
 RECORDER = ("list", "info", "check", "recover", "repack", "export", "view", "sheet")
 SIM = ("press", "loop", "hold", "archive", "archive states", "archive sensors")
 LEARNING = (
-    *("markers", "import-genforce", "export-genforce", "split", "train-field"),
+    *("markers", "import-genforce", "export-genforce", "train-field"),
     *("train-autoencoder", "train-direct", "train-marker-vae", "train-diffusion"),
     *("import-weights", "translate", "compensate", "train-force", "export-onnx", "predict"),
     *("evaluate", "experiment"),
@@ -774,22 +774,6 @@ LEARNING_CASES = (
         ),
         one_process=True,
         prepare=(("write", "{out}/key.yaml", "description: mine\nspeed: 3\n"),),
-    ),
-    Case(
-        "learning-split",
-        (
-            f"learning split {ARCHIVE} --out {{out}}/a.json",
-            f"learning split {ARCHIVE} --out {{out}}/b.json --seed 4 --new-press 0.3 --unseen sphere",
-            f"learning split {ARCHIVE} --out {{out}}/c.json --hold-out-sensors uskin",
-            f"learning split {ARCHIVE} --out {{out}}/d.json --validation 2",
-            f"learning split {ARCHIVE} --out {{out}}/d.json --hold-out-sensors digit",
-            f"learning split {ARCHIVE} --out {{out}}/d.json --unseen egg",
-            "learning split {out}/none.markers.zarr --out {out}/d.json",
-            f"learning split {GELSIGHT} --out {{out}}/d.json",
-        ),
-        one_process=True,
-        portable=True,
-        look=("*.json",),
     ),
     Case(
         "learning-genforce",

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import argparse
 import json
-import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from support.commands import run_module
 from support.made_up_archives import made_up_archive
 from support.tiny_field import tiny
 
-from learning.cli import split as command
 from learning.data.splits import (
     NO_ROLE,
     ROLES,
@@ -225,19 +222,6 @@ def test_a_press_with_two_roles_is_refused(archive: MarkerArchive, tmp_path: Pat
     path.write_text(json.dumps(document))
     with pytest.raises(LearningError, match="found a location twice"):
         read_split(path)
-
-
-def test_the_command_writes_the_split_and_says_what_is_in_it(
-    archive: MarkerArchive, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "split.json"
-    assert run_module(command, archive.name, "--out", path, "--hold-out-sensors", "grid") == 0
-    message = capsys.readouterr().out
-    assert "held out" in message
-    assert read_split(path) == make_split(archive, held_out_sensors=("grid",))
-    # Frames of presses: 4 for each of 3 indenters with 5 frames, one of which is missing.
-    total = re.findall(r"^dots .*", message, re.MULTILINE)[0]
-    assert sum(int(count) for count in re.findall(r"(\d+) of", total)) == 59
 
 
 def test_an_empty_split_gives_no_role() -> None:

@@ -1,6 +1,6 @@
 """Training of the field translator, from settings to command: the field net, then the map.
 
-    python -m learning train-field ARCHIVE --split split.json --out RUN [--preset ours]
+    python -m learning train-field ARCHIVE --out RUN [--preset ours]
     torchrun --nproc-per-node 8 -m learning train-field ...
 
 The field net learns from each sensor's own frames: the reference, deformed by the net's output,
