@@ -27,7 +27,7 @@ from rig.acquire.preflight import check_clear, tip_position
 from rig.acquire.request import CollectRequest, plan_of
 from rig.acquire.signal_level import SignalLevel, grey
 from rig.bench.bench import Bench
-from rig.bench.no_gauge import guards_of
+from rig.bench.guards import guards_of
 from rig.bench.worlds import AnalyticSpec
 from rig.core.clock import SECOND_NS, FakeClock
 from rig.core.errors import DeviceLost, SafetyStop
@@ -50,6 +50,8 @@ _START_HEIGHT = 0.012
 _FREE = 1e-3
 # Images are drawn in full and compared at a quarter: noise of a reduced pixel.
 _REDUCED_NOISE = 0.25
+# Records that a look of the guard can find, however long the simulated bench rested before.
+_SLOTS = 4096
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +130,7 @@ class SimulatedBench(FakeClock):
         for record in self._published.values():
             record.close()
         self._published = {
-            name: SharedLatest.create(folder / name, dtype) for name, dtype in names.items()
+            name: SharedLatest.create(folder / name, dtype, _SLOTS) for name, dtype in names.items()
         }
         self.level = SignalLevel(is_image=bool(signal and signal.kind == "camera"))
 
@@ -283,11 +285,12 @@ class _Arm:
     """The calls of `Arm` that the plan runner makes, on a real `Mover`."""
 
     def __init__(self, clock: SimulatedBench, bench: Bench, folder: Path, contact: float) -> None:
-        stand_ins = tuple(
-            (folder / name, limits) for name, limits in guards_of(bench, contact=contact).items()
-        )
         setup = Setup(
-            bench.arm, tuple(bench.contact_frame), bench.guard_limits(), (), None, stand_ins
+            bench.arm,
+            tuple(bench.contact_frame),
+            bench.guard_limits(),
+            None,
+            tuple(guards_of(bench, folder, contact=contact).items()),
         )
         control: Any = _Control(clock)
         link: Any = _Link(clock)
@@ -315,6 +318,8 @@ class _Arm:
     ) -> MoveResult:
         self._on_wait = on_wait
         target = tuple(np.asarray(pose, np.float64).tolist())
+        # The arm's process looks between its moves too; what it sees then stops no move.
+        self._mover.step("retreat")
         reply = self._mover.move(Move(2, target, speed, acceleration, mode), lambda limit: None)
         return _result(reply)
 

@@ -40,13 +40,13 @@ from rig.acquire.progress_line import LiveLine
 from rig.acquire.request import CollectRequest, first_open_target, targets_to_press
 from rig.acquire.streams import Streams
 from rig.bench.bench import Bench
+from rig.bench.guards import guards_of
 from rig.bench.indenter import find_indenter
-from rig.bench.no_gauge import guards_of, statement
+from rig.bench.no_gauge import statement
 from rig.bench.stream_kinds import expected_rate, stream_names, stream_spec
 from rig.core.clock import ClockAnchor, SystemClock
 from rig.core.errors import DeviceLost, SafetyStop
 from rig.core.geometry import compose, transform
-from rig.core.guard import GuardLimits
 from rig.devices.arm.arm import Arm
 from rig.devices.force.settings import AXES
 from trajectories import Plan, dry_run, plan_to_json
@@ -199,14 +199,12 @@ class Collector:
             zero_stand_ins(self._bench, streams, streams.measure(window, *(names or ["pose"])))
 
     def _start_arm(self, contact_change: float) -> Arm:
-        stand_ins = guards_of(self._bench, contact=contact_change)
         arm = Arm(
             self._bench.arm,
             self._bench.contact_frame,
             self._bench.guard_limits(),
-            gauges=guarded(self._bench, self._folder),
             pose_path=self._folder / "pose.latest",
-            stand_ins={self._folder / name: limits for name, limits in stand_ins.items()},
+            guards=guards_of(self._bench, self._folder, contact=contact_change),
         )
         arm.start(self._bench.preflight.timeout)
         return arm
@@ -393,11 +391,6 @@ def seconds_per_target(bench: Bench, plan: Plan) -> float:
     points = len({target.point for target in plan.targets()})
     held = 3 * bench.hold * len(plan)
     return (moving.duration + held + points * bench.preflight.point_window) / len(plan)
-
-
-def guarded(bench: Bench, folder: Path) -> dict[Path, GuardLimits]:
-    """Return the shared record of each F/T sensor that guards, and its limits."""
-    return {folder / f"{gauge.name}.latest": bench.guard_limits(gauge) for gauge in bench.gauges}
 
 
 def _tare_entry(tares: Mapping[str, Tare]) -> dict[str, Any]:

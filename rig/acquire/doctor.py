@@ -254,7 +254,7 @@ def _values(
 ) -> tuple[str, ...] | None:
     """Return what is wrong with the values at rest, and its cures; None if nothing is."""
     if row.kind == "force" and "mean" in found:
-        rating = np.array([*bench.limits.force_rating])
+        rating = np.array(bench.force_rating[:3])
         mean, spread = np.asarray(found["mean"])[:3], np.asarray(found["std"])[:3]
         with np.errstate(invalid="ignore"):
             loaded = np.flatnonzero(np.abs(mean) > AT_REST * rating)

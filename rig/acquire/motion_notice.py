@@ -16,7 +16,7 @@ def motion_lines(bench: Bench, depth: float) -> list[str]:
     def span(low: float, high: float) -> str:
         return f"{from_si(low, 'mm'):g} to {from_si(high, 'mm'):g} mm"
 
-    forces = ", ".join(f"{limits.soft_fraction * force:.3g}" for force in limits.force_rating)
+    forces = ", ".join(f"{limits.soft_fraction * force:.3g}" for force in bench.force_rating[:3])
     return [
         f"speed     {from_si(arm.speed, 'mm_s'):g} mm/s near the sensor, "
         f"{from_si(arm.travel_speed, 'mm_s'):g} mm/s above it",

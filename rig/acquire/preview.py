@@ -52,7 +52,7 @@ def summary(bench: Bench, walked: DryRun) -> list[str]:
         f"  (box {1e3 * limits.box_y[0]:+.1f} to {1e3 * limits.box_y[1]:+.1f})",
         f"depth {1e3 * walked.depth:.3f} mm  (limit {1e3 * limits.depth_max:.3f})",
         f"force about {walked.force:.1f} N  (soft limit {bench.plan_limits.force_rating:.1f} N of "
-        f"{limits.force_rating[2]:.0f} N rated)",
+        f"{bench.force_rating[2]:.0f} N rated)",
         f"speed {1e3 * bench.arm.speed:.1f} mm/s, about {duration(walked.duration + settling)} "
         f"(limit {duration(limits.duration_max)})",
         f"about {frames:.0f} frames per target at {bench.rate_hz:.0f} Hz (paper: 20 to 60)",

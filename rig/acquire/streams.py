@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import multiprocessing
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -16,7 +17,7 @@ from rig.bench.stream_kinds import expected_rate, kind_of, stream_names
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import ConfigError, DeviceLost, raise_all
 from rig.core.samples import SIGNAL_LATEST
-from rig.core.shared_memory import SharedLatest
+from rig.core.shared_memory import SLOTS, SharedLatest
 
 # Side of the collecting process.
 
@@ -41,12 +42,15 @@ class StreamHandle:
         self.name = name
         self._bench = bench
         self._patience = max(_START_TIMEOUT, _START_TIMEOUT_EACH * len(bench.rows))
-        self._latest = SharedLatest.create(folder / f"{name}.latest", kind_of(bench, name).latest)
+        # The guard of the arm sees every record of the last two seconds.
+        slots = max(SLOTS, math.ceil(2 * bench.row(name).rate_hz))
+        kind = kind_of(bench, name)
+        self._latest = SharedLatest.create(folder / f"{name}.latest", kind.latest, slots)
         self._counters = SharedLatest.create(folder / f"{name}.counters", COUNTERS)
         signal = bench.signal
         self._signal: SharedLatest | None = None
         if bench.no_gauge and signal is not None and signal.name == name:
-            self._signal = SharedLatest.create(folder / f"{name}.signal", SIGNAL_LATEST)
+            self._signal = SharedLatest.create(folder / f"{name}.signal", SIGNAL_LATEST, slots)
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         job = StreamJob(name, bench, folder)

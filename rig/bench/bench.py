@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -79,7 +80,8 @@ class BenchLimits:
     sensor_rating: float | None = field(
         default=None, metadata={"unit": "n", "plausible": (0.05, 2000)}
     )
-    """Largest force that the sensor itself withstands [N]; required on a bench without a gauge."""
+    """Largest force that the sensor itself withstands [N], in any direction; required on a bench
+    without a gauge."""
     soft_fraction: float = 0.85
     """Fraction of the rating that ends a target as force_limited."""
     hard_fraction: float = 1.0
@@ -91,10 +93,11 @@ class BenchLimits:
     stale_pose: float = field(default=0.1, metadata={"unit": "ms", "plausible": (2, 5000)})
     """Age of the newest pose sample that stops the session [s]."""
 
-    def for_plan(self, dome_radius: float | None) -> Limits:
+    def for_plan(self, force_rating: float, dome_radius: float | None) -> Limits:
         """Return the limits that a plan is checked against before anything moves.
 
         Args:
+            force_rating: Rated normal force of the weakest of sensor, gauge and bench [N].
             dome_radius: Radius of the sensor's spherical top [m]; None: flat.
         """
         return Limits(
@@ -102,7 +105,7 @@ class BenchLimits:
             box_y=self.box_y,
             depth_max=self.depth_max,
             height_max=self.height_max,
-            force_rating=self.soft_fraction * self.force_rating[2],
+            force_rating=self.soft_fraction * force_rating,
             stiffness=self.stiffness,
             duration_max=self.duration_max,
             dome_radius=dome_radius,
@@ -330,7 +333,23 @@ class Bench:
     @property
     def plan_limits(self) -> Limits:
         """Limits that a plan is checked against before anything moves."""
-        return self.limits.for_plan(self.dome_radius)
+        return self.limits.for_plan(self.force_rating[2], self.dome_radius)
+
+    @property
+    def force_rating(self) -> tuple[float, ...]:
+        """Largest load per axis (6,) in the F/T frame [N, N m].
+
+        It is the lowest of the bench's `force_rating` and `torque_rating`, of what each gauge is
+        rated for, and of the sensor's own rating, which holds for a force of any direction.
+
+        Raises:
+            ConfigError: A gauge states its rating in a file that cannot be read.
+        """
+        limits = self.limits
+        sensor = math.inf if limits.sensor_rating is None else limits.sensor_rating
+        ratings = [(*limits.force_rating, *limits.torque_rating), (*[sensor] * 3, *[math.inf] * 3)]
+        ratings += [gauge.config.rated for gauge in self.gauges if gauge.config.rated]
+        return tuple(map(min, zip(*ratings, strict=True)))
 
     @property
     def gauges(self) -> tuple[BenchStream, ...]:
@@ -341,7 +360,7 @@ class Bench:
         """Return the limits of the guard that watches a gauge; None: only the arm's motion."""
         limits = self.limits
         motion = GuardLimits(
-            force_rating=(*limits.force_rating, *limits.torque_rating),
+            force_rating=self.force_rating,
             soft_fraction=limits.soft_fraction,
             hard_fraction=limits.hard_fraction,
             horizon=limits.horizon,

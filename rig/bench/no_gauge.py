@@ -10,19 +10,17 @@ A force gauge stops the arm before the sensor is damaged. Without one, five thin
    rating is refused before anything moves;
 5. low speeds: 2 mm/s in contact, 10 mm/s elsewhere.
 
-This file has the settings and the rules; `rig.core.stand_in_guards` has the guards, and
+This file has the settings and the rules; `rig.bench.guards` makes the guards, and
 `rig.acquire.no_gauge` finds the surface and presses for the first time.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from rig.core.errors import ConfigError
-from rig.core.stand_in_guards import CrashLimits, SignalLimits, StandIn
 from trajectories import Plan, dome_height
 
 if TYPE_CHECKING:
@@ -117,24 +115,6 @@ def without_gauge(content: dict[str, Any], where: str) -> dict[str, Any]:
     host = (content.get("arm") or {}).get("host", "loopback")
     streams.setdefault(WRENCH_STREAM, {"kind": "ur_wrench", "host": host, "rate_hz": 125.0})
     return {**content, "force": NO_GAUGE, "streams": streams}
-
-
-def guards_of(bench: Bench, *, contact: float = math.inf) -> dict[str, StandIn]:
-    """Return the guards that stand in for a gauge, by the name of the shared record.
-
-    Args:
-        bench: A bench; one with a gauge has none.
-        contact: Change of the signal that ends a press, in standard deviations of its noise.
-    """
-    given, signal, rating = bench.stand_ins, bench.signal, bench.limits.sensor_rating
-    if not bench.no_gauge or given is None or signal is None or rating is None:
-        return {}
-    unit = "px" if signal.kind == "camera" else "counts"
-    found: dict[str, StandIn] = {
-        f"{signal.name}.signal": SignalLimits(given.signal_max, given.stale_signal, unit, contact)
-    }
-    crash = CrashLimits(FRACTION * rating, bench.limits.stale_pose)
-    return found | {f"{row.name}.latest": crash for row in bench.of_kind("arm_wrench")}
 
 
 def planned_depth(bench: Bench, plan: Plan, total: int | None = None) -> float:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from recorder.command_line.errors import EXIT_DONE
 from rig.cli.options import benches_option, calibration_options, campaign_command
+from rig.cli.terminal import answer
 from rig.core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -65,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
         campaign_command(options),
         options.world,
     )
-    ask = _agree if options.yes else _ask
+    ask = _agree if options.yes else functools.partial(_ask, has_lab_benches=bool(lab))
     return run_campaign(campaign, settings, ask, _say, _swap)
 
 
@@ -92,13 +94,16 @@ def _agree(question: str) -> bool:
     return True
 
 
-def _ask(question: str) -> bool:
-    """Wait for Enter; return False for q, end of input or Ctrl-C."""
+def _ask(question: str, *, has_lab_benches: bool) -> bool:
+    """Wait for Enter, with a lab bench for the word `move`; return False for anything else."""
     if not sys.stdin.isatty():
         raise ConfigError("campaign: no terminal to ask on; on mock benches use --yes")
+    word = "move" if has_lab_benches else ""
+    press = 'type "move" and Enter' if word else "Enter"
     try:
-        answer = input(f"{question}; Enter when it is mounted, q to stop: ")
-    except (EOFError, KeyboardInterrupt):
+        typed = answer(f"{question}; {press} when it is mounted, anything else to stop: ")
+    except KeyboardInterrupt:
+        typed = None
+    if typed is None:
         print()
-        return False
-    return answer.strip().lower() != "q"
+    return typed == word

@@ -20,9 +20,9 @@ from rig.cli.options import (
     bench_options,
     calibration_options,
     chosen_bench,
-    confirm,
 )
 from rig.cli.recording import started_bench
+from rig.cli.terminal import confirm
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError
 
@@ -120,7 +120,7 @@ def fix(bench: Bench, user: str, etc: Path) -> int:
         )
     if not sys.stdin.isatty():
         raise ConfigError("--fix: asks before it writes, and there is no terminal to ask on")
-    confirm([f"This writes for {user}:", *lines])
+    confirm([f"This writes for {user}:", *lines], "write")
     for path, text in files.items():
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)

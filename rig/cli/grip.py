@@ -6,7 +6,8 @@ import argparse
 
 from rig.acquire.motion_notice import grip_lines
 from rig.bench.bench import BenchFile
-from rig.cli.options import banner, bench_options, bench_path, confirm
+from rig.cli.options import banner, bench_options, bench_path
+from rig.cli.terminal import confirm
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError, DeviceLost
 
@@ -25,7 +26,7 @@ def run(options: argparse.Namespace) -> int:
 
     Raises:
         ConfigError: The bench has no gripper, is a mock bench, or there is no terminal to ask on.
-        Interrupted: The answer to the question was not Enter.
+        Interrupted: The answer to the question was not the word.
         DeviceLost: The gripper does not answer, or closed on nothing.
     """
     from rig.devices.gripper.robotiq import RobotiqDriver
@@ -38,7 +39,7 @@ def run(options: argparse.Namespace) -> int:
     if bench.mock:
         raise ConfigError(f"{path}: a mock bench's gripper holds from the start; mock: true")
     print(banner(file).replace("arm", "gripper"), flush=True)
-    confirm(grip_lines(bench.gripper, only_open=options.open))
+    confirm(grip_lines(bench.gripper, only_open=options.open), "open" if options.open else "grip")
     with RobotiqDriver(bench.gripper, SystemClock()) as gripper:
         gripper.open(bench.preflight.timeout)
         print(f"gripper: {gripper.status().text}", flush=True)

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rig.bench.guards import gauge_guards
 from rig.cli.options import banner, bench_options, chosen_bench, confirm_motion
 from rig.cli.recording import started_bench
 from rig.core.clock import SystemClock
@@ -56,7 +57,6 @@ def run(options: argparse.Namespace) -> int:
 def _jogged(
     bench: Bench, folder: Path, watch: Callable[[], None] | None, stack: contextlib.ExitStack
 ) -> str:
-    from rig.acquire.collector import guarded
     from rig.acquire.control import InterruptFlag
     from rig.acquire.jog import Jog, origin_text, retract
     from rig.acquire.preflight import check_devices, take_tares
@@ -77,8 +77,8 @@ def _jogged(
         bench.arm,
         bench.contact_frame,
         bench.guard_limits(),
-        gauges=guarded(bench, folder),
         pose_path=folder / "pose.latest",
+        guards=gauge_guards(bench, folder),
     )
     arm.start(bench.preflight.timeout)
     stack.callback(arm.close)

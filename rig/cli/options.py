@@ -6,10 +6,8 @@ import argparse
 import contextlib
 import logging
 import os
-import select
 import shlex
 import socket
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,12 +16,12 @@ from recorder import Session
 from recorder.command_line.options import as_typed, called_by_make, whole
 from rig.acquire.calibration import store
 from rig.acquire.calibration.calibration import Calibration
-from rig.acquire.control import Interrupted
 from rig.acquire.motion_notice import motion_lines
 from rig.bench.bench import Bench, BenchFile, find_bench, read_content, with_simulated_world
 from rig.bench.indenter import indenter_names
 from rig.bench.no_gauge import NO_GAUGE, without_gauge
 from rig.bench.worlds import SimulatedSpec
+from rig.cli.terminal import confirm
 from rig.core.errors import ConfigError
 from rig.core.sources import Sources
 from rig.monitor.page.access import DEFAULT_PORT, LOOPBACK_HOST, AccessPolicy, is_loopback
@@ -178,7 +176,7 @@ def banner(file: BenchFile) -> str:
 
 
 def confirm_motion(bench: Bench, depth: float, by: int | None = None) -> None:
-    """State how a lab bench's arm will move, and wait for Enter; a mock bench asks nothing.
+    """State how a lab bench's arm will move, and wait for a word; a mock bench asks nothing.
 
     Args:
         bench: The bench with the limits that will hold.
@@ -187,48 +185,11 @@ def confirm_motion(bench: Bench, depth: float, by: int | None = None) -> None:
 
     Raises:
         ConfigError: There is no terminal to ask on.
-        Interrupted: The answer was not Enter.
+        Interrupted: The answer was not the word.
     """
     if bench.mock or by == os.getppid():
         return
     confirm(motion_lines(bench, depth))
-
-
-def _no_terminal() -> ConfigError:
-    return ConfigError("lab bench: no terminal to ask on; allowed: a terminal at the bench")
-
-
-def require_terminal(bench: Bench) -> None:
-    """Reject a lab bench that will ask before it moves, if there is no terminal to ask on.
-
-    Raises:
-        ConfigError: There is none.
-    """
-    if not bench.mock and not sys.stdin.isatty():
-        raise _no_terminal()
-
-
-def confirm(lines: list[str]) -> None:
-    """Print how a lab bench will move, and wait for Enter on this terminal.
-
-    Raises:
-        ConfigError: There is no terminal to ask on.
-        Interrupted: The answer was not Enter.
-    """
-    print("\n".join(lines), flush=True)
-    if not sys.stdin.isatty():
-        raise _no_terminal()
-    try:
-        # Ctrl-C may come as soon as the question is shown; `input` misses one just before it reads.
-        print("Enter to start, anything else to stop: ", end="", flush=True)
-        while not select.select([sys.stdin], [], [], 0.2)[0]:
-            pass
-        answer = sys.stdin.readline()
-    except KeyboardInterrupt:
-        answer = ""
-    if answer != "\n":
-        print()
-        raise Interrupted("the answer was not Enter")
 
 
 def confirm_options(parser: argparse.ArgumentParser) -> None:

@@ -29,9 +29,9 @@ from rig.cli.options import (
     bench_options,
     calibration_options,
     chosen_bench,
-    require_terminal,
 )
 from rig.cli.recording import started_bench
+from rig.cli.terminal import answer, require_terminal
 from rig.core import emulation
 from rig.core.clock import SystemClock, file_stamp
 from rig.core.config import from_si, to_si
@@ -460,11 +460,11 @@ def run(options: argparse.Namespace) -> int:
         ConfigError: See `chosen_bench`; or no terminal to ask on.
     """
     given: Answers = {}
-    for answer in options.answer:
-        name, equals, value = answer.partition("=")
+    for stated in options.answer:
+        name, equals, value = stated.partition("=")
         known = [ask.name for step in STEPS for ask in step.asks] + ["pose"]
         if not equals or name not in known:
-            raise ConfigError(f"--answer: found {answer!r}; allowed: {'=, '.join(known)}=")
+            raise ConfigError(f"--answer: found {stated!r}; allowed: {'=, '.join(known)}=")
         given[name] = value
     repeated = set(options.again or ())
     while True:
@@ -473,7 +473,8 @@ def run(options: argparse.Namespace) -> int:
             print(banner(at.file), flush=True)
         elif options.yes:
             raise ConfigError("--yes: found with a lab bench; allowed on a mock bench")
-        require_terminal(at.bench)
+        if not at.bench.mock:
+            require_terminal()
         try:
             code = _steps(at, repeated)
         finally:
@@ -504,13 +505,13 @@ def _steps(at: AtBench, repeated: set[str]) -> int | None:
                 ""
                 if at.options.yes
                 else _read(
-                    "  Enter: measure again (the bench file is read again), a: accept the fault, "
-                    "anything else: stop: "
+                    "  Enter: measure again (the bench file is read again), accept: accept the "
+                    "fault, anything else: stop: "
                 )
             )
             if order == "" and not at.options.yes:
                 return None
-            if order != "a":
+            if order != "accept":
                 print(f"setup: stopped at {step.name}; the same command goes on from there")
                 return EXIT_DEVICE_LOST
         at.record.add(step.name, step.keys, answers, found)
@@ -554,7 +555,7 @@ def _as(kind: type, text: float | str, where: str) -> float | str:
 
 
 def _read(prompt: str) -> str:
-    try:
-        return input(prompt).strip()
-    except EOFError:
-        raise ConfigError("setup: no terminal to ask on; allowed: --yes on a mock bench") from None
+    line = answer(prompt)
+    if line is None:
+        raise ConfigError("setup: no terminal to ask on; allowed: --yes on a mock bench")
+    return line.strip()

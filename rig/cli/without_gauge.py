@@ -19,8 +19,9 @@ from rig.acquire.request import CollectRequest, plan_of
 from rig.acquire.streams import Streams
 from rig.bench.bench import Bench, BenchFile
 from rig.bench.no_gauge import check_plan, lines
-from rig.cli.options import bench_command, confirm, free_path
+from rig.cli.options import bench_command, free_path
 from rig.cli.recording import StartedBench, record
+from rig.cli.terminal import confirm
 from rig.core.clock import file_stamp
 from rig.core.errors import ConfigError
 from trajectories import Plan, Target

@@ -9,14 +9,15 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Any, Literal
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from rig.core.clock import SECOND_NS
 from rig.core.geometry import invert, matrix_from_vector, transform
+from rig.core.samples import FORCE_LATEST, POSE_LATEST
 from trajectories import dome_height
 
 Mode = Literal["guarded", "retreat", "travel"]
@@ -169,141 +170,171 @@ def _box_reason(limits: GuardLimits, point: ArrayLike) -> str | None:
     return None
 
 
-class Guard:
-    """Checks each new force and pose record and decides if the arm may continue.
+def _missing(kind: Kind, record: str) -> Violation:
+    return Violation(kind, f"no {record} has arrived yet: is its stream running?")
 
-    Modes: "guarded" checks everything. "travel" does too; no contact is expected, so any force that
-    trips is unexpected. "retreat" lets the arm leave even if sensors fail: no soft limit, no box
-    or stale-data check, and the hard limit only while the load still grows.
+
+def _stale(
+    kind: Kind, record: str, now_ns: int, records: np.ndarray, limit: float
+) -> Violation | None:
+    age_ns = now_ns - int(records["t_ns"][-1])
+    if age_ns <= round(limit * SECOND_NS):
+        return None
+    device = "F/T sensor" if record == "force" else "pose stream"
+    return Violation(
+        kind,
+        f"newest {record} is {age_ns / 1e6:.0f} ms old, allowed {limit * 1e3:.0f} ms: "
+        f"check the {device} and its cable",
+    )
+
+
+class Guard(Protocol):
+    """One reason to stop the arm, watched in a record that another process shares."""
+
+    RECORD: ClassVar[np.dtype[Any]]
+    """Dtype of the record."""
+
+    def check(self, now_ns: int, records: np.ndarray | None, mode: Mode) -> Violation | None:
+        """Return the reason to stop now, or None.
+
+        Args:
+            now_ns: Time [ns].
+            records: All records (n,) since the last check, oldest first; the newest again if none
+                is new; None before the first.
+            mode: Current motion of the arm.
+        """
+
+
+class MotionGuard:
+    """Stops the arm for its controller's safety status, missing poses, or leaving the box.
+
+    In retreat, the box and missing poses do not stop it.
 
     Args:
         limits: Limits to enforce.
         contact_frame: Pose (6,) of the contact frame in the base frame [m, rad].
-        watch_force: Stop without a force record; False on a bench without F/T sensor.
-        watch_pose: Stop without a pose record.
     """
 
-    def __init__(
-        self,
-        limits: GuardLimits,
-        contact_frame: ArrayLike,
-        *,
-        watch_force: bool = True,
-        watch_pose: bool = True,
-    ) -> None:
+    RECORD: ClassVar[np.dtype[Any]] = POSE_LATEST
+
+    def __init__(self, limits: GuardLimits, contact_frame: ArrayLike) -> None:
         self._limits = limits
         to_contact = invert(contact_frame)
         # Done once: converting a rotation vector to a matrix would be most of the cost of a check.
         self._turn, self._shift = matrix_from_vector(to_contact[3:]), to_contact[:3]
-        self._measured = tuple(name in limits.axes_measured for name, _ in AXES)
-        self._watch_force = watch_force
-        self._watch_pose = watch_pose
-        self._history: deque[tuple[int, list[float]]] = deque(maxlen=64)
 
-    def check(
-        self,
-        now_ns: int,
-        force_record: Any | None,
-        pose_record: Any | None,
-        mode: Mode = "guarded",
-    ) -> Violation | None:
-        """Return the most serious reason to stop now, or None.
-
-        Args:
-            now_ns: Time [ns].
-            force_record: Newest FORCE_LATEST record.
-            pose_record: Newest POSE_LATEST record.
-            mode: Current motion of the arm.
-        """
-        safety = None if pose_record is None else judge_safety(int(pose_record["safety_status"]))
-        force = self._check_force(now_ns, force_record, mode)
-        if safety is not None or (force is not None and force.kind == "force_hard"):
-            return safety or force
-        # A stale force above the soft limit means a lost sensor, not a finished press.
-        return (
-            self._check_age(now_ns, force_record, pose_record, mode)
-            or force
-            or self._check_box(pose_record, mode)
-        )
-
-    def _check_age(
-        self, now_ns: int, force: Any | None, pose: Any | None, mode: Mode
-    ) -> Violation | None:
-        if mode == "retreat":
-            return None
-        for what, kind, watched, record, limit in (
-            ("force", "stale_force", self._watch_force, force, self._limits.stale_force),
-            ("pose", "stale_pose", self._watch_pose, pose, self._limits.stale_pose),
-        ):
-            if not watched:
-                continue
-            stale: Kind = "stale_force" if kind == "stale_force" else "stale_pose"
-            if record is None:
-                return Violation(stale, f"no {what} has arrived yet: is its stream running?")
-            age_ns = now_ns - int(record["t_ns"])
-            if age_ns > round(limit * SECOND_NS):
-                return Violation(
-                    stale,
-                    f"newest {what} is {age_ns / 1e6:.0f} ms old, allowed {limit * 1e3:.0f} ms: "
-                    f"check the {'F/T sensor' if what == 'force' else 'pose stream'} and its cable",
-                )
+    def check(self, now_ns: int, records: np.ndarray | None, mode: Mode) -> Violation | None:
+        """Return the reason to stop now, or None; see `Guard`."""
+        if records is None:
+            return None if mode == "retreat" else _missing("stale_pose", "pose")
+        safety = judge_safety(int(np.bitwise_or.reduce(records["safety_status"])))
+        if safety is not None or mode == "retreat":
+            return safety
+        late = _stale("stale_pose", "pose", now_ns, records, self._limits.stale_pose)
+        if late is not None:
+            return late
+        for point in records["value"][:, :3] @ self._turn.T + self._shift:
+            reason = _box_reason(self._limits, point)
+            if reason is not None:
+                return Violation("box", reason)
         return None
 
-    def _check_box(self, pose: Any | None, mode: Mode) -> Violation | None:
-        if pose is None or mode == "retreat":
-            return None
-        reason = _box_reason(self._limits, self._turn @ pose["value"][:3] + self._shift)
-        return Violation("box", reason) if reason else None
 
-    def _check_force(self, now_ns: int, record: Any | None, mode: Mode) -> Violation | None:
-        if record is None or not self._watch_force:
-            return None
+class ForceGuard:
+    """Stops the arm for the load on an F/T sensor, or for missing or invalid forces.
+
+    Modes: "guarded" checks everything. "travel" does too; no contact is expected, so any force that
+    trips is unexpected. "retreat" lets the arm leave even if the sensor fails: no soft limit, no
+    check of age, and the hard limit only while the load still grows, in two records at least.
+
+    Args:
+        limits: Limits to enforce.
+        name: Name of the F/T sensor, for reasons; empty: the bench has only one.
+    """
+
+    RECORD: ClassVar[np.dtype[Any]] = FORCE_LATEST
+
+    def __init__(self, limits: GuardLimits, name: str = "") -> None:
+        self._limits = limits
+        self._prefix = f"{name}: " if name else ""
+        self._measured = np.array([name in limits.axes_measured for name, _ in AXES])
+        self._history: deque[tuple[int, list[float]]] = deque(maxlen=64)
+
+    def check(self, now_ns: int, records: np.ndarray | None, mode: Mode) -> Violation | None:
+        """Return the reason to stop now, or None; see `Guard`."""
+        violation = self._check(now_ns, records, mode)
+        if violation is None or not self._prefix:
+            return violation
+        return replace(violation, reason=f"{self._prefix}{violation.reason}")
+
+    def _check(self, now_ns: int, records: np.ndarray | None, mode: Mode) -> Violation | None:
+        if records is None:
+            return None if mode == "retreat" else _missing("stale_force", "force")
         limits = self._limits
-        t_ns = int(record["t_ns"])
-        force = [
-            float(value) if measured else 0.0
-            for value, measured in zip(record["value"], self._measured, strict=True)
-        ]
-        if not self._history or t_ns > self._history[-1][0]:
-            self._history.append((t_ns, force))
-        if mode == "retreat" and now_ns - t_ns > round(limits.stale_force * SECOND_NS):
-            # A sensor lost under load must not keep the arm there.
-            return None
-        status = int(record["status"]) & limits.force_status_mask
-        if mode != "retreat" and (status or not all(map(math.isfinite, force))):
-            bad = [
-                name
-                for (name, _), value in zip(AXES, force, strict=True)
-                if not math.isfinite(value)
-            ]
-            which = f", {', '.join(bad)} not a number" if bad else ""
-            return Violation(
-                "force_status",
-                f"the F/T sensor reports invalid values (status 0x{status:x}{which}): "
-                "overloaded, or a cable is loose",
-            )
+        forces = np.where(self._measured, records["value"], 0.0)
+        newest_ns = self._history[-1][0] if self._history else -1
+        for t_ns, force in zip(records["t_ns"].tolist(), forces.tolist(), strict=True):
+            if t_ns > newest_ns:
+                self._history.append((t_ns, force))
+        # The force that is largest in size on each axis: a load between two looks counts.
+        largest = forces[np.abs(forces).argmax(axis=0), np.arange(6)].tolist()
         ahead = self._predict()
-        loads = self._loads(force)
-        later = self._loads(ahead) if ahead is not None else loads
-        for (name, text, load), (_, _, load_later) in zip(loads, later, strict=True):
-            if load > limits.hard_fraction:
-                if mode == "retreat" and not load_later > load + _GROWTH:
-                    continue
-                return Violation(
-                    "force_hard", f"{name}: {text}, the hard limit is {limits.hard_fraction:.0%}"
-                )
+        loads, newest = self._loads(largest), self._loads(forces[-1].tolist())
+        later = self._loads(ahead) if ahead is not None else newest
+        late = _stale("stale_force", "force", now_ns, records, limits.stale_force)
         if mode == "retreat":
+            # A sensor lost under load must not keep the arm there, nor a single bad record.
+            before = self._loads(self._history[-2][1]) if len(self._history) > 1 else None
+            if late is not None or before is None:
+                return None
+            for (name, text, load), (_, _, load_later), (_, _, load_before) in zip(
+                newest, later, before, strict=True
+            ):
+                above = load > limits.hard_fraction and load_before > limits.hard_fraction
+                if above and load_later > load + _GROWTH:
+                    return self._hard(name, text)
             return None
-        for (name, text, load), (_, text_later, load_later) in zip(loads, later, strict=True):
-            if load > limits.soft_fraction:
-                return Violation(
-                    "force_soft", f"{name}: {text}, the soft limit is {limits.soft_fraction:.0%}"
-                )
-            if load_later > limits.soft_fraction and load_later > load:
+        invalid = self._invalid(records, forces)
+        for name, text, load in loads:
+            if invalid is None and load > limits.hard_fraction:
+                return self._hard(name, text)
+        return late or invalid or self._soft(loads, newest, later)
+
+    def _hard(self, name: str, text: str) -> Violation:
+        return Violation(
+            "force_hard", f"{name}: {text}, the hard limit is {self._limits.hard_fraction:.0%}"
+        )
+
+    def _invalid(self, records: np.ndarray, forces: np.ndarray) -> Violation | None:
+        status = int(np.bitwise_or.reduce(records["status"])) & self._limits.force_status_mask
+        finite = np.isfinite(forces).all(axis=0)
+        if not status and finite.all():
+            return None
+        bad = [name for (name, _), each in zip(AXES, finite, strict=True) if not each]
+        which = f", {', '.join(bad)} not a number" if bad else ""
+        return Violation(
+            "force_status",
+            f"the F/T sensor reports invalid values (status 0x{status:x}{which}): "
+            "overloaded, or a cable is loose",
+        )
+
+    def _soft(
+        self,
+        loads: list[tuple[str, str, float]],
+        newest: list[tuple[str, str, float]],
+        later: list[tuple[str, str, float]],
+    ) -> Violation | None:
+        limit = self._limits.soft_fraction
+        for (name, text, load), (_, text_newest, load_newest), (_, text_later, load_later) in zip(
+            loads, newest, later, strict=True
+        ):
+            if load > limit:
+                return Violation("force_soft", f"{name}: {text}, the soft limit is {limit:.0%}")
+            if load_later > limit and load_later > load_newest:
                 return Violation(
                     "force_soft",
-                    f"{name}: {text}, in {limits.horizon * 1e3:.0f} ms {text_later}, "
-                    f"the soft limit is {limits.soft_fraction:.0%}",
+                    f"{name}: {text_newest}, in {self._limits.horizon * 1e3:.0f} ms {text_later}, "
+                    f"the soft limit is {limit:.0%}",
                 )
         return None
 

@@ -9,29 +9,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 
 from rig.core.clock import SECOND_NS
 from rig.core.guard import Mode, Violation
 from rig.core.samples import FORCE_LATEST, SIGNAL_LATEST
-
-
-class StandIn(Protocol):
-    """Limits of a guard that stands in for a force gauge."""
-
-    RECORD: ClassVar[np.dtype[Any]]
-    """Dtype of the shared record that it watches."""
-
-    def check(self, now_ns: int, record: Any | None, mode: Mode) -> Violation | None:
-        """Return the reason to stop now, or None.
-
-        Args:
-            now_ns: Time [ns].
-            record: Newest record.
-            mode: Current motion of the arm.
-        """
 
 
 def _stale(what: str, now_ns: int, t_ns: int, limit: float, cause: str) -> Violation | None:
@@ -45,8 +29,8 @@ def _stale(what: str, now_ns: int, t_ns: int, limit: float, cause: str) -> Viola
 
 
 @dataclass(frozen=True, slots=True)
-class SignalLimits:
-    """Limits of what the sensor itself may show."""
+class SignalGuard:
+    """Stops the arm for what the sensor itself shows; in retreat, for nothing."""
 
     RECORD: ClassVar[np.dtype[Any]] = SIGNAL_LATEST
 
@@ -59,29 +43,29 @@ class SignalLimits:
     contact: float = math.inf
     """Change, in standard deviations of the noise, that ends a press: for approaches."""
 
-    def check(self, now_ns: int, record: Any | None, mode: Mode) -> Violation | None:
-        """Return the reason to stop now, or None; see `StandIn`."""
+    def check(self, now_ns: int, records: np.ndarray | None, mode: Mode) -> Violation | None:
+        """Return the reason to stop now, or None; see `rig.core.guard.Guard`."""
         if mode == "retreat":
             return None
-        if record is None:
+        if records is None:
             return Violation("stale_force", "no signal of the sensor has arrived yet")
         fresh = _stale(
             "newest signal",
             now_ns,
-            int(record["t_ns"]),
+            int(records["t_ns"][-1]),
             self.stale,
             "check the sensor and its cable",
         ) or _stale(
             "newest signal that changed",
             now_ns,
-            int(record["fresh_ns"]),
+            int(records["fresh_ns"][-1]),
             self.stale,
             "the sensor repeats one picture or reading: is it frozen?",
         )
         if fresh is not None:
             return fresh
         what = "a marker moved" if self.unit == "px" else "a taxel changed"
-        motion = float(record["motion"])
+        motion = float(records["motion"].max())
         # Negated, so that NaN stops too.
         if not motion <= self.largest:
             return Violation(
@@ -89,14 +73,14 @@ class SignalLimits:
                 f"signal: {what} by {motion:.3g} {self.unit}; allowed: {self.largest:g} "
                 f"{self.unit} (stand_ins.signal_max)",
             )
-        if float(record["change"]) > self.contact:
+        if float(records["change"].max()) > self.contact:
             return Violation("force_soft", "signal: contact with the sensor")
         return None
 
 
 @dataclass(frozen=True, slots=True)
-class CrashLimits:
-    """Limit of the arm's own wrench since its last zero."""
+class CrashGuard:
+    """Stops the arm for its own wrench since the last zero; in retreat, for nothing."""
 
     RECORD: ClassVar[np.dtype[Any]] = FORCE_LATEST
 
@@ -105,22 +89,22 @@ class CrashLimits:
     stale: float
     """Age of the newest wrench that stops the arm [s]."""
 
-    def check(self, now_ns: int, record: Any | None, mode: Mode) -> Violation | None:
-        """Return the reason to stop now, or None; see `StandIn`."""
+    def check(self, now_ns: int, records: np.ndarray | None, mode: Mode) -> Violation | None:
+        """Return the reason to stop now, or None; see `rig.core.guard.Guard`."""
         if mode == "retreat":
             return None
-        if record is None:
+        if records is None:
             return Violation("stale_force", "no wrench of the arm has arrived yet")
         late = _stale(
             "newest wrench of the arm",
             now_ns,
-            int(record["t_ns"]),
+            int(records["t_ns"][-1]),
             self.stale,
             "check its cable",
         )
         if late is not None:
             return late
-        force = math.hypot(*np.asarray(record["value"], np.float64)[:3].tolist())
+        force = float(np.linalg.norm(records["value"][:, :3], axis=1).max())
         if not force <= self.force:
             return Violation(
                 "force_hard",

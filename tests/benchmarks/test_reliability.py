@@ -23,7 +23,7 @@ from benchmarks.faults.run import Results, names
 from recorder import Session
 from rig.bench.bench import BenchFile, bench_from
 from rig.core.clock import FakeClock
-from rig.core.guard import Guard
+from rig.core.guard import ForceGuard, MotionGuard
 from rig.core.packaged import BENCHES
 from rig.core.samples import FORCE_LATEST, POSE_LATEST
 
@@ -190,13 +190,16 @@ def test_a_labs_stale_limits_are_50_and_100_ms_and_stop_the_arm_just_past_them()
     bench = bench_from(content, "a lab's bench")
     limits = replace(bench.guard_limits(), box=((-9.0,) * 3, (9.0,) * 3))
     clock = FakeClock(10 * SECOND)
-    force, pose = np.zeros((), FORCE_LATEST), np.zeros((), POSE_LATEST)
+    force, pose = np.zeros(1, FORCE_LATEST), np.zeros(1, POSE_LATEST)
     pose["safety_status"] = 1
 
     def stop_reason(force_age_ns: int, pose_age_ns: int) -> str | None:
         force["t_ns"], pose["t_ns"] = clock.now_ns() - force_age_ns, clock.now_ns() - pose_age_ns
-        found = Guard(limits, np.zeros(6)).check(clock.now_ns(), force[()], pose[()])
-        return None if found is None else found.kind
+        reasons = (
+            ForceGuard(limits).check(clock.now_ns(), force, "guarded"),
+            MotionGuard(limits, np.zeros(6)).check(clock.now_ns(), pose, "guarded"),
+        )
+        return next((reason.kind for reason in reasons if reason is not None), None)
 
     assert stop_reason(50 * MS, 100 * MS) is None
     assert stop_reason(50 * MS + 1, 100 * MS) == "stale_force"

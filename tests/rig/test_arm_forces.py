@@ -23,6 +23,7 @@ from support.arms import (
 
 from rig.core.clock import SECOND_NS
 from rig.core.errors import DeviceLost, SafetyStop
+from rig.core.guard import ForceGuard
 from rig.core.samples import FORCE_LATEST
 from rig.core.shared_memory import SharedLatest
 from rig.devices.arm.arm import Arm
@@ -50,7 +51,7 @@ def force(path: Path) -> Iterator[SharedLatest]:
 @pytest.fixture(scope="module")
 def shared(force: SharedLatest, path: Path) -> Iterator[Arm]:
     """An arm with an F/T sensor whose force the tests set."""
-    with emulated(), started(gauges={path: LIMITS}) as arm:
+    with emulated(), started(guards={path: ForceGuard(LIMITS)}) as arm:
         yield arm
 
 

@@ -232,15 +232,15 @@ def test_fix_writes_what_is_missing_once_and_only_after_enter(
         fix(bench, "ada", tmp_path)
     monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: True))
 
-    def refuse(lines: list[str]) -> None:
-        raise Interrupted("the answer was not Enter")
+    def refuse(lines: list[str], word: str) -> None:
+        raise Interrupted(f'the answer was not "{word}"')
 
     monkeypatch.setattr("rig.cli.doctor.confirm", refuse)
     with pytest.raises(Interrupted):
         fix(bench, "ada", tmp_path)
     assert list(tmp_path.iterdir()) == []
     asked: list[str] = []
-    monkeypatch.setattr("rig.cli.doctor.confirm", asked.extend)
+    monkeypatch.setattr("rig.cli.doctor.confirm", lambda lines, word: asked.extend(lines))
     assert fix(bench, "ada", tmp_path) == 0
     limits = tmp_path / "security/limits.d/70-tactile-rig.conf"
     rules = (tmp_path / "udev/rules.d/70-tactile-rig.rules").read_text()

@@ -1,4 +1,4 @@
-"""The first press of a lab sensor goes on with Enter, and stops at any other answer."""
+"""The first press of a lab sensor goes on with the word `move`, and stops at any other answer."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from types import SimpleNamespace
 
 from rig.acquire.calibration.calibration import Calibration
 from rig.acquire.no_gauge import press_in_steps
-from rig.cli.options import confirm
+from rig.cli.terminal import confirm
 from rig.acquire.control import Interrupted
 from rig.bench.bench import bench_from
 from rig.core.config import read_yaml
@@ -69,14 +69,14 @@ def at_a_terminal(presses: list[list[str]]) -> list[str]:
     return re.split(r"press \d\r\n", shown)[1:]
 
 
-def test_only_enter_leads_to_the_next_step() -> None:
-    others = ["q\n", " \n", "\x03", "\x04"]
-    *stopped, whole = at_a_terminal([*(["\n", other] for other in others), ["\n"] * 12])
+def test_only_the_word_leads_to_the_next_step() -> None:
+    others = ["\n", "q\n", "move it\n", "\x03", "\x04"]
+    *stopped, whole = at_a_terminal([*(["move\n", other] for other in others), ["move\n"] * 12])
     for other, shown in zip(others, stopped, strict=True):
         assert "first press, air" in shown, other
         assert "next: " in shown, other
         assert "pressed 1" in shown, other
         assert "pressed 2" not in shown, other
-        assert "stopped: the answer was not Enter" in shown, other
+        assert 'stopped: the answer was not "move"' in shown, other
     assert "all pressed" in whole
     assert whole.count("next: ") == whole.count("pressed ") - 1

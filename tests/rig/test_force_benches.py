@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import get_type_hints
@@ -11,6 +12,7 @@ import pytest
 from support.collecting import Collection, faults_of, quick_bench
 
 from recorder import Session
+from rig.acquire.motion_notice import motion_lines
 from rig.bench.bench import Bench, BenchFile
 from rig.bench.stream_kinds import expected_rate, make_driver
 from rig.core.clock import FakeClock
@@ -103,6 +105,33 @@ def test_units_of_the_file_become_si(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("limits", "rating"),
+    [
+        ("{sensor_rating_n: 10.0}", (10.0, 10.0, 10.0)),  # the sensor's, in any direction
+        ("{sensor_rating_n: 14.0, force_rating_n: [12.0, 13.0, 20.0]}", (12.0, 12.0, 14.0)),
+        ("{sensor_rating_n: 50.0, force_rating_n: [20.0, 20.0, 30.0]}", (12.0, 12.0, 17.0)),
+        ("{sensor_rating_n: 50.0, force_rating_n: [2.0, 3.0, 4.0]}", (2.0, 3.0, 4.0)),
+    ],
+)
+def test_the_lowest_rating_of_sensor_gauge_and_bench_bounds_every_press(
+    tmp_path: Path, limits: str, rating: tuple[float, ...]
+) -> None:
+    """The gauge's calibration file rates it for 12, 12 and 17 N."""
+    path = bench_with(tmp_path, NIDAQ)
+    path.write_text(f"{path.read_text()}limits: {limits}\n")
+    bench = BenchFile.read(path).bench
+    (gauge,) = bench.gauges
+    assert bench.guard_limits(gauge).force_rating[:3] == pytest.approx(rating)
+    assert bench.plan_limits.force_rating == pytest.approx(0.85 * rating[2])
+    ends = ", ".join(f"{0.85 * each:.3g}" for each in rating)
+    assert f"a press ends at {ends} N" in "\n".join(motion_lines(bench, 1e-3))
+    # Without a gauge, a plan may reach half of the sensor's rating, and no more than the bench's.
+    bare = BenchFile.read(BENCHES / "tacpalm.yaml").bench
+    lowest = replace(bare.limits, sensor_rating=10.0)
+    assert replace(bare, limits=lowest).force_rating[:3] == (10.0, 10.0, 10.0)
+
+
+@pytest.mark.parametrize(
     ("kind", "status", "stops"),
     [
         ("netft", SATURATION_MASK, True),
@@ -114,31 +143,31 @@ def test_units_of_the_file_become_si(tmp_path: Path) -> None:
 def test_the_guard_stops_at_what_the_device_itself_does_not_trust(
     tmp_path: Path, kind: str, status: int, stops: bool
 ) -> None:
-    from rig.core.guard import Guard
+    from rig.core.guard import ForceGuard
 
     bench = loaded(tmp_path, FORCES[kind])
     (gauge,) = bench.gauges
-    guard = Guard(bench.guard_limits(gauge), bench.contact_frame, watch_pose=False)
-    record = np.zeros(1, FORCE_LATEST)[0]
+    guard = ForceGuard(bench.guard_limits(gauge))
+    record = np.zeros(1, FORCE_LATEST)
     record["status"] = status
-    violation = guard.check(0, record, None)
+    violation = guard.check(0, record, "guarded")
     assert (violation is not None and violation.kind == "force_status") is stops
 
 
 @pytest.mark.parametrize("rate_hz", [85.0, 200.0, 1000.0])
 def test_the_guard_looks_ahead_at_the_rate_of_every_line(tmp_path: Path, rate_hz: float) -> None:
-    from rig.core.guard import Guard
+    from rig.core.guard import ForceGuard
 
     bench = loaded(tmp_path, NIDAQ)
     limits = bench.guard_limits(*bench.gauges)
-    guard = Guard(limits, bench.contact_frame, watch_pose=False)
+    guard = ForceGuard(limits)
     soft, speed = limits.soft_fraction * limits.force_rating[2], 100.0
-    record = np.zeros(1, FORCE_LATEST)[0]
+    record = np.zeros(1, FORCE_LATEST)
     # 100 N/s: 20 ms before the soft limit is 2 N below it; samples are up to 1.2 N apart.
     for k in range(1000):
         t = k / rate_hz
-        record["t_ns"], record["value"][2] = round(1e9 * t), -speed * t
-        violation = guard.check(int(record["t_ns"]), record, None)
+        record["t_ns"], record["value"][:, 2] = round(1e9 * t), -speed * t
+        violation = guard.check(int(record["t_ns"][0]), record, "guarded")
         if violation is not None:
             break
     assert violation is not None

@@ -18,11 +18,11 @@ from rig.core.packaged import BENCHES
 from rig.devices.force.calibration import (
     FORCE_UNITS,
     TORQUE_UNITS,
+    ToolTransform,
     TransducerCalibration,
     parse_calibration,
     read_calibration,
 )
-from rig.devices.force.settings import ToolTransform
 
 RATED = (12.0, 12.0, 17.0, 0.12, 0.12, 0.12)
 Edit = Callable[[ET.Element], None]

@@ -20,11 +20,11 @@ from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.packaged import BENCHES
 from rig.devices.force import nidaq_task
-from rig.devices.force.calibration import read_calibration
+from rig.devices.force.calibration import ToolTransform, read_calibration
 from rig.devices.force.nidaq import NidaqDriver
 from rig.devices.force.nidaq_emulator import NidaqEmulator, NidaqEmulatorConfig
 from rig.devices.force.sample_clock import BEYOND_RATING, LOST_BEFORE, SATURATED
-from rig.devices.force.settings import NidaqConfig, ToolTransform
+from rig.devices.force.settings import NidaqConfig
 
 CLOCK = SystemClock()
 PORT = 31763

@@ -7,7 +7,15 @@ import pytest
 
 from rig.core.clock import FakeClock
 from rig.core.geometry import transform
-from rig.core.guard import AXES, Guard, GuardLimits, judge_safety, outside_box
+from rig.core.guard import (
+    AXES,
+    ForceGuard,
+    GuardLimits,
+    MotionGuard,
+    judge_safety,
+    most_serious,
+    outside_box,
+)
 from rig.core.samples import FORCE_LATEST, POSE_LATEST
 from trajectories import dome_height
 
@@ -21,7 +29,7 @@ MS = 1_000_000
 def force(t_ns: int, value=(0.0,) * 6, status: int = 0):
     record = np.zeros((), FORCE_LATEST)
     record["t_ns"], record["status"], record["value"] = t_ns, status, value
-    return record[()]
+    return record.reshape(1)
 
 
 def pose(t_ns: int, place=(0.0, 0.0, 0.01), safety: int = 1):
@@ -29,7 +37,21 @@ def pose(t_ns: int, place=(0.0, 0.0, 0.01), safety: int = 1):
     record = np.zeros((), POSE_LATEST)
     record["t_ns"], record["safety_status"] = t_ns, safety
     record["value"][:3] = transform(FRAME, place)
-    return record[()]
+    return record.reshape(1)
+
+
+class Guard:
+    """The guards of a bench with one gauge, asked together, as the arm's process asks them."""
+
+    def __init__(self, limits: GuardLimits, frame) -> None:
+        self.force, self.motion = ForceGuard(limits), MotionGuard(limits, frame)
+
+    def check(self, now_ns, forces, poses, mode="guarded"):
+        reasons = (
+            self.force.check(now_ns, forces, mode),
+            self.motion.check(now_ns, poses, mode),
+        )
+        return most_serious(reason for reason in reasons if reason is not None)
 
 
 def check(guard: Guard, clock: FakeClock, value=(0.0,) * 6, mode="guarded", **place):
@@ -134,8 +156,8 @@ def test_missing_data_is_stale_unless_it_is_not_watched():
     now_ns = 10_000 * MS
     assert Guard(LIMITS, FRAME).check(now_ns, None, pose(now_ns)).kind == "stale_force"
     assert Guard(LIMITS, FRAME).check(now_ns, force(now_ns), None).kind == "stale_pose"
-    blind = Guard(LIMITS, FRAME, watch_force=False, watch_pose=False)
-    assert blind.check(now_ns, None, None) is None
+    assert MotionGuard(LIMITS, FRAME).check(now_ns, pose(now_ns), "guarded") is None
+    assert ForceGuard(LIMITS).check(now_ns, force(now_ns), "guarded") is None
 
 
 @pytest.mark.parametrize("axis", range(3))
@@ -315,3 +337,59 @@ def test_an_axis_that_is_not_measured_hides_no_other(combined):
 def test_axes_that_are_none_are_refused(axes):
     with pytest.raises(ValueError, match="axes_measured"):
         dataclasses.replace(LIMITS, axes_measured=axes)
+
+
+def several(now_ns: int, loads, statuses=None):
+    """Return one force record a millisecond, the last at `now_ns`, with the loads along z."""
+    statuses = statuses or [0] * len(loads)
+    ages = range(len(loads) - 1, -1, -1)
+    return np.concatenate(
+        [
+            force(now_ns - age * MS, (0, 0, load, 0, 0, 0), status)
+            for age, load, status in zip(ages, loads, statuses, strict=True)
+        ]
+    )
+
+
+@pytest.mark.parametrize("place", range(5))
+@pytest.mark.parametrize(("load", "kind"), [(2147.0, "force_hard"), (-10.5, "force_soft")])
+def test_one_bad_record_between_two_looks_stops_wherever_it_is(place, load, kind):
+    loads = [-1.0] * 5
+    loads[place] = load
+    violation = ForceGuard(LIMITS).check(10_000 * MS, several(10_000 * MS, loads), "guarded")
+    assert violation.kind == kind
+
+
+def test_a_status_between_two_looks_stops():
+    records = several(10_000 * MS, [-1.0] * 3, [0, 0x20000, 0])
+    violation = ForceGuard(LIMITS).check(10_000 * MS, records, "guarded")
+    assert violation.kind == "force_status"
+
+
+def test_a_protective_stop_or_a_place_outside_the_box_between_two_looks_stops():
+    now_ns = 10_000 * MS
+    outside = pose(now_ns - 4 * MS, place=(0.0, 0.0, -0.002))
+    for bad, kind in ((outside, "box"), (pose(now_ns, safety=0x404), "protective_stop")):
+        records = np.concatenate([bad, pose(now_ns)])
+        assert MotionGuard(LIMITS, FRAME).check(now_ns, records, "guarded").kind == kind
+
+
+def test_one_bad_record_does_not_hold_a_retreat_in_contact():
+    guard, now_ns = ForceGuard(LIMITS), 10_000 * MS
+    assert guard.check(now_ns, several(now_ns, [-3.0] * 8), "retreat") is None
+    later_ns = now_ns + 4 * MS
+    assert guard.check(later_ns, several(later_ns, [-3.0, -3.0, 2147.0]), "retreat") is None
+
+
+def test_the_slope_takes_every_record_of_a_look():
+    """100 N/s from 8 N: the limit of 10.2 N is 20 ms ahead, seen within one look of 12 records."""
+    now_ns = 10_000 * MS
+    records = several(now_ns, [-8.0 - 0.1 * k for k in range(12)])
+    violation = ForceGuard(LIMITS).check(now_ns, records, "guarded")
+    assert violation.kind == "force_soft"
+    assert "in 20 ms" in violation.reason
+
+
+def test_a_gauge_among_several_is_named():
+    violation = ForceGuard(LIMITS, "left").check(MS, force(MS, (0, 0, 13.0, 0, 0, 0)), "guarded")
+    assert violation.reason.startswith("left: Fz: 13 N")

@@ -148,7 +148,7 @@ def test_a_closed_terminal_retracts_the_arm_and_closes_the_session(
         *("collect", "--bench", str(lab.file), "--out", str(session), "--targets", "4"),
         *("--calibrations", str(tmp_path / "none")),
     ) as terminal:
-        terminal.read_until("Enter to start")
+        terminal.read_until("to start, anything")
         # The first four targets are the shallowest of the plan.
         for word in (
             *("LAB BENCH", "5 mm/s near the sensor", "x -10 to 10 mm", "depth     1.125 mm"),
@@ -156,7 +156,7 @@ def test_a_closed_terminal_retracts_the_arm_and_closes_the_session(
         ):
             assert word in terminal.text
         assert not session.exists()
-        os.write(terminal.master, b"\n")
+        os.write(terminal.master, b"move\n")
         terminal.read_until("target 1/4")
         _until(lambda: lab.tip() < -0.2, terminal.process)
         terminal.close()
@@ -172,15 +172,31 @@ def test_a_closed_terminal_retracts_the_arm_and_closes_the_session(
     assert 1e3 * transform(invert(found.attrs["contact_frame"]), place)[2] > RETRACTED
 
 
-@pytest.mark.parametrize("answer", [b"no\n", b"\x04", b"\x03"], ids=["no", "end", "ctrl-c"])
-def test_anything_but_enter_starts_nothing(lab: LabBench, tmp_path: Path, answer: bytes) -> None:
+@pytest.mark.parametrize(
+    "answer", [b"\n", b"no\n", b"\x04", b"\x03"], ids=["enter", "no", "end", "ctrl-c"]
+)
+def test_anything_but_the_word_starts_nothing(lab: LabBench, tmp_path: Path, answer: bytes) -> None:
     session = tmp_path / "s.zarr"
     with Terminal(
         *("collect", "--bench", str(lab.file), "--out", str(session)),
         *("--calibrations", str(tmp_path / "none")),
     ) as terminal:
-        terminal.read_until("Enter to start")
+        terminal.read_until("to start, anything")
         os.write(terminal.master, answer)
+        assert terminal.wait() == 130
+        assert "nothing was recorded" in terminal.text
+    assert not session.exists()
+
+
+def test_what_was_typed_before_the_question_starts_nothing(lab: LabBench, tmp_path: Path) -> None:
+    session = tmp_path / "s.zarr"
+    with Terminal(
+        *("collect", "--bench", str(lab.file), "--out", str(session)),
+        *("--calibrations", str(tmp_path / "none")),
+    ) as terminal:
+        os.write(terminal.master, b"\nmove\nmo")
+        terminal.read_until("to start, anything")
+        os.write(terminal.master, b"ve\n")
         assert terminal.wait() == 130
         assert "nothing was recorded" in terminal.text
     assert not session.exists()
@@ -195,12 +211,12 @@ def bench_with_a_gripper(tmp_path: Path) -> Path:
     return tmp_path / "gripping.yaml"
 
 
-@pytest.mark.parametrize(("answer", "code"), [(b"\n", 3), (b"no\n", 130)])
-def test_the_gripper_says_how_it_moves_and_waits_for_enter(
+@pytest.mark.parametrize(("answer", "code"), [(b"grip\n", 3), (b"\n", 130), (b"no\n", 130)])
+def test_the_gripper_says_how_it_moves_and_waits_for_its_word(
     gripping: Path, answer: bytes, code: int
 ) -> None:
     with Terminal("grip", "--bench", str(gripping)) as terminal:
-        terminal.read_until("Enter to start")
+        terminal.read_until("to start, anything")
         for word in ("the gripper WILL move", "speed     40 of 255", "force     150 of 255"):
             assert word in terminal.text
         os.write(terminal.master, answer)

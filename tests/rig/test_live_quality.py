@@ -41,7 +41,7 @@ def test_rows_of_earlier_runs_are_left_out(tmp_path: Path) -> None:
         assert wrong(made.judged()) == {}
 
 
-RATING = USKIN.limits.force_rating[2]
+RATING = USKIN.force_rating[2]
 
 
 def pressed(most: float, limit: float = 1.0) -> Part:

@@ -25,10 +25,10 @@ from rig.acquire.calibration.store import bench_hash, now_utc
 from rig.acquire.signal_level import SignalLevel, grey
 from rig.acquire.stream_process import COUNTERS, StreamJob, _StreamLoop
 from rig.bench.bench import Bench, bench_from
+from rig.bench.guards import guards_of
 from rig.bench.no_gauge import (
     SURFACE_WIDTH,
     check_plan,
-    guards_of,
     planned_depth,
     slowed,
     without_gauge,
@@ -40,7 +40,7 @@ from rig.core.errors import ConfigError, SafetyStop
 from rig.core.packaged import BENCHES
 from rig.core.samples import FORCE_LATEST, SIGNAL_LATEST
 from rig.core.shared_memory import SharedLatest
-from rig.core.stand_in_guards import CrashLimits, SignalLimits
+from rig.core.stand_in_guards import CrashGuard, SignalGuard
 from rig.devices.arm.emulated_arm import Wrist
 
 ROOT = Path(__file__).parents[2]
@@ -60,7 +60,7 @@ def bench_of(sensor: str, **more: Any) -> Bench:
 def test_every_packaged_mock_bench_may_be_used_without_its_gauge(sensor: str) -> None:
     bench = bench_of(sensor)
     assert [row.name for row in bench.of_kind("force")] == []
-    assert len(guards_of(bench)) == 2
+    assert len(guards_of(bench, Path("run"))) == 2
     check_plan(bench, planned_depth(bench, bench.trajectory))
 
 
@@ -108,15 +108,15 @@ def test_speeds_and_box_follow_the_rules() -> None:
 
 
 def signal_record(t_ns: int, fresh_ns: int, change: float, motion: float) -> Any:
-    return np.array((t_ns, fresh_ns, change, motion), SIGNAL_LATEST)
+    return np.array([(t_ns, fresh_ns, change, motion)], SIGNAL_LATEST)
 
 
 def wrench_record(t_ns: int, *force: float) -> Any:
-    return np.array((t_ns, 0, (*force, 0.0, 0.0, 0.0)), FORCE_LATEST)
+    return np.array([(t_ns, 0, (*force, 0.0, 0.0, 0.0))], FORCE_LATEST)
 
 
-SIGNAL = SignalLimits(largest=100.0, stale=0.2, unit="px", contact=40.0)
-CRASH = CrashLimits(force=9.0, stale=0.1)
+SIGNAL = SignalGuard(largest=100.0, stale=0.2, unit="px", contact=40.0)
+CRASH = CrashGuard(force=9.0, stale=0.1)
 S = SECOND_NS
 
 
@@ -145,6 +145,17 @@ def test_guards_that_stand_in_stop_for_their_own_reason(
     found = limits.check(S, record, mode)
     assert (None if found is None else found.kind) == kind
     assert text in ("" if found is None else found.reason)
+
+
+@pytest.mark.parametrize("worst", range(3))
+def test_guards_that_stand_in_see_every_record_since_their_last_look(worst: int) -> None:
+    motions, forces = [3.0] * 3, [1.0] * 3
+    motions[worst], forces[worst] = 101.0, 10.0
+    signals = np.concatenate([signal_record(S, S, 0.0, motion) for motion in motions])
+    wrenches = np.concatenate([wrench_record(S, force, 0.0, 0.0) for force in forces])
+    for found in (SIGNAL.check(S, signals, "guarded"), CRASH.check(S, wrenches, "guarded")):
+        assert found is not None
+        assert found.kind == "force_hard"
 
 
 def test_the_level_shows_contact_and_repeated_readings() -> None:

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
+import pty
+import select
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -117,14 +121,14 @@ def test_the_person_may_measure_again_or_accept_a_fault(
     steps: Steps, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     steps.state = "FAULT"
-    answers = iter(["heavy", "50", "", "a"])
+    answers = iter(["heavy", "50", "", "accept"])
     asked: list[str] = []
 
     def answer(prompt: str) -> str:
         asked.append(prompt.strip())
         return next(answers)
 
-    monkeypatch.setattr("builtins.input", answer)
+    monkeypatch.setattr(setup, "answer", answer)
     assert setup.run(parsed(tmp_path)) == 0
     assert steps.run == [("first", 50.0), "second", "second"]
     assert asked[:2] == ["mass [g] [100]:"] * 2
@@ -132,6 +136,50 @@ def test_the_person_may_measure_again_or_accept_a_fault(
     accepted = store.acceptance_of(tmp_path, bench)
     assert accepted is not None
     assert accepted["result"] == "accepted with faults: second"
+
+
+@pytest.mark.parametrize("typed", ["a", " accept it", "accept\naccept"])
+def test_only_the_word_accepts_a_fault(
+    steps: Steps, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, typed: str
+) -> None:
+    steps.state = "FAULT"
+    answers = iter(["50", typed])
+    monkeypatch.setattr(setup, "answer", lambda prompt: next(answers))
+    assert setup.run(parsed(tmp_path)) == 3
+    assert store.acceptance_of(tmp_path, BenchFile.read(BENCH).bench) is None
+
+
+WIZARD = """
+import sys
+from pathlib import Path
+from rig.cli.terminal import answer
+print("ready", flush=True)
+sys.stdin.readline()
+typed = answer("a fault was found; accept: accept it: ")
+print(f"typed {typed!r}", flush=True)
+"""
+
+
+def test_an_answer_typed_before_its_question_is_dropped() -> None:
+    process, terminal = pty.fork()
+    if process == 0:
+        os.execv(sys.executable, [sys.executable, "-c", WIZARD])
+    output = ""
+
+    def read_until(text: str) -> None:
+        nonlocal output
+        while text not in output:
+            assert select.select([terminal], [], [], 60.0)[0], output
+            output += os.read(terminal, 4096).decode()
+
+    read_until("ready")
+    os.write(terminal, b"go\naccept\n")
+    read_until("accept it: ")
+    os.write(terminal, b"no\n")
+    read_until("typed ")
+    read_until("\n" + "typed 'no'")
+    os.close(terminal)
+    os.waitpid(process, 0)
 
 
 def test_a_lost_device_and_wrong_input_are_named(

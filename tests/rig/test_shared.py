@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.core.shared_memory import SharedLatest
+from rig.core.shared_memory import AwaitedRecord, SharedLatest
 
 PAIR = np.dtype([("a", "<i8"), ("value", "<f8", (40,))])
 
@@ -39,7 +39,7 @@ def test_a_reader_never_sees_half_a_record_of_a_busy_writer(tmp_path: Path) -> N
         import sys
         import numpy as np
         from pathlib import Path
-        from rig.core.shared_memory import SharedLatest
+        from rig.core.shared_memory import AwaitedRecord, SharedLatest
         dtype = np.dtype([("a", "<i8"), ("value", "<f8", (40,))])
         record = SharedLatest.attach(Path({str(path)!r}), dtype, writable=True)
         k = 0
@@ -88,3 +88,40 @@ def test_a_file_of_another_layout_is_refused(tmp_path: Path) -> None:
     SharedLatest.create(tmp_path / "x", PAIR).close()
     with pytest.raises(ValueError, match="expected"):
         SharedLatest.attach(tmp_path / "x", np.dtype([("a", "<i8", (100,))]))
+
+
+def test_a_reader_gets_every_record_since_its_last_look(tmp_path: Path) -> None:
+    writer = SharedLatest.create(tmp_path / "x", PAIR, 64)
+    reader = AwaitedRecord(tmp_path / "x", PAIR)
+    assert reader.unread() is None
+    for k in range(5):
+        writer.write((k, np.full(40, k)))
+    first = reader.unread()
+    assert first is not None
+    assert first["a"].tolist() == [4], "what came before the first look is not the reader's"
+    for k in range(5, 25):
+        writer.write((k, np.full(40, k)))
+    unread = reader.unread()
+    assert unread is not None
+    assert unread["a"].tolist() == list(range(5, 25))
+    assert (unread["value"] == unread["a"][:, None]).all()
+    again = reader.unread()
+    assert again is not None
+    assert again["a"].tolist() == [24]
+    assert reader.missed == 0
+
+
+def test_records_that_were_overwritten_before_a_look_are_counted(tmp_path: Path) -> None:
+    writer = SharedLatest.create(tmp_path / "x", PAIR, 8)
+    reader = AwaitedRecord(tmp_path / "x", PAIR)
+    writer.write((0, np.zeros(40)))
+    reader.unread()
+    for k in range(1, 21):
+        writer.write((k, np.full(40, k)))
+    unread = reader.unread()
+    assert unread is not None
+    assert unread["a"].tolist() == list(range(14, 21))
+    assert reader.missed == 13
+    writer.write((21, np.zeros(40)))
+    assert reader.unread() is not None
+    assert reader.missed == 0

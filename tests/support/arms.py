@@ -91,7 +91,7 @@ def make(**options: Any) -> Arm:
         options.pop("config", CONFIG),
         FRAME,
         options.pop("limits", LIMITS),
-        gauges=options.pop("gauges", {}),
+        guards=options.pop("guards", {}),
         pose_path=options.pop("pose_path", None),
     )
 

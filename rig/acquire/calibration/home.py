@@ -48,7 +48,7 @@ class Approaches:
 def touching_bench(bench: Bench, force: float) -> Bench:
     """Return the bench for approaches: 1 mm/s, soft limit `force` [N], same hard limits."""
     limits = bench.limits
-    rating = limits.force_rating[2]
+    rating = bench.force_rating[2]
     if not 0 < force < 0.5 * limits.soft_fraction * rating:
         raise ConfigError(
             f"--force: found {force} N; allowed: above 0, below half the soft limit "

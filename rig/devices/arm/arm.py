@@ -17,8 +17,7 @@ from numpy.typing import ArrayLike
 
 from rig.core.clock import Clock, SystemClock
 from rig.core.errors import DeviceLost, SafetyStop
-from rig.core.guard import GuardLimits, Mode
-from rig.core.stand_in_guards import StandIn
+from rig.core.guard import Guard, GuardLimits, Mode
 from rig.devices.arm.messages import Close, Halt, Move, Reply, Retract, Setup
 from rig.devices.arm.settings import ArmConfig
 from rig.devices.arm.supervisor import Child, HasFileno
@@ -53,10 +52,8 @@ class Arm:
         contact_frame: Pose (6,) of the contact frame in the base frame [m, rad]; +z leaves the
             sensor.
         limits: Limits of motion enforced by the guard.
-        gauges: FORCE_LATEST record published by each F/T sensor's stream, and its limits; empty:
-            no F/T sensor.
         pose_path: POSE_LATEST record published by the pose stream; None: the child's own link.
-        stand_ins: Record and limits of each guard that stands in for an F/T sensor.
+        guards: Shared record of each gauge, or of what stands in for one, and its guard.
         clock: Clock for time limits.
     """
 
@@ -66,15 +63,12 @@ class Arm:
         contact_frame: ArrayLike,
         limits: GuardLimits,
         *,
-        gauges: Mapping[Path, GuardLimits],
         pose_path: Path | None,
-        stand_ins: Mapping[Path, StandIn] | None = None,
+        guards: Mapping[Path, Guard],
         clock: Clock | None = None,
     ) -> None:
         self._config = config
-        watched = tuple(gauges.items())
-        others = tuple((stand_ins or {}).items())
-        setup = Setup(config, _floats(contact_frame), limits, watched, pose_path, others)
+        setup = Setup(config, _floats(contact_frame), limits, pose_path, tuple(guards.items()))
         self._child = Child(setup, clock or SystemClock())
 
     def start(self, timeout: float) -> None:

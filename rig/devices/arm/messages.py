@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from rig.core.guard import GuardLimits, Kind, Mode
-from rig.core.stand_in_guards import StandIn
+from rig.core.guard import Guard, GuardLimits, Kind, Mode
 from rig.devices.arm.settings import ArmConfig
 
 # Number of the unprompted reply that reports that the child is ready, or why it is not.
@@ -28,12 +27,11 @@ class Setup:
     contact_frame: tuple[float, ...]
     """Pose (6,) of the contact frame in the base frame [m, rad]."""
     limits: GuardLimits
-    gauges: tuple[tuple[Path, GuardLimits], ...]
-    """FORCE_LATEST record of each F/T sensor that guards, and its limits."""
+    """Limits of motion."""
     pose_path: Path | None
     """POSE_LATEST record; None: the child's own pose link is used."""
-    stand_ins: tuple[tuple[Path, StandIn], ...] = ()
-    """Record of each guard that stands in for an F/T sensor, and its limits."""
+    guards: tuple[tuple[Path, Guard], ...]
+    """Shared record of each gauge, or of what stands in for one, and its guard."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import functools
+import operator
 from collections.abc import Callable
-from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,15 +13,15 @@ from rig.core.clock import SECOND_NS, Clock, Pacer
 from rig.core.errors import DeviceLost
 from rig.core.geometry import Array, invert, rotation_between, transform
 from rig.core.guard import (
-    Guard,
     Kind,
     Mode,
+    MotionGuard,
     Violation,
     judge_safety,
     most_serious,
     outside_box,
 )
-from rig.core.samples import FORCE_LATEST, POSE_LATEST
+from rig.core.samples import POSE_LATEST
 from rig.core.shared_memory import AwaitedRecord
 from rig.devices.arm.messages import Move, Outcome, Reply, Setup
 from rig.devices.arm.reader import RtdeLink
@@ -47,21 +47,12 @@ class Watch:
         self._settle_ns = round(setup.config.settle * SECOND_NS)
         self._link = link
         self._clock = clock
-        gauges: list[tuple[Path | None, Guard]] = [
-            (path, Guard(limits, setup.contact_frame)) for path, limits in setup.gauges
-        ]
-        if not gauges:
-            gauges = [(None, Guard(setup.limits, setup.contact_frame, watch_force=False))]
-        several = len(gauges) > 1
-        self._guards = [
-            (AwaitedRecord(path, FORCE_LATEST), guard, path.stem if path and several else "")
-            for path, guard in gauges
-        ]
-        self._stand_ins = [
-            (AwaitedRecord(path, limits.RECORD), limits) for path, limits in setup.stand_ins
-        ]
+        self._motion = MotionGuard(setup.limits, setup.contact_frame)
         self._shared_pose = setup.pose_path is not None
         self._pose = AwaitedRecord(setup.pose_path, POSE_LATEST)
+        self._guards = [
+            (AwaitedRecord(path, guard.RECORD), path.stem, guard) for path, guard in setup.guards
+        ]
         self._sample: dict[str, Any] | None = None
         self._moved_ns = clock.now_ns()
         self.speed_fraction = 1.0
@@ -75,31 +66,27 @@ class Watch:
         return None if self._sample is None else np.array(self._sample["value"])
 
     def look(self, mode: Mode) -> Violation | None:
-        """Process the samples that have arrived and return the guard's violation.
+        """Process all samples since the last look and return the most serious violation.
 
         Raises:
             DeviceLost: The controller closed the link or is silent.
         """
-        for sample in self._link.receive(0.0):
+        arrived = self._link.receive(0.0)
+        for sample in arrived:
             self._take(sample)
-        newest = self._sample
-        if newest is not None:
-            safety = judge_safety(newest["safety_status"])
-            if safety is not None:
-                return safety
-        pose = self._pose.read() if self._shared_pose else newest
+        own = arrived or ([] if self._sample is None else [self._sample])
+        status = functools.reduce(operator.or_, (sample["safety_status"] for sample in own), 0)
+        safety = judge_safety(status)
+        if safety is not None:
+            return safety
+        poses = self._pose.unread() if self._shared_pose else _pose_records(own)
         now_ns = self._clock.now_ns()
-        found = []
-        for force, guard, name in self._guards:
-            violation = guard.check(now_ns, force.read(), pose, mode)
-            if violation is not None:
-                reason = f"{name}: {violation.reason}" if name else violation.reason
-                found.append(replace(violation, reason=reason))
-        for record, limits in self._stand_ins:
-            violation = limits.check(now_ns, record.read(), mode)
-            if violation is not None:
-                found.append(violation)
-        return most_serious(found)
+        violations = [self._motion.check(now_ns, poses, mode)]
+        for record, name, guard in self._guards:
+            violations.append(guard.check(now_ns, record.unread(), mode))
+            if record.missed and mode != "retreat":
+                violations.append(_overrun(name, record.missed))
+        return most_serious(each for each in violations if each is not None)
 
     def look_again(self, timeout: float) -> Violation | None:
         """Wait up to `timeout` [s] for an abnormal safety status; return its violation or None."""
@@ -158,6 +145,25 @@ class Watch:
         if pose is None or self.distance(goal) > distance:
             return False
         return float(np.linalg.norm(rotation_between(pose, goal))) <= angle
+
+
+def _pose_records(samples: list[dict[str, Any]]) -> np.ndarray | None:
+    """Return POSE_LATEST records (n,) of the link's samples; None without any."""
+    if not samples:
+        return None
+    records = np.zeros(len(samples), POSE_LATEST)
+    for record, sample in zip(records, samples, strict=True):
+        for field in ("t_ns", "safety_status", "value"):
+            record[field] = sample[field]
+    return records
+
+
+def _overrun(name: str, missed: int) -> Violation:
+    return Violation(
+        "stale_force",
+        f"{missed} records of {name} passed between two looks of the guard: the computer is too "
+        "busy to watch them",
+    )
 
 
 # One command at a time, to its end (move, halt, retract), each supervised by the guard.

@@ -11,16 +11,27 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from rig.core.errors import ConfigError
-from rig.devices.force.settings import ToolTransform
 
 Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class ToolTransform:
+    """Frame in which a wrench is reported, relative to the transducer's own."""
+
+    displacement: tuple[float, float, float] = field(
+        default=(0.0, 0.0, 0.0), metadata={"unit": "mm"}
+    )
+    """Origin in the transducer's axes (ATI's Dx Dy Dz) [m]."""
+    rotation: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0), metadata={"unit": "deg"})
+    """Rotations about x, then the new y, then the new z (ATI's Rx Ry Rz) [rad]."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import ClassVar, Literal
 
+from rig.core.packaged import BENCHES, packaged
 from rig.core.stream_settings import StreamSettings
+from rig.devices.force.calibration import ToolTransform, read_calibration
 from rig.devices.force.netft_wire import ERROR_MASK, SATURATION_MASK
 from rig.devices.force.sample_clock import SATURATED
 
@@ -34,6 +37,11 @@ class _Gauge(StreamSettings):
                 f"{', '.join(AXES)}, each once"
             )
 
+    @property
+    def rated(self) -> tuple[float, ...] | None:
+        """Rated load per axis (6,) in the frame of the wrench [N, N m]; None: not stated."""
+        return None
+
 
 @dataclass(frozen=True, slots=True)
 class NetFtConfig(_Gauge):
@@ -61,18 +69,6 @@ class NetFtConfig(_Gauge):
 
 
 @dataclass(frozen=True, slots=True)
-class ToolTransform:
-    """Frame in which a wrench is reported, relative to the transducer's own."""
-
-    displacement: tuple[float, float, float] = field(
-        default=(0.0, 0.0, 0.0), metadata={"unit": "mm"}
-    )
-    """Origin in the transducer's axes (ATI's Dx Dy Dz) [m]."""
-    rotation: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0), metadata={"unit": "deg"})
-    """Rotations about x, then the new y, then the new z (ATI's Rx Ry Rz) [rad]."""
-
-
-@dataclass(frozen=True, slots=True)
 class NidaqConfig(_Gauge):
     """Settings of an ATI DAQ F/T transducer on six analog inputs of an NI card (NI-DAQmx)."""
 
@@ -89,7 +85,7 @@ class NidaqConfig(_Gauge):
     """Samples per second of the card's own clock."""
     saturated_at: float = 0.999
     """Fraction of the output range from which a gauge counts as saturated."""
-    tool: ToolTransform = ToolTransform()
+    tool: ToolTransform = field(default_factory=ToolTransform)
     """Frame of the wrench; by default the transducer's own."""
     grpc: str | None = None
     """host:port of an NI gRPC Device Server that has the card; None: this computer has it."""
@@ -113,6 +109,20 @@ class NidaqConfig(_Gauge):
         """Address of the device, for display."""
         place = f"{self.device}/{self.channels}"
         return place if self.grpc is None else f"{self.grpc} {place}"
+
+    @property
+    def rated(self) -> tuple[float, ...] | None:
+        """Rated load per axis (6,) in the frame of the wrench, by the .cal file [N, N m].
+
+        In a turned frame each axis has the lowest of the transducer's three.
+
+        Raises:
+            ConfigError: See `read_calibration`.
+        """
+        rated = read_calibration(packaged(Path(self.calibration), BENCHES)).rated
+        if any(self.tool.rotation):
+            return (min(rated[:3]),) * 3 + (min(rated[3:]),) * 3
+        return rated
 
 
 @dataclass(frozen=True, slots=True)

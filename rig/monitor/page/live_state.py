@@ -164,8 +164,7 @@ class LiveState:
 
     def forces(self) -> dict[str, dict[str, Any]]:
         """Return the wrench [N, N mm] of each gauge, and the fraction of each rating."""
-        limits = self._bench.limits
-        ratings = (*limits.force_rating, *limits.torque_rating)
+        ratings = self._bench.force_rating
         found = {}
         for name in self._gauges:
             record = self._latest[name].read()
@@ -212,7 +211,8 @@ class LiveState:
     def limits(self) -> dict[str, Any]:
         """Return the constant limits: axes, their ratings, both fractions, the box [mm]."""
         limits = self._bench.limits
-        ratings = (*limits.force_rating, *(from_si(v, "n_mm") for v in limits.torque_rating))
+        rating = self._bench.force_rating
+        ratings = (*rating[:3], *(from_si(torque, "n_mm") for torque in rating[3:]))
         box = (limits.box_x, limits.box_y, (-limits.depth_max, limits.height_max))
         return {
             "axes": [name for name, _ in AXES],

@@ -211,7 +211,7 @@ class _Gauge:
         self._axes = [
             place for place, (axis, _) in enumerate(AXES[:3]) if axis in gauge.config.axes_measured
         ]
-        self._ratings = np.array(bench.limits.force_rating)[self._axes]
+        self._ratings = np.array(bench.force_rating[:3])[self._axes]
         self._soft, self._hard = bench.limits.soft_fraction, bench.limits.hard_fraction
         self._untrusted = gauge.config.UNTRUSTED_MASK
         self._is_fast = gauge.rate_hz >= _SLOWEST_HZ
