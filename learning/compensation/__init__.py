@@ -17,7 +17,7 @@ from learning.compensation.prior import (
     fit_prior,
     prior_of_coefficients,
 )
-from learning.compensation.search import Choice, Grid, Paired, best_for_labels, best_for_priors
+from learning.compensation.search import Choice, Paired, best_for_labels, best_for_priors
 from learning.compensation.simulated import (
     SIMULATED,
     SimulatedLabels,
@@ -34,7 +34,6 @@ __all__ = [
     "Branch",
     "Choice",
     "ForceDepth",
-    "Grid",
     "PairCompensation",
     "Paired",
     "Prior",

@@ -3,20 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from learning.command import named_number
 from learning.errors import LearningError
-from recorder.command_line.options import numbers
-from recorder.progress import ItemProgress
-
-if TYPE_CHECKING:
-    from learning.compensation.fit import Search, StoredCompensation
-    from recorder import MarkerArchive
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -67,34 +57,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SENSOR=MM",
         help="depth that counts as 1 (default: the sensor's deepest located press)",
     )
-    parser.add_argument(
-        "--d0",
-        type=numbers(),
-        metavar="FRACTION,...",
-        help="starting depths to try, as fractions of the source's depth range, 0 to 1 (default: "
-        "the supplement's, 0, 0.4, 0.8 mm for skins of one depth range, else 0, 0.25, 0.5, 0.75)",
-    )
-    parser.add_argument(
-        "--lambda",
-        dest="weights",
-        type=numbers(),
-        metavar="WEIGHT,...",
-        help="weights to try, 0 to 1 (default: 0, 0.25, 0.5, 0.75, 1)",
-    )
-    parser.add_argument(
-        "--default",
-        type=numbers(2),
-        metavar="D0,LAMBDA",
-        help="the fixed, label-free choice (0,0.75)",
-    )
-    parser.add_argument(
-        "--picture", type=Path, metavar="PNG", help="curves (default: next to the file)"
-    )
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
-    from learning.compensation.fit import Curves, draw_curves, find_compensation, tables
+    from learning.compensation.fit import Curves, write_compensation
     from recorder import MarkerArchive
 
     archive = MarkerArchive(options.archive)
@@ -106,52 +73,11 @@ def run(options: argparse.Namespace) -> int:
         per_mm=options.coefficients_of == "mm",
         ranges_mm=dict(options.range_mm),
     )
-    with ItemProgress("pairs", sys.stderr) as progress:
-        found, gathered = find_compensation(
-            archive,
-            pairs=options.pairs,
-            curves=curves,
-            search=_search(options),
-            progress=progress,
-        )
-    found.write(options.out)
-    for line in tables(found, gathered):
-        print(line)
-    for line in _simulated(archive, found, options.split):
-        print(line)
-    picture = options.picture or options.out.with_suffix(".png")
-    draw_curves(found, gathered, picture)
-    print(f"{options.out}, {picture}: written")
+    lines = write_compensation(
+        archive, options.out, pairs=options.pairs, curves=curves, split=options.split
+    )
+    print("\n".join(lines))
     return 0
-
-
-def _simulated(
-    archive: MarkerArchive, found: StoredCompensation, split: Path | None
-) -> Iterator[str]:
-    """Yield R2 of the labels of each pair whose sensors both have forces of a twin."""
-    from learning.compensation.simulated import simulated_r2
-
-    for pair in found.pairs:
-        r2 = simulated_r2(archive, pair.source, pair.target, split)
-        if r2 is not None:
-            others = {"before": pair.before, **pair.choices}
-            told = "  ".join(
-                f"{name} {one.r2:.2f}" for name, one in others.items() if one.r2 is not None
-            )
-            yield f"R2 of labels, {pair.source} > {pair.target}: {told}  simulated {r2:.2f}"
-
-
-def _search(options: argparse.Namespace) -> Search:
-    from learning.compensation.fit import Search
-
-    search = Search(split=options.split)
-    if options.d0 is not None:
-        search = replace(search, d0=options.d0)
-    if options.weights is not None:
-        search = replace(search, weights=options.weights)
-    if options.default is not None:
-        search = replace(search, default=options.default)
-    return search
 
 
 def _pairs(text: str) -> list[tuple[str, str]]:

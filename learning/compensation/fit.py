@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from itertools import permutations
@@ -28,9 +29,7 @@ from learning.compensation.prior import (
 from learning.compensation.search import (
     D0_MM,
     D0_SHARES,
-    WEIGHTS,
     Choice,
-    Grid,
     Paired,
     best_for_labels,
     best_for_priors,
@@ -38,18 +37,20 @@ from learning.compensation.search import (
     paired_labels,
     tried,
 )
+from learning.compensation.simulated import simulated_r2
 from learning.data.genforce.format import Compensation, read_compensation
 from learning.errors import LearningError
 from recorder import MarkerArchive
 from recorder.archive import ArchivedSensor
 from recorder.charts import chart
+from recorder.progress import ItemProgress
 from recorder.store import replace_file
 
 FORMAT, FORMAT_VERSION = "tactile-rig compensation", 1
 # Names of choices: fixed; by the fit of the priors; by the target's labels.
 CHOICES = ("default", "priors", "oracle")
 CRITERIA = {
-    "default": "d0 0, lambda 0.75, whatever the sensors (or as told on the command line)",
+    "default": "d0 0, lambda 0.75, whatever the sensors",
     "priors": "least expected error of the compensated force-depth curve, from the fits' residuals",
     "oracle": "least mean distance between compensated labels and the target's own at paired "
     "locations of training presses [N]",
@@ -327,23 +328,49 @@ def _imported(sensor: ArchivedSensor) -> Compensation | None:
         ) from error
 
 
-# Implementation of `python -m learning compensate`: priors, and choices for pairs of sensors.
+# Priors, and choices for pairs of sensors.
 
 # Depth ranges whose relative difference is below this count as equal.
 _ALIKE = 0.05
 
 
-@dataclass(frozen=True, slots=True)
-class Search:
-    """Choices to try for each pair."""
+def write_compensation(
+    archive: MarkerArchive,
+    out: Path,
+    *,
+    pairs: Sequence[tuple[str, str]] | None = None,
+    curves: Curves | None = None,
+    split: Path | None = None,
+) -> list[str]:
+    """Write compensations between an archive's sensors, and a picture of their curves.
 
-    default: tuple[float, float] = (DEFAULT_D0, DEFAULT_WEIGHT)
-    """d0 and lambda of the fixed choice."""
-    d0: tuple[float, ...] | None = None
-    """Fractions of the source's depth range; None: the paper's for these sensors."""
-    weights: tuple[float, ...] = WEIGHTS
-    split: Path | None = None
-    """File of a split; None: labels of all seen indenters."""
+    Args:
+        archive: The archive.
+        out: File to write; the picture is beside it.
+        pairs: Sources and targets; None: all pairs of sensors with a prior.
+        curves: Sources of force-depth curves in addition to the archive's rows.
+        split: File of a split, whose training presses count; None: labels of all seen indenters.
+
+    Returns:
+        Lines with tables of the priors and choices.
+
+    Raises:
+        LearningError: A sensor of a pair has no prior, fewer than two sensors have one, or a
+            different file exists.
+        SessionError: The archive or a session is corrupt.
+    """
+    with ItemProgress("pairs", sys.stderr) as progress:
+        made, gathered = find_compensation(
+            archive, pairs=pairs, curves=curves, split=split, progress=progress
+        )
+    made.write(out)
+    picture = out.with_suffix(".png")
+    draw_curves(made, gathered, picture)
+    return [
+        *tables(made, gathered),
+        *_labels_by_twins(archive, made, split),
+        f"{out}, {picture}: written",
+    ]
 
 
 def find_compensation(
@@ -351,7 +378,7 @@ def find_compensation(
     *,
     pairs: Sequence[tuple[str, str]] | None = None,
     curves: Curves | None = None,
-    search: Search | None = None,
+    split: Path | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[StoredCompensation, Gathered]:
     """Find compensations between an archive's sensors; return them with their curves.
@@ -360,38 +387,35 @@ def find_compensation(
         archive: The archive.
         pairs: Sources and targets; None: all pairs of sensors with a prior.
         curves: Sources of force-depth curves in addition to the archive's rows.
-        search: Choices to try for each pair.
+        split: File of a split, whose training presses count; None: labels of all seen indenters.
         progress: Called with the number of pairs done and in total.
 
     Raises:
         LearningError: A sensor of a pair has no prior, or fewer than two sensors have one.
         SessionError: The archive or a session is corrupt.
     """
-    search = search or Search()
     gathered = gather_priors(archive, curves or Curves())
     wanted = _wanted(archive, gathered, pairs)
-    grid_d0 = search.d0
     found = []
     for done, (source, target) in enumerate(wanted):
         progress(done, len(wanted))
         one, other = gathered.priors[source], gathered.priors[target]
-        paired = paired_labels(archive, source, target, search.split)
-        grid = Grid(grid_d0 or _d0_of_paper(one, other), search.weights)
-        found.append(_chosen(one, other, paired, grid, search.default))
+        paired = paired_labels(archive, source, target, split)
+        found.append(_chosen(one, other, paired))
     progress(len(wanted), len(wanted))
     made = StoredCompensation(dict(gathered.priors), tuple(found), made_from=archive.name)
     return made, gathered
 
 
-def _chosen(
-    source: Prior, target: Prior, paired: Paired | None, grid: Grid, default: tuple[float, float]
-) -> StoredPair:
-    choices: dict[str, Choice] = {"default": tried(paired, source, target, *default)}
-    fitted = best_for_priors(source, target, grid)
+def _chosen(source: Prior, target: Prior, paired: Paired | None) -> StoredPair:
+    default = tried(paired, source, target, DEFAULT_D0, DEFAULT_WEIGHT)
+    choices: dict[str, Choice] = {"default": default}
+    d0s = _d0_of_paper(source, target)
+    fitted = best_for_priors(source, target, d0s)
     if fitted is not None:
         choices["priors"] = tried(paired, source, target, *fitted)
     if paired is not None:
-        choices["oracle"] = best_for_labels(paired, source, target, grid)
+        choices["oracle"] = best_for_labels(paired, source, target, d0s)
     before = tried(paired, source, target, 0.0, 0.0)
     return StoredPair(
         source.sensor, target.sensor, before, choices, 0 if paired is None else len(paired)
@@ -486,6 +510,20 @@ def draw_curves(found: StoredCompensation, gathered: Gathered, path: Path) -> No
             panel.set_xlabel("depth [mm]" if alike else "depth over the sensor's range [1]")
         axes[0].set_ylabel("compression [N]")
         axes[0].legend()
+
+
+def _labels_by_twins(
+    archive: MarkerArchive, made: StoredCompensation, split: Path | None
+) -> Iterator[str]:
+    """Yield R2 of the labels of each pair whose sensors both have forces of a twin."""
+    for pair in made.pairs:
+        r2 = simulated_r2(archive, pair.source, pair.target, split)
+        if r2 is not None:
+            others = {"before": pair.before, **pair.choices}
+            listed = "  ".join(
+                f"{name} {one.r2:.2f}" for name, one in others.items() if one.r2 is not None
+            )
+            yield f"R2 of labels, {pair.source} > {pair.target}: {listed}  simulated {r2:.2f}"
 
 
 def _said(prior: Prior, branch: Branch) -> str:

@@ -14,6 +14,7 @@ noise.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -35,21 +36,6 @@ D0_SHARES = (0.0, 0.25, 0.5, 0.75)
 # Weights (supplement, Tables S1 and S2).
 WEIGHTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 _SHARES = np.linspace(0.0, 1.0, 101)[1:]
-
-
-@dataclass(frozen=True, slots=True)
-class Grid:
-    """Values of d0 and lambda to try."""
-
-    d0: tuple[float, ...] = D0_SHARES
-    """Starting depths, as fractions of the source's range."""
-    weights: tuple[float, ...] = WEIGHTS
-
-    def __post_init__(self) -> None:
-        """Reject an empty grid, or one beyond the paper's ranges."""
-        for name, values in (("d0", self.d0), ("lambda", self.weights)):
-            if not values or not all(0.0 <= value <= 1.0 for value in values):
-                raise LearningError(f"{name}: found {values}; allowed: one or more, 0 to 1")
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,8 +111,16 @@ def tried(paired: Paired | None, source: Prior, target: Prior, d0: float, weight
     return Choice(d0, weight, error, axes, clamped, fit if np.isfinite(fit) else None)
 
 
-def best_for_labels(paired: Paired, source: Prior, target: Prior, grid: Grid) -> Choice:
+def best_for_labels(
+    paired: Paired, source: Prior, target: Prior, d0s: Sequence[float] = D0_SHARES
+) -> Choice:
     """Return the choice with labels nearest to the target's; ties go to the smallest lambda.
+
+    Args:
+        paired: Labels at common locations.
+        source: Prior of the sensor whose labels are compensated.
+        target: Prior of the sensor that they are compensated for.
+        d0s: Starting depths to try, as fractions of the source's range.
 
     Raises:
         LearningError: There are no pairs, or a label is not finite.
@@ -135,20 +129,25 @@ def best_for_labels(paired: Paired, source: Prior, target: Prior, grid: Grid) ->
         raise LearningError(
             f"{source.sensor}, {target.sensor}: found no paired labels; allowed: one or more"
         )
-    choices = [
-        tried(paired, source, target, d0, weight) for weight in grid.weights for d0 in grid.d0
-    ]
+    choices = [tried(paired, source, target, d0, weight) for weight in WEIGHTS for d0 in d0s]
     return min(choices, key=lambda choice: np.inf if choice.error is None else choice.error)
 
 
-def best_for_priors(source: Prior, target: Prior, grid: Grid) -> tuple[float, float] | None:
+def best_for_priors(
+    source: Prior, target: Prior, d0s: Sequence[float] = D0_SHARES
+) -> tuple[float, float] | None:
     """Return d0 and lambda with the smallest expected error of the curves.
 
     None if a prior has no residual.
+
+    Args:
+        source: Prior of the sensor whose labels are compensated.
+        target: Prior of the sensor that they are compensated for.
+        d0s: Starting depths to try, as fractions of the source's range.
     """
     risks = {}
-    for weight in grid.weights:
-        for d0 in grid.d0:
+    for weight in WEIGHTS:
+        for d0 in d0s:
             risk = expected_error(source, target, d0, weight)
             if risk is None:
                 return None

@@ -793,11 +793,8 @@ LEARNING_CASES = (
         "learning-compensate",
         (
             f"learning compensate {ARCHIVE} --out {{out}}/a.json --split {SPLIT} --pairs r6:r18,r18:r6",
-            f"learning compensate {ARCHIVE} --out {{out}}/b.json --pairs r6:r18 --d0 0,0.5 "
-            "--lambda 0,1 --default 0,0.5 --picture {out}/b.png",
+            f"learning compensate {ARCHIVE} --out {{out}}/b.json --pairs r6:r18 --range-mm r6=0.4",
             f"learning compensate {ARCHIVE} --out {{out}}/c.json --pairs r6:digit",
-            f"learning compensate {ARCHIVE} --out {{out}}/c.json --d0 3",
-            f"learning compensate {ARCHIVE} --out {{out}}/c.json --default 0",
             f"learning compensate {ARCHIVE} --out {{out}}/c.json --range-mm r6",
         ),
         one_process=True,

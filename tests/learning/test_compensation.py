@@ -14,7 +14,6 @@ from learning.__main__ import main
 from learning.compensation import (
     Branch,
     ForceDepth,
-    Grid,
     Paired,
     Prior,
     best_for_labels,
@@ -187,25 +186,25 @@ def test_the_oracle_finds_what_made_the_labels() -> None:
     phase = np.full(12, DOWN)
     source = np.random.default_rng(1).normal(size=(12, 3))
     target, _ = compensate(source, DEPTH, phase, soft, hard, 0.5, 0.75)
-    best = best_for_labels(Paired(source, target, DEPTH, phase), soft, hard, Grid())
+    best = best_for_labels(Paired(source, target, DEPTH, phase), soft, hard)
     assert (best.d0, best.weight) == (0.5, 0.75)
     assert best.error == pytest.approx(0.0, abs=1e-12)
 
 
 def test_priors_that_fit_are_trusted_and_noise_is_not() -> None:
     soft, hard = spring("soft", SOFT), spring("hard", HARD)
-    assert best_for_priors(soft, hard, Grid()) == (0.0, 1.0)
+    assert best_for_priors(soft, hard) == (0.0, 1.0)
     random = np.random.default_rng(2)
     noisy = []
     for name in ("one", "same"):
         curve = np.stack([DEPTH, SOFT[1] * DEPTH + random.normal(scale=1.0, size=12)], axis=1)
         noisy.append(fit_prior(ForceDepth(name, "prism", "made up", curve, curve)))
-    chosen = best_for_priors(noisy[0], noisy[1], Grid())
+    chosen = best_for_priors(noisy[0], noisy[1])
     assert chosen is not None
     assert chosen[1] < 0.5
     known = Compensation((1.0, 0.0, 0.0), (1.0, 0.0, 0.0))
     untold = prior_of_coefficients("csv", known, depth_range=1e-3, per_mm=True, source="csv")
-    assert best_for_priors(soft, untold, Grid()) is None
+    assert best_for_priors(soft, untold) is None
 
 
 def test_a_recorded_session_has_the_curve_that_was_pressed(tmp_path: Path) -> None:
@@ -296,8 +295,6 @@ def test_a_target_without_labels_has_no_oracle_and_one_without_a_curve_no_pair(
     [
         (["--pairs", "dots:none"], "no sensor none"),
         (["--pairs", "dots"], "SOURCE:TARGET"),
-        (["--lambda", "0,2"], "lambda: found"),
-        (["--d0", "x"], "--d0: found 'x'"),
     ],
 )
 def test_wrong_options_are_refused_and_write_nothing(
