@@ -1,16 +1,16 @@
-"""Common part of the commands that train: data, run folder, Ctrl-C, progress, final report."""
+"""Common part of all trainings in a folder: data, run folder, Ctrl-C, progress, final report."""
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from learning.data.splits import SPLIT, Split, training_split
 from learning.training.run import RunFolder, Session, Stop, accelerator, described
 from recorder import MarkerArchive
-from recorder.command_line.errors import EXIT_INTERRUPTED
 from recorder.progress import ItemProgress
 
 
@@ -25,55 +25,57 @@ def open_data(options: argparse.Namespace) -> tuple[MarkerArchive, Split]:
     return archive, training_split(archive, options.split, options.unseen)
 
 
-def trained_on(options: argparse.Namespace, archive: MarkerArchive, split: Split) -> list[str]:
-    """Return the sensors that the options name, or all that the split does not hold out."""
-    return [*(options.sensors or split.trained_sensors(archive))]
+def trained_on(
+    archive: MarkerArchive, split: Split, sensors: Sequence[str] | None = None
+) -> list[str]:
+    """Return these sensors, or all that the split does not hold out."""
+    return [*(sensors or split.trained_sensors(archive))]
 
 
 def run_training(
-    options: argparse.Namespace,
+    out: Path,
     kind: str,
     settings: Any,
     data: Iterable[str],
     train: Callable[[Session], Iterable[str] | None],
     *,
+    resume: bool,
     split: Split | None = None,
     reading: str = "images",
     metadata: Mapping[str, Any] | None = None,
-) -> int:
+) -> None:
     """Begin or resume a run, train, and print the result.
 
     Args:
-        options: Options of the command; `out` and `resume` are read.
+        out: Folder of the run.
         kind: Kind of the model, one of `KINDS`.
         settings: Settings of the training; `launch` selects device and precision.
         data: Words that identify the training data, joined to its fingerprint.
         train: Reads the data, trains, and finishes the run unless it was stopped. Returns lines to
             print at the end, or None for the default line.
+        resume: True to continue a run that is in the folder.
         split: Split of the presses; it is written to `split.json` in the run's folder.
         reading: Name of the items that are counted while data is read.
         metadata: Values known before training that are needed to use the model.
 
-    Returns:
-        The exit code: 0, or `EXIT_INTERRUPTED`.
-
     Raises:
         LearningError: Another run is in the folder, or the training was rejected.
+        KeyboardInterrupt: It was stopped, after its state was saved.
     """
     launched = accelerator(settings.launch)
     writes = launched.is_main_process
     with RunFolder.open(
-        options.out,
+        out,
         kind,
         settings,
         " ".join(data),
-        options.resume,
+        resume,
         metadata=metadata,
         writes=writes,
     ) as run:
         if run.finished:
-            print(f"{options.out}: is finished")
-            return 0
+            print(f"{out}: is finished")
+            return
         if writes and split is not None:
             split.write(run.path / SPLIT)
             print(f"{run.path / SPLIT}: sha256 {split.fingerprint[:12]}", file=sys.stderr)
@@ -85,8 +87,7 @@ def run_training(
         ):
             told = train(Session(launched, run, stop, steps, items))
         if stop.agreed(launched) and not run.finished:
-            print(f"{options.out}: stopped; continue with --resume", file=sys.stderr)
-            return EXIT_INTERRUPTED
-    for line in [f"{options.out}: trained"] if told is None else told:
+            print(f"{out}: stopped; continue with --resume", file=sys.stderr)
+            raise KeyboardInterrupt
+    for line in [f"{out}: trained"] if told is None else told:
         print(line)
-    return 0

@@ -1,9 +1,9 @@
-"""Models of an experiment: translators, trained by commands, and force models tuned in batches."""
+"""Models of an experiment: translators, and force models tuned in batches."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
@@ -14,21 +14,19 @@ import torch
 
 from learning.config import read_settings
 from learning.data.presses import Presses
+from learning.data.splits import Split
 from learning.errors import LearningError
 from learning.experiment.parts import Pair
 from learning.experiment.settings import ExperimentSettings, ModelChoice
-from learning.experiment.translating import WithoutSourceReference
 from learning.force.batched import train_batched
 from learning.force.model import ForceModel
 from learning.force.train import ForceSettings, Relabelling
 from learning.training.run import RunFolder, Stop
 from learning.translation.archive import Model
-from learning.translation.direct import train, train_autoencoder
 from learning.translation.field import train as field
 from learning.translation.loading import hash_of, load_translator
 from learning.translation.translator import FLOW
-from recorder.command_line.errors import EXIT_INTERRUPTED
-from recorder.command_line.run import main
+from recorder import MarkerArchive
 from recorder.progress import ItemProgress
 
 
@@ -70,12 +68,60 @@ class Places:
         return self.out / "translated" / f"{source}.{name}.markers.zarr"
 
 
+@dataclass(frozen=True, slots=True)
+class Training:
+    """One training of a translator."""
+
+    presets: Path
+    """Folder of its presets."""
+    kind: type
+    """Class of its settings."""
+    train_in: Callable[..., None]
+    """Trains in a folder."""
+
+
+def trainings(translator: str) -> dict[str, Training]:
+    """Return the trainings of a translator in order, by their key in the settings."""
+    if translator == "field":
+        return {"field": Training(field.PRESETS, field.FieldSettings, field.train_in)}
+    if translator == "diffusion":
+        # Needs libraries that the others do not.
+        from learning.translation.diffusion import train as m2m
+        from learning.translation.diffusion import train_vae as vae
+
+        return {
+            "marker_vae": Training(vae.PRESETS, vae.MarkerVaeSettings, vae.train_in),
+            "diffusion": Training(m2m.PRESETS, m2m.TranslatorSettings, m2m.train_in),
+        }
+    return {}
+
+
+def training_settings(
+    settings: ExperimentSettings, key: str, training: Training, *changed: str
+) -> Any:
+    """Return the settings of a translator's training.
+
+    Args:
+        settings: Names a preset and its overrides.
+        key: Key of the training in these settings.
+        training: The training.
+        changed: Further overrides.
+
+    Raises:
+        LearningError: A preset or value is invalid.
+    """
+    choice: ModelChoice = getattr(settings, key)
+    overrides = settings.overrides(*choice.set, *changed)
+    return read_settings(training.kind, training.presets, choice.preset, overrides)
+
+
 def train_translator(
+    archive: MarkerArchive,
+    split: Split,
     places: Places,
     settings: ExperimentSettings,
     name: str,
     device: torch.device,
-    say: Callable[[str], None],
 ) -> None:
     """Train a translator, unless it needs no training or is trained already.
 
@@ -83,60 +129,21 @@ def train_translator(
         LearningError: The training was rejected.
         KeyboardInterrupt: It was interrupted; running the experiment again continues it.
     """
-    for command in _commands(name, places, settings, device):
-        run_command(command, say)
+    for key, training in trainings(name).items():
+        own = training_settings(settings, key, training, f"launch.device={device.type}")
+        begun = {"marker_vae": places.model("marker-vae")} if key == "diffusion" else {}
+        folder = places.model(key.replace("_", "-"))
+        training.train_in(folder, archive, split, own, resume=True, **begun)
 
 
-def open_translator(
-    places: Places, settings: ExperimentSettings, name: str, device: torch.device
-) -> Model:
-    """Open a translator, without the source's reference if the settings exclude it.
+def open_translator(places: Places, name: str, device: torch.device) -> Model:
+    """Open a translator.
 
     Raises:
         LearningError: It is not trained, or its files are corrupt.
     """
     folder: str | Path = name if name == FLOW else places.model(name)
-    translator = load_translator(folder, device)
-    if not settings.source_reference:
-        translator = WithoutSourceReference(translator)
-    return Model(translator, name, hash_of(folder), str(device))
-
-
-def run_command(command: Sequence[str], say: Callable[[str], None]) -> None:
-    """Run `python -m learning ...` in this process.
-
-    Raises:
-        LearningError: The command failed; it has printed the error.
-        KeyboardInterrupt: It was interrupted.
-    """
-    message = "python -m learning " + " ".join(command)
-    say(message)
-    code = main(command, "learning")
-    if code == EXIT_INTERRUPTED:
-        raise KeyboardInterrupt
-    if code:
-        raise LearningError(f"`{message}` ended with exit code {code}")
-
-
-def _trainings(name: str) -> dict[str, tuple[Path, type]]:
-    """Return presets and settings of a translator's trainings, by their key in the settings."""
-    if name == "field":
-        return {"field": (field.PRESETS, field.FieldSettings)}
-    if name == "direct":
-        return {
-            "autoencoder": (train_autoencoder.PRESETS, train_autoencoder.AutoencoderSettings),
-            "direct": (train.PRESETS, train.DirectSettings),
-        }
-    if name == "diffusion":
-        # Needs libraries that the others do not.
-        from learning.translation.diffusion import train as translator
-        from learning.translation.diffusion import train_vae
-
-        return {
-            "marker_vae": (train_vae.PRESETS, train_vae.MarkerVaeSettings),
-            "diffusion": (translator.PRESETS, translator.TranslatorSettings),
-        }
-    return {}
+    return Model(load_translator(folder, device), name, hash_of(folder), str(device))
 
 
 def check_translators(settings: ExperimentSettings) -> None:
@@ -146,45 +153,15 @@ def check_translators(settings: ExperimentSettings) -> None:
         LearningError: A preset or value is invalid, or there are no weights to start from.
     """
     for name in settings.translators:
-        for key, (presets, kind) in _trainings(name).items():
-            choice: ModelChoice = getattr(settings, key)
+        for key, training in trainings(name).items():
             try:
-                found: Any = read_settings(
-                    kind, presets, choice.preset, settings.overrides(*choice.set)
-                )
+                own = training_settings(settings, key, training)
                 if name == "diffusion":
                     from learning.translation.diffusion.weights import require_base_folder
 
-                    require_base_folder(found.weights.base)
+                    require_base_folder(own.weights.base)
             except LearningError as error:
                 raise LearningError(f"{key}: {error}") from None
-
-
-def _commands(
-    name: str, places: Places, settings: ExperimentSettings, device: torch.device
-) -> Iterator[list[str]]:
-    """Yield the commands that train a translator, its own training last."""
-    if name == "field":
-        yield _training(places, "field", settings, device)
-    if name == "direct":
-        yield _training(places, "autoencoder", settings, device)
-        begun = ["--autoencoder", str(places.model("autoencoder"))]
-        yield [*_training(places, "direct", settings, device), *begun]
-    if name == "diffusion":
-        yield _training(places, "marker-vae", settings, device)
-        begun = ["--marker-vae", str(places.model("marker-vae"))]
-        yield [*_training(places, "diffusion", settings, device), *begun]
-
-
-def _training(
-    places: Places, kind: str, settings: ExperimentSettings, device: torch.device
-) -> list[str]:
-    choice: ModelChoice = getattr(settings, kind.replace("-", "_"))
-    command = [f"train-{kind}", str(places.archive), "--split", str(places.split)]
-    command += ["--out", str(places.model(kind)), "--resume", "--preset", choice.preset]
-    for each in settings.overrides(*choice.set, f"launch.device={device.type}"):
-        command += ["--set", each]
-    return command
 
 
 # Fine-tuning on translated frames, of several models at once to keep a GPU busy.

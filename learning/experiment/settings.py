@@ -12,7 +12,7 @@ from learning.errors import LearningError
 # Folder of the presets of this package.
 PRESETS = Path(__file__).parent / "presets"
 
-TranslatorName = Literal["flow", "field", "direct", "diffusion"]
+TranslatorName = Literal["flow", "field", "diffusion"]
 # Kinds of labels: label-free by formulae, by twins, or by the target's labels.
 Compensated = Literal["compensated", "priors", "simulated", "oracle"]
 
@@ -40,10 +40,6 @@ class ExperimentSettings:
     """Further overrides for fine-tuning that model on translated frames."""
     field: ModelChoice = ModelChoice("cpu_smoke")
     """Learned field translator, one model for all pairs."""
-    autoencoder: ModelChoice = ModelChoice("cpu_smoke")
-    """Marker autoencoder, from which the direct translator starts."""
-    direct: ModelChoice = ModelChoice("cpu_smoke")
-    """Direct translator, one model for all pairs."""
     marker_vae: ModelChoice = ModelChoice("ours")
     """Autoencoder from which the diffusion translator starts. Its published weights are named by
     overrides: `weights.base=DIR`."""
@@ -68,8 +64,6 @@ class ExperimentSettings:
     """
     memory: bool = True
     """False: force models see each frame without earlier ones, an ablation of their memory."""
-    source_reference: bool = True
-    """False: translators get no source reference (ablation); only `direct` supports this."""
     seed: int = 0
     """Seed of the split, of the choice of presses, and of each training whose `set` has none."""
 
@@ -77,13 +71,7 @@ class ExperimentSettings:
         """Validate the settings."""
         if not self.translators or len(set(self.translators)) != len(self.translators):
             raise LearningError(
-                f"translators: found {self.translators}; allowed: flow, field, direct, diffusion, "
-                "each once"
-            )
-        if not self.source_reference and self.translators != ("direct",):
-            raise LearningError(
-                f"source_reference: found false, with translators {self.translators}; allowed: "
-                "true, or direct alone"
+                f"translators: found {self.translators}; allowed: flow, field, diffusion, each once"
             )
         for name in ("validation", "new_press"):
             if not 0 <= getattr(self, name) < 1:

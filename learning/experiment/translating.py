@@ -153,36 +153,3 @@ def _groups(own: Tensor, other: Tensor) -> Iterator[tuple[Tensor, int, int]]:
         rows = torch.from_numpy(np.flatnonzero((both == (one, another)).all(axis=1)))
         for part in rows.split(_AT_ONCE):
             yield part, one, another
-
-
-# Ablation: a translator without the source's reference.
-
-
-class WithoutSourceReference:
-    """Hides the source's reference from a translator."""
-
-    def __init__(self, translator: Translator) -> None:
-        """Wrap a translator that does not need the reference, such as `direct`."""
-        self._translator = translator
-        self.name = f"{translator.name}-blind"
-
-    def translate(
-        self,
-        source: torch.Tensor,
-        target_reference: torch.Tensor,
-        source_reference: torch.Tensor | None = None,
-        *,
-        ordered: bool = False,
-    ) -> torch.Tensor:
-        """Translate frames to the target's, bool (n, 480, 640).
-
-        Args:
-            source: Masks of the source, bool (n, 480, 640).
-            target_reference: Mask of the target without contact, bool (480, 640).
-            source_reference: Ignored.
-            ordered: Ignored: the first frame of a press would give the reference away.
-
-        Raises:
-            LearningError: Shapes or types are wrong, or the translator needs the reference.
-        """
-        return self._translator.translate(source, target_reference)

@@ -17,14 +17,14 @@ from pathlib import Path
 import torch
 
 from learning.compensation import SIMULATED, read_stored, twin_forces
-from learning.compensation.fit import Curves, gather_priors
+from learning.compensation.fit import Curves, gather_priors, write_compensation
 from learning.data.splits import read_split
 from learning.errors import LearningError
 from learning.evaluation.distribution import MarkerGrid
 from learning.evaluation.predictions import CHOICES, Predictions
 from learning.evaluation.translation import TranslationScores, read_scores, score_translation
 from learning.experiment.forces import Forces
-from learning.experiment.models import Places, open_translator, run_command, train_translator
+from learning.experiment.models import Places, open_translator, train_translator
 from learning.experiment.parts import TESTED, Pair, thinned
 from learning.experiment.settings import ExperimentSettings
 from learning.translation import archive as translated
@@ -126,7 +126,9 @@ class Worker:
 
     def train(self, name: str) -> TaskResult:
         """Train a translator, if it needs training."""
-        train_translator(self._places, self._work.settings, name, self._device, self._say)
+        train_translator(
+            self._archive, self._split, self._places, self._work.settings, name, self._device
+        )
         return TaskResult()
 
     def compensate(self) -> TaskResult:
@@ -136,9 +138,11 @@ class Worker:
             pairs = self._with_priors()
             if not pairs:
                 return TaskResult()
-            asked = ",".join(f"{pair.source}:{pair.target}" for pair in pairs)
-            command = ["compensate", str(places.archive), "--out", str(places.compensation)]
-            run_command([*command, "--pairs", asked, "--split", str(places.split)], self._say)
+            ends = [(pair.source, pair.target) for pair in pairs]
+            lines = write_compensation(
+                self._archive, places.compensation, pairs=ends, split=places.split
+            )
+            self._say("\n".join(lines))
         return TaskResult()
 
     def _with_priors(self) -> list[Pair]:
@@ -160,7 +164,7 @@ class Worker:
 
     def translated(self, source: str, name: str) -> TaskResult:
         """Fine-tune models on a source's translated frames; predict targets, score translations."""
-        model = open_translator(self._places, self._work.settings, name, self._device)
+        model = open_translator(self._places, name, self._device)
         pairs = [pair for pair in self._work.pairs if pair.source == source]
         stored = self._places.compensation
         asked = _by_formulae(self._work.settings) and stored.exists()

@@ -831,7 +831,17 @@ def run(options: argparse.Namespace) -> int:
     made_by = {name: str(archive[name].attrs.get("preset", "")) for name in sensors}
     presets = {name: kept for name, each in made_by.items() if each and (kept := kept_preset(each))}
     metadata = {"sensors": sensors, **({"presets": presets} if presets else {})}
-    return run_training(options, KIND, settings, data, train, split=split, metadata=metadata)
+    run_training(
+        options.out,
+        KIND,
+        settings,
+        data,
+        train,
+        resume=options.resume,
+        split=split,
+        metadata=metadata,
+    )
+    return 0
 
 
 def _partly_labelled(model: ForceModel, presses: Sequence[Presses]) -> Iterator[str]:

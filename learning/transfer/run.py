@@ -13,13 +13,13 @@ import numpy as np
 
 from learning.archive_writer import archive_fingerprint
 from learning.compensation import SIMULATED, twin_forces
-from learning.compensation.fit import Curves, gather_priors, read_stored
+from learning.compensation.fit import Curves, gather_priors, read_stored, write_compensation
 from learning.data.labels import read_labels
 from learning.data.matching import Chosen, Tolerances
 from learning.errors import LearningError
 from learning.evaluation.predictions import CHOICES, LABEL_FREE, after, read_predictions
 from learning.experiment.forces import adopt_model, relabelling
-from learning.experiment.models import Places, run_command
+from learning.experiment.models import Places
 from learning.experiment.parts import Pair
 from learning.experiment.running import run_experiment
 from learning.experiment.settings import ExperimentSettings
@@ -284,13 +284,14 @@ def _compensated(asked: Request, archive: MarkerArchive, places: Places, say: Sa
         say(f"no force-depth curve of {', '.join(without)}: labels are not scaled between skins")
         return False
     if not places.compensation.exists():
-        command = ["compensate", str(places.archive), "--out", str(places.compensation)]
-        command += ["--pairs", f"{source}:{target}", "--split", str(places.split)]
-        for path in sessions:
-            command += ["--session", str(path)]
-        if published:
-            command += ["--coefficients", str(published[0])]
-        run_command(command, say)
+        lines = write_compensation(
+            archive,
+            places.compensation,
+            pairs=[(source, target)],
+            curves=curves,
+            split=places.split,
+        )
+        say("\n".join(lines))
     return True
 
 

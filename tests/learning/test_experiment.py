@@ -19,7 +19,7 @@ from learning.errors import LearningError
 from learning.evaluation.predictions import read_predictions
 from learning.experiment import forces, models, running, worker
 from learning.experiment.forces import force_settings
-from learning.experiment.models import Places, train_translator
+from learning.experiment.models import Places
 from learning.experiment.parts import (
     as_images,
     frames_of_a_press,
@@ -30,7 +30,6 @@ from learning.experiment.parts import (
 )
 from learning.experiment.settings import PRESETS, ExperimentSettings
 from learning.experiment.translating import (
-    WithoutSourceReference,
     flow_fields,
     translate_presses,
     warp_presses,
@@ -105,7 +104,7 @@ def test_an_experiment_goes_from_presses_to_a_report_and_makes_nothing_twice(
 
     monkeypatch.setattr(forces, "train_force", refuse)
     undrawn(monkeypatch)
-    assert run(archive, out) == [line for line in reported if not line.startswith("python")]
+    assert run(archive, out) == [line for line in reported if "labels of >" not in line]
     with pytest.raises(LearningError, match=r"experiment\.json\.seed: found 0, asked for 1"):
         run(archive, out, "seed=1")
     # An experiment that began before a key was known has its default, and no other value.
@@ -305,35 +304,10 @@ def test_the_seed_of_an_experiment_is_that_of_its_trainings(
     assert order != other_order
     for tuning in (False, True):
         assert force_settings(settings("seed=2"), archive, CPU, tuning=tuning).seed == 2
-    own = settings("seed=2", "fine_tuning=[seed=5]", "translators=[field, direct]")
+    own = settings("seed=2", "fine_tuning=[seed=5]", "translators=[field]")
     assert [force_settings(own, archive, CPU, tuning=each).seed for each in (False, True)] == [2, 5]
-    trained: list[str] = []
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(models, "run_command", lambda command, say: trained.append(" ".join(command)))
-        for name in own.translators:
-            train_translator(Places(tmp_path, archive.path), own, name, CPU, print)
-    assert len(trained) == 3
-    assert all("--set seed=2 " in command for command in trained)
-
-
-def test_a_blind_translator_is_told_nothing_of_the_source() -> None:
-    told: list[object] = []
-
-    class Asked(Same):
-        def translate(
-            self,
-            source: torch.Tensor,
-            target_reference: torch.Tensor,
-            source_reference: torch.Tensor | None = None,
-            *,
-            ordered: bool = False,
-        ) -> torch.Tensor:
-            told.append((source_reference, ordered))
-            return source
-
-    masks = torch.zeros(2, 480, 640, dtype=torch.bool)
-    WithoutSourceReference(Asked()).translate(masks, masks[0], masks[1], ordered=True)
-    assert told == [(None, False)]
+    (training,) = models.trainings("field").values()
+    assert models.training_settings(own, "field", training).seed == 2
 
 
 class Same:
@@ -388,7 +362,6 @@ def test_presets_can_be_read(name: str) -> None:
     [
         ("translators=[]", "translators: found"),
         ("translators=[flow, flow]", "each once"),
-        ("source_reference=false", "or direct alone"),
         ("models_per_batch=0", "models_per_batch: found 0"),
         ("train_presses=0", "train_presses: found 0; allowed: 1 and more, or none"),
         ("scored_presses=-1", "scored_presses: found -1"),
@@ -405,38 +378,31 @@ def test_senseless_experiments_are_refused(changed: str, reported: str) -> None:
         ("force={preset: tinny}", "force: preset: found 'tinny'; known: "),
         ('fine_tuning=["stages"]', "fine_tuning: --set: found 'stages'"),
         ("field={preset: smoke}", "field: preset: found 'smoke'; known: "),
-        ('direct={preset: cpu_smoke, set: ["step=2"]}', "direct: .*unknown step; did you mean"),
+        ('field={preset: cpu_smoke, set: ["sed=2"]}', "field: .*unknown sed; did you mean"),
     ],
 )
 def test_mistakes_in_presets_used_later_are_refused_before_anything_is_written(
     changed: str, reported: str, archive: MarkerArchive, tmp_path: Path
 ) -> None:
     with pytest.raises(LearningError, match=f"^settings.{reported}"):
-        run(archive, tmp_path / "out", "translators=[field, direct]", changed)
+        run(archive, tmp_path / "out", "translators=[field]", changed)
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-def test_learned_translators_are_trained_by_their_own_commands(
-    archive: MarkerArchive, tmp_path: Path
-) -> None:
+def test_learned_translators_are_trained_and_used(archive: MarkerArchive, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    reported = run(
+    run(
         archive,
         out,
-        "translators=[field, direct]",
+        "translators=[field]",
         "compensation=[]",
         "scored_presses=1",
         'field={preset: cpu_smoke, set: ["field_stage.steps=2", "map_stage.steps=2"]}',
-        'autoencoder={preset: cpu_smoke, set: ["steps=2", "warm_up=0"]}',
-        'direct={preset: cpu_smoke, set: ["steps=2", "warm_up=0"]}',
     )
-    commands = [line.split()[3] for line in reported if line.startswith("python")]
-    assert commands == ["train-field", "train-autoencoder", "train-direct"]
-    for name in ("field", "direct"):
-        assert (out / "results" / f"dots-to-grid.transferred.{name}.npz").is_file()
-        assert (out / "results" / f"dots-to-grid.{name}.scores.npz").is_file()
+    assert (out / "results" / "dots-to-grid.transferred.field.npz").is_file()
+    assert (out / "results" / "dots-to-grid.field.scores.npz").is_file()
 
 
 @pytest.mark.slow

@@ -7,13 +7,12 @@
 #
 # OUT is the folder of run.sh with its heterogeneous table, whose translators are reused. Names:
 # whole: unchanged; half, quarter: of the presses that force models are trained on; single-frame: each
-# frame without its predecessors; direct; direct-blind: without the undeformed frame of the source;
-# clean: sensors without segmentation errors, with newly trained translators.
+# frame without its predecessors; clean: sensors without segmentation errors, with newly trained translators.
 # ONLY=experiment: write no page at the end.
 set -euo pipefail
 out=${1:?where the heterogeneous table is, for instance runs/tables}
 shift
-[ $# -gt 0 ] || set -- whole half quarter single-frame direct direct-blind clean
+[ $# -gt 0 ] || set -- whole half quarter single-frame clean
 python=${PYTHON:-python} processes=${PROCESSES:-$(nproc)} device=${DEVICE:-cpu} base=$out/heterogeneous
 export OMP_NUM_THREADS=2
 made=()
@@ -34,19 +33,15 @@ for name in "$@"; do
     half) changed=(--set "train_presses=$(share 2)") ;;
     quarter) changed=(--set "train_presses=$(share 4)") ;;
     single-frame) changed=(--set memory=false) ;;
-    direct) translators='[direct]' ;;
-    direct-blind) translators='[direct]' changed=(--set source_reference=false) ;;
     clean) archive=$base-clean.markers.zarr ;;
-    *) echo "NAME: found '$name'; allowed: whole, half, quarter, single-frame, direct, direct-blind, clean" >&2; exit 2 ;;
+    *) echo "NAME: found '$name'; allowed: whole, half, quarter, single-frame, clean" >&2; exit 2 ;;
   esac
   mkdir -p "$out/ablations/$name/models"
   if [ "$name" = clean ]; then
     ONLY=archive bash "$(dirname "$0")/run.sh" "$out" heterogeneous-clean
   else
-    for model in field autoencoder direct; do
-      [ "$name-$model" = direct-blind-direct ] || [ -d "$out/ablations/$name/models/$model" ] ||
-        [ ! -d "$base/models/$model" ] || cp -r "$base/models/$model" "$out/ablations/$name/models/"
-    done
+    [ -d "$out/ablations/$name/models/field" ] || [ ! -d "$base/models/field" ] ||
+      cp -r "$base/models/field" "$out/ablations/$name/models/"
   fi
   "$python" -m learning experiment "$archive" --out "$out/ablations/$name" --preset "${PRESET:-tables-heterogeneous}" \
     --pairs "${PAIRS:-uskin:gelsight,gelsight:tacpalm}" --device "$device" --processes "$processes" \

@@ -26,7 +26,7 @@ HERE = Path(__file__).parent
 GROUPS = ("heterogeneous", "material", "homogeneous")
 FULL = tuple(f"{group}-full" for group in ("material", "heterogeneous", "homogeneous"))
 CLEAN = "heterogeneous-clean"
-ABLATIONS = ("whole", "half", "quarter", "single-frame", "direct", "direct-blind", "clean")
+ABLATIONS = ("whole", "half", "quarter", "single-frame", "clean")
 ABLATION = "ablation "
 ARCHIVES_AT_ONCE = 2
 # Maximum GPU memory of each model trained in parallel.

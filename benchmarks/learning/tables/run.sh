@@ -19,7 +19,7 @@ made=() clean=$(dirname "$0")/clean
 export OMP_NUM_THREADS=2
 
 for table in "$@"; do
-  steps=4 pairs=() preset=tables labels='[compensated, priors]' translators='[direct, field, flow]'
+  steps=4 pairs=() preset=tables labels='[compensated, priors]' translators='[field, flow]'
   case $table in
     homogeneous) sensors=(--group homogeneous) scale=0.1 labels='[]' ;; # one skin
     material) sensors=(--group material) scale=0.25 ;;

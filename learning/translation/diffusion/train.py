@@ -28,6 +28,7 @@ from torch.nn import functional
 from learning.archive_writer import archive_fingerprint
 from learning.config import read_settings, require
 from learning.data.images import unit
+from learning.data.splits import Split
 from learning.errors import LearningError
 from learning.train_command import open_data, run_training, trained_on
 from learning.training.checkpoint import load_weights, read_model_folder
@@ -60,6 +61,7 @@ from learning.translation.diffusion.weights import (
     read_vae,
     require_base_folder,
 )
+from recorder import MarkerArchive
 
 if TYPE_CHECKING:
     from accelerate import Accelerator
@@ -526,16 +528,57 @@ def run(options: argparse.Namespace) -> int:
         if getattr(options, name) is not None
     ]
     settings = read_settings(TranslatorSettings, PRESETS, options.preset, [*options.set, *given])
-    archive, split = open_data(options)
-    sensors = trained_on(options, archive, split)
+    train_in(
+        options.out,
+        *open_data(options),
+        settings,
+        options.sensors,
+        marker_vae=options.marker_vae,
+        start_from=options.start_from,
+        pairing=options.pairing,
+        resume=options.resume,
+    )
+    return 0
+
+
+def train_in(
+    out: Path,
+    archive: MarkerArchive,
+    split: Split,
+    settings: TranslatorSettings,
+    sensors: Sequence[str] | None = None,
+    *,
+    marker_vae: Path | None = None,
+    start_from: Path | None = None,
+    pairing: str = "supplement",
+    resume: bool,
+) -> None:
+    """Train the paper's translator in a folder.
+
+    Args:
+        out: Folder of the run.
+        archive: Frames of the sensors.
+        split: Roles of its presses.
+        settings: Settings of model and training.
+        sensors: Sensors to learn from; None: all that the split does not hold out.
+        marker_vae: Folder of the marker VAE to start from; None: the published weights.
+        start_from: Folder of a translator to start from instead.
+        pairing: Rule for pairing frames of a press.
+        resume: True to continue a run that is in the folder.
+
+    Raises:
+        LearningError: Another run is in the folder, or the training was rejected.
+        KeyboardInterrupt: It was stopped, after its state was saved.
+    """
+    sensors = trained_on(archive, split, sensors)
     require_base_folder(settings.weights.base)
     base = fingerprint(settings.weights.base)
     vae_adapter, state, begun = None, None, ""
-    if options.marker_vae is not None:
-        vae_adapter = load_vae_adapter(options.marker_vae, base)
-        begun = read_model_folder(options.marker_vae).hash()
-    if options.start_from is not None:
-        before = read_model_folder(options.start_from, KIND)
+    if marker_vae is not None:
+        vae_adapter = load_vae_adapter(marker_vae, base)
+        begun = read_model_folder(marker_vae).hash()
+    if start_from is not None:
+        before = read_model_folder(start_from, KIND)
         require_base(before, base)
         state, begun = before.weights(), before.hash()
         vae_adapter = vae_adapter_of(state)
@@ -548,7 +591,7 @@ def run(options: argparse.Namespace) -> int:
                 split,
                 role,
                 sensors=sensors,
-                preset=options.pairing,
+                preset=pairing,
                 device=session.device,
                 progress=session.reading,
             )
@@ -564,5 +607,7 @@ def run(options: argparse.Namespace) -> int:
             train(pairs, pretrained, settings, validation, session, **adapters)
 
     data = ["archive", archive_fingerprint(archive), split.fingerprint, *sensors]
-    data += [options.pairing, base, begun]
-    return run_training(options, KIND, settings, data, train_it, split=split, metadata={BASE: base})
+    data += [pairing, base, begun]
+    run_training(
+        out, KIND, settings, data, train_it, resume=resume, split=split, metadata={BASE: base}
+    )

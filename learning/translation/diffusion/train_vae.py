@@ -13,7 +13,7 @@ import argparse
 import json
 import math
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,6 +26,7 @@ from torch.nn import functional
 from learning.archive_writer import archive_fingerprint
 from learning.config import read_settings, require
 from learning.data.images import unit
+from learning.data.splits import Split
 from learning.errors import LearningError
 from learning.train_command import open_data, run_training, trained_on
 from learning.training.checkpoint import ModelFolder, read_model_folder
@@ -44,6 +45,7 @@ from learning.translation.diffusion.network import (
     posterior,
 )
 from learning.translation.diffusion.weights import fingerprint, read_vae, require_base_folder
+from recorder import MarkerArchive
 
 if TYPE_CHECKING:
     from accelerate import Accelerator
@@ -393,8 +395,34 @@ def run(options: argparse.Namespace) -> int:
     """Train as the options of `train-marker-vae` say; return the exit code."""
     given = [] if options.base is None else [f"weights.base={json.dumps(options.base)}"]
     settings = read_settings(MarkerVaeSettings, PRESETS, options.preset, [*options.set, *given])
-    archive, split = open_data(options)
-    sensors = trained_on(options, archive, split)
+    train_in(options.out, *open_data(options), settings, options.sensors, resume=options.resume)
+    return 0
+
+
+def train_in(
+    out: Path,
+    archive: MarkerArchive,
+    split: Split,
+    settings: MarkerVaeSettings,
+    sensors: Sequence[str] | None = None,
+    *,
+    resume: bool,
+) -> None:
+    """Train a marker VAE in a folder.
+
+    Args:
+        out: Folder of the run.
+        archive: Frames of the sensors.
+        split: Roles of its presses.
+        settings: Settings of model and training.
+        sensors: Sensors to learn from; None: all that the split does not hold out.
+        resume: True to continue a run that is in the folder.
+
+    Raises:
+        LearningError: Another run is in the folder, or the training was rejected.
+        KeyboardInterrupt: It was stopped, after its state was saved.
+    """
+    sensors = trained_on(archive, split, sensors)
     require_base_folder(settings.weights.base)
     base = fingerprint(settings.weights.base)
 
@@ -416,4 +444,6 @@ def run(options: argparse.Namespace) -> int:
             train_vae(images, vae, settings, held, session)
 
     data = ["archive", archive_fingerprint(archive), split.fingerprint, *sensors, base]
-    return run_training(options, KIND, settings, data, train, split=split, metadata={BASE: base})
+    run_training(
+        out, KIND, settings, data, train, resume=resume, split=split, metadata={BASE: base}
+    )

@@ -390,4 +390,5 @@ def run(options: argparse.Namespace) -> int:
             train(network, images, validation, settings, session)
 
     data = [archive_fingerprint(archive), split.fingerprint, mark, *sensors]
-    return run_training(options, KIND, settings, data, train_it)
+    run_training(options.out, KIND, settings, data, train_it, resume=options.resume)
+    return 0

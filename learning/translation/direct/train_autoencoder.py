@@ -368,4 +368,6 @@ def run(options: argparse.Namespace) -> int:
         for archive, split in archives
         for word in (archive_fingerprint(archive), split.fingerprint)
     ]
-    return run_training(options, KIND, settings, words or ["random patterns"], train_it)
+    data = words or ["random patterns"]
+    run_training(options.out, KIND, settings, data, train_it, resume=options.resume)
+    return 0

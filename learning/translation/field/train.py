@@ -16,7 +16,7 @@ so that unknown sensors are assumed to differ only in their patterns.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -26,12 +26,14 @@ from torch.nn import functional
 
 from learning.archive_writer import archive_fingerprint
 from learning.config import read_settings, require
+from learning.data.splits import Split
 from learning.errors import LearningError
 from learning.train_command import open_data, run_training, trained_on
 from learning.training.optim import Cosine, set_rate
 from learning.training.run import LaunchSettings, Session, accelerator, generator
 from learning.translation.field.data import Bank, Examples, Frames, draw_examples, gather_role
 from learning.translation.field.network import FieldModel, coverage, render, transferred
+from recorder import MarkerArchive
 
 # Kind of model in `config.yaml`.
 KIND = "field"
@@ -576,8 +578,34 @@ def train_field(
 def run(options: argparse.Namespace) -> int:
     """Train as the options of `train-field` say; return the exit code."""
     settings = read_settings(FieldSettings, PRESETS, options.preset, options.set)
-    archive, split = open_data(options)
-    sensors = trained_on(options, archive, split)
+    train_in(options.out, *open_data(options), settings, options.sensors, resume=options.resume)
+    return 0
+
+
+def train_in(
+    out: Path,
+    archive: MarkerArchive,
+    split: Split,
+    settings: FieldSettings,
+    sensors: Sequence[str] | None = None,
+    *,
+    resume: bool,
+) -> None:
+    """Train a field translator in a folder.
+
+    Args:
+        out: Folder of the run.
+        archive: Frames of the sensors.
+        split: Roles of its presses.
+        settings: Settings of model and training.
+        sensors: Sensors to learn from; None: all that the split does not hold out.
+        resume: True to continue a run that is in the folder.
+
+    Raises:
+        LearningError: Another run is in the folder, or the training was rejected.
+        KeyboardInterrupt: It was stopped, after its state was saved.
+    """
+    sensors = trained_on(archive, split, sensors)
 
     def train(session: Session) -> None:
         frames, validation = (
@@ -601,4 +629,4 @@ def run(options: argparse.Namespace) -> int:
         f"archive {archive_fingerprint(archive)}, split {split.fingerprint}, "
         f"sensors {', '.join(sensors)}"
     )
-    return run_training(options, KIND, settings, [data], train, split=split, reading="frames")
+    run_training(out, KIND, settings, [data], train, resume=resume, split=split, reading="frames")
