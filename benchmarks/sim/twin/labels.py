@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 from benchmarks.sim.twin.command import each_of, stored
 from benchmarks.sim.twin.pads import DEEPEST, ERRORS, GAUGE, SENSORS, STEPS, Pad, Pressed, table
 from learning.compensation import (
-    Grid,
     Prior,
     best_for_priors,
     compensate,
@@ -235,7 +234,7 @@ def sums(source: Pressed, target: Pressed, by_row: Pressed) -> dict[str, Any]:
 def by_priors(source: Pressed, target: Pressed) -> Array:
     """Return labels (n, 3) [N] by the paper's formulas, as the choice `priors` of `compensate`."""
     own, other = (prior(each) for each in (source, target))
-    choice = best_for_priors(own, other, Grid())
+    choice = best_for_priors(own, other)
     assert choice is not None
     table = source.table
     wrench = table["wrench"][:, :3]
