@@ -50,7 +50,7 @@ $(error wrong input: $(REFUSED))
 endif
 endif
 
-.PHONY: help accuracy speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip doctor setup-bench page preview compare mock replay check-session import train-field train-autoencoder train-direct train-marker-vae train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning demo-paper transfer calibrate-force demo-transfer demo-twin first-hour learning-tables learning-ablations learning-on-gpus live endurance faults bench-recorder test golden test-all check docs format reference setup clean
+.PHONY: help accuracy speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip doctor setup-bench page mock replay check-session import train-field train-autoencoder train-direct train-marker-vae train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning demo-paper transfer calibrate-force demo-transfer demo-twin first-hour learning-tables learning-ablations learning-on-gpus live endurance faults bench-recorder test golden test-all check docs format reference setup clean
 
 # Above a target: `##@` starts a group of the list, `#:` gives the options of the target.
 help:
@@ -120,10 +120,6 @@ doctor: $(VENV)/.rig $(WORLDDEP)  ## Test all devices of a bench, and the comput
 setup-bench: $(VENV)/.rig $(WORLDDEP)  ## Set a bench up step by step, and write its acceptance report
 	@$(PY) -m rig setup $(BENCHARG) $(FORCEARG) $(if $(INDENTER),--indenter $(INDENTER)) $(if $(YES),--yes) $(if $(OPERATOR),--operator '$(OPERATOR)') $(foreach step,$(ONLY),--only $(step)) $(foreach step,$(AGAIN),--again $(step)) $(if $(OUT),--out $(OUT))
 
-#: SENSOR=tacpalm [OUT=plan.png] [BENCH=file] [WORLD=sim] [FORCE=none]
-preview: $(VENV)/.rig  ## Draw the plan and check its limits
-	@$(PY) -m rig preview $(BENCHARG) $(FORCEARG) $(if $(OUT),--out $(OUT))
-
 #: SENSOR=tacpalm [BENCH=file] [WORLD=sim] [FORCE=none] [CAMERA=path [STILL=1]] [TAXELS=path]
 mock: $(VENV)/.rig $(WORLDDEP)  ## Run the emulators of a bench until Ctrl-C
 	@$(PY) -m rig mock $(BENCHARG) $(FORCEARG) $(SOURCES)
@@ -131,10 +127,6 @@ mock: $(VENV)/.rig $(WORLDDEP)  ## Run the emulators of a bench until Ctrl-C
 #: SESSION=sessions/x.zarr [SPEED=1|4|max] [OUT=] [WITHOUT=camera]
 replay: $(VENV)/.rig  ## Play a session through mock hardware and record it again
 	@$(PY) -m rig replay --session $(SESSION) $(if $(SPEED),--speed $(SPEED)) $(if $(OUT),--out $(OUT)) $(foreach name,$(WITHOUT),--without $(name))
-
-#: SESSION= TRUTH=
-compare: $(VENV)/.rig  ## Compare a mock session with the World's ground truth
-	@$(PY) -m rig compare --session $(SESSION) --truth $(TRUTH)
 
 #: SESSION=sessions/x.zarr
 check-session: $(VENV)/.rig  ## Check a session for problems

@@ -53,15 +53,13 @@ RECORD = (
         "press and release along the bench's force_depth and plot the curve",
     ),
     Command("campaign", "rig.cli.campaign", "record the remaining sessions of a campaign file"),
-    Command("doctor", "rig.cli.doctor", "test all devices of a bench, and the computer"),
+    Command("doctor", "rig.cli.doctor", "test all devices of a bench, its plan, and the computer"),
     Command("setup", "rig.cli.setup", "set a bench up step by step, and write its acceptance"),
     Command(
         "page",
         "rig.cli.page",
         "serve the workbench: sessions, replay, campaigns and set-up in the browser",
     ),
-    Command("indenters", "rig.cli.indenters", "list the indenters with size, tip and drawing"),
-    Command("preview", "rig.cli.preview", "draw the plan and check its limits"),
     Command(
         "jog",
         "rig.cli.jog",
@@ -73,11 +71,6 @@ RECORD = (
         "replay",
         "rig.cli.replay",
         "play a session through the emulators and record it again; nothing moves",
-    ),
-    Command(
-        "compare",
-        "rig.cli.compare",
-        "compare a mock session with the true forces of its simulated contact",
     ),
     Command(
         "live",
@@ -245,7 +238,6 @@ LEARN = (
 )
 LAB = (
     Command("init", "tactile.init", "create the folder of a lab"),
-    Command("sample", "tactile.sample", "record short samples of each kind of sensor", "rig"),
     Command("card", "tactile.card", "describe a session, marker archive or model on one page"),
     Command("schema", "tactile.schema", "write the JSON Schema of bench, campaign or sensor files"),
 )

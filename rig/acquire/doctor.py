@@ -1,4 +1,4 @@
-"""Examination of a bench: every device at once, and the computer; nothing moves.
+"""Examination of a bench: its plan, every device at once, and the computer; nothing moves.
 
 Each part gives one finding: it is well, there is a note, or there is a fault with a cure. Devices
 are opened by the processes that would record them, so a fault here is one of a collection.
@@ -18,9 +18,11 @@ from typing import Any, Literal
 import numpy as np
 
 from recorder import SessionError
+from recorder.progress import duration
 from rig.acquire.control import Control
 from rig.acquire.interlocks import Interlocks
 from rig.acquire.preflight import rate_window
+from rig.acquire.preview import draw, summary
 from rig.acquire.streams import StreamHandle, Streams
 from rig.bench.bench import Bench, BenchStream
 from rig.bench.stream_kinds import expected_rate
@@ -28,6 +30,7 @@ from rig.core.clock import SECOND_NS, Clock, utc_text
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.geometry import compose, invert
 from rig.core.realtime import RIG_PRIORITY, may_have_priority
+from trajectories import dry_run
 
 State = Literal["well", "note", "FAULT"]
 
@@ -99,15 +102,16 @@ def examine(
     clock: Clock,
     watch: Callable[[], None] | None = None,
 ) -> Iterator[Finding]:
-    """Yield a finding for each part of the computer, then for each device.
+    """Yield a finding for the plan, for each part of the computer, then for each device.
 
     Args:
         bench: The bench, with addresses filled in.
         folder: Folder for records of the run.
-        sessions: Folder in which sessions would be recorded.
+        sessions: Folder in which sessions would be recorded; it gets a picture of the plan.
         clock: Clock.
         watch: Raises if an emulator of a mock bench is gone.
     """
+    yield plan(bench, sessions)
     yield disk(sessions, clock)
     yield realtime()
     yield time_of_day()
@@ -122,6 +126,33 @@ def examine(
             if row.name in opened:
                 yield _stream(bench, row, streams[row.name], opened[row.name])
     yield from _interlocks(bench, clock)
+
+
+# The plan
+
+
+def plan(bench: Bench, sessions: Path) -> Finding:
+    """Draw the bench's plan in a folder, and examine it against the bench's limits."""
+    arm = bench.arm
+    walked = dry_run(
+        bench.trajectory, bench.plan_limits, speed=arm.speed, acceleration=arm.acceleration
+    )
+    text = (
+        f"{walked.targets} targets, {1e3 * walked.depth:.3f} mm deep, about {walked.force:.1f} N, "
+        f"{duration(walked.duration + walked.moves * arm.settle)}"
+    )
+    picture = sessions / f"{bench.sensor}-plan.png"
+    try:
+        sessions.mkdir(parents=True, exist_ok=True)
+        lines = summary(bench, walked)
+        draw(bench, list(bench.trajectory.targets()), lines, bool(walked.broken)).save(picture)
+        text += f"; drawn in {picture}"
+    except OSError as error:
+        text += f"; not drawn: {picture}: {error.strerror or error}"
+    if walked.broken:
+        cure = "trajectory or limits in the bench file"
+        return Finding("plan", "FAULT", f"{text}; breaks {'; '.join(walked.broken)}", (cure,))
+    return Finding("plan", "well", text)
 
 
 # The computer

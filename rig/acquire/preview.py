@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from pathlib import Path
 
 from PIL import Image, ImageDraw, ImageFont
 
-from recorder.command_line.errors import EXIT_DONE, EXIT_WRONG_INPUT
 from recorder.progress import duration
 from rig.bench.bench import Bench
-from trajectories import DryRun, Target, dry_run
+from trajectories import DryRun, Target
 
 _SIZE = (1180, 620)
 _PAPER, _INK, _GRID, _WARN = (252, 251, 248), (40, 44, 52), (214, 214, 208), (190, 40, 30)
@@ -22,21 +20,6 @@ _SIDE = (620, 90, 1140, 330)
 ToPixel = Callable[[float, float], tuple[float, float]]
 Colours = dict[float, tuple[int, int, int]]
 Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
-
-
-def preview(bench: Bench, picture: Path) -> int:
-    """Write a PNG of the targets and the path; print counts, duration and limits.
-
-    Returns:
-        Exit code of wrong input if the plan breaks a limit, else 0.
-    """
-    plan, arm = bench.trajectory, bench.arm
-    walked = dry_run(plan, bench.plan_limits, speed=arm.speed, acceleration=arm.acceleration)
-    lines = summary(bench, walked)
-    draw(bench, list(plan.targets()), lines, bool(walked.broken)).save(picture)
-    print("\n".join(lines))
-    print(f"picture: {picture}")
-    return EXIT_WRONG_INPUT if walked.broken else EXIT_DONE
 
 
 def summary(bench: Bench, walked: DryRun) -> list[str]:

@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--truth",
         type=Path,
         metavar="FILE",
-        help="write the simulated contact's true motion and forces, for `tactile compare`",
+        help="write the simulated contact's true motion and forces",
     )
     parser.description = (
         "Records one session: checks the rates of all streams, tares the gauge, and "

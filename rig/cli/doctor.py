@@ -1,4 +1,4 @@
-"""`python -m rig doctor`: test every device of a bench, and the computer; nothing moves."""
+"""`python -m rig doctor`: test a bench's devices, its plan, and the computer; nothing moves."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     bench_options(parser)
     parser.description = (
         "Tests all devices of a bench at once, and the computer: answers, rates, values at rest, "
-        "disk, real-time rights, clock. Each fault comes with its cure. Nothing moves; leave the "
-        "sensor without contact. A mock bench starts its emulators. Exit code 0 if there is no "
-        "fault, 2 wrong input, 3 a fault."
+        "disk, real-time rights, clock. Draws the plan, checks its limits. Each fault comes with "
+        "its cure. Nothing moves; leave the sensor without contact. A mock bench starts its "
+        "emulators. Exit code 0 if there is no fault, 2 wrong input, 3 a fault."
     )
     parser.epilog = "Example: tactile doctor --sensor tacpalm"
     parser.add_argument(
@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=SESSIONS,
         metavar="DIR",
-        help="folder of sessions, whose disk is tested (%(default)s)",
+        help="folder of sessions, whose disk is tested, and of the plan's picture (%(default)s)",
     )
     calibration_options(parser)
     parser.add_argument(

@@ -10,7 +10,6 @@ from wrong_files import WRONG_FILES
 GELSIGHT, USKIN = "{data}/gelsight.zarr", "{data}/uskin.zarr"
 ARCHIVE, SPLIT = "{data}/skins.markers.zarr", "{data}/split.json"
 MODELS = "{data}/models"
-BENCHES = ("gelsight", "gelsight-hetero", "gelsight-material", "tacpalm", "uskin")
 
 
 def _bench(text: str, of: str = "gelsight") -> str:
@@ -28,7 +27,7 @@ def _copied(source: str, name: str = "x.zarr", *steps: tuple[object, ...]) -> tu
 
 RIG = (
     *("collect", "home", "calibrate-latency", "force-depth", "campaign", "jog", "live", "grip"),
-    *("preview", "compare", "mock", "replay", "page", "doctor", "setup"),
+    *("mock", "replay", "page", "doctor", "setup"),
 )
 RECORDER = ("list", "info", "check", "recover", "repack", "export", "view", "sheet")
 SIM = ("press", "loop", "hold", "archive", "archive states", "archive sensors")
@@ -76,24 +75,17 @@ WRONG_CAMPAIGNS = {
 }
 RIG_CASES = (
     Case(
-        "rig-preview",
-        timed=False,
-        commands=tuple(f"rig preview --sensor {name} --out {{out}}/{name}.png" for name in BENCHES),
-        one_process=True,
-        look=("*.png",),
-    ),
-    Case(
         "rig-bench-refused",
         timed=False,
         commands=(
             *(
-                f"rig preview --bench {{out}}/{name}.yaml --out {{out}}/x.png"
+                f"rig collect --bench {{out}}/{name}.yaml --out {{out}}/x.zarr"
                 for name in WRONG_BENCHES
             ),
-            "rig preview --bench {out}/none.yaml --out {out}/x.png",
-            "rig preview --bench {out}/list.yaml --out {out}/x.png",
-            "rig preview --sensor nosuch --out {out}/x.png",
-            "rig preview --out {out}/x.png",
+            "rig collect --bench {out}/none.yaml --out {out}/x.zarr",
+            "rig collect --bench {out}/list.yaml --out {out}/x.zarr",
+            "rig collect --sensor nosuch --out {out}/x.zarr",
+            "rig collect --out {out}/x.zarr",
         ),
         one_process=True,
         prepare=(
@@ -161,11 +153,6 @@ RIG_CASES = (
         ),
     ),
     Case(
-        "rig-compare",
-        ("rig compare --session " + GELSIGHT + " --truth {out}/none.truth",),
-        one_process=True,
-    ),
-    Case(
         "rig-replay",
         (f"rig replay --session {GELSIGHT} --speed max --out {{out}}/x.zarr",),
         look=("x.zarr",),
@@ -195,7 +182,6 @@ RIG_CASES = (
             "rig collect --sensor tacpalm --targets 1 --indenter cylinder --operator golden "
             "--calibrations {out}/none --out {out}/x.zarr --truth {out}/x.truth",
             "recorder check {out}/x.zarr",
-            "rig compare --session {out}/x.zarr --truth {out}/x.truth",
         ),
         look=("*",),
         loose=True,

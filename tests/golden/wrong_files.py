@@ -24,7 +24,7 @@ X = "--out {out}/x"
 # Mistakes by kind of file: the command, with {} for the file, its suffix, and texts.
 TEXTS: dict[str, tuple[str, str, dict[str, str]]] = {
     "bench": (
-        "rig preview --bench {} --out {out}/x.png",
+        "rig collect --bench {} --out {out}/x.zarr",
         ".yaml",
         {
             "key misspelt": f"{BENCH}\nlimits: {{depth_max_m: 1.3}}",

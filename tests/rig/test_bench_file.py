@@ -1,4 +1,4 @@
-"""A bench file: built once for a collection, and once more with the addresses of emulators."""
+"""A bench file: built once for a collection, and again with the addresses of emulators."""
 
 from __future__ import annotations
 

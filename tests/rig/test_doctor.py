@@ -58,7 +58,7 @@ def test_a_healthy_bench_is_well_and_each_wrong_device_is_named(
     started: dict[str, Any], tmp_path: Path
 ) -> None:
     well = found(started, tmp_path / "well")
-    assert list(well) == ["disk", "real time", "clock", "force", "pose", "camera"]
+    assert list(well) == ["plan", "disk", "real time", "clock", "force", "pose", "camera"]
     assert not [one for one in well.values() if one.state == "FAULT"]
 
     camera = {**started["camera"], "rate_hz": 60.0}

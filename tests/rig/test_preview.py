@@ -1,4 +1,4 @@
-"""The preview draws every bench's plan, prints its numbers, and rejects plans beyond a limit."""
+"""Every bench's plan is drawn and described; one beyond a limit is a fault of the bench."""
 
 from __future__ import annotations
 
@@ -7,8 +7,12 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from rig.__main__ import main
+from rig.acquire.doctor import plan
+from rig.acquire.preview import summary
+from rig.bench.bench import BenchFile
+from rig.core.errors import ConfigError
 from rig.core.packaged import BENCHES
+from trajectories import dry_run
 
 
 @pytest.mark.parametrize(
@@ -22,32 +26,46 @@ from rig.core.packaged import BENCHES
     ],
 )
 def test_every_plan_is_drawn_and_described(
-    sensor: str, words: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    sensor: str, words: tuple[str, ...], tmp_path: Path
 ) -> None:
-    picture = tmp_path / "plan.png"
-    arguments = ["preview", "--sensor", sensor, "--benches", str(BENCHES), "--out", str(picture)]
-    assert main(arguments) == 0
-    printed = capsys.readouterr().out
-    for word in (*words, "soft limit", "paper: 20 to 60", str(picture)):
-        assert word in printed
+    bench = BenchFile.read(BENCHES / f"{sensor}.yaml").bench
+    arm = bench.arm
+    walked = dry_run(
+        bench.trajectory, bench.plan_limits, speed=arm.speed, acceleration=arm.acceleration
+    )
+    described = "\n".join(summary(bench, walked))
+    for word in (*words, "soft limit", "paper: 20 to 60"):
+        assert word in described
+    picture = tmp_path / "sessions" / f"{sensor}-plan.png"
+    finding = plan(bench, tmp_path / "sessions")
+    assert finding.state == "well"
+    assert finding.text.startswith(f"{walked.targets} targets, ")
+    assert finding.text.endswith(f"drawn in {picture}")
     with Image.open(picture) as image:
         colours = image.convert("RGB").getcolors(1 << 20) or []
     assert len(colours) > 20
 
 
-def test_a_plan_that_breaks_a_limit_is_drawn_and_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_a_plan_that_breaks_a_limit_is_drawn_and_a_fault(tmp_path: Path) -> None:
+    file = tmp_path / "deep.yaml"
+    file.write_text(f"extends: {BENCHES / 'tacpalm.yaml'}\nlimits: {{depth_max_mm: 4.0}}\n")
+    finding = plan(BenchFile.read(file).bench, tmp_path)
+    assert finding.state == "FAULT"
+    assert "breaks depth: 4.957 mm; allowed: 4.000 mm" in finding.text
+    assert (tmp_path / "tacpalm-plan.png").exists()
+
+
+def test_a_folder_that_cannot_be_written_is_said_and_the_plan_is_checked_all_the_same(
+    tmp_path: Path,
 ) -> None:
-    bench = tmp_path / "deep.yaml"
-    bench.write_text(f"extends: {BENCHES / 'tacpalm.yaml'}\nlimits: {{depth_max_mm: 4.0}}\n")
-    picture = tmp_path / "plan.png"
-    assert main(["preview", "--bench", str(bench), "--out", str(picture)]) == 2
-    assert "BREAKS A LIMIT: depth: 4.957 mm; allowed: 4.000 mm" in capsys.readouterr().out
-    assert picture.exists()
+    (tmp_path / "file").touch()
+    finding = plan(BenchFile.read(BENCHES / "tacpalm.yaml").bench, tmp_path / "file")
+    assert finding.state == "well"
+    assert "not drawn: " in finding.text
 
 
 @pytest.mark.parametrize(
-    ("plan", "reported"),
+    ("trajectory", "reported"),
     [
         ("trajectory: {depth_step_mm: 0.005}", "trajectory: found 36000 targets at 900 depths"),
         (
@@ -57,21 +75,19 @@ def test_a_plan_that_breaks_a_limit_is_drawn_and_refused(
     ],
 )
 def test_a_plan_of_too_many_targets_is_refused_before_it_is_walked(
-    plan: str, reported: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    trajectory: str, reported: str, tmp_path: Path
 ) -> None:
-    bench = tmp_path / "deep.yaml"
-    bench.write_text(f"extends: {BENCHES / 'tacpalm.yaml'}\n{plan}\n")
-    assert main(["preview", "--bench", str(bench), "--out", str(tmp_path / "plan.png")]) == 2
-    assert f"{bench}: {reported}; allowed: up to 20000" in capsys.readouterr().err
-    assert not (tmp_path / "plan.png").exists()
+    file = tmp_path / "deep.yaml"
+    file.write_text(f"extends: {BENCHES / 'tacpalm.yaml'}\n{trajectory}\n")
+    with pytest.raises(ConfigError, match=f"{file}: {reported}; allowed: up to 20000"):
+        BenchFile.read(file)
 
 
 def test_a_force_depth_press_is_drawn_too(tmp_path: Path) -> None:
-    bench = tmp_path / "prism.yaml"
-    bench.write_text(
+    file = tmp_path / "prism.yaml"
+    file.write_text(
         f"extends: {BENCHES / 'gelsight.yaml'}\n"
         "trajectory: {kind: force_depth, depth_max_mm: 1.2, repeats: 3}\n"
     )
-    picture = tmp_path / "plan.png"
-    assert main(["preview", "--bench", str(bench), "--out", str(picture)]) == 0
-    assert picture.exists()
+    assert plan(BenchFile.read(file).bench, tmp_path).state == "well"
+    assert (tmp_path / "gelsight-plan.png").exists()

@@ -1,4 +1,4 @@
-"""Cards of sessions, archives and models have one form, and samples come with theirs."""
+"""Cards of sessions, archives and models have one form."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import pytest
 from support.made_up_archives import made_up_archive
 from support.sessions import make_session
 
-from rig.core.packaged import BENCHES
 from tactile.__main__ import main
 
 SECTIONS = ["## Parts", "## Checks", "## Limits"]
@@ -71,28 +70,3 @@ def test_a_model_has_a_card(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
 def test_other_paths_have_no_card(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["card", str(tmp_path)]) == 2
     assert "found nothing that has a card; allowed:" in capsys.readouterr().err
-
-
-def test_samples_are_of_packaged_benches_and_never_overwrite(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A lab bench with the name of a sample moves an arm."""
-    ran: list[list[str]] = []
-
-    def collect(words: list[str], package: str) -> int:
-        assert package == "rig"
-        ran.append(words)
-        make_session(Path(words[-1]))
-        return 0
-
-    monkeypatch.setattr("recorder.command_line.run.main", collect)
-    words: Any = ["sample", "--out", str(tmp_path / "samples"), "--sensor", "uskin"]
-    from recorder.command_line import run
-
-    assert run.run_module("tactile.sample", words[1:], prog="tactile sample") == 0
-    assert ran[0][:3] == ["collect", "--bench", str(BENCHES / "uskin.yaml")]
-    assert 5 < int(ran[0][4]) < 40
-    assert (tmp_path / "samples" / "uskin.md").read_text().startswith("# uskin.zarr\n")
-    assert run.run_module("tactile.sample", words[1:], prog="tactile sample") == 2
-    assert "exists; allowed: a new --out DIR" in capsys.readouterr().err
-    assert len(ran) == 1

@@ -154,7 +154,7 @@ def test_an_unknown_command_is_refused_and_the_nearest_are_named(
         ("session info nosuch.zarr", 2, "no such session"),
         ("collect --sensor nosuch", 2, "known in benches/ or packaged"),
         (
-            "compare --session nosuch.zarr --truth none",
+            "replay --session nosuch.zarr",
             2,
             "wrong input: nosuch.zarr: no such",
         ),

@@ -1,7 +1,4 @@
-"""Deviation of a mock session from the World's truth: time error per stream, worst force error.
-
-python -m rig compare --session sessions/x.zarr --truth x.truth
-"""
+"""Deviation of a mock session from the World's truth: time error per stream, worst force error."""
 
 from __future__ import annotations
 

@@ -64,7 +64,7 @@ async function sessions() {
     choices($(`q-${key}`), [["", `every ${key}`], ...found.choices[key].map((name) => [name, name])]);
   }
   const more = found.found > found.rows.length ? `, the newest ${found.rows.length} are shown` : "";
-  text("found", found.total ? `${found.found} of ${found.total} sessions${more}` : "No session yet: record one with tactile collect, or take tactile sample.");
+  text("found", found.total ? `${found.found} of ${found.total} sessions${more}` : "No session yet: record one with tactile collect.");
   const now = JSON.stringify(found.rows);
   if (drawn.sessions === now) return;
   drawn.sessions = now;
