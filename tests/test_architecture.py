@@ -39,7 +39,7 @@ VENDORS = {
         "learning/markers",
         "learning/translation/flow",
     },
-    "websockets": {"rig/devices/playback", "rig/devices/taxels", "rig/monitor"},
+    "websockets": {"rig/devices/taxels", "rig/monitor"},
     "rerun": {"recorder/convert"},
     "h5py": {"recorder/convert"},
     "mcap": {"recorder/convert"},

@@ -21,7 +21,7 @@ from rig.bench.bench import Bench
 from rig.core.clock import Clock
 from rig.core.driver import Driver
 from rig.core.errors import ConfigError
-from rig.core.samples import CAMERA_LATEST, FORCE_LATEST, POSE_LATEST, TAXELS_LATEST
+from rig.core.samples import CAMERA_LATEST, FORCE_LATEST, POSE_LATEST, latest_dtype
 from rig.devices.camera.settings import CameraConfig
 from rig.devices.force.settings import ForceConfig, NidaqConfig, ScaleConfig
 
@@ -82,7 +82,7 @@ KINDS = {
         ),
         StreamKind(
             "taxels",
-            TAXELS_LATEST,
+            latest_dtype("taxels", (16, 3)),
             lambda sample, row: (sample["t_ns"], sample["value"]),
             ("value", "device_t", "seq", "t_ns"),
             True,

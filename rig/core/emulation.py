@@ -15,11 +15,13 @@ import socketserver
 import sys
 import threading
 import tty
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from itertools import chain, islice
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 from urllib.parse import SplitResult, urlsplit
 
 import numpy as np
@@ -30,6 +32,9 @@ from rig.core.samples import WORLD_STATE
 from rig.core.shared_memory import AwaitedRecord
 
 logger = logging.getLogger(__name__)
+
+# What an emulator sends: bytes or text.
+M = TypeVar("M")
 
 # Port for injecting faults into a running emulator, used by `make faults` and the tests.
 #
@@ -277,6 +282,11 @@ class ThreadedEmulator:
         self._ending = threading.Event()
         self._threads: list[threading.Thread] = []
 
+    @property
+    def closing(self) -> bool:
+        """True once `close` was called."""
+        return self._ending.is_set()
+
     def close(self) -> None:
         """Stop serving; may be called twice."""
         self._ending.set()
@@ -296,6 +306,48 @@ class ThreadedEmulator:
 
     def _release(self) -> None:
         """Release everything that the threads used; may be called twice."""
+
+
+class Newest(Generic[M]):
+    """The newest messages, for clients that each take them in order.
+
+    Args:
+        kept: Messages kept for a client that falls behind; it misses those before.
+        ending: Set when the emulator closes.
+    """
+
+    def __init__(self, kept: int, ending: threading.Event) -> None:
+        self._messages: deque[tuple[M, ...]] = deque(maxlen=kept)
+        self._ending = ending
+        self._changed = threading.Condition()
+        self.count = 0
+        """Messages published so far."""
+
+    def publish(self, parts: Iterable[M]) -> None:
+        """Publish one message; its parts are what faults make of it."""
+        sent = tuple(parts)
+        with self._changed:
+            self.count += 1
+            self._messages.append(sent)
+            self._changed.notify_all()
+
+    def newer_than(self, number: int) -> tuple[int, list[M]]:
+        """Wait for a message after that of this number; return the newest number and the parts.
+
+        At the end of the emulator there are none.
+        """
+        with self._changed:
+            self._changed.wait_for(lambda: self.count > number or self._ending.is_set())
+            if self._ending.is_set():
+                return self.count, []
+            behind = min(self.count - number, len(self._messages))
+            newer = islice(self._messages, len(self._messages) - behind, None)
+            return self.count, list(chain.from_iterable(newer))
+
+    def wake(self) -> None:
+        """Wake the waiting clients, because the emulator closes."""
+        with self._changed:
+            self._changed.notify_all()
 
 
 class Pty:

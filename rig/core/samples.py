@@ -30,9 +30,6 @@ SIGNAL_LATEST = np.dtype(
     [("t_ns", "<i8"), ("fresh_ns", "<i8"), ("change", "<f8"), ("motion", "<f8")]
 )
 
-# Raw counts per taxel: x, y, z.
-TAXELS_LATEST = np.dtype([("t_ns", "<i8"), ("value", "<i4", (16, 3))])
-
 # Arrival time and row of the newest frame; images never cross a process boundary.
 CAMERA_LATEST = np.dtype([("t_ns", "<i8"), ("row", "<i8")])
 
@@ -69,6 +66,23 @@ PRESS_STATE = np.dtype(
         ("rate", "<f8", (54,)),
     ]
 )
+
+
+def latest_dtype(kind: str, shape: tuple[int, ...]) -> np.dtype[np.void]:
+    """Return the dtype of the newest sample of a stream of a kind, whose values have a shape.
+
+    Raises:
+        KeyError: No device sends streams of this kind.
+    """
+    if kind == "taxels":
+        # Raw counts by taxel and axis.
+        return np.dtype([("t_ns", "<i8"), ("value", "<i4", shape)])
+    return {
+        "force": FORCE_LATEST,
+        "pose": POSE_LATEST,
+        "arm_wrench": FORCE_LATEST,
+        "camera": CAMERA_LATEST,
+    }[kind]
 
 
 def surface_state(shape: tuple[int, int]) -> np.dtype[np.void]:

@@ -1,4 +1,4 @@
-"""Run one emulator of a mock bench: of a device, the World, its solver, or a recorded stream.
+"""Run one emulator of a mock bench: of a device, the World, or its solver.
 
     python -m rig.mock.emulate netft '{"device": {"http_port": 8080}, "noise_n": 0.01}'
     python -m rig.mock.emulate opencv '{"source": "images/", "device": {"rate_hz": 60}}'
@@ -44,7 +44,6 @@ EMULATORS = {
     "spacemouse": "rig.devices.hid.emulator",
     "world": "rig.mock.world.host",
     "solver": "rig.mock.world.solver",
-    "player": "rig.mock.player",
 }
 
 

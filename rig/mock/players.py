@@ -12,16 +12,25 @@ from recorder import Session
 from rig.bench.bench import Bench, BenchLimits, Preflight
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import DeviceLost
+from rig.core.playback import FAILED, POSITION, SYNC, position_path, stated_rate, sync_path
 from rig.core.shared_memory import SharedLatest
 from rig.devices.arm.settings import ArmConfig, PoseConfig, WrenchConfig
 from rig.devices.camera.settings import CameraConfig
+from rig.devices.force.netft_recorded import force_page
 from rig.devices.force.settings import NetFtConfig
-from rig.devices.playback.wire import force_page, stated_rate
 from rig.devices.taxels.settings import XelaConfig
 from rig.mock.bench import free_loopback
-from rig.mock.playback_sync import FAILED, POSITION, SYNC, position_path, sync_path
 from rig.mock.processes import ProcessGroup, StartedOrClosed
 from trajectories import ForceDepth
+
+# Emulator that plays a stream, by kind, in the order in which their drivers are opened.
+PLAYED_BY = {
+    "force": "netft",
+    "pose": "ur",
+    "arm_wrench": "ur",
+    "taxels": "xela",
+    "camera": "opencv",
+}
 
 
 class Players(StartedOrClosed):
@@ -53,17 +62,18 @@ class Players(StartedOrClosed):
         self._positions = {
             name: SharedLatest.create(position_path(folder, name), POSITION) for name in names
         }
-        self._settings = {
+        self._recording = {
             **{"session": str(session), "run": run, "folder": str(folder)},
             **{"speed": speed, "streams": names},
         }
-        self._hosts = dict(hosts)
+        kinds = {name: stream.traits.kind for name, stream in Session(session).streams.items()}
+        self._emulators = {name: (PLAYED_BY[kinds[name]], hosts[name]) for name in names}
 
     def _start(self) -> None:
         self._launched.start(
             {
-                name: ("player", {**self._settings, "host": self._hosts[name], "stream": name})
-                for name in self._positions
+                name: (emulator, {"host": host, "recording": {**self._recording, "stream": name}})
+                for name, (emulator, host) in self._emulators.items()
             }
         )
 
@@ -177,7 +187,7 @@ def _device(session: Session, name: str, host: str, speed: float) -> Any:
         return XelaConfig(address=f"ws://{host}:5000", rate_hz=stated_rate(stream), silence=silence)
     height, width, _ = stream.layout.columns[0].column.shape
     return CameraConfig(
-        address=f"http://{host}:8081/",
+        address=f"http://{host}:8090/",
         rate_hz=stated_rate(stream),
         width=width,
         height=height,

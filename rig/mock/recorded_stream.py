@@ -12,9 +12,8 @@ from recorder.session import linear
 from rig.bench.stream_kinds import KINDS, make_driver
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.driver import Driver
+from rig.core.playback import ENDED, load_recorded_stream
 from rig.core.shared_memory import SharedLatest
-from rig.devices.playback.wire import load_recorded_stream
-from rig.mock.playback_sync import ENDED
 from rig.mock.players import Players, playback_hosts, replay_bench
 from rig.mock.processes import StartedOrClosed
 

@@ -25,8 +25,8 @@ from rig.acquire.collector import software
 from rig.acquire.control import Interrupted, InterruptFlag
 from rig.core.clock import ClockAnchor, SystemClock
 from rig.core.errors import DeviceLost
-from rig.devices.playback.wire import replayable
 from rig.mock.players import playback_hosts, replay_bench
+from rig.replay.replayable import replayable
 from rig.replay.result import Retiming, compared, covered_ns, retiming, span, timing, timing_line
 from rig.replay.run import ReplayedRun
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from recorder import Session
 from rig.core.clock import SECOND_NS
-from rig.devices.playback.wire import origin_ns
+from rig.core.playback import origin_ns
 
 Ints = npt.NDArray[np.int64]
 

@@ -17,9 +17,9 @@ from rig.bench.bench import Bench
 from rig.bench.stream_kinds import KINDS, stream_spec
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import DeviceLost
+from rig.core.playback import ENDED, load_recorded_stream
 from rig.core.shared_memory import SharedLatest
-from rig.devices.playback.wire import force_bias, load_recorded_stream
-from rig.mock.playback_sync import ENDED
+from rig.devices.force.netft_recorded import force_bias
 from rig.mock.players import Players
 
 logger = logging.getLogger(__name__)

@@ -112,7 +112,7 @@ def test_the_cameras_own_bytes_arrive_unchanged(host: str) -> None:
 def test_frames_come_in_order_and_are_not_held_back(host: str) -> None:
     with emulated(host, OneImage(encoded(5))) as emulator, opened(host) as driver:
         for _ in range(20):
-            newest = emulator.number
+            newest = emulator.frames.count
             stamps = [frame_stamp(sample["value"]) for sample in collect(driver, 1)]
             numbers = [stamp[0] for stamp in stamps if stamp is not None]
             assert numbers == sorted(set(numbers))
@@ -184,8 +184,8 @@ def test_a_client_that_does_not_read_gets_few_old_frames(host: str) -> None:
     with emulated(host, OneImage(noisy)) as emulator:
         with socket.create_connection((host, 8090), 5.0) as slow:
             slow.sendall(b"GET / HTTP/1.0\r\n\r\n")
-            while emulator.number < 100:
-                emulator.next_parts(emulator.number)
+            while emulator.frames.count < 100:
+                emulator.frames.newer_than(emulator.frames.count)
             # The contents of the sockets' buffers, then the newest: not a hundred frames.
             received = b""
             while received.count(b"seq=") < 60 and max(_stamps(received), default=0) < 100:

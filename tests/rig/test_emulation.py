@@ -115,7 +115,6 @@ NEEDED = {
     "scale": {"device": {"protocol": "kern"}},
     "hid_pedal": {"device": {"kind": "hid_pedal", "device": "/x.hidraw"}},
     "spacemouse": {"device": {"kind": "spacemouse", "device": "/x.hidraw"}},
-    "player": {"session": "x.zarr", "stream": "force", "folder": "x"},
 }
 
 

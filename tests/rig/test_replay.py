@@ -22,21 +22,24 @@ from recorder import Session, SessionError, check, faults
 from recorder.info import digests
 from rig.core.clock import SECOND_NS, FakeClock
 from rig.core.errors import DeviceLost
-from rig.core.realtime import RIG_PRIORITY
-from rig.core.shared_memory import SharedLatest
-from rig.devices.force.netft_wire import Page
-from rig.devices.playback.wire import force_counts, replayable
-from rig.mock.playback_sync import (
+from rig.core.playback import (
     ENDED,
     PLAYING,
     POSITION,
     SYNC,
+    Playback,
+    Recording,
     position_path,
     sync_path,
 )
-from rig.mock.player import Player, PlayerConfig, emulate
+from rig.core.realtime import RIG_PRIORITY
+from rig.core.shared_memory import SharedLatest
+from rig.devices.force.netft_emulator import NetFtEmulatorConfig, emulate
+from rig.devices.force.netft_recorded import force_counts
+from rig.devices.force.netft_wire import Page
 from rig.replay import replay as module
 from rig.replay.replay import EXIT_DIFFERENT, Replay, ReplayRequest
+from rig.replay.replayable import replayable
 from rig.replay.result import Retiming, compared
 from rig.replay.run import MISSING_TIMEOUT, STALL_TIMEOUT, EndOfTape
 
@@ -295,8 +298,11 @@ def test_at_maximum_speed_no_emulator_keeps_a_reader_from_running(tmp_path: Path
     SharedLatest.create(sync_path(tmp_path), SYNC)
     SharedLatest.create(position_path(tmp_path, "force"), POSITION)
     clock = FakeClock()
-    job = PlayerConfig(source, "force", tmp_path, "127.0.0.1", ("force",), speed=0.0)
-    fast, paced = emulate(job, clock), emulate(replace(job, speed=1.0), clock)
+    job = Recording(source, "force", tmp_path, ("force",), speed=0.0)
+    fast, paced = (
+        emulate(NetFtEmulatorConfig(recording=replace(job, speed=speed)), clock)
+        for speed in (0.0, 1.0)
+    )
     assert fast.priority < RIG_PRIORITY < paced.priority
     looks: list[int] = []
 
@@ -304,8 +310,7 @@ def test_at_maximum_speed_no_emulator_keeps_a_reader_from_running(tmp_path: Path
         looks.append(clock.now_ns())
         return clock.now_ns() >= SECOND_NS
 
-    assert isinstance(fast.emulator, Player)
-    assert fast.emulator._waited(a_second_has_passed)
+    assert Playback(job, clock)._waited(a_second_has_passed)
     assert np.diff(looks[:3]).max() < SECOND_NS // 1000
     assert len(looks) < 250
 

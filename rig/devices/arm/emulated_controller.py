@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Protocol
 
@@ -412,6 +412,11 @@ class Controller:
     def source(self, name: str) -> Callable[[], rtde.Value]:
         """Return the function that reads output variable `name`."""
         return self._sources[name]
+
+    def report(self, recorded: Mapping[str, rtde.Value]) -> None:
+        """Report variables as a mapping has them at the time, and a running program."""
+        self.runtime_state = PLAYING
+        self._sources |= {name: partial(recorded.__getitem__, name) for name in recorded}
 
     def _make_sources(self) -> dict[str, Callable[[], rtde.Value]]:
         robot = self.robot

@@ -5,6 +5,10 @@
 Listens on the controller's own ports (RTDE 30004, scripts 30001 to 30003, dashboard 29999), and on
 31000 for faults to inject: see rig.devices.arm.emulator_faults. ur_rtde's constructors hold the GIL
 while they wait for an answer, so do not run this in the process of a client that uses ur_rtde.
+
+Of a recording it only reports: no script runs, nothing moves, and quantities that a session does
+not store are those of normal operation. While no row is due it sends text messages, as a controller
+may: a reader that receives nothing for a second fails.
 """
 
 from __future__ import annotations
@@ -16,16 +20,18 @@ import socket
 import threading
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
 from rig.core.clock import SECOND_NS, Clock
-from rig.core.emulation import EmulatorConfig, Served, SharedWorld
+from rig.core.emulation import Served, SharedWorld
 from rig.core.errors import ConfigError
 from rig.core.fault_injection import FaultInjector, corrupted_bytes
 from rig.core.geometry import compose
+from rig.core.playback import PlayableConfig, Playback
 from rig.core.samples import ARM_TRUTH
 from rig.core.shared_memory import SharedLatest
 from rig.devices.arm import dashboard, emulator_faults, rtde
@@ -41,6 +47,11 @@ logger = logging.getLogger(__name__)
 
 # A client with this much unsent data is dropped, as the controller does [bytes].
 _UNSENT_LIMIT = 1 << 20
+
+# Rows of a recording under way; the reader keeps 10 000 packages for a late recorder.
+_WINDOW = 500
+_TEXT, _SOURCE, _INFO = b"replay: no row is due", b"tactile-rig", 3
+_WAITING = bytes([len(_TEXT)]) + _TEXT + bytes([len(_SOURCE)]) + _SOURCE + bytes([_INFO])
 
 # Sent in mm and thousandths of a radian by the fault `wrong_units`.
 _POSES = ("actual_TCP_pose", "target_TCP_pose")
@@ -228,6 +239,11 @@ class RtdeClient:
             for sent in self.line.passed(payload):
                 self._send(rtde.Kind.DATA, sent)
 
+    def say_waiting(self) -> None:
+        """Send a text message if the client has started its stream."""
+        if self._started:
+            self._send(rtde.Kind.TEXT, _WAITING)
+
     def _send(self, kind: int, payload: bytes) -> None:
         self._unsent += rtde.pack_message(kind, payload)
         try:
@@ -262,6 +278,7 @@ class ArmEmulator:
         clock: Paces the cycles.
         state: ARM_TRUTH record for each cycle's pose.
         world: Source of the contact force.
+        playback: Recorded poses, or wrenches of an arm, to report; None: the controller's own.
     """
 
     def __init__(
@@ -272,12 +289,14 @@ class ArmEmulator:
         *,
         state: SharedLatest | None = None,
         world: SharedWorld | None = None,
+        playback: Playback | None = None,
     ) -> None:
         self._host = host
         self._controller = controller
         self._clock = clock
         self._state = state
         self._world = world
+        self._playback = playback
         self._world_count = 0
         self._clients: list[RtdeClient] = []
         self._peers: set[socket.socket] = set()
@@ -312,7 +331,8 @@ class ArmEmulator:
         except OSError:
             self._close_sockets()
             raise
-        self._thread = threading.Thread(target=self._run, name="arm emulator", daemon=True)
+        run = self._run if self._playback is None else partial(self._play, self._playback)
+        self._thread = threading.Thread(target=run, name="arm emulator", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
@@ -413,6 +433,37 @@ class ArmEmulator:
                 self.missed += late
                 due_ns += late * _CYCLE_NS
 
+    def _play(self, playback: Playback) -> None:
+        stream, rows = playback.recorded.stream, playback.recorded.rows
+        part = slice(rows.start, rows.stop)
+        is_pose = stream.traits.kind == "pose"
+        value = "actual_TCP_pose" if is_pose else "actual_TCP_force"
+        scaling = stream.array("speed_scaling")[part] if is_pose else np.ones(len(rows))
+        recorded: list[dict[str, rtde.Value]] = [
+            {"timestamp": device_t, value: tuple(numbers), "speed_scaling": fraction}
+            for device_t, numbers, fraction in zip(
+                stream.array("device_t")[part].tolist(),
+                stream.array("value")[part].tolist(),
+                scaling.tolist(),
+                strict=True,
+            )
+        ]
+        shown = dict(recorded[0]) if recorded else {}
+        self._controller.report(shown)
+
+        def send(place: int) -> None:
+            shown.update(recorded[place])
+            for client in self._clients:
+                client.publish()
+
+        def idle() -> None:
+            for key, _ in self._selector.select(0):
+                key.data()
+            for client in self._clients:
+                client.say_waiting()
+
+        playback.run(send, window=_WINDOW, ending=self._stopping, idle=idle)
+
     def _is_rtde(self, fileobj: Any) -> bool:
         return any(client.peer is fileobj for client in self._clients)
 
@@ -444,7 +495,7 @@ Vector = tuple[float, float, float, float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class ArmEmulatorConfig(EmulatorConfig):
+class ArmEmulatorConfig(PlayableConfig):
     """Tool and start of the emulated arm."""
 
     device: ArmConfig = field(default=ArmConfig(host="127.0.0.1"))
@@ -479,4 +530,8 @@ def emulate(settings: ArmEmulatorConfig, clock: Clock) -> Served:
         controller.wrist = Wrist(settings.seed)
     state = SharedLatest.publish(settings.state, ARM_TRUTH) if settings.state else None
     world = SharedWorld(settings.world)
-    return Served("arm", ArmEmulator(settings.host, controller, clock, state=state, world=world))
+    playback = settings.playback(clock)
+    emulator = ArmEmulator(
+        settings.host, controller, clock, state=state, world=world, playback=playback
+    )
+    return Served("arm", emulator, priority=settings.priority)

@@ -1,4 +1,4 @@
-"""Emulated network camera: MJPEG over HTTP, of the World, a folder of images, or a video.
+"""Emulated network camera: MJPEG over HTTP, of the World, images, a video, or a recording.
 
     python -m rig.mock.emulate opencv '{"world": "run/world.state", "view": "run/world.json"}'
     python -m rig.mock.emulate opencv '{"source": "images/", "device": {"rate_hz": 60}}'
@@ -8,6 +8,10 @@ the time of the World's state it shows (of the tick, if it shows no World). A sl
 newest frame when it is ready for one; the numbers in between are skipped, never queued. Faults are
 injected through rig.core.fault_injection; `wrong_units` halves the frame size. `lens` sets `gain`,
 the brightness by the exposure, and `blur` of a lens out of focus [px]; by default 1 and 0.
+
+OpenCV reads one frame to open the stream and drops it, and the driver checks a second one before
+it records. Of a recorded session both get the first picture; then the recorded files are sent
+unchanged, none of them skipped.
 """
 
 from __future__ import annotations
@@ -33,7 +37,7 @@ from rig.core.clock import SECOND_NS, Clock, Pacer
 from rig.core.emulation import (
     DeviceHandler,
     DeviceServer,
-    EmulatorConfig,
+    Newest,
     Served,
     SharedWorld,
     ThreadedEmulator,
@@ -41,6 +45,7 @@ from rig.core.emulation import (
 )
 from rig.core.errors import ConfigError
 from rig.core.fault_injection import FaultInjector
+from rig.core.playback import PlayableConfig, Playback
 from rig.core.realtime import CAMERA_PRIORITY
 from rig.devices.camera.jpeg import (
     BOUNDARY,
@@ -224,10 +229,15 @@ logger = logging.getLogger(__name__)
 _STILL = 2.0
 # About two frames, so that a slow client does not find old ones waiting.
 _SEND_BUFFER = 1 << 17
+# Rows of a recording under way; the driver keeps 120 frames for a late recorder.
+_WINDOW = 32
+# Frames that a driver needs to open.
+_LEAD_IN = 2
+_TORN = b"\xff\xd8"
 
 
 @dataclass(frozen=True, slots=True)
-class MjpegEmulatorConfig(EmulatorConfig):
+class MjpegEmulatorConfig(PlayableConfig):
     """Port, pictures and timing of the emulated camera."""
 
     device: CameraConfig = field(default=CameraConfig(address="http://127.0.0.1:8090/"))
@@ -246,7 +256,7 @@ class MjpegEmulator(ThreadedEmulator):
 
     Args:
         config: Address and rate.
-        source: Source of the picture of each tick.
+        source: Source of the picture of each tick, or a recording.
         world: Source of the state to show; None: frames have the time of their tick.
         clock: Paces the frames.
     """
@@ -254,7 +264,7 @@ class MjpegEmulator(ThreadedEmulator):
     def __init__(
         self,
         config: MjpegEmulatorConfig,
-        source: FrameSource,
+        source: FrameSource | Playback,
         world: WorldReader | None,
         clock: Clock,
     ) -> None:
@@ -265,9 +275,16 @@ class MjpegEmulator(ThreadedEmulator):
         self._world = world
         self._no_contact = SharedWorld(None).state()[1]
         self._clock = clock
-        self._changed = threading.Condition()
-        self._parts: tuple[bytes, ...] = ()
-        self._number = 0
+        self.frames = Newest[bytes](
+            2 * _WINDOW if isinstance(source, Playback) else 1, self._ending
+        )
+        """Frames for the clients: of a World only the newest."""
+        self.lead_in = b""
+        """Sent to a new client before those."""
+        if isinstance(source, Playback):
+            rows = source.recorded.rows
+            first = min(rows.start, len(source.recorded.stream) - 1)
+            self.lead_in = _LEAD_IN * _recorded_part(source, first)
         self.faults = FaultInjector[bytes](
             clock, spoil=torn, mistake=_halved, on_change=self._on_plug
         )
@@ -289,11 +306,14 @@ class MjpegEmulator(ThreadedEmulator):
         """
         self._server = _Server((self._config.host, self._port), self)
         accept = functools.partial(self._server.serve_forever, 0.05)
-        self._run_threads(self._film, self._deliver, accept)
+        source = self._source
+        if isinstance(source, Playback):
+            self._run_threads(functools.partial(self._play, source), accept)
+        else:
+            self._run_threads(functools.partial(self._film, source), self._deliver, accept)
 
     def _disconnect(self) -> None:
-        with self._changed:
-            self._changed.notify_all()
+        self.frames.wake()
         if self._server is not None:
             self._server.shutdown()
             self._server.disconnect_all()
@@ -315,18 +335,7 @@ class MjpegEmulator(ThreadedEmulator):
         if self.faults.unplugged and self._server is not None:
             self._server.disconnect_all()
 
-    def next_parts(self, sent: int) -> tuple[int, tuple[bytes, ...]] | None:
-        """Wait for a frame newer than `sent`; return its number and parts, None at the end."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._number > sent or self._ending.is_set())
-            return None if self._ending.is_set() else (self._number, self._parts)
-
-    @property
-    def number(self) -> int:
-        """Number of frames produced so far."""
-        return self._number
-
-    def _film(self) -> None:
+    def _film(self, source: FrameSource) -> None:
         pacer = Pacer(self._clock, self._config.device.rate_hz)
         delay_ns = round(self._config.delay * SECOND_NS)
         filmed = 0
@@ -338,26 +347,39 @@ class MjpegEmulator(ThreadedEmulator):
                 _, state = self._world.state()
                 t_ns = int(state["t_ns"])
             filmed += 1
-            jpeg = self._source.jpeg(state)
+            jpeg = source.jpeg(state)
             if self._lens != (1.0, 0.0):
                 jpeg = through_lens(jpeg, *self._lens)
             parts = tuple(self.parts(stamped(jpeg, filmed, t_ns)))
             if delay_ns:
                 self._late.put((t_ns + delay_ns, parts))
             else:
-                self._publish(parts)
+                self.frames.publish(parts)
         self._late.put(None)
 
     def _deliver(self) -> None:
         while (late := self._late.get()) is not None:
             self._clock.sleep_until(late[0])
-            self._publish(late[1])
+            self.frames.publish(late[1])
 
-    def _publish(self, parts: tuple[bytes, ...]) -> None:
-        with self._changed:
-            self._number += 1
-            self._parts = parts
-            self._changed.notify_all()
+    def _play(self, playback: Playback) -> None:
+        rows = playback.recorded.rows
+        playback.run(
+            lambda place: self.frames.publish([_recorded_part(playback, rows[place])]),
+            window=_WINDOW,
+            ending=self._ending,
+            # OpenCV returns from its wait, and the driver drops the torn frame.
+            wake=lambda: self.frames.publish([multipart(_TORN)]),
+        )
+
+
+def _recorded_part(playback: Playback, row: int) -> bytes:
+    """Return a recorded picture as the part of a stream, its bytes as recorded."""
+    stream = playback.recorded.stream
+    jpeg = stream.jpeg(row)
+    if jpeg is None:
+        raise ValueError(f"streams/{stream.name}: stored as pixels, not as JPEG")
+    return multipart(jpeg)
 
 
 def _halved(jpeg: bytes) -> bytes:
@@ -410,9 +432,10 @@ class _Handler(DeviceHandler):
         self.send_header("Content-Type", f"multipart/x-mixed-replace; boundary={BOUNDARY}")
         self.send_header("Cache-Control", "no-store")
         self.end_headers()
-        sent = emulator.number
-        while (newest := emulator.next_parts(sent)) is not None:
-            sent, parts = newest
+        sent = emulator.frames.count
+        self.wfile.write(emulator.lead_in)
+        while not emulator.closing:
+            sent, parts = emulator.frames.newer_than(sent)
             for part in parts:
                 self.wfile.write(part)
 
@@ -424,9 +447,11 @@ def emulate(settings: MjpegEmulatorConfig, clock: Clock) -> Served:
         ConfigError: Not exactly one of view and source is given, or the World has no camera.
         OSError, ValueError: The source has no picture.
     """
-    source: FrameSource
+    source: FrameSource | Playback
     world = None
-    if settings.view is not None and settings.source is None:
+    if (playback := settings.playback(clock)) is not None:
+        source = playback
+    elif settings.view is not None and settings.source is None:
         from rig.mock.world import load_view
 
         source, world = WorldSource(load_view(settings.view)), SharedWorld(settings.world)

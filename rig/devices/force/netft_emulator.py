@@ -1,10 +1,13 @@
-"""Emulated ATI Net F/T box: RDT by UDP and settings pages by HTTP, serving the World's wrench.
+"""Emulated ATI Net F/T box: RDT by UDP and settings pages by HTTP, of the World or a recording.
 
     python -m rig.mock.emulate netft '{"host": "127.0.0.5", "device": {"http_port": 8080}}'
 
 Like the box, it streams only to the last client that requested a stream, and its sample clock never
 stands still: a record that it is late for is sent with the next one. Its bias (0x42) lasts until
 the process ends. `wrong_units` of rig.core.fault_injection sets pound-force as its unit.
+
+The driver needs one record to open. Of a recording it gets the first row's values under the number
+before, and counts on from there; the recorded rows follow under their recorded numbers.
 """
 
 from __future__ import annotations
@@ -25,14 +28,15 @@ from rig.core.emulation import (
     LATE_MOST,
     DeviceHandler,
     DeviceServer,
-    EmulatorConfig,
     Served,
     SharedWorld,
     ThreadedEmulator,
     WorldReader,
 )
 from rig.core.fault_injection import FaultInjector, corrupted_bytes
+from rig.core.playback import PlayableConfig, Playback
 from rig.devices.force.emulated_noise import NOISE_ROWS, noise_table
+from rig.devices.force.netft_recorded import force_bias, force_counts, force_page
 from rig.devices.force.netft_wire import (
     COMMAND_BIAS,
     COMMAND_REALTIME,
@@ -46,12 +50,14 @@ from rig.devices.force.settings import NetFtConfig
 
 _INTERNAL_HZ = 7000
 _WRONG_UNITS = ("lbf", "lbf-in")
+# Rows of a recording under way: a socket of the default size holds 250 packets.
+_WINDOW = 128
 # Counts per component, or rows of them.
 Counts = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class NetFtEmulatorConfig(EmulatorConfig):
+class NetFtEmulatorConfig(PlayableConfig):
     """Ports and settings of the emulated box."""
 
     device: NetFtConfig = field(default=NetFtConfig(http_port=8080))
@@ -64,7 +70,9 @@ class NetFtEmulatorConfig(EmulatorConfig):
 class NetFtEmulator(ThreadedEmulator):
     """Emulated box: one thread sends records and receives commands, others answer HTTP."""
 
-    def __init__(self, config: NetFtEmulatorConfig, world: WorldReader, clock: Clock) -> None:
+    def __init__(
+        self, config: NetFtEmulatorConfig, source: WorldReader | Playback, clock: Clock
+    ) -> None:
         super().__init__()
         self.page = config.page
         self._config = config
@@ -72,7 +80,7 @@ class NetFtEmulator(ThreadedEmulator):
         self.faults = FaultInjector[bytes](
             clock, spoil=corrupted_bytes, on_change=self._on_disturbance, seed=config.seed
         )
-        self._world = world
+        self._source = source
         self._clock = clock
         self._udp: socket.socket | None = None
         self._http: _HttpServer | None = None
@@ -102,7 +110,13 @@ class NetFtEmulator(ThreadedEmulator):
         except OSError:
             self._udp.close()
             raise
-        self._run_threads(partial(self._stream, self._udp), partial(self._http.serve_forever, 0.05))
+        source = self._source
+        serve = (
+            partial(self._play, self._udp, source)
+            if isinstance(source, Playback)
+            else partial(self._stream, self._udp, source)
+        )
+        self._run_threads(serve, partial(self._http.serve_forever, 0.05))
 
     def _disconnect(self) -> None:
         if self._http is not None:
@@ -130,7 +144,7 @@ class NetFtEmulator(ThreadedEmulator):
         if 1 <= rate_hz <= _INTERNAL_HZ:
             self.page = replace(self.page, rate_hz=rate_hz)
 
-    def _stream(self, udp: socket.socket) -> None:
+    def _stream(self, udp: socket.socket, world: WorldReader) -> None:
         noise = noise_table(self._config.seed, self._config.noise) / self._scale
         number, counts, scale = -1, np.zeros(6), self._scale
         while not self._ending.is_set():
@@ -145,12 +159,35 @@ class NetFtEmulator(ThreadedEmulator):
                 stride = round(_INTERNAL_HZ / rate_hz)
             pacer.wait()
             self.missed += pacer.late
-            newest, state = self._world.state()
+            newest, state = world.state()
             if newest != number or self._scale is not scale:
                 number, scale, counts = newest, self._scale, self._counts(state)
             self._take_commands(udp, counts)
             for _ in range(1 + min(pacer.late, LATE_MOST)):
                 self._send_record(udp, counts, noise, stride)
+
+    def _play(self, udp: socket.socket, playback: Playback) -> None:
+        stream, rows = playback.recorded.stream, playback.recorded.rows
+        part = slice(rows.start, rows.stop)
+        counts = force_counts(stream.array("value")[part], force_bias(stream), self.page).tolist()
+        counts = counts or [[0] * 6]
+        numbers = stream.array("seq")[part].tolist() or [1]
+        status = stream.array("status")[part].tolist() or [0]
+
+        def packet(place: int, before: int = 0) -> bytes:
+            number = (numbers[place] - before) & 0xFFFFFFFF
+            return RECORD.pack(number, number, status[place], *counts[place])
+
+        def send(place: int) -> None:
+            if self._peer is None:
+                raise OSError("no client requested records")
+            udp.sendto(packet(place), self._peer)
+
+        def idle() -> None:
+            if self._take_commands(udp, np.zeros(6)) and self._peer is not None:
+                udp.sendto(packet(0, before=1), self._peer)
+
+        playback.run(send, window=_WINDOW, ending=self._ending, idle=idle)
 
     def _send_record(self, udp: socket.socket, counts: Counts, noise: Counts, stride: int) -> None:
         """Send one record to the client, if one is listening."""
@@ -175,18 +212,21 @@ class NetFtEmulator(ThreadedEmulator):
         counts: Counts = state["wrench"] / self._scale
         return counts
 
-    def _take_commands(self, udp: socket.socket, counts: Counts) -> None:
+    def _take_commands(self, udp: socket.socket, counts: Counts) -> bool:
+        """Obey the commands received; return True if one started a stream."""
+        started = False
         while True:
             try:
                 packet, peer = udp.recvfrom(64)
             except OSError:
-                return
+                return started
             request = parse_request(packet)
             if request is None or self.faults.unplugged:
                 continue
             command, samples = request
             if command == COMMAND_REALTIME:
                 self._peer, self._left, self._rdt_sequence = peer, samples, 0
+                started = True
             elif command == COMMAND_STOP:
                 self._peer = None
             elif command == COMMAND_BIAS:
@@ -219,5 +259,8 @@ class _Handler(DeviceHandler):
 
 def emulate(settings: NetFtEmulatorConfig, clock: Clock) -> Served:
     """Return the emulated box."""
-    emulator = NetFtEmulator(settings, SharedWorld(settings.world), clock)
-    return Served("netft", emulator, emulator.faults.inject)
+    playback = settings.playback(clock)
+    if playback is not None:
+        settings = replace(settings, page=force_page(playback.recorded.stream))
+    emulator = NetFtEmulator(settings, playback or SharedWorld(settings.world), clock)
+    return Served("netft", emulator, emulator.faults.inject, settings.priority)

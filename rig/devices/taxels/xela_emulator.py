@@ -1,4 +1,4 @@
-"""Emulated `xela_server`: uSkin scans over WebSocket, from the World or a log of raw counts.
+"""Emulated `xela_server`: uSkin scans over WebSocket, of the World, a log, or a recording.
 
     python -m rig.mock.emulate xela '{"host": "127.0.0.6", "device": {"rate_hz": 100}}'
     python -m rig.mock.emulate xela '{"source": "trial.npy", "layout": "1.7"}'
@@ -6,18 +6,21 @@
 A log is a (T, 3 x taxels) array, rounded to uint16 and played in a loop, one row per scan. Faults
 are injected through rig.core.fault_injection; `wrong_units` drops the last hexadecimal digit of
 each value.
+
+The driver needs one scan to open. Of a recorded session it gets the first row's values under the
+number before; the recorded rows follow under their recorded numbers and device times.
 """
 
 from __future__ import annotations
 
 import contextlib
-import itertools
 import json
+import math
 import socket
 import threading
-from collections import deque
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 from urllib.parse import urlsplit
@@ -29,17 +32,21 @@ from websockets.sync.server import Server, ServerConnection
 from websockets.sync.server import serve as listen
 
 from rig.core.clock import SECOND_NS, Clock, ClockAnchor, Pacer
-from rig.core.emulation import EmulatorConfig, Served, SharedWorld, ThreadedEmulator, WorldReader
+from rig.core.emulation import Newest, Served, SharedWorld, ThreadedEmulator, WorldReader
 from rig.core.fault_injection import FaultInjector, corrupted_text
+from rig.core.playback import PlayableConfig, Playback, stated_rate
 from rig.devices.taxels.settings import XelaConfig
 
 Log = npt.NDArray[np.float64]
 
+# Scans kept for a client that falls behind, which gets them all in order, as from the server.
 _BACKLOG = 512
+# Rows of a recording under way; the driver keeps 10 000 scans for a late recorder.
+_WINDOW = 128
 
 
 @dataclass(frozen=True, slots=True)
-class XelaEmulatorConfig(EmulatorConfig):
+class XelaEmulatorConfig(PlayableConfig):
     """Port, rate and message layout of the emulated server."""
 
     device: XelaConfig = field(default_factory=XelaConfig)
@@ -82,11 +89,13 @@ class XelaEmulator(ThreadedEmulator):
 
     Args:
         config: Address, rate, layout.
-        source: The World, or a log of raw counts (T, 3 x taxels).
+        source: The World, a log of raw counts (T, 3 x taxels), or a recording.
         clock: Paces the scans.
     """
 
-    def __init__(self, config: XelaEmulatorConfig, source: WorldReader | Log, clock: Clock) -> None:
+    def __init__(
+        self, config: XelaEmulatorConfig, source: WorldReader | Log | Playback, clock: Clock
+    ) -> None:
         super().__init__()
         self._config = config
         self._port = urlsplit(config.device.address).port or 80
@@ -94,11 +103,9 @@ class XelaEmulator(ThreadedEmulator):
         self._clock = clock
         self._anchor = ClockAnchor.take()
         self._rng = np.random.default_rng(config.seed)
-        self._changed = threading.Condition()
-        # Messages of the newest scans: a client that falls behind gets them all in order, up to
-        # this many, as from the vendor's server.
-        self._scans: deque[tuple[str, ...]] = deque(maxlen=_BACKLOG)
-        self._number = 0
+        self._scans = Newest[str](_BACKLOG, self._ending)
+        self._lead_in: tuple[str, ...] = ()
+        self._lock = threading.Lock()
         self.faults = FaultInjector[str](
             clock,
             spoil=corrupted_text,
@@ -121,6 +128,13 @@ class XelaEmulator(ThreadedEmulator):
         Raises:
             OSError: The address is not available.
         """
+        source = self._source
+        if isinstance(source, Playback):
+            message = _recorded_messages(source, self._config)
+            self._lead_in = (message(0, before=1),)
+            make = partial(self._play, source, message)
+        else:
+            make = partial(self._make_scans, source)
         self._server = listen(
             self._serve_client,
             self._config.host,
@@ -129,11 +143,10 @@ class XelaEmulator(ThreadedEmulator):
             ping_interval=None,
             close_timeout=0.5,
         )
-        self._run_threads(self._make_scans, self._server.serve_forever)
+        self._run_threads(make, self._server.serve_forever)
 
     def _disconnect(self) -> None:
-        with self._changed:
-            self._changed.notify_all()
+        self._scans.wake()
         if self._server is not None:
             self._server.shutdown()
             self._server = None
@@ -145,12 +158,12 @@ class XelaEmulator(ThreadedEmulator):
     def _on_plug(self) -> None:
         if not self.faults.unplugged:
             return
-        with self._changed:
+        with self._lock:
             clients = tuple(self._clients)
         for client in clients:
             _cut(client)
 
-    def _make_scans(self) -> None:
+    def _make_scans(self, source: WorldReader | Log) -> None:
         pacer = Pacer(self._clock, self._config.device.rate_hz)
         while not self._ending.is_set():
             deadline_ns = pacer.wait()
@@ -158,25 +171,29 @@ class XelaEmulator(ThreadedEmulator):
                 late = abs(self._rng.normal(0.0, self._config.jitter))
                 self._clock.sleep_until(deadline_ns + round(late * SECOND_NS))
             self.missed = pacer.missed
-            counts = self._counts()
+            counts = self._counts(source)
             now_ns = self._clock.now_ns() - self._anchor.t0_ns + self._anchor.utc_ns
             message = emit(
-                self._number + 1,
+                self._scans.count + 1,
                 now_ns / SECOND_NS,
                 counts,
                 layout=self._config.layout,
                 ups=self._config.device.rate_hz,
             )
-            with self._changed:
-                self._number += 1
-                self._scans.append(tuple(self.messages(message)))
-                self._changed.notify_all()
+            self._scans.publish(self.messages(message))
 
-    def _counts(self) -> list[int]:
-        if isinstance(self._source, np.ndarray):
-            values = self._source[self._number % len(self._source)]
+    def _play(self, playback: Playback, message: Callable[..., str]) -> None:
+        playback.run(
+            lambda place: self._scans.publish([message(place)]),
+            window=_WINDOW,
+            ending=self._ending,
+        )
+
+    def _counts(self, source: WorldReader | Log) -> list[int]:
+        if isinstance(source, np.ndarray):
+            values = source[self._scans.count % len(source)]
         else:
-            values = self._source.state()[1]["taxels"].reshape(-1)
+            values = source.state()[1]["taxels"].reshape(-1)
         if self._config.noise > 0:
             values = values + self._rng.normal(0.0, self._config.noise, values.shape)
         whole: list[int] = np.rint(values).clip(0, 0xFFFF).astype(np.int64).tolist()
@@ -186,31 +203,45 @@ class XelaEmulator(ThreadedEmulator):
         if self.faults.unplugged:
             _cut(connection)
             return
-        with self._changed:
+        with self._lock:
             self._clients.add(connection)
         try:
             self._send_scans(connection)
         finally:
-            with self._changed:
+            with self._lock:
                 self._clients.discard(connection)
 
     def _send_scans(self, connection: ServerConnection) -> None:
         with contextlib.suppress(ConnectionClosed):
             connection.send(json.dumps({"message": "Welcome"}))
-            sent = self._number
+            sent = self._scans.count
+            for message in self._lead_in:
+                connection.send(message)
             while not self._ending.is_set():
-                sent, messages = self._newer_than(sent)
+                sent, messages = self._scans.newer_than(sent)
                 for message in messages:
                     connection.send(message)
 
-    def _newer_than(self, sent: int) -> tuple[int, tuple[str, ...]]:
-        with self._changed:
-            self._changed.wait_for(lambda: self._number > sent or self._ending.is_set())
-            if self._ending.is_set():
-                return self._number, ()
-            behind = min(self._number - sent, len(self._scans))
-            newer = itertools.islice(self._scans, len(self._scans) - behind, None)
-            return self._number, tuple(itertools.chain.from_iterable(newer))
+
+def _recorded_messages(playback: Playback, config: XelaEmulatorConfig) -> Callable[..., str]:
+    """Return the function that makes the message of a row; numbered `before` less, if given."""
+    stream, rows = playback.recorded.stream, playback.recorded.rows
+    part = slice(rows.start, rows.stop)
+    value = stream.array("value")
+    counts = value[part].reshape(len(rows), -1).tolist() or [[0] * math.prod(value.shape[1:])]
+    numbers = stream.array("seq")[part].tolist() or [1]
+    device_t = stream.array("device_t")[part].tolist() or [math.nan]
+
+    def message(place: int, before: int = 0) -> str:
+        return emit(
+            numbers[place] - before,
+            device_t[place],
+            counts[place],
+            layout=config.layout,
+            ups=config.device.rate_hz,
+        )
+
+    return message
 
 
 def _shortened(message: str) -> str:
@@ -251,6 +282,17 @@ def emulate(settings: XelaEmulatorConfig, clock: Clock) -> Served:
     Raises:
         OSError, ValueError: The log cannot be read, or has another shape.
     """
-    source = SharedWorld(settings.world) if settings.source is None else load_log(settings.source)
+    source: WorldReader | Log | Playback
+    playback = settings.playback(clock)
+    if playback is not None:
+        stream = playback.recorded.stream
+        described = stream.attrs.get("device") or {}
+        layout: Literal["1.7", "1.8"] = "1.7" if described.get("layout") == "1.7" else "1.8"
+        device = replace(settings.device, rate_hz=stated_rate(stream))
+        settings, source = replace(settings, layout=layout, device=device), playback
+    elif settings.source is not None:
+        source = load_log(settings.source)
+    else:
+        source = SharedWorld(settings.world)
     emulator = XelaEmulator(settings, source, clock)
-    return Served("xela", emulator, emulator.faults.inject)
+    return Served("xela", emulator, emulator.faults.inject, settings.priority)

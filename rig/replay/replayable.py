@@ -1,0 +1,156 @@
+"""Checks of recorded streams before their emulators play them.
+
+The drivers are the real ones, so a row can be replayed only if its device could have sent it: whole
+counts, increasing sequence numbers, JPEG files as a camera delivers them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from recorder import Session, SessionError, Stream
+from rig.core.playback import stated_rate
+from rig.devices.camera.jpeg import is_whole, with_huffman_tables
+from rig.devices.force.netft_recorded import force_bias, force_counts, force_page
+from rig.mock.players import PLAYED_BY
+
+Ints = npt.NDArray[np.int64]
+Progress = Callable[[int, int], None]
+
+_UINT32 = 1 << 32
+_UINT16 = 1 << 16
+
+
+def check_force(stream: Stream, rows: slice) -> None:
+    """Reject force rows that no Net F/T box could send again.
+
+    Raises:
+        SessionError: Names the row.
+    """
+    force_counts(stream.array("value")[rows], force_bias(stream), force_page(stream), stream.name)
+    status, seq = stream.array("status")[rows], stream.array("seq")[rows]
+    no_status: npt.NDArray[np.bool_] = (status < 0) | (status >= _UINT32)
+    _refuse(stream.name, rows, no_status, "status is not a uint32")
+    _refuse(stream.name, rows, ~_rises(seq), "seq does not rise")
+    if len(seq) and not 1 <= seq[0] < _UINT32:
+        # The driver needs one record to open, numbered before the first.
+        raise SessionError(
+            f"streams/{stream.name}: row {rows.start or 0}: seq {seq[0]}; expected 1 to 2^32 - 1"
+        )
+
+
+def check_pose(stream: Stream, rows: slice) -> None:
+    """Reject poses, or wrenches of an arm, that no controller could send again.
+
+    Raises:
+        SessionError: Names the row.
+    """
+    device_t, period = stream.array("device_t")[rows], 1.0 / stated_rate(stream)
+    _refuse(stream.name, rows, ~np.isfinite(device_t), "device_t is not a time")
+    late = np.concatenate([[True], np.rint(np.diff(device_t) / period) >= 1])
+    _refuse(stream.name, rows, ~late[: len(device_t)], "the controller's clock does not advance")
+
+
+def check_taxels(stream: Stream, rows: slice) -> None:
+    """Reject taxels that no uSkin server could send again.
+
+    Raises:
+        SessionError: Names the row.
+    """
+    value = stream.array("value")[rows]
+    beyond: npt.NDArray[np.bool_] = (value < 0) | (value >= _UINT16)
+    outside = np.asarray(beyond.any(axis=(1, 2)))
+    _refuse(stream.name, rows, outside, "a count is not a uint16")
+    _refuse(stream.name, rows, ~_rises(stream.array("seq")[rows]), "seq does not rise")
+
+
+def check_camera(stream: Stream, rows: slice, progress: Progress | None = None) -> None:
+    """Reject images that would not pass through MJPEG unchanged.
+
+    Args:
+        stream: A camera stream.
+        rows: Rows to check; all are read.
+        progress: Called with the number of images checked and their total.
+
+    Raises:
+        SessionError: Names the row, or reports that the images are stored as pixels.
+    """
+    for row in range(*rows.indices(len(stream))):
+        jpeg = stream.jpeg(row)
+        if jpeg is None:
+            raise SessionError(
+                f"streams/{stream.name}: stored as pixels, and a network camera sends JPEG, which "
+                f"would change them; replay the other streams with --without {stream.name}"
+            )
+        if not is_whole(jpeg) or with_huffman_tables(jpeg) != jpeg:
+            raise SessionError(
+                f"streams/{stream.name}: row {row}: no complete JPEG with Huffman tables"
+            )
+        if progress is not None:
+            progress(row + 1, len(stream))
+
+
+# The camera's check is not listed: it takes long, and reports progress.
+_CHECKS = {
+    **{"force": check_force, "pose": check_pose, "arm_wrench": check_pose, "taxels": check_taxels}
+}
+
+
+def replayable(
+    session: Session, without: tuple[str, ...] = (), progress: Progress | None = None
+) -> tuple[str, ...]:
+    """Check the streams to replay, and return their names, in the order of `PLAYED_BY`.
+
+    Args:
+        session: The source.
+        without: Streams to leave out.
+        progress: Called with the number of images checked and their total.
+
+    Raises:
+        SessionError: Still recording, nothing to replay, or a row cannot be sent again.
+    """
+    if session.warning is not None:
+        raise SessionError(session.warning)
+    known = ", ".join(session.streams)
+    for name in without:
+        if name not in session.streams:
+            raise SessionError(f"{session.path}: no stream {name!r} to leave out; known: {known}")
+    kinds = {name: stream.traits.kind for name, stream in session.streams.items()}
+    names = tuple(
+        name for kind in PLAYED_BY for name in session.of_kind(kind) if name not in without
+    )
+    unknown = {name for name, kind in kinds.items() if kind not in PLAYED_BY} - set(without)
+    if unknown:
+        raise SessionError(
+            f"{session.path}: no emulator plays {sorted(unknown)}; leave them out: --without NAME"
+        )
+    if not names:
+        raise SessionError(f"{session.path}: no stream to replay; it has: {known}")
+    for name in names:
+        stream = session.streams[name]
+        if not len(stream):
+            raise SessionError(f"streams/{name}: no rows; leave it out: --without {name}")
+        for run in range(max(len(session.runs), 1)):
+            rows = session.rows_of_run(name, run)
+            if kinds[name] == "camera":
+                check_camera(stream, rows, progress)
+            else:
+                _CHECKS[kinds[name]](stream, rows)
+    return names
+
+
+def _rises(numbers: Ints) -> npt.NDArray[np.bool_]:
+    rises = np.ones(len(numbers), np.bool_)
+    rises[1:] = np.diff(numbers) > 0
+    return rises
+
+
+def _refuse(name: str, rows: slice, bad: npt.NDArray[Any], what: str) -> None:
+    found = np.flatnonzero(bad)
+    if found.size:
+        row = (rows.start or 0) + int(found[0])
+        raise SessionError(f"streams/{name}: row {row}: {what} ({found.size} such rows)")
