@@ -142,7 +142,7 @@ live: $(VENV)/.live  ## Show forces as the sensor is pressed
 
 ##@ Simulate
 
-#: [SHAPE=sphere] [DEPTHS=0.5,1,1.5] [TIER=layer] [OUT=press.png] [ARGS="--friction 0.5 --mesh 1"]
+#: [SHAPE=sphere] [DEPTHS=0.5,1,1.5] [TIER=layer] [OUT=press.png] [ARGS="--friction 0.5"]
 press: $(VENV)/.sim  ## Simulate a press, write a table and a picture
 	@$(PY) -m sim press $(if $(SHAPE),--shape $(SHAPE)) $(if $(DEPTHS),--depths $(DEPTHS)) $(if $(TIER),--tier $(TIER)) $(if $(OUT),--out $(OUT)) $(ARGS)
 

@@ -215,14 +215,29 @@ class Motion:
 
 
 def press(
-    depths: Sequence[float], *, at: tuple[float, float] = (0.0, 0.0), speed: float = 10e-3
+    depths: Sequence[float],
+    *,
+    hold: float = 0.0,
+    shear: float = 0.0,
+    angle: float = 0.0,
+    steps: int = 1,
+    at: tuple[float, float] = (0.0, 0.0),
+    speed: float = 10e-3,
 ) -> Motion:
     """Return the motion that touches the surface, then goes to each of `depths` [m] in turn.
 
-    The tip moves at `speed` [m/s].
+    Args:
+        depths: Depths below the touched surface [m].
+        hold: Rest at the last depth [s]; 0: none.
+        shear: Then a move sideways by this length [m], back and up to the surface; 0: none.
+        angle: Direction of the shear, from x towards y [rad].
+        steps: Equal parts of each move and of the hold, with a frame at the end of each.
+        at: Position of the tip along x and y [m].
+        speed: Speed of the tip [m/s].
 
     Raises:
-        SceneError: `depths` is no sequence of finite numbers, or repeats the tip's position.
+        SceneError: `depths` is no sequence of finite numbers or repeats the tip's position, or
+            another value is not finite.
     """
     _check_sequence("motion.depths", depths, "numbers [m], such as (0.5e-3, 1e-3)")
     before = 0.0
@@ -234,8 +249,26 @@ def press(
     _check_sequence("motion.at", at, "2 finite numbers [m]")
     if len(at) != 2 or not all(map(is_finite, at)):
         raise SceneError(f"motion.at: {at!r}; allowed: 2 finite numbers [m]")
-    return through(
-        [(at[0], at[1], 0.0)] + [(at[0], at[1], -depth) for depth in depths], speed=speed
+    corners = [(at[0], at[1], 0.0)] + [(at[0], at[1], -depth) for depth in depths]
+    if shear:
+        if not is_finite(angle):
+            raise SceneError(f"motion.tip: sheared at an angle of {angle!r} rad; allowed: finite")
+        aside = (at[0] + shear * math.cos(angle), at[1] + shear * math.sin(angle), corners[-1][2])
+        corners += [aside, corners[-1], corners[0]]
+    points = corners if steps == 1 else _subdivided(corners, steps)
+    moved = through(points, speed=speed)
+    return _rested(moved, steps * len(depths), hold, steps) if hold else moved
+
+
+def _rested(motion: Motion, index: int, hold: float, steps: int) -> Motion:
+    """Return the motion with a rest of `hold` [s] in `steps` frames after waypoint `index`."""
+    if not (is_finite(hold) and hold > 0):
+        raise SceneError(f"motion.hold: {hold!r} s; allowed: 0 or more")
+    tip, time = motion.tip, motion.time
+    rest = [time[index] + hold * step / steps for step in range(1, steps + 1)]
+    return Motion(
+        tip=(*tip[: index + 1], *[tip[index]] * steps, *tip[index + 1 :]),
+        time=(*time[: index + 1], *rest, *(later + hold for later in time[index + 1 :])),
     )
 
 

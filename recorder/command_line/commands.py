@@ -121,9 +121,7 @@ SESSIONS = (
     ),
 )
 SIMULATE = (
-    Command("sim press", "sim.cli.press", "press straight down: force, surface, pressure"),
-    Command("sim loop", "sim.cli.loop", "press, shear, return and lift: hysteresis and slip"),
-    Command("sim hold", "sim.cli.hold", "press within a given time and hold: relaxation"),
+    Command("sim press", "sim.cli.press", "press, hold and shear: force, surface, pressure"),
     Command("sim archive", "sim.cli.archive", "write or draw marker archives of simulated sensors"),
     Command("sim labels", "sim.cli.labels", "add the forces of a sensor's twin to an archive"),
     Command("twin plan", "sim.cli.twin_plan", "choose the presses that identify a twin best"),

@@ -1,4 +1,4 @@
-"""Options common to all simulating subcommands, and the scene that they describe."""
+"""Options of `tactile sim press` that describe its scene and its solver."""
 
 from __future__ import annotations
 
@@ -8,15 +8,14 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, cast, get_args
 
-from recorder.command_line.options import add_device, names, numbers, positive
+from recorder.command_line.options import add_device, numbers
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError
-from sim.fem import FOR_EDGES, Fem
+from sim.fem import Fem
 from sim.layer import Layer
 from sim.scene import Body, Footprint
-from sim.simulate import Extrapolated, Measured
 
 if TYPE_CHECKING:
     from sim.indenters import Indenter
@@ -47,21 +46,10 @@ def branches(text: str) -> tuple[tuple[float, float], ...] | None:
 
 # The indenter: one of the 18 by name, a shape by its measures, or an STL file; and its tilt.
 
-# Given measures: lengths in [m], angles in [rad].
+# Values after the colon of `--shape`: lengths in [m], angles in [rad].
 Measures = dict[str, float]
 
-MEASURES = {
-    "radius": "radius of a sphere, a punch or a bar [mm]",
-    "width": "width of a box along x [mm]",
-    "length": "length of a box or a bar along y [mm]",
-    "half_angle": "angle between the axis and the side of a cone [deg]",
-    "tip_radius": "radius of a cone's tip, flat or round [mm]",
-    "ring_radius": "radius of a torus's middle line [mm]",
-    "tube_radius": "radius of a torus's tube [mm]",
-    "outer_radius": "outer radius of a tube [mm]",
-    "inner_radius": "inner radius of a tube [mm]",
-}
-# Shapes by measure, and the measures that each requires.
+# Shapes by measure, and the measures that each requires; lengths [mm], `half_angle` [deg].
 NEEDS: dict[str, tuple[str, ...]] = {
     "sphere": ("radius",),
     "punch": ("radius",),
@@ -73,48 +61,36 @@ NEEDS: dict[str, tuple[str, ...]] = {
     "tube": ("outer_radius", "inner_radius"),
     "plane": (),
 }
+# Radius of every convex edge, which each shape and file may be given.
+EDGE = "edge_radius"
 # Default edge radius of a shape by measure, as far as there is room. Most of the named shapes have
 # the same radius, since a sharp edge is never solved reproducibly.
 EDGE_MM = 0.3
 # Shapes without an edge to round.
 ROUND = ("sphere", "torus", "rounded-cone", "plane")
-# Suffix of a file given in place of a shape.
+# Suffix of a file given in place of a shape, and what may follow it.
 FILE = ".stl"
-FILE_OPTIONS = ("stl_unit", "stl_up")
+FILE_KEYS = ("unit", "up", EDGE)
 
 
 def add_indenter_options(parser: argparse.ArgumentParser) -> None:
-    """Add `--shape`, its measures or file, `--edge-radius`, `--tilt` and `--at`."""
+    """Add `--shape`, `--tilt` and `--at`."""
     from sim.indenters import NAMES, UNITS, UPS
 
     group = parser.add_argument_group("indenter")
     by_measure = "; ".join(
-        f"{shape} ({', '.join(_option(name) for name in needs) or 'no measure'})"
-        for shape, needs in NEEDS.items()
+        f"{shape}{':' if keys else ''}{','.join(f'{key}=' for key in keys)}"
+        for shape, keys in NEEDS.items()
     )
     group.add_argument(
         "--shape",
         default="sphere",
-        metavar="NAME",
-        help=f"without measures one of {', '.join(NAMES)}; with all of its measures: {by_measure}; "
-        "or an STL file (%(default)s)",
-    )
-    for name, meaning in MEASURES.items():
-        unit = "DEG" if name == "half_angle" else "MM"
-        group.add_argument(_option(name), type=float, metavar=unit, help=meaning)
-    group.add_argument(
-        "--edge-radius",
-        type=float,
-        metavar="MM",
-        help=f"radius of every convex edge [mm] (default: the named shape's own, else {EDGE_MM} as "
-        "far as there is room)",
-    )
-    group.add_argument("--stl-unit", choices=UNITS, help="unit of the numbers in an STL file (mm)")
-    group.add_argument(
-        "--stl-up",
-        choices=UPS,
-        help="axis of an STL file that points away from the skin; --stl-up=-z where the tip is up "
-        "(+z)",
+        metavar="NAME[:KEY=VALUE,...]",
+        help=f"one of {', '.join(NAMES)}; or a shape with its measures, lengths in [mm], angles in "
+        f"[deg]: {by_measure}; or an STL file, with unit={'|'.join(UNITS)} (mm) and "
+        f"up={'|'.join(UPS)}, the axis that points away from the skin (+z). {EDGE}= rounds every "
+        f"convex edge (named shapes: their own, else {EDGE_MM} as far as there is room) "
+        "(%(default)s)",
     )
     group.add_argument(
         "--tilt",
@@ -148,51 +124,62 @@ def indenter_of(options: argparse.Namespace) -> Indenter:
 def _upright(options: argparse.Namespace) -> Indenter:
     from sim.indenters import NAMES, named
 
-    shape: str = options.shape
-    given = {name for name in MEASURES if getattr(options, name) is not None}
-    edge = None if options.edge_radius is None else metres(options.edge_radius)
+    shape, texts = split_shape(options.shape)
     if shape.lower().endswith(FILE):
-        return _from_file(options, given, edge)
-    for name in FILE_OPTIONS:
-        if getattr(options, name) is not None:
-            raise SceneError(
-                f"{_option(name)}: given with --shape {shape}; allowed: an STL file, or nothing"
-            )
-    if shape in NAMES and not given:
+        return _from_file(shape, texts, options)
+    sizes = {key: _si(shape, key, text) for key, text in texts.items()}
+    edge = sizes.pop(EDGE, None)
+    if shape in NAMES and not sizes:
         return named(shape, edge)
     if shape not in NEEDS:
         if shape in NAMES:
             raise SceneError(
-                f"{_option(sorted(given)[0])}: given with --shape {shape}; allowed: no "
-                "measure, they are known"
+                f"--shape {shape}: {sorted(sizes)[0]} given; allowed: {EDGE}, its measures are "
+                "known"
             )
         allowed = dict.fromkeys((*NAMES, *NEEDS))
         raise SceneError(f"--shape: {shape!r}; allowed: {', '.join(allowed)}")
-    needs = set(NEEDS[shape])
-    if given != needs:
-        listed = ", ".join(_option(name) for name in NEEDS[shape]) or "no measure"
-        found = ", ".join(_option(name) for name in sorted(given)) or "nothing"
-        raise SceneError(f"--shape {shape}: {found} given; allowed: {listed}")
-    return _measured(shape, {name: _si(name, getattr(options, name)) for name in given}, edge)
-
-
-def _from_file(options: argparse.Namespace, given: set[str], edge: float | None) -> Indenter:
-    from sim.device import ready_device
-    from sim.indenters import from_stl
-    from sim.indenters.solid import REACH
-
-    if given:
+    if set(sizes) != set(NEEDS[shape]):
+        listed = ", ".join(NEEDS[shape]) or "no measure"
         raise SceneError(
-            f"{_option(sorted(given)[0])}: given with --shape {options.shape}; allowed: no "
-            "measure, the file has them"
+            f"--shape {shape}: {', '.join(sorted(sizes)) or 'nothing'} given; allowed: {listed}"
         )
+    return _measured(shape, sizes, edge)
+
+
+def split_shape(text: str) -> tuple[str, dict[str, str]]:
+    """Return the name or file of `--shape` and the values that follow it.
+
+    Raises:
+        SceneError: What follows the colon are no values, or one is given twice.
+    """
+    name, colon, rest = text.rpartition(":")
+    if not colon or "=" not in rest:
+        return text, {}
+    pairs = [part.partition("=") for part in rest.split(",")]
+    values = {key: value for key, _, value in pairs}
+    if len(values) < len(pairs) or not all(key and value for key, _, value in pairs):
+        raise SceneError(f"--shape: {text!r}; allowed: NAME:KEY=VALUE,... with each key once")
+    return name, values
+
+
+def _from_file(path: str, texts: dict[str, str], options: argparse.Namespace) -> Indenter:
+    from sim.device import ready_device
+    from sim.indenters import UNITS, UPS, from_stl
+    from sim.indenters.solid import REACH, Unit, Up
+
+    for key, text in texts.items():
+        choices = {"unit": UNITS, "up": UPS}.get(key, ())
+        if key not in FILE_KEYS or (choices and text not in choices):
+            allowed = f"{key}={'|'.join(choices)}" if choices else ", ".join(FILE_KEYS)
+            raise SceneError(f"--shape {path}: {key}={text}; allowed: {allowed}")
     # Warp computes distances to the file's triangles, whichever the tier.
     ready_device(options.device)
     indenter = from_stl(
-        options.shape,
-        unit=options.stl_unit or "mm",
-        up=options.stl_up or "+z",
-        edge_radius=metres(EDGE_MM) if edge is None else edge,
+        path,
+        unit=cast(Unit, texts.get("unit", "mm")),
+        up=cast(Up, texts.get("up", "+z")),
+        edge_radius=_si(path, EDGE, texts.get(EDGE, str(EDGE_MM))),
         # No press goes deeper than the body is thick.
         reach=max(REACH, metres(options.size[2])),
     )
@@ -218,46 +205,32 @@ def _measured(shape: str, sizes: Measures, edge: float | None) -> Indenter:
     made = makers[shape](**sizes)
     if shape in ROUND:
         if edge is not None:
-            raise SceneError(f"--edge-radius: given with --shape {shape}, which has no edge")
+            raise SceneError(f"--shape {shape}: {EDGE} given; allowed: none, it has no edge")
         return made
     if edge is None:
         edge = min(metres(EDGE_MM), made.edge_radius_max)
     return replace(made, edge_radius=edge)
 
 
-def _si(name: str, value: float) -> float:
-    return math.radians(value) if name == "half_angle" else metres(value)
-
-
-def _option(name: str) -> str:
-    return "--" + name.replace("_", "-")
+def _si(shape: str, key: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise SceneError(f"--shape {shape}: {key}={text}; allowed: a number") from None
+    return math.radians(value) if key == "half_angle" else metres(value)
 
 
 # Most frames of a phase of a motion.
 STEPS_MAX = 1000
-PRECISIONS = ("auto", "float32", "float64")
 
 
-def add_scene_options(
-    parser: argparse.ArgumentParser, *, friction: float = 0.0, viscosity: str = "none"
-) -> None:
-    """Add options of scene, solver and output; `friction` and `viscosity` are defaults."""
+def add_scene_options(parser: argparse.ArgumentParser) -> None:
+    """Add options of scene, solver and output."""
     add_indenter_options(parser)
     _add_body_options(parser)
-    _add_effect_options(parser, friction, viscosity)
+    _add_effect_options(parser)
     _add_solver_options(parser)
     _add_output_options(parser)
-
-
-def add_speed(group: argparse._ArgumentGroup) -> None:
-    """Add `--speed`, for subcommands whose tip moves at a constant speed."""
-    group.add_argument(
-        "--speed",
-        type=float,
-        default=10.0,
-        metavar="MM/S",
-        help="speed of the tip; matters to viscosity and inertia only [mm/s] (%(default)s)",
-    )
 
 
 def body_of(options: argparse.Namespace) -> Body:
@@ -300,48 +273,19 @@ def effects_of(options: argparse.Namespace) -> Effects:
     )
 
 
-def check_solver_options(options: argparse.Namespace) -> None:
-    """Check that no two solver options exclude each other.
-
-    Raises:
-        SceneError: An option does not apply with another one.
-    """
-
-    def reject(other: str, allowed: str, **defaults: object) -> None:
-        for name, default in defaults.items():
-            value = getattr(options, name)
-            if value != default:
-                raise SceneError(f"{_option(name)}: {value!r} with {other}; allowed: {allowed}")
-
-    if options.tier == "layer":
-        given = {"mesh": None, "precision": "auto", "device": "cpu", "extrapolate": False}
-        reject("--tier layer", "--tier fem", **given)
-    if options.tolerance is not None:
-        reject("--tolerance", "either", mesh=None, precision="auto", extrapolate=False)
-        if options.tier == "layer":
-            reject("--tier layer and --tolerance", "--tier fem", error_bar=False)
-    elif options.effects != "all":
-        raise SceneError(
-            f"--effects: {options.effects!r} without --tolerance; allowed: with one, such as "
-            '"2 %", "0.05 N" or "0.5 px"'
-        )
-    if options.error_bar:
-        reject("--error-bar", "either", extrapolate=False)
-
-
-def tier_of(options: argparse.Namespace) -> Layer | Fem | Measured | Extrapolated:
-    """Return the tier that the options describe, without a tolerance.
-
-    Raises:
-        SceneError: The size of an element is 0 or less.
-    """
-    if options.tier == "layer":
-        return Measured(Layer()) if options.error_bar else Layer()
-    spacing = None if options.mesh is None else metres(options.mesh)
-    fem = Fem(spacing=spacing, precision=options.precision)
-    if options.extrapolate:
-        return Extrapolated(replace(fem, grading=FOR_EDGES))
-    return Measured(fem) if options.error_bar else fem
+def tier_option(text: str) -> Layer | Fem:
+    """Read `layer`, `fem` or `fem:FINENESS`."""
+    name, colon, fineness = text.partition(":")
+    if text == "layer":
+        return Layer()
+    try:
+        if name == "fem":
+            return Fem(fineness=float(fineness)) if colon else Fem()
+    except (ValueError, SceneError):
+        pass
+    raise argparse.ArgumentTypeError(
+        f"{text!r}; allowed: layer, fem, or fem:FINENESS with a fineness of 0.1 to 10"
+    )
 
 
 def _add_body_options(parser: argparse.ArgumentParser) -> None:
@@ -386,22 +330,21 @@ def _add_body_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _add_effect_options(parser: argparse.ArgumentParser, friction: float, viscosity: str) -> None:
+def _add_effect_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("effects")
     group.add_argument(
         "--friction",
         type=float,
-        default=friction,
+        default=0.0,
         metavar="MU",
         help="coefficient of Coulomb friction; 0 is frictionless (%(default)s)",
     )
     group.add_argument(
         "--viscosity",
         type=branches,
-        default=branches(viscosity),
         metavar="RATIO:S[,...]",
         help="relaxing branches: stiffness over the stiffness at rest, and time [s]; or none "
-        f"({viscosity})",
+        "(none)",
     )
     group.add_argument(
         "--relaxes",
@@ -445,66 +388,24 @@ def _add_solver_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("solver")
     group.add_argument(
         "--tier",
-        choices=("layer", "fem"),
-        help="layer: linear, milliseconds a step; fem: large strain, seconds to minutes (fem)",
+        type=tier_option,
+        metavar="layer|fem[:FINENESS]",
+        help="layer: linear, milliseconds a step; fem: large strain, seconds to minutes, on a mesh "
+        f"that follows the contact, finer with a fineness above {Fem().fineness:g} (fem)",
     )
     group.add_argument(
         "--tolerance",
         metavar="ERROR",
-        help='accepted error, "2 %%", "0.05 N" or "0.5 px", in place of --mesh and --precision; '
-        "without --tier, uses layer if its estimated error is within it, else fem",
-    )
-    group.add_argument(
-        "--error-bar", action="store_true", help="solve a coarser mesh too and report the error"
-    )
-    group.add_argument(
-        "--extrapolate",
-        action="store_true",
-        help="solve a coarser mesh too and extrapolate the force from both",
-    )
-    group.add_argument(
-        "--mesh",
-        type=positive,
-        metavar="MM",
-        help="element size of fem [mm] (a sixth of the thickness)",
-    )
-    group.add_argument(
-        "--precision",
-        choices=PRECISIONS,
-        default="auto",
-        help="of fem; auto switches from float32 to float64 where necessary (%(default)s)",
+        help='accepted error, "2 %%", "0.05 N" or "0.5 px": measured by a second mesh, which is '
+        "refined; without --tier, uses layer if its estimated error is within it, else fem",
     )
     add_device(group, "device of layer and fem")
-
-
-# Fields that `--fields` can add to `--json`.
-FIELDS = ("surface", "traction")
-
-
-def fields(text: str) -> tuple[str, ...]:
-    """Read comma-separated names from `FIELDS`."""
-    chosen = names(text)
-    if not set(chosen) <= set(FIELDS):
-        raise argparse.ArgumentTypeError(
-            f"{text!r}; allowed: one or more of {', '.join(FIELDS)} between commas"
-        )
-    return chosen
 
 
 def _add_output_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("output")
     group.add_argument("--json", action="store_true", help="print one JSON object, no picture")
-    group.add_argument(
-        "--fields",
-        type=fields,
-        default=(),
-        metavar="NAME,...",
-        help="with --json, at every point of the top in every frame: surface, its displacement "
-        "[m]; traction [Pa]",
-    )
-    group.add_argument(
-        "--out", type=Path, metavar="PNG", help="picture to write (default: e.g. press-sphere.png)"
-    )
+    group.add_argument("--out", type=Path, metavar="PNG", help="picture to write (press-SHAPE.png)")
     group.add_argument(
         "--save", type=Path, metavar="ZARR", help="save the whole result in this new Zarr directory"
     )

@@ -8,7 +8,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -17,10 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.progress import Progress
-from sim.cli.options import body_of, check_solver_options, effects_of, indenter_of, tier_of
+from sim.cli.options import body_of, effects_of, indenter_of, split_shape
 from sim.error_estimate import describe_error
 from sim.errors import SceneError
-from sim.result import Quality, Result
+from sim.fem import Fem
+from sim.layer import Layer
+from sim.result import ContactTier, Quality, Result
 from sim.scene import Motion, Scene
 from sim.simulate import plan, plan_effects, simulate
 
@@ -32,18 +34,14 @@ Array = NDArray[np.float64]
 EDGE_NOTE_SHARE = 0.999
 
 
-def as_json(
-    result: Result, *, first: int, seconds: float, wanted: Sequence[str] = ()
-) -> dict[str, Any]:
-    """Return all frames from `first` on as plain JSON values, with the fields in `wanted`.
+def as_json(result: Result, *, seconds: float) -> dict[str, Any]:
+    """Return all frames but the first, which only touches, as plain JSON values.
 
     Args:
         result: Result of the simulation.
-        first: First frame to include.
         seconds: Total wall-clock time.
-        wanted: `surface`, `traction` or both: (F, X, Y, 3), with the positions of their points.
     """
-    scene, frames = result.scene, slice(first, None)
+    scene, frames = result.scene, slice(1, None)
     tip = np.array(scene.motion.tip, float)[frames] * 1e3
     force, torque = result.wrench[frames, :3], result.wrench[frames, 3:]
     quality = {
@@ -68,13 +66,10 @@ def as_json(
         "device": result.record["device"],
         "plan": result.record.get("plan"),
         "error": result.record.get("error"),
-        "error_bar": result.record.get("error_bar"),
-        "extrapolated": result.record.get("extrapolated"),
         "seconds_by_stage": result.record["seconds"],
         "quality": quality,
         "notes": notes(result),
         **_plan_of_effects(result),
-        **_fields(result, frames, wanted),
     }
 
 
@@ -84,19 +79,8 @@ def _plan_of_effects(result: Result) -> dict[str, Any]:
     return {"effects_plan": found} if isinstance(found, dict) else {}
 
 
-def _fields(result: Result, frames: slice, wanted: Sequence[str]) -> dict[str, Any]:
-    units = {"surface": "m", "traction": "pa"}
-    told = {f"{name}_{units[name]}": _plain(getattr(result, name)[frames]) for name in wanted}
-    if told:
-        told["surface_x_m"], told["surface_y_m"] = (
-            _plain(result.surface_x),
-            _plain(result.surface_y),
-        )
-    return told
-
-
-def table(result: Result, *, first: int) -> list[str]:
-    """Return a table's lines, one row per frame from `first` on, without empty columns."""
+def table(result: Result) -> list[str]:
+    """Return a table's lines, one row per frame but the first, without empty columns."""
     motion, quality, force = result.scene.motion, result.quality, result.force
     tip = np.array(motion.tip, float) * 1e3
     timed = {"viscosity", "inertia"} & set(result.scene.effects.key)
@@ -119,7 +103,7 @@ def table(result: Result, *, first: int) -> list[str]:
         ("cg", "z.0f", quality.cg.astype(float), bool(quality.cg.any())),
     ]
     shown = [
-        [heading, *(format(value, form) for value in values[first:])]
+        [heading, *(format(value, form) for value in values[1:])]
         for heading, form, values, wanted in columns
         if wanted and np.isfinite(values).any()
     ]
@@ -168,25 +152,12 @@ def notes(result: Result) -> list[str]:
         if edge < EDGE_NOTE_SHARE * size:
             reported.append(
                 f"the indenter's sharpest radius, {edge * 1e3:g} mm, is finer than the elements, "
-                f"{size * 1e3:.3g} mm: the force still depends on --mesh"
+                f"{size * 1e3:.3g} mm: the force still depends on the mesh"
             )
     if "error" in result.record:
         reported.append(describe_error(result.record["error"]))
     if "plan" in result.record:
         reported += [f"taken: {result.record['plan']['why']}", *result.record["plan"]["notes"]]
-    if "error_bar" in result.record:
-        bar = result.record["error_bar"]
-        reported.append(
-            f"error bar: {100 * bar['force_share']:.2g} % of the force, {bar['force']:.2g} N, "
-            f"markers {bar['marker_rms']:.2g} px"
-        )
-    if "extrapolated" in result.record:
-        how = result.record["extrapolated"]
-        coarse, fine = how["cells"]
-        reported.append(
-            f"forces extrapolated from {coarse} and {fine} elements over the depth, which changed "
-            f"them by {100 * how['force_share']:.2g} %"
-        )
     if "precision_reason" in result.record:
         reported.append(result.record["precision_reason"])
     return reported
@@ -205,17 +176,13 @@ def _plain_item(value: Any) -> Any:
     return value
 
 
-def run_motion(options: argparse.Namespace, motion: Motion, *, first: int = 0) -> int:
+def run_motion(options: argparse.Namespace, motion: Motion) -> int:
     """Simulate `motion` with the other options, show and save the result, return the exit code.
-
-    `first` is the first frame that is shown.
 
     Raises:
         SceneError, SimulationDiverged: Nothing has been written.
     """
     began = time.perf_counter()
-    if options.fields and not options.json:
-        raise SceneError(f"--fields: {','.join(options.fields)}; allowed: with --json")
     scene = Scene(
         indenter=indenter_of(options),
         motion=motion,
@@ -237,12 +204,11 @@ def run_motion(options: argparse.Namespace, motion: Motion, *, first: int = 0) -
 
         save_picture(result, picture)
     if options.json:
-        told = as_json(result, first=first, seconds=seconds, wanted=options.fields)
-        print(json.dumps(told, allow_nan=False))
+        print(json.dumps(as_json(result, seconds=seconds), allow_nan=False))
         return 0
     print(heading(result))
     print()
-    for line in table(result, first=first):
+    for line in table(result):
         print(line)
     print()
     print(stages(result, seconds))
@@ -258,53 +224,50 @@ def _tell_effects(scene: Scene, options: argparse.Namespace) -> int:
     """Print the estimated contribution of each effect and return the exit code."""
     from sim.device import ready_device
 
-    for name in ("save", "out"):
-        if getattr(options, name) is not None:
-            raise SceneError(
-                f"--{name}: {getattr(options, name)} with --plan-effects; allowed: without, there "
-                "is nothing to save"
-            )
-    if options.tier is not None:
-        raise SceneError(f"--tier: {options.tier!r} with --plan-effects; allowed: without, fem")
     kernels = ready_device(options.device)
-    with Progress(_name(options), sys.stderr, kernels=kernels) as progress:
+    with Progress("press", sys.stderr, kernels=kernels) as progress:
         found = plan_effects(scene, options.tolerance, device=options.device, progress=progress)
     print(json.dumps(found.record(), allow_nan=False) if options.json else found)
     return 0
 
 
 def _simulated(scene: Scene, options: argparse.Namespace) -> Result:
-    check_solver_options(options)
-    tier = tier_of(options)
+    tier: Layer | Fem = options.tier or Fem()
+    if options.tolerance is not None and tier not in (Layer(), Fem()):
+        raise SceneError("--tier: fem with a fineness and --tolerance; allowed: either")
+    if options.tolerance is None and options.effects != "all":
+        raise SceneError(
+            f"--effects: {options.effects!r} without --tolerance; allowed: with one, such as "
+            '"2 %", "0.05 N" or "0.5 px"'
+        )
+    only: ContactTier | None = None
+    if options.tier is not None:
+        only = "layer" if tier == Layer() else "fem"
     kernels = None
-    if options.tier != "layer":
+    if options.tier != Layer():
         from sim.device import ready_device
 
         kernels = ready_device(options.device)
-    with Progress(_name(options), sys.stderr, kernels=kernels) as progress:
+    with Progress("press", sys.stderr, kernels=kernels) as progress:
         if options.tolerance is None:
             return simulate(scene, tier, device=options.device, progress=progress)
-        found = plan(
+        within = plan(
             scene,
             options.tolerance,
-            only="fem" if options.error_bar else options.tier,
+            only=only,
             effects=options.effects,
             device=options.device,
             progress=progress,
         )
-        return found.run(progress=progress)
-
-
-def _name(options: argparse.Namespace) -> str:
-    """Return the last word of the command: press, loop or hold."""
-    return str(options.prog).rpartition(" ")[2]
+        return within.run(progress=progress)
 
 
 def _picture_path(options: argparse.Namespace) -> Path | None:
     """Return the path of the picture, or None if no picture is requested."""
     path: Path | None = options.out
     if path is None:
-        return None if options.json else Path(f"{_name(options)}-{Path(options.shape).stem}.png")
+        shape, _ = split_shape(options.shape)
+        return None if options.json else Path(f"press-{Path(shape).stem}.png")
     if path.suffix.lower() != ".png":
         raise SceneError(f"--out: {path}; allowed: a name that ends in .png")
     return path

@@ -30,7 +30,7 @@ RIG = (
     *("mock", "replay", "page", "doctor", "setup"),
 )
 RECORDER = ("list", "info", "check", "recover", "repack", "export", "view", "sheet")
-SIM = ("press", "loop", "hold", "archive", "archive states", "archive sensors")
+SIM = ("press", "archive", "archive states", "archive sensors")
 LEARNING = (
     *("markers", "import-genforce", "export-genforce", "train-field"),
     *("train-autoencoder", "train-direct", "train-marker-vae", "train-diffusion"),
@@ -479,50 +479,60 @@ STL = "solid wedge\n" + "".join(
     )
 )
 SIM_CASES = (
-    _scene("layer-press-sphere", "press --tier layer --shape sphere --radius 4 --depths 0.5,1"),
+    _scene("layer-press-sphere", "press --tier layer --shape sphere:radius=4 --depths 0.5,1"),
     _scene("layer-press-dots", "press --tier layer --shape dots --depths 0.3,0.6 --at -2,1.5"),
-    _scene("layer-loop-prism", "loop --tier layer --shape prism --depth 0.8 --shear 0.6 --steps 2"),
-    _scene("layer-hold", "hold --tier layer --shape cylinder --depth 0.6 --steps 3"),
+    _scene(
+        "layer-loop-prism",
+        "press --tier layer --shape prism --depths 0.8 --shear 0.6 --steps 2 --friction 0.5",
+    ),
+    _scene(
+        "layer-hold",
+        "press --tier layer --shape cylinder --depths 0.6 --hold 2 --steps 3 --viscosity 0.5:0.5",
+    ),
     _scene(
         "layer-viscous-friction",
-        "loop --tier layer --shape moon --depth 0.5 --shear 0.4 --angle 30 --steps 2 "
+        "press --tier layer --shape moon --depths 0.5 --shear 0.4 --angle 30 --steps 2 "
         "--viscosity 0.5:0.5,0.2:0.05 --friction 0.8",
     ),
-    _scene("fem-press-sphere", "press --shape sphere --radius 4 --depths 0.4,0.8 --mesh 1.3"),
+    _scene("fem-press-sphere", "press --shape sphere:radius=4 --depths 0.4,0.8 --tier fem:0.4"),
     _scene(
-        "fem-press-box-float64",
-        "press --shape box --width 4 --length 3 --depths 0.3,0.6 --mesh 1.3 --precision float64",
+        "fem-press-box",
+        "press --shape box:width=4,length=3 --depths 0.3,0.6 --tier fem:0.4",
     ),
     _scene(
-        "fem-press-prism-float32",
-        "press --shape prism --depths 0.3,0.6 --mesh 1.3 --precision float32 --size 16,16,4",
+        "fem-press-prism",
+        "press --shape prism --depths 0.3,0.6 --tier fem:0.4 --size 16,16,4",
     ),
     _scene(
-        "fem-loop-friction", "loop --shape cylinder --depth 0.6 --shear 0.5 --steps 2 --mesh 1.3"
+        "fem-loop-friction",
+        "press --shape cylinder --depths 0.6 --shear 0.5 --steps 2 --tier fem:0.4 --friction 0.5",
     ),
-    _scene("fem-hold-viscosity", "hold --shape sphere --radius 3 --depth 0.6 --steps 2 --mesh 1.3"),
+    _scene(
+        "fem-hold-viscosity",
+        "press --shape sphere:radius=3 --depths 0.6 --hold 2 --steps 2 --tier fem:0.4 --viscosity 0.5:0.5",
+    ),
     _scene(
         "fem-viscosity-shear",
-        "hold --shape moon --depth 0.4 --steps 2 --mesh 1.3 --relaxes shear --viscosity 0.5:0.1",
+        "press --shape moon --depths 0.4 --hold 2 --steps 2 --tier fem:0.4 --relaxes shear --viscosity 0.5:0.1",
     ),
-    _scene("fem-gravity", "press --shape dots --depths 0.3,0.5 --mesh 1.3 --gravity 0,-9.81,0"),
+    _scene("fem-gravity", "press --shape dots --depths 0.3,0.5 --tier fem:0.4 --gravity 0,-9.81,0"),
     _scene(
         "fem-inertia",
-        "press --shape sphere --radius 4 --depths 0.2,0.4 --mesh 1.3 --inertia --speed 50",
+        "press --shape sphere:radius=4 --depths 0.2,0.4 --tier fem:0.4 --inertia --speed 50",
     ),
-    _scene("fem-dome", "press --shape plane --depths 0.3,0.6 --dome 60 --mesh 1.3"),
+    _scene("fem-dome", "press --shape plane --depths 0.3,0.6 --dome 60 --tier fem:0.4"),
     _scene(
         "fem-all-effects",
-        "loop --shape sphere --radius 4 --depth 0.5 --shear 0.3 --steps 2 --mesh 1.3 --friction 0.6 "
-        "--viscosity 0.4:0.2 --gravity --inertia 1 --precision float64",
+        "press --shape sphere:radius=4 --depths 0.5 --shear 0.3 --steps 2 --tier fem:0.4 --friction 0.6 "
+        "--viscosity 0.4:0.2 --gravity --inertia 1",
         slow=True,
     ),
     Case(
         "sim-fem-stl-tilted",
         (
-            "sim press --shape {out}/wedge.stl --tilt 5,-3 --depths 0.3,0.6 --mesh 1.3 --json "
+            "sim press --shape {out}/wedge.stl --tilt 5,-3 --depths 0.3,0.6 --tier fem:0.4 --json "
             "--save {out}/x.zarr",
-            "sim press --shape {out}/wedge.stl --stl-unit m --depths 0.3 --tier layer --json",
+            "sim press --shape {out}/wedge.stl:unit=m --depths 0.3 --tier layer --json",
             "sim press --shape {out}/text.stl --depths 0.3 --tier layer --json",
         ),
         prepare=(
@@ -533,68 +543,16 @@ SIM_CASES = (
         timeout=600,
     ),
     _scene("tilted-layer", "press --shape cylinder --tilt 4,2 --tier layer --depths 0.4,0.8"),
-    _scene(
-        "fem-error-bar",
-        "press --shape sphere --radius 4 --depths 0.5 --mesh 1.0 --error-bar",
-        slow=True,
-    ),
-    _scene(
-        "fem-extrapolate",
-        "press --shape sphere --radius 4 --depths 0.5 --mesh 1.0 --extrapolate",
-        slow=True,
-    ),
-    _scene("tolerance", 'press --shape sphere --radius 4 --depths 0.5 --tolerance "20 %"'),
+    _scene("tolerance", 'press --shape sphere:radius=4 --depths 0.5 --tolerance "20 %"'),
     Case(
         "sim-table-and-picture",
         (
             "sim press --tier layer --shape dots --depths 0.2,0.4 --out {out}/press.png",
-            "sim loop --tier layer --shape sphere --steps 1 --out {out}/loop.png",
-            "sim hold --tier layer --shape line --steps 2 --out {out}/hold.png",
+            "sim press --tier layer --shape sphere --depths 1 --shear 1 --friction 0.5 --out {out}/loop.png",
+            "sim press --tier layer --shape line --depths 1 --hold 2 --steps 2 --viscosity 0.5:0.5 --out {out}/hold.png",
         ),
         one_process=True,
         look=("*.png",),
-    ),
-    Case(
-        "sim-refused",
-        tuple(
-            f"sim {words} --json"
-            for words in (
-                "press --tier layer --shape bla",
-                "press --tier layer --shape prism --radius 3",
-                "press --tier layer --shape box --width 3",
-                "press --tier layer --shape sphere --radius -4",
-                "press --tier layer --shape torus --ring-radius 3 --tube-radius 1 --edge-radius 1",
-                "press --tier layer --shape prism --edge-radius 9",
-                "press --tier layer --poisson 0.5",
-                "press --tier layer --size 20,20,0",
-                "press --tier layer --friction -1",
-                "press --tier layer --friction nan",
-                "press --tier layer --depths nan",
-                "press --tier layer --depths 5",
-                "press --tier layer --depths 1,1",
-                "press --tier layer --depths 1,x",
-                "press --tier layer --at 1",
-                "press --tier layer --speed 0",
-                "press --tier layer --viscosity 0.5:0",
-                "press --tier layer --mesh 1",
-                "press --tier layer --gravity",
-                "press --tier layer --tolerance 5",
-                "press --tier mpm",
-                "press --mesh 0",
-                "press --mesh 3",
-                "press --device cuda:7",
-                'press --tolerance "0 %"',
-                'press --tolerance "0.00001 %"',
-                "press --tolerance much",
-                "press --out x.jpg",
-                "loop --tier layer --shear 0",
-                "loop --tier layer --steps 0",
-                "hold --tier layer --ramp 0",
-                "hold --viscosity 0.5",
-                "press --shape {out}/none.stl",
-            )
-        ),
-        one_process=True,
     ),
     Case(
         "sim-archive-sensors",

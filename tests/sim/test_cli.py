@@ -42,10 +42,10 @@ def _said(argv: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, obje
 def test_a_press_tells_the_force_at_the_depths_it_was_asked_for(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    words = "press --shape sphere --radius 4 --depths 0.5,1,1.5 --friction 0 --mesh 1.3"
+    words = "press --shape sphere:radius=4 --depths 0.5,1,1.5 --tier fem:0.4"
     told = _said(shlex.split(words), capsys)
     assert told["depth_mm"] == pytest.approx([0.5, 1.0, 1.5])
-    # 0.2652, 0.9197, 1.9560 N on fine meshes; these elements are 1.3 mm wide.
+    # 0.2652, 0.9197, 1.9560 N on fine meshes.
     assert told["force_n"] == pytest.approx([0.2652, 0.9197, 1.9560], rel=0.15)
     assert told["effects"] == []
     assert told["tier"] == "fem"
@@ -61,7 +61,7 @@ def test_a_press_tells_the_force_at_the_depths_it_was_asked_for(
 def test_a_round_body_is_said_and_softer_than_the_square_around_it(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    words = shlex.split("press --size 8,8,4 --depths 0.3 --friction 0 --mesh 1.3 --footprint")
+    words = shlex.split("press --size 8,8,4 --depths 0.3 --tier fem:0.4 --footprint")
     assert main([*words, "ellipse"]) == 0
     assert "body 8x8x4 mm, ellipse, 0.145 MPa" in capsys.readouterr().out
     round_, square = (_said([*words, name], capsys) for name in ("ellipse", "rectangle"))
@@ -69,7 +69,7 @@ def test_a_round_body_is_said_and_softer_than_the_square_around_it(
 
 
 def test_the_standard_output_of_json_is_json_alone(tmp_path: Path) -> None:
-    words = "-m sim press --depths 0.2 --mesh 1.3 --size 8,8,4 --json"
+    words = "-m sim press --depths 0.2 --tier fem:0.3 --size 8,8,4 --json"
     done = subprocess.run(
         [sys.executable, *shlex.split(words)],
         capture_output=True,
@@ -80,26 +80,6 @@ def test_the_standard_output_of_json_is_json_alone(tmp_path: Path) -> None:
     )
     assert json.loads(done.stdout)["force_n"][0] > 0
     assert "warp" not in done.stderr.lower()
-
-
-def test_json_has_the_surface_and_the_traction_where_they_are_asked_for(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    words = ["press", "--depths", "0.2,0.4", *QUICK]
-    plain = _said(words, capsys)
-    both = _said([*words, "--fields", "surface,traction", "--save", "kept.zarr"], capsys)
-    kept = load_result("kept.zarr")
-    np.testing.assert_array_equal(both["surface_m"], kept.surface[1:].astype(float))
-    np.testing.assert_array_equal(both["traction_pa"], kept.traction[1:].astype(float))
-    np.testing.assert_array_equal(both["surface_x_m"], kept.surface_x)
-    np.testing.assert_array_equal(both["surface_y_m"], kept.surface_y)
-    added = {"surface_m", "traction_pa", "surface_x_m", "surface_y_m"}
-    assert set(both) - set(plain) == added
-    assert set(_said([*words, "--fields", "surface"], capsys)) & added == added - {"traction_pa"}
-    assert main([*words, "--fields", "surface"]) == 2
-    assert "--fields: surface; allowed: with --json" in capsys.readouterr().err
-    assert main([*words, "--json", "--fields", "skin"]) == 2
-    assert "'skin'; allowed: one or more of surface, traction" in capsys.readouterr().err
 
 
 def test_without_json_there_is_a_table_and_a_picture(capsys: pytest.CaptureFixture[str]) -> None:
@@ -124,24 +104,33 @@ def _patches(mask: np.ndarray) -> int:
 
 def test_a_loop_shows_hysteresis_and_ends_free(capsys: pytest.CaptureFixture[str]) -> None:
     told = _said(
-        ["loop", "--depth", "0.8", "--shear", "0.6", "--angle", "90", "--steps", "3", *QUICK],
+        shlex.split("press --depths 0.8 --shear 0.6 --angle 90 --steps 3 --friction 0.5") + QUICK,
         capsys,
     )
     force = np.array(told["wrench_n_nm"])
-    assert len(force) == 13
-    assert force[6, 1] > 0.1
-    assert force[9, 1] < -0.01
-    assert np.abs(force[:, 0]).max() < 0.01 * force[6, 1]
+    assert len(force) == 12
+    assert force[5, 1] > 0.1
+    assert force[8, 1] < -0.01
+    assert np.abs(force[:, 0]).max() < 0.01 * force[5, 1]
     assert np.abs(force[-1]).max() < 1e-6
     assert told["effects"] == ["friction"]
 
 
 def test_a_hold_relaxes(capsys: pytest.CaptureFixture[str]) -> None:
-    told = _said(["hold", "--depth", "0.5", "--steps", "4", *QUICK], capsys)
+    words = "press --depths 0.5 --hold 2 --steps 4 --viscosity 0.5:0.5"
+    told = _said(shlex.split(words) + QUICK, capsys)
     force = np.array(told["force_n"])
-    assert force.argmax() == 4
-    assert (np.diff(force[4:]) < 0).all()
-    assert told["time_s"][-1] == pytest.approx(2.1)
+    assert force.argmax() == 3
+    assert (np.diff(force[3:]) < 0).all()
+    assert told["time_s"][-1] == pytest.approx(2.05)
+
+
+def test_a_hold_comes_before_a_shear(capsys: pytest.CaptureFixture[str]) -> None:
+    words = "press --depths 0.2,0.4 --hold 1 --shear 0.3 --friction 0.5"
+    told = _said(shlex.split(words) + QUICK, capsys)
+    assert told["depth_mm"] == pytest.approx([0.2, 0.4, 0.4, 0.4, 0.4, 0.0])
+    assert [tip[0] for tip in told["tip_mm"]] == pytest.approx([0, 0, 0, 0.3, 0, 0])
+    assert np.diff([0, *told["time_s"]]) == pytest.approx([0.02, 0.02, 1, 0.03, 0.03, 0.04])
 
 
 def test_values_that_begin_with_a_minus_are_no_options(
@@ -154,15 +143,15 @@ def test_values_that_begin_with_a_minus_are_no_options(
 @pytest.mark.parametrize(
     ("shape", "measures", "area"),
     [
-        ("punch", "--radius 2 --edge-radius 0", np.pi * 4),
-        ("box", "--width 3 --length 4 --edge-radius 0", 12.0),
-        ("tube", "--outer-radius 3 --inner-radius 2 --edge-radius 0", np.pi * 5),
+        ("punch", "radius=2,edge_radius=0", np.pi * 4),
+        ("box", "width=3,length=4,edge_radius=0", 12.0),
+        ("tube", "outer_radius=3,inner_radius=2,edge_radius=0", np.pi * 5),
     ],
 )
 def test_a_shape_has_the_measures_it_was_given(
     shape: str, measures: str, area: float, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    argv = f"press --shape {shape} {measures} --depths 0.05 --save x.zarr".split()
+    argv = f"press --shape {shape}:{measures} --depths 0.05 --save x.zarr".split()
     _said([*argv, *QUICK], capsys)
     result = load_result(Path("x.zarr"))
     side = result.surface_x[1] - result.surface_x[0]
@@ -175,11 +164,15 @@ def test_a_shape_has_the_measures_it_was_given(
     ("words", "message"),
     [
         ("press --shape bla", r"--shape: 'bla'; allowed: sphere, .*punch"),
-        ("press --shape prism --radius 3", r"--radius: given with --shape prism; allowed"),
-        ("press --shape box --width 3", r"--shape box: --width given; allowed: --width, --length"),
-        ("press --shape sphere --radius -4", r"sphere\.radius: -0\.004 m; allowed: above 0"),
-        ("press --shape torus --ring-radius 3 --tube-radius 1 --edge-radius 1", r"no edge"),
-        ("press --shape prism --edge-radius 9", r"edge_radius: 0\.009 m; allowed: 0 to"),
+        ("press --shape prism:radius=3", r"--shape prism: radius given; allowed: edge_radius"),
+        ("press --shape box:width=3", r"--shape box: width given; allowed: width, length"),
+        ("press --shape sphere:radius=-4", r"sphere\.radius: -0\.004 m; allowed: above 0"),
+        ("press --shape sphere:radius=x", r"--shape sphere: radius=x; allowed: a number"),
+        ("press --shape sphere:radius=1,radius=2", r"NAME:KEY=VALUE,\.\.\. with each key once"),
+        ("press --shape torus:ring_radius=3,tube_radius=1,edge_radius=1", r"no edge"),
+        ("press --shape prism:edge_radius=9", r"edge_radius: 0\.009 m; allowed: 0 to"),
+        ("press --shape x.stl:unit=ft", r"--shape x\.stl: unit=ft; allowed: unit=um"),
+        ("press --shape x.stl:radius=1", r"--shape x\.stl: radius=1; allowed: unit, up, edge_rad"),
         ("press --poisson 0.5", r"body\.poisson: 0\.5; allowed: 0 to 0\.49995"),
         ("press --size 20,20,0", r"body\.thickness: 0\.0 m; allowed"),
         ("press --size 33,33,5.5 --dome 28.4 --footprint ellipse", r"body\.dome_radius: 0\.028"),
@@ -190,23 +183,14 @@ def test_a_shape_has_the_measures_it_was_given(
         ("press --depths 1,1", r"--depths\[1\]: 1\.0 mm; allowed: another"),
         ("press --speed 0", r"motion\.speed: 0\.0 m/s"),
         ("press --viscosity 0.5:0", r"viscosity\.times\[0\]: 0\.0 s"),
-        ("press --mesh 0 --tier fem", "--mesh: found '0'; allowed: a number above 0"),
-        ("press --mesh 3 --tier fem", r"mesh: elements of 3 mm; allowed: up to 1\.333 mm"),
-        ("press --mesh 1", r"--mesh: 1\.0 with --tier layer; allowed: --tier fem"),
         ("press --device cuda:7 --tier fem", r"--device: 'cuda:7'; allowed here: cpu"),
-        ("press --extrapolate", r"--extrapolate: True with --tier layer; allowed: --tier fem"),
-        ("press --extrapolate --tolerance 2% --tier fem", r"--extrapolate: True with --tolerance;"),
-        ("press --extrapolate --error-bar --tier fem", r"--extrapolate: True with --error-bar;"),
-        ("press --error-bar --tolerance 2%", r"--error-bar: True with --tier layer and --tol"),
-        (
-            "press --precision float64 --tolerance 2% --tier fem",
-            r"--precision: 'float64' with --to",
-        ),
+        ("press --tolerance 2% --tier fem:2", r"--tier: fem with a fineness and --tolerance"),
+        ("press --effects needed", r"--effects: 'needed' without --tolerance"),
         ("press --gravity", r"effects\.gravity: .*'fem'"),
         ("press --out x.jpg", r"--out: x\.jpg; allowed: a name that ends in \.png"),
-        ("loop --shear 0", "--shear: found '0'; allowed: a number above 0"),
-        ("loop --steps 0", "--steps: found '0'; allowed: whole numbers, 1 to 1000"),
-        ("hold --ramp 0", "--ramp: found '0'; allowed: a number above 0"),
+        ("press --shear 0", "--shear: found '0'; allowed: a number above 0"),
+        ("press --steps 0", "--steps: found '0'; allowed: whole numbers, 1 to 1000"),
+        ("press --hold 0", "--hold: found '0'; allowed: a number above 0"),
     ],
 )
 def test_wrong_input_is_named_and_nothing_is_written(
@@ -226,8 +210,9 @@ def test_wrong_input_is_named_and_nothing_is_written(
     [
         ("press --depths 1,x", "'1,x'; allowed: numbers between commas"),
         ("press --at 1", "'1'; allowed: 2 numbers between commas"),
-        ("hold --viscosity 0.5", "'0.5'; allowed: ratio:seconds between commas"),
-        ("press --tier mpm", "invalid choice: 'mpm'"),
+        ("press --viscosity 0.5", "'0.5'; allowed: ratio:seconds between commas"),
+        ("press --tier mpm", "'mpm'; allowed: layer, fem, or fem:FINENESS"),
+        ("press --tier fem:99", "'fem:99'; allowed: layer, fem, or fem:FINENESS"),
     ],
 )
 def test_what_cannot_be_read_ends_with_the_same_code(
@@ -282,14 +267,11 @@ def test_ctrl_c_ends_with_130_and_leaves_nothing(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("command", ["press", "loop", "hold"])
-def test_every_number_of_the_help_has_its_unit(
-    command: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_number_of_the_help_has_its_unit(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
-        main([command, "--help"])
+        main(["press", "--help"])
     text = " ".join(capsys.readouterr().out.split())
-    assert text.count("[mm]") >= 10
+    assert text.count("[mm]") >= 6
     for unit in ("[MPa]", "[deg]", "[m/s^2]", "[kg/m^3]", "[s]"):
         assert unit in text
 
@@ -302,7 +284,7 @@ COMMANDS = [
     line.split("#")[0].strip()
     for block in _blocks("sh")
     for line in block.splitlines()
-    if line.startswith("python -m sim")
+    if line.startswith("tactile sim press")
 ]
 
 
@@ -311,7 +293,7 @@ COMMANDS = [
 def test_the_commands_of_the_documentation_run(
     command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(shlex.split(command)[3:]) == 0
+    assert main(shlex.split(command)[2:]) == 0
     assert capsys.readouterr().out
 
 
@@ -339,11 +321,9 @@ def test_the_python_of_the_documentation_runs() -> None:
 
 
 def test_the_options_of_the_documentation_exist(capsys: pytest.CaptureFixture[str]) -> None:
-    known = ""
-    for command in ("press", "loop", "hold"):
-        with pytest.raises(SystemExit):
-            main([command, "--help"])
-        known += capsys.readouterr().out
+    with pytest.raises(SystemExit):
+        main(["press", "--help"])
+    known = capsys.readouterr().out
     named = set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", PAGE))
     assert named
     assert {option for option in named if option not in known} == set()
