@@ -1,7 +1,5 @@
-# Targets set up the venv if needed, then call `python -m ...`. `make` lists them.
+# Targets set up the venv if needed, then call `tactile`. `make` lists them.
 SENSOR   ?= tacpalm
-# Commands print this front door when they name the command to continue with.
-export TACTILE_DOOR := make
 VENV     := .venv
 PY       := $(VENV)/bin/python
 PYTHON   ?= $(shell for p in python3.12 python3.11 python3; do \
@@ -77,60 +75,60 @@ help-%:
 
 #: SENSOR=tacpalm [TARGETS=8] [INDENTER=cylinder] [OPERATOR=] [OUT=] [BENCH=file] [WORLD=sim] [FORCE=none] [CAMERA=path [STILL=1]] [TAXELS=path] [TRUTH=file] [WATCH=1 [WATCHHOST=0.0.0.0]]
 collect: $(VENV)/.rig $(WORLDDEP)  ## Record one session
-	@$(PY) -m rig collect $(BENCHARG) $(FORCEARG) $(SOURCES) $(if $(TARGETS),--targets $(TARGETS)) \
+	@$(PY) -m tactile collect $(BENCHARG) $(FORCEARG) $(SOURCES) $(if $(TARGETS),--targets $(TARGETS)) \
 	  $(if $(INDENTER),--indenter $(INDENTER)) $(if $(OUT),--out $(OUT)) $(if $(TRUTH),--truth $(TRUTH)) $(if $(OPERATOR),--operator '$(OPERATOR)') $(WATCHARG)
 
 #: SESSION=sessions/x.zarr [AGAIN=3,7] [BENCH=file] [WORLD=sim] [CAMERA=path [STILL=1]] [TAXELS=path] [WATCH=1 [WATCHHOST=0.0.0.0]]
 resume: $(VENV)/.rig $(WORLDDEP)  ## Continue a stopped session
-	@$(PY) -m rig collect $(if $(BENCH),--bench $(BENCH)) $(WORLDARG) $(SOURCES) --resume $(SESSION) $(if $(AGAIN),--again $(AGAIN)) $(WATCHARG)
+	@$(PY) -m tactile collect $(if $(BENCH),--bench $(BENCH)) $(WORLDARG) $(SOURCES) --resume $(SESSION) $(if $(AGAIN),--again $(AGAIN)) $(WATCHARG)
 
 #: [SESSIONS=sessions] [PORT=8766] [HOST=0.0.0.0]
 page: $(VENV)/.rig  ## Sessions, replay, campaigns and set-up in the browser; nothing moves
-	@$(PY) -m rig page $(SESSIONS) $(if $(PORT),--port $(PORT)) $(if $(HOST),--host $(HOST))
+	@$(PY) -m tactile page $(SESSIONS) $(if $(PORT),--port $(PORT)) $(if $(HOST),--host $(HOST))
 
 #: SENSOR=tacpalm [INDENTER=] [CORNERS=1] [BENCH=file] [WORLD=sim] [FORCE=none]
 home: $(VENV)/.rig $(WORLDDEP)  ## Find the surface by touch and store it in calibrations/
-	@$(PY) -m rig home $(BENCHARG) $(FORCEARG) $(if $(INDENTER),--indenter $(INDENTER)) $(if $(CORNERS),--corners)
+	@$(PY) -m tactile home $(BENCHARG) $(FORCEARG) $(if $(INDENTER),--indenter $(INDENTER)) $(if $(CORNERS),--corners)
 
 #: SENSOR=tacpalm [INDENTER=] [BENCH=file] [WORLD=sim]
 calibrate-latency: $(VENV)/.rig $(WORLDDEP)  ## Measure and store the camera's latency by light taps
-	@$(PY) -m rig calibrate-latency $(BENCHARG) $(if $(INDENTER),--indenter $(INDENTER))
+	@$(PY) -m tactile calibrate-latency $(BENCHARG) $(if $(INDENTER),--indenter $(INDENTER))
 
 #: SENSOR=tacpalm [INDENTER=prism] [OUT=] [BENCH=file] [WORLD=sim]
 force-depth: $(VENV)/.rig $(WORLDDEP)  ## Press and release 3 times, write a table and the curve
-	@$(PY) -m rig force-depth $(BENCHARG) $(if $(INDENTER),--indenter $(INDENTER)) $(if $(OUT),--out $(OUT))
+	@$(PY) -m tactile force-depth $(BENCHARG) $(if $(INDENTER),--indenter $(INDENTER)) $(if $(OUT),--out $(OUT))
 
 #: FILE=campaigns/day.yaml [LIST=1] [YES=1] [WORLD=sim] [KEEP_GOING=1]
 campaign: $(VENV)/.rig $(WORLDDEP)  ## Record the remaining sessions of a campaign file
-	@$(PY) -m rig campaign --file $(FILE) $(if $(LIST),--list) $(if $(YES),--yes) $(WORLDARG) $(if $(KEEP_GOING),--keep-going)
+	@$(PY) -m tactile campaign --file $(FILE) $(if $(LIST),--list) $(if $(YES),--yes) $(WORLDARG) $(if $(KEEP_GOING),--keep-going)
 
 #: SENSOR=tacpalm [BENCH=file] [WORLD=sim]
 jog: $(VENV)/.rig $(WORLDDEP)  ## Move the arm with a SpaceMouse and set the contact origin
-	@$(PY) -m rig jog $(BENCHARG)
+	@$(PY) -m tactile jog $(BENCHARG)
 
 #: SENSOR=tacpalm [OPEN=1] [BENCH=file] [WORLD=sim]
 grip: $(VENV)/.rig  ## Close the gripper on the indenter
-	@$(PY) -m rig grip $(BENCHARG) $(if $(OPEN),--open)
+	@$(PY) -m tactile grip $(BENCHARG) $(if $(OPEN),--open)
 
 #: SENSOR=tacpalm [OUT=sessions] [BENCH=file] [WORLD=sim] [FORCE=none]
 doctor: $(VENV)/.rig $(WORLDDEP)  ## Test all devices of a bench, and the computer; nothing moves
-	@$(PY) -m rig doctor $(BENCHARG) $(FORCEARG) $(if $(OUT),--out $(OUT))
+	@$(PY) -m tactile doctor $(BENCHARG) $(FORCEARG) $(if $(OUT),--out $(OUT))
 
 #: SENSOR=tacpalm [INDENTER=] [YES=1] [OPERATOR=] [ONLY=gauge] [AGAIN=gauge] [OUT=sessions] [BENCH=file] [WORLD=sim] [FORCE=none]
 setup-bench: $(VENV)/.rig $(WORLDDEP)  ## Set a bench up step by step, and write its acceptance report
-	@$(PY) -m rig setup $(BENCHARG) $(FORCEARG) $(if $(INDENTER),--indenter $(INDENTER)) $(if $(YES),--yes) $(if $(OPERATOR),--operator '$(OPERATOR)') $(foreach step,$(ONLY),--only $(step)) $(foreach step,$(AGAIN),--again $(step)) $(if $(OUT),--out $(OUT))
+	@$(PY) -m tactile setup $(BENCHARG) $(FORCEARG) $(if $(INDENTER),--indenter $(INDENTER)) $(if $(YES),--yes) $(if $(OPERATOR),--operator '$(OPERATOR)') $(foreach step,$(ONLY),--only $(step)) $(foreach step,$(AGAIN),--again $(step)) $(if $(OUT),--out $(OUT))
 
 #: SENSOR=tacpalm [BENCH=file] [WORLD=sim] [FORCE=none] [CAMERA=path [STILL=1]] [TAXELS=path]
 mock: $(VENV)/.rig $(WORLDDEP)  ## Run the emulators of a bench until Ctrl-C
-	@$(PY) -m rig mock $(BENCHARG) $(FORCEARG) $(SOURCES)
+	@$(PY) -m tactile mock $(BENCHARG) $(FORCEARG) $(SOURCES)
 
 #: SESSION=sessions/x.zarr [SPEED=1|4|max] [OUT=] [WITHOUT=camera]
 replay: $(VENV)/.rig  ## Play a session through mock hardware and record it again
-	@$(PY) -m rig replay --session $(SESSION) $(if $(SPEED),--speed $(SPEED)) $(if $(OUT),--out $(OUT)) $(foreach name,$(WITHOUT),--without $(name))
+	@$(PY) -m tactile replay --session $(SESSION) $(if $(SPEED),--speed $(SPEED)) $(if $(OUT),--out $(OUT)) $(foreach name,$(WITHOUT),--without $(name))
 
 #: SESSION=sessions/x.zarr
 check-session: $(VENV)/.rig  ## Check a session for problems
-	@$(PY) -m recorder check $(SESSION)
+	@$(PY) -m tactile session check $(SESSION)
 
 #: PATHS="video.mp4 force.csv" [OUT=session.zarr] [ARGS="--sensor digit --yes"]
 import: $(VENV)/.markers  ## Make a session of recordings made elsewhere
@@ -138,51 +136,51 @@ import: $(VENV)/.markers  ## Make a session of recordings made elsewhere
 
 #: MODEL=runs/x SENSOR=tacpalm [BENCH=file] [WORLD=sim] [FORCE=none] [SESSION=replayed.zarr] [BEFORE=runs/y] [ARGS="--seconds 10"]
 live: $(VENV)/.live  ## Show forces as the sensor is pressed
-	@$(PY) -m rig live --model $(MODEL) $(if $(SESSION),--session $(SESSION),$(BENCHARG) $(FORCEARG)) $(if $(BEFORE),--before $(BEFORE)) $(ARGS)
+	@$(PY) -m tactile live --model $(MODEL) $(if $(SESSION),--session $(SESSION),$(BENCHARG) $(FORCEARG)) $(if $(BEFORE),--before $(BEFORE)) $(ARGS)
 
 ##@ Simulate
 
 #: [SHAPE=sphere] [DEPTHS=0.5,1,1.5] [TIER=layer] [OUT=press.png] [ARGS="--friction 0.5"]
 press: $(VENV)/.sim  ## Simulate a press, write a table and a picture
-	@$(PY) -m sim press $(if $(SHAPE),--shape $(SHAPE)) $(if $(DEPTHS),--depths $(DEPTHS)) $(if $(TIER),--tier $(TIER)) $(if $(OUT),--out $(OUT)) $(ARGS)
+	@$(PY) -m tactile sim press $(if $(SHAPE),--shape $(SHAPE)) $(if $(DEPTHS),--depths $(DEPTHS)) $(if $(TIER),--tier $(TIER)) $(if $(OUT),--out $(OUT)) $(ARGS)
 
 #: [INDENTERS=sphere,cone] [PATTERNS=Array1,Circle1] [OUT=path] [DEVICE=cuda:0] [ARGS="--smoke"]
 simulate: $(VENV)/.sim  ## Write a marker archive of the paper's 810 states under 12 patterns
-	@$(PY) -m sim archive states $(if $(INDENTERS),--indenters $(INDENTERS)) $(if $(PATTERNS),--patterns $(PATTERNS)) $(if $(OUT),--out $(OUT)) $(if $(DEVICE),--device $(DEVICE)) $(ARGS)
+	@$(PY) -m tactile sim archive states $(if $(INDENTERS),--indenters $(INDENTERS)) $(if $(PATTERNS),--patterns $(PATTERNS)) $(if $(OUT),--out $(OUT)) $(if $(DEVICE),--device $(DEVICE)) $(ARGS)
 
 #: [GROUP=homogeneous|material|heterogeneous] [SCALE=smoke|0.1|full] [INDENTERS=sphere,cone] [OUT=path] [DEVICE=cuda:0] [ARGS="--tier layer"]
 simulate-sensors: $(VENV)/.sim  ## Write an archive of real trajectories with forces on simulated sensors
-	@$(PY) -m sim archive sensors --group $(or $(GROUP),homogeneous) --scale $(or $(SCALE),0.1) $(if $(INDENTERS),--indenters $(INDENTERS)) $(if $(OUT),--out $(OUT)) $(if $(DEVICE),--device $(DEVICE)) $(ARGS)
+	@$(PY) -m tactile sim archive sensors --group $(or $(GROUP),homogeneous) --scale $(or $(SCALE),0.1) $(if $(INDENTERS),--indenters $(INDENTERS)) $(if $(OUT),--out $(OUT)) $(if $(DEVICE),--device $(DEVICE)) $(ARGS)
 
 ##@ Learn
 
 #: SESSIONS="a.zarr b.zarr" OUT=x.markers.zarr [ARGS="--preset NAME --rate"]
 markers: $(VENV)/.markers  ## Make a marker archive of recorded sessions
-	@$(PY) -m learning markers $(SESSIONS) --out $(OUT) --sheet $(OUT:.zarr=.png) $(ARGS)
+	@$(PY) -m tactile markers $(SESSIONS) --out $(OUT) --sheet $(OUT:.zarr=.png) $(ARGS)
 
 #: ARCHIVE= OUT=runs/x [SPLIT=split.json] [PRESET=ours] [GPUS=4] [ARGS="--resume --set key=value"]
 train-field train-autoencoder train-direct train-marker-vae train-diffusion: $(VENV)/.learning  ## Train a translator
-	@$(LAUNCH) -m learning $@ $(ARCHIVE) $(if $(SPLIT),--split $(SPLIT)) --out $(OUT) $(if $(PRESET),--preset $(PRESET)) $(ARGS)
+	@$(LAUNCH) -m tactile $(subst train-,train ,$@) $(ARCHIVE) $(if $(SPLIT),--split $(SPLIT)) --out $(OUT) $(if $(PRESET),--preset $(PRESET)) $(ARGS)
 
 #: ARCHIVE= SOURCE=a TARGET=b MODEL=flow|runs/x OUT=x.markers.zarr [ARGS="--sheet x.png"]
 translate: $(VENV)/.learning  ## Translate frames of one sensor into frames of another
-	@$(PY) -m learning translate $(ARCHIVE) --source $(SOURCE) --target $(TARGET) --model $(or $(MODEL),flow) --out $(OUT) $(ARGS)
+	@$(PY) -m tactile translate $(ARCHIVE) --source $(SOURCE) --target $(TARGET) --model $(or $(MODEL),flow) --out $(OUT) $(ARGS)
 
 #: ARCHIVE= OUT=file.json [ARGS="--split split.json"]
 compensate: $(VENV)/.learning  ## Fit material priors and choose how labels are scaled between skins
-	@$(PY) -m learning compensate $(ARCHIVE) --out $(OUT) $(ARGS)
+	@$(PY) -m tactile compensate $(ARCHIVE) --out $(OUT) $(ARGS)
 
 #: ARCHIVE= SENSOR= OUT=runs/x [SPLIT=split.json] [PRESET=half] [GPUS=4] [ARGS="--compensation file.json"]
 train-force: $(VENV)/.learning  ## Train a force model
-	@$(LAUNCH) -m learning train-force $(ARCHIVE) --sensor $(SENSOR) $(if $(SPLIT),--split $(SPLIT)) --out $(OUT) $(if $(PRESET),--preset $(PRESET)) $(ARGS)
+	@$(LAUNCH) -m tactile train force $(ARCHIVE) --sensor $(SENSOR) $(if $(SPLIT),--split $(SPLIT)) --out $(OUT) $(if $(PRESET),--preset $(PRESET)) $(ARGS)
 
 #: FOLDER=results OUT=report [ARGS="--help"]
 evaluate: $(VENV)/.learning  ## Write the report of predictions and translations
-	@$(PY) -m learning evaluate $(FOLDER) --out $(OUT) $(ARGS)
+	@$(PY) -m tactile evaluate $(FOLDER) --out $(OUT) $(ARGS)
 
 #: ARCHIVE= OUT=dir [PRESET=demo] [ARGS="--pairs a:b --device cuda:0"]
 experiment: $(VENV)/.learning  ## Translate, train, compensate and evaluate all pairs
-	@$(PY) -m learning experiment $(ARCHIVE) --out $(OUT) $(if $(PRESET),--preset $(PRESET)) $(ARGS)
+	@$(PY) -m tactile experiment $(ARCHIVE) --out $(OUT) $(if $(PRESET),--preset $(PRESET)) $(ARGS)
 
 #: [OUT=folder] [ARGS="--venv DIR"]
 first-hour: $(VENV)/.rig  ## Run all commands from wheel to live forces on a mock bench (15 minutes)
@@ -190,8 +188,8 @@ first-hour: $(VENV)/.rig  ## Run all commands from wheel to live forces on a moc
 
 #: [OUT=runs/demo-learning]
 demo-learning: $(VENV)/.demo  ## Run three simulated sensors from press to report on two cores (10 minutes)
-	@$(PY) -m sim archive sensors --sensors $(DEMO)/array-hard.yaml,$(DEMO)/circle.yaml,$(DEMO)/diamond-soft.yaml --tier layer --scale 0.025 --steps 4 --no-check --out $(or $(OUT),runs/demo-learning)/demo.markers.zarr
-	@$(PY) -m learning experiment $(or $(OUT),runs/demo-learning)/demo.markers.zarr --out $(or $(OUT),runs/demo-learning) --preset demo --pairs array-hard:circle,array-hard:diamond-soft
+	@$(PY) -m tactile sim archive sensors --sensors $(DEMO)/array-hard.yaml,$(DEMO)/circle.yaml,$(DEMO)/diamond-soft.yaml --tier layer --scale 0.025 --steps 4 --no-check --out $(or $(OUT),runs/demo-learning)/demo.markers.zarr
+	@$(PY) -m tactile experiment $(or $(OUT),runs/demo-learning)/demo.markers.zarr --out $(or $(OUT),runs/demo-learning) --preset demo --pairs array-hard:circle,array-hard:diamond-soft
 
 #: [OUT=runs/demo-paper]
 demo-paper: $(VENV)/.chain  ## Train the paper's chain at toy size on two cores (10 minutes)
@@ -203,19 +201,19 @@ demo-twin: $(VENV)/.rig $(VENV)/.sim  ## Record a mock sensor and identify its t
 
 #: SOURCE=a.markers.zarr:a TARGET=b.markers.zarr:b OUT=runs/x [ARGS="--priors session.zarr"]
 transfer: $(VENV)/.learning  ## Train a force model of a sensor without a gauge, with error bars
-	@$(PY) -m learning transfer --source $(SOURCE) --target $(TARGET) --out $(OUT) $(ARGS)
+	@$(PY) -m tactile transfer --source $(SOURCE) --target $(TARGET) --out $(OUT) $(ARGS)
 
 #: MODEL=runs/x/model WEIGHTS=50g,100g,200g HOLDS=holds.csv OUT=runs/x/weighed [ARGS="--carrier 20g"]
 calibrate-force: $(VENV)/.learning  ## Set the scale of such a model by weights laid on the sensor
-	@$(PY) -m learning calibrate-force $(MODEL) --weights $(WEIGHTS) --holds $(HOLDS) --out $(OUT) $(ARGS)
+	@$(PY) -m tactile calibrate-force $(MODEL) --weights $(WEIGHTS) --holds $(HOLDS) --out $(OUT) $(ARGS)
 
 #: [OUT=runs/demo-transfer]
 demo-transfer: $(VENV)/.demo  ## Newtons on a simulated sensor without a gauge (10 minutes, two cores)
-	@for name in gauge bare; do $(PY) -m sim archive sensors --sensors $(BARE)/$$name.yaml --tier layer --scale 0.025 --steps 4 --no-check --out $(or $(OUT),runs/demo-transfer)/$$name.markers.zarr || exit; done
-	@$(PY) -m learning transfer --source $(or $(OUT),runs/demo-transfer)/gauge.markers.zarr:gauge --target $(or $(OUT),runs/demo-transfer)/bare.markers.zarr:bare --out $(or $(OUT),runs/demo-transfer)
+	@for name in gauge bare; do $(PY) -m tactile sim archive sensors --sensors $(BARE)/$$name.yaml --tier layer --scale 0.025 --steps 4 --no-check --out $(or $(OUT),runs/demo-transfer)/$$name.markers.zarr || exit; done
+	@$(PY) -m tactile transfer --source $(or $(OUT),runs/demo-transfer)/gauge.markers.zarr:gauge --target $(or $(OUT),runs/demo-transfer)/bare.markers.zarr:bare --out $(or $(OUT),runs/demo-transfer)
 	@rm -rf $(or $(OUT),runs/demo-transfer)/weighed
-	@$(PY) -m learning calibrate-force $(or $(OUT),runs/demo-transfer)/model $$($(PY) $(BARE)/weigh.py $(or $(OUT),runs/demo-transfer)/bare.markers.zarr:bare 50,200,400) --out $(or $(OUT),runs/demo-transfer)/weighed
-	@$(PY) -m learning score-transfer $(or $(OUT),runs/demo-transfer)/weighed $(or $(OUT),runs/demo-transfer)/bare.markers.zarr:bare
+	@$(PY) -m tactile calibrate-force $(or $(OUT),runs/demo-transfer)/model $$($(PY) $(BARE)/weigh.py $(or $(OUT),runs/demo-transfer)/bare.markers.zarr:bare 50,200,400) --out $(or $(OUT),runs/demo-transfer)/weighed
+	@$(PY) -m tactile score-transfer $(or $(OUT),runs/demo-transfer)/weighed $(or $(OUT),runs/demo-transfer)/bare.markers.zarr:bare
 
 ##@ Measure (pages are in docs/results/)
 

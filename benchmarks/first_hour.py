@@ -294,10 +294,8 @@ def look(browser: Chromium, address: str, picture: Path | None) -> Iterator[str]
 
 
 def _environment() -> dict[str, str]:
-    """Return the environment of a user without the repository, who came by no make."""
-    kept = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
-    kept.pop("TACTILE_DOOR", None)
-    return kept
+    """Return the environment of a user without the repository."""
+    return {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
 
 
 def shown(words: Sequence[str]) -> str:

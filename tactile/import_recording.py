@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import re
-import shlex
 import sys
 from collections.abc import Sequence
 from dataclasses import fields
@@ -12,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from recorder import Session, SessionError
-from recorder.command_line.options import called_by_make, numbers
+from recorder.command_line.options import next_command, numbers
 from recorder.convert import (
     FORCE_UNITS,
     KINDS,
@@ -155,7 +154,7 @@ def run(options: argparse.Namespace) -> int:
         return 0
     preset, choice = _preset_words(answers.sensor, taxels="taxels" in kinds)
     archive = Path(f"{options.out.with_suffix('')}.markers.zarr")
-    print(f"next: {_markers_command(written, archive, preset)}")
+    print(f"next: {next_command('markers', *written, *preset, out=archive)}")
     if choice:
         print(choice)
     return 0
@@ -175,17 +174,6 @@ def _preset_words(sensor: str, *, taxels: bool) -> tuple[list[str], str]:
         "PRESET: shading for a gel without markers; else the file that `tactile markers-fit` "
         f"writes, or one of {', '.join(names())}. MM: size of a pixel of the 640 x 480 [mm]"
     )
-
-
-def _markers_command(sessions: Sequence[Path], out: Path, words: Sequence[str]) -> str:
-    """Return the command that makes markers of the sessions, as the user would type it."""
-    names = [str(session) for session in sessions]
-    if called_by_make():
-        given = {"SESSIONS": " ".join(names), "OUT": str(out), "ARGS": " ".join(words)}
-        return shlex.join(
-            ["make", "markers", *(f"{key}={value}" for key, value in given.items() if value)]
-        )
-    return shlex.join(["tactile", "markers", *names, *words, "--out", str(out)])
 
 
 def _grouped(lines: Sequence[str]) -> list[str]:

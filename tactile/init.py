@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 from importlib import resources
 from pathlib import Path
 
 from recorder.command_line.errors import CommandError
+from recorder.command_line.options import next_command
 
 FOLDERS = ("benches/lab", "calibrations", "campaigns", "indenters", "sessions")
 # Number of existing entries that an error lists.
@@ -33,7 +35,7 @@ def run(options: argparse.Namespace) -> int:
         raise CommandError(f"{folder}: holds {listed}{more}; allowed: a new or empty folder")
     lay_out(folder)
     print(f"{folder}: created; README.md describes the folders; next:")
-    print(f"  cd {folder} && tactile doctor --sensor tacpalm")
+    print(f"  cd {shlex.quote(str(folder))} && {next_command('doctor', sensor='tacpalm')}")
     return 0
 
 

@@ -24,8 +24,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
-# `make test` would otherwise have the rig print `make resume` in place of its own command.
-os.environ.pop("TACTILE_DOOR", None)
 
 # The tests write and remove some 100,000 files, which takes a disk as long as all computing.
 _RAM = Path("/dev/shm")

@@ -86,7 +86,7 @@ def run_long(
     """
     clock = SystemClock()
     start_ns = clock.now_ns()
-    command = [sys.executable, "-u", "-m", "rig", "collect", "--bench", str(bench_file)]
+    command = [sys.executable, "-u", "-m", "tactile", "collect", "--bench", str(bench_file)]
     command += ["--calibrations", str(bench_file.parent / "none-measured")]
     printed = session.with_suffix(".out")
     tracks: dict[int, Track] = {}

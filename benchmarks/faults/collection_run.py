@@ -49,7 +49,7 @@ class CollectionRun:
 
     Args:
         session: Session to write.
-        *arguments: Arguments of `python -m rig collect`.
+        *arguments: Arguments of `tactile collect`.
         preload: Library to preload, for devices that need a device node of the kernel.
     """
 
@@ -72,7 +72,7 @@ class CollectionRun:
         # Faults do not depend on measured calibrations of the bench.
         where += ["--calibrations", str(session.parent / "none-measured")]
         self.process = subprocess.Popen(
-            [sys.executable, "-u", "-m", "rig", "collect", *where, *arguments],
+            [sys.executable, "-u", "-m", "tactile", "collect", *where, *arguments],
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,

@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--presets",
         metavar="NAME,...",
         default=presets,
-        help="presets of train-force (%(default)s)",
+        help="presets of `train force` (%(default)s)",
     )
     parser.add_argument(
         "--seeds", metavar="N", type=int, default=3, help="trainings of each (%(default)s)"

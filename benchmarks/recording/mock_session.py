@@ -19,13 +19,13 @@ _TIMEOUT = 180.0
 
 
 def collect(bench: Path, targets: int, folder: Path) -> tuple[Path, Path]:
-    """Run `python -m rig collect`; return the session and the ground truth it wrote.
+    """Run `tactile collect`; return the session and the ground truth it wrote.
 
     Raises:
         RuntimeError: It failed; the message is its last line of output.
     """
     session, truth = folder / "mock.zarr", folder / "mock.truth"
-    command = [sys.executable, "-m", "rig", "collect", "--bench", str(bench)]
+    command = [sys.executable, "-m", "tactile", "collect", "--bench", str(bench)]
     command += ["--targets", str(targets), "--out", str(session), "--truth", str(truth)]
     command += ["--calibrations", str(folder / "none-measured")]
     try:

@@ -1,1 +1,1 @@
-"""Commands of `python -m learning`, one file each."""
+"""Commands of `tactile`, one file each."""

@@ -1,4 +1,4 @@
-"""`python -m learning cross-validate`: score a force model on indenters that it never saw."""
+"""`tactile cross-validate`: score a force model on indenters that it never saw."""
 
 from __future__ import annotations
 

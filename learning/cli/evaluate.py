@@ -1,4 +1,4 @@
-"""`python -m learning evaluate`: report on predictions and translations."""
+"""`tactile evaluate`: report on predictions and translations."""
 
 from __future__ import annotations
 

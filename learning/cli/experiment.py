@@ -1,4 +1,4 @@
-"""`python -m learning experiment`: translate, train, compensate and evaluate pairs of sensors."""
+"""`tactile experiment`: translate, train, compensate and evaluate pairs of sensors."""
 
 from __future__ import annotations
 

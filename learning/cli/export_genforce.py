@@ -1,4 +1,4 @@
-"""`python -m learning export-genforce`: write an archive in the GenForce training format."""
+"""`tactile export-genforce`: write an archive in the GenForce training format."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`python -m learning export-onnx`: write one step of a force model as an ONNX file."""
+"""`tactile export-onnx`: write one step of a force model as an ONNX file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`python -m learning import-genforce`: convert published GenForce folders to a marker archive."""
+"""`tactile import-genforce`: convert published GenForce folders to a marker archive."""
 
 from __future__ import annotations
 

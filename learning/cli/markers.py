@@ -1,4 +1,4 @@
-"""`python -m learning markers`: convert sessions to a marker archive."""
+"""`tactile markers`: convert sessions to a marker archive."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`python -m learning markers-fit`: fit marker detection to pictures without contact."""
+"""`tactile markers-fit`: fit marker detection to pictures without contact."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from learning.errors import LearningError
+from recorder.command_line.options import next_command
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -68,7 +69,10 @@ def run(options: argparse.Namespace) -> int:
         print(text, end="")
         return 0
     options.out.write_text(text, encoding="utf-8")
-    scale = "" if preset.mm_per_px is not None else " --mm-per-px MM"
+    scale = None if preset.mm_per_px is not None else "MM"
+    following = next_command(
+        "markers", "SESSION", preset=options.out, mm_per_px=scale, out="X.markers.zarr"
+    )
     print(f"{options.out}: written")
-    print(f"next: tactile markers SESSION --preset {options.out}{scale} --out X.markers.zarr")
+    print(f"next: {following}")
     return 0

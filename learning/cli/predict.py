@@ -1,4 +1,4 @@
-"""`python -m learning predict`: predict the forces of frames in an archive."""
+"""`tactile predict`: predict the forces of frames in an archive."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from learning.cli.archive_join import add_tolerances, chosen_sensors, tolerances_of
 from learning.command import add_settings
 from learning.errors import LearningError
-from recorder.command_line.options import add_device, as_typed, names, positive
+from recorder.command_line.options import add_device, names, next_command, positive
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -124,5 +124,5 @@ def run(options: argparse.Namespace) -> int:
     run_transfer(asked, lambda line: print(line, flush=True))
     print(f"{asked.out / 'report.html'}: report; {asked.model / 'card.md'}: card")
     sensor = asked.target.sensor
-    print(f"next: {as_typed('live', sensor=sensor, model=asked.model, before=asked.before)}")
+    print(f"next: {next_command('live', sensor=sensor, model=asked.model, before=asked.before)}")
     return 0

@@ -1,4 +1,4 @@
-"""`python -m learning translate`: translate frames of sensors into frames of other sensors."""
+"""`tactile translate`: translate frames of sensors into frames of other sensors."""
 
 from __future__ import annotations
 

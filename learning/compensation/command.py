@@ -1,4 +1,4 @@
-"""`python -m learning compensate`: fit material priors, and choose the scaling of labels."""
+"""`tactile compensate`: fit material priors, and choose the scaling of labels."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Fits force over depth of each sensor (degree 2, loading and unloading) and "
         "writes, for each pair, d0 and lambda of the supplement's equations 7 to 9: a fixed "
         "default, a label-free choice by the priors' fits, and an oracle that uses the target's "
-        "labels. train-force --compensation reads the file."
+        "labels. train force --compensation reads the file."
     )
     parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
     parser.add_argument("--out", type=Path, metavar="JSON", required=True, help="file to write")
@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="SESSION",
-        help="session of `python -m rig force-depth`, used instead of the archive's rows",
+        help="session of `tactile force-depth`, used instead of the archive's rows",
     )
     parser.add_argument(
         "--coefficients", type=Path, metavar="DIR", help="published <sensor>_down.csv and _up.csv"

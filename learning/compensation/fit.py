@@ -99,7 +99,7 @@ class StoredPair:
 
 @dataclass(frozen=True, slots=True)
 class StoredCompensation:
-    """Result of `python -m learning compensate`."""
+    """Result of `tactile compensate`."""
 
     priors: Mapping[str, Prior]
     """By sensor."""
@@ -246,7 +246,7 @@ class Curves:
     """Sources of force-depth curves in addition to the archive's rows."""
 
     sessions: Sequence[Path] = ()
-    """Sessions of `python -m rig force-depth`; each names its sensor."""
+    """Sessions of `tactile force-depth`; each names its sensor."""
     coefficients: Path | None = None
     """Folder of <sensor>_down.csv and <sensor>_up.csv, as published."""
     per_mm: bool = True

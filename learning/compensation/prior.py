@@ -84,7 +84,7 @@ def curve_of_table(sensor: str, table: Table, indenters: Sequence[str]) -> Force
 
 
 def curve_of_session(path: Path, sensor: str | None = None) -> ForceDepth:
-    """Return the curve from a session of `python -m rig force-depth`.
+    """Return the curve from a session of `tactile force-depth`.
 
     Args:
         path: The session.

@@ -1,4 +1,4 @@
-"""`python -m learning train-force`: train a force model on presses with force labels."""
+"""`tactile train force`: train a force model on presses with force labels."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Training of a force model, from settings to command.
 
-    python -m learning train-force X.markers.zarr --sensor array-i --out run
-    torchrun --nproc-per-node 4 -m learning train-force ... --preset paper
+    tactile train force X.markers.zarr --sensor array-i --out run
+    torchrun --nproc-per-node 4 -m tactile train force ... --preset paper
 
 `train_force` takes presses in memory and does not require a run folder, so that it can be called
 repeatedly for a table of many sensor pairs.
@@ -751,7 +751,7 @@ def _resumed(
 
 
 def run(options: argparse.Namespace) -> int:
-    """Train as the options of `train-force` say; return the exit code."""
+    """Train as the options of `train force` say; return the exit code."""
     settings = read_settings(ForceSettings, PRESETS, options.preset, options.set)
     archive, split = open_data(options)
     sensors = _sensors(options, archive, split)

@@ -38,7 +38,7 @@ from recorder.markers import SMALLEST_PX, count_markers, pack, unpack
 from recorder.plot import INK, PAPER, SOFT, font
 from recorder.spec import PHASES
 
-# Implementation of `python -m learning markers`.
+# Implementation of `tactile markers`.
 
 # Maximum number of frames, and of reasons, that are listed individually.
 NAMED = 5

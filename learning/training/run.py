@@ -389,8 +389,8 @@ def _sync(path: Path) -> None:
 
 # Devices of a training: one process, or the number that `torchrun` starts.
 #
-# python -m learning train-force ...                              # one GPU, or the CPU
-# torchrun --nproc-per-node 4 -m learning train-force ...         # four GPUs of one host
+# tactile train force ...                              # one GPU, or the CPU
+# torchrun --nproc-per-node 4 -m tactile train force ...         # four GPUs of one host
 
 Precision = Literal["no", "bf16", "fp16"]
 

@@ -55,7 +55,7 @@ def _check(
 ) -> Iterator[Finding]:
     attrs = read_session_attrs(path, files)
     if attrs.get("status") == "recording":
-        message = "status is 'recording': still running, or killed (python -m recorder recover)"
+        message = "status is 'recording': still running, or killed (tactile session recover)"
         yield Finding("unfinished", ".", message)
     broken = False
     for finding in check_manifest(files, path, attrs):

@@ -35,7 +35,7 @@ from recorder.store.tables import Table
 def check_manifest(files: Files, session: Path, attrs: dict[str, Any]) -> Iterator[Finding]:
     """Yield files that differ from the session's manifests, without reading data."""
     if attrs["format_version"] < 2:
-        message = "format 1 has no manifest (python -m recorder repack makes a copy that has one)"
+        message = "format 1 has no manifest (tactile session repack makes a copy that has one)"
         yield Finding("not-sealed", ".", message)
     for entry in attrs.get("sealed_later", ()):
         runs = ", ".join(map(str, entry["lost"]))

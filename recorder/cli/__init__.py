@@ -1,1 +1,1 @@
-"""Commands of `python -m recorder`, one file each."""
+"""Commands of `tactile session`, one file each."""

@@ -1,4 +1,4 @@
-"""`python -m recorder check`: check a session or a marker archive for problems."""
+"""`tactile session check`: check a session or a marker archive for problems."""
 
 from __future__ import annotations
 

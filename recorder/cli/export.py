@@ -1,4 +1,4 @@
-"""`python -m recorder export`: write a session in a format of other programs."""
+"""`tactile session export`: write a session in a format of other programs."""
 
 from __future__ import annotations
 

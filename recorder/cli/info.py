@@ -1,4 +1,4 @@
-"""`python -m recorder info`: show the contents of a session or a marker archive."""
+"""`tactile session info`: show the contents of a session or a marker archive."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The session that every command of `python -m recorder` works on."""
+"""The session that every command of `tactile session` works on."""
 
 from __future__ import annotations
 

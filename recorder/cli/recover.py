@@ -1,4 +1,4 @@
-"""`python -m recorder recover`: close a session whose recording was killed."""
+"""`tactile session recover`: close a session whose recording was killed."""
 
 from __future__ import annotations
 

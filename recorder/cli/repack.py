@@ -1,4 +1,4 @@
-"""`python -m recorder repack`: copy a session, storing its images in another encoding."""
+"""`tactile session repack`: copy a session, storing its images in another encoding."""
 
 from __future__ import annotations
 

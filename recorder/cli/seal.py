@@ -1,4 +1,4 @@
-"""`python -m recorder seal`: make the manifest of a closed session again after it was lost."""
+"""`tactile session seal`: make the manifest of a closed session again after it was lost."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`python -m recorder sheet`: draw a session on one page."""
+"""`tactile session sheet`: draw a session on one page."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`python -m recorder view`: view a session in Rerun."""
+"""`tactile session view`: view a session in Rerun."""
 
 from __future__ import annotations
 

@@ -26,16 +26,6 @@ class Command(NamedTuple):
         """Package of the command."""
         return self.module.partition(".")[0]
 
-    @property
-    def name(self) -> str:
-        """Name of the command in `python -m PACKAGE`: `info`, `press`, `train-force`."""
-        return self.words.removeprefix("session ").removeprefix("sim ").replace(" ", "-")
-
-    @property
-    def door(self) -> str:
-        """Equivalent `python -m` command of its package."""
-        return f"python -m {self.package} {self.name}"
-
 
 RECORD = (
     Command("collect", "rig.cli.collect", "record one session with the bench's plan"),

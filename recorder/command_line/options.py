@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
 import shlex
 from collections.abc import Callable, Iterable
 from typing import Any, NoReturn
@@ -45,29 +44,18 @@ class Parser(argparse.ArgumentParser):
         raise CommandError(f"{message.removeprefix('argument ')}; see {self.prog} --help")
 
 
-def called_by_make() -> bool:
-    """Return True if a target of the Makefile runs the command: what it prints is called alike."""
-    return os.environ.get("TACTILE_DOOR") == "make"
-
-
-# Targets of the Makefile that are called otherwise than their command.
-_TARGETS = {"setup": "setup-bench"}
-
-
-def as_typed(command: str, program: str = "tactile", **settings: object) -> str:
-    """Return a command as the user would type it: by `make`, if a target of it runs this one.
+def next_command(*words: object, **options: object) -> str:
+    """Return a command of `tactile` that can be copied into a shell.
 
     Args:
-        command: Name of the command.
-        program: Its program, without `make`.
-        **settings: Its options and their values; those of None are left out.
+        *words: The command's own words and its positional arguments.
+        **options: Its options and their values: None and False leave one out, True needs no value.
     """
-    given = {key: str(value) for key, value in settings.items() if value is not None}
-    if called_by_make():
-        words = [f"{key.upper()}={value}" for key, value in given.items()]
-        return shlex.join(["make", _TARGETS.get(command, command), *words])
-    words = [word for key, value in given.items() for word in (f"--{key}", value)]
-    return shlex.join([*program.split(), command, *words])
+    line = ["tactile", *map(str, words)]
+    for name, value in options.items():
+        if value is not None and value is not False:
+            line += [f"--{name.replace('_', '-')}", *([] if value is True else [str(value)])]
+    return shlex.join(line)
 
 
 def positive(text: str) -> float:

@@ -1,7 +1,6 @@
 """Run a command of the table: find it, parse its options, and end it with an exit code.
 
-`tactile COMMAND` and `python -m PACKAGE COMMAND` both come here. The module of a command has
-`add_arguments(parser)` and `run(options)`, which returns the exit code.
+The module of a command has `add_arguments(parser)` and `run(options)`, which returns the exit code.
 """
 
 from __future__ import annotations
@@ -34,8 +33,8 @@ HELP = ("-h", "--help")
 STDOUT = 1
 
 
-def main(argv: Sequence[str] | None = None, package: str = "") -> int:
-    """Run one command of `tactile`, or of `python -m PACKAGE`, and return the exit code.
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command of `tactile` and return the exit code.
 
     Threads of torch and the like that wait for each other sleep instead of spinning, unless
     `OMP_WAIT_POLICY` is set: where cores are shared with others, spinning takes the cores that the
@@ -43,45 +42,35 @@ def main(argv: Sequence[str] | None = None, package: str = "") -> int:
     """
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     words = list(sys.argv[1:] if argv is None else argv)
-    known = commands_of(package)
     for count in (2, 1):
-        if command := known.get(" ".join(words[:count])):
-            return _run(command, words[count:], package)
+        if command := COMMANDS.get(" ".join(words[:count])):
+            return _run(command, words[count:])
     if words == ["--version"]:
         from importlib.metadata import version
 
         print(f"tactile-rig {version('tactile-rig')}")
         return 0
-    family = words[0] if words and not package and words[0] in FAMILIES else ""
+    family = words[0] if words and words[0] in FAMILIES else ""
     rest = words[1:] if family else words
     if rest and rest[0] not in HELP:
-        return _unknown(" ".join(words[:2] if family else words[:1]), known, _program(package))
+        return _unknown(" ".join(words[:2] if family else words[:1]))
 
     def show() -> int:
-        print(overview(package, family), file=sys.stdout if rest else sys.stderr)
+        print(overview(family), file=sys.stdout if rest else sys.stderr)
         return 0 if rest else EXIT_WRONG_INPUT
 
     return ended(show)
 
 
-def commands_of(package: str) -> dict[str, Command]:
-    """Return the commands of `python -m PACKAGE` by name; without a package, those of `tactile`."""
-    if not package:
-        return COMMANDS
-    return {each.name: each for each in COMMANDS.values() if each.package == package}
-
-
-def overview(package: str = "", family: str = "") -> str:
-    """Return the help of all commands by group, of a package, or of those with one first word."""
-    start = f"{_program(package)} {family}".strip()
+def overview(family: str = "") -> str:
+    """Return the help of all commands by group, or of those with one first word."""
+    start = f"tactile {family}".strip()
     lines = [f"usage: {start} COMMAND [options]; see {start} COMMAND --help"]
-    topic = FAMILIES.get(family or package)
+    topic = FAMILIES.get(family)
     if topic:
         lines += ["", f"{topic}:"]
     shown = {
-        name: each
-        for name, each in commands_of(package).items()
-        if not family or name.startswith(f"{family} ")
+        name: each for name, each in COMMANDS.items() if not family or name.startswith(f"{family} ")
     }
     width = max(map(len, shown))
     for title, group in GROUPS.items():
@@ -150,12 +139,8 @@ def joined(argv: Iterable[str]) -> list[str]:
     return tied
 
 
-def _program(package: str) -> str:
-    return f"python -m {package}" if package else "tactile"
-
-
-def _run(command: Command, argv: Sequence[str], package: str) -> int:
-    prog = f"{_program(package)} {command.name if package else command.words}"
+def _run(command: Command, argv: Sequence[str]) -> int:
+    prog = f"tactile {command.words}"
     try:
         return run_module(
             command.module,
@@ -176,17 +161,17 @@ def _run(command: Command, argv: Sequence[str], package: str) -> int:
         return EXIT_WRONG_INPUT
 
 
-def _unknown(words: str, known: Iterable[str], program: str) -> int:
+def _unknown(words: str) -> int:
     """Print that the command is unknown, with similar ones; return the exit code."""
     from difflib import get_close_matches
 
     last = words.split()[-1]
     # A last word alone means the full command: `check` is `session check`; also `train-force`.
-    same = [each for each in known if last in (each.split()[-1], each.replace(" ", "-"))]
-    near = same or get_close_matches(words, known)
+    same = [each for each in COMMANDS if last in (each.split()[-1], each.replace(" ", "-"))]
+    near = same or get_close_matches(words, COMMANDS)
     hint = f"did you mean {', '.join(near)}? " if near else ""
     print(
-        f"wrong input: {words!r}: no such command; {hint}{program} --help lists all commands",
+        f"wrong input: {words!r}: no such command; {hint}tactile --help lists all commands",
         file=sys.stderr,
     )
     return EXIT_WRONG_INPUT

@@ -1,4 +1,4 @@
-"""Implementation of `python -m recorder export`."""
+"""Implementation of `tactile session export`."""
 
 from __future__ import annotations
 

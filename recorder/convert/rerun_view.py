@@ -1,4 +1,4 @@
-"""View a session in Rerun: `python -m recorder view SESSION`.
+"""View a session in Rerun: `tactile session view SESSION`.
 
 All data is on two time lines: `capture` (UTC) and `session` (since the first sample). Images are
 sent as the camera's JPEG bytes, losslessly stored ones as PNG. Needs the extra `view`.
@@ -91,7 +91,7 @@ def view(
     runs = list(_runs(session))
     zero = min((_first(session, run) for run in runs), default=None)
     if zero is None:
-        raise SessionError(f"{path}: no samples to show; killed? python -m recorder recover")
+        raise SessionError(f"{path}: no samples to show; killed? tactile session recover")
     recording = rerun.RecordingStream(APPLICATION, recording_id=f"{path.name}-{zero}")
     window = (start, np.inf if seconds is None else start + seconds)
     sink = _Sink(rerun, recording, zero, window)

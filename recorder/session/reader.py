@@ -62,7 +62,7 @@ class Session:
         if self.status == "recording" and not self.files.local:
             raise SessionError(
                 f"{self.name}: was copied while it was recorded; recover it where it was "
-                "recorded (python -m recorder recover) and copy it again"
+                "recorded (tactile session recover) and copy it again"
             )
         self.files, self._lost_manifest = sealed_files(
             self.files, self.path, self.attrs, unsealed=unsealed
@@ -131,7 +131,7 @@ class Session:
         if self.status == "recording":
             return (
                 f"{self.name}: still recording, or killed while it was; its rows so far are "
-                "visible, frames are not (python -m recorder recover, once nothing writes to it)"
+                "visible, frames are not (tactile session recover, once nothing writes to it)"
             )
         return None
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.command_line.options import as_typed
+from recorder.command_line.options import next_command
 from recorder.session.align import EXPOSURE, Source
 from recorder.session.columns import Columns
 from recorder.session.loss import is_regular, lateness, witnesses
@@ -160,7 +160,7 @@ def uncalibrated(stream: Columns) -> str | None:
     own = f"; its driver stamps its frames{moment}" if stamped else ""
     return (
         f"{stream.name} latency not calibrated: 0 to {1e3 * prior:.0f} ms assumed{own} "
-        f"({as_typed('calibrate-latency')})"
+        f"({next_command('calibrate-latency')})"
     )
 
 

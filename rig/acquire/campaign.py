@@ -327,7 +327,7 @@ class Settings:
 
 
 def command(progress: Progress, campaign: Campaign, settings: Settings) -> list[str]:
-    """Return the arguments of `python -m rig` that record or resume one entry."""
+    """Return the arguments of `tactile` that record or resume one entry."""
     entry, bench = progress.item.entry, str(progress.item.bench_path)
     # The technician agreed to motion when the indenter was mounted.
     kept = ["--calibrations", str(settings.calibrations), "--asked-by", str(os.getpid())]
@@ -427,7 +427,7 @@ def _mount(item: Item, place: str, before: Item | None, ask: Ask, swap: Swap | N
 
 
 def run_rig(arguments: list[str]) -> int:
-    """Run `python -m rig ARGUMENTS`, such as one session, and return its exit code.
+    """Run `tactile ARGUMENTS`, such as one session, and return its exit code.
 
     Ctrl-C and a closed terminal reach that process as well; SIGTERM, sent to this one, is passed
     on. This process waits until the session has ended in order.
@@ -435,7 +435,7 @@ def run_rig(arguments: list[str]) -> int:
     # The process writes to the same terminal, so the buffer is flushed first.
     sys.stdout.flush()
     with InterruptFlag() as interrupt:
-        with subprocess.Popen([sys.executable, "-m", "rig", *arguments]) as process:
+        with subprocess.Popen([sys.executable, "-m", "tactile", *arguments]) as process:
             interrupt.forward_to(process)
             while True:
                 try:

@@ -22,6 +22,7 @@ from recorder.command_line.errors import (
     EXIT_INTERRUPTED,
     EXIT_SAFETY_STOP,
 )
+from recorder.command_line.options import next_command
 from recorder.session import clock_lines, contact_sheet
 from rig.acquire import summary
 from rig.acquire.control import Control, Interrupted, InterruptFlag, Onlooker
@@ -345,7 +346,7 @@ class Collector:
         except OSError as error:
             raise SessionError(
                 f"{writer.path}: could not be finished ({error}); its samples are kept: make room, "
-                f"then run: python -m recorder recover {writer.path}"
+                f"then run: {next_command('session', 'recover', writer.path)}"
             ) from error
         return summaries
 

@@ -15,7 +15,7 @@ from typing import TextIO
 
 import numpy as np
 
-from recorder.command_line.options import as_typed
+from recorder.command_line.options import next_command
 from rig.acquire.preflight import tip_position
 from rig.acquire.streams import Streams
 from rig.bench.bench import Bench
@@ -78,7 +78,7 @@ def origin_text(bench: Bench, tip: Point) -> str:
     return (
         f"origin set, [{moved}] mm from the one in the bench file; to keep it, write there:\n"
         f"contact_frame:\n  position_mm: [{place}]\n  rotation_deg: [{turn}]\n"
-        f"then find the surface by force: {as_typed('home', sensor=bench.sensor)}"
+        f"then find the surface by force: {next_command('home', sensor=bench.sensor)}"
     )
 
 

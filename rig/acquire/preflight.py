@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from recorder.command_line.options import as_typed
+from recorder.command_line.options import next_command
 from rig.acquire.interlocks import Interlocks
 from rig.acquire.streams import Streams
 from rig.bench.bench import Bench, BenchStream
@@ -98,7 +98,7 @@ def notes_on(
         calibrated: Streams whose latency was measured.
     """
     notes = [
-        f"{name} latency not calibrated ({as_typed('calibrate-latency')})"
+        f"{name} latency not calibrated ({next_command('calibrate-latency')})"
         for name in signals
         if name in description and name not in calibrated
     ]

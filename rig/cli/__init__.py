@@ -1,1 +1,1 @@
-"""The commands of `python -m rig`: one module each, with options and entry point."""
+"""The commands of `tactile`: one module each, with options and entry point."""

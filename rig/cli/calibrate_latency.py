@@ -1,4 +1,4 @@
-"""`python -m rig calibrate-latency`: measure the signal's latency by light taps."""
+"""`tactile calibrate-latency`: measure the signal's latency by light taps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`python -m rig campaign`: a day of sensors and indenters, resumable after any interruption."""
+"""`tactile campaign`: a day of sensors and indenters, resumable after any interruption."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from recorder.command_line.errors import EXIT_DONE
-from rig.cli.options import benches_option, calibration_options, campaign_command
+from recorder.command_line.options import next_command
+from rig.cli.options import benches_option, calibration_options
 from rig.cli.terminal import answer
 from rig.core.errors import ConfigError
 
@@ -64,11 +65,28 @@ def run(options: argparse.Namespace) -> int:
         options.benches,
         options.calibrations,
         options.keep_going,
-        campaign_command(options),
+        _go_on(options),
         options.world,
     )
     ask = _agree if options.yes else functools.partial(_ask, has_lab_benches=bool(lab))
     return run_campaign(campaign, settings, ask, _say, _swap)
+
+
+def _go_on(options: argparse.Namespace) -> str:
+    """Return the command that continues the campaign."""
+    from rig.acquire.calibration import store
+
+    elsewhere = options.calibrations != store.FOLDER
+    return next_command(
+        "campaign",
+        file=options.file,
+        benches=None if options.benches == Path("benches") else options.benches,
+        out=options.out,
+        calibrations=options.calibrations if elsewhere else None,
+        world=options.world,
+        yes=options.yes,
+        keep_going=options.keep_going,
+    )
 
 
 def _say(line: str) -> None:

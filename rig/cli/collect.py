@@ -1,4 +1,4 @@
-"""`python -m rig collect`: record one session, or resume one."""
+"""`tactile collect`: record one session, or resume one."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import dataclasses
 from pathlib import Path
 
 from recorder.command_line.errors import EXIT_DONE
+from recorder.command_line.options import next_command
 from rig.bench.bench import Bench
 from rig.bench.no_gauge import planned_depth, slowed
 from rig.cli.options import (
@@ -21,7 +22,6 @@ from rig.cli.options import (
     free_path,
     log_to,
     opened_page,
-    resume_command,
     resumed_indenter,
     sources_of,
     watch_options,
@@ -127,7 +127,7 @@ def run(options: argparse.Namespace) -> int:
         operator=options.operator,
         mock_sources=sources.description() if bench.mock else None,
         calibration=calibration,
-        go_on=resume_command(options, session),
+        go_on=next_command("collect", resume=session, bench=options.bench),
     )
     plan, total = plan_of(request, calibration.applied(bench))
     if request.resume and not request.again and is_complete(session, plan, total):

@@ -1,4 +1,4 @@
-"""`python -m rig doctor`: test a bench's devices, its plan, and the computer; nothing moves."""
+"""`tactile doctor`: test a bench's devices, its plan, and the computer; nothing moves."""
 
 from __future__ import annotations
 

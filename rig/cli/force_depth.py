@@ -1,10 +1,11 @@
-"""`python -m rig force-depth`: press straight down and up again; print a table and a curve."""
+"""`tactile force-depth`: press straight down and up again; print a table and a curve."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
+from recorder.command_line.options import next_command
 from rig.cli.options import (
     banner,
     bench_options,
@@ -13,7 +14,6 @@ from rig.cli.options import (
     chosen_bench,
     confirm_options,
     free_path,
-    resume_command,
 )
 from rig.core.clock import file_stamp
 from rig.core.errors import ConfigError
@@ -60,7 +60,7 @@ def run(options: argparse.Namespace) -> int:
         path=session,
         operator=options.operator,
         calibration=calibration,
-        go_on=resume_command(options, session),
+        go_on=next_command("collect", resume=session, bench=options.bench),
     )
     plan_of(request, calibration.applied(bench), plan)
     code = record(file, request, plan, prepared=calibration.applied, asked_by=options.asked_by)

@@ -1,4 +1,4 @@
-"""`python -m rig grip`: activate the gripper, open it, close it on the indenter."""
+"""`tactile grip`: activate the gripper, open it, close it on the indenter."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`python -m rig home`: find the surface by touch and store its position."""
+"""`tactile home`: find the surface by touch and store its position."""
 
 from __future__ import annotations
 

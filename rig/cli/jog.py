@@ -1,4 +1,4 @@
-"""`python -m rig jog`: move the arm with a SpaceMouse and set the contact frame's origin."""
+"""`tactile jog`: move the arm with a SpaceMouse and set the contact frame's origin."""
 
 from __future__ import annotations
 

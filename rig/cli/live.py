@@ -1,4 +1,4 @@
-"""`python -m rig live`: predict forces with a trained model while the sensor is touched."""
+"""`tactile live`: predict forces with a trained model while the sensor is touched."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`python -m rig mock`: run only the emulators of a bench, for use with other tools."""
+"""`tactile mock`: run only the emulators of a bench, for use with other tools."""
 
 from __future__ import annotations
 

@@ -6,14 +6,13 @@ import argparse
 import contextlib
 import logging
 import os
-import shlex
 import socket
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from recorder import Session
-from recorder.command_line.options import as_typed, called_by_make, whole
+from recorder.command_line.options import next_command, whole
 from rig.acquire.calibration import store
 from rig.acquire.calibration.calibration import Calibration
 from rig.acquire.motion_notice import motion_lines
@@ -198,7 +197,7 @@ def confirm_options(parser: argparse.ArgumentParser) -> None:
 
 
 def bench_command(name: str, options: argparse.Namespace, **others: object) -> str:
-    """Return a command for the bench of these options, as the user would type it.
+    """Return the command to continue with on the bench of these options.
 
     Args:
         name: The command.
@@ -206,43 +205,8 @@ def bench_command(name: str, options: argparse.Namespace, **others: object) -> s
         others: Further options of the command and their values; those of None are left out.
     """
     chosen = {key: getattr(options, key) for key in ("sensor", "bench", "world", "force")}
-    if options.benches != Path("benches") and not called_by_make():
-        others["benches"] = options.benches
-    return as_typed(name, options.prog.rpartition(" ")[0], **chosen, **others)
-
-
-def resume_command(options: argparse.Namespace, session: Path) -> str:
-    """Return the command that continues a stopped session, as the user would type it."""
-    bench = getattr(options, "bench", None)
-    if called_by_make():
-        return f"make resume SESSION={session}" + (f" BENCH={bench}" if bench else "")
-    program = options.prog.rpartition(" ")[0]
-    return f"{program} collect --resume {session}" + (f" --bench {bench}" if bench else "")
-
-
-def campaign_command(options: argparse.Namespace) -> str:
-    """Return the command that continues a campaign, as the user would type it."""
-    if called_by_make():
-        flags = (
-            (" YES=1", options.yes),
-            (" WORLD=sim", options.world is not None),
-            (" KEEP_GOING=1", options.keep_going),
-        )
-        return f"make campaign FILE={options.file}" + "".join(text for text, on in flags if on)
-    words = [*options.prog.split(), "--file", str(options.file)]
-    for option, value, default in (
-        ("--benches", options.benches, Path("benches")),
-        ("--out", options.out, None),
-        ("--calibrations", options.calibrations, store.FOLDER),
-        ("--world", options.world, None),
-    ):
-        words += [] if value == default else [option, str(value)]
-    words += [
-        option
-        for option, on in (("--yes", options.yes), ("--keep-going", options.keep_going))
-        if on
-    ]
-    return shlex.join(words)
+    benches = None if options.benches == Path("benches") else options.benches
+    return next_command(name, **chosen, **others, benches=benches)
 
 
 def free_path(path: Path) -> Path:

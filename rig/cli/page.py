@@ -1,4 +1,4 @@
-"""`python -m rig page`: serve the workbench of a lab; nothing moves."""
+"""`tactile page`: serve the workbench of a lab; nothing moves."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`python -m rig replay`: play a recorded session through mock hardware and record it again."""
+"""`tactile replay`: play a recorded session through mock hardware and record it again."""
 
 from __future__ import annotations
 

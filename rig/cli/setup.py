@@ -1,4 +1,4 @@
-"""`python -m rig setup`: set a bench up step by step, and write its acceptance report."""
+"""`tactile setup`: set a bench up step by step, and write its acceptance report."""
 
 from __future__ import annotations
 

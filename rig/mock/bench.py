@@ -1,6 +1,6 @@
 """The mock bench: starts the emulators of a bench's devices and their common World.
 
-    python -m rig mock --sensor tacpalm
+    tactile mock --sensor tacpalm
 
 Every emulator is a separate process that speaks its device's protocol on a loopback address. The
 rig gets only those addresses: it runs the same drivers as in the lab.

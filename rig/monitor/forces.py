@@ -1,4 +1,4 @@
-"""Main loop of `python -m rig live`: predicts the force of each frame, and summarises.
+"""Main loop of `tactile live`: predicts the force of each frame, and summarises.
 
 Only the newest frame is used; frames that arrive during a prediction are skipped and counted.
 Latency is from a frame's arrival in this computer to its force.

@@ -19,6 +19,7 @@ import numpy as np
 
 from recorder import Session, SessionError, SessionWriter, StreamWriter
 from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE, EXIT_INTERRUPTED
+from recorder.command_line.options import next_command
 from recorder.info import session_digest, stream_digest
 from recorder.progress import ItemProgress
 from rig.acquire.collector import software
@@ -103,7 +104,7 @@ class Replay:
                 out = request.out
                 print(
                     f"{out}: could not be finished ({error}); its samples are kept: make room, "
-                    f"then run: python -m recorder recover {out}",
+                    f"then run: {next_command('session', 'recover', out)}",
                     file=sys.stderr,
                 )
                 return EXIT_DEVICE_LOST

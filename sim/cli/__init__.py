@@ -1,1 +1,1 @@
-"""Subcommands of `python -m sim`: one file each, with `add_arguments` and `run`."""
+"""Subcommands of `tactile sim`: one file each, with `add_arguments` and `run`."""

@@ -1,4 +1,4 @@
-"""`python -m sim archive`: create, resume and draw archives of simulated sensors."""
+"""`tactile sim archive`: create, resume and draw archives of simulated sensors."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from recorder.command_line.errors import EXIT_INTERRUPTED, EXIT_WRONG_INPUT
-from recorder.command_line.options import add_device, add_seed, names, whole
+from recorder.command_line.options import add_device, add_seed, names, next_command, whole
 from sim.cli.options import metres
 from sim.errors import SceneError
 
@@ -214,7 +214,7 @@ def _fill(options: argparse.Namespace, opened: OpenArchive) -> int:
     try:
         return _filled(options, opened) or _summed(options, opened)
     except SessionError as error:
-        raise SceneError(f"{error}; {_go_on(options, opened)}") from error
+        raise SceneError(f"{error}; {_go_on(opened)}") from error
 
 
 def _filled(options: argparse.Namespace, opened: OpenArchive) -> int:
@@ -224,7 +224,7 @@ def _filled(options: argparse.Namespace, opened: OpenArchive) -> int:
     from sim.dataset import Stop, fill
     from sim.device import ready_device
 
-    go_on = _go_on(options, opened)
+    go_on = _go_on(opened)
     kernels = ready_device("cpu" if options.scheduler else options.device)
     processes = _processes(options)
     missing = opened.missing()
@@ -273,8 +273,8 @@ def _summed(options: argparse.Namespace, opened: OpenArchive) -> int:
     return 0
 
 
-def _go_on(options: argparse.Namespace, opened: OpenArchive) -> str:
-    return f"to continue: {options.prog} resume {opened.path}"
+def _go_on(opened: OpenArchive) -> str:
+    return f"to continue: {next_command('sim', 'archive', 'resume', opened.path)}"
 
 
 def _maker(

@@ -8,7 +8,7 @@ import os
 import sys
 from pathlib import Path
 
-from recorder.command_line.options import add_device, add_grid, positive, whole
+from recorder.command_line.options import add_device, add_grid, next_command, positive, whole
 from sim.errors import SceneError
 
 # Difference of forces at rest above which a twin is refused [%].
@@ -165,5 +165,6 @@ def run(options: argparse.Namespace) -> int:
     options.out.write_text(row, encoding="utf-8")
     if not options.json:
         print(f"{options.out}\n{picture}")
-        print(f"labels by it: tactile sim labels ARCHIVE --sensor NAME --twin {options.out}")
+        labels = next_command("sim", "labels", "ARCHIVE", sensor="NAME", twin=options.out)
+        print(f"labels by it: {labels}")
     return 0

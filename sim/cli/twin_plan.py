@@ -8,7 +8,7 @@ import sys
 from collections import Counter
 from pathlib import Path
 
-from recorder.command_line.options import add_grid, names, positive
+from recorder.command_line.options import add_grid, names, next_command, positive
 
 # Most time at the bench [min], and time to mount an indenter [s].
 MINUTES, CHANGE = 5.0, 60.0
@@ -97,5 +97,5 @@ def run(options: argparse.Namespace) -> int:
         (options.out / name).write_text(text, encoding="utf-8")
     for line in expected_lines(planner, planned, usual, options.change):
         print(line)
-    print(f"tactile campaign --file {options.out}/campaign.yaml --benches {options.out}")
+    print(next_command("campaign", file=options.out / "campaign.yaml", benches=options.out))
     return 0

@@ -21,6 +21,7 @@ from scipy.special import gammainc
 
 from recorder import SessionError
 from recorder.archive import ArchivePlan, ArchiveWriter, MarkerArchive, MarkerCount, SensorPlan
+from recorder.command_line.options import next_command
 from recorder.markers import count_markers, unpack
 from recorder.processes import WorkerLost, Workers
 from sim.dataset.generate import LATTICE, Packed, Reader, UnitStats, make_unit, reader
@@ -85,9 +86,10 @@ def begin(path: Path, plan: DatasetPlan, device: str = "cpu") -> OpenArchive:
         opened = found(path)
         keys = differing(opened.plan.document(), plan.document())
         if keys:
+            resume = next_command("sim", "archive", "resume", path)
             raise SceneError(
                 f"{path}: was begun with another plan, which differs in {', '.join(keys)}; "
-                f"allowed: the same options, another path, or `python -m sim archive resume {path}`"
+                f"allowed: the same options, another path, or `{resume}`"
             )
         return opened
     path.parent.mkdir(parents=True, exist_ok=True)

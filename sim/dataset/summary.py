@@ -88,7 +88,7 @@ def _some(title: str, lines: list[str]) -> Iterator[str]:
         yield title
     yield from (f"  {line}" for line in lines[:SHOWN])
     if len(lines) > SHOWN:
-        yield f"  and {len(lines) - SHOWN} more: `python -m recorder check`, and `sources`"
+        yield f"  and {len(lines) - SHOWN} more: `tactile session check`, and `sources`"
 
 
 # Small multiples: one picture of the deepest state for each sensor and indenter of an archive.

@@ -72,7 +72,7 @@ def test_targets_are_marked_on_the_page_by_clicks(
         made = make_session(path, shape=(48, 64), targets=target_table(PLAN, TARGETS, BENCH))
         set_attrs(made, **known, indenter=name if name in first_hour.INDENTERS else "cylinder")
     tactile = tmp_path / "tactile"
-    tactile.write_text(f'#!/bin/sh\nPYTHONPATH={ROOT} exec {sys.executable} -m rig "$@"\n')
+    tactile.write_text(f'#!/bin/sh\nPYTHONPATH={ROOT} exec {sys.executable} -m tactile "$@"\n')
     tactile.chmod(0o755)
     words = [str(tactile), "page", "--port", "0"]
     picture = tmp_path / "workbench.png"

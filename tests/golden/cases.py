@@ -23,34 +23,6 @@ def _copied(source: str, name: str = "x.zarr", *steps: tuple[object, ...]) -> tu
     return (("copy", source, f"{{out}}/{name}"), *inside)
 
 
-# Commands with help pages
-
-RIG = (
-    *("collect", "home", "calibrate-latency", "force-depth", "campaign", "jog", "live", "grip"),
-    *("mock", "replay", "page", "doctor", "setup"),
-)
-RECORDER = ("list", "info", "check", "recover", "repack", "export", "view", "sheet")
-SIM = ("press", "archive", "archive states", "archive sensors")
-LEARNING = (
-    *("markers", "import-genforce", "export-genforce", "train-field"),
-    *("train-autoencoder", "train-direct", "train-marker-vae", "train-diffusion"),
-    *("import-weights", "translate", "compensate", "train-force", "export-onnx", "predict"),
-    *("evaluate", "experiment"),
-)
-HELP = tuple(
-    Case(
-        f"{package}-help",
-        (f"{package} --help", *(f"{package} {command} --help" for command in subcommands)),
-        one_process=True,
-    )
-    for package, subcommands in (
-        ("rig", RIG),
-        ("recorder", RECORDER),
-        ("sim", SIM),
-        ("learning", LEARNING),
-    )
-)
-
 # Rig
 
 WRONG_BENCHES = {
@@ -79,13 +51,13 @@ RIG_CASES = (
         timed=False,
         commands=(
             *(
-                f"rig collect --bench {{out}}/{name}.yaml --out {{out}}/x.zarr"
+                f"tactile collect --bench {{out}}/{name}.yaml --out {{out}}/x.zarr"
                 for name in WRONG_BENCHES
             ),
-            "rig collect --bench {out}/none.yaml --out {out}/x.zarr",
-            "rig collect --bench {out}/list.yaml --out {out}/x.zarr",
-            "rig collect --sensor nosuch --out {out}/x.zarr",
-            "rig collect --out {out}/x.zarr",
+            "tactile collect --bench {out}/none.yaml --out {out}/x.zarr",
+            "tactile collect --bench {out}/list.yaml --out {out}/x.zarr",
+            "tactile collect --sensor nosuch --out {out}/x.zarr",
+            "tactile collect --out {out}/x.zarr",
         ),
         one_process=True,
         prepare=(
@@ -99,19 +71,19 @@ RIG_CASES = (
     Case(
         "rig-collect-refused",
         (
-            "rig collect --sensor nosuch --out {out}/a.zarr",
-            "rig collect --sensor gelsight --targets 0 --out {out}/a.zarr",
-            "rig collect --sensor gelsight --targets 999 --out {out}/a.zarr",
-            "rig collect --sensor gelsight --bench a.yaml --out {out}/a.zarr",
-            "rig collect --sensor gelsight --camera {out}/nowhere --out {out}/a.zarr",
-            "rig collect --sensor gelsight --taxels {out}/none.npy --out {out}/a.zarr",
-            "rig collect --resume {out}/nowhere.zarr",
-            "rig collect --resume {out}/x.zarr --targets 3",
-            "rig collect --resume {out}/x.zarr --sensor tacpalm",
-            "rig home --sensor gelsight --repeats 0 --out {out}/a.zarr",
-            "rig calibrate-latency --sensor gelsight --taps 0 --out {out}/a.zarr",
-            "rig jog --sensor gelsight",
-            "rig grip --sensor nosuch",
+            "tactile collect --sensor nosuch --out {out}/a.zarr",
+            "tactile collect --sensor gelsight --targets 0 --out {out}/a.zarr",
+            "tactile collect --sensor gelsight --targets 999 --out {out}/a.zarr",
+            "tactile collect --sensor gelsight --bench a.yaml --out {out}/a.zarr",
+            "tactile collect --sensor gelsight --camera {out}/nowhere --out {out}/a.zarr",
+            "tactile collect --sensor gelsight --taxels {out}/none.npy --out {out}/a.zarr",
+            "tactile collect --resume {out}/nowhere.zarr",
+            "tactile collect --resume {out}/x.zarr --targets 3",
+            "tactile collect --resume {out}/x.zarr --sensor tacpalm",
+            "tactile home --sensor gelsight --repeats 0 --out {out}/a.zarr",
+            "tactile calibrate-latency --sensor gelsight --taps 0 --out {out}/a.zarr",
+            "tactile jog --sensor gelsight",
+            "tactile grip --sensor nosuch",
         ),
         one_process=True,
         prepare=_copied(GELSIGHT),
@@ -119,8 +91,8 @@ RIG_CASES = (
     Case(
         "rig-out-exists",
         (
-            "rig collect --sensor gelsight --targets 1 --out {out}/x.zarr",
-            "rig force-depth --sensor gelsight --out {out}/x.zarr",
+            "tactile collect --sensor gelsight --targets 1 --out {out}/x.zarr",
+            "tactile force-depth --sensor gelsight --out {out}/x.zarr",
         ),
         prepare=_copied(GELSIGHT),
         loose=True,
@@ -129,8 +101,8 @@ RIG_CASES = (
     Case(
         "rig-resume-refused",
         (
-            "rig collect --resume {out}/y.zarr --bench {out}/same.yaml",
-            "rig collect --resume {out}/z.zarr",
+            "tactile collect --resume {out}/y.zarr --bench {out}/same.yaml",
+            "tactile collect --resume {out}/z.zarr",
         ),
         one_process=True,
         prepare=(
@@ -142,9 +114,9 @@ RIG_CASES = (
     Case(
         "rig-campaign",
         (
-            "rig campaign --file campaigns/day.yaml --out {out}/none --list",
-            "rig campaign --file {out}/none.yaml --list",
-            *(f"rig campaign --file {{out}}/{name}.yaml --list" for name in WRONG_CAMPAIGNS),
+            "tactile campaign --file campaigns/day.yaml --out {out}/none --list",
+            "tactile campaign --file {out}/none.yaml --list",
+            *(f"tactile campaign --file {{out}}/{name}.yaml --list" for name in WRONG_CAMPAIGNS),
         ),
         one_process=True,
         prepare=tuple(
@@ -154,34 +126,34 @@ RIG_CASES = (
     ),
     Case(
         "rig-replay",
-        (f"rig replay --session {GELSIGHT} --speed max --out {{out}}/x.zarr",),
+        (f"tactile replay --session {GELSIGHT} --speed max --out {{out}}/x.zarr",),
         look=("x.zarr",),
         loose=True,
     ),
     Case(
         "rig-replay-taxels",
-        (f"rig replay --session {USKIN} --speed max --out {{out}}/x.zarr",),
+        (f"tactile replay --session {USKIN} --speed max --out {{out}}/x.zarr",),
         look=("x.zarr",),
         loose=True,
     ),
     Case(
         "rig-replay-refused",
         (
-            "rig replay --session {out}/none.zarr --out {out}/x.zarr",
-            f"rig replay --session {GELSIGHT} --speed 0 --out {{out}}/x.zarr",
-            f"rig replay --session {GELSIGHT} --speed x --out {{out}}/x.zarr",
-            f"rig replay --session {GELSIGHT} --out {GELSIGHT}",
-            f"rig replay --session {GELSIGHT} --without smell --out {{out}}/x.zarr",
-            f"rig replay --session {ARCHIVE} --out {{out}}/x.zarr",
+            "tactile replay --session {out}/none.zarr --out {out}/x.zarr",
+            f"tactile replay --session {GELSIGHT} --speed 0 --out {{out}}/x.zarr",
+            f"tactile replay --session {GELSIGHT} --speed x --out {{out}}/x.zarr",
+            f"tactile replay --session {GELSIGHT} --out {GELSIGHT}",
+            f"tactile replay --session {GELSIGHT} --without smell --out {{out}}/x.zarr",
+            f"tactile replay --session {ARCHIVE} --out {{out}}/x.zarr",
         ),
         one_process=True,
     ),
     Case(
         "rig-collect-tacpalm",
         (
-            "rig collect --sensor tacpalm --targets 1 --indenter cylinder --operator golden "
+            "tactile collect --sensor tacpalm --targets 1 --indenter cylinder --operator golden "
             "--calibrations {out}/none --out {out}/x.zarr --truth {out}/x.truth",
-            "recorder check {out}/x.zarr",
+            "tactile session check {out}/x.zarr",
         ),
         look=("*",),
         loose=True,
@@ -190,9 +162,9 @@ RIG_CASES = (
     Case(
         "rig-collect-uskin",
         (
-            "rig collect --sensor uskin --targets 2 --indenter cylinder --operator golden "
+            "tactile collect --sensor uskin --targets 2 --indenter cylinder --operator golden "
             "--calibrations {out}/none --out {out}/x.zarr",
-            "recorder info {out}/x.zarr",
+            "tactile session info {out}/x.zarr",
         ),
         look=("x.zarr",),
         loose=True,
@@ -200,7 +172,7 @@ RIG_CASES = (
     Case(
         "rig-force-depth",
         (
-            "rig force-depth --bench {out}/b.yaml --operator golden --calibrations {out}/none "
+            "tactile force-depth --bench {out}/b.yaml --operator golden --calibrations {out}/none "
             "--out {out}/x.zarr",
         ),
         prepare=(
@@ -217,7 +189,7 @@ RIG_CASES = (
     Case(
         "rig-world-sim",
         (
-            "rig collect --sensor uskin --world sim --targets 1 --indenter cylinder --operator golden "
+            "tactile collect --sensor uskin --world sim --targets 1 --indenter cylinder --operator golden "
             "--calibrations {out}/none --out {out}/x.zarr",
         ),
         look=("x.zarr",),
@@ -227,7 +199,7 @@ RIG_CASES = (
     Case(
         "rig-live",
         (
-            f"rig live --model {MODELS}/force --session {GELSIGHT} --runtime torch --seconds 2 "
+            f"tactile live --model {MODELS}/force --session {GELSIGHT} --runtime torch --seconds 2 "
             "--out {out}/x.csv",
         ),
         look=("x.csv",),
@@ -237,13 +209,13 @@ RIG_CASES = (
     Case(
         "rig-live-refused",
         (
-            f"rig live --model {{out}}/none --session {GELSIGHT}",
-            f"rig live --model {MODELS}/direct --session {GELSIGHT} --runtime torch",
-            f"rig live --model {MODELS}/force --session {GELSIGHT} --runtime onnx",
-            f"rig live --model {MODELS}/force --session {GELSIGHT} --sensor gelsight",
-            f"rig live --model {MODELS}/force --session {GELSIGHT} --seconds 0",
-            f"rig live --model {MODELS}/force --session {{out}}/none.zarr",
-            f"rig live --session {GELSIGHT}",
+            f"tactile live --model {{out}}/none --session {GELSIGHT}",
+            f"tactile live --model {MODELS}/direct --session {GELSIGHT} --runtime torch",
+            f"tactile live --model {MODELS}/force --session {GELSIGHT} --runtime onnx",
+            f"tactile live --model {MODELS}/force --session {GELSIGHT} --sensor gelsight",
+            f"tactile live --model {MODELS}/force --session {GELSIGHT} --seconds 0",
+            f"tactile live --model {MODELS}/force --session {{out}}/none.zarr",
+            f"tactile live --session {GELSIGHT}",
         ),
         one_process=True,
     ),
@@ -255,19 +227,27 @@ NEWER = ("json", "zarr.json", "attributes.format_version", 99)
 RECORDER_CASES = (
     Case(
         "recorder-info",
-        (f"recorder info {GELSIGHT}", f"recorder info {USKIN}", f"recorder info {ARCHIVE}"),
+        (
+            f"tactile session info {GELSIGHT}",
+            f"tactile session info {USKIN}",
+            f"tactile session info {ARCHIVE}",
+        ),
         one_process=True,
         portable=True,
     ),
     Case(
         "recorder-check",
-        (f"recorder check {GELSIGHT}", f"recorder check {USKIN}", f"recorder check {ARCHIVE}"),
+        (
+            f"tactile session check {GELSIGHT}",
+            f"tactile session check {USKIN}",
+            f"tactile session check {ARCHIVE}",
+        ),
         one_process=True,
         portable=True,
     ),
     Case(
         "recorder-check-broken",
-        tuple(f"recorder check {{out}}/{name}.zarr" for name in "abcdefgh"),
+        tuple(f"tactile session check {{out}}/{name}.zarr" for name in "abcdefgh"),
         one_process=True,
         portable=True,
         prepare=(
@@ -285,23 +265,29 @@ RECORDER_CASES = (
         "recorder-refused",
         (
             *(
-                f"recorder {command} {{out}}/none.zarr"
+                f"tactile session {command} {{out}}/none.zarr"
                 for command in ("info", "check", "recover", "sheet")
             ),
-            *(f"recorder {command} {{out}}/text.zarr" for command in ("info", "check", "sheet")),
-            *(f"recorder {command} {{out}}/newer.zarr" for command in ("info", "check", "recover")),
-            "recorder info {out}/other.zarr",
-            "recorder info {out}/bare.zarr",
-            "recorder info {out}/newer.markers.zarr",
-            "recorder info {out}/broken.zarr",
-            f"recorder sheet {ARCHIVE} --output {{out}}/x.png",
-            f"recorder sheet {GELSIGHT} --count 0 --output {{out}}/x.png",
-            f"recorder repack {GELSIGHT} {{out}}/newer.zarr",
-            f"recorder repack {GELSIGHT} {{out}}/x.zarr --profile smaller",
-            f"recorder export {GELSIGHT} {{out}}/newer.zarr --to hdf5",
-            f"recorder export {GELSIGHT} {{out}}/x --to word",
-            f"recorder export {ARCHIVE} {{out}}/x --to hdf5",
-            "recorder recover s3://bucket/x.zarr",
+            *(
+                f"tactile session {command} {{out}}/text.zarr"
+                for command in ("info", "check", "sheet")
+            ),
+            *(
+                f"tactile session {command} {{out}}/newer.zarr"
+                for command in ("info", "check", "recover")
+            ),
+            "tactile session info {out}/other.zarr",
+            "tactile session info {out}/bare.zarr",
+            "tactile session info {out}/newer.markers.zarr",
+            "tactile session info {out}/broken.zarr",
+            f"tactile session sheet {ARCHIVE} --output {{out}}/x.png",
+            f"tactile session sheet {GELSIGHT} --count 0 --output {{out}}/x.png",
+            f"tactile session repack {GELSIGHT} {{out}}/newer.zarr",
+            f"tactile session repack {GELSIGHT} {{out}}/x.zarr --profile smaller",
+            f"tactile session export {GELSIGHT} {{out}}/newer.zarr --to hdf5",
+            f"tactile session export {GELSIGHT} {{out}}/x --to word",
+            f"tactile session export {ARCHIVE} {{out}}/x --to hdf5",
+            "tactile session recover s3://bucket/x.zarr",
         ),
         one_process=True,
         portable=True,
@@ -316,7 +302,7 @@ RECORDER_CASES = (
     ),
     Case(
         "recorder-missing-field",
-        tuple(f"recorder info {{out}}/{name}.zarr" for name in "abcdef"),
+        tuple(f"tactile session info {{out}}/{name}.zarr" for name in "abcdef"),
         one_process=True,
         portable=True,
         prepare=(
@@ -331,9 +317,9 @@ RECORDER_CASES = (
     Case(
         "recorder-recover",
         (
-            "recorder recover {out}/x.zarr",
-            "recorder recover {out}/x.zarr",
-            "recorder check {out}/x.zarr",
+            "tactile session recover {out}/x.zarr",
+            "tactile session recover {out}/x.zarr",
+            "tactile session check {out}/x.zarr",
         ),
         one_process=True,
         portable=True,
@@ -347,22 +333,22 @@ RECORDER_CASES = (
     ),
     Case(
         "recorder-repack-portable",
-        (f"recorder repack {GELSIGHT} {{out}}/x.zarr", "recorder info {out}/x.zarr"),
+        (f"tactile session repack {GELSIGHT} {{out}}/x.zarr", "tactile session info {out}/x.zarr"),
         portable=True,
         look=("x.zarr",),
     ),
     Case(
         "recorder-repack-camera",
-        (f"recorder repack {GELSIGHT} {{out}}/x.zarr --profile camera",),
+        (f"tactile session repack {GELSIGHT} {{out}}/x.zarr --profile camera",),
         portable=True,
         look=("x.zarr",),
     ),
     Case(
         "recorder-export-hdf5",
         (
-            f"recorder export {USKIN} {{out}}/x.h5 --to hdf5",
-            f"recorder export {GELSIGHT} {{out}}/y.h5 --to hdf5",
-            f"recorder export {GELSIGHT} {{out}}/z.h5 --to hdf5 --decode",
+            f"tactile session export {USKIN} {{out}}/x.h5 --to hdf5",
+            f"tactile session export {GELSIGHT} {{out}}/y.h5 --to hdf5",
+            f"tactile session export {GELSIGHT} {{out}}/z.h5 --to hdf5 --decode",
         ),
         one_process=True,
         portable=True,
@@ -371,8 +357,8 @@ RECORDER_CASES = (
     Case(
         "recorder-export-mcap",
         (
-            f"recorder export {USKIN} {{out}}/x.mcap --to mcap",
-            f"recorder export {GELSIGHT} {{out}}/y.mcap --to mcap",
+            f"tactile session export {USKIN} {{out}}/x.mcap --to mcap",
+            f"tactile session export {GELSIGHT} {{out}}/y.mcap --to mcap",
         ),
         one_process=True,
         portable=True,
@@ -381,8 +367,8 @@ RECORDER_CASES = (
     Case(
         "recorder-export-lerobot",
         (
-            f"recorder export {USKIN} {{out}}/x --to lerobot",
-            f"recorder export {GELSIGHT} {{out}}/y --to lerobot --valid-only",
+            f"tactile session export {USKIN} {{out}}/x --to lerobot",
+            f"tactile session export {GELSIGHT} {{out}}/y --to lerobot --valid-only",
         ),
         one_process=True,
         portable=True,
@@ -391,8 +377,8 @@ RECORDER_CASES = (
     Case(
         "recorder-export-genforce",
         (
-            f"recorder export {GELSIGHT} {{out}}/x --to genforce",
-            f"recorder export {USKIN} {{out}}/y --to genforce",
+            f"tactile session export {GELSIGHT} {{out}}/x --to genforce",
+            f"tactile session export {USKIN} {{out}}/y --to genforce",
         ),
         one_process=True,
         portable=True,
@@ -401,8 +387,8 @@ RECORDER_CASES = (
     Case(
         "recorder-sheet",
         (
-            f"recorder sheet {GELSIGHT} --output {{out}}/x.png --count 5",
-            f"recorder sheet {USKIN} --output {{out}}/y.png",
+            f"tactile session sheet {GELSIGHT} --output {{out}}/x.png --count 5",
+            f"tactile session sheet {USKIN} --output {{out}}/y.png",
         ),
         one_process=True,
         look=("*.png",),
@@ -417,8 +403,8 @@ RECORDER_CASES = (
             "tactile import {out}/c.zarr --video {out}/frames --fps 20 --force {out}/f.csv "
             "--force-hz 40 --units N --torque-units N*m --trim --sensor gelsight --indenter ball "
             "--operator golden --press none --lag 0 --yes",
-            "recorder info {out}/b.zarr",
-            "recorder check {out}/a.zarr",
+            "tactile session info {out}/b.zarr",
+            "tactile session check {out}/a.zarr",
         ),
         one_process=True,
         portable=True,
@@ -461,7 +447,7 @@ RECORDER_CASES = (
 
 
 def _scene(name: str, words: str, **more: object) -> Case:
-    line = f"sim {words} --json --save {{out}}/x.zarr"
+    line = f"tactile sim {words} --json --save {{out}}/x.zarr"
     return Case(f"sim-{name}", (line,), look=("x.zarr",), timeout=600, **more)  # type: ignore[arg-type]
 
 
@@ -530,10 +516,10 @@ SIM_CASES = (
     Case(
         "sim-fem-stl-tilted",
         (
-            "sim press --shape {out}/wedge.stl --tilt 5,-3 --depths 0.3,0.6 --tier fem:0.4 --json "
+            "tactile sim press --shape {out}/wedge.stl --tilt 5,-3 --depths 0.3,0.6 --tier fem:0.4 --json "
             "--save {out}/x.zarr",
-            "sim press --shape {out}/wedge.stl:unit=m --depths 0.3 --tier layer --json",
-            "sim press --shape {out}/text.stl --depths 0.3 --tier layer --json",
+            "tactile sim press --shape {out}/wedge.stl:unit=m --depths 0.3 --tier layer --json",
+            "tactile sim press --shape {out}/text.stl --depths 0.3 --tier layer --json",
         ),
         prepare=(
             ("write", "{out}/wedge.stl", STL + "endsolid wedge\n"),
@@ -547,9 +533,9 @@ SIM_CASES = (
     Case(
         "sim-table-and-picture",
         (
-            "sim press --tier layer --shape dots --depths 0.2,0.4 --out {out}/press.png",
-            "sim press --tier layer --shape sphere --depths 1 --shear 1 --friction 0.5 --out {out}/loop.png",
-            "sim press --tier layer --shape line --depths 1 --hold 2 --steps 2 --viscosity 0.5:0.5 --out {out}/hold.png",
+            "tactile sim press --tier layer --shape dots --depths 0.2,0.4 --out {out}/press.png",
+            "tactile sim press --tier layer --shape sphere --depths 1 --shear 1 --friction 0.5 --out {out}/loop.png",
+            "tactile sim press --tier layer --shape line --depths 1 --hold 2 --steps 2 --viscosity 0.5:0.5 --out {out}/hold.png",
         ),
         one_process=True,
         look=("*.png",),
@@ -557,10 +543,10 @@ SIM_CASES = (
     Case(
         "sim-archive-sensors",
         (
-            "sim archive sensors --sensors gelsight,tacpalm,uskin --tier layer --scale smoke --steps 1 "
+            "tactile sim archive sensors --sensors gelsight,tacpalm,uskin --tier layer --scale smoke --steps 1 "
             "--indenters sphere --processes 1 --out {out}/x.markers.zarr",
-            "recorder info {out}/x.markers.zarr",
-            "sim archive sheet {out}/x.markers.zarr --out {out}/x.png",
+            "tactile session info {out}/x.markers.zarr",
+            "tactile sim archive sheet {out}/x.markers.zarr --out {out}/x.png",
         ),
         look=("x.markers.zarr", "x.png"),
         timeout=600,
@@ -569,7 +555,7 @@ SIM_CASES = (
     Case(
         "sim-archive-in-use",
         (
-            "sim archive sensors --sensors array-i,{out}/mine.yaml --tier layer --scale 0.005 --steps 1 "
+            "tactile sim archive sensors --sensors array-i,{out}/mine.yaml --tier layer --scale 0.005 --steps 1 "
             "--indenters cone --processes 2 --no-check --seed 3 --out {out}/x.markers.zarr",
         ),
         prepare=(
@@ -589,13 +575,13 @@ SIM_CASES = (
     Case(
         "sim-archive-states",
         (
-            "sim archive states --smoke --indenters sphere --patterns Array1,Circle1 --tier layer "
+            "tactile sim archive states --smoke --indenters sphere --patterns Array1,Circle1 --tier layer "
             "--processes 1 --out {out}/x.markers.zarr",
-            "sim archive states --smoke --indenters sphere --patterns Array1,Circle1 --tier layer "
+            "tactile sim archive states --smoke --indenters sphere --patterns Array1,Circle1 --tier layer "
             "--processes 1 --out {out}/x.markers.zarr",
-            "sim archive states --smoke --indenters sphere --patterns Array1 --tier layer "
+            "tactile sim archive states --smoke --indenters sphere --patterns Array1 --tier layer "
             "--processes 1 --out {out}/x.markers.zarr",
-            "sim archive resume {out}/x.markers.zarr --no-check",
+            "tactile sim archive resume {out}/x.markers.zarr --no-check",
         ),
         look=("x.markers.zarr",),
         timeout=600,
@@ -604,7 +590,7 @@ SIM_CASES = (
     Case(
         "sim-archive-fem",
         (
-            "sim archive sensors --sensors r6,r18 --tier fem --spacing 1.3 --scale smoke --steps 1 "
+            "tactile sim archive sensors --sensors r6,r18 --tier fem --spacing 1.3 --scale smoke --steps 1 "
             "--indenters sphere --processes 1 --no-check --out {out}/x.markers.zarr",
         ),
         look=("x.markers.zarr",),
@@ -614,22 +600,22 @@ SIM_CASES = (
     Case(
         "sim-archive-refused",
         (
-            "sim archive sensors --out {out}/x.markers.zarr",
-            "sim archive sensors --sensors digit --out {out}/x.markers.zarr",
-            "sim archive sensors --sensors {out}/key.yaml --out {out}/x.markers.zarr",
-            "sim archive sensors --sensors {out}/value.yaml --out {out}/x.markers.zarr",
-            "sim archive sensors --sensors {out}/none.yaml --out {out}/x.markers.zarr",
-            "sim archive sensors --sensors {out}/list.yaml --out {out}/x.markers.zarr",
-            "sim archive sensors --sensors {out}/circle.yaml --out {out}/x.markers.zarr",
-            "sim archive sensors --group homogeneous --scale 2 --out {out}/x.markers.zarr",
-            "sim archive sensors --group homogeneous --indenters egg --out {out}/x.markers.zarr",
-            "sim archive sensors --group homogeneous --steps -1 --out {out}/x.markers.zarr",
-            'sim archive sensors --group material --tier fem --tolerance "3 %" --out {out}/x.markers.zarr',
-            "sim archive states --patterns Spiral --out {out}/x.markers.zarr",
-            "sim archive states --processes 0 --tier layer --smoke --out {out}/x.markers.zarr",
-            "sim archive resume {out}/none.markers.zarr",
-            f"sim archive resume {ARCHIVE.replace('skins.markers', 'gelsight')}",
-            "sim archive sheet {out}/none.markers.zarr --out {out}/x.png",
+            "tactile sim archive sensors --out {out}/x.markers.zarr",
+            "tactile sim archive sensors --sensors digit --out {out}/x.markers.zarr",
+            "tactile sim archive sensors --sensors {out}/key.yaml --out {out}/x.markers.zarr",
+            "tactile sim archive sensors --sensors {out}/value.yaml --out {out}/x.markers.zarr",
+            "tactile sim archive sensors --sensors {out}/none.yaml --out {out}/x.markers.zarr",
+            "tactile sim archive sensors --sensors {out}/list.yaml --out {out}/x.markers.zarr",
+            "tactile sim archive sensors --sensors {out}/circle.yaml --out {out}/x.markers.zarr",
+            "tactile sim archive sensors --group homogeneous --scale 2 --out {out}/x.markers.zarr",
+            "tactile sim archive sensors --group homogeneous --indenters egg --out {out}/x.markers.zarr",
+            "tactile sim archive sensors --group homogeneous --steps -1 --out {out}/x.markers.zarr",
+            'tactile sim archive sensors --group material --tier fem --tolerance "3 %" --out {out}/x.markers.zarr',
+            "tactile sim archive states --patterns Spiral --out {out}/x.markers.zarr",
+            "tactile sim archive states --processes 0 --tier layer --smoke --out {out}/x.markers.zarr",
+            "tactile sim archive resume {out}/none.markers.zarr",
+            f"tactile sim archive resume {ARCHIVE.replace('skins.markers', 'gelsight')}",
+            "tactile sim archive sheet {out}/none.markers.zarr --out {out}/x.png",
         ),
         one_process=True,
         prepare=(
@@ -696,10 +682,10 @@ LEARNING_CASES = (
     Case(
         "learning-markers",
         (
-            f"learning markers {GELSIGHT} --out {{out}}/a.markers.zarr --preset bench-gelsight "
+            f"tactile markers {GELSIGHT} --out {{out}}/a.markers.zarr --preset bench-gelsight "
             "--sheet {out}/a.png",
-            f"learning markers {USKIN} --out {{out}}/b.markers.zarr",
-            "recorder info {out}/a.markers.zarr",
+            f"tactile markers {USKIN} --out {{out}}/b.markers.zarr",
+            "tactile session info {out}/a.markers.zarr",
         ),
         one_process=True,
         look=("*.markers.zarr", "a.png"),
@@ -707,14 +693,14 @@ LEARNING_CASES = (
     Case(
         "learning-markers-refused",
         (
-            f"learning markers {GELSIGHT}",
-            "learning markers {out}/none.zarr --out {out}/a.markers.zarr",
-            f"learning markers {GELSIGHT} --out {{out}}/a.markers.zarr --preset nosuch",
-            f"learning markers {GELSIGHT} --out {{out}}/a.markers.zarr --preset {{out}}/key.yaml",
-            f"learning markers {GELSIGHT} {USKIN} --out {{out}}/a.markers.zarr",
-            f"learning markers {GELSIGHT} --out {{out}}/a.markers.zarr --mm-per-px -1",
-            f"learning markers {GELSIGHT} --out {{out}}/a.markers.zarr --sam-encoder x.onnx",
-            f"learning markers {ARCHIVE} --out {{out}}/a.markers.zarr",
+            f"tactile markers {GELSIGHT}",
+            "tactile markers {out}/none.zarr --out {out}/a.markers.zarr",
+            f"tactile markers {GELSIGHT} --out {{out}}/a.markers.zarr --preset nosuch",
+            f"tactile markers {GELSIGHT} --out {{out}}/a.markers.zarr --preset {{out}}/key.yaml",
+            f"tactile markers {GELSIGHT} {USKIN} --out {{out}}/a.markers.zarr",
+            f"tactile markers {GELSIGHT} --out {{out}}/a.markers.zarr --mm-per-px -1",
+            f"tactile markers {GELSIGHT} --out {{out}}/a.markers.zarr --sam-encoder x.onnx",
+            f"tactile markers {ARCHIVE} --out {{out}}/a.markers.zarr",
         ),
         one_process=True,
         prepare=(("write", "{out}/key.yaml", "description: mine\nspeed: 3\n"),),
@@ -722,13 +708,13 @@ LEARNING_CASES = (
     Case(
         "learning-genforce",
         (
-            f"learning export-genforce {ARCHIVE} --out {{out}}/x",
-            "learning import-genforce {out}/x --out {out}/y.markers.zarr",
-            "recorder info {out}/y.markers.zarr",
-            f"learning export-genforce {ARCHIVE} --out {{out}}/x",
-            "learning import-genforce {out}/none --out {out}/z.markers.zarr",
-            "learning import-genforce {data} --out {out}/z.markers.zarr",
-            "learning import-genforce {out}/x --mm-per-px r6 --out {out}/z.markers.zarr",
+            f"tactile export-genforce {ARCHIVE} --out {{out}}/x",
+            "tactile import-genforce {out}/x --out {out}/y.markers.zarr",
+            "tactile session info {out}/y.markers.zarr",
+            f"tactile export-genforce {ARCHIVE} --out {{out}}/x",
+            "tactile import-genforce {out}/none --out {out}/z.markers.zarr",
+            "tactile import-genforce {data} --out {out}/z.markers.zarr",
+            "tactile import-genforce {out}/x --mm-per-px r6 --out {out}/z.markers.zarr",
         ),
         one_process=True,
         look=("x", "y.markers.zarr"),
@@ -736,10 +722,10 @@ LEARNING_CASES = (
     Case(
         "learning-compensate",
         (
-            f"learning compensate {ARCHIVE} --out {{out}}/a.json --split {SPLIT} --pairs r6:r18,r18:r6",
-            f"learning compensate {ARCHIVE} --out {{out}}/b.json --pairs r6:r18 --range-mm r6=0.4",
-            f"learning compensate {ARCHIVE} --out {{out}}/c.json --pairs r6:digit",
-            f"learning compensate {ARCHIVE} --out {{out}}/c.json --range-mm r6",
+            f"tactile compensate {ARCHIVE} --out {{out}}/a.json --split {SPLIT} --pairs r6:r18,r18:r6",
+            f"tactile compensate {ARCHIVE} --out {{out}}/b.json --pairs r6:r18 --range-mm r6=0.4",
+            f"tactile compensate {ARCHIVE} --out {{out}}/c.json --pairs r6:digit",
+            f"tactile compensate {ARCHIVE} --out {{out}}/c.json --range-mm r6",
         ),
         one_process=True,
         look=("*.json", "*.png"),
@@ -747,26 +733,26 @@ LEARNING_CASES = (
     Case(
         "learning-translate-flow",
         (
-            f"learning translate {ARCHIVE} {TRANSLATED} --split {SPLIT} --role train --sheet {{out}}/x.png",
-            "recorder check {out}/x.markers.zarr",
+            f"tactile translate {ARCHIVE} {TRANSLATED} --split {SPLIT} --role train --sheet {{out}}/x.png",
+            "tactile session check {out}/x.markers.zarr",
         ),
         look=("x.markers.zarr", "x.png"),
     ),
     Case(
         "learning-translate-direct",
-        (f"learning translate {ARCHIVE} {TRANSLATED} --model {MODELS}/direct",),
+        (f"tactile translate {ARCHIVE} {TRANSLATED} --model {MODELS}/direct",),
         look=("x.markers.zarr",),
         timeout=300,
     ),
     Case(
         "learning-translate-field",
-        (f"learning translate {ARCHIVE} {TRANSLATED} --model {MODELS}/field",),
+        (f"tactile translate {ARCHIVE} {TRANSLATED} --model {MODELS}/field",),
         look=("x.markers.zarr",),
         timeout=300,
     ),
     Case(
         "learning-translate-diffusion",
-        (f"learning translate {ARCHIVE} {TRANSLATED} --model {{out}}/diffusion",),
+        (f"tactile translate {ARCHIVE} {TRANSLATED} --model {{out}}/diffusion",),
         prepare=_based("diffusion"),
         look=("x.markers.zarr",),
         timeout=300,
@@ -774,15 +760,15 @@ LEARNING_CASES = (
     Case(
         "learning-translate-refused",
         (
-            f"learning translate {ARCHIVE} --out {{out}}/x.markers.zarr",
-            f"learning translate {ARCHIVE} --source r6 --target digit --out {{out}}/x.markers.zarr",
-            f"learning translate {ARCHIVE} --source r6 --target r6 --out {{out}}/x.markers.zarr",
-            f"learning translate {ARCHIVE} {TRANSLATED} --model {{out}}/none",
-            f"learning translate {ARCHIVE} {TRANSLATED} --model {MODELS}/force",
-            f"learning translate {ARCHIVE} {TRANSLATED} --model {{out}}/broken",
-            f"learning translate {ARCHIVE} {TRANSLATED} --role train",
-            f"learning translate {ARCHIVE} {TRANSLATED} --split {SPLIT} --role nobody",
-            f"learning translate {GELSIGHT} {TRANSLATED}",
+            f"tactile translate {ARCHIVE} --out {{out}}/x.markers.zarr",
+            f"tactile translate {ARCHIVE} --source r6 --target digit --out {{out}}/x.markers.zarr",
+            f"tactile translate {ARCHIVE} --source r6 --target r6 --out {{out}}/x.markers.zarr",
+            f"tactile translate {ARCHIVE} {TRANSLATED} --model {{out}}/none",
+            f"tactile translate {ARCHIVE} {TRANSLATED} --model {MODELS}/force",
+            f"tactile translate {ARCHIVE} {TRANSLATED} --model {{out}}/broken",
+            f"tactile translate {ARCHIVE} {TRANSLATED} --role train",
+            f"tactile translate {ARCHIVE} {TRANSLATED} --split {SPLIT} --role nobody",
+            f"tactile translate {GELSIGHT} {TRANSLATED}",
         ),
         one_process=True,
         prepare=(
@@ -793,18 +779,18 @@ LEARNING_CASES = (
     Case(
         "learning-predict-evaluate",
         (
-            f"learning predict {MODELS}/force {ARCHIVE} --sensor r6 --split {SPLIT} "
+            f"tactile predict {MODELS}/force {ARCHIVE} --sensor r6 --split {SPLIT} "
             "--role train,validation,new_indenter --out {out}/results/r6.npz",
-            f"learning predict {MODELS}/force {ARCHIVE} --sensor r18 --split {SPLIT} "
+            f"tactile predict {MODELS}/force {ARCHIVE} --sensor r18 --split {SPLIT} "
             "--role train,validation,new_indenter --source r6 --out {out}/results/r18.npz",
-            "learning evaluate {out}/results --out {out}/report --title Golden",
-            f"learning predict {MODELS}/force {ARCHIVE} --sensor digit --split {SPLIT} --out {{out}}/a.npz",
-            f"learning predict {MODELS}/direct {ARCHIVE} --sensor r6 --split {SPLIT} --out {{out}}/a.npz",
-            f"learning predict {MODELS}/force {ARCHIVE} --sensor r6 --split {{out}}/none.json --out {{out}}/a.npz",
-            f"learning predict {MODELS}/force {ARCHIVE} --sensor r6 --split {SPLIT} --method transferred "
+            "tactile evaluate {out}/results --out {out}/report --title Golden",
+            f"tactile predict {MODELS}/force {ARCHIVE} --sensor digit --split {SPLIT} --out {{out}}/a.npz",
+            f"tactile predict {MODELS}/direct {ARCHIVE} --sensor r6 --split {SPLIT} --out {{out}}/a.npz",
+            f"tactile predict {MODELS}/force {ARCHIVE} --sensor r6 --split {{out}}/none.json --out {{out}}/a.npz",
+            f"tactile predict {MODELS}/force {ARCHIVE} --sensor r6 --split {SPLIT} --method transferred "
             "--out {out}/a.npz",
-            "learning evaluate {out}/none --out {out}/report2",
-            f"learning evaluate {{out}}/results --archive {ARCHIVE} --out {{out}}/report2",
+            "tactile evaluate {out}/none --out {out}/report2",
+            f"tactile evaluate {{out}}/results --archive {ARCHIVE} --out {{out}}/report2",
         ),
         one_process=True,
         prepare=(("write", "{out}/results/.keep", ""),),
@@ -813,10 +799,10 @@ LEARNING_CASES = (
     Case(
         "learning-evaluate-translated",
         (
-            f"learning translate {ARCHIVE} {TRANSLATED}",
-            f"learning evaluate {{out}}/results --archive {ARCHIVE} --translated {{out}}/x.markers.zarr "
+            f"tactile translate {ARCHIVE} {TRANSLATED}",
+            f"tactile evaluate {{out}}/results --archive {ARCHIVE} --translated {{out}}/x.markers.zarr "
             f"--split {SPLIT} --role train,new_indenter --out {{out}}/report",
-            f"learning evaluate {{out}}/results --archive {ARCHIVE} --translated {{out}}/x.markers.zarr "
+            f"tactile evaluate {{out}}/results --archive {ARCHIVE} --translated {{out}}/x.markers.zarr "
             f"--split {SPLIT} --role train --features {MODELS}/autoencoder --frames 4 "
             "--out {out}/report2",
         ),
@@ -827,21 +813,21 @@ LEARNING_CASES = (
     Case(
         "learning-export-onnx",
         (
-            f"learning export-onnx {MODELS}/force --out {{out}}/model.onnx",
-            f"learning export-onnx {MODELS}/field --out {{out}}/other.onnx",
-            "learning export-onnx {out}/none --out {out}/other.onnx",
+            f"tactile export-onnx {MODELS}/force --out {{out}}/model.onnx",
+            f"tactile export-onnx {MODELS}/field --out {{out}}/other.onnx",
+            "tactile export-onnx {out}/none --out {out}/other.onnx",
         ),
         look=("model.onnx",),
     ),
-    _trained("train-force", f"learning train-force {ARCHIVE} --sensor r6 {FORCE}"),
+    _trained("train-force", f"tactile train force {ARCHIVE} --sensor r6 {FORCE}"),
     Case(
         "learning-train-force-compensated",
         (
-            f"learning compensate {ARCHIVE} --out {{out}}/c.json --pairs r6:r18",
-            f"learning translate {ARCHIVE} {TRANSLATED}",
-            f"learning train-force {{out}}/x.markers.zarr --sensor r6-to-r18 {FORCE} "
+            f"tactile compensate {ARCHIVE} --out {{out}}/c.json --pairs r6:r18",
+            f"tactile translate {ARCHIVE} {TRANSLATED}",
+            f"tactile train force {{out}}/x.markers.zarr --sensor r6-to-r18 {FORCE} "
             f"--compensation {{out}}/c.json --start-from {MODELS}/force --out {{out}}/x",
-            f"learning train-force {{out}}/x.markers.zarr --sensor r6-to-r18 {FORCE} "
+            f"tactile train force {{out}}/x.markers.zarr --sensor r6-to-r18 {FORCE} "
             f"--compensation {{out}}/c.json --start-from {MODELS}/force --out {{out}}/x",
         ),
         look=("x/model.safetensors",),
@@ -850,18 +836,18 @@ LEARNING_CASES = (
     ),
     _trained(
         "train-autoencoder",
-        f"learning train-autoencoder {ARCHIVE} --split {SPLIT} --preset cpu_smoke --set steps=4 "
+        f"tactile train autoencoder {ARCHIVE} --split {SPLIT} --preset cpu_smoke --set steps=4 "
         "--set warm_up=1 --set validate_every=4 --set most_images=20 --set validation_images=4",
     ),
     _trained(
         "train-direct",
-        f"learning train-direct {ARCHIVE} --split {SPLIT} --autoencoder {MODELS}/autoencoder "
+        f"tactile train direct {ARCHIVE} --split {SPLIT} --autoencoder {MODELS}/autoencoder "
         "--preset cpu_smoke --set steps=2 --set warm_up=1 --set validate_every=2 "
         "--set validation_images=2 --sensors r6,r18 --set batch=2",
     ),
     _trained(
         "train-field",
-        f"learning train-field {ARCHIVE} --split {SPLIT} --preset cpu_smoke --sensors r6,r18 "
+        f"tactile train field {ARCHIVE} --split {SPLIT} --preset cpu_smoke --sensors r6,r18 "
         "--set field_stage.steps=2 --set map_stage.steps=2 --set field_stage.warm_up_steps=1 "
         "--set map_stage.warm_up_steps=1 --set validate_every_steps=2 --set validated=2 "
         "--set field_stage.batch=2 --set map_stage.batch=2 --set 'net.widths=[8, 8, 16, 16, 16]' "
@@ -869,11 +855,11 @@ LEARNING_CASES = (
     ),
     _trained(
         "train-marker-vae",
-        f"learning train-marker-vae {ARCHIVE} --split {SPLIT} --sensors r6,r18 --base {{data}}/base {FEW}",
+        f"tactile train marker-vae {ARCHIVE} --split {SPLIT} --sensors r6,r18 --base {{data}}/base {FEW}",
     ),
     _trained(
         "train-diffusion",
-        f"learning train-diffusion {ARCHIVE} --split {SPLIT} --sensors r6,r18 --base {{data}}/base "
+        f"tactile train diffusion {ARCHIVE} --split {SPLIT} --sensors r6,r18 --base {{data}}/base "
         f"{FEW} --set unet_rank=2 --set vae_rank=2 --set losses.adversarial=0 "
         "--set losses.perceptual=0 --set accumulation=1 --marker-vae {out}/marker-vae",
         prepare=_based("marker-vae"),
@@ -882,27 +868,27 @@ LEARNING_CASES = (
     Case(
         "learning-train-refused",
         (
-            f"learning train-force {ARCHIVE} --sensor digit {FORCE} --out {{out}}/x",
-            f"learning train-force {ARCHIVE} --sensor r6 {FORCE} --set wings=2 --out {{out}}/x",
-            f"learning train-force {ARCHIVE} --sensor r6 {FORCE} --set input.side_px=big --out {{out}}/x",
-            f"learning train-force {ARCHIVE} --sensor r6 {FORCE} --set nonsense --out {{out}}/x",
-            f"learning train-force {ARCHIVE} --sensor r6 --split {SPLIT} --preset huge --out {{out}}/x",
-            f"learning train-force {ARCHIVE} --sensor r6 {FORCE} --start-from {MODELS}/direct --out {{out}}/x",
-            f"learning train-force {ARCHIVE} --sensor r6 {FORCE} --compensation {SPLIT} --out {{out}}/x",
-            f"learning train-force {ARCHIVE} --sensor r6 {FORCE} --out {{out}}/force",
-            f"learning train-force {GELSIGHT} --sensor r6 {FORCE} --out {{out}}/x",
-            f"learning train-field {ARCHIVE} --split {SPLIT} --preset cpu_smoke --sensors digit --out {{out}}/x",
-            f"learning train-field {ARCHIVE} --split {{out}}/none.json --out {{out}}/x",
-            f"learning train-direct {ARCHIVE} --split {SPLIT} --out {{out}}/x",
-            f"learning train-direct {ARCHIVE} --split {SPLIT} --autoencoder {MODELS}/force --out {{out}}/x",
-            f"learning train-direct {ARCHIVE} --split {SPLIT} --from {MODELS}/direct --preset small "
+            f"tactile train force {ARCHIVE} --sensor digit {FORCE} --out {{out}}/x",
+            f"tactile train force {ARCHIVE} --sensor r6 {FORCE} --set wings=2 --out {{out}}/x",
+            f"tactile train force {ARCHIVE} --sensor r6 {FORCE} --set input.side_px=big --out {{out}}/x",
+            f"tactile train force {ARCHIVE} --sensor r6 {FORCE} --set nonsense --out {{out}}/x",
+            f"tactile train force {ARCHIVE} --sensor r6 --split {SPLIT} --preset huge --out {{out}}/x",
+            f"tactile train force {ARCHIVE} --sensor r6 {FORCE} --start-from {MODELS}/direct --out {{out}}/x",
+            f"tactile train force {ARCHIVE} --sensor r6 {FORCE} --compensation {SPLIT} --out {{out}}/x",
+            f"tactile train force {ARCHIVE} --sensor r6 {FORCE} --out {{out}}/force",
+            f"tactile train force {GELSIGHT} --sensor r6 {FORCE} --out {{out}}/x",
+            f"tactile train field {ARCHIVE} --split {SPLIT} --preset cpu_smoke --sensors digit --out {{out}}/x",
+            f"tactile train field {ARCHIVE} --split {{out}}/none.json --out {{out}}/x",
+            f"tactile train direct {ARCHIVE} --split {SPLIT} --out {{out}}/x",
+            f"tactile train direct {ARCHIVE} --split {SPLIT} --autoencoder {MODELS}/force --out {{out}}/x",
+            f"tactile train direct {ARCHIVE} --split {SPLIT} --from {MODELS}/direct --preset small "
             "--out {out}/x",
-            f"learning train-autoencoder {ARCHIVE} --out {{out}}/x",
-            f"learning train-marker-vae {ARCHIVE} --split {SPLIT} --out {{out}}/x",
-            f"learning train-diffusion {ARCHIVE} --split {SPLIT} --base {{out}}/none --out {{out}}/x",
-            "learning train-diffusion",
-            "learning import-weights {out}/none.pkl --base {data}/base --out {out}/x",
-            f"learning import-weights {SPLIT} --base {{data}}/base --out {{out}}/x",
+            f"tactile train autoencoder {ARCHIVE} --out {{out}}/x",
+            f"tactile train marker-vae {ARCHIVE} --split {SPLIT} --out {{out}}/x",
+            f"tactile train diffusion {ARCHIVE} --split {SPLIT} --base {{out}}/none --out {{out}}/x",
+            "tactile train diffusion",
+            "tactile import-weights {out}/none.pkl --base {data}/base --out {out}/x",
+            f"tactile import-weights {SPLIT} --base {{data}}/base --out {{out}}/x",
         ),
         one_process=True,
         prepare=(("copy", f"{MODELS}/force", "{out}/force"),),
@@ -910,8 +896,8 @@ LEARNING_CASES = (
     Case(
         "learning-experiment",
         (
-            f"learning experiment {ARCHIVE} --out {{out}}/x {EXPERIMENT}",
-            f"learning experiment {ARCHIVE} --out {{out}}/x {EXPERIMENT} --set new_press=0.3",
+            f"tactile experiment {ARCHIVE} --out {{out}}/x {EXPERIMENT}",
+            f"tactile experiment {ARCHIVE} --out {{out}}/x {EXPERIMENT} --set new_press=0.3",
         ),
         look=("x/results", "x/report", "x/*.json", "x/*.csv"),
         rtol_elsewhere=0.05,
@@ -921,23 +907,23 @@ LEARNING_CASES = (
     Case(
         "learning-experiment-refused",
         (
-            f"learning experiment {ARCHIVE} --out {{out}}/x --pairs r6:digit",
-            f"learning experiment {ARCHIVE} --out {{out}}/x --pairs r6",
-            f"learning experiment {ARCHIVE} --out {{out}}/x --preset none",
-            f"learning experiment {ARCHIVE} --out {{out}}/x --set 'translators=[magic]'",
-            f"learning experiment {ARCHIVE} --out {{out}}/x --set wings=2",
-            f"learning experiment {ARCHIVE} --out {{out}}/x --jobs 0",
-            "learning experiment {out}/none.markers.zarr --out {out}/x",
+            f"tactile experiment {ARCHIVE} --out {{out}}/x --pairs r6:digit",
+            f"tactile experiment {ARCHIVE} --out {{out}}/x --pairs r6",
+            f"tactile experiment {ARCHIVE} --out {{out}}/x --preset none",
+            f"tactile experiment {ARCHIVE} --out {{out}}/x --set 'translators=[magic]'",
+            f"tactile experiment {ARCHIVE} --out {{out}}/x --set wings=2",
+            f"tactile experiment {ARCHIVE} --out {{out}}/x --jobs 0",
+            "tactile experiment {out}/none.markers.zarr --out {out}/x",
         ),
         one_process=True,
     ),
     Case(
         "learning-demo",
         (
-            "sim archive sensors --sensors examples/demo-learning/array-hard.yaml,"
+            "tactile sim archive sensors --sensors examples/demo-learning/array-hard.yaml,"
             "examples/demo-learning/circle.yaml,examples/demo-learning/diamond-soft.yaml --tier layer "
             "--scale 0.025 --steps 4 --no-check --out {out}/demo.markers.zarr",
-            "learning experiment {out}/demo.markers.zarr --out {out} --preset demo "
+            "tactile experiment {out}/demo.markers.zarr --out {out} --preset demo "
             "--pairs array-hard:circle,array-hard:diamond-soft",
         ),
         look=("report/*.csv",),
@@ -948,4 +934,4 @@ LEARNING_CASES = (
     ),
 )
 
-CASES = (*HELP, *RIG_CASES, *RECORDER_CASES, *SIM_CASES, *LEARNING_CASES, *WRONG_FILES.values())
+CASES = (*RIG_CASES, *RECORDER_CASES, *SIM_CASES, *LEARNING_CASES, *WRONG_FILES.values())

@@ -42,11 +42,6 @@ ITERATIONS = {"newton", "cg", "residual", "contact", "balance", "slip_excess"}
 # Arrays with shares of a whole, computed as differences of nearly equal numbers: on another machine
 # they may differ by the tolerance of the whole.
 SHARES = {"energy_gap"}
-# Commands that measure the product and do not belong to it: help pages may or may not list them.
-MEASURING = {
-    *("refine", "hard-cases", "effects", "accuracy", "cost-table", "speed"),
-    *("faults", "endurance", "bench-recorder", "bench", "tables"),
-}
 # Largest number of files in a folder that are listed individually; more are hashed together.
 MOST_NAMES = 60
 
@@ -69,7 +64,7 @@ class Case:
 
     Attributes:
         name: Name of the case, and of its record.
-        commands: `PACKAGE ARGUMENTS`, one per line; `{out}` is an empty folder, `{data}` the folder
+        commands: `tactile ARGUMENTS`, one per line; `{out}` is an empty folder, `{data}` the folder
             of data, `{root}` the checkout. Each is a separate process.
         together: If true, one process runs all of them, to save the time of imports.
         prepare: Changes to files beforehand: `("copy", from, to)`, `("write", path, text)`,
@@ -165,7 +160,6 @@ def _process(argv: list[str], case: Case, root: Path) -> subprocess.CompletedPro
         "PYTHONHASHSEED": "0",
         "PYTHONWARNINGS": "ignore",
         "CUDA_VISIBLE_DEVICES": "",
-        "TACTILE_DOOR": "",
     }
     return subprocess.run(
         argv,
@@ -235,8 +229,6 @@ def _told(
     case: Case, line: str, code: int, reported: str, erred: str, places: dict[str, str]
 ) -> dict[str, Any]:
     found: dict[str, Any] = {"argv": line, "exit": code}
-    if line.endswith("--help"):
-        return found | _helped(reported)
     if reported.lstrip().startswith("{"):
         found["json"] = json.loads(reported)
     else:
@@ -255,19 +247,6 @@ def _told(
         errors = [] if code == 0 else [_NUMBERS.sub(NUMBER, each) for each in errors[-1:]]
     if errors:
         found["errors"] = errors
-    return found
-
-
-def _helped(reported: str) -> dict[str, Any]:
-    """Return the commands and options that a help page lists."""
-    found: dict[str, Any] = {}
-    if subcommands := re.search(r"^ +\{([\w,-]+)\}", reported, re.MULTILINE):
-        found["verbs"] = sorted({*subcommands.group(1).split(",")} - MEASURING)
-    else:
-        names = re.findall(r"^ {2,4}([a-z][a-z-]*)  ", reported, re.MULTILINE)
-        if "COMMAND" in reported:
-            found["verbs"] = sorted(names)
-    found["options"] = sorted(set(re.findall(r"(?<![\w-])--[a-z][a-z0-9-]*", reported)))
     return found
 
 

@@ -14,7 +14,7 @@ camera: {rate_hz: 5.0}
 world: {noise: {grey: 0.0}}
 END
 rig() {
-    "$python" -m rig collect "$@" --targets 1 --indenter cylinder --operator golden \
+    "$python" -m tactile collect "$@" --targets 1 --indenter cylinder --operator golden \
         --calibrations "$part/none"
 }
 [ -e "$data/gelsight.zarr" ] || rig --bench "$part/small.yaml" --out "$part/gelsight.zarr"
@@ -28,12 +28,12 @@ done
 # An archive of three simulated sensors: two skins that differ in modulus, and taxels.
 archive=$data/skins.markers.zarr split=$data/split.json
 rm -rf "$archive"
-"$python" -m sim archive sensors --sensors r6,r18,uskin --tier layer --scale 0.03 --steps 2 \
+"$python" -m tactile sim archive sensors --sensors r6,r18,uskin --tier layer --scale 0.03 --steps 2 \
     --indenters sphere,prism,cone --processes 1 --no-check --out "$archive"
-"$python" -m learning split "$archive" --out "$split" --new-press 0.2 --validation 0.2
+"$python" -m tactile split "$archive" --out "$split" --new-press 0.2 --validation 0.2
 
 # Models of each kind, trained for a few steps.
-learning() { verb=$1; shift; "$python" -m learning "$verb" "$archive" --split "$split" "$@"; }
+learning() { verb=$1; shift; "$python" -m tactile "$verb" "$archive" --split "$split" "$@"; }
 learning train-force --sensor r6 --out "$part/force" --preset tiny --set input.side_px=32 \
     --set 'stages=[{epochs: 2, learning_rate: 0.002}]' --set 'network.encoder=[4, 4, 8]' \
     --set network.memory=8 --set 'network.tail=[8, 8]'

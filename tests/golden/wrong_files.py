@@ -24,7 +24,7 @@ X = "--out {out}/x"
 # Mistakes by kind of file: the command, with {} for the file, its suffix, and texts.
 TEXTS: dict[str, tuple[str, str, dict[str, str]]] = {
     "bench": (
-        "rig collect --bench {} --out {out}/x.zarr",
+        "tactile collect --bench {} --out {out}/x.zarr",
         ".yaml",
         {
             "key misspelt": f"{BENCH}\nlimits: {{depth_max_m: 1.3}}",
@@ -44,7 +44,7 @@ TEXTS: dict[str, tuple[str, str, dict[str, str]]] = {
         },
     ),
     "campaign": (
-        "rig campaign --file {} --list",
+        "tactile campaign --file {} --list",
         ".yaml",
         {
             "key misspelt": "session: [{sensor: uskin, indenter: cone}]",
@@ -60,7 +60,8 @@ TEXTS: dict[str, tuple[str, str, dict[str, str]]] = {
         },
     ),
     "sensor": (
-        "sim archive sensors --sensors {} --tier layer --scale smoke --out {out}/x.markers.zarr",
+        "tactile sim archive sensors --sensors {} --tier layer --scale smoke "
+        "--out {out}/x.markers.zarr",
         ".yaml",
         {
             "key misspelt": f"{SENSOR}\nbody: {{modulus_kp: 200}}",
@@ -76,7 +77,7 @@ TEXTS: dict[str, tuple[str, str, dict[str, str]]] = {
         },
     ),
     "marker preset": (
-        f"learning markers {SESSION} --preset {{}} --out {{out}}/x.markers.zarr",
+        f"tactile markers {SESSION} --preset {{}} --out {{out}}/x.markers.zarr",
         ".yaml",
         {
             "unit left out": f"{MARKERS}\narea: [40, 6000]",
@@ -89,7 +90,7 @@ TEXTS: dict[str, tuple[str, str, dict[str, str]]] = {
         },
     ),
     "training preset": (
-        f"learning train-force {ARCHIVE} --sensor r6 --split {SPLIT} --preset {{}} {X}",
+        f"tactile train force {ARCHIVE} --sensor r6 --split {SPLIT} --preset {{}} {X}",
         ".yaml",
         {
             "key misspelt": f"{FORCE}\nnetwork: {{memmory: 16}}",
@@ -103,7 +104,7 @@ TEXTS: dict[str, tuple[str, str, dict[str, str]]] = {
         },
     ),
     "experiment preset": (
-        f"learning experiment {ARCHIVE} --preset {{}} {X}",
+        f"tactile experiment {ARCHIVE} --preset {{}} {X}",
         ".yaml",
         {
             "key misspelt": f"{DEMO}\ntranslator: [flow]",
@@ -116,7 +117,7 @@ TEXTS: dict[str, tuple[str, str, dict[str, str]]] = {
         },
     ),
     "split": (
-        f"learning predict {MODEL} {ARCHIVE} --sensor r6 --split {{}} --out {{out}}/x.npz",
+        f"tactile predict {MODEL} {ARCHIVE} --sensor r6 --split {{}} --out {{out}}/x.npz",
         ".json",
         {
             "cut short": (WRONG_SPLIT % 5)[:150],
@@ -127,7 +128,7 @@ TEXTS: dict[str, tuple[str, str, dict[str, str]]] = {
         },
     ),
     "settings": (
-        f"learning train-force {ARCHIVE} --sensor r6 --split {SPLIT} --preset tiny {X} --set {{}}",
+        f"tactile train force {ARCHIVE} --sensor r6 --split {SPLIT} --preset tiny {X} --set {{}}",
         "",
         {
             "key misspelt": "network.memmory=16",
@@ -148,7 +149,7 @@ BODY = f"{PLAN}.sensors.0.body"
 # are left; None deletes), or the only file of a new folder.
 FOLDERS: dict[str, tuple[str, str, str, dict[str, tuple[str, object]]]] = {
     "session": (
-        "recorder sheet {} --output {out}/x.png",
+        "tactile session sheet {} --output {out}/x.png",
         SESSION,
         ".zarr",
         {
@@ -160,7 +161,7 @@ FOLDERS: dict[str, tuple[str, str, str, dict[str, tuple[str, object]]]] = {
         },
     ),
     "session to resume": (
-        "rig collect --resume {}",
+        "tactile collect --resume {}",
         SESSION,
         ".zarr",
         {
@@ -170,7 +171,7 @@ FOLDERS: dict[str, tuple[str, str, str, dict[str, tuple[str, object]]]] = {
         },
     ),
     "marker archive": (
-        f"learning train-force {{}} --sensor r6 --split {SPLIT} --preset tiny {X}",
+        f"tactile train force {{}} --sensor r6 --split {SPLIT} --preset tiny {X}",
         ARCHIVE,
         ".markers.zarr",
         {
@@ -181,7 +182,7 @@ FOLDERS: dict[str, tuple[str, str, str, dict[str, tuple[str, object]]]] = {
         },
     ),
     "stored plan": (
-        "sim archive resume {} --no-check",
+        "tactile sim archive resume {} --no-check",
         ARCHIVE,
         ".markers.zarr",
         {
@@ -195,7 +196,7 @@ FOLDERS: dict[str, tuple[str, str, str, dict[str, tuple[str, object]]]] = {
         },
     ),
     "model": (
-        f"learning predict {{}} {ARCHIVE} --sensor r6 --split {SPLIT} --out {{out}}/x.npz",
+        f"tactile predict {{}} {ARCHIVE} --sensor r6 --split {SPLIT} --out {{out}}/x.npz",
         MODEL,
         "",
         {
@@ -206,7 +207,8 @@ FOLDERS: dict[str, tuple[str, str, str, dict[str, tuple[str, object]]]] = {
         },
     ),
     "calibration": (
-        "rig collect --sensor gelsight --indenter cylinder --calibrations {} --out {out}/x.zarr",
+        "tactile collect --sensor gelsight --indenter cylinder --calibrations {} "
+        "--out {out}/x.zarr",
         "",
         "",
         {

@@ -10,7 +10,6 @@ import pytest
 from support.learning_sessions import record
 from support.made_up_archives import made_up_archive
 
-from learning.__main__ import main
 from learning.compensation import (
     Branch,
     ForceDepth,
@@ -31,6 +30,7 @@ from learning.data.genforce.format import Compensation
 from learning.errors import LearningError
 from recorder import PHASES, MarkerArchive
 from recorder.archive import check_archive, write_simulated
+from tactile.__main__ import main
 
 DOWN, SHEARED, BACK, UP = range(len(PHASES))
 DEPTH = np.linspace(0.1e-3, 1.2e-3, 12)

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from support.made_up_archives import made_up_archive
 
-from learning.__main__ import main
 from learning.data.splits import make_split
 from learning.force.intervals import read_intervals
 from learning.force.model import load_force_model
 from recorder.archive import write_simulated
+from tactile.__main__ import main
 
 SMALL = ["--preset", "tiny", "--set", "stages=[{epochs: 1, learning_rate: 0.001}]"]
 
 
-def _learning(*arguments: object, of: str = "learning") -> subprocess.CompletedProcess[str]:
+def _learning(*arguments: object, of: str = "tactile") -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-m", of, *map(str, arguments)],
         capture_output=True,
@@ -35,7 +35,7 @@ def test_an_archive_becomes_a_model_a_file_and_a_table(tmp_path: Path) -> None:
     archive = made_up_archive(tmp_path / "x.markers.zarr", targets=3, frames_per_phase=1)
     split, model = tmp_path / "split.json", tmp_path / "model"
     make_split(archive, validation=0.2, new_press=0.2).write(split)
-    train = ["train-force", archive.path, "--sensor", "dots", "--split", split, "--out", model]
+    train = ["train", "force", archive.path, "--sensor", "dots", "--split", split, "--out", model]
     done = _learning(*train, *SMALL)
     assert done.returncode == 0, done.stderr
     assert "trained on 4 presses" in done.stdout
@@ -65,7 +65,7 @@ def test_labels_by_simulation_are_learned_from_translated_frames(
     archive = made_up_archive(tmp_path / "x.markers.zarr", frames_per_phase=1)
     make_split(archive, validation=0.0, new_press=0.0).write(tmp_path / "split.json")
     made = made_up_archive(tmp_path / "made.markers.zarr", ("dots",), frames_per_phase=1)
-    words = ["train-force", str(archive.path), "--split", str(tmp_path / "split.json"), *SMALL]
+    words = ["train", "force", str(archive.path), "--split", str(tmp_path / "split.json"), *SMALL]
     words += ["--choice", "simulated", "--pair", "dots-to-grid", "--out", str(tmp_path / "run")]
     words += ["--set", "range_margin=0"]
     one, both = ["--sensor", "dots"], ["--sensor", "dots,grid"]
@@ -103,7 +103,7 @@ def test_a_sensor_without_a_label_learns_the_forces_of_its_own_twin(
         tmp_path / "x.markers.zarr", frames_per_phase=1, unlabelled=("dots", "grid")
     )
     make_split(archive, validation=0.0, new_press=0.0).write(tmp_path / "split.json")
-    words = ["train-force", str(archive.path), "--split", str(tmp_path / "split.json"), *SMALL]
+    words = ["train", "force", str(archive.path), "--split", str(tmp_path / "split.json"), *SMALL]
     words += ["--choice", "simulated", "--sensor", "dots", "--out", str(tmp_path / "run")]
     words += ["--set", "range_margin=0"]
     assert main(words) == 2
@@ -143,7 +143,7 @@ def test_a_model_of_a_twins_forces_has_no_intervals_if_it_learned_from_all_inden
     make_split(archive, validation=0.0, new_press=0.0, unseen=[]).write(tmp_path / "split.json")
     wrench = archive["dots"].table["wrench"][:, :3]
     write_simulated(archive["dots"], wrench, np.full(wrench.shape, 0.1), "twin of dots")
-    words = ["train-force", str(archive.path), "--split", str(tmp_path / "split.json"), *SMALL]
+    words = ["train", "force", str(archive.path), "--split", str(tmp_path / "split.json"), *SMALL]
     words += ["--choice", "simulated", "--sensor", "dots", "--out", str(tmp_path / "run")]
     assert main(words) == 0
     assert "no intervals: " in capsys.readouterr().out
@@ -173,7 +173,7 @@ def test_readings_typed_in_are_the_labels_of_a_sensor_without_a_gauge(
         for target in range(3)
     ]
     typed.write_text("\n".join(["indenter,target,fz_n", *lines]))
-    words = ["train-force", str(archive.path), "--split", str(tmp_path / "split.json"), *SMALL]
+    words = ["train", "force", str(archive.path), "--split", str(tmp_path / "split.json"), *SMALL]
     words += ["--out", str(tmp_path / "run"), "--set", "range_margin=0"]
     one = ["--sensor", "dots"]
     assert main([*words, *one]) == 2
@@ -211,7 +211,7 @@ def test_wrong_input_begins_no_run(tmp_path: Path, change: list[str], message: s
     make_split(archive, validation=0.0, new_press=0.0).write(tmp_path / "split.json")
     out = tmp_path / "model"
     done = _learning(
-        *["train-force", archive.path, "--sensor", "dots", "--split", tmp_path / "split.json"],
+        *["train", "force", archive.path, "--sensor", "dots", "--split", tmp_path / "split.json"],
         *["--out", out, *SMALL, *change],
     )
     assert done.returncode == 2

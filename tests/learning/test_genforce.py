@@ -17,7 +17,6 @@ from PIL import Image
 from support.learning_sessions import record
 from support.planned_archives import planned_archive
 
-from learning.__main__ import main
 from learning.data.genforce import (
     Compensation,
     export_training,
@@ -39,6 +38,7 @@ from recorder import MarkerArchive, SessionError, check
 from recorder.archive import location_pairs
 from recorder.convert import export
 from recorder.markers import count_markers, pack, unpack
+from tactile.__main__ import main
 from tests.support.few import few
 from trajectories import PressShear
 

@@ -22,7 +22,6 @@ from support.planned_archives import (
 )
 from support.simulated_archives import LAYER, make
 
-from learning.__main__ import main
 from learning.data.genforce import import_folder
 from learning.data.genforce.importing import Choices
 from learning.data.join import join
@@ -32,10 +31,10 @@ from learning.errors import LearningError
 from learning.markers import archive_sessions
 from recorder import MarkerArchive, Session, check
 from recorder.archive import location_pairs, write_simulated
-from recorder.command_line.run import main as main_of_all
 from recorder.session import press_curves, surface_heights
 from sim.dataset import DatasetPlan
 from sim.sensors import sensor
+from tactile.__main__ import main
 from trajectories import PressShear
 
 MM = 1e-3
@@ -267,7 +266,7 @@ def test_unknown_places_are_refused_and_a_plan_makes_them_known(tmp_path: Path) 
     out = tmp_path / "planned.markers.zarr"
     # The one door for recordings of other people knows such folders too.
     command = ["import", str(folder), "--out", str(out), "--plan", f"Array1={bench}"]
-    assert main_of_all(command) == 0
+    assert main(command) == 0
     archive = joined(tmp_path, MarkerArchive(out), ours)
     assert archive["Array1"].attrs["plan"]["order"] == "authors"
     place, angle = apart(archive, "Array1", "a")
@@ -424,9 +423,9 @@ def test_the_command_prints_what_met_and_the_next_command(
     planned_archive(tmp_path / "b.markers.zarr", {"x": replace(SMALL, order="quadrants")})
     out = tmp_path / "j.markers.zarr"
     archives = [f"{tmp_path / 'a.markers.zarr'}:x", f"{tmp_path / 'b.markers.zarr'}:x=z"]
-    assert main(["archive-join", *archives, "--dry-run"]) == 0
+    assert main(["archive", "join", *archives, "--dry-run"]) == 0
     assert not out.exists()
-    assert main(["archive-join", *archives, "--out", str(out)]) == 0
+    assert main(["archive", "join", *archives, "--out", str(out)]) == 0
     printed = capsys.readouterr().out
     assert "within 0.1 mm, 0.04 of the depth, 3 deg:" in printed
     assert (
@@ -437,7 +436,7 @@ def test_the_command_prints_what_met_and_the_next_command(
     assert archive.attrs["matched"][0]["matched"] == 20
     assert json.dumps(archive.attrs["tolerances"])
     # Repeated, it finds nothing left to do.
-    assert main(["archive-join", *archives, "--out", str(out)]) == 0
+    assert main(["archive", "join", *archives, "--out", str(out)]) == 0
     assert "0 frames copied" in capsys.readouterr().out
 
 
@@ -455,6 +454,6 @@ def test_the_command_says_what_is_wrong_and_exits_with_2(
 ) -> None:
     planned_archive(tmp_path / "a.markers.zarr", {"x": SMALL})
     full = [str(tmp_path / a) if ".zarr" in a else a for a in arguments]
-    assert main(["archive-join", *full, "--out", str(tmp_path / "j.markers.zarr")]) == 2
+    assert main(["archive", "join", *full, "--out", str(tmp_path / "j.markers.zarr")]) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "j.markers.zarr").exists()

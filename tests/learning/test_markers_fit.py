@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import yaml
 
-from learning.__main__ import main
 from learning.errors import LearningError
 from learning.markers import Segmenter, read_preset
 from learning.markers.fit import as_yaml, fit_preset, recalls
@@ -19,6 +18,7 @@ from learning.markers.regular import in_pattern, pitch_of
 from recorder import MarkerArchive
 from recorder.markers import Blobs, find_blobs
 from sim.markers.pattern import NAMES, hexagon, named
+from tactile.__main__ import main
 
 SCALE = 2
 

@@ -16,7 +16,6 @@ from support.marker_truth import VIEWS
 from support.sessions import reseal
 
 import sim.indenters
-from learning.__main__ import main
 from learning.archive_writer import FLAG, INVALID
 from learning.errors import LearningError
 from learning.indenters import NAMES
@@ -26,6 +25,7 @@ from recorder import MarkerArchive, Session, check
 from recorder.archive import location_pairs
 from recorder.markers import unpack
 from rig.mock.world.picture import MarkerCamera
+from tactile.__main__ import main
 
 OWN = "dark-markers"
 

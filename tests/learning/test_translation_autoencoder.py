@@ -9,7 +9,6 @@ import torch
 from support.made_up_archives import made_up_archive
 from support.training import session
 
-from learning.__main__ import main
 from learning.config import preset_names, read_settings
 from learning.data.images import shrink, unit
 from learning.data.splits import Split, make_split
@@ -33,6 +32,7 @@ from learning.translation.direct.train_autoencoder import (
     validate,
 )
 from recorder import MarkerArchive
+from tactile.__main__ import main
 
 TINY = AutoencoderSettings(
     description="of tests",
@@ -159,7 +159,8 @@ def test_the_command_trains_and_resumes_and_what_it_made_can_be_loaded(
     split.write(tmp_path / "split.json")
     out = tmp_path / "run"
     command = [
-        "train-autoencoder",
+        "train",
+        "autoencoder",
         str(archive.path),
         f"--split={tmp_path / 'split.json'}",
         f"--out={out}",

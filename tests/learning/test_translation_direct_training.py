@@ -10,7 +10,6 @@ from support.direct_translators import PLAIN, TINY, coarse, encoder, finished_ru
 from support.made_up_archives import made_up_archive
 from support.training import session
 
-from learning.__main__ import main
 from learning.config import preset_names, read_settings
 from learning.data.splits import Split, make_split
 from learning.errors import LearningError
@@ -34,6 +33,7 @@ from learning.translation.direct.train import (
     validate,
 )
 from recorder import MarkerArchive
+from tactile.__main__ import main
 
 ALL_LOSSES = LossWeights(adversarial=0.1)
 SMALL_SHIFT = Augmentation(mount_shift=1.0)
@@ -156,7 +156,8 @@ def test_fine_tuning_begins_with_the_weights_it_is_given_and_leaves_the_encoder(
     split.write(tmp_path / "split.json")
     finished_run(tmp_path / "pretrained")
     command = [
-        "train-direct",
+        "train",
+        "direct",
         str(archive.path),
         f"--split={tmp_path / 'split.json'}",
         f"--from={tmp_path / 'pretrained'}",
@@ -191,7 +192,8 @@ def test_a_translator_is_no_autoencoder(
     split.write(tmp_path / "split.json")
     finished_run(tmp_path / "pretrained")
     command = [
-        "train-direct",
+        "train",
+        "direct",
         str(archive.path),
         f"--split={tmp_path / 'split.json'}",
         f"--autoencoder={tmp_path / 'pretrained'}",

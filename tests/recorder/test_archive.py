@@ -24,7 +24,6 @@ from fsspec.asyn import get_loop
 from support.crashes import FailingCalls, Killed
 
 from recorder import MarkerArchive, Session, SessionError, check
-from recorder.__main__ import main
 from recorder.archive import (
     COLUMNS,
     ArchivePlan,
@@ -37,6 +36,7 @@ from recorder.archive import (
 from recorder.archive.check import CODES
 from recorder.markers import HEIGHT, WIDTH, Lattice, pack
 from recorder.spec import PHASES
+from tactile.__main__ import main
 from tests.support.few import few
 
 get_loop()  # fsspec keeps one thread for the life of the process
@@ -800,17 +800,17 @@ def make_archive_of_one(path: Path, sensor: SensorPlan) -> None:
 def test_info_and_check_of_the_command_line_take_archives(
     archive: Path, copy: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["info", str(archive)]) == 0
+    assert main(["session", "info", str(archive)]) == 0
     out = capsys.readouterr().out
     assert f"{archive}  status complete, 2 sensor(s)" in out
     lines = {line.split()[0]: line.split() for line in out.splitlines() if line}
     assert lines["Array1"][1:5] == ["23", "2", "2", "130"]
     assert lines["Array1"][6:] == ["0.0339", "0.00", "2.20", *["-2.20", "0.00"] * 3]
     assert "made_from" in lines
-    assert main(["check", str(archive)]) == 0
+    assert main(["session", "check", str(archive)]) == 0
     assert capsys.readouterr().out == f"{archive}: nothing found\n"
     (copy / "Circle1/markers/c.0.0").unlink()
-    assert main(["check", str(copy)]) == 1
+    assert main(["session", "check", str(copy)]) == 1
     assert capsys.readouterr().out.startswith("missing-chunk   Circle1/markers: 3 found, first")
 
 
@@ -818,7 +818,7 @@ def test_info_of_an_archive_being_written_says_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     ArchiveWriter.begin(tmp_path / "a.markers.zarr", PLAN)
-    assert main(["info", str(tmp_path / "a.markers.zarr")]) == 0
+    assert main(["session", "info", str(tmp_path / "a.markers.zarr")]) == 0
     out = capsys.readouterr().out
     assert "status writing" in out
     assert "warning:" in out

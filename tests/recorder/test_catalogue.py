@@ -15,10 +15,10 @@ import pytest
 from support.sessions import make_session
 
 from recorder import SessionError, catalogue
-from recorder.__main__ import main
 from recorder.catalogue import FILE, UNREADABLE, Catalogue, Query
 from recorder.cli.list_sessions import _STATUSES
 from recorder.spec import FORMAT, STATUSES
+from tactile.__main__ import main
 
 
 def _write(path: Path, **attrs: Any) -> Path:
@@ -131,14 +131,14 @@ def test_a_check_is_remembered_until_the_session_changes(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     session = make_session(tmp_path / "s.zarr")
-    assert main(["list", str(tmp_path), "--check", "--faults"]) == 0
+    assert main(["session", "list", str(tmp_path), "--check", "--faults"]) == 0
     assert "0 of 1 sessions, 0 with faults, 0 not checked" in capsys.readouterr().out
     (session / "streams/force/seq/c/0").unlink()
-    assert main(["list", str(tmp_path), "--rebuild", "--check", "--json"]) == 0
+    assert main(["session", "list", str(tmp_path), "--rebuild", "--check", "--json"]) == 0
     row = json.loads(capsys.readouterr().out)
     assert (row["sensor"], row["findings"]) == ("wedge", row["faults"])
     assert "missing-chunk" in row["faults"]
-    assert main(["list", str(tmp_path), "--faults"]) == 0
+    assert main(["session", "list", str(tmp_path), "--faults"]) == 0
     assert "missing-chunk" in capsys.readouterr().out
     os.utime(session / "zarr.json")
     assert _fresh(tmp_path).find(Query())[0].findings is None
@@ -147,9 +147,9 @@ def test_a_check_is_remembered_until_the_session_changes(
 def test_the_command_refuses_what_it_cannot_list(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["list", str(tmp_path / "none")]) == 2
+    assert main(["session", "list", str(tmp_path / "none")]) == 2
     assert "no such folder" in capsys.readouterr().err
-    assert main(["list", str(tmp_path), "--since", "yesterday"]) == 2
+    assert main(["session", "list", str(tmp_path), "--since", "yesterday"]) == 2
     assert "found 'yesterday'; allowed: a day such as 2026-11-24" in capsys.readouterr().err
     with pytest.raises(SessionError, match="no such folder"):
         Catalogue(tmp_path / "none")
@@ -164,8 +164,8 @@ def test_two_thousand_sessions_are_listed_without_importing_zarr(tmp_path: Path)
     for number in range(2000):
         _write(tmp_path / f"{number // 100}" / f"{number}.zarr", bench={"limits": [0.5] * 50})
     program = (
-        "import sys; from recorder.__main__ import main; "
-        f"code = main(['list', {str(tmp_path)!r}, '--faults']); "
+        "import sys; from tactile.__main__ import main; "
+        f"code = main(['session', 'list', {str(tmp_path)!r}, '--faults']); "
         "assert not {'numpy', 'zarr'} & set(sys.modules); sys.exit(code)"
     )
     ran = subprocess.run(

@@ -11,12 +11,12 @@ import pytest
 from support.sessions import T0, make_session, reseal
 
 from recorder import Session, SessionError, StreamWriter, faults
-from recorder.__main__ import main
 from recorder.checks.check import check
 from recorder.cli import check as check_command
 from recorder.findings import CODES, Finding
 from recorder.session.frames import write_frames
 from recorder.store.manifest import seal
+from tactile.__main__ import main
 
 Columns = dict[str, Any]
 
@@ -393,8 +393,8 @@ def test_a_note_is_printed_and_does_not_fail_the_check(
     note = Finding("not-sealed", ".", "no manifest")
     fault = Finding("gap", CAMERA, "found one")
     monkeypatch.setattr(check_command, "check", lambda session, quick: [note])
-    assert main(["check", str(intact)]) == 0
+    assert main(["session", "check", str(intact)]) == 0
     assert "not-sealed      note: .: no manifest" in capsys.readouterr().out
     monkeypatch.setattr(check_command, "check", lambda session, quick: [note, fault])
-    assert main(["check", str(intact)]) == 1
+    assert main(["session", "check", str(intact)]) == 1
     assert faults([note, fault]) == [fault]

@@ -12,7 +12,7 @@ from PIL import Image
 from support.sessions import make_session, reseal
 
 from recorder import SessionError, contact_sheet
-from recorder.__main__ import main
+from tactile.__main__ import main
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +23,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_info_tells_rows_rates_frames_and_outcomes(
     recorded: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["info", str(recorded)]) == 0
+    assert main(["session", "info", str(recorded)]) == 0
     lines = {line.split()[0]: line for line in capsys.readouterr().out.splitlines() if line}
     assert lines["camera"].split()[1:4] == ["216", "60", "60.00"]
     assert lines["force"].split()[1:3] == ["3600", "1000"]
@@ -40,23 +40,23 @@ def test_info_counts_the_presses_of_a_target_that_was_pressed_again(
     zarr.open_array(path / "frames/run")[60:] = 1
     zarr.open_array(path / "frames/target")[:] = 1
     reseal(path)
-    assert main(["info", str(path)]) == 0
+    assert main(["session", "info", str(path)]) == 0
     assert "60 to 60 (median 60) on each of 2 presses of 1 targets" in capsys.readouterr().out
 
 
 def test_check_exits_with_what_it_found(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["check", str(recorded)]) == 0
+    assert main(["session", "check", str(recorded)]) == 0
     assert capsys.readouterr().out.endswith(f"{recorded}: no faults, 1 note\n")
     path = tmp_path / "s.zarr"
     shutil.copytree(recorded, path)
     (path / "streams/force/seq/c/0").unlink()
-    assert main(["check", str(path)]) == 1
+    assert main(["session", "check", str(path)]) == 1
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "manifest        streams/force/seq/c/0: missing"
     assert lines[1].startswith("missing-chunk   streams/force/seq: 1 found")
-    assert main(["check", "--quick", str(path)]) == 1
+    assert main(["session", "check", "--quick", str(path)]) == 1
     assert capsys.readouterr().out.splitlines() == lines[:1]
 
 
@@ -65,11 +65,11 @@ def test_recover_prints_what_it_brought_back(
 ) -> None:
     path = make_session(tmp_path / "s.zarr", finish=False)
     (path / "streams/force/t_ns/journal-3600").write_bytes(b"torn")
-    assert main(["recover", str(path)]) == 0
+    assert main(["session", "recover", str(path)]) == 0
     out = capsys.readouterr().out
     assert "3600 rows, 0 of them brought back, 4 torn bytes and 0 half rows dropped" in out
     assert out.endswith("recovered, status recovered\n")
-    assert main(["recover", str(path)]) == 0
+    assert main(["session", "recover", str(path)]) == 0
     assert capsys.readouterr().out.endswith("nothing to do, status recovered\n")
 
 
@@ -77,8 +77,8 @@ def test_repack_writes_a_copy_or_says_why_not(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     copy = tmp_path / "p.zarr"
-    assert main(["repack", str(recorded), str(copy), "--profile", "portable"]) == 0
-    assert main(["repack", str(recorded), str(copy)]) == 2
+    assert main(["session", "repack", str(recorded), str(copy), "--profile", "portable"]) == 0
+    assert main(["session", "repack", str(recorded), str(copy)]) == 2
     captured = capsys.readouterr()
     assert captured.out == f"{copy}: written, profile portable\n"
     assert captured.err == f"wrong input: {copy}: exists already\n"
@@ -87,7 +87,7 @@ def test_repack_writes_a_copy_or_says_why_not(
 @pytest.mark.parametrize("command", ["info", "check", "recover", "sheet"])
 def test_wrong_input_is_one_line_and_no_traceback(command: str, tmp_path: Path) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "recorder", command, str(tmp_path / "nowhere")],
+        [sys.executable, "-m", "tactile", "session", command, str(tmp_path / "nowhere")],
         capture_output=True,
         text=True,
         check=False,
@@ -100,7 +100,10 @@ def test_wrong_input_is_one_line_and_no_traceback(command: str, tmp_path: Path) 
 @pytest.mark.parametrize("names", [("camera", "force", "pose"), ("taxels", "force"), ("camera",)])
 def test_a_sheet_shows_frames_and_curves(names: tuple[str, ...], tmp_path: Path) -> None:
     path = make_session(tmp_path / "s.zarr", names=names)
-    assert main(["sheet", str(path), "--output", str(tmp_path / "s.png"), "--count", "7"]) == 0
+    assert (
+        main(["session", "sheet", str(path), "--output", str(tmp_path / "s.png"), "--count", "7"])
+        == 0
+    )
     with Image.open(tmp_path / "s.png") as image:
         pixels = np.asarray(image.convert("RGB")).astype(int)
     assert pixels.shape[1] == 1600

@@ -13,10 +13,10 @@ import pytest
 from support.sessions import make_session, set_attrs
 
 from recorder import SessionError
-from recorder.__main__ import main
 from recorder.convert import FORMATS, export
 from recorder.convert.export import building, file_name
 from recorder.convert.runs import parse_utc
+from tactile.__main__ import main
 
 ROOT = Path(__file__).parents[2]
 
@@ -31,9 +31,9 @@ def test_every_format_is_written_and_never_over_something(
     to: str, recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     target = tmp_path / "out"
-    assert main(["export", str(recorded), str(target), "--to", to]) == 0
+    assert main(["session", "export", str(recorded), str(target), "--to", to]) == 0
     assert target.exists()
-    assert main(["export", str(recorded), str(target), "--to", to]) == 2
+    assert main(["session", "export", str(recorded), str(target), "--to", to]) == 2
     captured = capsys.readouterr()
     assert captured.out == f"{target}: written, {to}\n"
     assert captured.err == f"wrong input: {target}: exists already\n"
@@ -166,7 +166,7 @@ def test_the_recorder_alone_imports_no_extra() -> None:
     # fsspec is not listed: zarr-python imports it if it is installed.
     heavy = {"pyarrow", "h5py", "s3fs", "mcap", "google.protobuf", "pandas", "rerun", "torch"}
     heavy |= {"matplotlib"}
-    code = f"import sys, recorder, recorder.__main__; print(sorted({heavy} & set(sys.modules)))"
+    code = f"import sys, recorder, tactile.__main__; print(sorted({heavy} & set(sys.modules)))"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
     )

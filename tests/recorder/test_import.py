@@ -13,12 +13,12 @@ import simplejpeg
 from PIL import Image
 
 from recorder import Session, SessionError, check, faults
-from recorder.command_line.run import main
 from recorder.convert import Answers, As, draft_recordings, write_sessions
 from recorder.convert.import_force import FORCE_UNITS, TORQUE_UNITS, parse_header, parse_unit
 from recorder.convert.import_taxels import TaxelOrder, counts_of
 from recorder.convert.import_video import every, read_avi, whole_jpeg
 from recorder.session.sheet import contact_sheet
+from tactile.__main__ import main
 
 SIZE = (48, 64)
 

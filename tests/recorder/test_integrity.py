@@ -27,15 +27,14 @@ from recorder import (
     recover,
     repack,
 )
-from recorder.__main__ import main
 from recorder.checks.reseal import reseal
-from recorder.command_line.run import main as main_of_all
 from recorder.session.columns import Stream
 from recorder.session.frames import write_frames
 from recorder.session.recover import recover_streams
 from recorder.store.images import compress, decode_jpeg, decompress
 from recorder.store.layout import StreamLayout, create_stream
 from recorder.store.manifest import seal
+from tactile.__main__ import main
 
 # Recorded by format version 1: no checksums in the chunks, no manifest.
 OLD = Path(__file__).parents[1] / "golden" / "data"
@@ -418,7 +417,7 @@ def imported(folder: Path) -> Path:
     arguments = ["--force", folder / "force.csv", "--taxels", folder / "taxels.npy"]
     options = ["--taxels-hz", "60", "--sensor", "a", "--indenter", "b"]
     options += ["--press", "none", "--lag", "0", "--yes"]
-    assert main_of_all(["import", str(folder / "s.zarr"), *map(str, [*arguments, *options])]) == 0
+    assert main(["import", str(folder / "s.zarr"), *map(str, [*arguments, *options])]) == 0
     return folder / "s.zarr"
 
 
@@ -734,7 +733,7 @@ def test_a_session_that_lost_only_manifests_can_be_read_and_sealed_again_on_purp
     accepted = Session(path, unsealed=True)
     assert named in (accepted.warning or "")
     assert np.array_equal(accepted.streams["force"].array("value"), good["force.value"])
-    assert main(["seal", str(path)]) == 0
+    assert main(["session", "seal", str(path)]) == 0
     runs = ", ".join(map(str, lost))
     assert f"sealed again; the manifest of run {runs} was lost" in capsys.readouterr().out
     again = everything(path)

@@ -8,8 +8,8 @@ import time
 
 import pytest
 
-from recorder.command_line.run import main
 from recorder.processes import WorkerLost, Workers
+from tactile.__main__ import main
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from recorder.command_line.commands import COMMANDS
 from recorder.progress import ItemProgress, Progress, duration
 
 
@@ -175,8 +176,8 @@ except KeyboardInterrupt:
 
 
 def test_no_command_imports_rich_at_its_start() -> None:
-    packages = ("recorder", "sim", "learning", "rig", "tactile")
-    imports = "".join(f"import {package}.__main__; " for package in packages)
+    modules = [command.module for command in COMMANDS.values()]
+    imports = "".join(f"import {module}; " for module in modules)
     program = f"import sys; {imports}assert 'rich' not in sys.modules"
     subprocess.run([sys.executable, "-c", program], check=True)
 

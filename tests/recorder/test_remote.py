@@ -21,10 +21,10 @@ from fsspec.implementations.memory import MemoryFileSystem
 from support.sessions import make_session, set_attrs
 
 from recorder import Session, SessionError, check, contact_sheet, repack
-from recorder.__main__ import main
 from recorder.convert import export
 from recorder.store.files import join_ranges
 from recorder.store.shard import end_bytes
+from tactile.__main__ import main
 
 get_loop()  # fsspec keeps one thread for the life of the process
 
@@ -184,13 +184,13 @@ def test_the_commands_take_a_url(
     url_of_commands: str, recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     url = url_of_commands
-    assert main(["info", url]) == 0
+    assert main(["session", "info", url]) == 0
     far = capsys.readouterr().out
-    assert main(["info", str(recorded)]) == 0
+    assert main(["session", "info", str(recorded)]) == 0
     assert far == capsys.readouterr().out.replace(str(recorded), url)
-    assert main(["check", url]) == 0
+    assert main(["session", "check", url]) == 0
     assert capsys.readouterr().out.endswith(f"{url}: no faults, 1 note\n")
-    assert main(["export", url, str(tmp_path / "far"), "--to", "genforce"]) == 0
+    assert main(["session", "export", url, str(tmp_path / "far"), "--to", "genforce"]) == 0
     export(recorded, tmp_path / "near", "genforce")
     trees = [
         {str(f.relative_to(root)): f.read_bytes() for f in root.rglob("*") if f.is_file()}
@@ -291,7 +291,7 @@ def test_what_cannot_be_opened_says_why(
         "nope://x/s.zarr": "Protocol not known: nope",
     }
     for place, message in cases.items():
-        assert main(["info", place]) == 2
+        assert main(["session", "info", place]) == 2
         reported = capsys.readouterr().err
         assert reported.startswith(f"wrong input: {place}")
         assert message in reported
@@ -320,7 +320,7 @@ def test_nothing_is_written_to_a_url(counted: str, tmp_path: Path) -> None:
     with pytest.raises(SessionError, match="remote stores are only read"):
         repack(counted, tmp_path / "copy.zarr")
     for command in (["recover", counted], ["repack", counted, str(tmp_path / "c")]):
-        assert main(command) == 2
+        assert main(["session", *command]) == 2
     with pytest.raises(SessionError, match="storage options are for URLs"):
         Session(tmp_path, storage_options={"anon": True})
 

@@ -12,8 +12,8 @@ import pytest
 from support.sessions import make_session
 
 from recorder import Session, SessionError
-from recorder.__main__ import main
 from recorder.convert.rerun_view import view
+from tactile.__main__ import main
 
 needs_rerun = [
     pytest.mark.slow,
@@ -63,7 +63,7 @@ class TestWithRerun:
         self, recorded: Path, tmp_path: Path
     ) -> None:
         out = tmp_path / "s.rrd"
-        assert main(["view", str(recorded), "--save", str(out)]) == 0
+        assert main(["session", "view", str(recorded), "--save", str(out)]) == 0
         session, rrd = Session(recorded), Rrd(out)
         camera = session.streams["camera"]
         blobs = rrd.column("/camera", "EncodedImage:blob")
@@ -135,7 +135,7 @@ def test_without_rerun_it_says_what_to_install(
     recorded: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "rerun", None)
-    assert main(["view", str(recorded), "--save", "unused.rrd"]) == 2
+    assert main(["session", "view", str(recorded), "--save", "unused.rrd"]) == 2
     assert "pip install 'tactile-rig[view]'" in capsys.readouterr().err
 
 
@@ -143,5 +143,5 @@ def test_without_rerun_it_says_what_to_install(
 def test_a_part_that_cannot_be_is_refused(
     recorded: Path, part: tuple[str, str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["view", str(recorded), "--save", "unused.rrd", *part]) == 2
+    assert main(["session", "view", str(recorded), "--save", "unused.rrd", *part]) == 2
     assert "allowed" in capsys.readouterr().err

@@ -9,13 +9,13 @@ from typing import Any
 import pytest
 
 import rig
-from rig.__main__ import main
 from rig.bench import bench as bench_module
 from rig.bench.bench import Bench, BenchFile
 from rig.cli import recording
 from rig.core.errors import ConfigError
 from rig.core.packaged import BENCHES
 from rig.mock.bench import MockBench
+from tactile.__main__ import main
 
 
 @pytest.mark.parametrize("command", ["collect", "home", "force-depth", "calibrate-latency"])

@@ -14,7 +14,6 @@ from support.collecting import ROOT, Collection, faults_of
 
 from recorder import OUTCOMES, Session, SessionWriter, force_spec
 from recorder import catalogue as catalogue_module
-from rig.__main__ import main
 from rig.acquire import campaign as campaign_module
 from rig.acquire.campaign import (
     Campaign,
@@ -29,6 +28,7 @@ from rig.acquire.campaign import (
 from rig.core.errors import ConfigError
 from rig.core.packaged import BENCHES, CAMPAIGNS
 from rig.devices.gripper.settings import RobotiqConfig
+from tactile.__main__ import main
 from trajectories import plan_to_json
 
 DAY = """
@@ -389,9 +389,9 @@ def test_a_stopped_campaign_names_the_command_that_continues_it(
     campaign = _campaign(tmp_path)
     monkeypatch.setattr(campaign_module, "run_rig", _Bench(campaign, [3]))
     told: list[str] = []
-    settings = Settings(BENCHES, ROOT / "calibrations", go_on="make campaign FILE=day.yaml")
+    settings = Settings(BENCHES, ROOT / "calibrations", go_on="tactile campaign --file day.yaml")
     assert run_campaign(campaign, settings, lambda _: True, told.append) == 3
-    assert told[-1] == "to continue: make campaign FILE=day.yaml"
+    assert told[-1] == f"to continue: {settings.go_on}"
 
 
 def test_the_example_is_runnable_and_listing_records_nothing(
@@ -411,7 +411,7 @@ def test_without_a_terminal_it_does_not_guess_that_something_is_mounted(
     path = tmp_path / "day.yaml"
     path.write_text(DAY.format(out=tmp_path / "out"))
     ran = subprocess.run(
-        [sys.executable, "-m", "rig", "campaign", "--file", str(path)],
+        [sys.executable, "-m", "tactile", "campaign", "--file", str(path)],
         cwd=ROOT,
         stdin=subprocess.DEVNULL,
         capture_output=True,
@@ -460,7 +460,7 @@ sessions:
 """
     )
     arguments = [
-        *(sys.executable, "-u", "-m", "rig", "campaign", "--file", str(day), "--yes"),
+        *(sys.executable, "-u", "-m", "tactile", "campaign", "--file", str(day), "--yes"),
         *("--benches", str(benches), "--calibrations", str(tmp_path)),
     ]
     first = tmp_path / "out" / "gelsight-prism-force-depth.zarr"

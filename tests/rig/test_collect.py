@@ -12,7 +12,7 @@ from support.collecting import Collection, faults_of, quick_bench
 
 from learning.markers.recording import read_recording
 from recorder import OUTCOMES, Session
-from rig.__main__ import main
+from tactile.__main__ import main
 
 pytestmark = [pytest.mark.serial, pytest.mark.timeout(120)]
 
@@ -140,7 +140,7 @@ def test_ctrl_c_finishes_the_row_retracts_and_a_resume_completes_it(
     assert session.status == "stopped"
     assert "interrupted by the operator" in session.attrs["reason"]
     assert "NOT RETRACTED" not in run.text
-    assert f"to continue: python -m rig collect --resume {run.session} --bench {bench}" in run.text
+    assert f"to continue: tactile collect --resume {run.session} --bench {bench}" in run.text
     assert set(session.segments["outcome"]) == {OUTCOMES.index("complete")}
     frame = np.asarray(session.attrs["contact_frame"])
     last = np.asarray(session.streams["pose"].column("value"))[-1]

@@ -59,7 +59,7 @@ def test_no_process_of_a_lab_collection_loads_an_emulator(sensor: str, tmp_path:
         session = tmp_path / "s.zarr"
         done = subprocess.run(
             [
-                *(sys.executable, "-m", "rig", "collect", "--bench", str(lab)),
+                *(sys.executable, "-m", "tactile", "collect", "--bench", str(lab)),
                 *("--out", str(session), "--targets", "1"),
                 *("--calibrations", str(tmp_path / "none-measured")),
             ],

@@ -56,7 +56,7 @@ pedal: {{device: {tmp_path}/no-pedal}}
 def test_wrong_input_exits_with_2_and_one_clear_line(
     arguments: tuple[str, ...], word: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    from rig.__main__ import main
+    from tactile.__main__ import main
 
     out = [] if "--resume" in arguments else ["--out", str(tmp_path / "s.zarr")]
     assert main(["collect", *arguments, *out]) == 2

@@ -93,14 +93,14 @@ def test_a_healthy_bench_is_well_and_each_wrong_device_is_named(
 def test_the_command_ends_with_0_or_3_and_says_how_to_go_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from rig.__main__ import main
+    from tactile.__main__ import main
 
     kept = tmp_path / "new" / "calibrations"
     words = ["doctor", "--sensor", "uskin", "--calibrations", str(kept)]
     assert main([*words, "--out", str(tmp_path / "new" / "sessions")]) == 0
     text = capsys.readouterr().out
     assert "mock bench" in text
-    following = f"python -m rig setup --sensor uskin --calibrations {kept}"
+    following = f"tactile setup --sensor uskin --calibrations {kept}"
     assert f"doctor: no fault; next: {following}" in text
     assert list(tmp_path.iterdir()) == []
     # Once the bench was set up, it can record.
@@ -108,20 +108,17 @@ def test_the_command_ends_with_0_or_3_and_says_how_to_go_on(
     (kept / "uskin.setup.json").write_text('{"mock": true, "acceptance": {"result": "accepted"}}')
     assert main([*words, "--out", str(tmp_path / "new" / "sessions")]) == 0
     text = capsys.readouterr().out
-    assert "doctor: no fault; next: python -m rig collect --sensor uskin --targets 2" in text
+    assert "doctor: no fault; next: tactile collect --sensor uskin --targets 2" in text
     (tmp_path / "a-file").touch()
     assert main(["doctor", "--sensor", "uskin", "--out", str(tmp_path / "a-file")]) == 3
     text = capsys.readouterr().out
     assert "FAULT  disk" in text
-    assert "doctor: 1 fault; again: python -m rig doctor --sensor uskin --out" in text
+    assert "doctor: 1 fault; again: tactile doctor --sensor uskin --out" in text
 
 
-def test_commands_to_go_on_with_keep_the_bench_and_the_front_door(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_commands_to_continue_with_keep_the_bench() -> None:
     parser = argparse.ArgumentParser()
     bench_options(parser)
-    parser.set_defaults(prog="tactile doctor")
     options = parser.parse_args(["--sensor", "uskin", "--world", "sim", "--force", "none"])
     assert bench_command("collect", options, targets=2, out=None) == (
         "tactile collect --sensor uskin --world sim --force none --targets 2"
@@ -130,11 +127,6 @@ def test_commands_to_go_on_with_keep_the_bench_and_the_front_door(
     assert bench_command("doctor", elsewhere) == (
         "tactile doctor --bench 'my own.yaml' --benches lab"
     )
-    monkeypatch.setenv("TACTILE_DOOR", "make")
-    assert bench_command("collect", options, targets=2) == (
-        "make collect SENSOR=uskin WORLD=sim FORCE=none TARGETS=2"
-    )
-    assert bench_command("setup", elsewhere) == "make setup-bench 'BENCH=my own.yaml'"
 
 
 @pytest.mark.parametrize(

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from support.collecting import ROOT, quick_bench
 
-from rig.__main__ import main
 from rig.acquire import collector
 from rig.cli.options import free_path
 from rig.core.packaged import BENCHES
 from rig.mock import bench as mock_bench
+from tactile.__main__ import main
 
 
 @pytest.fixture(autouse=True)
@@ -104,7 +104,10 @@ def test_mistakes_are_found_in_less_than_two_seconds(folder: Path) -> None:
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     for arguments in commands:
         ran = subprocess.run(
-            [sys.executable, "-m", "rig", *arguments], cwd=ROOT, capture_output=True, check=False
+            [sys.executable, "-m", "tactile", *arguments],
+            cwd=ROOT,
+            capture_output=True,
+            check=False,
         )
         assert ran.returncode == 2
     after = resource.getrusage(resource.RUSAGE_CHILDREN)

@@ -69,7 +69,7 @@ def test_the_origin_is_printed_as_a_bench_file_takes_it() -> None:
 
 
 def test_a_bench_without_a_spacemouse_is_wrong_input(capfd: pytest.CaptureFixture[str]) -> None:
-    from rig.__main__ import main
+    from tactile.__main__ import main
 
     assert main(["jog", "--bench", str(BENCHES / "tacpalm.yaml")]) == 2
     assert "jog: missing" in capfd.readouterr().err
@@ -94,7 +94,7 @@ jog: {{kind: spacemouse, device: runfolder/cap.hidraw, speed_max_mm_s: 5.0}}
         self.log = folder / "jog.txt"
         with self.log.open("w") as log:
             process = subprocess.Popen(
-                [sys.executable, "-u", "-m", "rig", "jog", "--bench", str(bench)],
+                [sys.executable, "-u", "-m", "tactile", "jog", "--bench", str(bench)],
                 cwd=ROOT,
                 env=environment,
                 stdout=log,

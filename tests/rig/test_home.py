@@ -301,7 +301,7 @@ world_frame: {{position_mm: [-120.0, -430.0, 155.0]}}
 
 def _rig(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "rig", *arguments],
+        [sys.executable, "-m", "tactile", *arguments],
         cwd=ROOT,
         capture_output=True,
         text=True,

@@ -78,7 +78,7 @@ class Terminal:
             fcntl.ioctl(0, termios.TIOCSCTTY, 0)
 
         self.process = subprocess.Popen(
-            [sys.executable, "-u", "-m", "rig", *arguments],
+            [sys.executable, "-u", "-m", "tactile", *arguments],
             cwd=ROOT,
             stdin=slave,
             stdout=slave,
@@ -225,7 +225,7 @@ def test_the_gripper_says_how_it_moves_and_waits_for_its_word(
 
 
 def test_the_gripper_moves_only_from_a_terminal(gripping: Path) -> None:
-    command = [sys.executable, "-m", "rig", "grip", "--bench", str(gripping)]
+    command = [sys.executable, "-m", "tactile", "grip", "--bench", str(gripping)]
     done = subprocess.run(
         command, stdin=subprocess.DEVNULL, capture_output=True, text=True, cwd=ROOT, check=False
     )

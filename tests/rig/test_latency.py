@@ -180,7 +180,7 @@ world: {{markers: {{delay_ms: {delay_ms}}}}}
     session_path = tmp_path / "l.zarr"
     ran = subprocess.run(
         [
-            *(sys.executable, "-m", "rig", "calibrate-latency", "--bench", str(bench)),
+            *(sys.executable, "-m", "tactile", "calibrate-latency", "--bench", str(bench)),
             *("--calibrations", str(tmp_path), "--out", str(session_path)),
         ],
         cwd=ROOT,

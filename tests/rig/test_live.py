@@ -19,7 +19,6 @@ from support.learning_sessions import altered
 from support.sessions import make_session
 
 from recorder import Session, SessionError
-from rig.__main__ import main
 from rig.bench.bench import BenchFile, find_bench
 from rig.core.clock import SECOND_NS, FakeClock, SystemClock
 from rig.core.errors import ConfigError, DeviceLost
@@ -27,6 +26,7 @@ from rig.core.packaged import BENCHES
 from rig.monitor.comparison import ComparisonPage, add_gauge
 from rig.monitor.forces import ForceLine, Seen, watch
 from rig.monitor.watched import GaugeBeside, Watched, mock_bench, replayed
+from tactile.__main__ import main
 
 # Time that the stub needs for a frame.
 WORK_NS = 5_000_000
@@ -316,7 +316,7 @@ def test_wrong_options_end_before_anything_is_started(
 def test_a_model_says_forces_of_a_mock_bench_until_ctrl_c(tmp_path: Path) -> None:
     model, out = tmp_path / "model", tmp_path / "forces.csv"
     write_model(model)
-    command = [sys.executable, "-u", "-m", "rig", "live", "--model", str(model), "--sensor"]
+    command = [sys.executable, "-u", "-m", "tactile", "live", "--model", str(model), "--sensor"]
     process = subprocess.Popen(
         [*command, "uskin", "--out", str(out)],
         cwd=BENCHES.parent,

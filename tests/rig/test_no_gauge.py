@@ -362,7 +362,7 @@ def test_a_zero_is_for_the_guard_and_not_for_what_is_averaged(tmp_path: Path) ->
 
 def collect(*options: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "rig", "collect", *options],
+        [sys.executable, "-m", "tactile", "collect", *options],
         cwd=ROOT,
         stdin=subprocess.DEVNULL,
         capture_output=True,

@@ -324,7 +324,17 @@ def long(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def _start(source: Path, out: Path) -> Collection:
     process = subprocess.Popen(
-        [sys.executable, "-u", "-m", "rig", "replay", "--session", str(source), "--out", str(out)],
+        [
+            sys.executable,
+            "-u",
+            "-m",
+            "tactile",
+            "replay",
+            "--session",
+            str(source),
+            "--out",
+            str(out),
+        ],
         cwd=ROOT,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,

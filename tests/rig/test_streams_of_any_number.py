@@ -221,7 +221,7 @@ def test_every_gauge_is_tared_and_has_its_own_reference(three: BenchFile, tmp_pa
 
 
 def rig(*words: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "rig", *words]
+    command = [sys.executable, "-m", "tactile", *words]
     return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
 
 

@@ -12,9 +12,9 @@ import pytest
 from support.simulated_archives import IMAGES, SKINS, UNITS, digests, make
 
 from sim import SceneError
-from sim.__main__ import main
 from sim.dataset import Stop, begin, fill, run
 from sim.dataset.run import make_on_cluster
+from tactile.__main__ import main
 
 distributed = pytest.importorskip(
     "distributed", reason="dask.distributed is not installed: pip install 'tactile-rig[cluster]'"
@@ -97,5 +97,5 @@ def test_processes_and_a_scheduler_exclude_each_other(
 ) -> None:
     begin(tmp_path / "a.markers.zarr", SKINS)
     options = ("--scheduler", "tcp://127.0.0.1:9", "--processes", "2")
-    assert main(["archive", "resume", str(tmp_path / "a.markers.zarr"), *options]) == 2
+    assert main(["sim", "archive", "resume", str(tmp_path / "a.markers.zarr"), *options]) == 2
     assert "--processes: 2 with --scheduler; allowed: either" in capsys.readouterr().err

@@ -23,11 +23,11 @@ from support.simulated_archives import SKINS, UNITS, digests, make, own_grid, so
 
 from recorder import MarkerArchive, check
 from recorder.processes import WorkerLost
-from sim.__main__ import main
 from sim.dataset import DatasetPlan, Stop, Unit, begin, fill, found
 from sim.dataset.plan import UNIT_PRESSES
 from sim.dataset.run import make_here, make_in_processes
 from sim.layer.batch import simulate_layers
+from tactile.__main__ import main
 
 __all__ = ["own_grid", "solved_once"]
 
@@ -95,10 +95,10 @@ def test_a_full_disk_is_told_with_how_to_go_on_and_going_on_gives_the_same(
 
     with monkeypatch.context() as patch:
         patch.setattr(os, "write", write)
-        assert main(["archive", "resume", str(path)]) == 2
+        assert main(["sim", "archive", "resume", str(path)]) == 2
     reported = capsys.readouterr().err
     assert "No space left on device" in reported
-    assert f"to continue: python -m sim archive resume {path}" in reported
+    assert f"to continue: tactile sim archive resume {path}" in reported
     assert MarkerArchive(path).status == "writing"
     make(path, SKINS)
     assert digests(path) == undisturbed
@@ -126,10 +126,10 @@ def test_a_stop_that_was_asked_for_leaves_units_and_exits_with_130(
 
     monkeypatch.setattr("sim.dataset.run.make_in_processes", stopped)
     path = tmp_path / "a.markers.zarr"
-    assert main(["archive", "sensors", *OPTIONS, "--out", str(path)]) == 130
+    assert main(["sim", "archive", "sensors", *OPTIONS, "--out", str(path)]) == 130
     reported = capsys.readouterr()
     assert "7 presses" not in reported.out
-    assert "units are missing; to continue: python -m sim archive resume" in reported.err
+    assert "units are missing; to continue: tactile sim archive resume" in reported.err
 
 
 @pytest.mark.slow
@@ -148,7 +148,7 @@ def test_the_command_tells_the_cost_before_and_the_sum_after_and_draws_a_sheet(
         "--tier",
         "layer",
     )
-    assert main([*begun, "--out", str(path)]) == 0
+    assert main(["sim", *begun, "--out", str(path)]) == 0
     reported = capsys.readouterr().out
     assert "9 presses (layer (small strain)), 45 frames, 45 images, about" in reported
     assert "with --processes 2, or half or twice as long" in reported
@@ -156,11 +156,11 @@ def test_the_command_tells_the_cost_before_and_the_sum_after_and_draws_a_sheet(
     assert list(MarkerArchive(path)) == ["Array3"]
     assert "marker count: 0 of 45 images flagged" in reported
     assert list(check(path)) == []
-    assert main([*begun, "--out", str(path)]) == 0
+    assert main(["sim", *begun, "--out", str(path)]) == 0
     assert "nothing is missing" in capsys.readouterr().out
-    assert main([*begun, "--seed", "3", "--out", str(path)]) == 2
+    assert main(["sim", *begun, "--seed", "3", "--out", str(path)]) == 2
     assert "another plan, which differs in seed; allowed" in capsys.readouterr().err
-    assert main(["archive", "sheet", str(path), "--out", str(picture)]) == 0
+    assert main(["sim", "archive", "sheet", str(path), "--out", str(picture)]) == 0
     with Image.open(picture) as drawn:
         assert drawn.size[0] > 144
         assert len(np.unique(np.asarray(drawn.convert("L")))) > 2
@@ -188,7 +188,7 @@ def test_wrong_options_are_refused_before_anything_is_written(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert main(["archive", *options]) == 2
+    assert main(["sim", "archive", *options]) == 2
     assert message in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
@@ -242,7 +242,17 @@ def test_a_process_that_is_killed_is_told_of_and_loses_its_unit_alone(
 
 def _verb(path: Path) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        [sys.executable, "-m", "sim", "archive", "sensors", *OPTIONS, "--out", str(path)],
+        [
+            sys.executable,
+            "-m",
+            "tactile",
+            "sim",
+            "archive",
+            "sensors",
+            *OPTIONS,
+            "--out",
+            str(path),
+        ],
         cwd=ROOT,
         env=os.environ | {"OMP_NUM_THREADS": "1"},
         stdout=subprocess.PIPE,
@@ -293,10 +303,10 @@ def test_ctrl_c_ends_after_the_units_in_flight_with_130(tmp_path: Path) -> None:
     assert process.returncode == 130, reported
     assert "Traceback" not in reported[1]
     assert "stopping: the units in flight are finished first" in reported[1]
-    assert "to continue: python -m sim archive resume" in reported[1]
+    assert "to continue: tactile sim archive resume" in reported[1]
     assert found(path).plan == SKINS_OF_THE_COMMAND
     resumed = subprocess.run(
-        [sys.executable, "-m", "sim", "archive", "resume", str(path)],
+        [sys.executable, "-m", "tactile", "sim", "archive", "resume", str(path)],
         cwd=ROOT,
         capture_output=True,
         text=True,
@@ -327,7 +337,7 @@ def test_presses_of_layer_are_solved_on_the_gpu_in_large_units(
     path = tmp_path / "a.markers.zarr"
     small = ("--indenters", "sphere,torus", "--scale", "0.002", "--steps", "1", "--no-check")
     where = ("--device", "cuda:0", "--out", str(path), "--tier", "layer")
-    code = main(["archive", "sensors", "--sensors", "uskin", *small, *where])
+    code = main(["sim", "archive", "sensors", "--sensors", "uskin", *small, *where])
     assert (code, asked) == (0, [(162, "cuda:0")])
     assert solved
 

@@ -1,4 +1,4 @@
-"""`python -m sim`: output, files, errors, and the examples of its documentation."""
+"""`tactile sim`: output, files, errors, and the examples of its documentation."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sim.__main__ import main
 from sim.cli import report
 from sim.cli.options import indenter_of
 from sim.errors import SimulationDiverged
 from sim.store import load_result
+from tactile.__main__ import main
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "reference" / "simulation.md").read_text()
@@ -34,7 +34,7 @@ def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def _said(argv: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, object]:
-    assert main([*argv, "--json"]) == 0
+    assert main(["sim", *argv, "--json"]) == 0
     told: dict[str, object] = json.loads(capsys.readouterr().out)
     return told
 
@@ -83,7 +83,7 @@ def test_the_standard_output_of_json_is_json_alone(tmp_path: Path) -> None:
 
 
 def test_without_json_there_is_a_table_and_a_picture(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["press", "--shape", "dots", "--depths", "0.2,0.4", *QUICK]) == 0
+    assert main(["sim", "press", "--shape", "dots", "--depths", "0.2,0.4", *QUICK]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[-1] == "press-dots.png"
     table = [line.split() for line in lines if re.match(r" +0\.[24]00 ", line)]
@@ -198,7 +198,7 @@ def test_wrong_input_is_named_and_nothing_is_written(
 ) -> None:
     # The last --tier counts: those in the rows are for `fem`.
     command, *rest = words.split()
-    assert main([command, *QUICK, *rest]) == 2
+    assert main(["sim", command, *QUICK, *rest]) == 2
     captured = capsys.readouterr()
     assert re.match(f"wrong input: .*{message}", captured.err)
     assert captured.out == ""
@@ -218,7 +218,7 @@ def test_wrong_input_is_named_and_nothing_is_written(
 def test_what_cannot_be_read_ends_with_the_same_code(
     words: str, message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(words.split()) == 2
+    assert main(["sim", *words.split()]) == 2
     assert message in capsys.readouterr().err
 
 
@@ -227,7 +227,7 @@ def test_results_are_kept_whole_and_never_overwritten(capsys: pytest.CaptureFixt
     told = _said(argv, capsys)
     kept = load_result(Path("kept/x.zarr"))
     assert -kept.force[1:, 2] == pytest.approx(told["force_n"])
-    assert main(argv) == 2
+    assert main(["sim", *argv]) == 2
     assert "--save: kept/x.zarr exists" in capsys.readouterr().err
 
 
@@ -241,7 +241,7 @@ def test_no_solution_is_told_with_what_was_tried(
         )
 
     monkeypatch.setattr(report, "simulate", diverge)
-    assert main(["press", *QUICK]) == 1
+    assert main(["sim", "press", *QUICK]) == 1
     message = capsys.readouterr().err
     assert message.startswith("no solution: lost at 1 mm; state: /x/state.npz")
     assert "tried: attempt 8" in message
@@ -252,7 +252,7 @@ def test_ctrl_c_ends_with_130_and_leaves_nothing(tmp_path: Path) -> None:
     # Slow enough to be stopped: 200 depths on a mesh of 5,400 elements.
     depths = ",".join(f"{0.005 * step:g}" for step in range(1, 201))
     process = subprocess.Popen(
-        [sys.executable, "-m", "sim", "press", "--depths", depths, "--save", "x.zarr"],
+        [sys.executable, "-m", "tactile", "sim", "press", "--depths", depths, "--save", "x.zarr"],
         stderr=subprocess.PIPE,
         text=True,
         env=os.environ | {"PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"},

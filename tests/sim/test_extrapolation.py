@@ -24,11 +24,11 @@ from sim import (
     press,
     simulate,
 )
-from sim.__main__ import main
 from sim.extrapolation import extrapolated, simulate_extrapolated
 from sim.fem.numerics import FOR_EDGES, Fem
 from sim.indenters import named
 from sim.result import Result
+from tactile.__main__ import main
 
 BODY = Body(8e-3, 8e-3, 4e-3)
 SPHERE = Scene(named("sphere"), press([0.6e-3]), BODY, Effects(friction=Friction(0.8)))
@@ -147,7 +147,7 @@ def test_meshes_that_are_alike_tell_nothing(coarse: Result) -> None:
 def test_a_press_of_the_command_line_tells_what_was_added(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    asked = ["press", "--depths", "0.4", "--size", "8,8,4", "--mesh", "1", "--extrapolate"]
+    asked = ["sim", "press", "--depths", "0.4", "--size", "8,8,4", "--mesh", "1", "--extrapolate"]
     assert main([*asked, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["extrapolated"]["cells"] == [3, 4]

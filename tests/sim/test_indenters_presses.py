@@ -12,12 +12,12 @@ import pytest
 from support import stl_files as files
 
 from sim import Body, Effects, Friction, Layer, Result, Scene, press, simulate, simulate_many
-from sim.__main__ import main
 from sim.fem.numerics import FOR_EDGES, Fem
 from sim.indenters import Indenter, box, from_stl, named, sphere
 from sim.mpm import Mpm
 from sim.simulate import Tier
 from sim.store import load_result, save_results
+from tactile.__main__ import main
 
 TILT = math.radians(6), math.radians(-4)
 COARSE = Fem(spacing=1.3e-3)
@@ -98,7 +98,18 @@ def test_the_command_line_presses_a_file_that_leans(
     (tmp_path / "tips").mkdir()
     inside_out = files.block(2, 3, 6)[0], files.block(2, 3, 6)[1][:, ::-1]
     path = files.write_binary(tmp_path / "tips" / "block.stl", inside_out)
-    words = ["press", "--depths", "0.3", "--tier", "layer", "--shape", str(path), "--tilt", "-2,1"]
+    words = [
+        "sim",
+        "press",
+        "--depths",
+        "0.3",
+        "--tier",
+        "layer",
+        "--shape",
+        str(path),
+        "--tilt",
+        "-2,1",
+    ]
     words += ["--stl-unit", "mm", "--stl-up=-z"]
     assert main(words) == 0
     told = capsys.readouterr()
@@ -118,7 +129,7 @@ def test_without_an_edge_radius_a_prism_presses_alike_by_name_by_measures_and_fr
     path = files.write_binary(tmp_path / "prism.stl", files.block(5, 7, 8))
     forces = []
     for shape in (["prism"], ["box", "--width", "5", "--length", "7"], [str(path)]):
-        words = ["press", "--depths", "0.5", "--tier", "layer", "--json", "--shape", *shape]
+        words = ["sim", "press", "--depths", "0.5", "--tier", "layer", "--json", "--shape", *shape]
         assert main(words) == 0
         forces.append(json.loads(capsys.readouterr().out)["force_n"][-1])
     assert forces[1] == pytest.approx(forces[0], rel=1e-6)
@@ -146,7 +157,7 @@ def test_the_command_line_says_what_is_wrong_with_a_file_or_a_tilt(
     monkeypatch.chdir(tmp_path)
     whole = files.write_binary(tmp_path / "cut.stl", files.block(4, 5, 6))
     whole.write_bytes(whole.read_bytes()[:384])
-    assert main(["press", "--tier", "layer", *words.split()]) == 2
+    assert main(["sim", "press", "--tier", "layer", *words.split()]) == 2
     assert re.search(message, capsys.readouterr().err)
     assert [path.name for path in tmp_path.iterdir()] == ["cut.stl"]
 

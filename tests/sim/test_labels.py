@@ -10,10 +10,10 @@ import pytest
 
 from recorder import MarkerArchive
 from recorder.archive import check_archive
-from sim.__main__ import main
 from sim.errors import SimulationDiverged
 from sim.sensors import read_sensor
 from sim.twin.labels import ArchivedPress, by_fem_at_once, by_layer, forces, made_from
+from tactile.__main__ import main
 
 TWIN = """\
 extends: gelsight.yaml
@@ -25,14 +25,14 @@ posterior: {names: [modulus], spreads: [0.05], correlations: [[1.0]]}
 @pytest.fixture(scope="module")
 def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("labels") / "x.markers.zarr"
-    words = ["archive", "sensors", "--sensors", "gelsight", "--indenters", "sphere,prism"]
+    words = ["sim", "archive", "sensors", "--sensors", "gelsight", "--indenters", "sphere,prism"]
     words += ["--tier", "layer", "--scale", "smoke", "--processes", "1", "--no-check"]
     assert main([*words, "--out", str(path)]) == 0
     return path
 
 
 def labels(archive: Path, twin: Path | str, *more: str) -> int:
-    words = ["labels", str(archive), "--sensor", "gelsight", "--twin", str(twin)]
+    words = ["sim", "labels", str(archive), "--sensor", "gelsight", "--twin", str(twin)]
     return main([*words, "--grid", "48", "--processes", "1", *more])
 
 
@@ -113,7 +113,7 @@ def test_forces_of_a_twin_that_was_identified_by_tier_fem_are_of_that_tier(tmp_p
     assert over[2] > over[0] + 0.03
     assert found[1, :, 2] / found[0, :, 2] == pytest.approx(layer[1, :, 2] / layer[0, :, 2])
     assert made_from(twin, 1, 0, 48).endswith("tier fem")
-    words = ["archive", "sensors", "--twin", str(path), "--tier", "layer"]
+    words = ["sim", "archive", "sensors", "--twin", str(path), "--tier", "layer"]
     assert main([*words, "--out", str(tmp_path / "x.markers.zarr")]) == 2
 
 
@@ -156,6 +156,6 @@ def test_what_cannot_be_simulated_is_refused(
 ) -> None:
     assert labels(archive, "gelsight", "--draws", "2") == 2
     assert "no posterior" in capsys.readouterr().err
-    words = ["labels", str(archive), "--sensor", "other", "--twin", "gelsight"]
+    words = ["sim", "labels", str(archive), "--sensor", "other", "--twin", "gelsight"]
     assert main(words) == 2
     assert "allowed: gelsight" in capsys.readouterr().err

@@ -12,7 +12,6 @@ import pytest
 import sim
 from sim import Body, Effects, Friction, Gravity, Inertia, Motion, Scene, SceneError, Viscosity
 from sim import needed as module
-from sim.__main__ import main
 from sim.effect_bounds import bounds_of
 from sim.fem.numerics import Fem
 from sim.indenters import sphere
@@ -21,6 +20,7 @@ from sim.needed import EffectsPlan, part_of_tolerance, plan_many
 from sim.result import Result
 from sim.simulate import plan_effects
 from sim.tiers import simulate_many
+from tactile.__main__ import main
 
 BODY = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
 # Down and slightly sideways, one second per millimetre.
@@ -179,7 +179,7 @@ def test_the_rest_of_a_tolerance_is_never_rounded_up() -> None:
 
 @pytest.mark.slow
 def test_the_command_line_tells_what_effects_are_worth(capsys: pytest.CaptureFixture[str]) -> None:
-    press = ["press", "--size", "8,8,4", "--depths", "0.4", "--inertia", "--plan-effects"]
+    press = ["sim", "press", "--size", "8,8,4", "--depths", "0.4", "--inertia", "--plan-effects"]
     assert main([*press, "--tolerance", "3 %"]) == 0
     table = capsys.readouterr().out
     assert "left out: inertia; together" in table
@@ -189,5 +189,5 @@ def test_the_command_line_tells_what_effects_are_worth(capsys: pytest.CaptureFix
     assert [one["name"] for one in told["each"]] == ["inertia"]
     assert main([*press, "--out", "x.png"]) == 2
     assert "--out: x.png with --plan-effects; allowed: without" in capsys.readouterr().err
-    assert main(["press", "--effects", "needed"]) == 2
+    assert main(["sim", "press", "--effects", "needed"]) == 2
     assert "--effects: 'needed' without --tolerance" in capsys.readouterr().err

@@ -14,7 +14,8 @@ from sim.device import check_device
 
 def test_a_press_that_is_only_printed_imports_no_zarr() -> None:
     program = (
-        "import sys; from sim.__main__ import main; main(['press', '--tier', 'layer', '--json']); "
+        "import sys; from tactile.__main__ import main; "
+        "main(['sim', 'press', '--tier', 'layer', '--json']); "
         "print({'zarr', 'rich', 'recorder.session'} & sys.modules.keys())"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, check=True)

@@ -28,7 +28,6 @@ from benchmarks.sim.twin.planted import (
     solved,
 )
 from recorder.processes import Workers
-from sim.__main__ import main
 from sim.errors import PassesThrough, SceneError, SimulationDiverged
 from sim.fem import Fem
 from sim.indenters import named
@@ -54,6 +53,7 @@ from sim.twin.model import Correction, Linear, Model, relaxing
 from sim.twin.observations import track_of
 from sim.twin.plan import Planner, cost, presses, sessions
 from sim.twin.record import lines, plan_files, twin_yaml
+from tactile.__main__ import main
 
 # A fit takes some 20 s of a free core.
 pytestmark = pytest.mark.timeout(300)
@@ -147,7 +147,7 @@ def command(
         fits.append(fitted(*arguments, **options))
         return fits[-1]
 
-    words = ["twin-fit", str(session), "--sensor", "gelsight", "--out", str(out), "--json"]
+    words = ["twin", "fit", str(session), "--sensor", "gelsight", "--out", str(out), "--json"]
     words += ["--markers", *map(str, marked), "--held-out", str(copy)]
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(io.StringIO()) as printed:
         patch.setattr("sim.twin.fitted", kept)
@@ -271,7 +271,7 @@ def test_images_of_another_sensor_are_refused_in_pixels(
         return replace(fit, tracks=tuple(tracks))
 
     monkeypatch.setattr("sim.twin.fitted", known)
-    words = ["twin-fit", str(session), "--sensor", "gelsight", "--out", str(out)]
+    words = ["twin", "fit", str(session), "--sensor", "gelsight", "--out", str(out)]
     words += ["--grid", str(COARSE), "--markers", str(marked)]
     assert main(words) == 1
     printed = capsys.readouterr().err
@@ -356,7 +356,7 @@ def test_the_command_writes_a_plan_and_what_to_expect(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "plan"
-    words = ["twin-plan", "--sensor", "gelsight", "--out", str(out), "--grid", "16"]
+    words = ["twin", "plan", "--sensor", "gelsight", "--out", str(out), "--grid", "16"]
     assert main([*words, "--minutes", "1", "--change", "20", "--indenters", "sphere"]) == 0
     text = capsys.readouterr().out
     assert "sphere: depth" in text
@@ -529,7 +529,7 @@ def test_forces_that_no_skin_explains_are_refused(
         change=lambda name, columns: _of(name, columns, time, tip, bent),
     )
     out = tmp_path / "bent.yaml"
-    words = ["twin-fit", str(path), "--sensor", "gelsight", "--out", str(out)]
+    words = ["twin", "fit", str(path), "--sensor", "gelsight", "--out", str(out)]
     assert main([*words, "--grid", str(COARSE)]) == 1
     assert "refused: forces at rest differ by" in capsys.readouterr().err
     assert not out.exists()
@@ -546,10 +546,10 @@ def test_presses_without_a_rest_are_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     moving = make_session(tmp_path / "moving.zarr", names=("force", "pose"), change=_always_moving)
-    assert main(["twin-fit", str(moving), "--sensor", "gelsight"]) == 2
+    assert main(["twin", "fit", str(moving), "--sensor", "gelsight"]) == 2
     assert "hold_ms" in capsys.readouterr().err
     bare = make_session(tmp_path / "bare.zarr", names=("pose",))
-    assert main(["twin-fit", str(bare), "--sensor", "gelsight"]) == 2
+    assert main(["twin", "fit", str(bare), "--sensor", "gelsight"]) == 2
     assert "no stream of kind force" in capsys.readouterr().err
 
 
@@ -559,7 +559,17 @@ def test_an_archive_has_sensors_drawn_from_a_twin(fit: Fit, tmp_path: Path) -> N
 
     twin, out = tmp_path / "mine.yaml", tmp_path / "drawn.markers.zarr"
     twin.write_text(twin_yaml(fit.sensor, "gelsight.yaml", ["a.zarr"]))
-    words = ["archive", "sensors", "--twin", str(twin), "--draws", "2", "--indenters", "sphere"]
+    words = [
+        "sim",
+        "archive",
+        "sensors",
+        "--twin",
+        str(twin),
+        "--draws",
+        "2",
+        "--indenters",
+        "sphere",
+    ]
     words += ["--tier", "layer", "--scale", "smoke", "--out", str(out), "--processes", "1"]
     assert main(words) == 0
     drawn = found(out).plan.sensors
@@ -574,9 +584,9 @@ def test_an_archive_has_sensors_drawn_from_a_twin(fit: Fit, tmp_path: Path) -> N
 def test_draws_come_from_a_twin_alone(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     design = tmp_path / "design.yaml"
     design.write_text("extends: gelsight.yaml\n")
-    assert main(["archive", "sensors", "--twin", str(design)]) == 2
+    assert main(["sim", "archive", "sensors", "--twin", str(design)]) == 2
     assert "no posterior" in capsys.readouterr().err
-    assert main(["archive", "sensors", "--twin", str(design), "--group", "material"]) == 2
+    assert main(["sim", "archive", "sensors", "--twin", str(design), "--group", "material"]) == 2
     assert "allowed: one of them" in capsys.readouterr().err
 
 

@@ -1,4 +1,4 @@
-"""Run `python -m rig collect` as a user does, and find its processes to kill them."""
+"""Run `tactile collect` as a user does, and find its processes to kill them."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class Collection:
         # Ignore calibrations of mock benches that were measured on this machine.
         where += ["--calibrations", str(session.parent / "none-measured")]
         process = subprocess.Popen(
-            [sys.executable, "-u", "-m", "rig", "collect", *where, *arguments],
+            [sys.executable, "-u", "-m", "tactile", "collect", *where, *arguments],
             cwd=ROOT,
             stdin=stdin,
             stdout=subprocess.PIPE,

@@ -28,8 +28,7 @@ ABOUT_COMMANDS = """\
 Generated from `recorder/command_line/commands.py` by `make reference`.
 
 `tactile --help` lists all commands, `tactile COMMAND --help` the options of one with their units.
-`tactile COMMAND` and the command in the third column are equivalent in options, messages and exit
-codes. `python -m tactile` is `tactile`. Files are read from and written to the current folder;
+`python -m tactile` is `tactile`. Files are read from and written to the current folder;
 `tactile init DIR` creates a suitable one. Benchmarks have a separate command, in a checkout:
 `python -m benchmarks`.
 
@@ -65,16 +64,15 @@ def commands_page() -> str:
     """Return the page of commands."""
     lines = [ABOUT_COMMANDS]
     for title, commands in GROUPS.items():
-        lines += ["", f"## {title}", "| command | description | equivalent | extra |"]
-        lines += ["|---|---|---|---|", *(_row(command) for command in commands)]
+        lines += ["", f"## {title}", "| command | description | extra |"]
+        lines += ["|---|---|---|", *(_row(command) for command in commands)]
     lines.append(EXIT_CODES)
     return "\n".join(lines) + "\n"
 
 
 def _row(command: Command) -> str:
-    door = f"`{command.door}`" if command.package != "tactile" else ""
     extra = command.extra or EXTRAS[command.package]
-    return f"| `tactile {command.words}` | {command.help} | {door} | {extra} |"
+    return f"| `tactile {command.words}` | {command.help} | {extra} |"
 
 
 def names_page() -> str:

@@ -86,7 +86,7 @@ class Workbench:
 def running(folder: Path, *options: str) -> Iterator[Workbench]:
     """Run `tactile page` in a folder."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "rig", "page", "--port", "0", *options],
+        [sys.executable, "-m", "tactile", "page", "--port", "0", *options],
         cwd=folder,
         env={"PYTHONPATH": str(ROOT), "PATH": ""},
         stdout=subprocess.PIPE,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import importlib
 import os
 import re
 import subprocess
@@ -41,21 +40,6 @@ def test_every_module_of_commands_is_in_the_table_once(package: str) -> None:
     ]
     listed = [command.module for command in COMMANDS.values() if command.package == package]
     assert sorted(listed) == sorted(found)
-
-
-@pytest.mark.parametrize(
-    "command",
-    [command for command in COMMANDS.values() if command.package != "tactile"],
-    ids=lambda each: each.door,
-)
-def test_a_package_runs_its_commands_by_their_names(
-    command: Command, capsys: pytest.CaptureFixture[str]
-) -> None:
-    front = importlib.import_module(f"{command.package}.__main__")
-    with pytest.raises(SystemExit) as ended:
-        front.main([command.name, "--help"])
-    assert ended.value.code == 0
-    assert capsys.readouterr().out.startswith(f"usage: {command.door} ")
 
 
 def test_the_words_of_a_command_are_its_own_and_none_is_lost_between_groups() -> None:
@@ -159,7 +143,7 @@ def test_an_unknown_command_is_refused_and_the_nearest_are_named(
             "wrong input: nosuch.zarr: no such",
         ),
         ("sim press --depths 1,1", 2, "wrong input: --depths[1]"),
-        ("split nosuch.markers.zarr --out x.json", 2, "nosuch.markers.zarr"),
+        ("train force nosuch.markers.zarr --sensor a --out x", 2, "nosuch.markers.zarr"),
     ],
 )
 def test_messages_and_exit_codes_are_those_of_the_command(

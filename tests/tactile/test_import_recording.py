@@ -18,9 +18,9 @@ from learning.data.matching import read_presses
 from learning.evaluation.baseline import fit_ridge
 from recorder import MarkerArchive, Session, check, faults
 from recorder.archive import SHADING_ZERO
-from recorder.command_line.run import main
 from recorder.convert.import_presses import Trace, find_lag
 from recorder.convert.import_tracks import MissingAnswer
+from tactile.__main__ import main
 
 FPS, COUNT = 30, 60
 TIMES = np.arange(COUNT) / FPS
@@ -194,18 +194,17 @@ def test_taxels_come_out_in_one_order_and_their_presses_are_found(
     assert "gel" in MarkerArchive(tmp_path / "x.markers.zarr")
 
 
-def test_after_make_import_the_next_command_is_called_by_make(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+def test_the_next_command_can_be_copied_from_a_folder_with_blanks(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setenv("TACTILE_DOOR", "make")
-    np.save(tmp_path / "taxels.npy", uskin(1).reshape(-1, 48).astype(np.float32))
-    out = tmp_path / "x.zarr"
-    assert run("import", tmp_path, "--out", out, "--taxels-hz", "60", *STATED) == 0
+    folder = tmp_path / "first day"
+    folder.mkdir()
+    np.save(folder / "taxels.npy", uskin(1).reshape(-1, 48).astype(np.float32))
+    out = folder / "x.zarr"
+    assert run("import", folder, "--out", out, "--taxels-hz", "60", *STATED) == 0
     following = capsys.readouterr().out.splitlines()[-1].removeprefix("next: ")
-    archive = tmp_path / "x.markers.zarr"
-    assert shlex.split(following) == [
-        "make", "markers", f"SESSIONS={out}", f"OUT={archive}", "ARGS=--preset uskin",
-    ]  # fmt: skip
+    words = ["tactile", "markers", str(out), "--preset", "uskin"]
+    assert shlex.split(following) == [*words, "--out", str(folder / "x.markers.zarr")]
 
 
 def test_a_recording_that_ends_in_contact_is_refused_until_told(

@@ -161,7 +161,8 @@ def _tasks(options: argparse.Namespace, study: Study, cores: int, done: set[str]
             row = study.out / "rows" / f"{rest[0]}.yaml"
             trajectory = read_sensor(row).trajectory
             assert trajectory is not None
-            command = ["-m", "sim", "archive", "sensors", "--no-check", "--steps", str(size.phase)]
+            command = ["-m", "tactile", "sim", "archive", "sensors", "--no-check"]
+            command += ["--steps", str(size.phase)]
             targets = FEWEST_TARGETS if kind == "further" else size.targets
             command += ["--scale", f"{targets / len(trajectory):.6f}"]
             shapes, tier = size.seen, study.fit

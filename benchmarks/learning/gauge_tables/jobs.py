@@ -60,8 +60,8 @@ from learning.training.run import generator
 from learning.translation.loading import load_translator
 from learning.translation.translator import SensorView, for_pair
 from recorder import MarkerArchive
+from recorder.command_line.run import main as run_sim
 from recorder.store import replace_file
-from sim.__main__ import main as run_sim
 from sim.dataset.plan import UNSEEN
 from sim.indenters import NAMES
 from sim.result import ContactTier

@@ -152,7 +152,16 @@ def _tasks(options: argparse.Namespace, cores: int, done: set[str]) -> list[Task
     for name, (kind, *given) in simulated.items():
         if name in wanted:
             *most, file = given
-            command = [sys.executable, "-m", "sim", "archive", kind, *most, str(out / file)]
+            command = [
+                sys.executable,
+                "-m",
+                "tactile",
+                "sim",
+                "archive",
+                kind,
+                *most,
+                str(out / file),
+            ]
             one = (("OMP_NUM_THREADS", "1"),)
             found.append(Task(name, tuple(command), (), one, int(on_gpu)))
     for name, needed in trained.items():

@@ -43,7 +43,7 @@ for name in "$@"; do
     [ -d "$out/ablations/$name/models/field" ] || [ ! -d "$base/models/field" ] ||
       cp -r "$base/models/field" "$out/ablations/$name/models/"
   fi
-  "$python" -m learning experiment "$archive" --out "$out/ablations/$name" --preset "${PRESET:-tables-heterogeneous}" \
+  "$python" -m tactile experiment "$archive" --out "$out/ablations/$name" --preset "${PRESET:-tables-heterogeneous}" \
     --pairs "${PAIRS:-uskin:gelsight,gelsight:tacpalm}" --device "$device" --processes "$processes" \
     --jobs "${JOBS:-1}" --set "compensation=[priors]" --set "translators=$translators" "${changed[@]}"
   made+=("$out/ablations/$name")

@@ -32,10 +32,10 @@ for table in "$@"; do
   esac
   case $table in heterogeneous*) preset=tables-heterogeneous ;; esac
   case $table in *-full) preset=tables-full scale=full steps=2 translators='[field, flow]' ;; esac
-  "$python" -m sim archive sensors "${sensors[@]}" --tier layer --scale "${SCALE:-$scale}" --steps "$steps" \
+  "$python" -m tactile sim archive sensors "${sensors[@]}" --tier layer --scale "${SCALE:-$scale}" --steps "$steps" \
     --no-check --device "${DEVICE:-cpu}" --processes "$processes" --out "$out/$table.markers.zarr"
   [ "${ONLY:-}" != archive ] || continue
-  "$python" -m learning experiment "$out/$table.markers.zarr" --out "$out/$table" --preset "${PRESET:-$preset}" \
+  "$python" -m tactile experiment "$out/$table.markers.zarr" --out "$out/$table" --preset "${PRESET:-$preset}" \
     "${pairs[@]}" --device "${DEVICE:-cpu}" --processes "$processes" --jobs "${JOBS:-1}" \
     --set "compensation=$labels" --set "translators=$translators"
   made+=("$out/$table")

@@ -58,6 +58,6 @@ class Ours:
         ]
 
     def repaired(self, path: Path) -> Numbers:
-        """Return the frames after `python -m recorder recover`."""
+        """Return the frames after `tactile session recover`."""
         recover(path)
         return self.left(path)

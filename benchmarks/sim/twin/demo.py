@@ -91,7 +91,7 @@ def recording(bench: Path, folder: Path, indenter: str) -> Path:
         print(f"recording {indenter} on the mock bench ...", file=sys.stderr, flush=True)
         words = ["collect", "--bench", str(bench), "--world", "sim", "--indenter", indenter]
         ended = subprocess.run(
-            [sys.executable, "-m", "rig", *words, "--out", str(path)],
+            [sys.executable, "-m", "tactile", *words, "--out", str(path)],
             check=False,
             capture_output=True,
             text=True,

@@ -1,4 +1,4 @@
-"""Export of an archive to the folder layout of GenForce: `python -m learning export-genforce`."""
+"""Export of an archive to the folder layout of GenForce: `tactile export-genforce`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Import of published folders to a marker archive: `python -m learning import-genforce`."""
+"""Import of published folders to a marker archive: `tactile import-genforce`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`python -m learning train-diffusion`: train the paper's translator on a marker archive."""
+"""`tactile train diffusion`: train the paper's translator on a marker archive."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Trains one translator for all pairs of an archive's sensors, from published "
         "weights that you supply: SD-Turbo, CLIP ViT-B/32, VGG16, LPIPS. After Ctrl-C, the same "
-        "command with --resume continues. Several GPUs: torchrun --nproc-per-node N -m learning "
-        "..."
+        "command with --resume continues. Several GPUs: torchrun --nproc-per-node N -m tactile "
+        "train diffusion ..."
     )
     add_inputs(parser)
     add_settings(

@@ -1,12 +1,12 @@
 r"""Training of the diffusion translator on location pairs, from settings to command.
 
-    python -m learning train-diffusion sim.markers.zarr --split split.json --preset paper_main \
+    tactile train diffusion sim.markers.zarr --split split.json --preset paper_main \
         --base sd-turbo --clip clip-vit-base-patch32 --vgg vgg16-397923af.pth --lpips vgg.pth \
         --marker-vae runs/marker-vae --out runs/m2m-sim
-    python -m learning train-diffusion real.markers.zarr ... --from runs/m2m-sim --out runs/m2m-real
+    tactile train diffusion real.markers.zarr ... --from runs/m2m-sim --out runs/m2m-real
 
 The paper trains on all pairs of simulated patterns, then on each group of real sensors. To use N
-devices, run the same commands as `torchrun --nproc-per-node N -m learning ...`.
+devices, run the same commands as `torchrun --nproc-per-node N -m tactile ...`.
 """
 
 from __future__ import annotations
@@ -519,7 +519,7 @@ def _latents(
 
 
 def run(options: argparse.Namespace) -> int:
-    """Train as the options of `train-diffusion` say; return the exit code."""
+    """Train as the options of `train diffusion` say; return the exit code."""
     if options.marker_vae is not None and options.start_from is not None:
         raise LearningError("--marker-vae, --from: found both; allowed: one, or neither")
     given = [

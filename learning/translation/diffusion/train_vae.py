@@ -1,6 +1,6 @@
 r"""Training of the marker autoencoder, from settings to command: SD-Turbo's with an adapter.
 
-    python -m learning train-marker-vae sim.markers.zarr --split split.json --preset paper_main \
+    tactile train marker-vae sim.markers.zarr --split split.json --preset paper_main \
         --base sd-turbo --out runs/marker-vae
 
 This is the first of the paper's three stages. Its adapter initialises the translator's encoder and
@@ -392,7 +392,7 @@ def require_base(found: ModelFolder, base: str) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Train as the options of `train-marker-vae` say; return the exit code."""
+    """Train as the options of `train marker-vae` say; return the exit code."""
     given = [] if options.base is None else [f"weights.base={json.dumps(options.base)}"]
     settings = read_settings(MarkerVaeSettings, PRESETS, options.preset, [*options.set, *given])
     train_in(options.out, *open_data(options), settings, options.sensors, resume=options.resume)

@@ -1,4 +1,4 @@
-"""`python -m learning train-marker-vae`: train SD-Turbo's autoencoder on marker images."""
+"""`tactile train marker-vae`: train SD-Turbo's autoencoder on marker images."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`python -m learning import-weights`: convert the authors' checkpoints to run folders."""
+"""`tactile import-weights`: convert the authors' checkpoints to run folders."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Reads model_N.pkl of the authors' translator or checkpoint.pth of their "
         "marker autoencoder, without running any code in it, and writes a run folder: for "
-        "translate --model, train-diffusion --from, or train-diffusion --marker-vae."
+        "translate --model, train diffusion --from, or train diffusion --marker-vae."
     )
     parser.add_argument("checkpoint", type=Path, metavar="FILE", help="their .pkl or .pth file")
     parser.add_argument(

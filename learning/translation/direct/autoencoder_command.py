@@ -1,4 +1,4 @@
-"""`python -m learning train-autoencoder`: train the marker autoencoder, the first stage."""
+"""`tactile train autoencoder`: train the marker autoencoder, the first stage."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.description = (
         "Trains a network to reconstruct marker images of archives and of random "
-        "patterns under made-up deformations; without an archive only the latter. train-direct "
+        "patterns under made-up deformations; without an archive only the latter. train direct "
         "starts from its encoder, evaluate compares images by its features. After Ctrl-C, "
         "the same command with --resume continues. Several GPUs: torchrun --nproc-per-node N -m "
-        "learning train-autoencoder ..."
+        "train autoencoder ..."
     )
     parser.add_argument("archives", nargs="*", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
     parser.add_argument(

@@ -1,4 +1,4 @@
-"""`python -m learning train-direct`: pretrain or fine-tune the direct translator."""
+"""`tactile train direct`: pretrain or fine-tune the direct translator."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "As in the paper: first on simulated states with the encoder of an autoencoder "
         "(--autoencoder), then from there on each group of sensors (--from). After Ctrl-C, "
         "the same command with --resume continues. Several GPUs: torchrun --nproc-per-node N -m "
-        "learning train-direct ..."
+        "train direct ..."
     )
     add_inputs(parser)
     start = parser.add_mutually_exclusive_group(required=True)

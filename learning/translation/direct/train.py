@@ -1,8 +1,8 @@
 """Training of the direct translator, from settings to command: stages two and three of the paper.
 
-    python -m learning train-direct ARCHIVE --split JSON --autoencoder RUN --out PRETRAINED
-    python -m learning train-direct ARCHIVE --split JSON --from PRETRAINED --out RUN
-    torchrun --nproc-per-node 8 -m learning train-direct ...
+    tactile train direct ARCHIVE --split JSON --autoencoder RUN --out PRETRAINED
+    tactile train direct ARCHIVE --split JSON --from PRETRAINED --out RUN
+    torchrun --nproc-per-node 8 -m tactile train direct ...
 
 It is first pretrained on simulated states, which show every pattern under every deformation, with
 the encoder of an autoencoder. Each group of sensors is then fine-tuned on its location pairs. One
@@ -350,7 +350,7 @@ def load_network(
     """Return the network in a folder, and the settings it was trained with.
 
     Args:
-        folder: A finished run of `train-direct`, or one of its checkpoints.
+        folder: A finished run of `train direct`, or one of its checkpoints.
         device: Device to compute on.
 
     Raises:
@@ -363,7 +363,7 @@ def load_network(
 
 
 def run(options: argparse.Namespace) -> int:
-    """Train as the options of `train-direct` say; return the exit code."""
+    """Train as the options of `train direct` say; return the exit code."""
     settings = read_settings(DirectSettings, PRESETS, options.preset, options.set)
     archive, split = open_data(options)
     sensors = group(archive, split, options.sensors)

@@ -1,8 +1,8 @@
 """Training of the marker autoencoder, from settings to command: the first stage of the paper's.
 
-    python -m learning train-autoencoder ARCHIVE --split split.json --out RUN [--preset ours]
-    python -m learning train-autoencoder --out RUN                  # random patterns alone
-    torchrun --nproc-per-node 8 -m learning train-autoencoder ...
+    tactile train autoencoder ARCHIVE --split split.json --out RUN [--preset ours]
+    tactile train autoencoder --out RUN                  # random patterns alone
+    torchrun --nproc-per-node 8 -m tactile train autoencoder ...
 
 It learns to reconstruct images of any pattern, real, simulated or random. The direct translator
 uses its encoder for references, and the evaluation uses its features.
@@ -325,7 +325,7 @@ def load_autoencoder(folder: Path, device: torch.device | str = "cpu") -> Autoen
     """Return the autoencoder in a folder, in evaluation mode.
 
     Args:
-        folder: A finished run of `train-autoencoder`, or one of its checkpoints.
+        folder: A finished run of `train autoencoder`, or one of its checkpoints.
         device: Device to compute on.
 
     Raises:
@@ -338,7 +338,7 @@ def load_autoencoder(folder: Path, device: torch.device | str = "cpu") -> Autoen
 
 
 def run(options: argparse.Namespace) -> int:
-    """Train as the options of `train-autoencoder` say; return the exit code."""
+    """Train as the options of `train autoencoder` say; return the exit code."""
     settings = read_settings(AutoencoderSettings, PRESETS, options.preset, options.set)
     if len(options.split) != len(options.archives):
         raise LearningError(

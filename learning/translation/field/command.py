@@ -1,4 +1,4 @@
-"""`python -m learning train-field`: train the field translator on a marker archive."""
+"""`tactile train field`: train the field translator on a marker archive."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Trains one field translator for all pairs of an archive's sensors: a net "
         "that estimates a sensor's deformation, and a map from one sensor's deformation to "
         "another's. After Ctrl-C, the same command with --resume continues. Several GPUs: "
-        "torchrun --nproc-per-node N -m learning train-field ..."
+        "torchrun --nproc-per-node N -m tactile train field ..."
     )
     add_inputs(parser)
     add_settings(parser)

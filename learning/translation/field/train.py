@@ -1,7 +1,7 @@
 """Training of the field translator, from settings to command: the field net, then the map.
 
-    python -m learning train-field ARCHIVE --out RUN [--preset ours]
-    torchrun --nproc-per-node 8 -m learning train-field ...
+    tactile train field ARCHIVE --out RUN [--preset ours]
+    torchrun --nproc-per-node 8 -m tactile train field ...
 
 The field net learns from each sensor's own frames: the reference, deformed by the net's output,
 must match the frame. That requires neither labels nor a second sensor. Random patterns, deformed by
@@ -576,7 +576,7 @@ def train_field(
 
 
 def run(options: argparse.Namespace) -> int:
-    """Train as the options of `train-field` say; return the exit code."""
+    """Train as the options of `train field` say; return the exit code."""
     settings = read_settings(FieldSettings, PRESETS, options.preset, options.set)
     train_in(options.out, *open_data(options), settings, options.sensors, resume=options.resume)
     return 0

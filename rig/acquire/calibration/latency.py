@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder import Session, Stream
-from recorder.command_line.options import as_typed
+from recorder.command_line.options import next_command
 from recorder.session import EXPOSURE, captured
 from rig.acquire.calibration.calibration import force_and_pose, require_gauge
 from rig.acquire.calibration.onset import student_t
@@ -343,7 +343,7 @@ def refusal(found: Latency, *, width_max: float = WIDTH_MAX) -> str | None:
         return (
             f"measured by the force it is {1e3 * found.disagreement:+.2f} ms later than by the "
             f"robot's pose; allowed: {1e3 * WIDTH_MAX:.1f} ms; find the surface first "
-            f"({as_typed('home')})"
+            f"({next_command('home')})"
         )
     return None
 

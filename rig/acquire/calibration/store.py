@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from recorder.command_line.options import as_typed
+from recorder.command_line.options import next_command
 from recorder.store import replace_file
 from recorder.strict_yaml import describe, yaml_text
 from rig.acquire.calibration.calibration import (
@@ -90,14 +90,14 @@ def load(folder: Path, bench: Bench, indenter: str) -> tuple[Calibration, list[s
             if not _same(found, wanted):
                 raise ConfigError(
                     f"{path}.home.{indenter}.{name}: it was measured with another {name} than the "
-                    f"bench file's; {again} ({as_typed('home', sensor=bench.sensor)})"
+                    f"bench file's; {again} ({next_command('home', sensor=bench.sensor)})"
                 )
         _warn_stale(warnings, home.date_utc, f"{path}.home.{indenter}")
     elif homes:
         warnings.append(
             f"{path}.home: known for {', '.join(sorted(homes))}, not for {indenter}: the bench "
             "file's contact frame is used ("
-            f"{as_typed('home', sensor=bench.sensor, indenter=indenter)})"
+            f"{next_command('home', sensor=bench.sensor, indenter=indenter)})"
         )
     if content.get("latency"):
         latency = build(LatencyCalibration, content["latency"], f"{path}.latency")
@@ -107,7 +107,7 @@ def load(folder: Path, bench: Bench, indenter: str) -> tuple[Calibration, list[s
             raise ConfigError(
                 f"{path}.latency.device: found {latency.device!r}; the bench file has another "
                 f"{latency.stream}; {again} ("
-                f"{as_typed('calibrate-latency', sensor=bench.sensor)})"
+                f"{next_command('calibrate-latency', sensor=bench.sensor)})"
             )
         _warn_stale(warnings, latency.date_utc, f"{path}.latency")
     return Calibration(home, latency, str(path), acceptance), warnings

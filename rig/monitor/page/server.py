@@ -29,6 +29,7 @@ from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
+from recorder.command_line.options import next_command
 from rig.core.clock import SECOND_NS, Clock, SystemClock
 from rig.monitor.page.access import AccessPolicy
 from rig.monitor.page.live_state import TRACE_RATE_HZ, TRACE_SECONDS, LiveState
@@ -329,7 +330,7 @@ class PageServer:
                 self._snapshot = Snapshot(
                     "gone",
                     f"the collecting process is gone; recover {self._job.session} with: "
-                    f"python -m recorder recover {self._job.session}",
+                    f"{next_command('session', 'recover', self._job.session)}",
                     outcomes=self._snapshot.outcomes,
                 )
         if self._snapshot.status in ENDED:

@@ -19,6 +19,7 @@ from PIL import Image
 
 from recorder import OUTCOMES, PHASES, Session, SessionError
 from recorder.catalogue import Catalogue, Query, Row
+from recorder.command_line.options import next_command
 from recorder.session import thumbnails
 from rig.acquire.request import finished_targets
 from rig.core.clock import SECOND_NS, Clock
@@ -142,7 +143,7 @@ class Finished:
         return {
             **asdict(row),
             "faults": row.faults,
-            "command": f"tactile collect --resume {self.folder / row.path} --again",
+            "command": f"{next_command('collect', resume=self.folder / row.path)} --again",
             "frames": count,
             "rate": session.rate_hz,
             "cameras": session.of_kind("camera"),

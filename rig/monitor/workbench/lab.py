@@ -5,13 +5,13 @@ from __future__ import annotations
 import functools
 import io
 import json
-import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from recorder import SessionError
 from recorder.catalogue import Row
+from recorder.command_line.options import next_command
 from rig.acquire.again import marked, write_marks
 from rig.acquire.calibration.store import SETUP, report_path
 from rig.acquire.campaign import Campaign, load_campaign, progress_of
@@ -141,7 +141,7 @@ class Lab:
         return report_path(self._places.calibrations, sensor)
 
     def _command(self, file: Path) -> str:
-        return shlex.join(["tactile", "campaign", "--file", str(file)])
+        return next_command("campaign", file=file)
 
     def _campaigns(self) -> list[dict[str, Any]]:
         found = {path.name: path for path in sorted(self._places.campaigns.glob("*.yaml"))[:_MOST]}
