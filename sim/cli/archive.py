@@ -398,6 +398,7 @@ def _drawn_sensors(
     import numpy as np
 
     from sim.sensors import read_sensor
+    from sim.sensors.quantities import draw_sensor
 
     twin = read_sensor(path)
     if twin.posterior is None:
@@ -410,6 +411,6 @@ def _drawn_sensors(
         )
     random = np.random.default_rng(seed)
     return tuple(
-        replace(twin.posterior.draw(twin, random), name=f"{twin.name}-{index:03d}")
+        replace(draw_sensor(twin, twin.posterior, random), name=f"{twin.name}-{index:03d}")
         for index in range(draws)
     )

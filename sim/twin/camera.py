@@ -25,7 +25,8 @@ from sim.markers.camera import TILT_MOST
 from sim.markers.pattern import Shape
 from sim.scene import Body
 from sim.sensors import CameraSignal, Posterior, SimulatedSensor, SurfaceField, readout
-from sim.sensors.posterior import CAMERA, camera_quantities, interval_of
+from sim.sensors.posterior import CAMERA, interval_of
+from sim.sensors.quantities import camera_quantities
 from sim.twin.fit import COARSER, UNTOLD, Fit, Z, moved_by, way_of
 from sim.twin.markers import Masks, Sight
 from sim.twin.model import STEPS, Model

@@ -18,14 +18,8 @@ from sim.errors import SceneError
 from sim.indenters import Indenter
 from sim.result import ContactTier
 from sim.sensors import SimulatedSensor
-from sim.sensors.posterior import (
-    POISSON,
-    Posterior,
-    interval_of,
-    is_log,
-    quantities,
-    with_quantities,
-)
+from sim.sensors.posterior import Posterior, interval_of, is_log
+from sim.sensors.quantities import POISSON, quantities, with_quantities
 from sim.twin.model import STEPS, Linear, Model, Solved
 from sim.twin.observations import SETTLING, Track
 

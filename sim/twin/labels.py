@@ -17,6 +17,7 @@ from sim.errors import SceneError, SimulationDiverged
 from sim.indenters import indenter_of, is_indenter
 from sim.result import ContactTier, Result
 from sim.sensors import SimulatedSensor
+from sim.sensors.quantities import draw_sensor
 from sim.stream import LivePress
 from sim.tiers import simulate_many
 from sim.twin.model import Correction, by_fem, fem_of, motion_of
@@ -202,7 +203,7 @@ def simulated_forces(
     random = np.random.default_rng(seed)
     sensors = [twin]
     if twin.posterior is not None:
-        sensors += [twin.posterior.draw(twin, random) for _ in range(draws)]
+        sensors += [draw_sensor(twin, twin.posterior, random) for _ in range(draws)]
     above = height_of(twin) if height is None else height
     presses = [
         replace(press, tip=press.tip - [0.0, 0.0, above])

@@ -21,7 +21,8 @@ from sim.fem.numerics import further_settings
 from sim.indenters import Indenter, named
 from sim.scene import Motion
 from sim.sensors import SimulatedSensor, SurfaceField
-from sim.sensors.posterior import is_log, quantities, with_quantities
+from sim.sensors.posterior import is_log
+from sim.sensors.quantities import quantities, with_quantities
 from sim.simulate import simulate
 from sim.stream import LivePress
 from sim.twin.observations import Track

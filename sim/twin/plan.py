@@ -14,7 +14,7 @@ from sim.errors import SceneError
 from sim.indenters import Indenter
 from sim.layer.spectral import FEWEST
 from sim.sensors import SimulatedSensor
-from sim.sensors.posterior import quantities
+from sim.sensors.quantities import quantities
 from sim.twin.fit import BENCH, COARSER, Data, information, prior_spread, with_effects
 from sim.twin.model import Model
 from sim.twin.observations import Track, track_of

@@ -27,7 +27,7 @@ from benchmarks.learning.gauge_tables.skins import GROUPS, planted, require_apar
 from learning.errors import LearningError
 from learning.metrics import r_squared
 from sim.errors import SceneError
-from sim.sensors.posterior import quantities
+from sim.sensors.quantities import quantities
 
 AXES = 3
 

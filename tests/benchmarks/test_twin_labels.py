@@ -16,7 +16,7 @@ from learning.metrics import r_squared
 from sim.errors import SceneError
 from sim.indenters import NAMES, named
 from sim.sensors import SimulatedSensor, sensor
-from sim.sensors.posterior import with_quantities
+from sim.sensors.quantities import with_quantities
 
 WORDS = ("--tier", "layer", "--draws", "1", "--grid", "24", "--indenters", "sphere,torus")
 

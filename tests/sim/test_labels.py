@@ -12,6 +12,7 @@ from recorder import MarkerArchive
 from recorder.archive import check_archive
 from sim.errors import SimulationDiverged
 from sim.sensors import read_sensor
+from sim.sensors.quantities import draw_sensor
 from sim.twin.labels import ArchivedPress, by_fem_at_once, by_layer, forces, made_from
 from tactile.__main__ import main
 
@@ -100,7 +101,7 @@ def test_forces_of_a_twin_that_was_identified_by_tier_fem_are_of_that_tier(tmp_p
     path.write_text(TWIN.replace("MODULUS", "145").replace("]]}", "]], tier: fem}"))
     twin = read_sensor(path)
     assert twin.posterior is not None
-    drawn = twin.posterior.draw(twin, np.random.default_rng(0))
+    drawn = draw_sensor(twin, twin.posterior, np.random.default_rng(0))
     time, depth = np.array([0.0, 0.1, 0.2]), np.array([0.3e-3, 0.8e-3, 1.3e-3])
     tip = np.stack([0 * depth, 0 * depth, -depth], axis=1)
     press = ArchivedPress("sphere", np.arange(3), tip, time)

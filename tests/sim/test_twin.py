@@ -45,7 +45,8 @@ from sim.sensors import (
     readout,
     sensor,
 )
-from sim.sensors.posterior import CAMERA, camera_quantities, quantities, with_quantities
+from sim.sensors.posterior import CAMERA
+from sim.sensors.quantities import camera_quantities, draw_sensor, quantities, with_quantities
 from sim.simulate import simulate
 from sim.twin import Fit, Track, fitted, model
 from sim.twin.fit import Explanation, _alike, _common, _mixed, _whitened, prior_spread
@@ -383,7 +384,7 @@ def test_a_row_of_a_twin_is_read_back_and_drawn_from(fit: Fit, tmp_path: Path) -
     assert quantities(twin) == pytest.approx(quantities(fit.sensor), rel=1e-5)
     assert twin.posterior is not None
     random = np.random.default_rng(0)
-    drawn = [twin.posterior.draw(twin, random) for _ in range(400)]
+    drawn = [draw_sensor(twin, twin.posterior, random) for _ in range(400)]
     moduli = np.log([each.body.modulus for each in drawn])
     thick = np.log([each.body.thickness for each in drawn])
     names = twin.posterior.names

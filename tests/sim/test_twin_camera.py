@@ -24,7 +24,8 @@ from sim.sensors import (
     readout,
     sensor,
 )
-from sim.sensors.posterior import CAMERA, camera_quantities, with_camera
+from sim.sensors.posterior import CAMERA
+from sim.sensors.quantities import camera_quantities, draw_sensor, with_camera
 from sim.twin import Sight, Track, View, sights_of
 from sim.twin.camera import Scenery, differences, layouts, nearest, unmirrored
 from sim.twin.record import twin_yaml
@@ -204,7 +205,7 @@ def test_cameras_drawn_from_a_twin_see_the_same_image_without_contact() -> None:
     seen = readout(mine()).masks(flat)[0, 0]
     posterior = mine().posterior
     assert posterior is not None
-    drawn = posterior.draw(mine(), np.random.default_rng(3))
+    drawn = draw_sensor(mine(), posterior, np.random.default_rng(3))
     assert abs(camera_quantities(drawn)["shift_x"] - 16.0) > 0.5
     other = readout(drawn).masks(flat)[0, 0]
     assert (seen & other).sum() > 0.98 * (seen | other).sum()
@@ -216,4 +217,4 @@ def test_a_camera_of_taxels_is_refused() -> None:
         with_camera(sensor("uskin"), {"scale": 1e-5})
     uncertain = Posterior(("scale",), (0.1,), ((1.0,),))
     with pytest.raises(SceneError, match="uskin: scale; allowed: modulus"):
-        uncertain.draw(sensor("uskin"), np.random.default_rng(0))
+        draw_sensor(sensor("uskin"), uncertain, np.random.default_rng(0))

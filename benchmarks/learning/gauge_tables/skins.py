@@ -21,7 +21,7 @@ from sim.fem import Fem
 from sim.fem.numerics import further_settings
 from sim.result import ContactTier
 from sim.sensors import CameraSignal, SimulatedSensor, sensor
-from sim.sensors.posterior import quantities, with_quantities
+from sim.sensors.quantities import quantities, with_quantities
 from sim.sensors.sensor import read_sensor
 from sim.twin import fitted
 from sim.twin.plan import Presses

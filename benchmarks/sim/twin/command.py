@@ -43,7 +43,7 @@ from sim.errors import SceneError, SimulationDiverged
 from sim.indenters import NAMES
 from sim.result import ContactTier
 from sim.sensors import sensor
-from sim.sensors.posterior import quantities
+from sim.sensors.quantities import quantities
 from sim.twin import Model, fitted, misfit
 from sim.twin.fit import Z
 from sim.twin.plan import Planner, Presses, presses, sessions

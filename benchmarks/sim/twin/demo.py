@@ -18,7 +18,7 @@ from recorder.command_line.errors import EXIT_DEVICE_LOST
 from recorder.progress import Progress
 from sim.errors import SceneError
 from sim.sensors import read_sensor, sensor
-from sim.sensors.posterior import quantities
+from sim.sensors.quantities import quantities
 from sim.twin import Fit, Model, Track, fitted, misfit, tracks_of
 from sim.twin.record import draw, lines, twin_yaml
 

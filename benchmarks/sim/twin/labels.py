@@ -42,7 +42,7 @@ from sim.errors import SceneError, SimulationDiverged
 from sim.indenters import NAMES
 from sim.result import ContactTier
 from sim.sensors import sensor
-from sim.sensors.posterior import quantities, with_quantities
+from sim.sensors.quantities import quantities, with_quantities
 from sim.twin.fit import with_effects
 
 Array = NDArray[np.float64]

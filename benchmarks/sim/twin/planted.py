@@ -14,7 +14,7 @@ from sim.indenters import Indenter, Part, named
 from sim.result import ContactTier
 from sim.scene import Motion
 from sim.sensors import SimulatedSensor, SurfaceField, sensor
-from sim.sensors.posterior import with_quantities
+from sim.sensors.quantities import with_quantities
 from sim.simulate import simulate
 from sim.stream import LivePress
 from sim.twin import Track, track_of
