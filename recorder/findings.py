@@ -34,7 +34,6 @@ NOTES: dict[str, str] = {
     "uncalibrated": "a signal whose latency was not measured: an interval is assumed",
     "drops-unseen": "a device without numbers and times: drops are inferred, or not seen",
     "sealed-later": "a manifest that was lost and made again: earlier changes cannot be seen",
-    "not-sealed": "a run without a manifest that would show a removed or changed file",
 }
 
 

@@ -3,10 +3,9 @@
 A field whose metadata has a `unit` is written in that unit in files, under a key that ends with
 it: `depth_max` with unit mm is `depth_max_mm`. Values in memory are SI. A field with metadata
 `pose` is written as a `Pose`. Metadata `plausible` is the range of a field's magnitude in the unit
-of the file, unless it is 0: a value outside it is probably in another unit, and refused. Metadata
-`formerly` is a field's key in older files, which is still read. Where a field may be one of several
-dataclasses, the key `kind` names one by its `KIND`. Every error states file, key, the value found,
-and the allowed ones.
+of the file, unless it is 0: a value outside it is probably in another unit, and refused. Where a
+field may be one of several dataclasses, the key `kind` names one by its `KIND`. Every error states
+file, key, the value found, and the allowed ones.
 """
 
 from __future__ import annotations
@@ -90,21 +89,6 @@ class Pose:
         return (*self.position, *self.rotation)
 
 
-def current_keys(kind: Any, content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a mapping for the dataclass `kind`, with the keys of older files renamed."""
-    content = dict(content)
-    for old, new in _former_keys(kind).items():
-        if old in content and new not in content:
-            content[new] = content.pop(old)
-    return content
-
-
-def _former_keys(kind: Any) -> dict[str, str]:
-    """Return the names of fields by their keys in older files."""
-    fields = dataclasses.fields(kind)
-    return {each.metadata["formerly"]: each.name for each in fields if "formerly" in each.metadata}
-
-
 @dataclass(frozen=True, slots=True)
 class Reader:
     """Builds dataclasses from mappings, and describes the mappings as JSON Schemas."""
@@ -116,20 +100,18 @@ class Reader:
     stored: bool = False
     """True for values stored by a program: SI under the names of the fields, infinity as `inf`."""
 
-    def read(self, path: Path, library: Path | None = None, *, kind: Any = None) -> dict[str, Any]:
+    def read(self, path: Path, library: Path | None = None) -> dict[str, Any]:
         """Return the mapping in a YAML file, merged over the file that its `extends` names.
 
         Args:
             path: The file.
             library: Folder in which a file named by `extends` is also looked for.
-            kind: Dataclass that the file describes; its keys in older files are renamed before
-                files are merged.
 
         Raises:
             ValueError: Of type `error`: no such file, not YAML, not a mapping, or a circle.
         """
         try:
-            return read_mapping(path, library=library, renamed=_former_keys(kind) if kind else None)
+            return read_mapping(path, library=library)
         except YamlError as error:
             raise self.error(str(error)) from None
 
@@ -160,7 +142,7 @@ class Reader:
             raise self.error(
                 f"{where}: found {describe(content)}; allowed: a mapping of keys to values"
             )
-        content = current_keys(kind, content)
+        content = dict(content)
         word = getattr(kind, "KIND", None)
         if word is not None and (found := content.pop("kind", word)) != word:
             raise self.error(f"{where}.kind: found {found!r}; allowed: {word}")

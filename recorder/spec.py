@@ -82,8 +82,6 @@ KINDS: Mapping[str, Kind] = {
     "values": Kind("interpolated", ("label",)),
     "table": Kind("none", ()),
 }
-# Kinds of the streams of format 1, which had one of each, known by name.
-_KIND_OF_NAME = ("camera", "force", "pose", "taxels")
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,24 +106,19 @@ class Traits:
 
     @classmethod
     def read(cls, name: str, attrs: Mapping[str, Any]) -> Self:
-        """Return the traits in a stream's attributes; those of format 1 follow from its name.
+        """Return the traits in a stream's attributes.
 
         Raises:
-            SessionError: A value that the format does not allow.
+            SessionError: One is missing, or has a value that the format does not allow.
         """
-        # Format 1 aligned only the four streams that it knew.
-        kind = str(attrs.get("kind", name if name in _KIND_OF_NAME else "table"))
-        known = KINDS.get(kind, KINDS["values"])
-        align, roles = attrs.get("align", known.align), attrs.get("roles", known.roles)
-        clock = attrs.get("clock")
-        if clock is None:
-            clock = "monotonic" if attrs.get("device_clock") == "monotonic" else "none"
-            if clock == "none" and "device_t" in attrs.get("columns", ()):
-                clock = "device"
+        for key in ("kind", "align", "roles", "clock"):
+            if key not in attrs:
+                raise SessionError(f"{name}: attribute {key!r} is missing")
+        kind, align, roles, clock = (attrs[key] for key in ("kind", "align", "roles", "clock"))
         if not isinstance(roles, list | tuple):
             raise SessionError(f"{name}: found roles {roles!r:.80}, expected a list")
         stamp = str(attrs.get("stamp", "end"))
-        return cls(kind, str(align), tuple(map(str, roles)), str(clock), stamp).checked(name)
+        return cls(str(kind), str(align), tuple(map(str, roles)), str(clock), stamp).checked(name)
 
     def checked(self, name: str) -> Self:
         """Return these traits.
@@ -281,11 +274,14 @@ class StreamSpec:
     @property
     def traits(self) -> Traits:
         """Kind, alignment, roles and clock."""
-        value = self.value
-        kind = "values" if value is not None and value.is_number else "table"
-        kind = self.name if self.name in _KIND_OF_NAME else kind
-        attrs = {"kind": kind, **self.attrs, "columns": [c.name for c in self.columns]}
-        return Traits.read(self.name, attrs)
+        numbers = self.value is not None and self.value.is_number
+        kind = self.attrs.get("kind", "values" if numbers else "table")
+        defaults = KINDS.get(kind, KINDS["values"])
+        clock = "device" if any(column.name == "device_t" for column in self.columns) else "none"
+        if self.attrs.get("device_clock") == "monotonic":
+            clock = "monotonic"
+        own = {"kind": kind, "align": defaults.align, "roles": defaults.roles, "clock": clock}
+        return Traits.read(self.name, {**own, **self.attrs})
 
     @property
     def value(self) -> Column | None:
@@ -335,17 +331,6 @@ def check_streams(specs: Iterable[StreamSpec]) -> None:
             raise SessionError(
                 f"stream {name}: is the name of a column of frames; choose another name"
             )
-
-
-def in_order(names: Iterable[str], declared: Sequence[str] = ()) -> list[str]:
-    """Return streams in the order in which they were declared.
-
-    Args:
-        names: The streams.
-        declared: Their order; without, those that format 1 knew come first.
-    """
-    ranks = {name: rank for rank, name in enumerate(declared or _KIND_OF_NAME)}
-    return sorted(names, key=lambda name: (ranks.get(name, len(ranks)), name))
 
 
 def frame_columns(streams: Iterable[tuple[str, Traits]]) -> dict[str, str]:

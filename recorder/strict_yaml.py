@@ -93,7 +93,6 @@ def read_mapping(
     above: tuple[Path, ...] = (),
     *,
     library: Path | None = None,
-    renamed: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
     """Return the mapping in a YAML file, merged over the file named by its `extends`.
 
@@ -102,11 +101,9 @@ def read_mapping(
         above: Files that led here through `extends`.
         library: Folder that is searched as well if `extends` is `NAME` or `../NAME` and that file
             does not exist.
-        renamed: Today's key by the key of older files, of which a file may have either.
 
     Raises:
-        YamlError: No such file, not YAML, not a mapping, files that extend each other, or a key
-            under its old and its new name.
+        YamlError: No such file, not YAML, not a mapping, or files that extend each other.
     """
     if path.resolve() in above:
         raise YamlError(f"{path}: extends: the files extend each other in a circle")
@@ -118,11 +115,6 @@ def read_mapping(
         raise YamlError(f"{path}: not YAML: {error}") from None
     if not isinstance(content, dict):
         raise YamlError(f"{path}: found {describe(content)}; allowed: a mapping of keys to values")
-    for old, new in (renamed or {}).items():
-        if old in content and new in content:
-            raise YamlError(f"{path}.{old}: found beside {new}; allowed: one of both, {new} is new")
-        if old in content:
-            content[new] = content.pop(old)
     parent = content.pop("extends", None)
     if parent is None:
         return content
@@ -134,7 +126,7 @@ def read_mapping(
         extended = shared if shared.is_file() else extended
     if not extended.exists():
         raise YamlError(f"{path}.extends: found {parent!r}; no such file beside it")
-    below = read_mapping(extended, (*above, path.resolve()), library=library, renamed=renamed)
+    below = read_mapping(extended, (*above, path.resolve()), library=library)
     return merged(below, content)
 
 

@@ -194,9 +194,6 @@ def from_json(kind: type[Value], stored: Any, where: str) -> Value:
     return Reader(SceneError, stored=True).build(kind, stored, where)
 
 
-_SAID = object()
-
-
 def _plain(value: Any) -> Any:
     if dataclasses.is_dataclass(value):
         fields = {
@@ -215,10 +212,6 @@ def _plain(value: Any) -> Any:
 
 
 def _unsaid(field: dataclasses.Field[Any], value: Any) -> bool:
-    """True if the field is omitted, as in files of versions without it.
-
-    It then has its default, or the value that was the only one in those versions.
-    """
-    found = getattr(value, field.name)
-    later = field.metadata.get("stored") == "unless default"
-    return bool((later and found == field.default) or found == field.metadata.get("unsaid", _SAID))
+    """True if the field is omitted, because it has its default and is stored only otherwise."""
+    only_otherwise = field.metadata.get("stored") == "unless default"
+    return bool(only_otherwise and getattr(value, field.name) == field.default)

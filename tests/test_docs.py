@@ -26,7 +26,7 @@ from recorder.command_line.run import joined
 ROOT = Path(__file__).parent.parent
 PACKAGES = "trajectories|recorder|rig|sim|learning|benchmarks"
 # Historical texts: they keep the names of their time.
-HISTORY = ("CHANGELOG.md", "docs/decisions/", "docs/reference/moved-modules.md")
+HISTORY = ("CHANGELOG.md", "docs/decisions/")
 _PATH = re.compile(
     rf"(?<![\w./-])((?:{PACKAGES}|tests|docs|examples)/[\w./-]*\w\.(?:py|md|csv|sh))\b"
 )

@@ -9,7 +9,7 @@ from trajectories.limits import DryRun, Limits, dry_run
 from trajectories.moves import PHASES, Move, Plan, Point, Target, dome_height
 from trajectories.press_shear import PressShear
 from trajectories.profile import move_duration
-from trajectories.stored import plan_from_json, plan_to_json, with_order
+from trajectories.stored import plan_from_json, plan_to_json
 from trajectories.taps import Taps
 from trajectories.touch import Touch
 
@@ -31,5 +31,4 @@ __all__ = [
     "move_duration",
     "plan_from_json",
     "plan_to_json",
-    "with_order",
 ]

@@ -19,8 +19,6 @@ from trajectories.moves import Move, Point, Target, check_positive, dome_height
 Layout = Literal["corners", "cross"]
 PointOrder = Literal["authors", "quadrants"]
 
-# PointOrder of the points in sessions and plans that do not state one: they are older than `order`.
-OLD_ORDER: PointOrder = "quadrants"
 
 # Signs of x and y of points 2 to 5 in the order `quadrants`, counter-clockwise.
 _SIGNS: dict[str, tuple[tuple[int, int], ...]] = {
@@ -62,7 +60,7 @@ class PressShear:
     """Points to press: 1 is the centre, 2 to 5 are the outer ones, counter-clockwise."""
     layout: Layout = "corners"
     """Outer points at (+-step_x, +-step_y), or on the axes. The paper shows it only in a figure."""
-    order: PointOrder = field(default="authors", metadata={"unsaid": OLD_ORDER})
+    order: PointOrder = "authors"
     """Where point 2 is: `authors`, as in the collector of the paper's authors, at (-x, +y);
     `quadrants` at (+x, +y). Points 3 to 5 follow counter-clockwise."""
     dome_radius: float | None = field(

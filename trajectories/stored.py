@@ -8,7 +8,7 @@ from typing import Any
 from trajectories.first_press import FirstPress
 from trajectories.force_depth import ForceDepth
 from trajectories.moves import Plan
-from trajectories.press_shear import OLD_ORDER, PressShear
+from trajectories.press_shear import PressShear
 from trajectories.taps import Taps
 from trajectories.touch import Touch
 
@@ -25,21 +25,13 @@ def plan_to_json(plan: Plan) -> dict[str, Any]:
     return {"kind": plan.kind, **dataclasses.asdict(plan)}
 
 
-def with_order(stored: dict[str, Any]) -> dict[str, Any]:
-    """Return a copy of a stored plan that states the order of its points."""
-    old = stored.get("kind") == PressShear.KIND and "order" not in stored
-    return {**stored, "order": OLD_ORDER} if old else dict(stored)
-
-
 def plan_from_json(stored: dict[str, Any]) -> Plan:
     """Return the spec that `plan_to_json` wrote.
 
-    A press-shear plan without `order` is older than it, and means the order of those days.
-
     Raises:
-        ValueError: An unknown kind or field, or a value that the spec rejects.
+        ValueError: An unknown kind, an unknown or missing field, or a value that the spec rejects.
     """
-    fields = with_order(stored)
+    fields = dict(stored)
     kind = fields.pop("kind", None)
     if kind not in KINDS:
         raise ValueError(f"plan.kind: {kind!r}; allowed: {sorted(KINDS)}")
@@ -47,6 +39,8 @@ def plan_from_json(stored: dict[str, Any]) -> Plan:
     known = {field.name for field in dataclasses.fields(spec)}
     if unknown := sorted(set(fields) - known):
         raise ValueError(f"plan: unknown {unknown}; known: {sorted(known)}")
+    if missing := sorted(known - set(fields)):
+        raise ValueError(f"plan: {', '.join(missing)} missing; a stored plan states every field")
     values = {
         name: tuple(value) if isinstance(value, list) else value for name, value in fields.items()
     }

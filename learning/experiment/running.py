@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import MISSING, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,6 @@ from learning.experiment.parts import Pair, labelled_sensors, pairs_of
 from learning.experiment.settings import ExperimentSettings
 from learning.experiment.worker import Job, do_all
 from recorder import MarkerArchive
-from recorder.settings import current_keys
 from recorder.store import replace_file
 
 Say = Callable[[str], None]
@@ -137,19 +135,11 @@ def _begin(
         places.predictions.mkdir(parents=True, exist_ok=True)
         replace_file(path, (json.dumps(plain, indent=1) + "\n").encode())
         return
-    # A key that was not known when the experiment began has its default.
-    known = {
-        each.name: each.default
-        for each in fields(ExperimentSettings)
-        if each.default is not MISSING
-    }
-    absent = json.loads(json.dumps(settings_to_dict(replace(settings, **known))))
-    stored = current_keys(ExperimentSettings, json.loads(path.read_text(encoding="utf-8")))
-    found = {name: absent[name] for name in known} | dict(stored)
+    stored = json.loads(path.read_text(encoding="utf-8"))
     for key in plain:
-        if found.get(key) != plain[key]:
+        if stored.get(key) != plain[key]:
             raise LearningError(
-                f"{path}.{key}: found {found.get(key)!r}, asked for {plain[key]!r}; allowed: the "
+                f"{path}.{key}: found {stored.get(key)!r}, asked for {plain[key]!r}; allowed: the "
                 "same experiment, or another folder"
             )
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -57,7 +56,7 @@ class ExperimentSettings:
     """Number of test presses of each role, per target; none: all."""
     scored_presses: int = 30
     """Number of presses of each role for scores of translations; 0: no scores."""
-    models_per_batch: int = dataclasses.field(default=1, metadata={"formerly": "together"})
+    models_per_batch: int = 1
     """Number of models fine-tuned in one batch on a source's translated frames.
 
     Batching keeps a GPU busy.

@@ -246,8 +246,6 @@ def read_config(folder: Path) -> Config:
     if not path.is_file():
         raise LearningError(f"{folder}: found no {CONFIG}; allowed: the folder of a training run")
     content = READER.read(path)
-    if "facts" in content:  # the key of older runs
-        content.setdefault("metadata", content.pop("facts"))
     known = Config.__dataclass_fields__
     if unknown := sorted(set(content) - set(known)):
         raise LearningError(f"{path}: unknown {', '.join(unknown)}; known: {', '.join(known)}")

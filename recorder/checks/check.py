@@ -91,8 +91,8 @@ def _check(
             damaged_tables.add(name)
     if broken:
         return
-    session = Session(place, unsealed=True)
     try:
+        session = Session(place, unsealed=True)
         yield from check_declared(session)
         for name, stream in session.streams.items():
             if name not in unreadable:

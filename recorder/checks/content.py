@@ -10,7 +10,7 @@ from recorder.findings import Finding
 from recorder.session.accounts import Account, account_of, unseen
 from recorder.session.align import NS
 from recorder.session.columns import Stream
-from recorder.session.frames import UNITS, grid, has_targets, whole_run
+from recorder.session.frames import grid, has_targets, whole_run
 from recorder.session.loss import (
     ARRIVAL,
     EVENTS,
@@ -22,7 +22,7 @@ from recorder.session.loss import (
 )
 from recorder.session.reader import Session
 from recorder.session.uncertainty import uncalibrated
-from recorder.spec import AXES, OUTCOMES, PHASES, TARGET_UNITS
+from recorder.spec import AXES, OUTCOMES, PHASES
 from recorder.store.files import read_document
 
 Array = np.ndarray[Any, Any]
@@ -37,9 +37,6 @@ END_MARGIN = 0.25
 START_MARGIN = 0.1
 
 _STEP_SAMPLES = 16  # on either side; enough that one or two late packets do not look like a step
-# Columns of `frames` that format 1 did not have, or only with a stream of their kind.
-_LATER_COLUMNS = {"taxels", "time_sigma"}
-
 # Columns in which NaN means that the device sends no such value.
 # Column of a gauge that settles: what it read, also where that is no value.
 _READING = "reading"
@@ -117,19 +114,14 @@ def _declared_streams(session: Session) -> list[str]:
 
 
 def _declared_columns(session: Session) -> dict[str, set[str]]:
-    """Return the columns of `targets` and `frames` that must exist.
-
-    They are named in attribute `columns` of a table; one without it has those of format 1.
-    """
-    former = {"targets": set(TARGET_UNITS), "frames": set(UNITS) - _LATER_COLUMNS}
-    found: dict[str, set[str]] = {}
-    for table, columns in former.items():
-        place = session.path / table
-        if place / "zarr.json" in session.files.listed(place):
-            attrs = read_document(session.files, place / "zarr.json").get("attributes", {})
-            known = columns if session.files.groups(place) else ()
-            found[table] = set(attrs.get("columns", known))
-    return found
+    """Return the columns that `targets` and `frames` declare, by table."""
+    declared: dict[str, set[str]] = {}
+    for table in ("targets", "frames"):
+        path = session.path / table / "zarr.json"
+        if path in session.files.listed(path.parent):
+            attrs = read_document(session.files, path).get("attributes", {})
+            declared[table] = set(attrs.get("columns", ()))
+    return declared
 
 
 def check_segments(session: Session) -> Iterator[Finding]:

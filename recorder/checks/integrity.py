@@ -6,7 +6,6 @@ from itertools import islice, product
 from pathlib import Path
 from typing import Any
 
-import google_crc32c
 import numpy as np
 from numpy.typing import NDArray
 
@@ -34,9 +33,6 @@ from recorder.store.tables import Table
 
 def check_manifest(files: Files, session: Path, attrs: dict[str, Any]) -> Iterator[Finding]:
     """Yield files that differ from the session's manifests, without reading data."""
-    if attrs["format_version"] < 2:
-        message = "format 1 has no manifest (tactile session repack makes a copy that has one)"
-        yield Finding("not-sealed", ".", message)
     for entry in attrs.get("sealed_later", ()):
         runs = ", ".join(map(str, entry["lost"]))
         message = f"the manifest of run {runs} was lost and made again on {entry['utc']}"
@@ -96,10 +92,12 @@ def check_stream_files(files: Files, session: Path, group: Path) -> Iterator[Fin
     where = str(group.relative_to(session))
     try:
         layout = StreamLayout.load(group, files)
+        spec = _spec_of(layout)
     except SessionError as error:
         yield Finding("metadata", where, str(error))
         return
-    yield from _unlike_spec(layout, where)
+    if spec is not None:
+        yield from _unlike_spec(layout, spec, where)
     unfinished = [path for path in files.listed(group) if is_unfinished(layout, path)]
     sizes = files.sizes(group) if unfinished else {}
     for path in sorted(unfinished):
@@ -162,12 +160,9 @@ def _check_shard(
         payload = data[offset : offset + nbytes]
         head = data[max(offset - HEADER.size, 0) : offset]
         matches = record_matches(head, payload, number)
-        if index.crcs is None:
-            contents[place] = google_crc32c.value(payload)
-        else:
-            contents[place] = index.crcs[place]
-            payload, crc = payload[:-CRC_BYTES], payload[-CRC_BYTES:]
-            matches = matches and int.from_bytes(crc, "little") == index.crcs[place]
+        contents[place] = index.crcs[place]
+        payload, crc = payload[:-CRC_BYTES], payload[-CRC_BYTES:]
+        matches = matches and int.from_bytes(crc, "little") == index.crcs[place]
         if not matches:
             faults.setdefault("bad-crc", []).append(f"row {row}")
         elif layout.column.codec == "jpeg" and not _is_jpeg(payload):
@@ -179,10 +174,7 @@ def _is_jpeg(payload: bytes) -> bool:
     return payload.startswith(b"\xff\xd8") and b"\xff\xd9" in payload[-1024:]
 
 
-def _unlike_spec(layout: StreamLayout, where: str) -> Iterator[Finding]:
-    spec = _spec_of(layout)
-    if spec is None:
-        return
+def _unlike_spec(layout: StreamLayout, spec: StreamSpec, where: str) -> Iterator[Finding]:
     found = {column.column.name: column.column for column in layout.columns}
     for expected in spec.columns:
         name = f"{where}/{expected.name}"

@@ -45,8 +45,6 @@ def reseal(path: str | os.PathLike[str]) -> list[int]:
     """
     session = Path(path)
     attrs = read_session_attrs(session)
-    if attrs["format_version"] < 2:
-        raise SessionError(f"{session}: format 1 has no manifest (tactile session repack)")
     if attrs["status"] == "recording":
         raise SessionError(f"{session}: was not closed (tactile session recover)")
     last = run_of(attrs)

@@ -12,7 +12,6 @@ from pathlib import Path
 
 from recorder.errors import SessionError
 from recorder.session.reader import Session
-from recorder.spec import FORMAT_VERSION
 from recorder.store import images
 from recorder.store.column import ColumnReader
 from recorder.store.durable import sync_directory
@@ -38,8 +37,8 @@ def repack(
 ) -> None:
     """Write a copy of a session with its images in another profile.
 
-    All other data is copied, each chunk verified. The copy is sealed by a manifest of its own, also
-    that of a session of format 1. The destination is created atomically.
+    All other data is copied, each chunk verified. The copy is sealed by a manifest of its own.
+    The destination is created atomically.
 
     Args:
         source: A finished session.
@@ -74,16 +73,12 @@ def repack(
     shutil.rmtree(building, ignore_errors=True)
     try:
         columns = [layout for layout in _columns(session) if layout not in convert]
-        older = [layout for layout in columns if not layout.chunk_crc]
-        skip = {str(layout.path): "c" for layout in (*convert, *older)}
+        skip = {str(layout.path): "c" for layout in convert}
         skip[str(session.path)] = GROUP
         shutil.copytree(session.path, building, ignore=lambda path, _: [skip.get(path, "")])
         for layout in columns:
             copy = replace(layout, path=building / layout.path.relative_to(session.path))
-            if layout in older:
-                _copy_chunks(ColumnReader(layout), replace(copy, files=LOCAL, chunk_crc=True))
-            else:
-                _verify(ColumnReader(replace(copy, files=LOCAL)))
+            _verify(ColumnReader(replace(copy, files=LOCAL)))
         total = sum(layout.rows() for layout in convert)
         done = 0
         for layout in convert:
@@ -92,7 +87,7 @@ def repack(
                 if progress is not None:
                     progress(done + count, total)
             done += layout.rows()
-        seal(building, profile=profile, format_version=FORMAT_VERSION)
+        seal(building, profile=profile)
         building.rename(final)
         sync_directory(final.parent)
     except BaseException:
@@ -107,20 +102,6 @@ def _columns(session: Session) -> list[Layout]:
     return [column for layout in layouts for column in layout.columns]
 
 
-def _copy_chunks(source: ColumnReader, copy: Layout) -> None:
-    """Write the chunks of a column of format 1 with their checksums."""
-    shutil.rmtree(copy.path)
-    copy.create()
-    log = ColumnLog(copy, 0)
-    try:
-        for chunk in source.chunks(_all_chunks(source)):
-            log.append(chunk, 0)
-            log.seal_full()
-        log.finish(source.rows)
-    finally:
-        log.close()
-
-
 def _verify(reader: ColumnReader) -> None:
     for _ in reader.chunks(_all_chunks(reader)):
         pass
@@ -133,7 +114,7 @@ def _all_chunks(reader: ColumnReader) -> range:
 def _decode_all(source: Layout, copy: Layout) -> Iterator[int]:
     """Write the images of one column as lossless pixels; yield the number done."""
     column = replace(copy.column, codec="zstd")
-    pixels = replace(copy, column=column, files=LOCAL, chunk_crc=True)
+    pixels = replace(copy, column=column, files=LOCAL)
     shutil.rmtree(pixels.path)
     pixels.create()
     reader, decode = ColumnReader(source), images.decoder(source.column)

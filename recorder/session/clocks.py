@@ -129,7 +129,7 @@ class ClockFit:
                 float(part["offset_s"]),
                 float(part["drift_ppm"]),
                 float(part["residual_rms_s"]),
-                _or_nan(part.get("drift_interval_ppm")),
+                _or_nan(part["drift_interval_ppm"]),
                 np.array(part["knots_device_t"], np.float64),
                 np.array(part["knots_host_minus_device"], np.float64),
             )
@@ -343,7 +343,7 @@ def fit_clocks(path: str | os.PathLike[str]) -> dict[str, list[dict[str, Any] | 
         SessionError: Not a session, a corrupt one, or one whose manifest was written.
     """
     session = Session(path)
-    if session.status != "recording" and session.attrs["format_version"] >= 2:
+    if session.status != "recording":
         raise SessionError(f"{session.name}: is closed; clocks are fitted when it is finished")
     found: dict[str, list[dict[str, Any] | None]] = {}
     for name, stream in session.streams.items():

@@ -18,7 +18,7 @@ from recorder.session.loss import Losses, is_compressed, stream_losses
 from recorder.session.notebook import html_of
 from recorder.session.sources import RunStreams, sources_near, sources_of_run, span_of_run
 from recorder.session.window import Window, align_window, ticks_before
-from recorder.spec import frame_columns, in_order, signal_of
+from recorder.spec import frame_columns, signal_of
 from recorder.store.files import LOCAL, Files, locate
 from recorder.store.layout import read_order, read_session_attrs
 from recorder.store.manifest import sealed_files
@@ -73,7 +73,9 @@ class Session:
         self.streams: Mapping[str, Stream] = {
             group.name: Stream(group, self.files, live=live) for group in groups
         }
-        self.order = in_order(self.streams, read_order(self.path / "streams", self.files))
+        declared = read_order(self.path / "streams", self.files)
+        self.order = [name for name in declared if name in self.streams]
+        self.order += sorted(self.streams.keys() - set(declared))
         self.targets = Table.of_group(self.path / "targets", self.files)
         self.segments = _table(self.path / "segments", self.files, live)
         self.reference = _table(self.path / "reference", self.files, live)

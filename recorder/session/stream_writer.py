@@ -48,8 +48,6 @@ from recorder.store.shard import (
 _PENDING_MAX = 8
 # Reserved space on disk for a stream being written, so that it can be closed on a full disk.
 _RESERVED = "reserved"
-# All names of it; the second is that of sessions recorded before.
-_RESERVED_NAMES = (_RESERVED, "ballast")
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +121,7 @@ def unfinished_files(layout: StreamLayout) -> tuple[Path, ...]:
 def is_unfinished(layout: StreamLayout, path: Path) -> bool:
     """Return True if a path below a stream exists only while the stream is being written."""
     name, parent = path.name, path.parent
-    if parent == layout.time.path and (name.startswith("journal-") or name in _RESERVED_NAMES):
+    if parent == layout.time.path and (name.startswith("journal-") or name == _RESERVED):
         return True
     columns = [column.path for column in layout.columns]
     if name.endswith(TEMPORARY) and parent in (layout.path, *columns):
@@ -150,7 +148,7 @@ def restore(layout: StreamLayout) -> OpenStream:
         SessionError: The stream is corrupt where it has to be read.
     """
     for path in unfinished_files(layout):
-        if path.name.endswith(TEMPORARY) or path.name in _RESERVED_NAMES:
+        if path.name.endswith(TEMPORARY) or path.name == _RESERVED:
             path.unlink()
     state = survey(layout)
     block = layout.block
@@ -226,7 +224,7 @@ def _read_chunk(column: Layout, chunk: int) -> NDArray[Any]:
     record = scan_partial(column, number)[0][place]  # its checksum matched
     with path.open("rb") as file:
         file.seek(record.offset)
-        data = file.read(record.nbytes - (CRC_BYTES if column.chunk_crc else 0))
+        data = file.read(record.nbytes - CRC_BYTES)
     return decoded_rows(column, data)
 
 

@@ -14,7 +14,7 @@ from recorder.errors import SessionError
 from recorder.store import images
 from recorder.store.column import ColumnReader
 from recorder.store.growing import GrowingColumn, GrowingLog
-from recorder.store.journal import CHUNK_MAGIC, CRC_BYTES, HEADER, MAGIC, record_matches
+from recorder.store.journal import CHUNK_MAGIC, CRC_BYTES, HEADER, record_matches
 from recorder.store.layout import Layout, StreamLayout
 from recorder.store.shard import MISSING, read_shard_index
 
@@ -177,14 +177,14 @@ class ImageTail:
             return None
         data = os.pread(self._fd, HEADER.unpack(head)[1], self._offsets[place] + HEADER.size)
         if record_matches(head, data, row):
-            return data[:-CRC_BYTES] if self._layout.chunk_crc else data
+            return data[:-CRC_BYTES]
         # Half written, or the writer removed a record: start again on the next call.
         self.close()
         return None
 
     def _end_of_record(self, offset: int) -> int | None:
         head = os.pread(self._fd, HEADER.size, offset)
-        if len(head) < HEADER.size or head[:4] not in (MAGIC, CHUNK_MAGIC):
+        if len(head) < HEADER.size or head[:4] != CHUNK_MAGIC:
             return None
         return offset + HEADER.size + int(HEADER.unpack(head)[1])
 

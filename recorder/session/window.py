@@ -16,14 +16,6 @@ from recorder.session import align
 from recorder.session.align import Aligned, Bools, Floats, Picked, Source, Sources, Times
 from recorder.spec import Traits
 
-# Names of the methods that programs written for format 1 use.
-_SYNONYMS = {
-    "held": "latest",
-    "linear": "interpolated",
-    "slerp": "interpolated",
-    "mean_exposure": "mean",
-}
-
 
 @dataclass(frozen=True, slots=True)
 class AlignedStream:
@@ -213,13 +205,12 @@ def align_window(
     )
 
 
-def _method(source: Source, name: str) -> str:
-    method = _SYNONYMS.get(name, name)
+def _method(source: Source, method: str) -> str:
     known = ["latest", "nearest"]
     if source.values is not None:
         known += ["interpolated", *([] if source.is_pose else ["mean"])]
     if method not in known:
-        raise SessionError(f"{source.name}: found method {name!r}; known: {', '.join(known)}")
+        raise SessionError(f"{source.name}: found method {method!r}; known: {', '.join(known)}")
     return method
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from recorder.errors import SessionError
 from recorder.store import images
 from recorder.store.growing import GrowingColumn, index_now
-from recorder.store.journal import CRC_BYTES, HEADER, record_matches
+from recorder.store.journal import CRC_BYTES
 from recorder.store.layout import Layout, decoded_rows
 from recorder.store.recent import RECENT, Kept
 from recorder.store.shard import MISSING, ShardIndex, read_shard_index
@@ -218,15 +218,11 @@ class ColumnReader:
             yield self._verified(index, data, nbytes, number)
 
     def _range(self, index: ShardIndex, number: int) -> tuple[int, int]:
-        """Return the bytes to read for a chunk: with its record header if only this has a CRC."""
+        """Return the offset and the length of a chunk."""
         offset, nbytes = index.ranges[number % self.layout.chunks_per_shard]
         if not self._is_held(index, number):
             raise SessionError(f"{self._where(number)} is missing")
-        if self.layout.chunk_crc:
-            return offset, nbytes
-        if offset < HEADER.size:
-            raise SessionError(f"{self._where(number)} has no record")
-        return offset - HEADER.size, nbytes + HEADER.size
+        return offset, nbytes
 
     def _shard_index(self, shard: int) -> ShardIndex:
         growing = None if self.growing is None else self.growing.index(shard)
@@ -239,16 +235,10 @@ class ColumnReader:
         return index
 
     def _verified(self, index: ShardIndex, data: Any, nbytes: int, number: int) -> Any:
-        crcs = index.crcs
         if len(data) != nbytes:
             fault = "is cut short"
-        elif crcs is None:
-            data = bytes(data)
-            if record_matches(data[: HEADER.size], data[HEADER.size :], number):
-                return data[HEADER.size :]
-            fault = "does not match its checksum"
         else:
-            listed = crcs[number % self.layout.chunks_per_shard]
+            listed = index.crcs[number % self.layout.chunks_per_shard]
             chunk, end = data[:-CRC_BYTES], data[-CRC_BYTES:]
             if google_crc32c.value(chunk) == listed == int.from_bytes(end, "little"):
                 return chunk

@@ -152,5 +152,4 @@ def _log_of(layout: Layout, number: int) -> GrowingLog:
 def _index_of(layout: Layout, log: GrowingLog) -> ShardIndex:
     ranges = [(record.offset, record.nbytes) for record in log.records]
     ranges += [(MISSING, MISSING)] * (layout.chunks_per_shard - len(ranges))
-    crcs = [record.crc for record in log.records] if layout.chunk_crc else None
-    return ShardIndex(np.array(ranges, np.uint64), ranges, crcs)
+    return ShardIndex(np.array(ranges, np.uint64), ranges, [record.crc for record in log.records])

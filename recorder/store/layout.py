@@ -51,8 +51,6 @@ class Layout:
     """Rows per inner chunk; 1 for images."""
     files: Files = field(default=LOCAL, repr=False, compare=False)
     """File access for the directory."""
-    chunk_crc: bool = True
-    """True if every chunk ends with its CRC-32C; False in sessions of format version 1."""
     chunks_per_shard: int = 0
     """Inner chunks per full shard; 0 for the number of a new column."""
     dtype: np.dtype[Any] = field(init=False)
@@ -140,7 +138,7 @@ class Layout:
                     "name": "sharding_indexed",
                     "configuration": {
                         "chunk_shape": list(self.chunk_shape),
-                        "codecs": _inner_codecs(column, self.chunk_crc),
+                        "codecs": _inner_codecs(column),
                         "index_codecs": [
                             {"name": "bytes", "configuration": {"endian": "little"}},
                             {"name": "crc32c"},
@@ -176,7 +174,6 @@ class Layout:
                 description=attributes.get("description", ""),
                 codec="jpeg" if inner == "imagecodecs_jpeg" else "zstd",
             )
-            chunk_crc = sharding["codecs"][-1]["name"] == "crc32c"
             per_chunk = sharding["chunk_shape"][0]
             if (
                 type(per_chunk) is not int
@@ -192,7 +189,7 @@ class Layout:
                     f"{files.name(path)}: found {per_shard!r:.80} rows per shard; allowed: "
                     f"{per_chunk} to {CHUNKS_MAX * per_chunk}"
                 )
-            layout = cls(path, column, per_chunk, files, chunk_crc, per_shard // per_chunk)
+            layout = cls(path, column, per_chunk, files, per_shard // per_chunk)
             expected = layout._document()
             found = {key: document[key] for key in ("node_type", "chunk_grid", "codecs")}
             for one in (found, expected):
@@ -341,12 +338,10 @@ def create_stream(path: Path, spec: StreamSpec) -> StreamLayout:
 def read_order(path: Path, files: Files = LOCAL) -> list[str]:
     """Return the names of the streams in the order in which the session declared them.
 
-    It is empty in format 1, which had no order.
-
     Raises:
-        SessionError: The attribute is not a list of names.
+        SessionError: The attribute is missing, or not a list of names.
     """
-    order = read_document(files, path / "zarr.json").get("attributes", {}).get("order", [])
+    order = read_document(files, path / "zarr.json").get("attributes", {}).get("order")
     if not isinstance(order, list) or not all(isinstance(name, str) for name in order):
         raise SessionError(f"{files.name(path)}: found order {order!r:.80}, expected names")
     return order
@@ -377,14 +372,14 @@ def _without_level(codecs: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [{**outer, "configuration": {**sharding, "codecs": inner}}]
 
 
-def _inner_codecs(column: Column, chunk_crc: bool) -> list[dict[str, Any]]:
+def _inner_codecs(column: Column) -> list[dict[str, Any]]:
     jpeg = [{"name": "imagecodecs_jpeg", "configuration": {"level": images.JPEG_QUALITY}}]
     level = images.PIXELS_LEVEL if column.is_image else images.ZSTD_LEVEL
     zstd = [
         {"name": "bytes", "configuration": {"endian": "little"}},
         {"name": "zstd", "configuration": {"level": level, "checksum": False}},
     ]
-    return (jpeg if column.codec == "jpeg" else zstd) + [{"name": "crc32c"}] * chunk_crc
+    return [*(jpeg if column.codec == "jpeg" else zstd), {"name": "crc32c"}]
 
 
 def _numbered(shape: tuple[int, ...]) -> list[str]:
@@ -420,7 +415,7 @@ def read_session_attrs(path: Path, files: Files = LOCAL) -> dict[str, Any]:
     """Return the attributes of a session.
 
     Raises:
-        SessionError: Not a session, a newer format, or an impossible status, run or rate.
+        SessionError: Not a session, another version, or an impossible status, run or rate.
     """
     attrs = read_attrs(path, files, what="session", format_=FORMAT, version=FORMAT_VERSION)
     name = files.name(path)
@@ -464,10 +459,10 @@ def read_attrs(
         files: File access for the directory.
         what: Kind of object, for messages.
         format_: Expected value of `format`.
-        version: Newest `format_version` that can be read.
+        version: The `format_version` that can be read.
 
     Raises:
-        SessionError: Missing, a different format, or a newer version.
+        SessionError: Missing, a different format, or another version.
     """
     name = files.name(path)
     if files.local and path.is_file():
@@ -486,9 +481,11 @@ def read_attrs(
     if attrs.get("format") != format_:
         raise SessionError(f"{name}: found format {attrs.get('format')!r}, expected {format_!r}")
     found = attrs.get("format_version")
-    if type(found) is not int or not 0 < found <= version:
+    if found != version or type(found) is not int:
+        newer = type(found) is int and found > version
         raise SessionError(
-            f"{name}: found format_version {found}, this program reads up to {version}; update it"
+            f"{name}: found format_version {found}, this program reads {version}"
+            + "; update it" * newer
         )
     return attrs
 

@@ -172,8 +172,7 @@ def reopen(session: Path, status: str, **attrs: Any) -> None:
 def seal(session: Path, **attrs: Any) -> None:
     """Write the manifest of the last run, then merge into the session's attributes.
 
-    The streams must be closed. In a session of format 1, only the attributes are written. If
-    killed, the session is as before, and the call can be repeated.
+    The streams must be closed. If killed, the session is as before, and the call can be repeated.
 
     Raises:
         SessionError: A shard that a stream declares is missing or corrupt.
@@ -184,8 +183,7 @@ def seal(session: Path, **attrs: Any) -> None:
     document["attributes"] = {**document["attributes"], **attrs}
     document["attributes"].pop(REBUILDING, None)
     data = json_bytes(path, document)
-    if document["attributes"]["format_version"] >= 2:
-        write_manifest(session, run_of(document["attributes"]), data)
+    write_manifest(session, run_of(document["attributes"]), data)
     replace_file(path, data)
 
 
@@ -372,7 +370,7 @@ def sealed_files(
 ) -> tuple[Files, str | None]:
     """Return the files of a session as its manifest verifies them.
 
-    The files of a session of format 1, or of one in its first run, are returned as they are.
+    The files of a session in its first run are returned as they are.
 
     Args:
         files: Access to the files.
@@ -383,10 +381,6 @@ def sealed_files(
     Raises:
         SessionError: A manifest is missing or changed, or a file is missing or of another size.
     """
-    if attrs["format_version"] < 2:
-        if files.local and (session / GROUP).exists():
-            raise SessionError(f"{files.name(session)}: found manifests in a session of format 1")
-        return files, None
     if attrs["status"] == "recording":
         closed = [run for run in manifest_runs(session) if run < run_of(attrs)]
         if not closed:
@@ -426,10 +420,6 @@ def wrong_files(files: Files, session: Path, attrs: dict[str, Any]) -> Iterator[
     For a session in an open run, only the shards of the closed runs are verified.
     """
     present = {str(path.relative_to(session)) for path in files.listed(session)}
-    if attrs["format_version"] < 2:
-        if any(key.startswith(f"{GROUP}/") for key in present):
-            yield GROUP, "found manifests in a session of format 1"
-        return
     run, is_open = run_of(attrs), attrs["status"] == "recording"
     if is_open:
         found = (re.fullmatch(rf"{GROUP}/(\d+)/zarr.json", key) for key in present)

@@ -27,7 +27,6 @@ from recorder.store.journal import (
     JournalRecord,
     RecordLog,
     chunk_header,
-    header,
     packed_crc,
     scan,
     torn_bytes,
@@ -72,15 +71,11 @@ class OpenShard:
             OSError: It could not be written completely; the shard is unchanged.
         """
         index = self.number * self._layout.chunks_per_shard + len(self._entries)
-        if self._layout.chunk_crc:
-            crc = packed_crc(chunk)
-            head = chunk_header(len(chunk), crc, t_ns, index)
-            offset = self._log.append(head, chunk, crc)
-            self._entries.append((offset, len(chunk) + CRC_BYTES))
-            self._crcs.append(int.from_bytes(crc, "little"))
-        else:
-            offset = self._log.append(header(chunk, t_ns, index), chunk)
-            self._entries.append((offset, len(chunk)))
+        crc = packed_crc(chunk)
+        head = chunk_header(len(chunk), crc, t_ns, index)
+        offset = self._log.append(head, chunk, crc)
+        self._entries.append((offset, len(chunk) + CRC_BYTES))
+        self._crcs.append(int.from_bytes(crc, "little"))
 
     def drop_last(self) -> None:
         """Remove the last chunk."""
@@ -113,11 +108,11 @@ class OpenShard:
 
 
 def _shard_end(layout: Layout, entries: list[tuple[int, int]], crcs: list[int]) -> bytes:
-    """Return the bytes that end a shard: the checksums of its chunks, if they have any; the index.
+    """Return the bytes that end a shard: the checksums of its chunks, then the index.
 
     Missing chunks have the checksum 0.
     """
-    listed = np.zeros(layout.chunks_per_shard if layout.chunk_crc else 0, "<u4")
+    listed = np.zeros(layout.chunks_per_shard, "<u4")
     listed[: len(crcs)] = crcs[: len(listed)]
     return listed.tobytes() + packed_index(entries, layout.chunks_per_shard)
 
@@ -164,14 +159,13 @@ class ShardIndex:
     """Offset and length of each chunk."""
     ranges: list[tuple[int, int]]
     """The same as Python's own numbers, which are faster to use one by one."""
-    crcs: list[int] | None
-    """Checksum of each chunk; None in a shard whose chunks do not end with one."""
+    crcs: list[int]
+    """Checksum of each chunk."""
 
 
 def end_bytes(layout: Layout) -> int:
     """Return the length of the end of a shard of a column [bytes]."""
-    listed = CRC_BYTES if layout.chunk_crc else 0
-    return (listed + 16) * layout.chunks_per_shard + CRC_BYTES
+    return (CRC_BYTES + 16) * layout.chunks_per_shard + CRC_BYTES
 
 
 def read_shard_index(layout: Layout, number: int) -> ShardIndex:
@@ -182,11 +176,10 @@ def read_shard_index(layout: Layout, number: int) -> ShardIndex:
     """
     path, files, slots = layout.shard(number), layout.files, layout.chunks_per_shard
     end = _tail(path, files, end_bytes(layout))
-    listed, index = end[: CRC_BYTES * slots * layout.chunk_crc], end[-16 * slots - CRC_BYTES :]
+    listed, index = end[: CRC_BYTES * slots], end[CRC_BYTES * slots :]
     entries = _unpacked(index, path, files, slots)
     ranges = list(zip(*entries.T.tolist(), strict=True))
-    crcs = np.frombuffer(listed, "<u4").tolist() if layout.chunk_crc else None
-    return ShardIndex(entries, ranges, crcs)
+    return ShardIndex(entries, ranges, np.frombuffer(listed, "<u4").tolist())
 
 
 def chunk_count(index: Index) -> int:

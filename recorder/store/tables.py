@@ -97,7 +97,7 @@ def _column(files: Files, path: Path, name: str) -> Array:
         codecs = [codec["name"] for codec in document["codecs"]]
     except (KeyError, TypeError, ValueError) as error:
         raise SessionError(f"{where}: not a column of a table: {error!r}") from error
-    if codecs not in (["bytes", "zstd"], ["bytes", "zstd", "crc32c"]):  # the first: version 1
+    if codecs != ["bytes", "zstd", "crc32c"]:
         raise SessionError(f"{where}: found codecs {codecs}, expected bytes, zstd, crc32c")
     if chunk_shape != [_CHUNK_ROWS, *shape[1:]]:
         raise SessionError(f"{where}: found chunk_shape {chunk_shape} of shape {shape}")
@@ -110,7 +110,7 @@ def _column(files: Files, path: Path, name: str) -> Array:
         except FileNotFoundError:
             raise SessionError(f"{files.name(key)}: chunk missing") from None
         try:
-            plain = images.decompress(_without_crc(data) if "crc32c" in codecs else data, nbytes)
+            plain = images.decompress(_without_crc(data), nbytes)
         except SessionError as error:
             raise SessionError(f"{files.name(key)}: {error}") from error
         chunks.append(np.frombuffer(plain, dtype).reshape(chunk_shape))

@@ -20,7 +20,7 @@ from sim.scene import Body, Motion, Scene, from_target, press, through
 from sim.sensors import CameraSignal, SimulatedSensor, sensor
 from sim.simulate import plan as within
 from sim.simulate import simulate_many
-from trajectories import PHASES, ForceDepth, Point, PressShear, Target, with_order
+from trajectories import PHASES, ForceDepth, Point, PressShear, Target
 
 # A press that is simulated once, and those of its frames that become rows of an archive.
 
@@ -255,11 +255,11 @@ class DatasetPlan:
     """Seed of all random draws."""
     steps: int = 10
     """Frames per phase of a target; states have no phases."""
-    fraction: float = field(default=1.0, metadata={"formerly": "share"})
+    fraction: float = 1.0
     """Fraction of the targets to use, spread evenly over points, depths and directions."""
     unit_presses: int = UNIT_PRESSES
     """Most presses of one indenter whose frames share a file."""
-    batch_size: int = field(default=UNIT_PRESSES, metadata={"formerly": "together"})
+    batch_size: int = UNIT_PRESSES
     """Most presses solved in one call, rounded to whole files; a GPU needs many."""
 
     def __post_init__(self) -> None:
@@ -296,22 +296,10 @@ class DatasetPlan:
     def of(cls, document: Any, where: str = "plan") -> DatasetPlan:
         """Return the plan that `document()` stored; `where` names it in errors.
 
-        Trajectories without `order` are older than it, and keep the order of those days.
-
         Raises:
             SceneError: The document is not a plan.
         """
-        if isinstance(document, dict) and isinstance(sensors := document.get("sensors"), list):
-            document = {**document, "sensors": [_with_order(each) for each in sensors]}
         return from_json(cls, document, where)
-
-
-def _with_order(stored: Any) -> Any:
-    """Return a stored sensor whose trajectory states the order of its points."""
-    trajectory = stored.get("trajectory") if isinstance(stored, dict) else None
-    if not isinstance(trajectory, dict):
-        return stored
-    return {**stored, "trajectory": with_order(trajectory)}
 
 
 def names(sensor: SimulatedSensor) -> tuple[str, ...]:

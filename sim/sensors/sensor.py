@@ -149,9 +149,7 @@ class SimulatedSensor:
     """Recorded presses; None without such a recording."""
     force_depth: ForceDepth | None = None
     """Presses that relate force and depth, for material compensation."""
-    variation: DeviceVariation = field(
-        default_factory=DeviceVariation, metadata={"formerly": "life"}
-    )
+    variation: DeviceVariation = field(default_factory=DeviceVariation)
     """Deviations of this device from its design; all off by default."""
     posterior: Posterior | None = field(default=None, metadata={"stored": "unless default"})
     """Uncertainty of a twin, a row identified from presses; None of a design."""
@@ -261,7 +259,7 @@ def read_sensor(path: Path) -> SimulatedSensor:
     Raises:
         SceneError: The file is invalid; the message names the file and the key.
     """
-    content = READER.read(path, library=ROWS, kind=SimulatedSensor)
+    content = READER.read(path, library=ROWS)
     if "name" in content:
         raise SceneError(f"{path}: unknown ['name']; a sensor is named as its file is")
     return READER.build(SimulatedSensor, {"name": path.stem, **content}, str(path))

@@ -223,6 +223,8 @@ RIG_CASES = (
 
 # Recorder
 
+# As in the first run of a session, when no manifest says that a file was changed.
+OPEN = (("delete", "manifest"), ("json", "zarr.json", "attributes.status", "recording"))
 NEWER = ("json", "zarr.json", "attributes.format_version", 99)
 RECORDER_CASES = (
     Case(
@@ -306,12 +308,12 @@ RECORDER_CASES = (
         one_process=True,
         portable=True,
         prepare=(
-            *_copied(GELSIGHT, "a.zarr", ("json", "zarr.json", "attributes.status", None)),
-            *_copied(GELSIGHT, "b.zarr", ("json", "zarr.json", "attributes.sensor", None)),
-            *_copied(GELSIGHT, "c.zarr", ("json", "zarr.json", "attributes.t0_ns", None)),
-            *_copied(GELSIGHT, "d.zarr", ("delete", "segments")),
-            *_copied(GELSIGHT, "e.zarr", ("delete", "streams/camera")),
-            *_copied(GELSIGHT, "f.zarr", ("delete", "frames")),
+            *_copied(GELSIGHT, "a.zarr", *OPEN, ("json", "zarr.json", "attributes.status", None)),
+            *_copied(GELSIGHT, "b.zarr", *OPEN, ("json", "zarr.json", "attributes.sensor", None)),
+            *_copied(GELSIGHT, "c.zarr", *OPEN, ("json", "zarr.json", "attributes.t0_ns", None)),
+            *_copied(GELSIGHT, "d.zarr", *OPEN, ("delete", "segments")),
+            *_copied(GELSIGHT, "e.zarr", *OPEN, ("delete", "streams/camera")),
+            *_copied(GELSIGHT, "f.zarr", *OPEN, ("delete", "frames")),
         ),
     ),
     Case(
@@ -326,7 +328,7 @@ RECORDER_CASES = (
         prepare=_copied(
             GELSIGHT,
             "x.zarr",
-            ("json", "zarr.json", "attributes.status", "recording"),
+            *OPEN,
             ("write", "streams/force/t_ns/journal-99999", "torn"),
         ),
         look=("x.zarr",),

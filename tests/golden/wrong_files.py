@@ -71,7 +71,7 @@ TEXTS: dict[str, tuple[str, str, dict[str, str]]] = {
             "out of range": f"{SENSOR}\nbody: {{poisson: 0.7}}",
             "text for a number": f"{SENSOR}\nbody: {{modulus_kpa: soft}}",
             "pattern misspelt": f"{SENSOR}\nsignal: {{patterns: [Circle-V]}}",
-            "no for null": f"{SENSOR}\nlife: {{mount: no}}",
+            "no for null": f"{SENSOR}\nvariation: {{mount: no}}",
             "key twice": f"{SENSOR}\nbody: {{poisson: 0.4, poisson: 0.45}}",
             "keys missing": "description: ours",
         },
@@ -258,6 +258,10 @@ def _of_folders(kind: str) -> Case:
     for mistake, change in mistakes.items():
         folder = _place(mistake, suffix)
         steps += [("copy", source, folder)] if source else []
+        if source == SESSION:
+            # As in its first run, when no manifest says that a file was changed.
+            steps.append(("delete", f"{folder}/manifest"))
+            steps.append(("json", f"{folder}/zarr.json", "attributes.status", "recording"))
         steps.append(_change(folder, source, *change))
     return Case(
         f"wrong-{kind.replace(' ', '-')}",

@@ -142,9 +142,6 @@ def test_models_trained_together_say_what_those_trained_alone_say(
 ) -> None:
     undrawn(monkeypatch)
     run(archive, tmp_path, "models_per_batch=4")
-    stored = (tmp_path / "experiment.json").read_text()
-    (tmp_path / "experiment.json").write_text(stored.replace("models_per_batch", "together"))
-    run(archive, tmp_path, "models_per_batch=4")  # the former key is read
     with pytest.raises(LearningError, match="models_per_batch: found 4, asked for 1"):
         run(archive, tmp_path)
     file = Path("results") / "dots-to-grid.compensated.flow.npz"

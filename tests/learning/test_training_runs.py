@@ -198,10 +198,10 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_models_of_runs_with_the_former_key_facts_open(kind: str) -> None:
+def test_stored_models_of_every_kind_open(kind: str) -> None:
     folder = Path(__file__).parents[1] / "golden/data/models" / kind
     stored = yaml.safe_load((folder / "config.yaml").read_text())
-    assert read_model_folder(folder, kind).config.metadata == stored["facts"]
+    assert read_model_folder(folder, kind).config.metadata == stored["metadata"]
 
 
 def test_a_finished_run_is_a_model(tmp_path: Path) -> None:

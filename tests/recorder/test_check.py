@@ -390,11 +390,11 @@ def test_nothing_is_found_in_a_sound_session(
 def test_a_note_is_printed_and_does_not_fail_the_check(
     intact: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    note = Finding("not-sealed", ".", "no manifest")
+    note = Finding("sealed-later", ".", "no manifest")
     fault = Finding("gap", CAMERA, "found one")
     monkeypatch.setattr(check_command, "check", lambda session, quick: [note])
     assert main(["session", "check", str(intact)]) == 0
-    assert "not-sealed      note: .: no manifest" in capsys.readouterr().out
+    assert "sealed-later    note: .: no manifest" in capsys.readouterr().out
     monkeypatch.setattr(check_command, "check", lambda session, quick: [note, fault])
     assert main(["session", "check", str(intact)]) == 1
     assert faults([note, fault]) == [fault]

@@ -85,12 +85,12 @@ def recover(path: Path) -> int:
     return assert_every_row_is_itself(path)
 
 
-def test_the_reserved_space_of_an_older_killed_session_is_given_back(tmp_path: Path) -> None:
+def test_the_reserved_space_of_a_killed_session_is_given_back(tmp_path: Path) -> None:
     path = tmp_path / "force"
     create_stream(path, force_spec(100))
     StreamWriter.open(path).close()
-    (path / "t_ns" / "ballast").write_bytes(bytes(100))
-    assert unfinished_files(StreamLayout.load(path)) == (path / "t_ns" / "ballast",)
+    (path / "t_ns" / "reserved").write_bytes(bytes(100))
+    assert unfinished_files(StreamLayout.load(path)) == (path / "t_ns" / "reserved",)
     assert recover(path) == 0
 
 

@@ -162,7 +162,7 @@ def test_everything_reads_as_it_does_from_the_disk(url: str, recorded: Path) -> 
             np.testing.assert_array_equal(getattr(far, table)[column], values)
     for index in (30, 77, len(near.frames["t_ns"]) - 1):
         t_ns = int(near.frames["t_ns"][index])
-        for method in ("mean_exposure", "linear", "held"):
+        for method in ("mean", "interpolated", "latest"):
             expected, found = (
                 near.window(t_ns, 16, force=method),
                 far.window(t_ns, 16, force=method),

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from support.sessions import T0, append_all, make_session, set_attrs, specs, stream_columns
+from support.sessions import T0, append_all, make_session, reseal, set_attrs, specs, stream_columns
 
 from recorder import (
     Session,
@@ -254,34 +254,17 @@ def test_events_come_back_as_the_text_that_was_written() -> None:
         event_row("fünf", 4)
 
 
-def test_streams_of_format_1_are_what_their_names_say(tmp_path: Path) -> None:
-    path = make_session(tmp_path / "s.zarr", seconds=0.8, names=FOUR)
-    now = dict(Session(path).frames)
-    for group in (path / "streams").glob("*/zarr.json"):
-        document = json.loads(group.read_text())
-        for key in ("kind", "align", "roles", "clock"):
-            del document["attributes"][key]
-        group.write_text(json.dumps(document))
-    (path / "streams/zarr.json").write_text(
-        '{"zarr_format": 3, "node_type": "group", "attributes": {}}'
-    )
-    set_attrs(path, format_version=1)
-    shutil.copytree(path / "streams/camera", path / "streams/overview")
-    session = Session(path)
-    assert {name: s.traits.kind for name, s in session.streams.items()} == {
-        **{name: name for name in FOUR},
-        "overview": "table",  # format 1 stored such streams and aligned only the four
-    }
-    assert session.columns == {
-        "camera": "image",
-        "force": "wrench",
-        "pose": "pose",
-        "taxels": "taxels",
-    }
-    from recorder.session.frames import frames_table
-
-    for name, column in frames_table(session, 40).items():
-        np.testing.assert_array_equal(column, now[name])
+@pytest.mark.parametrize("key", ["kind", "align", "roles", "clock"])
+def test_a_stream_without_a_trait_is_refused(key: str, tmp_path: Path) -> None:
+    path = make_session(tmp_path / "s.zarr", seconds=0.4, names=("force",))
+    group = path / "streams/force/zarr.json"
+    document = json.loads(group.read_text())
+    del document["attributes"][key]
+    group.write_text(json.dumps(document))
+    reseal(path)
+    with pytest.raises(SessionError, match=f"force: attribute '{key}' is missing"):
+        Session(path)
+    assert {finding.code for finding in faults(check(path))} == {"metadata"}
 
 
 @pytest.mark.parametrize(

@@ -204,26 +204,6 @@ def test_a_plan_survives_json(plan: DatasetPlan) -> None:
     assert differing(stored, plan.document()) == []
 
 
-def test_a_plan_stored_under_former_keys_is_the_same_plan() -> None:
-    plan = group(("r6",), batch_size=162, fraction=0.3)
-    stored = plan.document()
-    stored["share"] = stored.pop("fraction")
-    stored["together"] = stored.pop("batch_size")
-    assert DatasetPlan.of(stored) == plan
-    with pytest.raises(SceneError, match="unknown together"):
-        DatasetPlan.of({**stored, "batch_size": 9})
-
-
-def test_a_plan_stored_before_the_order_of_points_keeps_its_order_and_its_bytes() -> None:
-    stored = json.loads(json.dumps(group(("gelsight", "uskin")).document()))
-    assert [each["trajectory"].pop("order") for each in stored["sensors"]] == ["authors"] * 2
-    plan = DatasetPlan.of(stored)
-    first = plan.sensors[0].trajectory
-    assert first is not None
-    assert first.order == "quadrants"
-    assert plan.document() == stored
-
-
 def test_plans_say_in_which_keys_they_differ() -> None:
     one = group(("gelsight", "uskin"))
     harder = replace(one.sensors[1], body=replace(one.sensors[1].body, modulus=1e6))

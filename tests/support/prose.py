@@ -69,7 +69,7 @@ NAMES = {
 WHAT_MOST = 1.0
 # Words of a sentence, at most.
 SENTENCE_MOST = 40
-# Pages generated from the code, and lists of former names.
+# Pages generated from the code, and lists of changes.
 LEFT_OUT = ("docs/reference/", "CHANGELOG.md")
 
 _WORDS = {re.compile(rf"\b{word}", re.IGNORECASE): instead for word, instead in WORDS.items()}

@@ -254,8 +254,6 @@ def reseal(session: Path, **renamed: str) -> None:
     (newest,) = sorted((session / "manifest").glob("*/zarr.json"))[-1:]
     document = json.loads(newest.read_text())
     shutil.rmtree(session / "manifest")
-    if attrs["format_version"] < 2:
-        return
     (session / "manifest").mkdir()
     write_group(session / "manifest", {})
     listed = document["attributes"]

@@ -124,15 +124,11 @@ def test_points_are_in_the_order_of_the_papers_authors() -> None:
     assert second[0].origin[:2] == (-3 * MM, 4 * MM)
 
 
-def test_a_plan_stored_before_the_order_keeps_its_own() -> None:
+def test_a_stored_plan_that_does_not_state_every_field_is_refused() -> None:
     stored = plan_to_json(HOMOGENEOUS)
-    assert stored["order"] == "authors"
-    old = {name: value for name, value in stored.items() if name not in ("order", "dome_radius")}
-    plan = plan_from_json(old)
-    assert isinstance(plan, PressShear)
-    signs = [tuple(np.sign(plan.position(point))) for point in range(1, 6)]
-    assert signs == [(0, 0), (1, 1), (-1, 1), (-1, -1), (1, -1)]
-    assert plan_from_json(plan_to_json(plan)) == plan
+    del stored["order"]
+    with pytest.raises(ValueError, match="plan: order missing; a stored plan states every field"):
+        plan_from_json(stored)
 
 
 @given(press_shears, st.floats(1.01, 50))
